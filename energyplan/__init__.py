@@ -1,0 +1,1 @@
+"""Energy-aware path planning for wheeled skid-steer robots."""

@@ -1,0 +1,101 @@
+"""Named errors. Each says what was wrong, where, and what would be right.
+
+Bad input derives from both `EnergyPlanError` and `ValueError`; a question that has no answer
+(no path, a parameter that the log cannot tell) derives from `EnergyPlanError` alone.
+"""
+
+from __future__ import annotations
+
+
+class EnergyPlanError(Exception):
+    """Base of every error that the library raises on purpose."""
+
+
+class InvalidInputError(EnergyPlanError, ValueError):
+    """The input is wrong; the message names the place and the remedy."""
+
+
+class UnknownNameError(InvalidInputError):
+    """A preset, term, planner or place has no such name.
+
+    Parameters
+    ----------
+    kind : str
+        What was looked up, such as ``"vehicle preset"``.
+    name : str
+        The name that was asked for.
+    known : iterable of str
+        The names that exist.
+    """
+
+    def __init__(self, kind: str, name: str, known: object) -> None:
+        names = ", ".join(sorted(str(k) for k in known)) if hasattr(known, "__iter__") else known
+        super().__init__(f"unknown {kind} {name!r}; known: {names}")
+
+
+class VehicleError(InvalidInputError):
+    """A vehicle's geometry, loads or limits are inconsistent."""
+
+
+class PathError(InvalidInputError):
+    """A path or trajectory is malformed, or no skid-steer robot can drive it."""
+
+
+class ModelError(InvalidInputError):
+    """A power model is built from parts that do not fit together."""
+
+
+class MissingChannelError(InvalidInputError):
+    """A power term needs a channel that the motion does not have."""
+
+
+class DriveLogError(InvalidInputError):
+    """A drive log is malformed; the message names file, line and channel."""
+
+
+class MapError(InvalidInputError):
+    """A map, its image or its surfaces are malformed."""
+
+
+class ConfigError(InvalidInputError):
+    """A configuration file is malformed; the message names file, place and remedy."""
+
+
+class MissionError(InvalidInputError):
+    """A mission is malformed; the message names the task or the line."""
+
+
+class NotIdentifiableError(EnergyPlanError):
+    """The data cannot tell a parameter; the message says what to drive instead."""
+
+
+class PlanningError(EnergyPlanError):
+    """Base of the errors that planners raise."""
+
+
+class NoPathError(PlanningError):
+    """No drivable path joins start and goal."""
+
+
+class StartInCollisionError(PlanningError):
+    """The footprint at the start is not free."""
+
+
+class GoalInCollisionError(PlanningError):
+    """The footprint at the goal is not free."""
+
+
+class OutsideMapError(PlanningError):
+    """A pose lies outside the map."""
+
+
+class TimeLimitError(PlanningError):
+    """The time limit passed before a first plan was found."""
+
+
+class UnsupportedPlannerError(PlanningError):
+    """The planner cannot be used with this problem; the message says which can."""
+
+
+class MissingDependencyError(EnergyPlanError, ImportError):
+    """An optional package is missing; the message names the extra to install."""

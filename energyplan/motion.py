@@ -1,0 +1,175 @@
+"""What a power term needs to know at each instant, and kinematics both ways."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from energyplan.errors import InvalidInputError, MissingChannelError
+from energyplan.path import FloatArray, Trajectory
+from energyplan.vehicle import TreadICR
+
+CHANNELS = {
+    "t": "time [s]",
+    "x": "position [m]",
+    "y": "position [m]",
+    "yaw": "heading [rad]",
+    "slope": "ground slope along the heading, positive when climbing along +x [rad]",
+    "accel": "rate of change of the forward speed [m/s^2]",
+    "yaw_accel": "rate of change of the yaw rate [rad/s^2]",
+    "yaw_rate": "measured yaw rate [rad/s]",
+    "accel_x": "accelerometer's forward reading, gravity included [m/s^2]",
+    "temperature": "temperature [degC]",
+    "payload": "payload [kg]",
+}
+"""Channels that a motion may carry beside its tread speeds."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Tread speeds and whatever else is known at each instant; arrays of any one shape.
+
+    Parameters
+    ----------
+    v_left, v_right : array_like, shape (...)
+        Tread speeds along +x, wheel speed times radius [m/s].
+    icr : TreadICR
+        Tread ICRs that turn tread speeds into body motion.
+    channels : mapping of str to array_like, shape (...)
+        Further channels (`CHANNELS` or a user's own), broadcast against the speeds.
+
+    Raises
+    ------
+    InvalidInputError
+        If the shapes do not broadcast.
+
+    Examples
+    --------
+    >>> motion = Motion(0.4, 0.6, TreadICR.symmetric(0.5))
+    >>> round(float(motion.v), 3), round(float(motion.omega), 3)
+    (0.5, 0.2)
+    """
+
+    v_left: FloatArray
+    v_right: FloatArray
+    icr: TreadICR
+    channels: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        left, right = np.asarray(self.v_left, float), np.asarray(self.v_right, float)
+        others = {name: np.asarray(value, float) for name, value in self.channels.items()}
+        try:
+            shape = np.broadcast_shapes(
+                left.shape, right.shape, *(value.shape for value in others.values())
+            )
+        except ValueError:
+            shapes = {"v_left": left.shape, "v_right": right.shape}
+            shapes |= {name: value.shape for name, value in others.items()}
+            raise InvalidInputError(f"channels do not broadcast together: {shapes}") from None
+        object.__setattr__(self, "v_left", np.broadcast_to(left, shape))
+        object.__setattr__(self, "v_right", np.broadcast_to(right, shape))
+        wide = {name: np.broadcast_to(value, shape) for name, value in others.items()}
+        object.__setattr__(self, "channels", MappingProxyType(wide))
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**vars(self), "channels": dict(self.channels)}
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Common shape of all channels."""
+        return self.v_left.shape
+
+    @cached_property
+    def omega(self) -> FloatArray:
+        """Yaw rate from the tread speeds [rad/s] (Eq. 1)."""
+        return np.asarray((self.v_right - self.v_left) / self.icr.slip_track)
+
+    @cached_property
+    def v(self) -> FloatArray:
+        """Speed of the body's origin along +x [m/s]."""
+        icr = self.icr
+        return np.asarray((icr.right * self.v_left + icr.left * self.v_right) / icr.slip_track)
+
+    def channel(self, name: str, needed_by: str = "a power term") -> FloatArray:
+        """Return a channel.
+
+        Parameters
+        ----------
+        name : str
+            Name of the channel.
+        needed_by : str
+            Who asks, for the message.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            The channel.
+
+        Raises
+        ------
+        MissingChannelError
+            If the motion does not carry it.
+        """
+        try:
+            return self.channels[name]
+        except KeyError:
+            what = CHANNELS.get(name, "a channel of its own")
+            raise MissingChannelError(
+                f"{needed_by} needs the channel {name!r}: {what}; this motion has "
+                f"{', '.join(sorted(self.channels)) or 'none'}"
+            ) from None
+
+    def with_channels(self, **channels: ArrayLike) -> Motion:
+        """Return this motion with channels added or replaced."""
+        merged = {**self.channels, **{k: np.asarray(v, float) for k, v in channels.items()}}
+        return Motion(self.v_left, self.v_right, self.icr, merged)
+
+    @classmethod
+    def from_twist(
+        cls, v: ArrayLike, omega: ArrayLike, icr: TreadICR, **channels: ArrayLike
+    ) -> Motion:
+        """Build a motion from forward speed [m/s] and yaw rate [rad/s].
+
+        Parameters
+        ----------
+        v, omega : array_like, shape (...)
+            Forward speed of the body's origin and yaw rate.
+        icr : TreadICR
+            Tread ICRs.
+        **channels : array_like, shape (...)
+            Further channels.
+
+        Returns
+        -------
+        Motion
+            Motion with ``v_left = v - left omega`` and ``v_right = v + right omega``.
+        """
+        speed, rate = np.asarray(v, float), np.asarray(omega, float)
+        others = {name: np.asarray(value, float) for name, value in channels.items()}
+        return cls(speed - icr.left * rate, speed + icr.right * rate, icr, others)
+
+    @classmethod
+    def from_trajectory(
+        cls, trajectory: Trajectory, icr: TreadICR, **channels: ArrayLike
+    ) -> Motion:
+        """Build the motion along a trajectory, with time, pose and accelerations as channels.
+
+        Accelerations are second-order differences of the speeds. The ground is level unless a
+        `slope` is given.
+        """
+        t = trajectory.t
+        known: dict[str, ArrayLike] = {
+            "t": t,
+            "x": trajectory.x,
+            "y": trajectory.y,
+            "yaw": trajectory.yaw,
+            "accel": np.gradient(trajectory.v, t),
+            "yaw_accel": np.gradient(trajectory.omega, t),
+            "slope": 0.0,
+        }
+        return cls.from_twist(trajectory.v, trajectory.omega, icr, **{**known, **channels})

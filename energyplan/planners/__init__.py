@@ -1,0 +1,1 @@
+"""Planners: one problem in, one plan out."""

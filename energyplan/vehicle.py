@@ -1,0 +1,460 @@
+"""The robot: wheel contacts and loads, tread ICRs, footprint, motor limits, drive efficiency."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from energyplan.errors import UnknownNameError, VehicleError
+
+GRAVITY = 9.81
+"""Gravitational acceleration [m/s^2]."""
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise VehicleError(message)
+
+
+@dataclass(frozen=True)
+class TreadICR:
+    """Instantaneous centres of rotation of the two treads, in the body frame.
+
+    Parameters
+    ----------
+    left, right : float
+        Lateral distance of the left and of the right tread's ICR from the body's x axis [m],
+        both positive: the left one lies at ``y = +left``, the right one at ``y = -right``.
+    longitudinal : float
+        Their common x coordinate [m].
+
+    Raises
+    ------
+    VehicleError
+        If a value is not finite or the slip track is not positive.
+
+    References
+    ----------
+    Morales et al. (2010), section II.
+    """
+
+    left: float
+    right: float
+    longitudinal: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("left", "right", "longitudinal"):
+            value = getattr(self, name)
+            _require(bool(np.isfinite(value)), f"tread ICR {name} is {value}; give metres")
+        _require(
+            self.left + self.right > 0,
+            f"the slip track left + right is {self.left + self.right} m; it must be positive",
+        )
+
+    @classmethod
+    def symmetric(cls, offset: float) -> TreadICR:
+        """Return tread ICRs at equal lateral `offset` [m] on both sides."""
+        return cls(offset, offset)
+
+    @property
+    def slip_track(self) -> float:
+        """Distance between the two tread ICRs, ``B = left + right`` [m]."""
+        return self.left + self.right
+
+    @property
+    def half_track(self) -> float:
+        """Half the slip track [m]: the turn radius of a pivot about one tread's ICR."""
+        return 0.5 * self.slip_track
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Body coordinates of the point midway between the tread ICRs [m].
+
+        Seen from this point every vehicle has symmetric tread ICRs.
+        """
+        return self.longitudinal, 0.5 * (self.left - self.right)
+
+
+@dataclass(frozen=True)
+class MotorLimits:
+    """What one side's motor can do. Infinite where unknown.
+
+    Parameters
+    ----------
+    continuous_power, peak_power : float
+        Shaft power that may be drawn for ever, and for a short time [W].
+    thermal_time : float
+        Length of the window over which the mean must stay within `continuous_power` [s].
+    force : float
+        Largest force at the tread [N].
+    speed : float
+        Largest tread speed [m/s].
+    acceleration : float
+        Largest tread acceleration [m/s^2].
+    regeneration : float
+        Largest power that the drive takes back [W].
+    """
+
+    continuous_power: float = np.inf
+    peak_power: float = np.inf
+    thermal_time: float = 30.0
+    force: float = np.inf
+    speed: float = np.inf
+    acceleration: float = np.inf
+    regeneration: float = np.inf
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            _require(value >= 0, f"motor limit {name} is {value}; give a number >= 0")
+        _require(self.speed > 0, "motor limit speed is 0; the robot could not move")
+        _require(
+            self.peak_power >= self.continuous_power or np.isinf(self.continuous_power),
+            f"peak_power {self.peak_power} W is below continuous_power "
+            f"{self.continuous_power} W; swap or correct them",
+        )
+
+
+def wheel_loads(
+    contacts: ArrayLike, mass: float, cog: ArrayLike = (0.0, 0.0)
+) -> NDArray[np.float64]:
+    """Vertical load on each wheel from mass and centre of gravity.
+
+    With more than three wheels the loads are statically indeterminate. The chassis is taken as
+    rigid on equal springs, so that the load is an affine function of the contact's position:
+    the solution of force and moment balance with the least sum of squares.
+
+    Parameters
+    ----------
+    contacts : array_like, shape (n, 2)
+        Contact points, x forward and y left [m].
+    mass : float
+        Mass of the vehicle [kg].
+    cog : array_like, shape (2,)
+        Centre of gravity in the same frame [m].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Loads [N].
+
+    Raises
+    ------
+    VehicleError
+        If the contacts do not carry the centre of gravity, so that a wheel would lift off.
+
+    Examples
+    --------
+    >>> wheel_loads([(1, 1), (-1, 1), (1, -1), (-1, -1)], mass=4.0).round(2)
+    array([9.81, 9.81, 9.81, 9.81])
+    """
+    points = np.asarray(contacts, float)
+    balance = np.vstack([np.ones(len(points)), points.T])
+    weight = mass * GRAVITY
+    target = weight * np.array([1.0, *np.asarray(cog, float)])
+    loads, *_ = np.linalg.lstsq(balance, target, rcond=None)
+    _require(
+        bool(np.allclose(balance @ loads, target, atol=1e-9 * weight)),
+        f"the contacts cannot balance a centre of gravity at {tuple(np.asarray(cog))}",
+    )
+    _require(
+        bool(np.all(loads >= 0)),
+        f"with the centre of gravity at {tuple(np.asarray(cog))} wheel {int(np.argmin(loads))} "
+        "would lift off; check the sign and the unit [m]",
+    )
+    return np.asarray(loads)
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """A wheeled skid-steer robot.
+
+    Parameters
+    ----------
+    name : str
+        What to call it.
+    contacts : ndarray, shape (n, 2)
+        Wheel contact points in the body frame, x forward and y left [m].
+    loads : ndarray, shape (n,)
+        Vertical load on each contact [N].
+    icr : TreadICR
+        Tread ICRs.
+    footprint : ndarray, shape (2, 2)
+        Rectangle ``[[x_min, y_min], [x_max, y_max]]`` in the body frame [m].
+    motor : MotorLimits
+        Limits of each side's motor.
+    drive_efficiency : float
+        Battery to tread when drawing, in (0, 1]. The paper's sums take 1.
+    regen_efficiency : float
+        Tread to battery when returning, in [0, 1]; 0 for drives that brake on a resistor.
+    max_yaw_rate : float
+        Largest yaw rate [rad/s].
+
+    Raises
+    ------
+    VehicleError
+        If shapes, loads or efficiencies are wrong.
+    """
+
+    name: str
+    contacts: NDArray[np.float64]
+    loads: NDArray[np.float64]
+    icr: TreadICR
+    footprint: NDArray[np.float64]
+    motor: MotorLimits = field(default_factory=MotorLimits)
+    drive_efficiency: float = 1.0
+    regen_efficiency: float = 1.0
+    max_yaw_rate: float = np.inf
+
+    def __post_init__(self) -> None:
+        for name, width in (("contacts", 2), ("footprint", 2)):
+            value = np.array(getattr(self, name), float)
+            _require(
+                value.ndim == 2 and value.shape[1] == width,
+                f"{name} has shape {value.shape}; give rows of (x, y) [m]",
+            )
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        loads = np.array(self.loads, float)
+        loads.setflags(write=False)
+        object.__setattr__(self, "loads", loads)
+        _require(
+            loads.shape == (len(self.contacts),),
+            f"{len(self.contacts)} contacts but loads of shape {loads.shape}; give one load each",
+        )
+        _require(
+            bool(np.all(np.isfinite(self.contacts)) and np.all(np.isfinite(self.footprint))),
+            "contacts and footprint must be finite",
+        )
+        _require(
+            bool(np.all(np.isfinite(loads)) and np.all(loads >= 0) and loads.sum() > 0),
+            f"loads are {loads.tolist()}; give newtons >= 0, not all zero",
+        )
+        sides = np.sign(self.contacts[:, 1])
+        _require(
+            bool(np.any(sides > 0) and np.any(sides < 0)),
+            "every wheel is on one side; contacts need y > 0 (left) and y < 0 (right)",
+        )
+        _require(
+            self.footprint.shape == (2, 2) and bool(np.all(self.footprint[1] > self.footprint[0])),
+            "footprint must be [[x_min, y_min], [x_max, y_max]] with x_max > x_min, y_max > y_min",
+        )
+        _require(
+            0 < self.drive_efficiency <= 1,
+            f"drive_efficiency is {self.drive_efficiency}; give a fraction in (0, 1]",
+        )
+        _require(
+            0 <= self.regen_efficiency <= 1,
+            f"regen_efficiency is {self.regen_efficiency}; give a fraction in [0, 1]",
+        )
+        _require(self.max_yaw_rate > 0, f"max_yaw_rate is {self.max_yaw_rate}; must be positive")
+
+    @property
+    def mass(self) -> float:
+        """Mass that rests on the wheels [kg]."""
+        return float(self.loads.sum() / GRAVITY)
+
+    @property
+    def yaw_inertia(self) -> float:
+        """Moment of inertia about the vertical [kg m^2], taken as that of the footprint's box."""
+        length, width = self.footprint[1] - self.footprint[0]
+        return self.mass * float(length**2 + width**2) / 12.0
+
+    @property
+    def slip_moment(self) -> float:
+        """Sum of load times distance of each contact from its tread's ICR [N m] (Eq. 2)."""
+        left = self.contacts[:, 1] > 0
+        icr_y = np.where(left, self.icr.left, -self.icr.right)
+        reach = np.hypot(self.contacts[:, 0] - self.icr.longitudinal, self.contacts[:, 1] - icr_y)
+        return float(self.loads @ reach)
+
+    def with_icr(self, icr: TreadICR) -> Vehicle:
+        """Return this vehicle with other tread ICRs."""
+        return replace(self, icr=icr)
+
+    def with_mass(self, mass: float, cog: ArrayLike = (0.0, 0.0)) -> Vehicle:
+        """Return this vehicle with wheel loads from another mass [kg] and centre of gravity [m]."""
+        return replace(self, loads=wheel_loads(self.contacts, mass, cog))
+
+    @classmethod
+    def from_geometry(
+        cls,
+        name: str,
+        *,
+        mass: float,
+        wheelbase: float,
+        track: float,
+        length: float,
+        width: float,
+        cog: ArrayLike = (0.0, 0.0),
+        icr: TreadICR | None = None,
+        motor: MotorLimits | None = None,
+        drive_efficiency: float = 1.0,
+        regen_efficiency: float = 1.0,
+        max_yaw_rate: float = np.inf,
+    ) -> Vehicle:
+        """Build a four-wheeled vehicle that is symmetric about its centre.
+
+        Parameters
+        ----------
+        name : str
+            What to call it.
+        mass : float
+            Mass [kg].
+        wheelbase, track : float
+            Distance between front and rear, and between left and right contacts [m].
+        length, width : float
+            Footprint [m].
+        cog : array_like, shape (2,)
+            Centre of gravity [m].
+        icr : TreadICR, optional
+            Tread ICRs; predicted by `predict_icr` where not given.
+        motor : MotorLimits, optional
+            Limits of each side's motor.
+        drive_efficiency, regen_efficiency, max_yaw_rate : float
+            As in `Vehicle`.
+
+        Returns
+        -------
+        Vehicle
+            The vehicle.
+
+        Raises
+        ------
+        VehicleError
+            If a dimension or the mass is not positive.
+        """
+        names = ("mass", "wheelbase", "track", "length", "width")
+        for key, value in zip(names, (mass, wheelbase, track, length, width), strict=True):
+            _require(bool(np.isfinite(value)) and value > 0, f"{key} is {value}; must be positive")
+        x, y = wheelbase / 2, track / 2
+        contacts = np.array([(x, y), (-x, y), (x, -y), (-x, -y)])
+        return cls(
+            name=name,
+            contacts=contacts,
+            loads=wheel_loads(contacts, mass, cog),
+            icr=icr or TreadICR.symmetric(predict_icr(wheelbase, track)),
+            footprint=np.array([(-length / 2, -width / 2), (length / 2, width / 2)]),
+            motor=motor or MotorLimits(),
+            drive_efficiency=drive_efficiency,
+            regen_efficiency=regen_efficiency,
+            max_yaw_rate=max_yaw_rate,
+        )
+
+    @classmethod
+    def preset(cls, name: str) -> Vehicle:
+        """Return a ready-made vehicle: ``quadriga``, ``quadriga:full``, ``husky_a200``, ``jackal``.
+
+        Parameters
+        ----------
+        name : str
+            Name of the preset.
+
+        Returns
+        -------
+        Vehicle
+            The vehicle.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such preset.
+
+        Examples
+        --------
+        >>> round(Vehicle.preset("quadriga:full").slip_moment)
+        467
+        """
+        if name not in _PRESETS:
+            raise UnknownNameError("vehicle preset", name, _PRESETS)
+        return _PRESETS[name]()
+
+
+def predict_icr(wheelbase: float, track: float) -> float:
+    """Lateral tread ICR offset of a four-wheeled vehicle that was not measured.
+
+    Moment balance of a steady spin with equal point loads and isotropic Coulomb friction:
+    ``C = a_x + a_y^2 / a_x`` with half track ``a_x`` and half wheelbase ``a_y``.
+
+    Parameters
+    ----------
+    wheelbase, track : float
+        Distance between front and rear, and between left and right contacts [m].
+
+    Returns
+    -------
+    float
+        Lateral offset of each tread's ICR [m].
+
+    References
+    ----------
+    docs/theory, section 1.
+
+    Examples
+    --------
+    >>> round(predict_icr(0.475, 0.5), 4)
+    0.4756
+    """
+    return track / 2 + (wheelbase / 2) ** 2 / (track / 2)
+
+
+def _quadriga(mass: float, cog: tuple[float, float], name: str) -> Vehicle:
+    """Quadriga (Morales et al. 2010, section IV and Table I).
+
+    The paper gives no motor ratings; the limits are those of a drive that reaches its 1.2 m/s
+    and can spin on concrete with a full tank.
+    """
+    return Vehicle.from_geometry(
+        name,
+        mass=mass,
+        wheelbase=0.475,
+        track=0.5,
+        length=0.82,
+        width=0.64,
+        cog=cog,
+        icr=TreadICR.symmetric(0.47),
+        motor=MotorLimits(
+            continuous_power=400.0,
+            peak_power=800.0,
+            force=900.0,
+            speed=1.2,
+            acceleration=1.0,
+            regeneration=400.0,
+        ),
+    )
+
+
+def _husky() -> Vehicle:
+    """Clearpath Husky A200 as equipped for BorealTC (about 70 kg)."""
+    return Vehicle.from_geometry(
+        "husky_a200",
+        mass=70.0,
+        wheelbase=0.512,
+        track=0.555,
+        length=0.99,
+        width=0.67,
+        motor=MotorLimits(peak_power=1000.0, continuous_power=400.0, speed=1.0, acceleration=3.0),
+    )
+
+
+def _jackal() -> Vehicle:
+    """Clearpath Jackal (17 kg; wheelbase 0.262 m, track 0.376 m)."""
+    return Vehicle.from_geometry(
+        "jackal",
+        mass=17.0,
+        wheelbase=0.262,
+        track=0.376,
+        length=0.508,
+        width=0.43,
+        motor=MotorLimits(peak_power=250.0, continuous_power=125.0, speed=2.0, acceleration=4.0),
+    )
+
+
+_PRESETS = {
+    "quadriga": lambda: _quadriga(83.1, (0.0089, 0.0006), "quadriga:empty"),
+    "quadriga:empty": lambda: _quadriga(83.1, (0.0089, 0.0006), "quadriga:empty"),
+    "quadriga:full": lambda: _quadriga(147.1, (0.0202, -0.0005), "quadriga:full"),
+    "husky_a200": _husky,
+    "jackal": _jackal,
+}
