@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from energyplan.errors import InvalidInputError, MissingChannelError
+from energyplan.motion import Motion
+from energyplan.path import Trajectory
+from energyplan.vehicle import TreadICR
+
+ICR = TreadICR(0.5, 0.4, 0.1)
+
+
+def test_twist_and_tread_speeds_are_inverse() -> None:
+    rng = np.random.default_rng(0)
+    v, omega = rng.normal(size=(2, 3, 4))
+    motion = Motion.from_twist(v, omega, ICR)
+    assert motion.shape == (3, 4)
+    assert motion.v == pytest.approx(v)
+    assert motion.omega == pytest.approx(omega)
+
+
+def test_equation_1() -> None:
+    motion = Motion(0.2, 0.67, TreadICR.symmetric(0.47))
+    assert float(motion.omega) == pytest.approx(0.47 / 0.94)
+    assert float(motion.v) == pytest.approx(0.435)
+
+
+def test_each_tread_turns_about_its_icr() -> None:
+    about_left = Motion.from_twist(ICR.left * 0.3, 0.3, ICR)
+    assert float(about_left.v_left) == pytest.approx(0.0)
+    about_right = Motion.from_twist(-ICR.right * 0.3, 0.3, ICR)
+    assert float(about_right.v_right) == pytest.approx(0.0)
+
+
+def test_missing_channel_is_named() -> None:
+    with pytest.raises(MissingChannelError, match="'slope': ground slope"):
+        Motion(0.0, 0.0, ICR).channel("slope")
+
+
+def test_shapes_that_do_not_broadcast_are_refused() -> None:
+    with pytest.raises(InvalidInputError, match="slope"):
+        Motion(np.zeros(3), np.zeros(3), ICR, {"slope": np.zeros(4)})
+
+
+def test_motion_travels_between_processes() -> None:
+    motion = Motion(np.zeros(3), np.ones(3), ICR, {"slope": 0.1})
+    again = pickle.loads(pickle.dumps(motion))
+    assert again.omega == pytest.approx(motion.omega)
+    assert again.channel("slope") == pytest.approx(np.full(3, 0.1))
+
+
+def test_accelerations_of_a_trajectory() -> None:
+    t = np.linspace(0, 2, 201)
+    yaw = 0.2 * t**2
+    trajectory = Trajectory(t, t, t, yaw, 0.3 * t, 0.4 * t)
+    motion = Motion.from_trajectory(trajectory, ICR)
+    assert motion.channel("accel") == pytest.approx(np.full(201, 0.3))
+    assert motion.channel("yaw_accel") == pytest.approx(np.full(201, 0.4))
+    assert motion.channel("slope") == pytest.approx(np.zeros(201))

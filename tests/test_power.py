@@ -1,0 +1,172 @@
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from energyplan import effects
+from energyplan.errors import MissingChannelError, ModelError, UnknownNameError
+from energyplan.motion import Motion
+from energyplan.power import (
+    HOTEL,
+    REGENERATION_LOSS,
+    SLIP,
+    TABLE_II,
+    TRACTION,
+    PowerModel,
+    Term,
+    tread_forces,
+)
+from energyplan.vehicle import TreadICR, Vehicle
+
+speed = st.floats(-1.5, 1.5)
+offset = st.floats(0.1, 1.0)
+
+
+@given(speed, speed, offset, offset, st.floats(-0.3, 0.3))
+def test_sides_add_up_to_the_paper_for_any_motion(
+    v_left: float, v_right: float, left: float, right: float, ahead: float
+) -> None:
+    vehicle = Vehicle.preset("quadriga:full").with_icr(TreadICR(left, right, ahead))
+    model = PowerModel.paper(vehicle, K=118.0, mu=0.647)
+    motion = Motion(v_left, v_right, vehicle.icr)
+    omega = (v_right - v_left) / (left + right)
+    slip = 0.647 * abs(omega) * vehicle.slip_moment
+    total = slip + 118.0 * (abs(v_left) + abs(v_right))
+    assert float(model.power(motion)) == pytest.approx(total, rel=1e-12, abs=1e-12)
+    assert float(model.sides(motion).total) == pytest.approx(total, rel=1e-12, abs=1e-9)
+    forces = model.forces(motion)
+    assert float(forces.left * v_left + forces.right * v_right) == pytest.approx(total, abs=1e-9)
+
+
+@pytest.mark.parametrize("preset", TABLE_II)
+def test_no_motor_generates_in_straight_motion_or_in_a_spin(preset: str) -> None:
+    model = PowerModel.preset(preset)
+    v = np.linspace(-1.2, 1.2, 101)
+    for motion in (Motion(v, v, model.vehicle.icr), Motion(-v, v, model.vehicle.icr)):
+        sides = model.sides(motion)
+        assert np.all(sides.left >= 0)
+        assert np.all(sides.right >= 0)
+
+
+def test_the_inner_motor_generates_in_a_forward_arc_on_marble_with_a_full_tank() -> None:
+    model = PowerModel.preset("quadriga:full:marble")
+    sides = model.sides(Motion(0.8, 0.4, model.vehicle.icr))  # to the right, as in Fig. 5
+    assert float(sides.right) < 0 < float(sides.left)
+    slip_force = 0.431 * model.vehicle.slip_moment / 0.94
+    assert float(sides.right) == pytest.approx((110.0 - slip_force) * 0.4)
+
+
+def test_generation_starts_where_the_slip_force_exceeds_the_traction_resistance() -> None:
+    vehicle = Vehicle.preset("quadriga:full")
+    force = 0.431 * vehicle.slip_moment / vehicle.icr.slip_track
+    motion = Motion(0.4, 0.8, vehicle.icr)
+    for K, generates in ((force - 1, True), (force + 1, False)):
+        inner = PowerModel.paper(vehicle, K=K, mu=0.431).sides(motion).left
+        assert (float(inner) < 0) is generates
+
+
+def test_any_shape_broadcasts() -> None:
+    model = PowerModel.preset("quadriga:empty:marble")
+    motion = Motion(np.zeros((3, 1)), np.ones((1, 4)), model.vehicle.icr)
+    assert model.power(motion).shape == (3, 4)
+    one = model.power(Motion(0.0, 1.0, model.vehicle.icr))
+    assert np.all(model.power(motion) == float(one))
+
+
+@given(speed, speed, st.floats(-500, 500), st.floats(-500, 500))
+def test_tread_forces_do_the_virtual_work(
+    v: float, omega: float, force: float, moment: float
+) -> None:
+    motion = Motion.from_twist(v, omega, TreadICR(0.55, 0.41, 0.1))
+    sides = tread_forces(motion, force, moment)
+    work = sides.left * motion.v_left + sides.right * motion.v_right
+    assert float(work) == pytest.approx(force * v + moment * omega, abs=1e-9)
+
+
+def test_breakdown_adds_up_and_knows_no_special_terms() -> None:
+    vehicle = Vehicle.preset("quadriga:full")
+    terms = (SLIP, TRACTION, HOTEL, effects.GRADE, effects.LINEAR_INERTIA, effects.VISCOUS_LOSS)
+    model = PowerModel(vehicle, terms, np.array([0.6, 110.0, 30.0, 147.0, 161.0, 12.0]))
+    motion = Motion.from_twist(
+        [0.5, -0.3], [0.2, 0.1], vehicle.icr, slope=[0.05, 0.02], accel=[0.3, -0.1]
+    )
+    parts = model.breakdown(motion)
+    assert sum(parts.values()) == pytest.approx(model.power(motion), abs=1e-9)
+    assert parts["grade"] == pytest.approx(147 * 9.81 * np.sin([0.05, 0.02]) * [0.5, -0.3])
+    assert parts["linear_inertia"] == pytest.approx(161 * np.array([0.3 * 0.5, 0.1 * 0.3]))
+    assert parts["hotel_load"] == pytest.approx([30.0, 30.0])
+    assert model.sides(motion).total == pytest.approx(model.power(motion) - 30.0)
+
+
+def test_a_missing_channel_names_the_term() -> None:
+    vehicle = Vehicle.preset("quadriga")
+    model = PowerModel.paper(vehicle, 100.0, 0.5).with_term(effects.GRADE, 83.0)
+    with pytest.raises(MissingChannelError, match="'grade' needs the channel 'slope'"):
+        model.power(Motion(1.0, 1.0, vehicle.icr))
+
+
+def test_battery_side_loses_what_the_efficiencies_say() -> None:
+    vehicle = replace(Vehicle.preset("quadriga:full"), drive_efficiency=0.8, regen_efficiency=0.5)
+    model = PowerModel.paper(vehicle, K=118.0, mu=0.647)
+    motion = Motion([0.8, 0.5, -0.4], [0.4, 0.5, 0.4], vehicle.icr)
+    sides = model.sides(motion)
+    expected = sum(np.where(p > 0, p / 0.8, 0.5 * p) for p in (sides.left, sides.right))
+    assert model.battery_side().power(motion) == pytest.approx(expected)
+
+
+def test_an_efficiency_found_in_data_is_not_counted_twice() -> None:
+    vehicle = replace(Vehicle.preset("quadriga:full"), regen_efficiency=0.5)
+    model = PowerModel.paper(vehicle, 118.0, 0.647).with_term(REGENERATION_LOSS, 0.9)
+    assert model.battery_side().coefficient("regeneration_efficiency") == 0.9
+
+
+def test_the_lossless_battery_side_is_the_model_itself() -> None:
+    model = PowerModel.preset("quadriga:full:marble")
+    assert model.battery_side() is model
+
+
+def test_coefficients_never_lose_their_covariance_silently() -> None:
+    cov = np.array([[1e-4, 0.0], [0.0, 4.0]])
+    model = PowerModel.paper(Vehicle.preset("quadriga"), 100.0, 0.5, covariance=cov)
+    assert model.std_error("traction_resistance") == pytest.approx(2.0)
+    wider = model.with_term(HOTEL, 20.0)
+    assert wider.covariance is not None
+    assert wider.std_error("hotel_load") == 0.0
+    assert PowerModel.preset("quadriga:full:marble").std_error("slip_friction") is None
+
+
+@pytest.mark.parametrize(
+    ("terms", "values", "cov", "message"),
+    [
+        ((SLIP, SLIP), [1.0, 1.0], None, "twice"),
+        ((SLIP, TRACTION), [1.0], None, "one finite value each"),
+        ((SLIP, TRACTION), [1.0, np.nan], None, "one finite value each"),
+        ((SLIP, TRACTION), [1.0, 1.0], np.eye(3), "2 x that"),
+        ((SLIP, TRACTION), [1.0, 1.0], [[1.0, 2.0], [0.0, 1.0]], "symmetric"),
+        ((SLIP, TRACTION), [1.0, 1.0], [[-1.0, 0.0], [0.0, 1.0]], "negative"),
+    ],
+)
+def test_bad_models_are_refused(
+    terms: tuple[Term, ...], values: list[float], cov: object, message: str
+) -> None:
+    with pytest.raises(ModelError, match=message):
+        PowerModel(Vehicle.preset("quadriga"), terms, values, cov)
+
+
+def test_unknown_names() -> None:
+    with pytest.raises(UnknownNameError, match="quadriga:full:marble"):
+        PowerModel.preset("quadriga:full:ice")
+    with pytest.raises(UnknownNameError, match="slip_friction"):
+        PowerModel.preset("quadriga:full:marble").coefficient("slip")
+
+
+def test_models_travel_between_processes() -> None:
+    model = PowerModel.preset("quadriga:full:marble")
+    motion = Motion(0.8, 0.4, model.vehicle.icr)
+    again = pickle.loads(pickle.dumps(model))
+    assert float(again.power(motion)) == float(model.power(motion))

@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from energyplan.errors import UnknownNameError, VehicleError
+from energyplan.vehicle import GRAVITY, MotorLimits, TreadICR, Vehicle, predict_icr, wheel_loads
+
+
+@pytest.mark.parametrize(
+    ("name", "published"), [("quadriga:empty", 264.0), ("quadriga:full", 466.0)]
+)
+def test_slip_moment_of_quadriga_is_the_published_one(name: str, published: float) -> None:
+    assert Vehicle.preset(name).slip_moment == pytest.approx(published, rel=5e-3)
+
+
+def test_predicted_icr_of_quadriga() -> None:
+    assert predict_icr(0.475, 0.5) == pytest.approx(0.4756, abs=5e-5)
+
+
+def test_predicted_icr_balances_the_moment_of_a_steady_spin() -> None:
+    # With the ICRs at +-C each contact slides square to its reach from the tread's ICR. Isotropic
+    # friction then gives a longitudinal force on each wheel; in a steady spin the slip force of a
+    # wheel must do the work that its own sliding dissipates, which fixes C.
+    wheelbase, track = 0.61, 0.45
+    ax, ay = track / 2, wheelbase / 2
+    best = min(
+        np.linspace(ax, 4 * ax, 20001),
+        key=lambda C: abs((C - ax) / np.hypot(C - ax, ay) * ax - ay**2 / np.hypot(C - ax, ay)),
+    )
+    assert predict_icr(wheelbase, track) == pytest.approx(best, rel=1e-3)
+
+
+def test_wheel_loads_balance_force_and_moments() -> None:
+    contacts = [(0.3, 0.2), (0.0, 0.25), (-0.3, 0.2), (0.3, -0.2), (0.0, -0.25), (-0.3, -0.2)]
+    cog = np.array([0.05, -0.03])
+    loads = wheel_loads(contacts, 40.0, cog)
+    assert loads.sum() == pytest.approx(40.0 * GRAVITY)
+    assert loads @ np.array(contacts) / loads.sum() == pytest.approx(cog)
+    assert loads[0] > loads[2]
+
+
+def test_a_wheel_that_would_lift_is_an_error() -> None:
+    with pytest.raises(VehicleError, match="lift off"):
+        wheel_loads([(1, 1), (-1, 1), (1, -1), (-1, -1)], 10.0, (1.5, 0.0))
+
+
+def test_contacts_on_a_line_cannot_carry_an_offset() -> None:
+    with pytest.raises(VehicleError, match="cannot balance"):
+        wheel_loads([(0, 1), (0, -1)], 10.0, (0.1, 0.0))
+
+
+def test_asymmetric_icr() -> None:
+    icr = TreadICR(0.5, 0.4, 0.1)
+    assert icr.slip_track == pytest.approx(0.9)
+    assert icr.half_track == pytest.approx(0.45)
+    assert icr.centre == pytest.approx((0.1, 0.05))
+
+
+def test_slip_moment_with_general_contacts() -> None:
+    vehicle = Vehicle(
+        "three", np.array([(0.5, 0.0001), (-0.2, 0.3), (-0.2, -0.3)]), np.array([10.0, 20.0, 30.0]),
+        TreadICR(0.4, 0.6, -0.2), np.array([(-0.5, -0.5), (0.5, 0.5)]),
+    )  # fmt: skip
+    by_hand = 10 * np.hypot(0.7, 0.3999) + 20 * 0.1 + 30 * 0.3
+    assert vehicle.slip_moment == pytest.approx(by_hand)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"loads": [1.0, 1.0]}, "one load each"),
+        ({"loads": [1.0, 1.0, 1.0, -1.0]}, "loads are"),
+        ({"loads": [1.0, 1.0, 1.0, np.nan]}, "loads are"),
+        ({"contacts": np.full((4, 2), 0.1)}, "on one side"),
+        ({"contacts": np.zeros((4, 3))}, "rows of"),
+        ({"footprint": [[0.5, 0.5], [-0.5, -0.5]]}, "x_max > x_min"),
+        ({"drive_efficiency": 0.0}, "drive_efficiency"),
+        ({"regen_efficiency": 1.2}, "regen_efficiency"),
+        ({"max_yaw_rate": -1.0}, "max_yaw_rate"),
+    ],
+)
+def test_bad_vehicles_are_refused(change: dict[str, object], message: str) -> None:
+    good = vars(Vehicle.preset("quadriga"))
+    with pytest.raises(VehicleError, match=message):
+        Vehicle(**{**good, **change})
+
+
+def test_bad_limits_and_icrs_are_refused() -> None:
+    with pytest.raises(VehicleError, match="below continuous_power"):
+        MotorLimits(continuous_power=100.0, peak_power=50.0)
+    with pytest.raises(VehicleError, match="nan"):
+        MotorLimits(force=float("nan"))
+    with pytest.raises(VehicleError, match="slip track"):
+        TreadICR(0.1, -0.2)
+    with pytest.raises(UnknownNameError, match="jackal"):
+        Vehicle.preset("jakal")
+    with pytest.raises(VehicleError, match="mass"):
+        Vehicle.from_geometry("x", mass=0, wheelbase=1, track=1, length=1, width=1)
+
+
+def test_arrays_cannot_be_changed_in_place() -> None:
+    vehicle = Vehicle.preset("husky_a200")
+    with pytest.raises(ValueError, match="read-only"):
+        vehicle.loads[0] = 0.0
+
+
+def test_heavier_vehicle_scales_the_slip_moment() -> None:
+    vehicle = Vehicle.preset("quadriga:empty")
+    ratio = vehicle.with_mass(2 * vehicle.mass).slip_moment / vehicle.slip_moment
+    assert ratio == pytest.approx(2.0)
