@@ -1,0 +1,217 @@
+"""Manoeuvres as legs: tread speeds to reach and to hold, and the speed schedule they add up to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from energyplan.errors import InvalidInputError
+from energyplan.path import FloatArray
+from energyplan.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Leg:
+    """Tread speeds to reach by a linear ramp, then to hold.
+
+    Parameters
+    ----------
+    v_left, v_right : float
+        Tread speeds [m/s].
+    hold : float
+        How long to hold them [s].
+    ramp : float
+        How long the ramp takes [s]; longer where the acceleration limit asks for it.
+    """
+
+    v_left: float
+    v_right: float
+    hold: float = 0.0
+    ramp: float = 0.0
+
+    def __post_init__(self) -> None:
+        values = np.array([self.v_left, self.v_right, self.hold, self.ramp])
+        if not np.all(np.isfinite(values)) or self.hold < 0 or self.ramp < 0:
+            raise InvalidInputError(f"{self} needs finite speeds, and hold and ramp >= 0 s")
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Tread speeds over time, linear between corners.
+
+    Parameters
+    ----------
+    t, v_left, v_right : ndarray, shape (n,)
+        Corners: strictly increasing time [s] and tread speeds [m/s].
+    """
+
+    t: FloatArray
+    v_left: FloatArray
+    v_right: FloatArray
+
+    @property
+    def duration(self) -> float:
+        """Time from start to end [s]."""
+        return float(self.t[-1])
+
+
+def _ramp(before: Leg, leg: Leg, accel_limit: float) -> float:
+    """Time that the change of speeds takes [s]."""
+    change = max(abs(leg.v_left - before.v_left), abs(leg.v_right - before.v_right))
+    return max(leg.ramp, change / accel_limit) if change > 0 else 0.0
+
+
+def schedule(legs: Sequence[Leg], accel_limit: float) -> Schedule:
+    """Join legs from rest to rest.
+
+    Parameters
+    ----------
+    legs : sequence of Leg
+        The legs; a stop is added where the last one does not end at rest.
+    accel_limit : float
+        Largest tread acceleration [m/s^2].
+
+    Returns
+    -------
+    Schedule
+        The speeds over time.
+
+    Raises
+    ------
+    InvalidInputError
+        If the legs take no time.
+    """
+    here, corners = Leg(0.0, 0.0), [(0.0, 0.0, 0.0)]
+    for leg in [*legs, Leg(0.0, 0.0)]:
+        for step in (_ramp(here, leg, accel_limit), leg.hold):
+            if step > 0:
+                corners.append((corners[-1][0] + step, leg.v_left, leg.v_right))
+        here = leg
+    if len(corners) < 2:
+        raise InvalidInputError("the legs take no time; give one that moves or holds")
+    return Schedule(*np.array(corners).T)
+
+
+def _fill(targets: Sequence[tuple[float, float]], duration: float, accel_limit: float) -> list[Leg]:
+    """Legs to the target speeds and back to rest, held equally long to fill `duration`."""
+    legs = [Leg(left, right) for left, right in targets]
+    ends = [Leg(0.0, 0.0), *legs, Leg(0.0, 0.0)]
+    ramps = sum(_ramp(a, b, accel_limit) for a, b in pairwise(ends))
+    spare = duration - ramps
+    if spare < 0:
+        raise InvalidInputError(
+            f"the manoeuvre's speed ramps alone take {ramps:.1f} s, longer than its {duration:g} s;"
+            " give a longer duration, a lower speed or a higher accel_limit"
+        )
+    held = spare / len(legs)
+    return [*(Leg(leg.v_left, leg.v_right, held) for leg in legs), Leg(0.0, 0.0)]
+
+
+@dataclass(frozen=True)
+class Brief:
+    """What a pattern is told: robot, time, speed, acceleration limit and chance."""
+
+    vehicle: Vehicle
+    duration: float
+    speed: float
+    accel_limit: float
+    rng: np.random.Generator
+
+
+def rest(brief: Brief) -> list[Leg]:
+    """Stand still."""
+    return [Leg(0.0, 0.0, brief.duration)]
+
+
+def spin(brief: Brief) -> list[Leg]:
+    """Turn on the spot, left and right, at half and at full tread speed."""
+    speeds = brief.speed * np.array([-0.5, 0.5, -1.0, 1.0])
+    return _fill([(float(s), float(-s)) for s in speeds], brief.duration, brief.accel_limit)
+
+
+def straight(brief: Brief) -> list[Leg]:
+    """Drive straight, forwards and backwards, at half and at full speed."""
+    speeds = brief.speed * np.array([0.5, -0.5, 1.0, -1.0])
+    return _fill([(float(s), float(s)) for s in speeds], brief.duration, brief.accel_limit)
+
+
+def spiral(brief: Brief) -> list[Leg]:
+    """From straight through ever tighter arcs to a spin and back, to the right, then to the left.
+
+    The outer tread keeps its speed: the paper's identification drive (its Fig. 5).
+    """
+    s, limit = brief.speed, brief.accel_limit
+    sweep = (brief.duration - 2 * s / limit) / 4
+    if sweep < 2 * s / limit:
+        raise InvalidInputError(
+            f"a spiral at {s:g} m/s needs {10 * s / limit:.1f} s or more, not {brief.duration:g} s"
+        )
+    inner = ((s, -s), (s, s), (-s, s), (s, s))
+    return [Leg(s, s), *(Leg(left, right, ramp=sweep) for left, right in inner), Leg(0.0, 0.0)]
+
+
+def figure8(brief: Brief) -> list[Leg]:
+    """Draw a circle to the left, then one to the right, each of a full turn."""
+    s, limit, track = brief.speed, brief.accel_limit, brief.vehicle.icr.slip_track
+    # Each circle's yaw rate integrates to a full turn, the ramps included: a quadratic in the
+    # difference of the tread speeds.
+    time = brief.duration / 2 - s / (2 * limit)
+    root = time**2 - 2 * np.pi * track / limit
+    difference = 2 * limit * (time - float(np.sqrt(root))) if min(time, root) > 0 else np.inf
+    if difference > 2 * s:
+        need = 2 * (np.pi * track / s + s / limit)
+        raise InvalidInputError(
+            f"a figure-8 at {s:g} m/s takes this robot {need:.1f} s or more, "
+            f"not {brief.duration:g} s"
+        )
+    inner = s - difference
+    targets = [(inner, s), (s, inner)]
+    return _fill(targets, brief.duration, brief.accel_limit)
+
+
+def _random_targets(brief: Brief, count: int) -> list[tuple[float, float]]:
+    """Speeds of a robot at work: mostly forwards, turning at random, within the tread speed."""
+    rng = brief.rng
+    forward = rng.uniform(0.2, 1.0, count) * np.where(rng.random(count) < 0.15, -0.6, 1.0)
+    turn = rng.uniform(-1.0, 1.0, count) ** 3
+    pairs = np.stack([forward - turn, forward + turn], axis=1)
+    pairs /= np.maximum(1.0, np.abs(pairs).max(axis=1, keepdims=True))
+    return [(float(left), float(right)) for left, right in brief.speed * pairs]
+
+
+def survey(brief: Brief) -> list[Leg]:
+    """Random smooth manoeuvres, a new one every four seconds or so."""
+    pause = 4.0 + brief.speed / brief.accel_limit
+    count = max(1, int(brief.duration / pause))
+    return _fill(_random_targets(brief, count), brief.duration, brief.accel_limit)
+
+
+def stop_and_go(brief: Brief) -> list[Leg]:
+    """Random manoeuvres with a stop after each."""
+    pause = 3.0 + 2 * brief.speed / brief.accel_limit
+    targets = _random_targets(brief, max(1, int(brief.duration / pause)))
+    stops = [pair for target in targets for pair in (target, (0.0, 0.0))]
+    return _fill(stops, brief.duration, brief.accel_limit)
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """A named manoeuvre and the time that it takes where none is given [s]."""
+
+    legs: Callable[[Brief], list[Leg]]
+    duration: float
+
+
+PATTERNS = {
+    "rest": Pattern(rest, 5.0),
+    "spin": Pattern(spin, 30.0),
+    "straight": Pattern(straight, 30.0),
+    "spiral": Pattern(spiral, 60.0),
+    "figure8": Pattern(figure8, 24.0),
+    "survey": Pattern(survey, 60.0),
+    "stop_and_go": Pattern(stop_and_go, 40.0),
+}
+"""Manoeuvres by name."""

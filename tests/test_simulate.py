@@ -1,0 +1,194 @@
+"""Simulated drives obey the model, the kinematics and the acceleration limit they were given."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from energyplan.effects import GRADE, LINEAR_INERTIA
+from energyplan.errors import InvalidInputError, MissingChannelError, UnknownNameError
+from energyplan.motion import Motion
+from energyplan.path import Path, Pose
+from energyplan.power import HOTEL, SLIP, PowerModel
+from energyplan.simulate import PATTERNS, Leg, drive, identification_drive, validation_drive
+from energyplan.vehicle import GRAVITY, TreadICR
+
+
+@pytest.fixture(scope="module")
+def model():
+    return PowerModel.preset("quadriga:full:marble")
+
+
+def energy(log):
+    return float(np.trapezoid(log.power, log.t))
+
+
+@pytest.mark.parametrize("pattern", sorted(PATTERNS))
+def test_starts_and_ends_at_rest_within_speed_and_acceleration(model, pattern):
+    log = drive(model, pattern, speed=0.8, accel_limit=0.4, rate=50.0)
+    speeds = np.stack([log.channels["v_left"], log.channels["v_right"]])
+    assert_allclose(speeds[:, [0, -1]], 0.0, atol=1e-12)
+    assert np.abs(speeds).max() <= 0.8 + 1e-12
+    assert np.abs(np.diff(speeds)).max() * 50.0 <= 0.4 + 1e-9
+    assert log.t[-1] == pytest.approx(PATTERNS[pattern].duration, abs=0.021)
+
+
+def test_power_and_yaw_rate_are_those_of_the_model(model):
+    log = identification_drive(model)
+    motion = log.motion(model.vehicle.icr)
+    assert_allclose(log.power, model.power(motion), atol=1e-9)
+    assert_allclose(log.sides.left, model.sides(motion).left, atol=1e-9)
+    assert_allclose(log.channels["yaw_rate"], motion.omega, atol=1e-12)
+
+
+def test_pose_is_that_of_the_same_arcs_driven_exactly(model):
+    vehicle = model.vehicle.with_icr(TreadICR(0.4, 0.55, 0.07))
+    lopsided = replace(model, vehicle=vehicle)
+    # Both treads ramp in proportion, so that every ramp is an arc of one curvature.
+    log = drive(lopsided, [Leg(0.3, 0.6, 4.0), Leg(0.0, 0.0, 1.0), Leg(-0.5, 0.1, 3.0)], rate=100.0)
+    icr = vehicle.icr
+    seconds = (4.0 + 2.0, 3.0 + 0.5 / 0.3)
+    arcs = Motion([0.3, -0.5], [0.6, 0.1], icr)
+    path = Path(Pose(0, 0, 0), arcs.v * seconds, arcs.omega * seconds, icr.longitudinal)
+    end = [log.channels[name][-1] for name in ("x", "y", "yaw")]
+    assert_allclose(end, path.end, atol=5e-3)  # the last sample is up to 10 ms before the end
+    k = 850  # at rest between the arcs
+    middle = [log.channels[name][k] for name in ("x", "y", "yaw")]
+    assert_allclose(middle, path.vertices[1], atol=1e-12)
+
+
+def test_figure_eight_closes_and_spiral_ends_where_it_turned_from(model):
+    loop = drive(model, "figure8", rate=100.0)
+    assert loop.channels["yaw"].max() == pytest.approx(2 * np.pi, abs=1e-3)
+    assert loop.channels["yaw"][-1] == pytest.approx(0.0, abs=1e-9)
+    spiral = drive(model, "spiral")
+    assert spiral.channels["yaw"][-1] == pytest.approx(0.0, abs=1e-9)
+    assert np.abs(spiral.channels["yaw"]).max() > 2 * np.pi
+
+
+def test_same_seed_same_log_and_each_channel_has_its_own_stream(model):
+    options = {"power_noise": 5.0, "speed_noise": 0.005, "seed": 4}
+    first, again = (validation_drive(model, **options) for _ in range(2))
+    other = validation_drive(model, **{**options, "seed": 5})
+    more = validation_drive(model, **options, noise={"yaw_rate": 0.02})
+    for name in first.channels:
+        assert_array_equal(first.channels[name], again.channels[name])
+    assert np.any(first.channels["v_left"] != other.channels["v_left"])
+    assert_array_equal(first.channels["p_left"], more.channels["p_left"])
+    assert np.any(first.channels["yaw_rate"] != more.channels["yaw_rate"])
+
+
+@pytest.mark.parametrize("tau", [0.0, 0.5])
+def test_power_noise_has_the_deviation_and_the_correlation_asked_for(model, tau):
+    log = drive(model, "rest", duration=2000.0, power_noise=5.0, correlation_time=tau, seed=2)
+    for noise in (log.sides.left, log.sides.right):
+        assert noise.std() == pytest.approx(5.0, rel=0.05)
+        lag = np.corrcoef(noise[:-1], noise[1:])[0, 1]
+        assert lag == pytest.approx(np.exp(-0.05 / tau) if tau else 0.0, abs=0.02)
+    assert np.corrcoef(log.sides.left, log.sides.right)[0, 1] == pytest.approx(0.0, abs=0.05)
+
+
+def test_common_power_is_split_evenly(model):
+    log = validation_drive(model.with_term(HOTEL, 40.0))
+    bare = validation_drive(model)
+    assert_allclose(log.sides.left - bare.sides.left, 20.0, atol=1e-9)
+    assert_allclose(log.power - bare.power, 40.0, atol=1e-9)
+
+
+def test_ways_to_measure_power_agree(model):
+    logs = [validation_drive(model, measured=how) for how in ("sides", "total", "battery")]
+    assert [log.has("p_left") for log in logs] == [True, False, False]
+    for log in logs[1:]:
+        assert_allclose(log.power, logs[0].power, atol=1e-9)
+
+
+def test_inertia_costs_nothing_from_rest_to_rest(model):
+    heavy = model.with_term(LINEAR_INERTIA, 150.0)
+    bare, log = (drive(m, "straight", rate=200.0) for m in (model, heavy))
+    assert np.abs(log.power - bare.power).max() > 30.0
+    assert energy(log) == pytest.approx(energy(bare), rel=2e-3)
+
+
+def test_climbing_takes_the_potential_energy(model):
+    mass, incline = 100.0, np.radians(6.0)
+    log = drive(model.with_term(GRADE, mass), [Leg(0.6, 0.6, 10.0)], slope=incline)
+    bare = drive(model, [Leg(0.6, 0.6, 10.0)])
+    climbed = mass * GRAVITY * np.sin(incline) * log.channels["x"][-1]
+    assert energy(log) - energy(bare) == pytest.approx(climbed, rel=1e-3)
+    assert_allclose(log.channels["slope"], incline)
+    steady = log.channels["accel_x"][len(log) // 2]
+    assert steady == pytest.approx(GRAVITY * np.sin(incline))
+
+
+def test_slope_follows_the_heading_and_a_terrain(model):
+    log = drive(model, "spin", slope=0.1, uphill=0.5)
+    expected = np.arcsin(np.sin(0.1) * np.cos(log.channels["yaw"] - 0.5))
+    assert_allclose(log.channels["slope"], expected)
+    hill = drive(model, "straight", slope=lambda x, y, yaw: 0.02 * x)
+    assert_allclose(hill.channels["slope"], 0.02 * hill.channels["x"])
+
+
+def test_change_of_surface_and_of_icr_at_a_time(model):
+    rough = PowerModel.preset("quadriga:full:concrete")
+    wide = replace(rough, vehicle=rough.vehicle.with_icr(TreadICR.symmetric(0.6)))
+    log = drive(model, [Leg(-0.5, 0.5, 10.0)], changes=[(5.0, wide)])
+    before, after = log.t < 5.0, log.t >= 5.0
+    motion = Motion(log.channels["v_left"], log.channels["v_right"], model.vehicle.icr)
+    wider = Motion(log.channels["v_left"], log.channels["v_right"], wide.vehicle.icr)
+    assert_allclose(log.power[before], model.power(motion)[before])
+    assert_allclose(log.power[after], wide.power(wider)[after])
+    assert_allclose(log.channels["yaw_rate"][after], wider.omega[after], atol=1e-12)
+    turned = np.trapezoid(log.channels["yaw_rate"], log.t)
+    assert log.channels["yaw"][-1] == pytest.approx(turned, abs=0.02)
+
+
+def test_sensor_errors(model):
+    clean = validation_drive(model)
+    log = validation_drive(
+        model,
+        delays={"yaw_rate": 0.2},
+        gains={"p_left": 1.1},
+        biases={"p_right": 7.0},
+        without=["x", "y"],
+    )
+    assert_allclose(log.channels["yaw_rate"][4:], clean.channels["yaw_rate"][:-4], atol=1e-9)
+    assert_allclose(log.sides.left, 1.1 * clean.sides.left)
+    assert_allclose(log.sides.right, 7.0 + clean.sides.right)
+    assert not log.has("x")
+    assert log.has("yaw")
+
+
+def test_further_channels_reach_the_terms_and_the_log(model):
+    warm = replace(
+        SLIP, name="warm", kind="power", channels=("temperature",),
+        function=lambda motion, vehicle: motion.channel("temperature"),
+    )  # fmt: skip
+    warmer = model.with_term(warm, 2.0)
+    log = drive(warmer, "rest", channels={"temperature": lambda t: 20.0 + t})
+    assert_allclose(log.power, 2.0 * (20.0 + log.t))
+    assert_allclose(log.channels["temperature"], 20.0 + log.t)
+    with pytest.raises(MissingChannelError, match="temperature"):
+        drive(warmer, "rest")
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"pattern": "waltz"}, UnknownNameError, "spiral"),
+        ({"duration": 2.0}, InvalidInputError, "needs"),
+        ({"pattern": "figure8", "duration": 6.0}, InvalidInputError, "takes this robot"),
+        ({"pattern": "spin", "duration": 6.0}, InvalidInputError, "ramps alone"),
+        ({"pattern": []}, InvalidInputError, "no time"),
+        ({"speed": 5.0}, InvalidInputError, "reaches 1.2"),
+        ({"rate": 0.0}, InvalidInputError, "rate"),
+        ({"power_noise": -1.0}, InvalidInputError, "power_noise"),
+        ({"gains": {"p_rihgt": 2.0}}, UnknownNameError, "p_right"),
+        ({"measured": "guess"}, UnknownNameError, "battery"),
+    ],
+)
+def test_impossible_requests_are_refused(model, options, error, words):
+    with pytest.raises(error, match=words):
+        drive(model, **{"pattern": "spiral", **options})
