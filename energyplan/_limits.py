@@ -1,0 +1,183 @@
+"""Limits at one instant: what a motion asks of the motors and the battery, against what they have.
+
+Shared by `feasibility`, which tests a given motion, and `speed`, which looks for the fastest or
+cheapest one inside the same limits. Both evaluate the whole power model, so that an effect found
+in data limits the robot as much as the paper's two terms do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from energyplan.errors import InvalidInputError
+from energyplan.motion import Motion
+from energyplan.path import FloatArray
+from energyplan.power import PowerModel
+from energyplan.vehicle import MotorLimits, Vehicle
+
+ROUNDING = 1e-9
+"""Fraction of a limit by which a value may exceed it and still count as within."""
+
+
+class Bound(NamedTuple):
+    """One limit of one side: what `Limits.loads` compares with."""
+
+    kind: str
+    side: str
+    limit: float
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits that hold at every instant; infinite where there is none.
+
+    Parameters
+    ----------
+    motor : MotorLimits
+        Limits of each side's motor. `MotorLimits.acceleration` and
+        `MotorLimits.continuous_power` need the motion's past and are left to the caller.
+    yaw_rate : float
+        Largest yaw rate [rad/s].
+    lateral_acceleration : float
+        Largest ``|v omega|`` [m/s^2].
+    battery_power, battery_return : float
+        Largest power that the battery delivers, and takes back [W].
+
+    Raises
+    ------
+    InvalidInputError
+        If a limit is negative or not a number.
+    """
+
+    motor: MotorLimits = field(default_factory=MotorLimits)
+    yaw_rate: float = np.inf
+    lateral_acceleration: float = np.inf
+    battery_power: float = np.inf
+    battery_return: float = np.inf
+
+    def __post_init__(self) -> None:
+        for name in ("yaw_rate", "lateral_acceleration", "battery_power", "battery_return"):
+            if not getattr(self, name) >= 0:
+                raise InvalidInputError(f"{name} is {getattr(self, name)}; give a number >= 0")
+
+    @classmethod
+    def of(
+        cls,
+        vehicle: Vehicle,
+        *,
+        lateral_acceleration: float = np.inf,
+        battery_power: float = np.inf,
+        battery_return: float = np.inf,
+    ) -> Limits:
+        """Return the limits of a vehicle, with those that the vehicle does not hold."""
+        return cls(
+            vehicle.motor,
+            vehicle.max_yaw_rate,
+            lateral_acceleration,
+            battery_power,
+            battery_return,
+        )
+
+    @property
+    def sustained(self) -> Limits:
+        """The limits of a motion that goes on for ever: continuous instead of peak power."""
+        power = min(self.motor.continuous_power, self.motor.peak_power)
+        return replace(self, motor=replace(self.motor, continuous_power=power, peak_power=power))
+
+    @cached_property
+    def bounds(self) -> tuple[Bound, ...]:
+        """Every finite limit, in the order of `loads`."""
+        motor = self.motor
+        both = [
+            Bound(kind, side, limit)
+            for kind, limit in (
+                ("peak_power", motor.peak_power),
+                ("regeneration", motor.regeneration),
+                ("force", motor.force),
+                ("speed", motor.speed),
+            )
+            for side in ("left", "right")
+        ]
+        whole = [
+            Bound("yaw_rate", "both", self.yaw_rate),
+            Bound("lateral_acceleration", "both", self.lateral_acceleration),
+            Bound("battery_power", "both", self.battery_power),
+            Bound("battery_return", "both", self.battery_return),
+        ]
+        return tuple(bound for bound in both + whole if np.isfinite(bound.limit))
+
+    def loads(self, model: PowerModel, motion: Motion) -> Loads:
+        """Evaluate what the motion asks for.
+
+        Shaft power is tread force times tread speed; losses between battery and shaft count
+        towards the battery's limits, not the motor's.
+
+        Parameters
+        ----------
+        model : PowerModel
+            The power model. Inertia counts if the model has inertia terms.
+        motion : Motion, shape (...)
+            The motion, with the model's tread ICRs.
+
+        Returns
+        -------
+        Loads
+            Shaft power per side, and one array per bound.
+        """
+        forces = model.forces(motion)
+        left, right = forces.left * motion.v_left, forces.right * motion.v_right
+        battery: FloatArray | None = None
+        values = []
+        for kind, side, _ in self.bounds:
+            power, force, speed = (
+                (left, forces.left, motion.v_left)
+                if side == "left"
+                else (right, forces.right, motion.v_right)
+            )
+            match kind:
+                case "peak_power":
+                    values.append(power)
+                case "regeneration":
+                    values.append(-power)
+                case "force":
+                    values.append(np.abs(force))
+                case "speed":
+                    values.append(np.abs(speed))
+                case "yaw_rate":
+                    values.append(np.abs(motion.omega))
+                case "lateral_acceleration":
+                    values.append(np.abs(motion.v * motion.omega))
+                case _:
+                    if battery is None:
+                        battery = model.battery_side().power(motion)
+                    values.append(battery if kind == "battery_power" else -battery)
+        return Loads(left, right, values)
+
+    def use(self, model: PowerModel, motion: Motion) -> FloatArray:
+        """Largest load relative to its limit at each instant; above 1 a limit is exceeded.
+
+        A limit of zero is used without bound as soon as anything is asked of it.
+        """
+        worst = np.zeros(motion.shape)
+        for bound, value in zip(self.bounds, self.loads(model, motion).values, strict=True):
+            np.maximum(worst, relative(value, bound.limit), out=worst)
+        return worst
+
+
+class Loads(NamedTuple):
+    """Shaft power of each side [W] and the value that each bound limits."""
+
+    left: FloatArray
+    right: FloatArray
+    values: list[FloatArray]
+
+
+def relative(value: FloatArray, limit: float) -> FloatArray:
+    """Return value over limit; for a limit of zero, infinite where the value is positive."""
+    if limit > 0:
+        return np.asarray(value / limit)
+    return np.where(value > 1e-9, np.inf, 0.0)

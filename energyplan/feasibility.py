@@ -1,0 +1,221 @@
+"""Whether the motors can drive a trajectory; if not, where not, and how fast they could.
+
+Every limit is tested per side through the whole power model: a total never shows an overloaded
+outer motor. Between samples every quantity runs straight, so that a violated interval begins and
+ends where it crosses its limit.
+
+Inertia counts towards forces and power exactly if the model has inertia terms; the acceleration
+limit is tested in any case.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from energyplan._limit_check import Drive, Excess
+from energyplan._limit_scale import SpeedScale, largest_scale
+from energyplan._limits import Limits
+from energyplan.path import Trajectory
+from energyplan.power import PowerModel
+from energyplan.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Violation:
+    """One interval in which one limit of one side is exceeded.
+
+    Parameters
+    ----------
+    kind : str
+        ``"peak_power"``, ``"continuous_power"``, ``"regeneration"``, ``"force"``, ``"speed"``,
+        ``"acceleration"``, ``"yaw_rate"``, ``"lateral_acceleration"``, ``"battery_power"`` or
+        ``"battery_return"``.
+    side : str
+        ``"left"``, ``"right"`` or ``"both"``.
+    start, end : float
+        First and last instant above the limit [s].
+    peak : float
+        Largest value in between, in the limit's unit.
+    limit : float
+        The limit [W, N, m/s, m/s^2 or rad/s].
+    """
+
+    kind: str
+    side: str
+    start: float
+    end: float
+    peak: float
+    limit: float
+
+    @property
+    def margin(self) -> float:
+        """Limit minus peak, in the limit's unit; negative."""
+        return self.limit - self.peak
+
+
+class Instant(NamedTuple):
+    """The instant at which least is left of a limit.
+
+    Parameters
+    ----------
+    t : float
+        When [s].
+    kind, side : str
+        Which limit, as in `Violation`.
+    value, limit : float
+        What is asked, and what there is.
+    margin : float
+        What is left, as a fraction of the limit; negative where it is exceeded.
+    """
+
+    t: float
+    kind: str
+    side: str
+    value: float
+    limit: float
+    margin: float
+
+
+@dataclass(frozen=True)
+class FeasibilityReport:
+    """What `check` found.
+
+    Parameters
+    ----------
+    violations : tuple of Violation
+        Every violated interval, by start.
+    worst : Instant or None
+        The instant with the least margin relative to its limit; None if nothing is limited.
+    energy : float
+        Energy of the trajectory under the model [J].
+    """
+
+    violations: tuple[Violation, ...]
+    worst: Instant | None
+    energy: float
+    _search: Callable[[], SpeedScale] = field(repr=False, compare=False)
+
+    @property
+    def feasible(self) -> bool:
+        """True if no limit is exceeded."""
+        return not self.violations
+
+    @cached_property
+    def _scale(self) -> SpeedScale:
+        return self._search()
+
+    @property
+    def max_speed_scale(self) -> float:
+        """Largest factor on the speed with which the same path is feasible.
+
+        Above 1 the robot could go faster. 0 if no speed is feasible, infinite if nothing limits
+        it. Computed when first asked for: exact where forces do not depend on speed; otherwise
+        by a search downwards in steps of 10 % from the largest speed that the kinematic limits
+        allow, then by bisection to 1e-9. The set of feasible factors need not be an interval
+        (friction may fall with speed); a feasible band narrower than the step can be missed.
+        """
+        return self._scale.factor
+
+    @property
+    def any_speed_feasible(self) -> bool:
+        """True if some speed along the same path is feasible."""
+        return self.max_speed_scale > 0
+
+    @property
+    def reason(self) -> str:
+        """What is wrong and whether driving slower helps, in one sentence."""
+        return self._scale.reason
+
+
+def check(
+    trajectory: Trajectory,
+    model: PowerModel,
+    vehicle: Vehicle | None = None,
+    *,
+    battery_power: float = np.inf,
+    battery_return: float = np.inf,
+    lateral_acceleration: float = np.inf,
+    channels: Mapping[str, ArrayLike] | None = None,
+) -> FeasibilityReport:
+    """Test a trajectory against the limits of motors and battery.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        The trajectory, from any source.
+    model : PowerModel
+        The power model; on slopes it needs a grade term and `channels` a ``slope``.
+    vehicle : Vehicle, optional
+        Whose limits apply; the model's own vehicle where not given. Power, and with it loads
+        and tread ICRs, always come from the model.
+    battery_power, battery_return : float
+        Largest power that the battery delivers, and takes back [W].
+    lateral_acceleration : float
+        Largest ``|v omega|`` [m/s^2].
+    channels : mapping of str to array_like, shape () or (n,)
+        Further channels that the model's terms read, one value per sample or one for all; as in
+        `Motion.from_trajectory`.
+
+    Returns
+    -------
+    FeasibilityReport
+        Violations, the worst instant, the largest feasible speed scale, and the energy.
+
+    Raises
+    ------
+    MissingChannelError
+        If a term needs a channel that is not given.
+    InvalidInputError
+        If a limit is negative or a channel has another length than the trajectory.
+
+    Notes
+    -----
+    Peak power, force and regeneration limit each side's tread force and shaft power (force times
+    tread speed); losses on the way to the shaft count towards the battery's limits. The
+    continuous limit holds for the mean of the drawn shaft power over every window of
+    `MotorLimits.thermal_time`; returned power does not make up for drawn power, and the motors
+    come rested: before the trajectory they drew nothing. A value within 1e-9 of its limit is
+    within it.
+
+    Examples
+    --------
+    >>> model = PowerModel.preset("quadriga:empty:concrete")
+    >>> t = np.linspace(0, 10, 201)
+    >>> spin = Trajectory(t, 0 * t, 0 * t, 3 * t, 0 * t, 3 + 0 * t)
+    >>> report = check(spin, model)
+    >>> [(v.kind, v.side, round(v.peak, 2), v.limit) for v in report.violations]
+    [('speed', 'left', 1.41, 1.2), ('speed', 'right', 1.41, 1.2)]
+    >>> round(report.max_speed_scale, 4)
+    0.8511
+
+    References
+    ----------
+    docs/theory, section 2; Morales et al. (2010), section I.
+    """
+    limits = Limits.of(
+        vehicle or model.vehicle,
+        lateral_acceleration=lateral_acceleration,
+        battery_power=battery_power,
+        battery_return=battery_return,
+    )
+    drive = Drive(trajectory, model, limits, dict(channels or {}))
+    survey = drive.survey()
+    violations = sorted(
+        (_violation(excess) for excess in survey.excesses), key=lambda v: (v.start, v.end)
+    )
+    worst = None
+    if survey.peaks:
+        p = max(survey.peaks, key=lambda peak: (peak.use, peak.value))
+        worst = Instant(p.t, *p.bound[:2], p.value, p.bound.limit, 1.0 - p.use)
+    return FeasibilityReport(tuple(violations), worst, survey.energy, partial(largest_scale, drive))
+
+
+def _violation(excess: Excess) -> Violation:
+    kind, side, limit = excess.bound
+    return Violation(kind, side, excess.start, excess.end, excess.peak, limit)
