@@ -99,3 +99,7 @@ class UnsupportedPlannerError(PlanningError):
 
 class MissingDependencyError(EnergyPlanError, ImportError):
     """An optional package is missing; the message names the extra to install."""
+
+
+class BatteryError(InvalidInputError):
+    """A battery or a power profile is inconsistent; the message says which value."""

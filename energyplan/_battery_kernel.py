@@ -1,0 +1,144 @@
+"""The battery's inner loop: an equivalent circuit driven by power.
+
+One series resistance, one resistance-capacitance pair and an open-circuit voltage that depends on
+the state of charge. The power is held between samples. Within a sample the state is advanced in
+sub-steps so short that neither the state of charge (`_MAX_STEP`) nor the pair's voltage
+(a quarter of its time constant) moves far, each with the current of the sub-step's middle.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from energyplan._numba import njit
+from energyplan.path import FloatArray
+
+_MAX_STEP = 1e-3
+"""Largest change of the state of charge in one sub-step."""
+
+NONE, VOLTAGE, CHARGE, CURRENT = 0, 1, 2, 3
+"""Why a battery gave up: it did not, voltage cut-off, empty, current limit."""
+
+
+@njit
+def discharge(
+    t: FloatArray,
+    power: FloatArray,
+    soc: float,
+    soc_points: FloatArray,
+    ocv_points: FloatArray,
+    p: FloatArray,
+    out: FloatArray,
+) -> tuple[float, int]:
+    """Run a power profile through the battery.
+
+    Parameters
+    ----------
+    t, power : ndarray, shape (n,)
+        Sample times [s] and the power from each to the next [W], positive when drawn.
+    soc : float
+        State of charge at ``t[0]``.
+    soc_points, ocv_points : ndarray, shape (m,)
+        Open-circuit voltage of the pack [V] over state of charge.
+    p : ndarray, shape (12,)
+        Capacity [C], series resistance [ohm], resistance [ohm] and time constant [s] of the
+        pair, Peukert exponent, rated current [A], charge efficiency, cut-off voltage [V] and
+        state of charge, largest voltage [V], largest discharge and charge current [A].
+    out : ndarray, shape (5, n)
+        Filled with state of charge, voltage [V] and current [A] at each sample, and energy [J]
+        lost in the battery and burnt on brake resistors since the start.
+
+    Returns
+    -------
+    tuple of float and int
+        Instant of the brown-out [s], infinite if there was none, and its reason.
+    """
+    capacity, r0, r1, tau, peukert, rated = p[0], p[1], p[2], p[3], p[4], p[5]
+    efficiency, v_cut, soc_cut, v_max, i_max, c_max = p[6], p[7], p[8], p[9], p[10], p[11]
+    n, m = len(t), len(soc_points)
+    lost, braked, u1 = 0.0, 0.0, 0.0
+    died, reason = np.inf, NONE
+    j = m - 2
+    for k in range(n):
+        span = t[k + 1] - t[k] if k + 1 < n else 0.0
+        out[0, k], out[3, k], out[4, k] = soc, lost, braked
+        done, first = 0.0, True
+        while first or done < span:
+            while j > 0 and soc < soc_points[j]:
+                j -= 1
+            while j < m - 2 and soc > soc_points[j + 1]:
+                j += 1
+            slope = (ocv_points[j + 1] - ocv_points[j]) / (soc_points[j + 1] - soc_points[j])
+            emf = ocv_points[j] + slope * (soc - soc_points[j]) - u1
+            wanted = power[k] if reason == NONE else 0.0
+            current, limited = 0.0, False
+            root = emf * emf - 4.0 * r0 * wanted
+            if wanted > 0.0:
+                if soc <= soc_cut:
+                    reason = CHARGE
+                elif root < 0.0:
+                    reason = VOLTAGE
+                else:
+                    current = 2.0 * wanted / (emf + np.sqrt(root))
+                    if emf - r0 * current < v_cut:
+                        reason = VOLTAGE
+                    elif current > i_max:
+                        reason = CURRENT
+                if reason != NONE:
+                    died, current, wanted = t[k] + done, 0.0, 0.0
+            elif wanted < 0.0:
+                current = 2.0 * wanted / (emf + np.sqrt(root))
+                room = (v_max - emf) / r0 if r0 > 0.0 else c_max
+                least = -min(c_max, max(room, 0.0)) if soc < 1.0 else 0.0
+                limited = current < least
+                current = max(current, least)
+            if first:
+                out[1, k], out[2, k] = emf - r0 * current, current
+                first = False
+                if k + 1 == n:
+                    break
+            rate = efficiency * current
+            if current > 0.0:
+                rate = current
+                if peukert > 1.0 and current > rated:
+                    rate = current * (current / rated) ** (peukert - 1.0)
+            step = span - done
+            if abs(rate) * step > _MAX_STEP * capacity:
+                step = _MAX_STEP * capacity / abs(rate)
+            if r1 > 0.0 and step > 0.25 * tau:
+                step = 0.25 * tau
+            change = -rate * step / capacity
+            bound = -1.0
+            if change < 0.0 and soc + change < soc_cut:
+                bound = soc_cut
+            elif change > 0.0 and soc + change > 1.0:
+                bound = 1.0
+            if bound >= 0.0:
+                step *= (bound - soc) / change
+                change = bound - soc
+            # Half a step ahead the battery has moved on: correct the current to second order.
+            if current != 0.0 and wanted != 0.0:
+                ahead = emf + 0.5 * slope * change
+                if r1 > 0.0:
+                    ahead -= 0.5 * (r1 * current - u1) * step / tau
+                root = ahead * ahead - 4.0 * r0 * wanted
+                better = 2.0 * wanted / (ahead + np.sqrt(root)) if root > 0.0 else current
+                if not limited:
+                    change *= better / current
+                    current = better
+            soc = bound if bound >= 0.0 else min(max(soc + change, 0.0), 1.0)
+            lost += r0 * current * current * step
+            if r1 > 0.0:
+                decay = np.exp(-step / tau)
+                after = u1 * decay + r1 * current * (1.0 - decay)
+                lost += 0.5 * (u1 * u1 + after * after) / r1 * step
+                if current != 0.0:
+                    emf -= 0.5 * (after - u1)
+                u1 = after
+            if limited:
+                delivered = (emf + 0.5 * slope * change - r0 * current) * current
+                braked += max(delivered - wanted, 0.0) * step
+            done += step
+            if span - done < 1e-9 * span:
+                done = span
+    return died, reason

@@ -1,0 +1,148 @@
+"""Measured and published curves of cell chemistries, with their sources."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypedDict
+
+
+@dataclass(frozen=True)
+class Chemistry:
+    """What all batteries of one chemistry have in common.
+
+    Parameters
+    ----------
+    name : str
+        Identifier.
+    soc, ocv : tuple of float
+        State of charge, ascending from 0 to 1, and open-circuit voltage of one unit [V].
+    temperature, capacity_factor : tuple of float
+        Temperature [degC], ascending, and capacity there over capacity at 25 degC.
+    resistance_coefficient : float
+        Relative rise of the internal resistance per kelvin below 25 degC [1/K].
+    peukert : float
+        Peukert exponent.
+    charge_efficiency : float
+        Charge stored over charge supplied.
+    cutoff_voltage, max_voltage : float
+        Voltage of one unit at which discharging and charging must end [V].
+    source : str
+        Where the open-circuit voltage and the derating come from.
+    """
+
+    name: str
+    soc: tuple[float, ...]
+    ocv: tuple[float, ...]
+    temperature: tuple[float, ...]
+    capacity_factor: tuple[float, ...]
+    resistance_coefficient: float
+    peukert: float
+    charge_efficiency: float
+    cutoff_voltage: float
+    max_voltage: float
+    source: str
+
+
+LEAD_ACID = Chemistry(
+    name="lead_acid",
+    soc=(0.0, 0.25, 0.5, 0.75, 1.0),
+    ocv=(11.89, 12.06, 12.24, 12.45, 12.65),
+    temperature=(0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0),
+    capacity_factor=(0.84, 0.88, 0.90, 0.94, 0.99, 1.0, 1.03, 1.04, 1.05),
+    resistance_coefficient=0.01,
+    peukert=1.1,
+    charge_efficiency=0.90,
+    cutoff_voltage=10.5,
+    max_voltage=14.4,
+    source=(
+        "12 V block at 26.7 degC, specific gravity 1.265 when full: Battery Council "
+        "International. Derating: Discover Energy, discharge longer than 60 min. Peukert "
+        "exponent: the middle of 1.05 to 1.15, usual for AGM blocks. The resistance "
+        "coefficient is that of the acid's conductivity, a round figure."
+    ),
+)
+"""Valve-regulated lead-acid, one 12 V block of six cells."""
+
+LITHIUM_ION = Chemistry(
+    name="lithium_ion",
+    soc=(0.0, 0.0151, 0.0452, 0.0955, 0.1508, 0.2915, 0.4573, 0.8342, 0.9497, 1.0),
+    ocv=(2.5061, 2.8981, 3.1461, 3.3231, 3.4218, 3.5737, 3.7017, 4.0637, 4.1009, 4.1932),
+    temperature=(-20.0, 0.0, 25.0, 40.0),
+    capacity_factor=(0.60, 0.80, 1.0, 1.0),
+    resistance_coefficient=0.015,
+    peukert=1.0,
+    charge_efficiency=0.99,
+    cutoff_voltage=2.8,
+    max_voltage=4.2,
+    source=(
+        "Molicel INR-21700-P42A, mean of discharge and charge at C/32: Sunil, Pattipati, "
+        "Balasingam, Piecewise Linear Approximation of Battery Open-Circuit Voltage "
+        "Characteristics Using Dynamic Programming (IEEE TIM 2025). Derating and resistance "
+        "coefficient: round figures, to be replaced by those of the cell at hand."
+    ),
+)
+"""Lithium-ion with a nickel-rich cathode, one cell."""
+
+LITHIUM_IRON_PHOSPHATE = Chemistry(
+    name="lithium_iron_phosphate",
+    soc=(0.0, 0.0033, 0.0117, 0.0267, 0.0534, 0.0885, 0.2972, 0.9833, 0.995, 1.0),
+    ocv=(2.0102, 2.4177, 2.7405, 2.9299, 3.0872, 3.1942, 3.2772, 3.3511, 3.418, 3.5981),
+    temperature=(-20.0, 0.0, 25.0, 40.0),
+    capacity_factor=(0.55, 0.80, 1.0, 1.0),
+    resistance_coefficient=0.02,
+    peukert=1.0,
+    charge_efficiency=0.99,
+    cutoff_voltage=2.5,
+    max_voltage=3.65,
+    source=(
+        "Lithium Werks APR-18650M1B, C/32: Sunil, Pattipati, Balasingam (IEEE TIM 2025). "
+        "Derating and resistance coefficient: round figures, to be replaced by those of the "
+        "cell at hand."
+    ),
+)
+"""Lithium iron phosphate, one cell."""
+
+CHEMISTRIES = {c.name: c for c in (LEAD_ACID, LITHIUM_ION, LITHIUM_IRON_PHOSPHATE)}
+"""Chemistries by name."""
+
+
+class Pack(TypedDict, total=False):
+    """Arguments of `energyplan.battery.Battery.from_units` for a ready-made pack."""
+
+    chemistry: str
+    series: int
+    parallel: int
+    unit_capacity: float
+    unit_resistance: float
+    rated_time: float
+    discharge_rate: float
+    charge_rate: float
+
+
+PRESETS: dict[str, Pack] = {
+    "quadriga": {
+        "chemistry": "lead_acid",
+        "series": 3,
+        "parallel": 2,
+        "unit_capacity": 18 * 3600.0,
+        "unit_resistance": 0.015,
+    },
+    "husky_a200": {
+        "chemistry": "lead_acid",
+        "series": 2,
+        "parallel": 1,
+        "unit_capacity": 20 * 3600.0,
+        "unit_resistance": 0.014,
+    },
+    "jackal": {
+        "chemistry": "lithium_ion",
+        "series": 7,
+        "parallel": 3,
+        "unit_capacity": 3.6 * 3600.0,
+        "unit_resistance": 0.020,
+        "rated_time": 5 * 3600.0,
+        "discharge_rate": 3.0,
+        "charge_rate": 0.7,
+    },
+}
+"""Ready-made packs by name."""
