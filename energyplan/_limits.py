@@ -7,6 +7,7 @@ in data limits the robot as much as the paper's two terms do.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -181,3 +182,38 @@ def relative(value: FloatArray, limit: float) -> FloatArray:
     if limit > 0:
         return np.asarray(value / limit)
     return np.where(value > 1e-9, np.inf, 0.0)
+
+
+def largest_within(
+    use: Callable[[FloatArray], FloatArray], top: FloatArray, rungs: int = 64
+) -> FloatArray:
+    """Largest value up to which a limit's use stays at or below 1, elementwise.
+
+    Parameters
+    ----------
+    use : callable
+        Use of the limits at values of shape (..., n), for n elements.
+    top : ndarray, shape (n,)
+        Where to stop looking; finite and not negative.
+    rungs : int
+        Number of values tried before bisection: a stretch above the limit that is narrower than
+        ``top / rungs`` can be missed.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        The values; 0 where already the smallest speeds exceed a limit.
+    """
+    parts = np.linspace(0.0, 1.0, rungs + 1)
+    parts[0] = 1e-6  # friction has a direction only in motion
+    exceeded = use(parts[:, None] * top) > 1 + ROUNDING
+    never = ~exceeded.any(axis=0)
+    first = np.argmax(exceeded, axis=0)
+    low = np.where(first > 0, parts[first - 1], 0.0) * top
+    high = parts[first] * top
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        over = use(middle) > 1 + ROUNDING
+        high, low = np.where(over, middle, high), np.where(over, low, middle)
+    result = np.where(first > 0, low, 0.0)
+    return np.where(never, top, result)

@@ -16,12 +16,14 @@ from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from energyplan._limit_check import Drive, Excess
 from energyplan._limit_scale import SpeedScale, largest_scale
-from energyplan._limits import Limits
-from energyplan.path import Trajectory
+from energyplan._limits import ROUNDING, Limits, largest_within, relative
+from energyplan.errors import InvalidInputError
+from energyplan.motion import Motion
+from energyplan.path import FloatArray, Trajectory
 from energyplan.power import PowerModel
 from energyplan.vehicle import Vehicle
 
@@ -214,6 +216,135 @@ def check(
         p = max(survey.peaks, key=lambda peak: (peak.use, peak.value))
         worst = Instant(p.t, *p.bound[:2], p.value, p.bound.limit, 1.0 - p.use)
     return FeasibilityReport(tuple(violations), worst, survey.energy, partial(largest_scale, drive))
+
+
+@dataclass(frozen=True)
+class FeasibleRegion:
+    """Which steady motions the motors can drive, over curvature and speed.
+
+    Parameters
+    ----------
+    curvature : ndarray, shape (n,)
+        Path curvature [1/m].
+    speed : ndarray, shape (m,)
+        Speed along the heading [m/s].
+    sustained : ndarray of bool, shape (n, m)
+        Feasible for ever: the continuous power suffices.
+    brief : ndarray of bool, shape (n, m)
+        Feasible for a time shorter than the motors' thermal one: the peak power suffices.
+    limiting : ndarray of str, shape (n, m)
+        Kind of the limit that is used most in sustained motion.
+    side : ndarray of str, shape (n, m)
+        The side at which it is.
+    use : ndarray, shape (n, m)
+        That limit's use: value over limit.
+    max_speed, max_speed_brief : ndarray, shape (n,)
+        Largest speed up to which every speed is feasible [m/s]; no more than the largest of
+        `speed`. 0 where no speed is.
+    """
+
+    curvature: FloatArray
+    speed: FloatArray
+    sustained: NDArray[np.bool_]
+    brief: NDArray[np.bool_]
+    limiting: NDArray[np.str_]
+    side: NDArray[np.str_]
+    use: FloatArray
+    max_speed: FloatArray
+    max_speed_brief: FloatArray
+
+
+def feasible_region(
+    model: PowerModel,
+    curvature: ArrayLike,
+    speed: ArrayLike,
+    vehicle: Vehicle | None = None,
+    *,
+    battery_power: float = np.inf,
+    battery_return: float = np.inf,
+    lateral_acceleration: float = np.inf,
+    channels: Mapping[str, float] | None = None,
+) -> FeasibleRegion:
+    """Map where motors and battery can keep up a motion of given curvature and speed.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The power model: it stands for a terrain and a load.
+    curvature : array_like, shape (n,)
+        Path curvature, positive to the left [1/m].
+    speed : array_like, shape (m,)
+        Speeds along the heading, not negative [m/s].
+    vehicle : Vehicle, optional
+        Whose limits apply; the model's own where not given.
+    battery_power, battery_return, lateral_acceleration : float
+        As in `check`.
+    channels : mapping of str to float, optional
+        Further channels that the model's terms read, such as a constant ``slope`` [rad]; ground
+        is level and speeds are steady where they are not given.
+
+    Returns
+    -------
+    FeasibleRegion
+        Masks, the limit that is nearest, and the largest speed at each curvature.
+
+    Raises
+    ------
+    InvalidInputError
+        If curvature or speed is not a finite vector, or a speed is negative.
+
+    References
+    ----------
+    Morales et al. (2010), section I, asks this question; docs/theory, section 2.
+
+    Examples
+    --------
+    >>> model = PowerModel.preset("quadriga:full:concrete")
+    >>> region = feasible_region(model, [0.0, 1.0], [0.3, 0.6, 0.9])
+    >>> region.sustained.tolist()
+    [[True, True, True], [True, True, False]]
+    >>> str(region.limiting[1, 2]), str(region.side[1, 2])
+    ('continuous_power', 'right')
+    """
+    kappa, v = np.asarray(curvature, float), np.asarray(speed, float)
+    for name, value in (("curvature", kappa), ("speed", v)):
+        if value.ndim != 1 or not len(value) or not np.all(np.isfinite(value)):
+            raise InvalidInputError(f"{name} has shape {value.shape}; give a vector of numbers")
+    if np.any(v < 0):
+        raise InvalidInputError(f"a speed is {v.min()} m/s; drive backwards by the mirror image")
+    brief = Limits.of(
+        vehicle or model.vehicle,
+        lateral_acceleration=lateral_acceleration,
+        battery_power=battery_power,
+        battery_return=battery_return,
+    )
+    steady = {"accel": 0.0, "yaw_accel": 0.0, "slope": 0.0, **(channels or {})}
+
+    def motion(speeds: FloatArray) -> Motion:
+        return Motion.from_twist(speeds, kappa * speeds, model.vehicle.icr, **steady)
+
+    grid = motion(v[:, None])
+    sustained = brief.sustained
+    kinds, sides, uses = ["none"], ["both"], [np.zeros(grid.shape)]
+    for bound, value in zip(sustained.bounds, sustained.loads(model, grid).values, strict=True):
+        rated = bound.kind == "peak_power" and bound.limit < brief.motor.peak_power
+        kinds.append("continuous_power" if rated else bound.kind)
+        sides.append(bound.side)
+        uses.append(relative(value, bound.limit))
+    most = np.argmax(uses, axis=0).T
+    use = np.max(uses, axis=0).T
+    top = np.full(kappa.shape, v.max())
+    return FeasibleRegion(
+        curvature=kappa,
+        speed=v,
+        sustained=use <= 1 + ROUNDING,
+        brief=brief.use(model, grid).T <= 1 + ROUNDING,
+        limiting=np.array(kinds)[most],
+        side=np.array(sides)[most],
+        use=use,
+        max_speed=largest_within(lambda speeds: sustained.use(model, motion(speeds)), top),
+        max_speed_brief=largest_within(lambda speeds: brief.use(model, motion(speeds)), top),
+    )
 
 
 def _violation(excess: Excess) -> Violation:
