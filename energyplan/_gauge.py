@@ -1,0 +1,195 @@
+"""Tables of energy over the direction of motion, and their convex hull.
+
+Steady motion at the cheapest admissible speed costs energy that is homogeneous in the path
+element: twice the element, twice the energy. So it is known from its values on a closed curve
+around the origin of the plane ``(x, y) = (ds, C dtheta)``. The curve here is the square
+``max(|x|, |y|) = 1``. Its eight octants meet at the eight special directions: straight, spin, and
+the pivots about either tread's ICR, where the power of the usual terms has its kinks. Within an
+octant a direction is told by the ratio of the smaller to the larger component.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from energyplan._numba import njit
+from energyplan.path import FloatArray
+
+SNAP = 1e-9  # directions this close to a special one are taken as that one
+_EDGE = 1e-6  # an octant's limits towards its ends are extrapolated from here
+
+
+@njit
+def element_energy(
+    x: FloatArray, y: FloatArray, table: FloatArray, special: FloatArray, out: FloatArray
+) -> None:
+    """Energy of path elements, by linear interpolation of a gauge's table.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (m,)
+        Arc length of the centre and turn times half the slip track [m].
+    table : ndarray, shape (8, n + 1)
+        Energy on the square at the ratios ``0, 1/n, ..., 1`` of each octant.
+    special : ndarray, shape (8,)
+        Energy in the special directions, ordered as in `SPECIAL`.
+    out : ndarray, shape (m,)
+        Filled with the energies [J].
+    """
+    last = table.shape[1] - 1
+    for i in range(len(out)):
+        a, b = abs(x[i]), abs(y[i])
+        back, right = int(x[i] < 0.0), int(y[i] < 0.0)
+        spin = b > a
+        big, small = (b, a) if spin else (a, b)
+        if small <= SNAP * big:
+            out[i] = big * special[2 + right if spin else back]
+        elif small >= (1.0 - SNAP) * big:
+            out[i] = big * special[4 + 2 * right + back]
+        else:
+            place = small / big * last
+            k = min(int(place), last - 1)
+            row = table[4 * int(spin) + 2 * right + back]
+            out[i] = big * (row[k] + (place - k) * (row[k + 1] - row[k]))
+
+
+SPECIAL = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1)], float)
+"""Special directions (x, y): straight, spin left and right, then the pivots."""
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """Energy over the direction of motion.
+
+    Parameters
+    ----------
+    table : ndarray, shape (8, n + 1)
+        Energy on the square within each octant, with one-sided limits at its ends [J/m].
+    special : ndarray, shape (8,)
+        Energy in the special directions [J/m].
+    error : float
+        Largest relative error of interpolating the table, measured between its nodes.
+    """
+
+    table: FloatArray
+    special: FloatArray
+    error: float
+
+    def __call__(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the energy [J] of elements ``(x, y)`` of any shape [m]."""
+        wide_x, wide_y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
+        out = np.empty(wide_x.size)
+        element_energy(
+            np.ascontiguousarray(wide_x).ravel(),
+            np.ascontiguousarray(wide_y).ravel(),
+            self.table,
+            self.special,
+            out,
+        )
+        return out.reshape(wide_x.shape)
+
+    @property
+    def directions(self) -> FloatArray:
+        """Directions on the square that the table and the special values stand for, (m, 2)."""
+        n = self.table.shape[1] - 1
+        if n == 1:
+            return SPECIAL
+        x, y = octant_directions(np.arange(1, n) / n)
+        return np.vstack([SPECIAL, np.column_stack([x.ravel(), y.ravel()])])
+
+    @property
+    def values(self) -> FloatArray:
+        """Energies in `directions` [J/m], shape (m,)."""
+        return np.concatenate([self.special, self.table[:, 1:-1].ravel()])
+
+    def hull(self) -> FloatArray:
+        """Return the vertices of the cheapest mixtures, shape (m, 2), counter-clockwise.
+
+        A vertex is the element ``(x, y)`` [m] that costs one joule. Joining the motions of two
+        neighbouring vertices costs the same as their mixture, which no motion undercuts.
+        """
+        points = self.directions / self.values[:, None]
+        # Special directions are exact and attained by simple motions: nodes must beat them by
+        # more than the table's error to count.
+        points[len(SPECIAL) :] *= 1.0 - 2.0 * self.error - 1e-12
+        return _convex_hull(points)
+
+
+def octant_directions(ratio: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return ``(x, y)`` on the square, shape (8, n), at these ratios of every octant."""
+    octant = np.arange(8)[:, None]
+    back, right, spin = octant % 2, octant // 2 % 2, octant // 4
+    x = np.where(spin == 1, ratio, 1.0) * (1.0 - 2.0 * back)
+    y = np.where(spin == 1, 1.0, ratio) * (1.0 - 2.0 * right)
+    return x, y
+
+
+def tabulate(
+    energy: Callable[[FloatArray, FloatArray], FloatArray],
+    tolerance: float = 1e-7,
+    most: int = 1024,
+) -> Gauge:
+    """Tabulate a homogeneous energy, as finely as interpolation within `tolerance` needs.
+
+    Parameters
+    ----------
+    energy : callable
+        ``energy(x, y)`` [J] of elements [m], arrays of any one shape.
+    tolerance : float
+        Largest relative error wanted.
+    most : int
+        Largest number of intervals per octant.
+
+    Returns
+    -------
+    Gauge
+        The table with its measured error. Piecewise linear energies need one interval.
+    """
+    special = energy(SPECIAL[:, 0], SPECIAL[:, 1])
+    n = 1
+    while True:
+        table = _nodes(energy, n)
+        between = (np.arange(n) + 0.5) / n
+        straight_line = 0.5 * (table[:, 1:] + table[:, :-1])
+        true = energy(*octant_directions(between))
+        offset = 0.25 / n  # two more places, off the middle, so that a kink there is seen
+        quarter = energy(*octant_directions(between + offset))
+        line = 0.25 * table[:, :-1] + 0.75 * table[:, 1:]
+        error = max(
+            float(np.max(np.abs(straight_line / true - 1.0))),
+            float(np.max(np.abs(line / quarter - 1.0))),
+        )
+        if error <= tolerance or n >= most:
+            return Gauge(table, special, error)
+        n *= 4
+
+
+def _nodes(energy: Callable[[FloatArray, FloatArray], FloatArray], n: int) -> FloatArray:
+    """Energies at the nodes of every octant, with one-sided limits at its ends."""
+    ends = np.array([_EDGE, 2 * _EDGE, 1 - 2 * _EDGE, 1 - _EDGE])
+    inner = np.arange(1, n) / n
+    value = energy(*octant_directions(np.concatenate([inner, ends])))
+    near = value[:, n - 1 :]
+    first, last = 2 * near[:, 0] - near[:, 1], 2 * near[:, 3] - near[:, 2]
+    return np.column_stack([first, value[:, : n - 1], last])
+
+
+def _convex_hull(points: FloatArray) -> FloatArray:
+    """Vertices of the convex hull, counter-clockwise, without points on its edges."""
+    order = points[np.lexsort((points[:, 1], points[:, 0]))]
+    tolerance = 1e-10 * float(np.max(np.abs(points))) ** 2
+    chain: list[FloatArray] = []
+    for rows in (order, order[::-1]):
+        half: list[FloatArray] = []
+        for p in rows:
+            while len(half) > 1:
+                (ax, ay), (bx, by) = half[-1] - half[-2], p - half[-1]
+                if ax * by - ay * bx > tolerance:
+                    break
+                half.pop()
+            half.append(p)
+        chain.extend(half[:-1])
+    return np.array(chain)
