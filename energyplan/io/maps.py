@@ -1,0 +1,231 @@
+"""Read maps: ROS map_server YAML with its image, and MovingAI benchmark maps."""
+
+from __future__ import annotations
+
+import io
+import math
+from pathlib import Path, PurePosixPath
+from typing import Literal
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from energyplan.errors import MapError
+from energyplan.maps import MAX_CELLS, OccupancyGrid
+from energyplan.path import Pose
+
+MAX_FILE = 2**28
+"""Largest map image that is read [bytes]."""
+
+MAX_HEADER = 2**16
+"""Largest map YAML that is read [bytes]."""
+
+MOVINGAI_FREE = b".GS"
+"""Characters of passable cells in a MovingAI map: ground, ground too, swamp."""
+
+
+class _MapHeader(BaseModel):
+    """What a map_server YAML says."""
+
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
+
+    image: str = Field(min_length=1)
+    resolution: float = Field(gt=0)
+    origin: tuple[float, float, float]
+    mode: Literal["trinary", "scale", "raw"] = "trinary"
+    negate: bool = False
+    occupied_thresh: float = Field(default=0.65, ge=0, le=1)
+    free_thresh: float = Field(default=0.25, ge=0, le=1)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> _MapHeader:
+        if self.free_thresh > self.occupied_thresh:
+            raise ValueError("free_thresh is above occupied_thresh; swap or correct them")
+        return self
+
+
+def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGrid:
+    """Read a map: map_server YAML (``.yaml``, ``.yml``) or MovingAI (``.map``).
+
+    Parameters
+    ----------
+    path : str or Path
+        The file. The image that a YAML names must lie in its folder or below.
+    unknown_is_free : bool
+        Whether the robot may enter cells of which the map knows nothing.
+
+    Returns
+    -------
+    OccupancyGrid
+        The map. Cells that the modes ``scale`` and ``raw`` put between free and occupied count
+        as unknown.
+
+    Raises
+    ------
+    MapError
+        If a file is missing, malformed, too large, or outside the folder; the message names the
+        file, the place and the remedy.
+
+    References
+    ----------
+    ROS wiki, map_server, "Map format" and "Value interpretation"; Sturtevant (2012), Benchmarks
+    for grid-based pathfinding.
+    """
+    file = Path(path)
+    if file.suffix == ".map":
+        return _read_movingai(file)
+    if file.suffix not in {".yaml", ".yml"}:
+        raise MapError(
+            f"{file}: unknown kind of map {file.suffix!r}; give a map_server .yaml or a MovingAI "
+            ".map"
+        )
+    header = _header(file)
+    values, alpha = _pixels(_image_file(file, header.image))
+    occupied, free = _interpret(values, alpha, header)
+    return OccupancyGrid(
+        # images start with the top row, maps with the bottom one
+        occupied=occupied[::-1],
+        resolution=header.resolution,
+        origin=Pose(*header.origin),
+        unknown=~(occupied | free)[::-1],
+        unknown_is_free=unknown_is_free,
+    )
+
+
+def _read_bytes(file: Path, limit: int) -> bytes:
+    """Return a file's content if it is not larger than `limit` [bytes]."""
+    try:
+        with file.open("rb") as stream:
+            content = stream.read(limit + 1)
+    except OSError as error:
+        raise MapError(f"{file}: cannot be read: {error.strerror or error}") from None
+    except ValueError as error:
+        raise MapError(f"{str(file)!r}: no usable file name: {error}") from None
+    if len(content) > limit:
+        raise MapError(f"{file}: larger than {limit} bytes; crop the map or coarsen it")
+    return content
+
+
+def _header(file: Path) -> _MapHeader:
+    content = _read_bytes(file, MAX_HEADER)
+    try:
+        data = yaml.safe_load(content)
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        place = " ".join(str(error).split())[:200]
+        raise MapError(f"{file}: not valid YAML: {place}") from None
+    if not isinstance(data, dict):
+        raise MapError(f"{file}: a map_server YAML holds keys such as image and resolution")
+    try:
+        return _MapHeader.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "the whole"
+        raise MapError(f"{file}: {key}: {first['msg']}") from None
+
+
+def _image_file(header: Path, name: str) -> Path:
+    """Return the image that a header names, if it lies in the header's folder or below."""
+    if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts or "\0" in name:
+        raise MapError(
+            f"{header}: image: {name!r} leaves the map's folder; put the image beside the YAML and "
+            "name it alone"
+        )
+    folder = header.resolve().parent
+    image = (folder / name).resolve()
+    if not image.is_relative_to(folder):
+        raise MapError(
+            f"{header}: image: {name!r} is a link out of the map's folder; copy the image there"
+        )
+    return image
+
+
+def _pixels(file: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
+    """Return an image's grey values in [0, 1] and its alpha channel, if it has one.
+
+    With an alpha channel the colours alone are averaged; what alpha means is up to the mode.
+    """
+    content = _read_bytes(file, MAX_FILE)
+    try:
+        # the size stands in the header: nothing is decompressed before it is known to be sane
+        with Image.open(io.BytesIO(content), formats=("PPM", "PNG", "BMP")) as image:
+            width, height = image.size
+            if width * height > MAX_CELLS:
+                raise MapError(
+                    f"{file}: {width} x {height} pixels; at most {MAX_CELLS} are taken: crop or "
+                    "coarsen the map"
+                )
+            alpha = None
+            if image.mode in {"LA", "RGBA", "PA"} or "transparency" in image.info:
+                rgba = np.asarray(image.convert("RGBA"))
+                return rgba[..., :3].mean(axis=2) / 255, rgba[..., 3]
+            if image.mode.startswith("I") or image.mode == "F":
+                # sixteen bits a pixel
+                return np.asarray(image, np.float64) / 65535, alpha
+            if image.mode == "P" or image.mode not in {"1", "L"}:
+                return np.asarray(image.convert("RGB")).mean(axis=2) / 255, alpha
+            return np.asarray(image.convert("L"), np.float64) / 255, alpha
+    except UnidentifiedImageError:
+        raise MapError(f"{file}: not a PGM, PNG or BMP image") from None
+    except (OSError, SyntaxError, ValueError, EOFError, OverflowError) as error:
+        if isinstance(error, MapError):
+            raise
+        raise MapError(f"{file}: a broken image: {error}") from None
+    except Image.DecompressionBombError as error:
+        raise MapError(f"{file}: {error}") from None
+
+
+def _interpret(
+    shade: NDArray[np.float64], alpha: NDArray[np.uint8] | None, header: _MapHeader
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which pixels are occupied and which are free; the others are unknown."""
+    if header.mode == "raw":
+        # the pixel is the occupancy in percent, 101 to 255 unknown; negate has no say
+        percent = np.round(shade * 255)
+        known = percent <= 100
+        occupied = known & (percent > 100 * header.occupied_thresh)
+        return occupied, known & (percent < 100 * header.free_thresh)
+    if header.mode == "trinary" and alpha is not None:
+        # as map_server does: alpha counts as one more channel of brightness
+        shade = (3 * shade + alpha / 255) / 4
+    darkness = shade if header.negate else 1 - shade
+    occupied, free = darkness > header.occupied_thresh, darkness < header.free_thresh
+    if header.mode == "scale" and alpha is not None:
+        opaque = alpha == 255
+        return occupied & opaque, free & opaque
+    return occupied, free
+
+
+def _read_movingai(file: Path) -> OccupancyGrid:
+    """Read a MovingAI map: cells of 1 m, lower left corner at the origin."""
+    lines = _read_bytes(file, MAX_FILE).splitlines()
+    size: dict[str, int] = {}
+    for number, line in enumerate(lines[:16], start=1):
+        words = line.split()
+        if words == [b"map"]:
+            break
+        if len(words) == 2 and words[0] in {b"height", b"width"}:
+            digits = words[1]
+            if not (digits.isdigit() and len(digits) < 10 and int(digits) > 0):
+                raise MapError(f"{file}, line {number}: a size must be a positive whole number")
+            size[words[0].decode()] = int(digits)
+    else:
+        raise MapError(f"{file}: no line 'map' in the first 16; is it a MovingAI map?")
+    if set(size) != {"height", "width"}:
+        raise MapError(f"{file}: give 'height' and 'width' before 'map'")
+    if math.prod(size.values()) > MAX_CELLS:
+        raise MapError(f"{file}: {size} makes more than {MAX_CELLS} cells; crop the map")
+    rows = lines[number : number + size["height"]]
+    if len(rows) < size["height"]:
+        raise MapError(f"{file}: {len(rows)} rows where the height is {size['height']}")
+    for k, row in enumerate(rows):
+        if len(row) != size["width"]:
+            raise MapError(
+                f"{file}, line {number + 1 + k}: {len(row)} cells where the width is "
+                f"{size['width']}"
+            )
+    cells = np.frombuffer(b"".join(rows), np.uint8).reshape(size["height"], size["width"])
+    passable = np.isin(cells, np.frombuffer(MOVINGAI_FREE, np.uint8))
+    return OccupancyGrid(~passable[::-1], resolution=1.0)

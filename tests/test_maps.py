@@ -1,0 +1,207 @@
+"""Occupancy grids and footprint collision, held against shapely."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+from scipy import ndimage
+from shapely import affinity
+
+from energyplan import _collision, _distance
+from energyplan.errors import MapError
+from energyplan.maps import OccupancyGrid, footprint
+from energyplan.path import Path, Pose
+from energyplan.vehicle import Vehicle
+
+VEHICLE = Vehicle.preset("quadriga")
+
+
+def random_grid(rng, shape=(60, 80), share=0.01, resolution=0.1, yaw=0.4):
+    occupied = rng.random(shape) < share
+    return OccupancyGrid(occupied, resolution, Pose(-1.3, 2.1, yaw))
+
+
+def obstacles_of(grid):
+    """Return the blocked cells as one geometry in the world."""
+    row, column = np.nonzero(grid.blocked)
+    cells = shapely.union_all(shapely.box(column, row, column + 1, row + 1))
+    return shapely.transform(cells, grid.to_world)
+
+
+def map_area(grid):
+    rows, columns = grid.shape
+    return shapely.transform(shapely.box(0, 0, columns, rows), grid.to_world)
+
+
+def rectangle(vehicle, pose):
+    (x0, y0), (x1, y1) = vehicle.footprint
+    body = affinity.rotate(shapely.box(x0, y0, x1, y1), pose[2], origin=(0, 0), use_radians=True)
+    return affinity.translate(body, pose[0], pose[1])
+
+
+def random_poses(rng, grid, n):
+    rows, columns = grid.shape
+    points = grid.to_world(rng.random((n, 2)) * [columns, rows])
+    return np.column_stack([points, rng.uniform(-np.pi, np.pi, n)])
+
+
+def test_poses_agree_with_shapely():
+    rng = np.random.default_rng(1)
+    grid = random_grid(rng)
+    poses = random_poses(rng, grid, 4000)
+    # headings along the axes of the grid are a special case of the kernel
+    poses[:800, 2] = grid.origin.yaw + rng.integers(-4, 5, 800) * np.pi / 2
+    obstacles, area = obstacles_of(grid), map_area(grid)
+    shapely.prepare(obstacles)
+    bodies = np.array([rectangle(VEHICLE, pose) for pose in poses])
+    truth = ~shapely.intersects(obstacles, bodies) & shapely.covers(area, bodies)
+    margin = np.minimum(
+        shapely.distance(obstacles.boundary, bodies), shapely.distance(area.boundary, bodies)
+    )
+    sure = (margin > 1e-6) | ~truth
+    found = grid.footprint_free(poses, VEHICLE)
+    assert 0.1 < truth.mean() < 0.9
+    assert np.array_equal(found[sure], truth[sure])
+    assert not np.any(found & ~truth)
+
+
+def test_motions_agree_with_shapely():
+    """No false free, and no false collision where the gap is wider than the tolerance."""
+    rng = np.random.default_rng(2)
+    grid = random_grid(rng, share=0.006)
+    obstacles, area = obstacles_of(grid), map_area(grid)
+    shapely.prepare(obstacles)
+    shapely.prepare(area)
+    n = 1500
+    starts = random_poses(rng, grid, n)
+    ds = rng.uniform(-2, 2, n)
+    dtheta = rng.uniform(-2.5, 2.5, n)
+    kind = np.arange(n) % 5
+    ds[kind == 0] = 0.0
+    dtheta[kind == 1] = 0.0
+    ds[kind == 2] = 0.47 * dtheta[kind == 2]
+    dtheta[kind == 3] *= 1e-7
+    longitudinal = np.where(np.arange(n) % 2 == 0, 0.0, 0.15)
+    tolerance = _collision.TOLERANCE * grid.resolution
+    free = tight = 0
+    for k in range(n):
+        path = Path(Pose(*starts[k]), ds[k : k + 1], dtheta[k : k + 1], longitudinal[k])
+        found = grid.path_free(path, VEHICLE)
+        step = 0.05
+        bodies = [rectangle(VEHICLE, p) for p in path.poses(step, step)]
+        hit = any(obstacles.intersects(b) or not area.covers(b) for b in bodies)
+        if found:
+            free += 1
+            assert not hit, k
+        elif not hit:
+            # sampled poses are free: only a near miss may count as a collision
+            dense = [rectangle(VEHICLE, p) for p in path.poses(0.002, 0.002)]
+            gap = min(
+                min(obstacles.distance(b), 0.0 if not area.covers(b) else area.boundary.distance(b))
+                for b in dense
+            )
+            assert gap < tolerance + 0.002, k
+            tight += 1
+    assert 0.1 < free / n < 0.9
+    assert tight < 0.05 * n
+
+
+def test_swept_corner_is_found_between_free_poses():
+    """A spin whose end poses are free but whose corner sweeps through an obstacle."""
+    reach = np.hypot(*VEHICLE.footprint[1])
+    occupied = np.zeros((200, 200), bool)
+    grid = OccupancyGrid(occupied, 0.02, Pose(-2.0, -2.0, 0.0))
+    column, row = np.floor(grid.to_cells([0.0, reach - 0.011])).astype(int)
+    occupied[row, column] = True
+    grid = OccupancyGrid(occupied, 0.02, Pose(-2.0, -2.0, 0.0))
+    spin = Path(Pose(0, 0, 0), [0.0], [np.pi])
+    assert grid.footprint_free([spin.start, spin.end], VEHICLE).all()
+    assert grid.first_collision(spin, VEHICLE) == 0
+    assert grid.first_collision(Path(Pose(0, 0, 0), [0.1, 0.0], [0.0, np.pi]), VEHICLE) == 1
+
+
+def test_clearance_is_exact():
+    rng = np.random.default_rng(3)
+    blocked = rng.random((41, 57)) < 0.01
+    fine = np.zeros((2 * 41 + 1, 2 * 57 + 1), bool)
+    for row, column in np.argwhere(blocked):
+        fine[2 * row : 2 * row + 3, 2 * column : 2 * column + 3] = True
+    fine[[0, -1], :] = fine[:, [0, -1]] = True
+    expected = ndimage.distance_transform_edt(~fine)[1::2, 1::2] / 2
+    assert np.allclose(_distance.clearance(blocked), expected, atol=1e-5)
+    assert np.allclose(_distance.clearance(np.zeros((4, 9), bool)).max(), 2.0 - 0.5)
+
+
+def test_kernels_agree_with_plain_python():
+    """The compiled kernels and the functions they were compiled from."""
+    rng = np.random.default_rng(4)
+    grid = random_grid(rng, (30, 30), 0.01)
+    poses = random_poses(rng, grid, 60)
+    body, space = footprint(VEHICLE), grid._space
+    plain = _collision.poses_free.py_func(space, body, poses)
+    assert np.array_equal(plain, grid.footprint_free(poses, VEHICLE))
+    assert np.array_equal(
+        _collision.next_blocked.py_func(grid.blocked), _collision.next_blocked(grid.blocked)
+    )
+    assert np.allclose(_distance.clearance.py_func(grid.blocked), _distance.clearance(grid.blocked))
+    for pose, turn in zip(poses, rng.uniform(-2, 2, 60), strict=True):
+        args = (space, body, *pose, 0.4, turn, 0.1)
+        assert _collision.motion_free.py_func(*args) == _collision.motion_free(*args)
+
+
+def test_unknown_cells_are_obstacles_unless_asked():
+    unknown = np.zeros((40, 40), bool)
+    unknown[18:22, 18:22] = True
+    grid = OccupancyGrid(np.zeros((40, 40), bool), 0.1, unknown=unknown)
+    centre = (2.0, 2.0, 0.0)
+    assert not grid.footprint_free(centre, VEHICLE)
+    assert grid.with_unknown_free().footprint_free(centre, VEHICLE)
+
+
+def test_not_a_number_is_never_free():
+    grid = OccupancyGrid(np.zeros((40, 40), bool), 0.1)
+    poses = np.full((4, 3), 2.0)
+    poses[[0, 1, 2], [0, 1, 2]] = np.nan
+    assert grid.footprint_free(poses, VEHICLE).tolist() == [False, False, False, True]
+
+
+def test_world_and_cells_are_inverse():
+    rng = np.random.default_rng(5)
+    grid = random_grid(rng)
+    points = rng.normal(size=(50, 2))
+    assert np.allclose(grid.to_world(grid.to_cells(points)), points)
+    assert np.allclose(grid.to_cells(grid.origin[:2]), 0)
+    along = grid.to_world([1.0, 0.0]) - np.array(grid.origin[:2])
+    assert np.allclose(np.arctan2(along[1], along[0]), grid.origin.yaw)
+
+
+def test_polygons_block_every_cell_they_touch():
+    triangle = shapely.Polygon([(1, 1), (3, 1.2), (1.5, 2.7)])
+    grid = OccupancyGrid.from_polygons([triangle], (0, 0, 4, 4), 0.1)
+    outside = triangle.difference(obstacles_of(grid))
+    assert outside.area < 1e-12
+    assert obstacles_of(grid).difference(triangle.buffer(0.15)).area == 0
+    assert not grid.occupied[0].any()
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"occupied": np.zeros((0, 3), bool)}, "shape"),
+        ({"occupied": np.zeros((3, 3))}, "bool"),
+        ({"resolution": 0.0}, "resolution"),
+        ({"resolution": np.nan}, "resolution"),
+        ({"origin": (0, 0)}, "origin"),
+        ({"unknown": np.zeros((2, 3), bool)}, "same"),
+    ],
+)
+def test_malformed_maps_are_refused(kwargs, message):
+    good = {"occupied": np.zeros((3, 3), bool), "resolution": 0.1}
+    with pytest.raises(MapError, match=message):
+        OccupancyGrid(**{**good, **kwargs})
+
+
+def test_absurd_bounds_are_refused():
+    with pytest.raises(MapError, match="coarser"):
+        OccupancyGrid.from_polygons([], (0, 0, 1e6, 1e6), 0.05)
