@@ -103,3 +103,7 @@ class MissingDependencyError(EnergyPlanError, ImportError):
 
 class BatteryError(InvalidInputError):
     """A battery or a power profile is inconsistent; the message says which value."""
+
+
+class InfeasibleMotionError(EnergyPlanError):
+    """No speed, or not the one asked for, keeps the motion within the limits."""
