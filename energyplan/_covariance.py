@@ -1,0 +1,234 @@
+"""Covariance of estimates from autocorrelated residuals (private).
+
+Neighbouring samples of a drive log repeat each other (docs/theory, section 6), so that what an
+estimate's covariance needs is the covariance of a sum over the whole log. The residual's
+autocorrelation is that of an autoregression: its own up to the order, extrapolated beyond. Kernel
+estimates of the same sum come out too small on drives of a minute or two, because they cut the
+correlation off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import lfilter, oaconvolve
+from scipy.stats import norm, rankdata
+
+from energyplan.path import FloatArray
+
+_LARGEST_ORDER = 30
+_CORRECTIONS = 3
+_LEAST_KEPT = 0.2
+_NEGLIGIBLE = 1e-3
+"""Autocorrelation below which the tail is cut."""
+
+
+def normal_scores(residual: FloatArray) -> FloatArray:
+    """Replace each value by the normal quantile of its rank: no outlier, the same dependence."""
+    return np.asarray(norm.ppf((rankdata(residual) - 0.5) / len(residual)))
+
+
+def _products(a: FloatArray, b: FloatArray, pieces: Sequence[slice], lags: int) -> FloatArray:
+    """Sum ``a[t] b[t + k]`` within the pieces, for k from 0 to `lags`."""
+    total = np.zeros(lags + 1)
+    for piece in pieces:
+        size = next_fast_len(piece.stop - piece.start + lags, real=True)
+        product = irfft(rfft(a[piece], size).conj() * rfft(b[piece], size), size)
+        total += product[: lags + 1]
+    return total
+
+
+def _spread(columns: FloatArray, rho: FloatArray, pieces: Sequence[slice]) -> FloatArray:
+    """Multiply columns by the correlation matrix of the noise, without building it."""
+    kernel = np.concatenate([rho[:0:-1], rho])[:, None]
+    middle = len(rho) - 1
+    parts = []
+    for piece in pieces:
+        wide = oaconvolve(columns[piece], kernel, mode="full", axes=0)
+        parts.append(wide[middle : middle + piece.stop - piece.start])
+    return np.concatenate(parts)
+
+
+def _absorbed(basis: FloatArray, rho: FloatArray, pieces: Sequence[slice], lags: int) -> FloatArray:
+    """Products at each lag that a fit on an orthonormal basis takes out of noise of unit variance.
+
+    The residual ``(1 - H) e`` has covariance ``(1 - H) R (1 - H)``; this is the sum over each
+    diagonal of what is missing from ``R``.
+    """
+    spread = _spread(basis, rho, pieces)
+    inner = basis.T @ spread
+    total = np.zeros(lags + 1)
+    for i in range(basis.shape[1]):
+        total += _products(basis[:, i], spread[:, i], pieces, lags)
+        total += _products(spread[:, i], basis[:, i], pieces, lags)
+        total -= _products(basis[:, i], basis @ inner[:, i], pieces, lags)
+    return total
+
+
+def _autoregression(covariance: FloatArray, count: int) -> FloatArray:
+    """Coefficients by Levinson's recursion, of the order with the least AIC."""
+    best, score = np.zeros(0), 0.0
+    current, variance = np.zeros(0), covariance[0]
+    for order in range(1, len(covariance)):
+        reflection = (covariance[order] - current @ covariance[order - 1 : 0 : -1]) / variance
+        current = np.append(current - reflection * current[::-1], reflection)
+        variance *= 1.0 - reflection**2
+        if variance <= 1e-12 * covariance[0]:
+            return current
+        criterion = count * np.log(variance / covariance[0]) + 2 * order
+        if criterion < score:
+            best, score = current, criterion
+    return best
+
+
+def _extended(covariance: FloatArray, count: int, longest: int) -> FloatArray:
+    """Autocorrelation from its first lags: continued by an autoregression until it has died out."""
+    coefficients = _autoregression(covariance, count)
+    order = len(coefficients)
+    start = np.asarray(covariance[: order + 1] / covariance[0])
+    reach = 64 if order else 0
+    while reach:
+        # The autoregression's own tail: a filter that starts at its last values and gets no input.
+        state = [coefficients[k:] @ start[order:k:-1] for k in range(order)]
+        tail, _ = lfilter([1.0], np.append(1.0, -coefficients), np.zeros(reach), zi=state)
+        alive = np.flatnonzero(np.abs(tail) > _NEGLIGIBLE)
+        last = int(alive[-1]) + 1 if len(alive) else 0
+        if last < reach or reach >= longest:
+            kept = max(min(last, longest - 1 - order), 0)
+            return np.concatenate([start, tail[:kept]])
+        reach *= 4
+    return start
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """Autocorrelation of the noise behind a residual.
+
+    Parameters
+    ----------
+    rho : ndarray, shape (m,)
+        Autocorrelation at lags from 0 until it has died out.
+    kept : float
+        Fraction of the noise's variance that the residual still has: the fit took the rest for
+        signal.
+    """
+
+    rho: FloatArray
+    kept: float = 1.0
+
+    @property
+    def repeats(self) -> float:
+        """How many neighbouring samples make one independent sample."""
+        return max(2.0 * float(self.rho.sum()) - 1.0, 1.0)
+
+
+def autocorrelation(
+    series: FloatArray, pieces: Sequence[slice], regressors: FloatArray | None = None
+) -> Correlation:
+    """Autocorrelation of a series, or of the noise that a fit left it from.
+
+    Parameters
+    ----------
+    series : ndarray, shape (n,)
+        The series; its mean is taken off.
+    pieces : sequence of slice
+        Stretches without a break: no correlation is taken across their ends.
+    regressors : ndarray, shape (n, p), optional
+        What the series is the residual of. What the fit took from slow noise is added back.
+
+    Returns
+    -------
+    Correlation
+        The sample's autocorrelation up to the order of an autoregression chosen by Akaike's
+        criterion, and that of the autoregression beyond.
+
+    References
+    ----------
+    Brockwell and Davis (1991), Time Series: Theory and Methods, sections 8.1 and 9.3.
+    """
+    count = len(series)
+    longest = max(s.stop - s.start for s in pieces)
+    lags = min(_LARGEST_ORDER, longest // 4)
+    centred = series - series.mean()
+    observed = _products(centred, centred, pieces, lags) / count
+    if observed[0] <= 0:
+        return Correlation(np.ones(1))
+    pairs = np.array([sum(max(s.stop - s.start - k, 0) for s in pieces) for k in range(lags + 1)])
+    ones = np.ones((count, 1))
+    basis, _ = np.linalg.qr(ones if regressors is None else np.hstack([ones, regressors]))
+    rho, kept = _extended(observed * count / pairs, count, longest), 1.0
+    for _ in range(_CORRECTIONS):
+        absorbed = _absorbed(basis, rho, pieces, lags) / count
+        kept = max(1.0 - absorbed[0], _LEAST_KEPT)
+        rho = _extended((observed + observed[0] / kept * absorbed) * count / pairs, count, longest)
+    return Correlation(rho, kept)
+
+
+def sum_covariance(
+    regressors: FloatArray, scale: FloatArray, rho: FloatArray, pieces: Sequence[slice]
+) -> FloatArray:
+    """Covariance of ``sum_t regressors[t] * e[t]`` for autocorrelated noise ``e``.
+
+    Parameters
+    ----------
+    regressors : ndarray, shape (n, p)
+        The regressors.
+    scale : ndarray, shape (n,)
+        Standard deviation of ``e``.
+    rho : ndarray, shape (m,)
+        Its autocorrelation at lags from 0.
+    pieces : sequence of slice
+        Stretches without a break.
+
+    Returns
+    -------
+    ndarray, shape (p, p)
+        The covariance.
+    """
+    loaded = regressors * scale[:, None]
+    total = loaded.T @ _spread(loaded, rho, pieces)
+    return np.asarray(0.5 * (total + total.T))
+
+
+def local_scale(series: FloatArray, window: int, pieces: Sequence[slice]) -> FloatArray:
+    """Root mean square of a series around each sample: noise need not be the same throughout."""
+    power = np.concatenate(
+        [uniform_filter1d(series[s] ** 2, window, mode="nearest") for s in pieces]
+    )
+    return np.asarray(np.sqrt(np.maximum(power, 0.0)))
+
+
+def sandwich(bread: FloatArray, meat: FloatArray) -> FloatArray:
+    """Covariance ``bread^-1 meat bread^-1``, computed in units that balance the bread."""
+    scale = np.sqrt(np.maximum(np.diag(bread), 1e-300))
+    unit = np.outer(scale, scale)
+    inverse = np.linalg.pinv(bread / unit, rcond=1e-13, hermitian=True)
+    covariance = inverse @ (meat / unit) @ inverse / unit
+    return np.asarray(0.5 * (covariance + covariance.T))
+
+
+def correlation_time(residual: FloatArray, period: float, pieces: Sequence[slice]) -> float:
+    """Integral time scale of a series: the area under its autocorrelation at positive lags [s].
+
+    White noise has half a sample period; a series of duration T holds about ``T / (2 time
+    scale)`` independent samples.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (n,)
+        The series; its mean is taken off.
+    period : float
+        Sample period [s].
+    pieces : sequence of slice
+        Stretches without a break.
+
+    Returns
+    -------
+    float
+        The time scale [s], half a period or more.
+    """
+    return 0.5 * period * autocorrelation(residual, pieces).repeats

@@ -1,0 +1,190 @@
+"""The fit itself: measured power of all logs against a model that may not be linear (private)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from energyplan import _fit
+from energyplan._covariance import (
+    autocorrelation,
+    local_scale,
+    normal_scores,
+    sandwich,
+    sum_covariance,
+)
+from energyplan._fit import Bounds
+from energyplan._icr import ICREstimate
+from energyplan._identifiability import is_linear, linearise
+from energyplan.drivelog import DriveLog
+from energyplan.errors import UnknownNameError
+from energyplan.path import FloatArray
+from energyplan.power import PowerModel
+
+Method = Literal["lad", "simplex", "huber"]
+
+_SCALE_WINDOW = 5.0
+"""Over what time the noise's strength is averaged [s]."""
+
+
+def on_battery(log: DriveLog) -> bool:
+    return log.sides is None and not log.has("power")
+
+
+def pieces_of(parts: Sequence[FloatArray]) -> list[slice]:
+    stops = np.cumsum([len(part) for part in parts])
+    return [slice(int(a), int(b)) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
+
+
+class Problem:
+    """Measured power and the predictions to fit to it, all logs one below the other."""
+
+    def __init__(self, drives: Sequence[DriveLog], model: PowerModel) -> None:
+        self._start = model
+        self._motions = [log.motion(model.vehicle.icr) for log in drives]
+        self._battery = [on_battery(log) for log in drives]
+        self._window = max(1, round(_SCALE_WINDOW / float(np.median(np.diff(drives[0].t)))))
+        self._measured = np.concatenate([log.power for log in drives])
+        self.pieces = pieces_of([log.t for log in drives])
+        self._linear = is_linear(model) and not (
+            any(self._battery) and not is_linear(model.battery_side())
+        )
+
+    def _power(self, model: PowerModel) -> FloatArray:
+        parts = [
+            (model.battery_side() if battery else model).power(motion)
+            for motion, battery in zip(self._motions, self._battery, strict=True)
+        ]
+        return np.concatenate(parts)
+
+    def _linearise(self, model: PowerModel) -> tuple[FloatArray, FloatArray]:
+        """Target and design of the linear problem at a model's coefficients."""
+        parts = [
+            linearise(model, motion, battery)
+            for motion, battery in zip(self._motions, self._battery, strict=True)
+        ]
+        jacobian = np.concatenate([part.jacobian for part in parts])
+        power = np.concatenate([part.power for part in parts])
+        return self._measured - power + jacobian @ model.coefficients, jacobian
+
+    def solve(self, method: Method, bounds: Bounds) -> PowerModel:
+        """Return the model with the coefficients that minimise the method's sum."""
+        if method not in ("lad", "simplex", "huber"):
+            raise UnknownNameError("method", str(method), ("lad", "simplex", "huber"))
+        model = self._start
+        if method == "simplex":
+            rough = self._iterate(_fit.weighted_least_squares, _squares, bounds)
+            return model.with_coefficients(self._simplex(rough, bounds))
+        if method == "lad":
+            return model.with_coefficients(self._iterate(_fit.lad, _absolute, bounds))
+        return model.with_coefficients(self._iterate(_fit.huber, _huber_loss, bounds))
+
+    def _simplex(self, start: FloatArray, bounds: Bounds) -> FloatArray:
+        target, design = self._linearise(self._start)
+
+        def linear(c: FloatArray) -> float:
+            return float(np.abs(target - design @ c).sum())
+
+        def general(c: FloatArray) -> float:
+            return _absolute(self._measured - self._power(self._start.with_coefficients(c)))
+
+        return _fit.simplex(linear if self._linear else general, start, bounds)
+
+    def _iterate(
+        self,
+        fit: Callable[[FloatArray, FloatArray, Bounds], FloatArray],
+        loss: Callable[[FloatArray], float],
+        bounds: Bounds,
+    ) -> FloatArray:
+        """Solve a sequence of linear problems, each about the solution of the one before it."""
+        target, design = self._linearise(self._start)
+        if self._linear:
+            return fit(design, target, bounds)
+        # The losses act on forces: find those first, without losses.
+        lossy = np.array([term.kind == "loss" for term in self._start.terms])
+        c = np.array(self._start.coefficients)
+        free = np.flatnonzero(~lossy)
+        c[free] = fit(
+            design[:, free],
+            target - design[:, lossy] @ c[lossy],
+            Bounds(bounds.lower[free], bounds.upper[free]),
+        )
+        value = loss(self._measured - self._power(self._start.with_coefficients(c)))
+        for _ in range(50):
+            target, design = self._linearise(self._start.with_coefficients(c))
+            step = fit(design, target, bounds) - c
+            for _ in range(30):
+                trial = loss(self._measured - self._power(self._start.with_coefficients(c + step)))
+                if trial < value:
+                    break
+                step *= 0.5
+            else:
+                break
+            c, gain, value = c + step, value - trial, trial
+            if gain <= 1e-12 * value:
+                break
+        return bounds.clip(c)
+
+    def covariance(self, model: PowerModel, method: Method) -> FloatArray:
+        """Covariance of the coefficients under autocorrelated, heteroscedastic residuals."""
+        target, design = self._linearise(model)
+        residual = target - design @ model.coefficients
+        noise = autocorrelation(normal_scores(residual), self.pieces, design)
+        sigma = _fit.robust_scale(residual)
+        sigma = max(sigma, 1e-9 * float(np.max(np.abs(self._measured), initial=1e-300)))
+        if method == "huber":
+            edge = _fit.HUBER_TUNING * sigma
+            scale = local_scale(np.clip(residual, -edge, edge), self._window, self.pieces)
+            rho = noise.rho
+            slope = (np.abs(residual) < edge).astype(float)
+        else:
+            scale = np.ones(len(residual))
+            # Signs of jointly normal values are correlated by the arcsine law.
+            rho = 2 / np.pi * np.arcsin(np.clip(noise.rho, -1.0, 1.0))
+            slope = 2.0 * _density_at_zero(residual, sigma, len(residual) / noise.repeats)
+        bread = (design * slope[:, None]).T @ design
+        meat = sum_covariance(design, scale, rho, self.pieces)
+        return np.asarray(sandwich(bread, meat) / noise.kept)
+
+    def inherited(self, model: PowerModel, estimate: ICREstimate) -> FloatArray:
+        """Covariance that the coefficients take over from the tread ICRs."""
+        _, design = self._linearise(model)
+        icr = model.vehicle.icr
+        shifts = []
+        for which in ("left", "right", "longitudinal"):
+            step = max(estimate.std_error[which], 1e-6)
+            moved = replace(icr, **{which: getattr(icr, which) + step})
+            other = replace(model, vehicle=model.vehicle.with_icr(moved))
+            shifts.append((self._power(other) - self._power(model)) / step)
+        free = Bounds(np.full(len(model.terms), -np.inf), np.full(len(model.terms), np.inf))
+        change = [_fit.weighted_least_squares(design, -shift, free) for shift in shifts]
+        sensitivity = np.column_stack(change)
+        return np.asarray(sensitivity @ estimate.covariance @ sensitivity.T)
+
+
+def _squares(residual: FloatArray) -> float:
+    return float(residual @ residual)
+
+
+def _absolute(residual: FloatArray) -> float:
+    return float(np.abs(residual).sum())
+
+
+def _huber_loss(residual: FloatArray) -> float:
+    edge = _fit.HUBER_TUNING * max(_fit.robust_scale(residual), 1e-300)
+    size = np.abs(residual)
+    return float(np.where(size < edge, 0.5 * size**2 / edge, size - 0.5 * edge).sum())
+
+
+def _density_at_zero(residual: FloatArray, sigma: float, independent: float) -> FloatArray:
+    """Each residual's share in the kernel estimate of the density at zero (Powell 1991).
+
+    The normal kernel's width is Silverman's for the number of independent samples: correlated ones
+    cluster, and a narrow kernel would count the accidents of a cluster.
+    """
+    width = 1.06 * sigma * max(independent, 2.0) ** -0.2
+    z = residual / width
+    return np.asarray(np.exp(-0.5 * z * z) / (width * np.sqrt(2 * np.pi)))
