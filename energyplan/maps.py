@@ -1,4 +1,4 @@
-"""Where the robot may go: occupancy grids and footprint collision."""
+"""Where the robot goes: occupancy grids with footprint collision, surfaces and heights."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.base import BaseGeometry
 
 from energyplan import _collision, _distance
+from energyplan._heights import ORIGIN, HeightMap
+from energyplan._surfaces import Surface, SurfaceMap
 from energyplan.errors import MapError
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.vehicle import Vehicle
+
+__all__ = ["HeightMap", "OccupancyGrid", "Surface", "SurfaceMap", "footprint"]
 
 BoolArray = NDArray[np.bool_]
 
 MAX_CELLS = 2**28
 """Largest number of cells of a map; more is taken for a mistake or an attack."""
-
-ORIGIN = Pose(0.0, 0.0, 0.0)
-"""Where a map starts unless it says otherwise: the world's origin, unturned."""
 
 
 def _frozen_bool(value: ArrayLike, name: str) -> BoolArray:
@@ -195,6 +196,21 @@ class OccupancyGrid:
         cells = self.to_cells(points)
         rows, columns = self.shape
         return np.asarray(np.all((cells >= 0) & (cells <= np.array([columns, rows])), axis=-1))
+
+    def contains(self, x: float, y: float) -> bool:
+        """Tell whether a world point [m] lies on the map."""
+        return bool(self.inside((x, y)))
+
+    def describe_extent(self) -> str:
+        """Return where the map lies, in words."""
+        width, height = self.size
+        x, y, yaw = self.origin
+        if yaw == 0.0:
+            return f"x from {x:g} to {x + width:g} m and y from {y:g} to {y + height:g} m"
+        return (
+            f"{width:g} m by {height:g} m from its corner ({x:g}, {y:g}), turned by "
+            f"{np.degrees(yaw):.1f} deg"
+        )
 
     def clearance_at(self, points: ArrayLike) -> FloatArray:
         """Return the clearance of the cells that hold world points (..., 2) [m]; 0 off the map."""

@@ -1,0 +1,159 @@
+"""Surfaces with models of their own, and heights."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import MapError
+from energyplan.maps import HeightMap, OccupancyGrid, Surface, SurfaceMap
+from energyplan.path import Path, Pose
+from energyplan.power import PowerModel
+from energyplan.vehicle import TreadICR
+
+MARBLE = PowerModel.preset("quadriga:empty:marble")
+CONCRETE = PowerModel.preset("quadriga:empty:concrete")
+COST = EnergyCost(CONCRETE)
+
+
+def random_surfaces(rng, n=5):
+    areas = []
+    for _ in range(n):
+        centre, radii = rng.uniform(-3, 3, 2), rng.uniform(0.3, 2.5, 9)
+        angles = np.sort(rng.uniform(0, 2 * np.pi, 9))
+        ring = centre + radii[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+        hole = shapely.Point(*centre).buffer(0.2)
+        areas.append(shapely.Polygon(ring).buffer(0).difference(hole))
+    return SurfaceMap([Surface(area, MARBLE, f"s{k}") for k, area in enumerate(areas)])
+
+
+def random_path(rng, n=12, longitudinal=0.0):
+    ds, dtheta = rng.uniform(-2, 2, n), rng.uniform(-2, 2, n)
+    dtheta[::4] = 0.0
+    ds[1::4] = 0.0
+    ds[2], dtheta[2] = 7.0, 9.0  # more than once round
+    dtheta[3] = 1e-8
+    return Path(Pose(*rng.uniform(-1, 1, 3)), ds, dtheta, longitudinal)
+
+
+@pytest.mark.parametrize("longitudinal", [0.0, 0.2])
+def test_shares_agree_with_dense_sampling(longitudinal):
+    rng = np.random.default_rng(11)
+    n = 4000
+    for _ in range(6):
+        ground, path = random_surfaces(rng), random_path(rng, longitudinal=longitudinal)
+        shares = ground.shares(path)
+        assert np.allclose(shares.sum(axis=1), 1.0, atol=1e-12)
+        vertices = path.vertices
+        for k in range(len(path)):
+            piece = Path(
+                Pose(*vertices[k]),
+                np.full(n, path.ds[k] / n),
+                np.full(n, path.dtheta[k] / n),
+                longitudinal,
+            )
+            poses = piece.vertices
+            poses = 0.5 * (poses[1:] + poses[:-1])
+            heading = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+            regions = ground.region_at(poses[:, :2] + longitudinal * heading)
+            counted = np.bincount(regions, minlength=shares.shape[1]) / n
+            # each crossing may misplace one sample
+            assert np.abs(counted - shares[k]).max() < 12 / n
+
+
+def test_a_straight_line_is_clipped_exactly():
+    ground = SurfaceMap([Surface(shapely.box(1, -1, 3, 1), MARBLE)])
+    path = Path(Pose(0, 0, 0), [5.0, 0.0], [0.0, 1.0])
+    assert np.allclose(ground.shares(path), [[0.6, 0.4], [1.0, 0.0]], atol=1e-15)
+    expected = COST.energy(path) + 2.0 * (2 * 90.0 - 2 * 113.0)
+    assert np.isclose(ground.energy(path, COST), expected, rtol=1e-12)
+    assert np.isclose(sum(ground.breakdown(path, COST).values()), expected, rtol=1e-12)
+
+
+def test_a_turn_is_clipped_exactly():
+    """A circle of radius 2 about the origin crosses x = 1 at 60 degrees."""
+    ground = SurfaceMap([Surface(shapely.box(1, -9, 9, 9), MARBLE)])
+    whole = Path(Pose(0, -2, 0), [4 * np.pi], [2 * np.pi])
+    assert np.allclose(ground.shares(whole), [[2 / 3, 1 / 3]], atol=1e-14)
+    back = Path(Pose(2, 0, np.pi / 2), [-2 * np.pi], [-np.pi])
+    assert np.allclose(ground.shares(back), [[2 / 3, 1 / 3]], atol=1e-14)
+
+
+def test_energy_of_one_surface_everywhere_is_that_surfaces_energy():
+    rng = np.random.default_rng(12)
+    path = random_path(rng)
+    ground = SurfaceMap([Surface(shapely.box(-99, -99, 99, 99), MARBLE)])
+    assert np.isclose(ground.energy(path, COST), EnergyCost(MARBLE).energy(path), rtol=1e-12)
+    assert np.isclose(
+        SurfaceMap([]).breakdown(path, COST)["slip_friction"],
+        COST.breakdown(path)["slip_friction"],
+        rtol=1e-12,
+    )
+
+
+def test_the_last_of_overlapping_surfaces_counts():
+    box = shapely.box(0, 0, 1, 1)
+    ground = SurfaceMap([Surface(box, MARBLE), Surface(box, CONCRETE)])
+    assert ground.region_at((0.5, 0.5)) == 2
+    assert [cost.model for cost in ground.costs(COST)] == [CONCRETE, MARBLE, CONCRETE]
+
+
+def test_raster_agrees_with_points():
+    grid = OccupancyGrid(np.zeros((30, 40), bool), 0.2, Pose(-4, -3, 0.3))
+    ground = random_surfaces(np.random.default_rng(13))
+    raster = ground.raster(grid)
+    row, column = np.indices(grid.shape)
+    centres = grid.to_world(np.stack([column + 0.5, row + 0.5], axis=-1))
+    assert np.array_equal(raster, ground.region_at(centres))
+    assert len(np.unique(raster)) > 3
+
+
+def test_malformed_surfaces_are_refused():
+    with pytest.raises(MapError, match="polygon"):
+        Surface(shapely.LineString([(0, 0), (1, 1)]), MARBLE)
+    with pytest.raises(MapError, match="Self-intersection"):
+        Surface(shapely.Polygon([(0, 0), (1, 1), (1, 0), (0, 1)]), MARBLE)
+    with pytest.raises(MapError, match="keep-out area 0"):
+        SurfaceMap([], [shapely.Point(0, 0)])
+    ahead = PowerModel.paper(MARBLE.vehicle.with_icr(TreadICR(0.5, 0.5, 0.1)), 90.0, 0.4)
+    with pytest.raises(MapError, match="longitudinal"):
+        SurfaceMap([Surface(shapely.box(0, 0, 1, 1), ahead)]).costs(COST)
+
+
+def test_slope_of_a_tilted_plane():
+    """Exact on a plane, in every heading and with the raster turned."""
+    rng = np.random.default_rng(14)
+    yaw, (gx, gy) = 0.7, (0.08, -0.13)
+    c, s = np.cos(yaw), np.sin(yaw)
+    i, j = np.indices((20, 30)) * 0.5
+    x, y = 1 + c * j - s * i, -2 + s * j + c * i
+    ground = HeightMap(gx * x + gy * y, 0.5, (1, -2, yaw))
+    local = rng.uniform(0.1, 9.0, (50, 2))
+    points = np.array([1, -2]) + local @ np.array([[c, s], [-s, c]])
+    poses = np.column_stack([points, rng.uniform(-3, 3, 50)])
+    along = gx * np.cos(poses[:, 2]) + gy * np.sin(poses[:, 2])
+    assert np.allclose(ground.slope(poses), np.arctan(along), atol=1e-12)
+    assert np.allclose(ground.height(points), points @ [gx, gy], atol=1e-12)
+
+
+def test_slope_is_the_derivative_of_height():
+    rng = np.random.default_rng(15)
+    ground = HeightMap(rng.normal(size=(8, 9)), 0.5)
+    points = rng.uniform(0.2, 3.2, (200, 2))
+    points += np.where(np.abs(points / 0.5 % 1 - 0.5) > 0.49, 0.02, 0.0)
+    step = 1e-6
+    for axis, yaw in ((0, 0.0), (1, np.pi / 2)):
+        ahead = points.copy()
+        ahead[:, axis] += step
+        numeric = (ground.height(ahead) - ground.height(points)) / step
+        slope = ground.slope(np.column_stack([points, np.full(200, yaw)]))
+        assert np.allclose(np.tan(slope), numeric, atol=1e-5)
+
+
+def test_rise_is_the_difference_of_heights():
+    ramp = HeightMap([[0, 1, 2], [0, 1, 2]], 1.0)
+    assert np.isclose(ramp.rise(Path(Pose(0.1, 0.5, 0), [1.5], [0.0])), 1.5)
+    with pytest.raises(MapError, match="off the height map"):
+        ramp.rise(Path(Pose(0.1, 0.5, 0), [2.5], [0.0]))
