@@ -206,14 +206,14 @@ def largest_within(
     """
     parts = np.linspace(0.0, 1.0, rungs + 1)
     parts[0] = 1e-6  # friction has a direction only in motion
-    exceeded = use(parts[:, None] * top) > 1 + ROUNDING
+    exceeded = use(parts[:, None] * top) > 1
     never = ~exceeded.any(axis=0)
     first = np.argmax(exceeded, axis=0)
     low = np.where(first > 0, parts[first - 1], 0.0) * top
     high = parts[first] * top
     for _ in range(50):
         middle = 0.5 * (low + high)
-        over = use(middle) > 1 + ROUNDING
+        over = use(middle) > 1
         high, low = np.where(over, middle, high), np.where(over, low, middle)
     result = np.where(first > 0, low, 0.0)
     return np.where(never, top, result)
