@@ -1,0 +1,442 @@
+"""Command line: argument parsing only; every command is one library call."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import math
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+
+from energyplan.errors import (
+    EnergyPlanError,
+    InvalidInputError,
+    MissingDependencyError,
+    NoPathError,
+    TimeLimitError,
+)
+
+if TYPE_CHECKING:
+    from energyplan.drivelog import DriveLog
+    from energyplan.path import Pose
+    from energyplan.planners import PlanningProblem
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Energy-aware path planning for wheeled skid-steer robots.",
+)
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
+Strict = Annotated[bool, typer.Option("--strict", help="Exit with 3 if the answer is no.")]
+Logs = Annotated[list[Path], typer.Argument(help="Drive logs: CSV, CSV.gz or Parquet.")]
+VehicleName = Annotated[
+    str, typer.Option("--vehicle", help="Preset such as quadriga:full, or a YAML file.")
+]
+ModelName = Annotated[
+    str, typer.Option("--model", help="Preset such as quadriga:full:marble, or a YAML file.")
+]
+Columns = Annotated[
+    str | None, typer.Option(help="Other column names, such as v_left=velL,yaw=heading[deg].")
+]
+OutModel = Annotated[Path | None, typer.Option("--out", help="Write the model to this YAML file.")]
+Report = Annotated[Path | None, typer.Option("--report", help="Write a report to this HTML file.")]
+
+NO = 3
+"""Exit code of a negative answer with ``--strict``."""
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+
+
+def _warn(text: str) -> None:
+    sys.stderr.write(text + "\n")
+
+
+def _answer(document: dict[str, Any], lines: list[str], *, json: bool) -> None:
+    if json:
+        _say(jsonlib.dumps(document, indent=1, allow_nan=False))
+    else:
+        _say("\n".join(lines))
+
+
+def _verdict(yes: bool, strict: bool) -> None:
+    if strict and not yes:
+        raise typer.Exit(NO)
+
+
+@contextmanager
+def _progress(text: str) -> Iterator[Any]:
+    """Show on stderr that work goes on; yields ``update(fraction, text)``."""
+    if not sys.stderr.isatty():
+        yield lambda fraction, note="": None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(text, total=1.0)
+        yield lambda fraction, note="": bar.update(
+            task, completed=fraction, description=note or text
+        )
+
+
+def _logs(paths: list[Path], columns: str | None) -> list[DriveLog]:
+    from energyplan.drivelog import DriveLog
+
+    logs = [DriveLog.read(path, columns=columns) for path in paths]
+    for log in logs:
+        for warning in log.warnings:
+            _warn(f"{log.name}: {warning}")
+    return logs
+
+
+def _pose(text: str) -> Pose:
+    from energyplan.path import Pose
+
+    parts = text.split(",")
+    try:
+        if len(parts) != 3:
+            raise ValueError(text)
+        yaw = parts[2].strip()
+        turn = math.radians(float(yaw[:-3])) if yaw.endswith("deg") else float(yaw)
+        pose = Pose(float(parts[0]), float(parts[1]), turn)
+        if not all(math.isfinite(value) for value in pose):
+            raise ValueError(text)
+    except ValueError:
+        raise InvalidInputError(
+            f"pose {text!r} is not X,Y,YAW; write it like 2.0,3.5,90deg or 2.0,3.5,1.57"
+        ) from None
+    return pose
+
+
+@app.command(
+    epilog="Example: energyplan identify spiral.csv --vehicle quadriga:full --out model.yaml"
+)
+def identify(
+    logs: Logs,
+    vehicle: VehicleName,
+    method: Annotated[str, typer.Option(help="lad (exact), simplex (the paper's), huber.")] = "lad",
+    out: OutModel = None,
+    columns: Columns = None,
+    json: Json = False,
+) -> None:
+    """Find a robot's power parameters on some ground from its drive logs."""
+    from energyplan import _documents
+    from energyplan.identify import identify as run
+    from energyplan.io.config import read_vehicle, write_model
+    from energyplan.report import number
+
+    found = run(_logs(logs, columns), read_vehicle(vehicle), method=method)  # type: ignore[arg-type]
+    if out:
+        write_model(found.model, out)
+    lines = []
+    for row in _documents.terms(found.model):
+        low, high = found.interval(row["name"])
+        lines.append(
+            f"{row['name'].replace('_', ' ')}: {row['symbol']} = {number(row['value'])} "
+            f"+- {number(row['std_error'], 2)} {row['unit'].replace('1', '')}".rstrip()
+            + f" (95 %: {number(low)} to {number(high)})"
+        )
+    icr, spread = found.icr, found.icr_std_error
+    error = "kept from the vehicle" if spread is None else f"+- {number(spread['left'], 2)}"
+    lines.append(f"tread ICRs: left {number(icr.left)} m, right {number(icr.right)} m, {error}")
+    misfit = found.residual
+    lines.append(
+        f"residual: rmse {number(misfit.rmse)} W, mae {number(misfit.mae)} W, bias "
+        f"{number(misfit.bias)} W, energy {100 * misfit.energy_error:+.2f} %"
+    )
+    lines += [f"note: {warning}" for warning in found.warnings]
+    _answer(_documents.identification(found), lines, json=json)
+
+
+@app.command(
+    epilog="Example: energyplan diagnose a.csv b.csv --holdout c.csv --vehicle quadriga "
+    "--out extended.yaml --report diagnosis.html"
+)
+def diagnose(
+    logs: Logs,
+    holdout: Annotated[list[Path], typer.Option(help="Drives kept for judging; repeatable.")],
+    vehicle: VehicleName,
+    out: OutModel = None,
+    report: Report = None,
+    columns: Columns = None,
+    json: Json = False,
+    strict: Strict = False,
+) -> None:
+    """Trace the residual of the power model to an effect, add it, and report before and after."""
+    from energyplan import _documents
+    from energyplan._pages import diagnosis_page
+    from energyplan.diagnose import diagnose as run
+    from energyplan.io.config import read_vehicle, write_model
+    from energyplan.io.files import atomic_write
+    from energyplan.report import number
+
+    training, judging = _logs(logs, columns), _logs(holdout, columns)
+    with _progress("diagnosing") as update:
+        told = run(training, holdout=judging, vehicle=read_vehicle(vehicle), progress=update)
+    if out:
+        write_model(told.model, out)
+    if report:
+        atomic_write(report, diagnosis_page(told, judging).html())
+    lines = [f"verdict: {told.verdict.replace('_', ' ')}"]
+    for effect in told.effects:
+        lines.append(
+            f"effect: {effect.name.replace('_', ' ')}, {effect.symbol} = {number(effect.value)} "
+            f"+- {number(effect.std_error, 2)} {effect.unit}"
+        )
+        if effect.rivals:
+            lines.append(f"  these drives cannot tell it from: {', '.join(effect.rivals)}")
+    for name, misfit in (("before", told.before), ("after", told.after)):
+        lines.append(
+            f"hold-out {name}: rmse {number(misfit.rmse)} W, mae {number(misfit.mae)} W, "
+            f"energy {100 * misfit.energy_error:+.2f} %"
+        )
+    lines += [
+        f"unexplained: {found.channel} ({found.shape}), "
+        f"{100 * found.explained_variance:.0f} % of the residual's variance"
+        for found in told.unexplained
+    ]
+    lines += [f"advice: {advice}" for advice in told.advice]
+    _answer(_documents.diagnosis(told), lines, json=json)
+    _verdict(told.verdict != "unexplained", strict)
+
+
+MapFile = Annotated[Path, typer.Option("--map", help="map_server YAML file.")]
+Start = Annotated[str, typer.Option(help="X,Y,YAW; YAW in radians, or like 90deg.")]
+Surfaces = Annotated[Path | None, typer.Option(help="GeoJSON polygons that name a model each.")]
+Planner = Annotated[str, typer.Option(help="lattice, roadmap, or another planner's name.")]
+Objective = Annotated[str, typer.Option(help="energy, length or time.")]
+TimeLimit = Annotated[float, typer.Option(help="Time for improving the plan [s].")]
+OutPath = Annotated[Path | None, typer.Option("--out", help="Write the path to this CSV file.")]
+Plot = Annotated[Path | None, typer.Option(help="Draw the map and the route to this PNG file.")]
+
+
+def _problem(
+    map_file: Path, model: str, start: str, goal: str, surfaces: Path | None, objective: str
+) -> PlanningProblem:
+    from energyplan.cost import EnergyCost
+    from energyplan.io.config import read_model
+    from energyplan.io.geojson import read_surfaces
+    from energyplan.io.maps import read_map
+    from energyplan.planners import PlanningProblem
+
+    cost = EnergyCost(read_model(model))
+    ground = read_surfaces(surfaces) if surfaces else None
+    return PlanningProblem(
+        read_map(map_file), cost, _pose(start), _pose(goal), surfaces=ground, objective=objective
+    )
+
+
+@app.command(
+    epilog="Example: energyplan plan --map office.yaml --model quadriga:empty:concrete "
+    "--start 2,2,0 --goal 28,13,90deg --plot route.png"
+)
+def plan(
+    map_file: MapFile,
+    model: ModelName,
+    start: Start,
+    goal: Start,
+    surfaces: Surfaces = None,
+    planner: Planner = "lattice",
+    objective: Objective = "energy",
+    time_limit: TimeLimit = 1.0,
+    out: OutPath = None,
+    plot: Plot = None,
+    json: Json = False,
+    strict: Strict = False,
+) -> None:
+    """Plan the route of least energy, and say how far from optimal it can be at most."""
+    from energyplan import _documents
+    from energyplan.io.trajectory import write_path
+    from energyplan.planners import plan as run
+
+    problem = _problem(map_file, model, start, goal, surfaces, objective)
+    try:
+        with _progress("planning"):
+            made = run(problem, planner=planner, time_limit=time_limit)
+    except NoPathError as error:
+        _no_path(error, json, strict)
+    if out:
+        write_path(made.path, out)
+    if plot:
+        _draw(problem, {planner: made.path}, plot)
+    _answer(_documents.plan(made), _plan_lines(made), json=json)
+
+
+@app.command(
+    epilog="Example: energyplan compare --map office.yaml --model quadriga:empty:concrete "
+    "--start 2,2,0 --goal 28,13,90deg --plot routes.png"
+)
+def compare(
+    map_file: MapFile,
+    model: ModelName,
+    start: Start,
+    goal: Start,
+    surfaces: Surfaces = None,
+    planner: Planner = "lattice",
+    objective: Objective = "energy",
+    time_limit: TimeLimit = 1.0,
+    out: OutPath = None,
+    plot: Plot = None,
+    json: Json = False,
+    strict: Strict = False,
+) -> None:
+    """Compare the route of least energy with the shortest one, both priced by the same model."""
+    from energyplan import _documents
+    from energyplan.compare import compare as run
+    from energyplan.io.trajectory import write_path
+
+    problem = _problem(map_file, model, start, goal, surfaces, objective)
+    try:
+        with _progress("planning"):
+            made = run(problem, planner=planner, time_limit=time_limit)
+    except NoPathError as error:
+        _no_path(error, json, strict)
+    if out:
+        write_path(made.energy_optimal.path, out)
+    if plot:
+        both = {"least energy": made.energy_optimal.path, "shortest": made.shortest.path}
+        _draw(problem, both, plot)
+    lines = ["least energy:", *(f"  {line}" for line in _plan_lines(made.energy_optimal))]
+    lines += ["shortest:", *(f"  {line}" for line in _plan_lines(made.shortest))]
+    lines.append(f"saving: {100 * made.saving:.1f} % of the shortest route's energy")
+    _answer(_documents.comparison(made), lines, json=json)
+
+
+def _no_path(error: NoPathError, json: bool, strict: bool) -> NoReturn:
+    _answer({"path": None, "reason": str(error)}, [f"no path: {error}"], json=json)
+    raise typer.Exit(NO if strict else 0)
+
+
+def _plan_lines(made: Any) -> list[str]:
+    from energyplan.report import number
+
+    parts = ", ".join(f"{k.replace('_', ' ')} {number(v)} J" for k, v in made.breakdown.items())
+    return [
+        f"energy: {number(made.energy, 5)} J ({parts})",
+        f"at most {100 * made.gap:.1f} % above the least possible "
+        f"(lower bound {number(made.lower_bound, 5)} J)",
+        f"length: {number(made.length)} m, turning: {number(math.degrees(made.turning))} deg",
+        f"planned by {made.planner} in {made.planning_time:.2f} s",
+    ]
+
+
+def _draw(problem: PlanningProblem, paths: dict[str, Any], file: Path) -> None:
+    from energyplan import plots
+    from energyplan.io.files import atomic_write
+    from energyplan.report import png
+
+    atomic_write(file, png(plots.routes(problem.map, paths)))
+
+
+@app.command(epilog="Example: energyplan check trajectory.csv --model quadriga:full:concrete")
+def check(
+    trajectory: Annotated[Path, typer.Argument(help="CSV with columns t,x,y,yaw,v,omega.")],
+    model: ModelName,
+    vehicle: Annotated[
+        str | None, typer.Option(help="Whose limits hold; the model's vehicle by default.")
+    ] = None,
+    json: Json = False,
+    strict: Strict = False,
+) -> None:
+    """Tell whether the motors can drive a trajectory; where not, and how fast they could."""
+    from energyplan import _documents
+    from energyplan.feasibility import check as run
+    from energyplan.io.config import read_model, read_vehicle
+    from energyplan.io.trajectory import read_trajectory
+    from energyplan.report import number
+
+    limits = read_vehicle(vehicle) if vehicle else None
+    report = run(read_trajectory(trajectory), read_model(model), limits)
+    lines = ["feasible" if report.feasible else "not feasible"]
+    lines += [
+        f"{found.kind.replace('_', ' ')} {found.side}: {number(found.start)} s to "
+        f"{number(found.end)} s, peak {number(found.peak)}, limit {number(found.limit)}"
+        for found in report.violations
+    ]
+    lines += [
+        f"largest feasible speed: {number(report.max_speed_scale)} of this one",
+        report.reason,
+        f"energy: {number(report.energy)} J",
+    ]
+    _answer(_documents.feasibility(report), lines, json=json)
+    _verdict(report.feasible, strict)
+
+
+@app.command(epilog="Example: energyplan mission warehouse.yaml --report mission.html")
+def mission(
+    file: Annotated[Path, typer.Argument(help="Mission YAML file.")],
+    report: Report = None,
+    json: Json = False,
+    strict: Strict = False,
+) -> None:
+    """Budget a mission's battery, and flag the tasks that cannot be reached, with the reason."""
+    from energyplan import _documents
+    from energyplan._pages import mission_page
+    from energyplan.io.files import atomic_write
+    from energyplan.io.mission import read_mission
+    from energyplan.mission import evaluate
+    from energyplan.report import number
+
+    asked = read_mission(file)
+    with _progress("evaluating the mission"):
+        told = evaluate(asked)
+    if report:
+        atomic_write(report, mission_page(told).html())
+    lines = ["mission feasible" if told.feasible else "mission not feasible as asked"]
+    for task in sorted(told.tasks, key=lambda task: task.verdict == "reachable"):
+        line = f"{task.name}: {task.verdict}"
+        if task.verdict == "unreachable":
+            line += f" ({task.reason.replace('_', ' ')}); {task.remedy}"
+        else:
+            line += f", state of charge after it {100 * task.soc_after:.0f} %"
+        lines.append(line)
+    lines.append(
+        f"energy: {number(told.energy / 3600)} Wh, at most {number(told.energy_upper / 3600)} Wh; "
+        f"state of charge at the end {100 * told.soc_end:.0f} %"
+    )
+    _answer(_documents.mission(told), lines, json=json)
+    _verdict(told.feasible, strict)
+
+
+@app.command(epilog="Example: energyplan demo --out demo")
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path("demo"),
+    json: Json = False,
+) -> None:
+    """Run the whole chain on input that comes with the library; makes pictures and a web page."""
+    from energyplan.demo import run
+
+    files = run(out, say=(lambda text: None) if json else _warn)
+    names = [str(name) for name in files]
+    _answer({"files": names}, [*names, f"open {out / 'index.html'} in a browser"], json=json)
+
+
+def main() -> None:
+    """Entry point: map errors to exit codes and one line on stderr."""
+    try:
+        code = app(standalone_mode=False)
+    except (TimeLimitError, MissingDependencyError) as error:
+        code = _fail(str(error), 1)
+    except (EnergyPlanError, OSError) as error:
+        code = _fail(str(error), 2)
+    except typer.TyperException as error:
+        code = _fail(error.format_message(), error.exit_code)
+    except typer.Exit as leave:
+        code = leave.exit_code
+    except (KeyboardInterrupt, typer.Abort):
+        code = _fail("interrupted; files are as they were", 130)
+    sys.exit(code or 0)
+
+
+def _fail(message: str, code: int) -> int:
+    _warn("energyplan: " + " ".join(message.split()))
+    return code

@@ -1,0 +1,34 @@
+"""Files that come with the library: its own maps, surfaces and missions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from energyplan.errors import UnknownNameError
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def bundled(name: str) -> Path:
+    """Return the path of a file that comes with the library.
+
+    Parameters
+    ----------
+    name : str
+        File name, such as ``"warehouse.yaml"``.
+
+    Returns
+    -------
+    Path
+        The file: in the installed package, or in ``maps/`` of a checkout.
+
+    Raises
+    ------
+    UnknownNameError
+        If the library has no such file.
+    """
+    folders = (_PACKAGE / "maps_data", _PACKAGE.parent / "maps")
+    files = {file.name: file for folder in folders if folder.is_dir() for file in folder.iterdir()}
+    if name not in files:
+        raise UnknownNameError("bundled file", name, files)
+    return files[name]

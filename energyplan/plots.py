@@ -1,0 +1,334 @@
+"""Pictures: functions that take matplotlib axes and return them.
+
+Every axis has its unit. Colours are those of Okabe and Ito, which colour-blind people tell apart;
+lines that may coincide differ in style as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+import matplotlib.colors
+import matplotlib.patches
+import matplotlib.transforms
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from energyplan.drivelog import DriveLog
+from energyplan.path import FloatArray, Path
+from energyplan.power import PowerModel
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from shapely.geometry import Polygon
+
+    from energyplan.feasibility import FeasibleRegion
+    from energyplan.maps import OccupancyGrid
+
+BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PURPLE = (
+    "#000000", "#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7",
+)  # fmt: skip
+"""Palette of Okabe and Ito (2008)."""
+
+
+def figure(rows: int = 1, columns: int = 1, *, size: tuple[float, float] = (8.0, 4.5)) -> Figure:
+    """Return an empty figure in the library's style, without a window.
+
+    Parameters
+    ----------
+    rows, columns : int
+        Grid of axes.
+    size : tuple of float
+        Width and height [inch].
+
+    Returns
+    -------
+    Figure
+        The figure; its axes are in ``figure.axes``, row by row.
+    """
+    made = Figure(figsize=size, layout="constrained")
+    for ax in made.subplots(rows, columns, squeeze=False).flat:
+        ax.grid(alpha=0.3)
+        ax.spines[["top", "right"]].set_visible(False)
+    return made
+
+
+def _label(ax: Axes, x: str, y: str, title: str) -> None:
+    ax.set(xlabel=x, ylabel=y)
+    ax.set_title(title, loc="left", fontsize="medium")
+
+
+def _legend(ax: Axes, outside: bool = False, **options: Any) -> None:
+    if outside:
+        options |= {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
+    ax.legend(frameon=False, fontsize="small", **options)
+
+
+def tread_speeds(ax: Axes, log: DriveLog) -> Axes:
+    """Draw the speeds of both sides over time."""
+    ax.plot(log.t, log.channel("v_left"), color=BLUE, lw=1.2, label="left")
+    ax.plot(log.t, log.channel("v_right"), color=ORANGE, lw=1.2, ls="--", label="right")
+    _label(ax, "time [s]", "tread speed [m/s]", "Tread speeds")
+    _legend(ax, ncols=2)
+    return ax
+
+
+def power_over_time(ax: Axes, log: DriveLog, models: Mapping[str, PowerModel]) -> Axes:
+    """Draw measured and predicted power over time.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    log : DriveLog
+        The drive.
+    models : mapping of str to PowerModel
+        Predictions by label.
+
+    Returns
+    -------
+    Axes
+        `ax`.
+    """
+    ax.plot(log.t, log.power, color="0.6", lw=0.8, label="measured")
+    for (label, model), (color, dash) in zip(models.items(), _LINES, strict=False):
+        motion = log.motion(model.vehicle.icr)
+        ax.plot(log.t, model.power(motion), color=color, ls=dash, lw=1.2, label=label)
+    _label(ax, "time [s]", "power [W]", "Power")
+    _legend(ax, ncols=3)
+    return ax
+
+
+def energy_over_time(ax: Axes, log: DriveLog, models: Mapping[str, PowerModel]) -> Axes:
+    """Draw measured and predicted energy since the start; arguments as in `power_over_time`."""
+    ax.plot(log.t, _integral(log.t, log.power) / 1e3, color="0.6", lw=2.5, label="measured")
+    for (label, model), (color, dash) in zip(models.items(), _LINES, strict=False):
+        power = model.power(log.motion(model.vehicle.icr))
+        ax.plot(log.t, _integral(log.t, power) / 1e3, color=color, ls=dash, lw=1.4, label=label)
+    _label(ax, "time [s]", "energy [kJ]", "Energy since the start")
+    _legend(ax)
+    return ax
+
+
+def prediction(log: DriveLog, models: Mapping[str, PowerModel], title: str = "") -> Figure:
+    """Draw tread speeds, power and energy of a drive, as in the paper's figures 6 to 9.
+
+    Parameters
+    ----------
+    log : DriveLog
+        A drive that the models were not fitted to.
+    models : mapping of str to PowerModel
+        Predictions by label.
+    title : str
+        Title of the figure.
+
+    Returns
+    -------
+    Figure
+        Three axes, one above the other.
+    """
+    made = figure(3, 1, size=(8.0, 8.0))
+    tread_speeds(made.axes[0], log)
+    power_over_time(made.axes[1], log, models)
+    energy_over_time(made.axes[2], log, models)
+    for ax in made.axes[:2]:
+        ax.set_xlabel("")
+    made.suptitle(title, x=0.01, ha="left", fontsize="large")
+    return made
+
+
+def residual_against(
+    ax: Axes,
+    channel: ArrayLike,
+    residuals: Mapping[str, ArrayLike],
+    label: str,
+    bins: int = 24,
+) -> Axes:
+    """Draw residuals against a channel: the samples, and the mean in equally filled bins.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    channel : array_like, shape (n,)
+        The channel.
+    residuals : mapping of str to array_like, shape (n,)
+        Measured minus predicted power [W] by label, such as before and after.
+    label : str
+        Name and unit of the channel.
+    bins : int
+        Number of bins.
+
+    Returns
+    -------
+    Axes
+        `ax`.
+    """
+    x = np.asarray(channel, float)
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, bins + 1)))
+    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
+    thin = slice(None, None, max(1, len(x) // 4000))
+    for (name, residual), (color, dash) in zip(residuals.items(), _LINES, strict=False):
+        r = np.asarray(residual, float)
+        ax.plot(x[thin], r[thin], ".", ms=2, color=color, alpha=0.15, rasterized=True)
+        used = np.unique(place)
+        centre = [x[place == k].mean() for k in used]
+        mean = [r[place == k].mean() for k in used]
+        ax.plot(centre, mean, color=color, ls=dash, marker="o", ms=3, label=f"{name} (bin mean)")
+    ax.axhline(0, color=BLACK, lw=0.8)
+    _label(ax, label, "measured - predicted [W]", f"Residual against {label}")
+    _legend(ax)
+    return ax
+
+
+def occupancy(ax: Axes, grid: OccupancyGrid) -> Axes:
+    """Draw a map's occupied cells."""
+    x, y, yaw = (float(v) for v in grid.origin)
+    rows, columns = grid.occupied.shape
+    image = ax.imshow(
+        np.where(grid.occupied, 0.25, 1.0),
+        cmap="gray", vmin=0, vmax=1, origin="lower", interpolation="nearest",
+        extent=(0.0, columns * grid.resolution, 0.0, rows * grid.resolution),
+    )  # fmt: skip
+    turn = mpl.transforms.Affine2D().rotate(yaw).translate(x, y)
+    image.set_transform(turn + ax.transData)
+    corners = np.array([(0, 0), (columns, 0), (0, rows), (columns, rows)]) * grid.resolution
+    placed = turn.transform(corners)
+    ax.set_xlim(placed[:, 0].min(), placed[:, 0].max())
+    ax.set_ylim(placed[:, 1].min(), placed[:, 1].max())
+    ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    ax.grid(visible=False)
+    return ax
+
+
+def route(
+    ax: Axes, path: Path, label: str, color: str = BLUE, dash: str = "-", arrows: bool = True
+) -> Axes:
+    """Draw a path, its start and, with `arrows`, its headings."""
+    poses = path.poses()
+    ax.plot(poses[:, 0], poses[:, 1], color=color, ls=dash, lw=2, label=label)
+    ax.plot(*poses[0, :2], "o", color=color, ms=5)
+    if arrows:
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+        marks = np.searchsorted(along, np.linspace(0, along[-1], 8)).clip(0, len(poses) - 1)
+        ax.quiver(
+            poses[marks, 0], poses[marks, 1], np.cos(poses[marks, 2]), np.sin(poses[marks, 2]),
+            color=color, angles="xy", scale=30, width=0.004, zorder=3,
+        )  # fmt: skip
+    return ax
+
+
+def routes(
+    grid: OccupancyGrid,
+    paths: Mapping[str, Path],
+    title: str = "",
+    surfaces: Sequence[tuple[str, Polygon]] = (),
+) -> Figure:
+    """Draw routes on a map.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        The map.
+    paths : mapping of str to Path
+        Routes by label.
+    title : str
+        Title of the figure.
+    surfaces : sequence of (name, shapely polygon)
+        Ground to colour.
+
+    Returns
+    -------
+    Figure
+        One axes.
+    """
+    rows, columns = grid.occupied.shape
+    height = float(np.clip(8.0 * rows / columns + 1.0, 3.0, 9.0))
+    made = figure(size=(9.0, height))
+    ax = occupancy(made.axes[0], grid)
+    _surfaces(ax, surfaces)
+    for (label, path), (color, dash) in zip(paths.items(), _LINES, strict=False):
+        route(ax, path, label, color, dash)
+    ax.set_title(title, loc="left", fontsize="medium")
+    _legend(ax, outside=True)
+    return made
+
+
+def _surfaces(ax: Axes, surfaces: Sequence[tuple[str, Polygon]]) -> None:
+    tints = (SKY, ORANGE, GREEN, PURPLE, YELLOW)
+    for k, (name, polygon) in enumerate(surfaces):
+        ring = np.asarray(polygon.exterior.coords)
+        ax.fill(ring[:, 0], ring[:, 1], color=tints[k % len(tints)], alpha=0.2, lw=0, label=name)
+
+
+def breakdown(ax: Axes, parts: Mapping[str, Mapping[str, float]]) -> Axes:
+    """Draw joules by term, one stacked bar per plan.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    parts : mapping of str to mapping of str to float
+        For each plan's label the energy of each term [J].
+
+    Returns
+    -------
+    Axes
+        `ax`.
+    """
+    names = list(dict.fromkeys(name for part in parts.values() for name in part))
+    below = np.zeros(len(parts))
+    colors = (BLUE, ORANGE, GREEN, PURPLE, SKY, RED, YELLOW)
+    for k, name in enumerate(names):
+        values = np.array([part.get(name, 0.0) for part in parts.values()]) / 1e3
+        ax.barh(
+            list(parts), values, left=below, color=colors[k % len(colors)],
+            label=name.replace("_", " "),
+        )  # fmt: skip
+        below = below + values
+    _label(ax, "energy [kJ]", "", "Energy by term")
+    _legend(ax, outside=True)
+    return ax
+
+
+def feasible_region(ax: Axes, region: FeasibleRegion) -> Axes:
+    """Draw which curvatures and speeds the motors can drive for ever, for a while, or not.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    region : FeasibleRegion
+        Result of `energyplan.feasibility.feasible_region`.
+
+    Returns
+    -------
+    Axes
+        `ax`.
+    """
+    level = region.sustained.astype(float) + region.brief
+    shades = mpl.colors.ListedColormap(["0.85", YELLOW, GREEN])
+    ax.pcolormesh(
+        region.curvature, region.speed, level.T, cmap=shades, vmin=0, vmax=2, alpha=0.7,
+        shading="nearest", rasterized=True,
+    )  # fmt: skip
+    ax.plot(region.curvature, region.max_speed, color=BLACK, lw=1.2)
+    handles = [
+        mpl.patches.Patch(color=color, alpha=0.7, label=label)
+        for color, label in ((GREEN, "for ever"), (YELLOW, "for a while"), ("0.85", "not at all"))
+    ]
+    _legend(ax, outside=True, handles=handles)
+    _label(ax, "curvature [1/m]", "speed [m/s]", "What the motors can drive")
+    ax.grid(visible=False)
+    return ax
+
+
+_LINES = ((BLUE, "-"), (RED, "--"), (GREEN, "-."), (PURPLE, ":"))
+
+
+def _integral(t: FloatArray, power: FloatArray) -> FloatArray:
+    steps = 0.5 * (power[1:] + power[:-1]) * np.diff(t)
+    return np.concatenate([[0.0], np.cumsum(steps)])

@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+
+from energyplan import plots, simulate
+from energyplan.path import Path, Pose
+from energyplan.power import PowerModel
+
+MODEL = PowerModel.preset("quadriga:empty:marble")
+
+
+def assert_axes_have_units(ax: Axes) -> None:
+    for label in (ax.get_xlabel(), ax.get_ylabel()):
+        assert re.search(r"\[.+\]$", label), f"axis label {label!r} lacks its unit"
+
+
+def test_prediction_shows_speeds_power_and_energy() -> None:
+    log = simulate.drive(MODEL, "figure8", power_noise=5.0)
+    figure = plots.prediction(log, {"model": MODEL}, "Figure-8")
+    speeds, power, energy = figure.axes
+    assert [ax.get_title(loc="left") for ax in figure.axes] == [
+        "Tread speeds",
+        "Power",
+        "Energy since the start",
+    ]
+    assert_axes_have_units(energy)
+    measured, predicted = power.get_lines()
+    assert measured.get_ydata() == pytest.approx(log.power)
+    assert predicted.get_ydata() == pytest.approx(MODEL.power(log.motion(MODEL.vehicle.icr)))
+    drawn = np.asarray(energy.get_lines()[0].get_ydata(), float)
+    assert drawn[-1] == pytest.approx(np.trapezoid(log.power, log.t) / 1e3)
+    assert len(speeds.get_lines()) == 2
+
+
+def test_bin_means_of_the_residual() -> None:
+    rng = np.random.default_rng(0)
+    x = rng.uniform(0, 1, 4000)
+    ax = plots.figure().axes[0]
+    plots.residual_against(ax, x, {"before": 3 * x}, "slope [rad]", bins=10)
+    means = ax.get_lines()[1]
+    assert np.asarray(means.get_ydata()) == pytest.approx(3 * np.asarray(means.get_xdata()))
+    assert_axes_have_units(ax)
+
+
+def test_a_constant_channel_is_one_bin() -> None:
+    ax = plots.figure().axes[0]
+    plots.residual_against(ax, np.ones(50), {"before": np.arange(50.0)}, "slope [rad]")
+    assert np.asarray(ax.get_lines()[1].get_ydata()) == pytest.approx([24.5])
+
+
+def test_route_ends_where_the_path_ends() -> None:
+    path = Path(Pose(1, 2, 0), [1.0, 0.5], [0.0, 1.0])
+    ax = plots.figure().axes[0]
+    plots.route(ax, path, "route")
+    line = ax.get_lines()[0]
+    assert line.get_xdata()[-1] == pytest.approx(path.end.x)
+    assert line.get_ydata()[-1] == pytest.approx(path.end.y)
+
+
+def test_breakdown_bars_add_up() -> None:
+    ax = plots.figure().axes[0]
+    plots.breakdown(ax, {"a": {"slip": 1000.0, "roll": 500.0}, "b": {"slip": 200.0}})
+    reach = max(bar.get_x() + bar.get_width() for bar in ax.patches)
+    assert reach == pytest.approx(1.5)
