@@ -1,0 +1,260 @@
+"""What is wrong with a drive log's samples: cleaning, with a count of what was set aside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from energyplan.errors import DriveLogError
+from energyplan.path import FloatArray
+
+Place = Callable[[int], str]
+
+LIMITS = {
+    "v_left": (-20.0, 20.0, "m/s"),
+    "v_right": (-20.0, 20.0, "m/s"),
+    "p_left": (-5e4, 5e4, "W"),
+    "p_right": (-5e4, 5e4, "W"),
+    "power": (-1e5, 1e5, "W"),
+    "voltage": (0.0, 1500.0, "V"),
+    "current": (-2000.0, 2000.0, "A"),
+    "x": (-1e8, 1e8, "m"),
+    "y": (-1e8, 1e8, "m"),
+    "yaw": (-1e6, 1e6, "rad"),
+    "yaw_rate": (-20.0, 20.0, "rad/s"),
+    "slope": (-1.2, 1.2, "rad"),
+    "accel_x": (-200.0, 200.0, "m/s^2"),
+    "temperature": (-100.0, 300.0, "degC"),
+    "payload": (0.0, 1e5, "kg"),
+}
+"""Range in which a reading is possible at all, by channel."""
+_OTHER_UNIT = {"rad": "deg", "rad/s": "deg/s", "m/s": "km/h", "V": "mV", "A": "mA", "W": "mW"}
+_STRAY = 0.01  # share of readings out of range that is taken for glitches, not for a wrong unit
+_BRIDGE = 1.0  # longest hole in a further channel that is bridged by interpolation [s]
+_SPARSE = 0.1  # share of rows that may be set aside for want of a further channel
+
+
+@dataclass(frozen=True)
+class SetAside:
+    """Samples that a log left out or mended, and why.
+
+    Parameters
+    ----------
+    reason : str
+        What was wrong with them, and what was done.
+    count : int
+        How many samples.
+    where : str
+        Where the first ones were.
+    """
+
+    reason: str
+    count: int
+    where: str
+
+    def __str__(self) -> str:
+        return f"{self.count} samples: {self.reason} ({self.where})"
+
+
+@dataclass(frozen=True)
+class Cleaned:
+    """Channels fit for a log, and what was done to get them."""
+
+    channels: dict[str, FloatArray]
+    rows: NDArray[np.intp]
+    set_aside: list[SetAside]
+    warnings: list[str]
+
+
+def gap_limit(t: FloatArray) -> float:
+    """Longest time step that still counts as continuous [s]."""
+    steps = np.diff(t)
+    # The lower median: of two steps, one may be the gap.
+    return max(4.0 * float(np.quantile(steps, 0.5, method="lower")), 0.2)
+
+
+def find_runs(t: FloatArray) -> list[slice]:
+    """Stretches of samples without a gap."""
+    cuts = np.flatnonzero(np.diff(t) > gap_limit(t)) + 1
+    bounds = [0, *(int(cut) for cut in cuts), len(t)]
+    return [slice(a, b) for a, b in pairwise(bounds)]
+
+
+def needed_channels(names: Collection[str], label: str) -> tuple[str, ...]:
+    """Channels without which a sample is of no use: time, tread speeds and power.
+
+    Parameters
+    ----------
+    names : collection of str
+        The channels there are.
+    label : str
+        Name of the log.
+
+    Returns
+    -------
+    tuple of str
+        ``t``, ``v_left``, ``v_right`` and those that tell the power.
+
+    Raises
+    ------
+    DriveLogError
+        If one is missing.
+    """
+    there = ", ".join(sorted(names)[:20]) or "nothing"
+    for channel in ("t", "v_left", "v_right"):
+        if channel not in names:
+            raise DriveLogError(
+                f"{label}: the channel {channel!r} is missing; the log has {there}; map a column to"
+                f" it, such as {channel}=NAME"
+            )
+    for way in (("p_left", "p_right"), ("power",), ("voltage", "current")):
+        if all(channel in names for channel in way):
+            return ("t", "v_left", "v_right", *way)
+    raise DriveLogError(
+        f"{label}: power is missing; give p_left and p_right, or power, or voltage and current; "
+        f"the log has {there}"
+    )
+
+
+def clean(columns: Mapping[str, ArrayLike], label: str, place: Place) -> Cleaned:
+    """Set aside what cannot be used, and refuse what cannot be mended.
+
+    Parameters
+    ----------
+    columns : mapping of str to array_like, shape (n,)
+        Channels in the library's units; NaN where there is no reading.
+    label : str
+        Name of the log.
+    place : callable
+        Names the place of a row.
+
+    Returns
+    -------
+    Cleaned
+        Channels of finite numbers over increasing time.
+
+    Raises
+    ------
+    DriveLogError
+        If a channel is missing or mostly out of range, or time does not increase.
+    """
+    needed = needed_channels(columns, label)
+    channels = {name: np.array(values, float) for name, values in columns.items()}
+    shapes = {values.shape for values in channels.values()}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 1:
+        raise DriveLogError(f"{label}: channels have shapes {shapes}; give rows of equal length")
+    cleaner = _Cleaner(channels, label, place)
+    for name in channels:
+        cleaner.blank_strays(name)
+    for name in needed:
+        cleaner.drop(
+            ~np.isfinite(cleaner.channels[name]), f"{name} has no usable reading; left out"
+        )
+    cleaner.order()
+    for name in [name for name in channels if name not in needed]:
+        cleaner.bridge(name)
+    if len(cleaner.rows) < 2:
+        told = "; ".join(str(item) for item in cleaner.aside)
+        raise DriveLogError(
+            f"{label}: {len(cleaner.rows)} usable samples are left, two are needed. {told}"
+        )
+    return Cleaned(cleaner.channels, cleaner.rows, cleaner.aside, cleaner.warnings)
+
+
+class _Cleaner:
+    """Channels on their way to a log; each step keeps count of what it takes away."""
+
+    def __init__(self, channels: dict[str, FloatArray], label: str, place: Place) -> None:
+        self.channels, self.label, self.place = channels, label, place
+        self.rows = np.arange(len(channels["t"]))
+        self.aside: list[SetAside] = []
+        self.warnings: list[str] = []
+
+    def note(self, lost: NDArray[np.bool_], reason: str) -> None:
+        """Count samples."""
+        if np.any(lost):
+            where = self.where(lost)
+            self.aside.append(SetAside(reason, int(np.count_nonzero(lost)), where))
+
+    def where(self, chosen: NDArray[np.bool_]) -> str:
+        """Name the first few of the chosen samples."""
+        some = self.rows[np.flatnonzero(chosen)[:4]]
+        names = ", ".join(self.place(int(row)) for row in some[:3])
+        return f"{names}, ..." if len(some) > 3 else names
+
+    def drop(self, lost: NDArray[np.bool_], reason: str) -> None:
+        """Take samples away."""
+        if np.any(lost):
+            self.note(lost, reason)
+            self.channels = {name: values[~lost] for name, values in self.channels.items()}
+            self.rows = self.rows[~lost]
+
+    def blank_strays(self, name: str) -> None:
+        """Blank the few readings that are impossible; many of them mean a wrong unit."""
+        low, high, unit = LIMITS.get(name, (-np.inf, np.inf, ""))
+        values = self.channels[name]
+        stray = (values < low) | (values > high)
+        count = int(np.count_nonzero(stray))
+        if count > max(1.0, _STRAY * len(values)):
+            value = float(values[stray][0])
+            raise DriveLogError(
+                f"{self.label}, {self.where(stray)}: {name} is {value:g} {unit}, which no robot "
+                f"reaches; {count} of {len(values)} readings are outside {low:g} to {high:g} "
+                f"{unit}; name its unit, as in {name}=NAME[{_OTHER_UNIT.get(unit, '*0.001')}]"
+            )
+        self.note(stray, f"{name} is outside {low:g} to {high:g} {unit}; blanked")
+        values[stray] = np.nan
+
+    def order(self) -> None:
+        """Drop repeated rows; refuse time that stands still or runs backwards."""
+        t = self.channels["t"]
+        if len(t) < 2:
+            return
+        again = np.ones(len(t) - 1, bool)
+        for values in self.channels.values():
+            again &= (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
+        self.drop(np.append(False, again), "the row repeats the one before; left out")
+        t = self.channels["t"]
+        back = np.append(False, np.diff(t) <= 0)
+        if np.any(back):
+            k = int(np.flatnonzero(back)[0])
+            raise DriveLogError(
+                f"{self.label}, {self.where(back)}: t does not increase: {t[k]:.6f} s follows "
+                f"{t[k - 1]:.6f} s ({np.count_nonzero(back)} such steps); sort the rows by time "
+                "and drop those with a time of another row"
+            )
+
+    def bridge(self, name: str) -> None:
+        """Fill short holes of a further channel; leave it out where most of it is missing."""
+        values, t = self.channels[name], self.channels["t"]
+        hole = ~np.isfinite(values)
+        if not np.any(hole):
+            return
+        known = np.flatnonzero(~hole)
+        if len(known):
+            after = np.minimum(np.searchsorted(known, np.arange(len(t))), len(known) - 1)
+            before = np.maximum(after - 1, 0)
+            width = t[known[after]] - t[known[before]]
+            inside = (t >= t[known[0]]) & (t <= t[known[-1]]) & (width <= _BRIDGE)
+            mended = hole & inside
+            known_values = values[known]
+            if name == "yaw":
+                known_values = np.unwrap(known_values)
+            filled = values.copy()
+            filled[mended] = np.interp(t[mended], t[known], known_values)
+            if name == "yaw":
+                filled[known] = known_values
+            self.note(mended, f"{name} has no usable reading; interpolated")
+            self.channels[name], hole = filled, hole & ~mended
+        share = np.count_nonzero(hole) / max(1, len(hole))
+        if share > _SPARSE:
+            self.warnings.append(
+                f"{name} is left out: {share:.0%} of its readings are missing ({self.where(hole)})"
+            )
+            del self.channels[name]
+        else:
+            self.drop(hole, f"{name} has no usable reading for more than {_BRIDGE:g} s; left out")

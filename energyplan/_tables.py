@@ -1,0 +1,272 @@
+"""Tables of numbers from CSV, gzipped CSV and Parquet, with the place of every complaint."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import warnings
+import zlib
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
+
+import numpy as np
+import pandas as pd
+
+from energyplan.errors import InvalidInputError, MissingDependencyError
+from energyplan.path import FloatArray
+
+if TYPE_CHECKING:
+    from _typeshed import WriteableBuffer
+
+MAX_COLUMNS = 4096
+"""Widest table that is read."""
+MAX_HEADER = 1 << 18
+"""Longest header line that is read [bytes]."""
+MAX_BYTES = 1 << 31
+"""Largest table that is read, after decompression [bytes]."""
+MAX_CELLS = 100_000_000
+"""Most cells that are read."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of numbers, and where they came from.
+
+    Parameters
+    ----------
+    source : str
+        Name of the file, for messages.
+    columns : mapping of str to ndarray, shape (n,)
+        The columns that hold numbers; an empty cell is NaN.
+    text : mapping of str to str
+        The other columns, each with the place and content of its first cell that is no number.
+    first : int
+        Number of the first row of data.
+    unit : str
+        What that number counts: ``"line"`` of a text file or ``"row"`` of another.
+    error : type
+        Error to raise for bad content.
+    """
+
+    source: str
+    columns: Mapping[str, FloatArray]
+    text: Mapping[str, str]
+    first: int
+    unit: str
+    error: type[InvalidInputError]
+
+    def place(self, row: int) -> str:
+        """Name the place of a row, such as ``"line 12"``."""
+        return f"{self.unit} {self.first + row}"
+
+    def column(self, name: str) -> FloatArray:
+        """Return a column.
+
+        Raises
+        ------
+        InvalidInputError
+            If there is no such column or it holds text.
+        """
+        if name in self.columns:
+            return self.columns[name]
+        if name in self.text:
+            raise self.error(
+                f"{self.source}, {self.text[name]}, which is no number; correct the cell or map "
+                "another column"
+            )
+        there = ", ".join([*self.columns, *self.text][:20])
+        raise self.error(f"{self.source}: there is no column {name!r}; the columns are {there}")
+
+
+def read_table(path: str | Path, error: type[InvalidInputError]) -> Table:
+    """Read a table of numbers with one row of column names.
+
+    Parameters
+    ----------
+    path : str or Path
+        A ``.csv``, ``.csv.gz``, ``.parquet`` or ``.pq`` file.
+    error : type
+        Error to raise for bad content.
+
+    Returns
+    -------
+    Table
+        The table.
+
+    Raises
+    ------
+    InvalidInputError
+        As the given `error`: the file is missing, malformed or absurdly large.
+    MissingDependencyError
+        If a Parquet file is read without pyarrow.
+    """
+    file = Path(path)
+    suffix = file.suffix.lower()
+    try:
+        if suffix in (".parquet", ".pq"):
+            return _read_parquet(file, error)
+        if suffix == ".gz":
+            with file.open("rb") as raw:
+                return _read_csv(_Unzipped(raw, file, error), file, error)
+        if suffix == ".csv":
+            if file.stat().st_size > MAX_BYTES:
+                raise error(f"{file} is larger than {MAX_BYTES >> 20} MiB; split it")
+            with file.open("rb") as raw:
+                return _read_csv(raw, file, error)
+    except OSError as problem:
+        raise error(f"{file} cannot be read: {problem.strerror or problem}") from None
+    raise error(f"{file} is of an unknown type; give a .csv, .csv.gz or .parquet file")
+
+
+class _Unzipped(io.RawIOBase):
+    """A gzip file, read with an end to its size: a few bytes can hold terabytes."""
+
+    def __init__(self, raw: BinaryIO, file: Path, error: type[InvalidInputError]) -> None:
+        super().__init__()
+        self._stream = gzip.GzipFile(fileobj=raw)
+        self._file, self._error, self._left = file, error, MAX_BYTES
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: WriteableBuffer, /) -> int:
+        view = memoryview(buffer).cast("B")
+        try:
+            count = self._stream.readinto(view)
+        except (gzip.BadGzipFile, EOFError, zlib.error) as problem:
+            raise self._error(
+                f"{self._file} is no sound gzip file ({problem}); copy or compress it anew"
+            ) from None
+        self._left -= count
+        if self._left < 0:
+            raise self._error(
+                f"{self._file} holds more than {MAX_BYTES >> 20} MiB of text; split it"
+            )
+        return count
+
+
+def _header(line: bytes, file: Path, error: type[InvalidInputError]) -> list[str]:
+    """Parse the line of column names."""
+    if len(line) > MAX_HEADER:
+        raise error(f"{file}, line 1 is longer than {MAX_HEADER >> 10} KiB; it must name columns")
+    try:
+        text = line.decode("utf-8-sig").rstrip("\r\n")
+    except UnicodeDecodeError as problem:
+        raise error(f"{file}, line 1, byte {problem.start} is no UTF-8 text; save it so") from None
+    if "\0" in text:
+        raise error(f"{file}, line 1 holds a NUL byte; this is no text file")
+    try:
+        names = [name.strip() for name in next(csv.reader([text]), [])]
+    except csv.Error as problem:
+        raise error(f"{file}, line 1 is no line of column names: {problem}") from None
+    if not any(names):
+        raise error(f"{file} is empty; line 1 must name the columns")
+    if len(names) > MAX_COLUMNS:
+        raise error(f"{file} has {len(names)} columns; at most {MAX_COLUMNS} are read")
+    if all(_is_number(name) for name in names):
+        raise error(f"{file}, line 1 holds numbers; put a line of column names before it")
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise error(f"{file}, line 1 names the column {twice[0]!r} twice; rename one")
+    for mark in (";", "\t"):
+        if len(names) == 1 and mark in text:
+            raise error(f"{file}, line 1 separates columns by {mark!r}; separate them by commas")
+    return names
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _read_csv(raw: BinaryIO | io.RawIOBase, file: Path, error: type[InvalidInputError]) -> Table:
+    stream = io.BufferedReader(raw) if isinstance(raw, io.RawIOBase) else raw
+    names = _header(stream.readline(MAX_HEADER + 1), file, error)
+    most = MAX_CELLS // len(names)
+    try:
+        with warnings.catch_warnings():
+            # Rows wider than the header would lose their surplus with no more than a warning.
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            frame = pd.read_csv(
+                stream,
+                header=None,
+                names=names,
+                index_col=False,
+                skip_blank_lines=False,  # so that rows keep their line numbers
+                skipinitialspace=True,
+                low_memory=False,
+                nrows=most + 1,
+            )
+    except pd.errors.EmptyDataError:
+        frame = pd.DataFrame({name: np.zeros(0) for name in names})
+    except pd.errors.ParserWarning:
+        raise error(
+            f"{file}: rows have more cells than the {len(names)} names of line 1; name every column"
+        ) from None
+    except pd.errors.ParserError as problem:
+        raise error(f"{file} is no table: {_with_line(str(problem))}") from None
+    except UnicodeDecodeError as problem:
+        raise error(f"{file} is no UTF-8 text ({problem.reason}); save it as such") from None
+    if len(frame) > most:
+        raise error(f"{file} has more than {most} rows of {len(names)} columns; split it")
+    return _table(frame, file, 2, "line", error)
+
+
+def _with_line(problem: str) -> str:
+    """Count the parser's complaint from the file's line 1, which it did not see."""
+    text = problem.strip().removeprefix("Error tokenizing data. C error: ")
+    head, found, tail = text.partition(" in line ")
+    number, _, rest = tail.partition(",")
+    return f"{head} in line {int(number) + 1},{rest}" if found and number.isdecimal() else text
+
+
+def _read_parquet(file: Path, error: type[InvalidInputError]) -> Table:
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError:
+        raise MissingDependencyError(
+            f"reading {file} needs pyarrow; install it with pip install 'energyplan[parquet]'"
+        ) from None
+    try:
+        with pq.ParquetFile(file) as parquet:
+            shape = parquet.metadata.num_rows, parquet.metadata.num_columns
+            if shape[1] > MAX_COLUMNS or shape[0] * shape[1] > MAX_CELLS:
+                raise error(f"{file} has {shape[0]} rows of {shape[1]} columns; split it")
+            frame = parquet.read().to_pandas(ignore_metadata=True)
+    except (pa.ArrowException, pa.ArrowInvalid, OSError) as problem:
+        first = (str(problem).splitlines() or [""])[0]
+        raise error(f"{file} is no sound Parquet file: {first}") from None
+    return _table(frame, file, 1, "row", error)
+
+
+def _table(
+    frame: pd.DataFrame, file: Path, first: int, unit: str, error: type[InvalidInputError]
+) -> Table:
+    """Sort the columns into numbers and text."""
+    numbers: dict[str, FloatArray] = {}
+    text: dict[str, str] = {}
+    for name, series in frame.items():
+        label = str(name)
+        if pd.api.types.is_datetime64_any_dtype(series):
+            stamps = series.to_numpy("datetime64[ns]")
+            seconds = (stamps - np.datetime64(0, "ns")) / np.timedelta64(1, "s")
+            numbers[label] = np.asarray(seconds, float)
+            continue
+        if series.dtype == object:  # text among numbers, or integers beyond 64 bits
+            series = series.astype("string")
+        values = pd.to_numeric(series, errors="coerce").to_numpy(float, na_value=np.nan)
+        bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
+        if len(bad):
+            k = int(bad[0])
+            text[label] = f"{unit} {first + k}: {label!r} is {str(series.iloc[k])[:40]!r}"
+        else:
+            numbers[label] = values
+    return Table(file.name, numbers, text, first, unit, error)

@@ -1,0 +1,542 @@
+"""Drive logs: what is refused, what is mended and counted, and parts that keep the energy."""
+
+from __future__ import annotations
+
+import gzip
+import pickle
+import re
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.signal import savgol_filter
+
+from energyplan import _tables
+from energyplan._columns import UNITS, parse_columns
+from energyplan._plausible import find_offset
+from energyplan._smooth import derivative
+from energyplan.drivelog import DriveLog
+from energyplan.effects import ANGULAR_INERTIA, LINEAR_INERTIA
+from energyplan.errors import DriveLogError, EnergyPlanError, MissingChannelError
+from energyplan.power import PowerModel
+from energyplan.simulate import Leg, drive, identification_drive
+from energyplan.vehicle import TreadICR
+
+
+@pytest.fixture(scope="module")
+def model():
+    return PowerModel.preset("quadriga:full:concrete")
+
+
+@pytest.fixture(scope="module")
+def noisy(model):
+    """A drive with the noise of real sensors."""
+    return identification_drive(model, power_noise=5.0, speed_noise=0.005, seed=1)
+
+
+@pytest.fixture
+def raw(noisy):
+    """Its channels, free to spoil."""
+    return {name: values.copy() for name, values in noisy.channels.items()}
+
+
+def write(tmp_path, text, name="drive.csv"):
+    file = tmp_path / name
+    data = text.encode() if isinstance(text, str) else text
+    file.write_bytes(gzip.compress(data) if name.endswith(".gz") else data)
+    return file
+
+
+def csv_text(channels, **renamed):
+    names = [renamed.get(name, name) for name in channels]
+    rows = np.column_stack(list(channels.values()))
+    lines = [",".join(repr(float(value)) for value in row) for row in rows]
+    return "\n".join([",".join(names), *lines]) + "\n"
+
+
+# -- reading ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["drive.csv", "drive.csv.gz"])
+def test_text_files_hold_what_was_written(tmp_path, noisy, name):
+    log = DriveLog.read(write(tmp_path, csv_text(noisy.channels), name))
+    assert set(log.channels) == set(noisy.channels)
+    for channel, values in noisy.channels.items():
+        assert_array_equal(log.channels[channel], values)
+    assert log.set_aside == ()
+    assert log.warnings == ()
+
+
+def test_parquet_holds_what_was_written(tmp_path, noisy):
+    pandas = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    file = tmp_path / "drive.parquet"
+    pandas.DataFrame(dict(noisy.channels)).to_parquet(file)
+    log = DriveLog.read(file)
+    for channel, values in noisy.channels.items():
+        assert_array_equal(log.channels[channel], values)
+
+
+def test_columns_are_mapped_and_converted(tmp_path, noisy):
+    raw = dict(noisy.channels)
+    foreign = {
+        **raw,
+        "t": 1e3 * raw["t"],
+        "yaw": np.degrees(raw["yaw"]),
+        "v_left": raw["v_left"] / 0.165,
+        "p_left": -1e-3 * raw["p_left"],
+    }
+    names = {"t": "stamp", "yaw": "heading", "v_left": "wheel L", "p_left": "PL"}
+    file = write(tmp_path, csv_text(foreign, **names))
+    text = "t=stamp[ms], yaw=heading[deg],v_left=wheel L[*0.165],p_left=PL[-kW]"
+    mapping = {
+        "t": "stamp[ms]",
+        "yaw": "heading[deg]",
+        "v_left": "wheel L[*0.165]",
+        "p_left": "PL[-kW]",
+    }
+    for columns in (text, mapping):
+        log = DriveLog.read(file, columns)
+        for channel, values in raw.items():
+            assert_allclose(log.channels[channel], values, rtol=1e-12, atol=1e-12)
+        assert not set(names.values()) & set(log.channels)
+
+
+def test_every_unit_is_a_positive_multiple_of_the_first():
+    for channel, units in UNITS.items():
+        assert next(iter(units.values())) == 1.0
+        for unit in units:
+            column = parse_columns({channel: f"name[{unit}]"})[channel]
+            assert column.scale.factor > 0
+            assert parse_columns({channel: f"name[-{unit}]"})[channel].scale.factor < 0
+    fahrenheit = parse_columns("temperature=T[degF]")["temperature"].scale
+    assert 212.0 * fahrenheit.factor + fahrenheit.offset == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ("v_left", "CHANNEL=COLUMN"),
+        ("v_left=", "CHANNEL=COLUMN"),
+        ("yaw=a[deg", "CHANNEL=COLUMN"),
+        ("yaw=a[m/s]", "rad, deg"),
+        ("yaw=a,yaw=b", "twice"),
+        ("v_left=a[*zero]", "factor"),
+        ("v_left=a[*0]", "factor"),
+        ("mine=a[deg]", "factor"),
+        ("v_left=nowhere", "columns are t,"),
+    ],
+)
+def test_bad_mappings_are_refused(tmp_path, noisy, columns, words):
+    file = write(tmp_path, csv_text(noisy.segment(0.0, 5.0).channels))
+    with pytest.raises(DriveLogError, match=words):
+        DriveLog.read(file, columns)
+
+
+HEAD = "t,v_left,v_right,power\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("", "is empty"),
+        ("\n", "is empty"),
+        (HEAD, "0 usable samples"),
+        (HEAD + "0,1,1,5\n", "1 usable samples"),
+        ("0,1,1,5\n1,1,1,5\n", "line 1 holds numbers"),
+        (HEAD.replace(",", ";") + "0;1;1;5\n", "by commas"),
+        ("t,v_left,v_left,power\n0,1,1,5\n", "'v_left' twice"),
+        ("t,v_left,power\n0,1,5\n1,1,5\n", "'v_right' is missing"),
+        ("t,v_left,v_right\n0,1,5\n1,1,5\n", "power is missing"),
+        (HEAD + "0,1,1,5\n1,1,oops,5\n", "line 3: 'v_right' is 'oops'"),
+        (HEAD + "0,1,1,5\n1,1,1,5\n\n0.5,1,1,5\n", "line 5: t does not increase"),
+        (HEAD + "0,1,1,5\n1,1,1,5\n1,1,1,6\n", "line 4: t does not increase"),
+        (HEAD + "0,1,1,5,9\n1,1,1,5,9\n", "more cells"),
+        (HEAD + "0,1,1,5\n1,1,1,5,9\n", "in line 3"),
+        (HEAD + '0,1,1,"5\n', "no table"),
+        (b"\xff\xfe\x00", "UTF-8"),
+        (HEAD.encode() + b"0,1,\xff,5\n", "UTF-8"),
+        (b"t\x00,v_left\n", "NUL"),
+        (HEAD + "0,30,1,5\n1,30,1,5\n2,30,1,5\n", "line 2, line 3, line 4: v_left is 30 m/s"),
+        (HEAD + "0,1,1,5\n60,1,1,5\n120,1,1,5\n", "time step of t is 60 s"),
+    ],
+)
+def test_malformed_text_is_refused_with_its_place(tmp_path, content, words):
+    with pytest.raises(DriveLogError, match=words) as caught:
+        DriveLog.read(write(tmp_path, content))
+    assert "drive.csv" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["drive.csv.gz", "drive.parquet", "drive.txt", "missing"])
+def test_files_of_another_kind_are_refused(tmp_path, name):
+    file = tmp_path / name
+    if name != "missing":
+        file.write_bytes(b"PAR1 this is nothing of the kind")
+    with pytest.raises(DriveLogError, match=name):
+        DriveLog.read(file)
+
+
+def test_truncated_and_exploding_gzip_are_refused(tmp_path, monkeypatch):
+    text = (HEAD + "".join(f"{k},1,1,5\n" for k in range(20000))).encode()
+    cut = tmp_path / "cut.csv.gz"
+    cut.write_bytes(gzip.compress(text)[:-40])
+    with pytest.raises(DriveLogError, match="sound gzip"):
+        DriveLog.read(cut)
+    monkeypatch.setattr(_tables, "MAX_BYTES", 1 << 20)
+    bomb = tmp_path / "bomb.csv.gz"
+    bomb.write_bytes(gzip.compress(HEAD.encode() + b"0" * (1 << 24)))
+    assert bomb.stat().st_size < 1 << 15
+    with pytest.raises(DriveLogError, match="more than 1 MiB"):
+        DriveLog.read(bomb)
+
+
+def test_absurdly_wide_and_long_tables_are_refused(tmp_path, monkeypatch):
+    with pytest.raises(DriveLogError, match="5001 columns"):
+        DriveLog.read(write(tmp_path, "a," * 5000 + "\n"))
+    with pytest.raises(DriveLogError, match="line 1 is longer"):
+        DriveLog.read(write(tmp_path, "column," * 1_000_000))
+    monkeypatch.setattr(_tables, "MAX_CELLS", 40)
+    with pytest.raises(DriveLogError, match="more than 10 rows"):
+        DriveLog.read(write(tmp_path, HEAD + "".join(f"{k},1,1,5\n" for k in range(11))))
+
+
+CELL = st.one_of(
+    st.floats().map(repr),
+    st.sampled_from(["", "nan", "-", '"', "1e999", "0x1", "\x00", "'", "1 2", "TRUE", "inf"]),
+    st.just("9" * 400),
+    st.text(max_size=5),
+)  # fmt: skip
+
+
+@settings(
+    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    header=st.one_of(st.sampled_from([HEAD.strip(), "t,v_left,v_right,power,yaw"]), st.text()),
+    rows=st.lists(st.lists(CELL, min_size=3, max_size=6), max_size=8),
+    ending=st.sampled_from(["\n", "\r\n", "\r", ",\n"]),
+)  # fmt: skip
+def test_any_text_gives_a_log_or_a_named_error(tmp_path, header, rows, ending):
+    text = ending.join([header, *(",".join(row) for row in rows)])
+    file = tmp_path / "any.csv"
+    file.write_bytes(text.encode("utf-8", "surrogatepass"))
+    try:
+        log = DriveLog.read(file)
+    except EnergyPlanError as error:
+        assert "any.csv" in str(error)
+    else:
+        assert all(np.all(np.isfinite(values)) for values in log.channels.values())
+        assert np.isfinite(log.energy)
+
+
+@settings(
+    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.binary(max_size=200), name=st.sampled_from(["a.csv", "a.csv.gz", "a.parquet"]))
+def test_any_bytes_give_a_log_or_a_named_error(tmp_path, data, name):
+    file = tmp_path / name
+    file.write_bytes(data)
+    with pytest.raises(EnergyPlanError, match=re.escape(name)):
+        DriveLog.read(file)
+
+
+# -- cleaning -----------------------------------------------------------------------------------
+
+
+def test_unusable_rows_are_counted_not_lost_in_silence(raw):
+    raw["v_left"][5] = np.nan
+    raw["p_right"][[9, 11]] = np.inf
+    raw["p_left"][40] = 1e9
+    raw["x"][20:25] = np.nan
+    raw["temperature"] = np.full(len(raw["t"]), np.nan)
+    log = DriveLog.from_columns(raw, "drive")
+    told = {item.reason: (item.count, item.where) for item in log.set_aside}
+    assert told == {
+        "p_right is outside -50000 to 50000 W; blanked": (2, "sample 9, sample 11"),
+        "p_left is outside -50000 to 50000 W; blanked": (1, "sample 40"),
+        "v_left has no usable reading; left out": (1, "sample 5"),
+        "p_right has no usable reading; left out": (2, "sample 9, sample 11"),
+        "p_left has no usable reading; left out": (1, "sample 40"),
+        "x has no usable reading; interpolated": (5, "sample 20, sample 21, sample 22, ..."),
+    }
+    assert len(log) == len(raw["t"]) - 4
+    assert any("temperature is left out: 100%" in warning for warning in log.warnings)
+
+
+def test_short_holes_are_bridged_across_the_turn_of_yaw(raw, noisy):
+    raw["yaw"] = np.angle(np.exp(1j * raw["yaw"]))
+    raw["yaw"][1::2] = np.nan
+    log = DriveLog.from_columns(raw)
+    error = np.angle(np.exp(1j * (log.channels["yaw"] - noisy.channels["yaw"][: len(log)])))
+    assert np.abs(error).max() < 0.01
+
+
+def test_repeated_rows_are_set_aside(raw):
+    twice = {name: np.repeat(values, 2) for name, values in raw.items()}
+    log = DriveLog.from_columns(twice)
+    assert [item.count for item in log.set_aside] == [len(raw["t"])]
+    assert_array_equal(log.t, raw["t"])
+
+
+def test_gaps_are_reported_and_never_bridged(raw):
+    raw["t"][1000:] += 30.15
+    log = DriveLog.from_columns(raw)
+    assert len(log.runs) == 2
+    assert any("1 gap" in warning and "30.2 s" in warning for warning in log.warnings)
+    whole = float(np.trapezoid(log.power, raw["t"]))
+    bridge = 15.1 * (log.power[999] + log.power[1000])
+    assert log.energy == pytest.approx(whole - bridge)
+    assert log.duration == pytest.approx(150.0 - 0.05)
+
+
+# -- plausibility -------------------------------------------------------------------------------
+
+
+def test_a_sound_log_passes_without_a_warning(raw):
+    log = DriveLog.from_columns(raw)
+    assert log.warnings == ()
+    assert log.set_aside == ()
+
+
+def spoil(raw, what):
+    left, right = raw["v_left"], raw["v_right"]
+    return {
+        "sides": {"v_left": right, "v_right": left},
+        "clockwise": {"yaw": -raw["yaw"], "yaw_rate": -raw["yaw_rate"]},
+        "power": {"p_left": -raw["p_left"], "p_right": -raw["p_right"]},
+        "one power": {"p_right": -raw["p_right"]},
+        "degrees": {"yaw": np.degrees(raw["yaw"])},
+        "degrees wrapped": {"yaw": np.degrees(np.angle(np.exp(1j * raw["yaw"])))},
+        "degrees per second": {"yaw_rate": np.degrees(raw["yaw_rate"])},
+        "milliseconds": {"t": 1e3 * raw["t"]},
+        "milliwatts": {"p_left": 1e3 * raw["p_left"]},
+    }[what]
+
+
+@pytest.mark.parametrize(
+    ("what", "words"),
+    [
+        ("sides", "left and right are swapped"),
+        ("clockwise", r"yaw_rate=NAME\[-rad/s\]"),
+        ("power", r"p_left and p_right is negative"),
+        ("one power", r"p_right=NAME\[-W\]"),
+        ("degrees", r"yaw=NAME\[deg\]"),
+        ("degrees wrapped", r"yaw=NAME\[deg\]"),
+        ("degrees per second", r"yaw_rate=NAME\[deg/s\]"),
+        ("milliseconds", r"t=NAME\[ms\]"),
+        ("milliwatts", r"p_left=NAME\[mW\]"),
+    ],
+)
+def test_contradictions_are_refused_with_the_remedy(raw, what, words):
+    with pytest.raises(DriveLogError, match=words):
+        DriveLog.from_columns({**raw, **spoil(raw, what)})
+
+
+def test_a_charging_current_is_refused(model):
+    log = identification_drive(model, measured="battery")
+    raw = {**log.channels, "current": -log.channels["current"]}
+    with pytest.raises(DriveLogError, match=r"current=NAME\[-A\]"):
+        DriveLog.from_columns(raw)
+
+
+def test_doubtful_logs_are_read_with_a_warning(raw):
+    swapped = DriveLog.from_columns({**raw, "p_left": raw["p_right"], "p_right": raw["p_left"]})
+    assert "p_left and p_right seem to be swapped" in swapped.warnings[0]
+    fast = {"v_left": 3.6 * raw["v_left"], "v_right": 3.6 * raw["v_right"]}
+    assert "wheel radius" in DriveLog.from_columns({**raw, **fast}).warnings[0]
+    still = {**raw, "v_left": 0.0 * raw["t"], "v_right": 0.0 * raw["t"]}
+    assert any("hardly moves" in warning for warning in DriveLog.from_columns(still).warnings)
+
+
+def test_descending_with_regeneration_is_no_wrong_sign(model):
+    from energyplan.effects import GRADE
+
+    heavy = model.with_term(GRADE, 147.0)
+    log = drive(
+        heavy, [Leg(0.6, 0.6, 20.0)], slope=lambda x, y, yaw: np.full_like(x, -0.3), power_noise=2.0
+    )
+    assert log.energy < 0
+    again = DriveLog.from_columns(log.channels)
+    assert again.energy == log.energy
+
+
+@pytest.mark.parametrize("channel", ["yaw_rate", "yaw", "power"])
+@pytest.mark.parametrize("delay", [-0.5, -0.1, 0.1, 0.33, 1.5])
+def test_clock_offsets_are_stated_and_can_be_mended(model, channel, delay):
+    heavy = model.with_term(LINEAR_INERTIA, 150.0).with_term(ANGULAR_INERTIA, 13.0)
+    delayed = ("p_left", "p_right") if channel == "power" else (channel,)
+    late = identification_drive(
+        heavy, power_noise=5.0, speed_noise=0.005, seed=3, delays=dict.fromkeys(delayed, delay)
+    )
+    log = DriveLog.from_columns(late.channels)
+    told = [warning for warning in log.warnings if warning.startswith(f"{channel} l")]
+    assert len(told) == 1
+    found = float(re.search(rf"shifted\({channel}=(\S+)\)", told[0]).group(1))
+    assert -found == pytest.approx(delay, abs=0.025)  # half a sample
+    mended = log.shifted(**{channel: found})
+    assert mended.warnings == ()
+    assert DriveLog.from_columns(mended.channels).warnings == ()
+    assert sum(item.count for item in mended.set_aside) == pytest.approx(abs(delay) * 20, abs=2)
+
+
+def test_offset_finder_on_a_known_shift_across_gaps():
+    rng = np.random.default_rng(5)
+    t = np.concatenate([np.arange(0, 60, 0.05), 100 + np.arange(0, 40, 0.05)])
+    smooth = np.convolve(rng.standard_normal(len(t) + 400), np.hanning(81), "same")[200:-200]
+    runs = [slice(0, 1200), slice(1200, len(t))]
+    late = np.empty_like(smooth)
+    for run in runs:
+        late[run] = 3.0 + np.interp(t[run] - 0.37, t[run], smooth[run])
+    offset = find_offset("it", t, late, [smooth], runs)
+    assert offset.seconds == pytest.approx(0.37, abs=0.005)
+    assert offset.explained > 0.999
+    assert offset.certain
+
+
+# -- the log itself -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"t": None}, "'t' is missing"),
+        ({"p_left": None}, "power is missing"),
+        ({"v_left": [0.0, 1.0]}, "shape"),
+        ({"v_left": [0.0, np.nan, 1.0]}, "not finite at sample 1"),
+        ({"t": [0.0, 2.0, 1.0]}, "at sample 2: 1 s follows 2 s"),
+    ],
+)
+def test_unsound_channels_are_refused(change, words):
+    sound = {name: [0.0, 1.0, 2.0] for name in ("t", "v_left", "v_right", "p_left", "p_right")}
+    spoiled = {name: value for name, value in {**sound, **change}.items() if value is not None}
+    with pytest.raises(DriveLogError, match=words):
+        DriveLog(spoiled)
+
+
+def test_channels_are_read_only_and_survive_pickling(noisy):
+    with pytest.raises(ValueError, match="read-only"):
+        noisy.channels["t"][0] = 1.0
+    again = pickle.loads(pickle.dumps(noisy))
+    assert_array_equal(again.power, noisy.power)
+    assert again.name == noisy.name
+    with pytest.raises(MissingChannelError, match="yaw_rate"):
+        noisy.channel("humidity")
+
+
+def test_power_from_sides_total_and_battery(model):
+    sides, total, battery = (
+        identification_drive(model, measured=how) for how in ("sides", "total", "battery")
+    )
+    assert (sides.battery_side, total.battery_side, battery.battery_side) == (False, False, True)
+    assert total.sides is None
+    assert_allclose(total.power, sides.power)
+    assert_allclose(battery.power, sides.power)
+
+
+def test_segments_and_blocks_partition_the_log(noisy):
+    part = noisy.segment(10.0, 20.0)
+    assert part.t[0] == 10.0
+    assert part.t[-1] == pytest.approx(19.95)
+    blocks = noisy.blocks(10.0)
+    assert len(blocks) == 15
+    assert_array_equal(np.concatenate([block.t for block in blocks]), noisy.t)
+    with pytest.raises(DriveLogError, match="covers 0 to 150 s"):
+        noisy.segment(200.0, 300.0)
+    with pytest.raises(DriveLogError, match="positive"):
+        noisy.blocks(0.0)
+
+
+def test_blocks_respect_gaps_and_hold_every_sample(raw):
+    raw["t"][501:] += 10.0
+    raw["t"][502:] += 10.0  # sample 501 stands alone
+    log = DriveLog.from_columns(raw)
+    for duration in (0.01, 0.1, 3.0, 1e6):
+        blocks = log.blocks(duration)
+        assert_array_equal(np.concatenate([block.t for block in blocks]), log.t)
+        crossing = [block for block in blocks if len(block.runs) > 1]
+        assert len(crossing) == 1
+        assert 501 * 0.05 + 10 in crossing[0].t
+
+
+def test_resampling_keeps_energy_distance_and_gaps(raw):
+    raw["t"] = raw["t"] + 0.01 * np.sin(np.arange(len(raw["t"])))  # uneven samples
+    raw["t"][1500:] += 8.0
+    log = DriveLog.from_columns(raw)
+    coarse = log.resample(0.3)
+    means = 0.3 * coarse.power.sum()
+    ends = sum(item.count for item in coarse.set_aside)
+    assert 0 < ends <= 2 * 6
+    assert means == pytest.approx(log.energy, rel=5e-3)
+    assert np.diff(coarse.t).max() > 8.0
+    exact = log.segment(0.0, 75.0)
+    k = 100
+    inside = (exact.t > coarse.t[k] - 0.15) & (exact.t < coarse.t[k] + 0.15)
+    edges = np.sort(np.concatenate([coarse.t[k] + [-0.15, 0.15], exact.t[inside]]))
+    integral = np.trapezoid(np.interp(edges, exact.t, exact.power), edges)
+    assert coarse.power[k] == pytest.approx(integral / 0.3)
+
+
+def test_resampling_battery_logs_averages_power(model):
+    log = identification_drive(model, measured="battery", noise={"voltage": 1.0})
+    coarse = log.resample(1.0)
+    assert coarse.power.sum() == pytest.approx(log.energy, rel=1e-9)
+    with pytest.raises(DriveLogError, match="positive"):
+        log.resample(-1.0)
+    with pytest.raises(DriveLogError, match="longer period"):
+        log.resample(1e-9)
+    with pytest.raises(DriveLogError, match="two are needed"):
+        log.resample(140.0)
+
+
+def test_derivative_is_savitzky_golay_on_even_samples():
+    rng = np.random.default_rng(0)
+    t, values = 0.1 * np.arange(200), rng.standard_normal(200)
+    expected = savgol_filter(values, 7, 2, deriv=1, delta=0.1, mode="interp")
+    assert_allclose(derivative(t, values, [slice(0, 200)], 0.6), expected, atol=1e-12)
+
+
+def test_derivative_is_exact_for_parabolas_on_uneven_samples_and_within_runs():
+    rng = np.random.default_rng(1)
+    t = np.cumsum(rng.uniform(0.01, 0.2, 300))
+    values = 3 + 2 * t - 0.5 * t**2
+    values[150:] += 100.0
+    runs = [slice(0, 150), slice(150, 298), slice(298, 300)]
+    rate = derivative(t, values, runs, 1.0)
+    assert_allclose(rate[:298], 2 - t[:298], atol=1e-9)
+    chord = np.diff(values[298:]) / np.diff(t[298:])
+    assert_allclose(rate[298:], [chord[0]] * 2)
+
+
+def test_derivative_survives_times_that_all_but_coincide():
+    t = np.array([0.0, 1e-15, 2e-15, 1.0, 2.0])
+    assert np.all(np.isfinite(derivative(t, t, [slice(0, 5)], 1.0)))
+
+
+def test_accelerations_are_those_of_the_drive(model):
+    log = identification_drive(model, speed_noise=0.005, seed=2)
+    motion = log.motion(model.vehicle.icr)
+    truth = log.channels["accel_x"]  # level ground
+    error = motion.channel("accel") - truth
+    plain = np.gradient(motion.v, log.t) - truth
+    assert error.std() < 0.6 * plain.std()
+    kept = DriveLog({**log.channels, "accel": truth}).motion(TreadICR.symmetric(0.5))
+    assert_array_equal(kept.channel("accel"), truth)
+
+
+# -- recorded drives ----------------------------------------------------------------------------
+
+
+@pytest.mark.shared
+def test_drives_of_another_engine_pass_the_checks(shared_data):
+    import json
+
+    for file in sorted((shared_data / "quadriga_mujoco").glob("*_s2_ident.csv.gz")):
+        log = DriveLog.read(file)
+        assert log.warnings == (), file.name
+        assert log.set_aside == (), file.name
+        truth = json.loads(file.with_name(file.name.replace(".csv.gz", ".json")).read_text())
+        measured = truth["energy_J"]["measured_power_integral"]
+        assert log.energy == pytest.approx(measured, rel=2e-3), file.name
