@@ -21,6 +21,7 @@ from scipy.stats import norm, rankdata
 from energyplan.path import FloatArray
 
 _LARGEST_ORDER = 30
+_LARGEST_PARTIAL = 0.9995
 _CORRECTIONS = 3
 _LEAST_KEPT = 0.2
 _NEGLIGIBLE = 1e-3
@@ -69,32 +70,33 @@ def _absorbed(basis: FloatArray, rho: FloatArray, pieces: Sequence[slice], lags:
     return total
 
 
-def _autoregression(covariance: FloatArray, count: int) -> FloatArray:
-    """Coefficients by Levinson's recursion, of the order with the least AIC."""
-    best, score = np.zeros(0), 0.0
-    current, variance = np.zeros(0), covariance[0]
-    for order in range(1, len(covariance)):
-        reflection = (covariance[order] - current @ covariance[order - 1 : 0 : -1]) / variance
-        current = np.append(current - reflection * current[::-1], reflection)
-        variance *= 1.0 - reflection**2
-        if variance <= 1e-12 * covariance[0]:
-            return current
-        criterion = count * np.log(variance / covariance[0]) + 2 * order
+def _extended(covariance: FloatArray, count: int, longest: int) -> FloatArray:
+    """Continue an autocorrelation from its first lags by an autoregression, until it dies out.
+
+    Levinson's recursion; the order has the least AIC. Corrected autocovariances may be
+    inconsistent by a little: partial correlations are bounded, and the autocorrelation returned is
+    that of the bounded ones.
+    """
+    given = covariance / covariance[0]
+    rho, current, variance = np.ones(1), np.zeros(0), 1.0
+    best, score = current, 0.0
+    for order in range(1, len(given)):
+        foretold = float(current @ rho[:0:-1])
+        partial = (given[order] - foretold) / variance
+        partial = min(max(partial, -_LARGEST_PARTIAL), _LARGEST_PARTIAL)
+        rho = np.append(rho, foretold + partial * variance)
+        current = np.append(current - partial * current[::-1], partial)
+        variance *= 1.0 - partial**2
+        criterion = count * np.log(variance) + 2 * order
         if criterion < score:
             best, score = current, criterion
-    return best
-
-
-def _extended(covariance: FloatArray, count: int, longest: int) -> FloatArray:
-    """Autocorrelation from its first lags: continued by an autoregression until it has died out."""
-    coefficients = _autoregression(covariance, count)
-    order = len(coefficients)
-    start = np.asarray(covariance[: order + 1] / covariance[0])
+    order = len(best)
+    start = rho[: order + 1]
     reach = 64 if order else 0
     while reach:
         # The autoregression's own tail: a filter that starts at its last values and gets no input.
-        state = [coefficients[k:] @ start[order:k:-1] for k in range(order)]
-        tail, _ = lfilter([1.0], np.append(1.0, -coefficients), np.zeros(reach), zi=state)
+        state = [best[k:] @ start[order:k:-1] for k in range(order)]
+        tail, _ = lfilter([1.0], np.append(1.0, -best), np.zeros(reach), zi=state)
         alive = np.flatnonzero(np.abs(tail) > _NEGLIGIBLE)
         last = int(alive[-1]) + 1 if len(alive) else 0
         if last < reach or reach >= longest:
@@ -163,7 +165,7 @@ def autocorrelation(
     rho, kept = _extended(observed * count / pairs, count, longest), 1.0
     for _ in range(_CORRECTIONS):
         absorbed = _absorbed(basis, rho, pieces, lags) / count
-        kept = max(1.0 - absorbed[0], _LEAST_KEPT)
+        kept = min(max(1.0 - absorbed[0], _LEAST_KEPT), 1.0)
         rho = _extended((observed + observed[0] / kept * absorbed) * count / pairs, count, longest)
     return Correlation(rho, kept)
 

@@ -68,9 +68,9 @@ class _Increments:
 
 
 def yaw_channel(logs: Sequence[DriveLog]) -> str | None:
-    """Name the channel that tells how the robot turned, or None."""
+    """Name the channel that tells how the robot turned in any of the logs, or None."""
     for name in ("yaw", "yaw_rate"):
-        if all(log.has(name) for log in logs):
+        if any(log.has(name) for log in logs):
             return name
     return None
 
@@ -130,7 +130,7 @@ def turned(logs: Sequence[DriveLog], icr: TreadICR) -> bool:
     Parameters
     ----------
     logs : sequence of DriveLog
-        Logs with a yaw channel.
+        Logs; those without a yaw channel are passed over.
     icr : TreadICR
         Roughly known tread ICRs.
 
@@ -143,7 +143,7 @@ def turned(logs: Sequence[DriveLog], icr: TreadICR) -> bool:
     channel = yaw_channel(logs)
     if channel is None:
         return True
-    data, _ = _stack(logs, channel, pose=False)
+    data, _ = _stack([log for log in logs if log.has(channel)], channel, pose=False)
     way = np.sign(data.around)
     wheels = float(way @ data.difference) / icr.slip_track
     return not (wheels > _LEAST_TURNING and float(way @ data.yaw) < _LEAST_GRIP * wheels)
@@ -157,7 +157,8 @@ def fit_icr(
     Parameters
     ----------
     logs : DriveLog or sequence of DriveLog
-        Logs with ``yaw`` or ``yaw_rate``; with ``x``, ``y`` and ``yaw`` for asymmetric ICRs.
+        Logs with ``yaw`` or ``yaw_rate``, others are passed over; with ``x``, ``y`` and ``yaw`` for
+        asymmetric ICRs.
     prior : TreadICR
         Tells what the logs cannot: without a pose, the point midway between the ICRs.
     asymmetric : bool, optional
@@ -187,9 +188,10 @@ def fit_icr(
     """
     drives = [logs] if isinstance(logs, DriveLog) else list(logs)
     channel = yaw_channel(drives)
+    drives = [log for log in drives if channel and log.has(channel)]
     if channel is None:
         raise NotIdentifiableError(
-            "the tread ICRs cannot be identified: not every log has a channel yaw or yaw_rate; "
+            "the tread ICRs cannot be identified: no log has a channel yaw or yaw_rate; "
             "record one, or measure a spin's angle for icr_from_spin"
         )
     posed = channel == "yaw" and all(log.has("x") and log.has("y") for log in drives)

@@ -30,13 +30,14 @@ _SCALE_WINDOW = 5.0
 """Over what time the noise's strength is averaged [s]."""
 
 
-def on_battery(log: DriveLog) -> bool:
-    return log.sides is None and not log.has("power")
-
-
-def pieces_of(parts: Sequence[FloatArray]) -> list[slice]:
-    stops = np.cumsum([len(part) for part in parts])
-    return [slice(int(a), int(b)) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
+def pieces_of(drives: Sequence[DriveLog]) -> list[slice]:
+    """Stretches without a gap, all logs one below the other."""
+    starts = np.concatenate([[0], np.cumsum([len(log) for log in drives])[:-1]])
+    return [
+        slice(int(start) + run.start, int(start) + run.stop)
+        for start, log in zip(starts, drives, strict=True)
+        for run in log.runs
+    ]
 
 
 class Problem:
@@ -45,10 +46,10 @@ class Problem:
     def __init__(self, drives: Sequence[DriveLog], model: PowerModel) -> None:
         self._start = model
         self._motions = [log.motion(model.vehicle.icr) for log in drives]
-        self._battery = [on_battery(log) for log in drives]
+        self._battery = [log.battery_side for log in drives]
         self._window = max(1, round(_SCALE_WINDOW / float(np.median(np.diff(drives[0].t)))))
         self._measured = np.concatenate([log.power for log in drives])
-        self.pieces = pieces_of([log.t for log in drives])
+        self.pieces = pieces_of(drives)
         self._linear = is_linear(model) and not (
             any(self._battery) and not is_linear(model.battery_side())
         )
@@ -59,6 +60,10 @@ class Problem:
             for motion, battery in zip(self._motions, self._battery, strict=True)
         ]
         return np.concatenate(parts)
+
+    def residual(self, model: PowerModel) -> FloatArray:
+        """Measured minus predicted power [W]."""
+        return np.asarray(self._measured - self._power(model))
 
     def _linearise(self, model: PowerModel) -> tuple[FloatArray, FloatArray]:
         """Target and design of the linear problem at a model's coefficients."""
@@ -89,7 +94,7 @@ class Problem:
             return float(np.abs(target - design @ c).sum())
 
         def general(c: FloatArray) -> float:
-            return _absolute(self._measured - self._power(self._start.with_coefficients(c)))
+            return _absolute(self.residual(self._start.with_coefficients(c)))
 
         return _fit.simplex(linear if self._linear else general, start, bounds)
 
@@ -112,12 +117,12 @@ class Problem:
             target - design[:, lossy] @ c[lossy],
             Bounds(bounds.lower[free], bounds.upper[free]),
         )
-        value = loss(self._measured - self._power(self._start.with_coefficients(c)))
+        value = loss(self.residual(self._start.with_coefficients(c)))
         for _ in range(50):
             target, design = self._linearise(self._start.with_coefficients(c))
             step = fit(design, target, bounds) - c
             for _ in range(30):
-                trial = loss(self._measured - self._power(self._start.with_coefficients(c + step)))
+                trial = loss(self.residual(self._start.with_coefficients(c + step)))
                 if trial < value:
                     break
                 step *= 0.5

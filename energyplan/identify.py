@@ -10,11 +10,11 @@ from typing import Literal
 import numpy as np
 from scipy.stats import t as student
 
-from energyplan._covariance import correlation_time
+from energyplan._covariance import autocorrelation, correlation_time
 from energyplan._fit import Bounds
 from energyplan._icr import ICREstimate, fit_icr, icr_from_spin, turned, yaw_channel
 from energyplan._identifiability import check_identifiable, linearise, signal_motion
-from energyplan._problem import Method, Problem, on_battery, pieces_of
+from energyplan._problem import Method, Problem, pieces_of
 from energyplan.drivelog import DriveLog
 from energyplan.errors import InvalidInputError, NotIdentifiableError, UnknownNameError
 from energyplan.motion import Motion
@@ -25,6 +25,9 @@ from energyplan.vehicle import TreadICR, Vehicle
 __all__ = ["ICREstimate", "Identification", "fit_icr", "fit_residual", "icr_from_spin", "identify"]
 
 ICRChoice = Literal["auto", "symmetric", "asymmetric", "vehicle"]
+
+_SHORTEST = 1.0
+"""Shortest drive worth a look [s]."""
 
 _LEAST_INDEPENDENT = 20.0
 """Effectively independent samples below which a standard error is doubtful."""
@@ -171,6 +174,10 @@ def identify(
     drives = _drives(logs)
     if not terms:
         raise InvalidInputError("no terms to identify; give at least one")
+    if sum(log.duration for log in drives) < _SHORTEST:
+        raise InvalidInputError(
+            f"{drives[0].name}: less than {_SHORTEST:g} s of samples; record a drive"
+        )
     warnings: list[str] = []
     estimate = _find_icr(drives, vehicle, icr, warnings)
     settled = icr if isinstance(icr, TreadICR) else estimate.icr if estimate else vehicle.icr
@@ -194,11 +201,14 @@ def identify(
     covariance = problem.covariance(model, method)
     if estimate is not None:
         covariance = covariance + problem.inherited(model, estimate)
-    residual = fit_residual(model, drives)
+    rest = np.concatenate([(m.v_left == 0) & (m.v_right == 0) for m in clean])
+    remainder = problem.residual(model)
+    residual = _statistics(remainder, drives)
     independent = residual.duration / max(2 * residual.correlation_time, 1e-300)
     model = replace(model, covariance=covariance, residual=residual)
     icr_covariance = None if estimate is None else estimate.covariance
     warnings += _doubts(model, bounds, independent)
+    warnings += _draw_at_rest(remainder[rest])
     return Identification(model, method, icr_covariance, independent, tuple(warnings))
 
 
@@ -225,41 +235,49 @@ def fit_residual(model: PowerModel, logs: DriveLog | Sequence[DriveLog]) -> Resi
         If there are no logs.
     """
     drives = _drives(logs)
-    measured, predicted, duration = 0.0, 0.0, 0.0
-    parts = []
-    for log in drives:
-        whole = model.battery_side() if on_battery(log) else model
-        power = whole.power(log.motion(model.vehicle.icr))
-        parts.append(log.power - power)
-        measured += float(np.trapezoid(log.power, log.t))
-        predicted += float(np.trapezoid(power, log.t))
-        duration += float(log.t[-1] - log.t[0])
-    residual = np.concatenate(parts)
-    period = duration / max(len(residual) - len(drives), 1)
+    return _statistics(Problem(drives, model).residual(model), drives)
+
+
+# -- parts --------------------------------------------------------------------------------------
+
+
+def _statistics(residual: FloatArray, drives: Sequence[DriveLog]) -> Residual:
+    weights = np.concatenate([log.weights for log in drives])
+    measured, missing = sum(log.energy for log in drives), float(weights @ residual)
     if measured == 0.0:
-        energy_error = 0.0 if predicted == 0.0 else float(np.copysign(np.inf, predicted))
+        energy_error = 0.0 if missing == 0.0 else -float(np.copysign(np.inf, missing))
     else:
-        energy_error = predicted / measured - 1.0
+        energy_error = -missing / measured
+    duration, pieces = sum(log.duration for log in drives), pieces_of(drives)
+    period = duration / max(len(residual) - len(pieces), 1)
     return Residual(
         rmse=float(np.sqrt(np.mean(residual**2))),
         mae=float(np.mean(np.abs(residual))),
         bias=float(np.mean(residual)),
         energy_error=energy_error,
-        correlation_time=correlation_time(residual, period, pieces_of(parts)),
+        correlation_time=correlation_time(residual, period, pieces),
         duration=duration,
     )
 
 
-# -- parts --------------------------------------------------------------------------------------
+def _draw_at_rest(residual: FloatArray) -> list[str]:
+    """Warn of power that the robot draws standing still and no term explains."""
+    if len(residual) < _LEAST_INDEPENDENT:
+        return []
+    mean, error = float(residual.mean()), float(residual.std())
+    repeats = autocorrelation(residual, [slice(0, len(residual))]).repeats
+    if abs(mean) < 5 * max(error * np.sqrt(repeats / len(residual)), 0.1):
+        return []
+    return [
+        f"at rest the robot draws {mean:.1f} W that no term explains: a constant load, or a "
+        "sensor offset; the other coefficients take it up where they can"
+    ]
 
 
 def _drives(logs: DriveLog | Sequence[DriveLog]) -> list[DriveLog]:
     drives = [logs] if isinstance(logs, DriveLog) else list(logs)
     if not drives:
         raise InvalidInputError("no logs; give at least one drive")
-    for log in drives:
-        if len(log) < 3:
-            raise InvalidInputError(f"{log.name}: {len(log)} samples; a drive needs three or more")
     return drives
 
 
@@ -269,7 +287,7 @@ def _stacked(
     """Regressors of all logs, one below the other."""
     return np.concatenate(
         [
-            linearise(model, motion, on_battery(log)).jacobian
+            linearise(model, motion, log.battery_side).jacobian
             for motion, log in zip(motions, drives, strict=True)
         ]
     )
