@@ -25,11 +25,12 @@ def discharge(
     t: FloatArray,
     power: FloatArray,
     soc: float,
+    u1: float,
     soc_points: FloatArray,
     ocv_points: FloatArray,
     p: FloatArray,
     out: FloatArray,
-) -> tuple[float, int]:
+) -> tuple[float, int, float]:
     """Run a power profile through the battery.
 
     Parameters
@@ -38,6 +39,8 @@ def discharge(
         Sample times [s] and the power from each to the next [W], positive when drawn.
     soc : float
         State of charge at ``t[0]``.
+    u1 : float
+        Voltage of the resistance-capacitance pair at ``t[0]`` [V].
     soc_points, ocv_points : ndarray, shape (m,)
         Open-circuit voltage of the pack [V] over state of charge.
     p : ndarray, shape (12,)
@@ -50,13 +53,14 @@ def discharge(
 
     Returns
     -------
-    tuple of float and int
-        Instant of the brown-out [s], infinite if there was none, and its reason.
+    tuple of float, int and float
+        Instant of the brown-out [s], infinite if there was none, its reason, and the pair's
+        voltage at the end [V].
     """
     capacity, r0, r1, tau, peukert, rated = p[0], p[1], p[2], p[3], p[4], p[5]
     efficiency, v_cut, soc_cut, v_max, i_max, c_max = p[6], p[7], p[8], p[9], p[10], p[11]
     n, m = len(t), len(soc_points)
-    lost, braked, u1 = 0.0, 0.0, 0.0
+    lost, braked = 0.0, 0.0
     died, reason = np.inf, NONE
     j = m - 2
     for k in range(n):
@@ -141,4 +145,4 @@ def discharge(
             done += step
             if span - done < 1e-9 * span:
                 done = span
-    return died, reason
+    return died, reason, u1

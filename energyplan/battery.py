@@ -43,6 +43,8 @@ class BatteryRun:
         Instant at which the battery gave up [s]; infinite if it did not.
     reason : {"none", "voltage", "charge", "current"}
         Why: voltage below cut-off under the load, empty, or more current than it may deliver.
+    polarisation : float
+        Voltage of the RC pair at the end [V]; what a next run starts with.
     """
 
     t: FloatArray
@@ -53,6 +55,7 @@ class BatteryRun:
     braked: FloatArray
     brown_out: float
     reason: BrownOut
+    polarisation: float = 0.0
 
     @property
     def soc_end(self) -> float:
@@ -214,7 +217,9 @@ class Battery:
 
     # -- what it can do -------------------------------------------------------------------------
 
-    def simulate(self, t: ArrayLike, power: ArrayLike, *, soc: float = 1.0) -> BatteryRun:
+    def simulate(
+        self, t: ArrayLike, power: ArrayLike, *, soc: float = 1.0, polarisation: float = 0.0
+    ) -> BatteryRun:
         """Run a power profile through the battery.
 
         Parameters
@@ -224,7 +229,9 @@ class Battery:
         power : array_like, shape (n,)
             Power at the terminals from each time to the next [W], positive when drawn.
         soc : float
-            State of charge at the start; the battery is taken as rested.
+            State of charge at the start.
+        polarisation : float
+            Voltage of the RC pair at the start [V]; 0 where the battery has rested.
 
         Returns
         -------
@@ -255,12 +262,9 @@ class Battery:
         _require(len(back) == 0, f"time does not increase after sample {back[:1]}; sort it first")
         _require(0 <= soc <= 1, f"soc is {soc}; give a fraction in [0, 1]")
         out = np.empty((5, len(times)))
-        died, reason = discharge(
-            times, load, float(soc), self.soc_points, self.ocv_points, self._parameters(), out
-        )
-        return BatteryRun(
-            times, out[0], out[1], out[2], out[3], out[4], brown_out=died, reason=_REASONS[reason]
-        )
+        start, curve = (float(soc), float(polarisation)), (self.soc_points, self.ocv_points)
+        died, why, left = discharge(times, load, *start, *curve, self._parameters(), out)
+        return BatteryRun(times, out[0], out[1], out[2], out[3], out[4], died, _REASONS[why], left)
 
     def usable_energy(self, power: ArrayLike, soc: ArrayLike = 1.0) -> FloatArray:
         """Energy that the battery can deliver at constant power until it gives up.

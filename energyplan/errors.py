@@ -6,6 +6,8 @@ Bad input derives from both `EnergyPlanError` and `ValueError`; a question that 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 
 class EnergyPlanError(Exception):
     """Base of every error that the library raises on purpose."""
@@ -62,7 +64,19 @@ class ConfigError(InvalidInputError):
 
 
 class MissionError(InvalidInputError):
-    """A mission is malformed; the message names the task or the line."""
+    """A mission is malformed; the message names the task or the line.
+
+    Parameters
+    ----------
+    message : str
+        What is wrong.
+    place : sequence of str and int
+        The way to the value, such as ``("tasks", 2, "pose")``.
+    """
+
+    def __init__(self, message: str, place: Sequence[str | int] = ()) -> None:
+        super().__init__(message)
+        self.place = tuple(place)
 
 
 class NotIdentifiableError(EnergyPlanError):

@@ -222,7 +222,7 @@ def test_kernel_equals_its_plain_twin(seed, soc, name, gap):
     power = drive_profile(60, seed)
     outs = [np.empty((5, 60)), np.empty((5, 60))]
     results = [
-        kernel(t, power, soc, pack.soc_points, pack.ocv_points, pack._parameters(), out)
+        kernel(t, power, soc, 0.1, pack.soc_points, pack.ocv_points, pack._parameters(), out)
         for kernel, out in zip((discharge, discharge.py_func), outs, strict=True)
     ]
     assert results[0] == pytest.approx(results[1])
@@ -237,6 +237,17 @@ def test_halving_the_sample_period_changes_nothing():
     fine = pack.simulate(np.arange(0.0, 1200.0, 0.5), np.repeat(power, 20), soc=0.8)
     np.testing.assert_allclose(fine.soc[::20], coarse.soc, atol=2e-6)
     np.testing.assert_allclose(fine.lost[::20], coarse.lost, rtol=5e-3, atol=0.5)
+
+
+def test_a_run_continues_where_the_last_one_ended():
+    pack = Battery.preset("quadriga")
+    t = np.arange(0.0, 601.0)
+    power = drive_profile(len(t), seed=7)
+    whole = pack.simulate(t, power, soc=0.7)
+    first = pack.simulate(t[:301], power[:301], soc=0.7)
+    second = pack.simulate(t[300:], power[300:], soc=first.soc_end, polarisation=first.polarisation)
+    np.testing.assert_allclose(second.soc, whole.soc[300:], rtol=1e-12)
+    np.testing.assert_allclose(second.voltage, whole.voltage[300:], rtol=1e-12)
 
 
 @pytest.mark.parametrize(
