@@ -1,1 +1,98 @@
-"""Planners: one problem in, one plan out."""
+"""Planners: one `PlanningProblem` in, one `Plan` out.
+
+Every planner is a function ``plan(problem, time_limit, **options) -> Plan``. Those of the library
+are in `PLANNERS`; other packages add theirs through the entry-point group ``energyplan.planners``,
+whose objects are such functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any, cast
+
+from energyplan.errors import PlanningError, UnknownNameError
+from energyplan.planners._problem import Plan, PlanningProblem
+
+__all__ = ["PLANNERS", "Plan", "PlanningProblem", "plan", "planners"]
+
+Planner = Callable[..., Plan]
+
+PLANNERS = {
+    "lattice": "energyplan.planners.lattice:plan",
+    "rrtstar": "energyplan.planners.ompl:rrtstar",
+    "informed_rrtstar": "energyplan.planners.ompl:informed_rrtstar",
+    "bitstar": "energyplan.planners.ompl:bitstar",
+    "fmt": "energyplan.planners.ompl:fmt",
+    "sst": "energyplan.planners.ompl:sst",
+}
+"""Where the library's own planners are; they are imported when they are used."""
+
+
+def planners() -> tuple[str, ...]:
+    """Return the names of all planners: the library's own, then those of other packages."""
+    plugins = {entry.name for entry in entry_points(group="energyplan.planners")}
+    return (*PLANNERS, *sorted(plugins - set(PLANNERS)))
+
+
+def _planner(name: str) -> Planner:
+    if name in PLANNERS:
+        module, _, function = PLANNERS[name].partition(":")
+        found: Planner = getattr(import_module(module), function)
+        return found
+    for entry in entry_points(group="energyplan.planners"):
+        if entry.name == name:
+            plugin = entry.load()
+            if not callable(plugin):
+                raise PlanningError(f"entry point {name!r} of energyplan.planners is no function")
+            return cast("Planner", plugin)
+    raise UnknownNameError("planner", name, planners())
+
+
+def plan(
+    problem: PlanningProblem, planner: str = "lattice", time_limit: float = 1.0, **options: Any
+) -> Plan:
+    """Plan a path.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        From where to where, among which obstacles, at what cost.
+    planner : str
+        Name of the planner; see `planners`.
+    time_limit : float
+        Time to plan [s]. Planning ends earlier where the planner can tell that nothing is left
+        to gain.
+    **options : object
+        Further options of the planner.
+
+    Returns
+    -------
+    Plan
+        The best path found, with its energy and a lower bound.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such planner.
+    StartInCollisionError, GoalInCollisionError, OutsideMapError
+        If start or goal cannot be.
+    NoPathError
+        If there is no path.
+    TimeLimitError
+        If time was over before a first plan.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from energyplan.cost import EnergyCost
+    >>> from energyplan.maps import OccupancyGrid
+    >>> from energyplan.power import PowerModel
+    >>> hall = OccupancyGrid(np.zeros((100, 100), bool), resolution=0.1)
+    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+    >>> found = plan(PlanningProblem(hall, cost, start=(1, 5, 0), goal=(9, 5, 0)))
+    >>> round(found.energy), round(found.gap, 6)
+    (1808, 0.0)
+    """
+    return _planner(planner)(problem, time_limit, **options)

@@ -1,0 +1,255 @@
+"""Kernels that price motions and join poses, on the ground and among the obstacles of one problem.
+
+Everything here is in the frame of the point midway between the tread ICRs, where every vehicle is
+symmetric: `Setting.body` is the footprint seen from there.
+
+A price is a positively homogeneous function of (ds, dtheta). It is held as its values on
+`DIRECTIONS` rays of the plane ``(ds, C dtheta)`` and is linear between them. The kinks of the
+static model, at straight motion, spin and pivot, lie on rays, so its price is exact.
+"""
+
+from __future__ import annotations
+
+from math import atan2, ceil, cos, hypot, inf, pi, sin
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from energyplan._collision import Body, Space, motion_free
+from energyplan._numba import njit
+from energyplan._steering_kernels import MAX_SEGMENTS, steer_energy, steer_path
+
+DIRECTIONS = 128
+"""Rays of the price table; a multiple of 8."""
+
+
+class Setting(NamedTuple):
+    """What a search needs to know about its problem.
+
+    Attributes
+    ----------
+    space : Space
+        Obstacles.
+    body : Body
+        Footprint, seen from the centre of the tread ICRs [m].
+    prices : ndarray, shape (classes, DIRECTIONS + 1)
+        Price of a unit vector along each ray, for each class of surface.
+    surface : ndarray of uint8, shape (rows, columns) or (1, 1)
+        Class of the surface in each cell; a single one where all are alike.
+    steering : ndarray
+        Parameters of the steering kernels.
+    half_track : float
+        Half the slip track [m].
+    reach : float
+        Distance of the body's furthest corner [m].
+    least_metre, least_radian : float
+        No motion costs less than ``least_metre |ds| + least_radian |dtheta|``.
+    start_x, start_y, start_yaw, goal_x, goal_y, goal_yaw : float
+        Start and goal.
+    """
+
+    space: Space
+    body: Body
+    prices: NDArray[np.float64]
+    surface: NDArray[np.uint8]
+    steering: NDArray[np.float64]
+    half_track: float
+    reach: float
+    least_metre: float
+    least_radian: float
+    start_x: float
+    start_y: float
+    start_yaw: float
+    goal_x: float
+    goal_y: float
+    goal_yaw: float
+
+
+@njit
+def price(
+    prices: NDArray[np.float64], kind: int, half_track: float, ds: float, dtheta: float
+) -> float:
+    """Price of a motion on one class of surface."""
+    turned = half_track * dtheta
+    size = hypot(ds, turned)
+    if size == 0.0:
+        return 0.0
+    spread = 2.0 * pi / DIRECTIONS
+    place = (atan2(turned, ds) % (2.0 * pi)) / spread
+    k = min(int(place), DIRECTIONS - 1)
+    into = (place - k) * spread
+    return float(
+        size
+        * (prices[kind, k] * sin(spread - into) + prices[kind, k + 1] * sin(into))
+        / sin(spread)
+    )
+
+
+@njit
+def surface_at(setting: Setting, x: float, y: float) -> int:
+    """Class of the surface under a point, that of the nearest cell outside the map."""
+    space = setting.space
+    rows, columns = setting.surface.shape
+    dx = x - space.x
+    dy = y - space.y
+    column = int((space.cos * dx + space.sin * dy) / space.resolution)
+    row = int((-space.sin * dx + space.cos * dy) / space.resolution)
+    return int(setting.surface[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)])
+
+
+@njit
+def motion_cost(
+    setting: Setting, x: float, y: float, yaw: float, ds: float, dtheta: float
+) -> float:
+    """Price of a motion of constant curvature that starts at a pose.
+
+    Where surfaces differ, each piece of half a cell pays for the surface under its middle.
+    """
+    if setting.surface.size == 1:
+        return price(setting.prices, 0, setting.half_track, ds, dtheta)
+    pieces = max(ceil(2.0 * abs(ds) / setting.space.resolution), 1)
+    piece_ds = ds / pieces
+    piece_turn = dtheta / pieces
+    chord = piece_ds * (sin(0.5 * piece_turn) / (0.5 * piece_turn) if piece_turn != 0.0 else 1.0)
+    total = 0.0
+    last = -1
+    unit = 0.0
+    for k in range(pieces):
+        mid = yaw + (k + 0.5) * piece_turn
+        mx = x + 0.5 * chord * cos(mid)
+        my = y + 0.5 * chord * sin(mid)
+        kind = surface_at(setting, mx, my)
+        if kind != last:
+            unit = price(setting.prices, kind, setting.half_track, piece_ds, piece_turn)
+            last = kind
+        total += unit
+        x += chord * cos(mid)
+        y += chord * sin(mid)
+    return total
+
+
+@njit
+def free_energy(setting: Setting, x: float, y: float, yaw: float) -> float:
+    """Least cost from a pose to the goal if there were no obstacles."""
+    return steer_energy(
+        setting.goal_x - x, setting.goal_y - y, yaw, setting.goal_yaw, setting.steering
+    )
+
+
+@njit
+def drive(
+    setting: Setting,
+    x: float,
+    y: float,
+    yaw: float,
+    ds: NDArray[np.float64],
+    dtheta: NDArray[np.float64],
+    count: int,
+    limit: float,
+) -> float:
+    """Cost of a sequence of motions from a pose; infinite if one collides or it reaches `limit`."""
+    total = 0.0
+    px = x
+    py = y
+    heading = yaw
+    for k in range(count):
+        total += motion_cost(setting, px, py, heading, ds[k], dtheta[k])
+        if total >= limit:
+            return inf
+        half = 0.5 * dtheta[k]
+        chord = ds[k] * (sin(half) / half if half != 0.0 else 1.0)
+        px += chord * cos(heading + half)
+        py += chord * sin(heading + half)
+        heading += dtheta[k]
+    # collisions after the costs, which are cheaper to find out
+    px = x
+    py = y
+    heading = yaw
+    for k in range(count):
+        if not motion_free(setting.space, setting.body, px, py, heading, ds[k], dtheta[k], 0.0):
+            return inf
+        half = 0.5 * dtheta[k]
+        chord = ds[k] * (sin(half) / half if half != 0.0 else 1.0)
+        px += chord * cos(heading + half)
+        py += chord * sin(heading + half)
+        heading += dtheta[k]
+    return total
+
+
+@njit
+def spin_drive_spin(
+    dx: float,
+    dy: float,
+    yaw0: float,
+    yaw1: float,
+    backwards: bool,
+    ds: NDArray[np.float64],
+    dtheta: NDArray[np.float64],
+) -> int:
+    """Write the motion that turns on the spot, drives straight, and turns on the spot."""
+    way = atan2(dy, dx) + (pi if backwards else 0.0)
+    length = hypot(dx, dy)
+    if length < 1e-9:
+        way = yaw0
+    ds[0] = 0.0
+    dtheta[0] = pi - (pi - (way - yaw0)) % (2 * pi)
+    ds[1] = -length if backwards else length
+    dtheta[1] = 0.0
+    ds[2] = 0.0
+    dtheta[2] = pi - (pi - (yaw1 - way)) % (2 * pi)
+    return 3
+
+
+@njit
+def join(
+    setting: Setting,
+    x: float,
+    y: float,
+    yaw: float,
+    to_x: float,
+    to_y: float,
+    to_yaw: float,
+    limit: float,
+    ds: NDArray[np.float64],
+    dtheta: NDArray[np.float64],
+) -> tuple[float, int]:
+    """Join two poses by the cheapest free motion known, if it costs less than `limit`.
+
+    Tried are the exact minimum-energy motion, and turn-drive-turn both ways, which needs less
+    room at times.
+
+    Returns
+    -------
+    tuple of float and int
+        Cost, infinite where none is free, and number of segments written.
+    """
+    dx = to_x - x
+    dy = to_y - y
+    if setting.surface.size == 1 and steer_energy(dx, dy, yaw, to_yaw, setting.steering) >= limit:
+        return inf, 0
+    count = steer_path(dx, dy, yaw, to_yaw, setting.steering, ds, dtheta)
+    cost = drive(setting, x, y, yaw, ds, dtheta, count, limit)
+    if cost < inf and setting.surface.size == 1:
+        return cost, count
+    other_ds = np.empty(3)
+    other_dtheta = np.empty(3)
+    for way in range(2):
+        n = spin_drive_spin(dx, dy, yaw, to_yaw, way == 1, other_ds, other_dtheta)
+        other = drive(setting, x, y, yaw, other_ds, other_dtheta, n, min(limit, cost))
+        if other < cost:
+            cost = other
+            count = n
+            ds[:n] = other_ds
+            dtheta[:n] = other_dtheta
+    return cost, count
+
+
+@njit
+def connection(setting: Setting, x: float, y: float, yaw: float, limit: float) -> float:
+    """Cost of the cheapest free motion known from a pose to the goal; infinite if there is none."""
+    ds = np.empty(MAX_SEGMENTS)
+    dtheta = np.empty(MAX_SEGMENTS)
+    return join(
+        setting, x, y, yaw, setting.goal_x, setting.goal_y, setting.goal_yaw, limit, ds, dtheta
+    )[0]

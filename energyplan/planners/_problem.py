@@ -1,0 +1,211 @@
+"""What planners take and return: `PlanningProblem` and `Plan`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import (
+    GoalInCollisionError,
+    InvalidInputError,
+    OutsideMapError,
+    StartInCollisionError,
+)
+from energyplan.maps import OccupancyGrid, SurfaceMap
+from energyplan.path import FloatArray, Path, Pose
+from energyplan.vehicle import Vehicle
+
+OBJECTIVES = ("energy", "length", "time")
+"""What a plan can be asked to make least."""
+
+
+def as_pose(value: ArrayLike, name: str) -> Pose:
+    """Return a pose from three finite numbers.
+
+    Raises
+    ------
+    InvalidInputError
+        If they are not three finite numbers.
+    """
+    row = np.asarray(value, float)
+    if row.shape != (3,) or not np.all(np.isfinite(row)):
+        raise InvalidInputError(f"{name} is {value!r}; give x, y [m] and yaw [rad]")
+    return Pose(*(float(v) for v in row))
+
+
+@dataclass(frozen=True)
+class PlanningProblem:
+    """From where to where, among which obstacles, at what cost.
+
+    Parameters
+    ----------
+    map : OccupancyGrid
+        Obstacles.
+    cost : EnergyCost
+        Cost of motions. Its model carries the vehicle and the tread ICRs.
+    start, goal : array_like, shape (3,)
+        Poses x, y [m], yaw [rad] of the body frame.
+    surfaces : SurfaceMap, optional
+        Grounds with power models of their own; the cost's where it says nothing.
+    objective : {"energy", "length", "time"} or mapping of str to float
+        What to make least. A mapping weighs them: ``{"energy": 1, "time": 50}`` is worth 50 J a
+        second saved. Of the shortest routes ``"length"`` asks for the one of least energy.
+    vehicle : Vehicle, optional
+        Whose footprint to use; that of the cost's model if left out.
+
+    Raises
+    ------
+    InvalidInputError
+        If a pose or the objective is malformed.
+    """
+
+    map: OccupancyGrid
+    cost: EnergyCost
+    start: Pose
+    goal: Pose
+    surfaces: SurfaceMap | None = None
+    objective: str | Mapping[str, float] = "energy"
+    vehicle: Vehicle | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "start", as_pose(self.start, "start"))
+        object.__setattr__(self, "goal", as_pose(self.goal, "goal"))
+        weights = self.weights
+        unknown = sorted(set(weights) - set(OBJECTIVES))
+        if unknown or not weights:
+            raise InvalidInputError(
+                f"objective {self.objective!r} is unknown; choose from {', '.join(OBJECTIVES)} "
+                "or give a mapping of these to weights"
+            )
+        values = list(weights.values())
+        if not (np.all(np.isfinite(values)) and min(values) >= 0 and max(values) > 0):
+            raise InvalidInputError(
+                f"objective weights are {dict(weights)}; give numbers >= 0, not all zero"
+            )
+
+    @property
+    def robot(self) -> Vehicle:
+        """The vehicle whose footprint is used."""
+        return self.cost.vehicle if self.vehicle is None else self.vehicle
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """The objective as weights of energy [1], length [J/m] and time [J/s]."""
+        if isinstance(self.objective, str):
+            return {self.objective: 1.0}
+        return {name: float(value) for name, value in self.objective.items()}
+
+    def check_poses(self, grid: OccupancyGrid | None = None) -> None:
+        """Check that start and goal are on the map and free.
+
+        Parameters
+        ----------
+        grid : OccupancyGrid, optional
+            The map to use instead of the problem's own.
+
+        Raises
+        ------
+        OutsideMapError
+            If a pose lies outside the map.
+        StartInCollisionError, GoalInCollisionError
+            If the footprint touches an obstacle; the message names the nearest free pose found.
+        """
+        grid = self.map if grid is None else grid
+        for name, pose, error in (
+            ("start", self.start, StartInCollisionError),
+            ("goal", self.goal, GoalInCollisionError),
+        ):
+            place = f"{name} ({pose.x:.3f}, {pose.y:.3f}, {np.degrees(pose.yaw):.1f} deg)"
+            if not grid.inside(pose[:2]):
+                raise OutsideMapError(f"the {place} lies outside the map; {_extent(grid)}")
+            if not bool(grid.footprint_free(np.array([pose]), self.robot)[0]):
+                near = nearest_free(grid, self.robot, pose)
+                where = (
+                    "no free pose lies within 5 m"
+                    if near is None
+                    else f"the nearest free pose found is ({near.x:.2f}, {near.y:.2f}, "
+                    f"{np.degrees(near.yaw):.0f} deg)"
+                )
+                raise error(f"the footprint at the {place} touches an obstacle; {where}")
+
+
+def _extent(grid: OccupancyGrid) -> str:
+    """Say which part of the world a map covers."""
+    rows, columns = grid.shape
+    corners = grid.to_world([(0, 0), (columns, 0), (columns, rows), (0, rows)])
+    (x0, y0), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
+    return f"it covers x from {x0:g} to {x1:g} m and y from {y0:g} to {y1:g} m"
+
+
+def nearest_free(
+    grid: OccupancyGrid, vehicle: Vehicle, pose: Pose, reach: float = 5.0
+) -> Pose | None:
+    """Return the nearest free pose on rings about a pose, its own heading preferred, if any."""
+    step = max(grid.resolution, 0.05)
+    for radius in np.arange(0.0, reach, step):
+        around = np.linspace(0, 2 * np.pi, max(int(2 * np.pi * radius / step), 1), endpoint=False)
+        for turn in (0.0, 0.25, -0.25, 0.5, -0.5, 1.0, -1.0, np.pi / 2):
+            ring: FloatArray = np.column_stack(
+                [
+                    pose.x + radius * np.cos(around),
+                    pose.y + radius * np.sin(around),
+                    np.full(len(around), pose.yaw + turn),
+                ]
+            )
+            free = np.flatnonzero(grid.footprint_free(ring, vehicle))
+            if len(free):
+                return Pose(*(float(v) for v in ring[free[0]]))
+    return None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A path with its cost, and how far from optimal it can be at most.
+
+    Attributes
+    ----------
+    path : Path
+        The path; free of collisions from the start to the goal.
+    energy : float
+        Its energy, priced by the model itself after planning [J].
+    lower_bound : float
+        What no path can cost less than, in the unit of the objective (for energy [J]).
+    gap : float
+        Cost over lower bound, minus 1: the plan costs at most this fraction more than the optimum.
+    cost : float
+        The objective's value: `energy` itself where energy is the objective.
+    length, turning : float
+        Distance travelled [m] and total turning [rad].
+    duration : float
+        Time at the speed the cost assumes [s].
+    planning_time : float
+        Time that planning took [s].
+    first_time : float
+        Time until the first plan was known [s].
+    planner : str
+        Name of the planner.
+    breakdown : mapping of str to float
+        Energy by term of the power model [J].
+    """
+
+    path: Path
+    energy: float
+    lower_bound: float
+    gap: float
+    cost: float
+    length: float
+    turning: float
+    duration: float
+    planning_time: float
+    first_time: float
+    planner: str
+    breakdown: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def poses(self) -> FloatArray:
+        """Poses along the path, 0.1 m and 0.1 rad apart at most, shape (n, 3)."""
+        return self.path.poses(0.1, 0.1)

@@ -1,0 +1,201 @@
+"""The lattice search as an object: grows its arrays, watches the clock, hands back motions."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from energyplan._steering_kernels import MAX_SEGMENTS
+from energyplan.planners import _search_kernels as kernels
+from energyplan.planners._motion_kernels import Setting, join
+from energyplan.planners._query import Segments
+
+Number = TypeVar("Number", bound=np.generic)
+
+HEADINGS = 32
+"""Headings of the lattice."""
+
+SLICE = 2000
+"""Expansions between two looks at the clock."""
+
+
+def lattice_for(setting: Setting, scale: float = 1.0) -> kernels.Lattice:
+    """Return a lattice that suits the map and the body; `scale` below 1 makes it finer."""
+    cell = max(setting.space.resolution, 0.2 * setting.reach) * scale
+    headings = int(HEADINGS * (1 if scale == 1.0 else 2))
+    return kernels.Lattice(cell, 2 * np.pi / headings, headings, 1.5 * cell)
+
+
+def cell_of(setting: Setting, x: float, y: float, stride: int) -> tuple[int, int]:
+    """Return row and column of a place in a grid of every `stride`-th cell."""
+    space = setting.space
+    dx, dy = x - space.x, y - space.y
+    column = (space.cos * dx + space.sin * dy) / space.resolution
+    row = (-space.sin * dx + space.cos * dy) / space.resolution
+    rows, columns = space.clearance.shape
+    return (
+        min(max(int(row), 0), rows - 1) // stride,
+        min(max(int(column), 0), columns - 1) // stride,
+    )
+
+
+def inscribed(setting: Setting) -> float:
+    """Radius of the largest disc about the centre of the tread ICRs inside the body [m]."""
+    body = setting.body
+    return max(min(-body.x_min, body.x_max, -body.y_min, body.y_max), 0.0)
+
+
+def field_for(setting: Setting) -> kernels.Field:
+    """Return the distance to go to the goal for the inscribed disc, as far as it is needed."""
+    res = setting.space.resolution
+    stride = max(int(0.1 / res + 0.5), 1)
+    # a point stands for all of its square, so the disc shrinks by the square's half diagonal
+    radius = max(inscribed(setting) / res - 0.7072 * stride, 0.5)
+    goal = cell_of(setting, setting.goal_x, setting.goal_y, stride)
+    start = cell_of(setting, setting.start_x, setting.start_y, stride)
+    cells = kernels.distance_field(setting.space.clearance, stride, radius, *goal, *start, 1.5)
+    return kernels.Field(cells * np.float32(res), stride * res)
+
+
+@dataclass
+class Search:
+    """One search tree.
+
+    Parameters
+    ----------
+    setting : Setting
+        The problem.
+    field : Field
+        Distance to go.
+    lattice : Lattice
+        Resolution.
+    weight : float
+        Factor on the estimated cost to go.
+    limit : float
+        Motions at this cost or above are of no interest.
+    """
+
+    setting: Setting
+    field: kernels.Field
+    lattice: kernels.Lattice
+    weight: float
+    limit: float = np.inf
+
+    def __post_init__(self) -> None:
+        nodes = 1 << 14
+        self.tree = kernels.Tree(
+            x=np.zeros(nodes),
+            y=np.zeros(nodes),
+            heading=np.zeros(nodes, np.int32),
+            g=np.zeros(nodes),
+            h=np.zeros(nodes),
+            parent=np.full(nodes, -1, np.int32),
+            ds=np.zeros(nodes),
+            dtheta=np.zeros(nodes),
+            key=np.zeros(nodes, np.int64),
+            table=np.full(4 * nodes, -1, np.int32),
+            heap_f=np.zeros(nodes),
+            heap_node=np.zeros(nodes, np.int32),
+            counts=np.array([0, 0, 0, -1, 1 << 30], np.int64),
+            best=np.array([self.limit]),
+        )
+        kernels.plant(self.tree, self.setting, self.field, self.lattice, self.weight)
+
+    def _enlarge(self) -> None:
+        """Double every array, and rebuild the hash table."""
+
+        def double(array: NDArray[Number]) -> NDArray[Number]:
+            return np.concatenate([array, np.zeros_like(array)])
+
+        tree = self.tree
+        count = int(tree.counts[0])
+        larger = tree._replace(
+            x=double(tree.x),
+            y=double(tree.y),
+            heading=double(tree.heading),
+            g=double(tree.g),
+            h=double(tree.h),
+            parent=double(tree.parent),
+            ds=double(tree.ds),
+            dtheta=double(tree.dtheta),
+            key=double(tree.key),
+            heap_f=double(tree.heap_f),
+            heap_node=double(tree.heap_node),
+            table=np.full(2 * len(tree.table), -1, np.int32),
+        )
+        kernels.rehash(larger, count)
+        self.tree = larger
+
+    def run(self, deadline: float, stop_at_first: bool, expansions: int | None = None) -> int:
+        """Search until something is found, nothing is left, or time is over.
+
+        Parameters
+        ----------
+        deadline : float
+            Reading of `time.perf_counter` at which to stop.
+        stop_at_first : bool
+            Whether any motion to the goal will do.
+        expansions : int, optional
+            Largest number of expansions.
+
+        Returns
+        -------
+        int
+            `FOUND`, `EXHAUSTED`, or `RUNNING` where time or expansions ran out.
+        """
+        limit = np.inf if expansions is None else self.tree.counts[2] + expansions
+        while True:
+            status = kernels.grow(
+                self.tree,
+                self.setting,
+                self.field,
+                self.lattice,
+                self.weight,
+                SLICE,
+                stop_at_first,
+            )
+            if status == kernels.FULL:
+                self._enlarge()
+            elif status != kernels.RUNNING:
+                return status
+            if time.perf_counter() > deadline or self.tree.counts[2] >= limit:
+                return kernels.RUNNING
+
+    @property
+    def found(self) -> bool:
+        """Whether a motion to the goal is known."""
+        return int(self.tree.counts[3]) >= 0
+
+    def segments(self) -> Segments:
+        """Return the motions from the start to the goal."""
+        tree, setting = self.tree, self.setting
+        node = int(tree.counts[3])
+        last = (
+            float(tree.x[node]),
+            float(tree.y[node]),
+            setting.start_yaw + int(tree.heading[node]) * self.lattice.turn,
+        )
+        chain = []
+        while tree.parent[node] >= 0:
+            chain.append((float(tree.ds[node]), float(tree.dtheta[node])))
+            node = int(tree.parent[node])
+        steps = np.array(chain[::-1]).reshape(-1, 2)
+        ds, dtheta = np.empty(MAX_SEGMENTS), np.empty(MAX_SEGMENTS)
+        _, count = join(
+            setting,
+            *last,
+            setting.goal_x,
+            setting.goal_y,
+            setting.goal_yaw,
+            np.inf,
+            ds,
+            dtheta,
+        )
+        return Segments(
+            np.concatenate([steps[:, 0], ds[:count]]),
+            np.concatenate([steps[:, 1], dtheta[:count]]),
+        )
