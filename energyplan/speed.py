@@ -11,7 +11,7 @@ limit of the motors holds in any case.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from energyplan._economy import Choice, Economy
 from energyplan._ladder import UNLIMITED, Ladder, Runs
 from energyplan._limit_kernels import window_mean
-from energyplan._limits import ROUNDING, Limits
+from energyplan._limits import ROUNDING, Limits, relative
 from energyplan._timing import Course, Phases, Sampled
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
 from energyplan.motion import Motion
@@ -143,26 +143,21 @@ def profile(
     def solve(within: Limits) -> Sampled:
         return task.course.sample(task.phases(within, objective, duration), period)
 
-    sampled = solve(limits)
     motor = limits.motor
-    if np.isfinite(motor.continuous_power) and task.hottest(sampled, motor) > 1 + ROUNDING:
-        sampled = _cooled(solve, task, limits)
-    return sampled.trajectory
-
-
-def _cooled(solve: Callable[[Limits], Sampled], task: _Task, limits: Limits) -> Sampled:
-    """Lower the peak power until every thermal window is within the continuous power."""
-    low = limits.motor.continuous_power
-    high = min(limits.motor.peak_power, task.hottest(solve(limits), limits.motor) * low * 4)
-    best = solve(limits.sustained)
-    for _ in range(12):
+    sampled = solve(limits)
+    if np.isinf(motor.continuous_power) or task.hottest(sampled, motor) <= 1 + ROUNDING:
+        return sampled.trajectory
+    # Lower the peak power until every thermal window is within the continuous power.
+    low, high = motor.continuous_power, task.strongest(sampled)
+    sampled = solve(limits.sustained)
+    for _ in range(10):
         middle = 0.5 * (low + high)
-        tried = solve(replace(limits, motor=replace(limits.motor, peak_power=middle)))
-        if task.hottest(tried, limits.motor) > 1 + ROUNDING:
+        tried = solve(replace(limits, motor=replace(motor, peak_power=middle)))
+        if task.hottest(tried, motor) > 1 + ROUNDING:
             high = middle
         else:
-            low, best = middle, tried
-    return best
+            low, sampled = middle, tried
+    return sampled.trajectory
 
 
 @dataclass(frozen=True)
@@ -284,18 +279,25 @@ class _Task:
                 fast = cap
         return self._drive(choice, fast)
 
+    def drawn(self, sampled: Sampled) -> list[FloatArray]:
+        """Shaft power that each side draws [W]."""
+        model, kind = self.runs.model, self.kinds[sampled.run]
+        known = {name: value[kind] for name, value in self.runs.channels.items()}
+        motion = Motion.from_trajectory(sampled.trajectory, model.vehicle.icr, **known)
+        loads = Limits().loads(model, motion)
+        return [np.maximum(power, 0.0) for power in (loads.left, loads.right)]
+
+    def strongest(self, sampled: Sampled) -> float:
+        """Largest shaft power that a side draws [W]."""
+        return max(float(power.max()) for power in self.drawn(sampled))
+
     def hottest(self, sampled: Sampled, motor: MotorLimits) -> float:
         """Largest mean drawn power over a thermal window, relative to the continuous power."""
-        trajectory, model = sampled.trajectory, self.runs.model
-        kind = self.kinds[sampled.run]
-        known = {name: value[kind] for name, value in self.runs.channels.items()}
-        motion = Motion.from_trajectory(trajectory, model.vehicle.icr, **known)
-        loads = Limits().loads(model, motion)
-        drawn = [np.maximum(power, 0.0) for power in (loads.left, loads.right)]
+        means = self.drawn(sampled)
         if motor.thermal_time > 0:
-            drawn = [window_mean(trajectory.t, power, motor.thermal_time) for power in drawn]
-        peak = max(float(power.max()) for power in drawn)
-        return peak / motor.continuous_power if motor.continuous_power > 0 else np.inf
+            t = sampled.trajectory.t
+            means = [window_mean(t, power, motor.thermal_time) for power in means]
+        return max(float(np.max(relative(mean, motor.continuous_power))) for mean in means)
 
 
 def _corners(
