@@ -1,0 +1,217 @@
+"""Paths, trajectories and drive logs as tables: CSV, gzipped CSV, Parquet."""
+
+from __future__ import annotations
+
+import gzip
+import io
+from collections.abc import Mapping
+from pathlib import Path as File
+
+import numpy as np
+import pandas as pd
+
+from energyplan._tables import Table, read_table
+from energyplan.drivelog import DriveLog
+from energyplan.errors import InvalidInputError, MissingDependencyError, PathError
+from energyplan.io.files import atomic_write
+from energyplan.path import FloatArray, Path, Trajectory, wrap_angle
+
+_FIRST = ("t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current")
+
+
+def read_path(file: str | File, longitudinal: float = 0.0) -> Path:
+    """Read a path from a table with the columns ``x``, ``y``, ``yaw``.
+
+    Parameters
+    ----------
+    file : str or pathlib.Path
+        A ``.csv``, ``.csv.gz`` or ``.parquet`` file; SI units and radians.
+    longitudinal : float
+        x coordinate of the reference point in the body frame [m]; `TreadICR.longitudinal`.
+
+    Returns
+    -------
+    Path
+        The poses joined by arcs.
+
+    Raises
+    ------
+    PathError
+        If the file is malformed, or two poses ask for sideways motion.
+    """
+    table = read_table(file, PathError)
+    poses = np.column_stack([_complete(table, name) for name in ("x", "y", "yaw")])
+    if len(poses) < 2:
+        raise PathError(f"{table.source} holds {len(poses)} poses; a path needs two or more")
+    try:
+        return Path.from_poses(poses, longitudinal)
+    except PathError as problem:
+        raise PathError(f"{table.source} (pose 0 is {table.place(0)}): {problem}") from None
+
+
+def write_path(
+    path: Path, file: str | File, *, max_ds: float = 0.05, max_dtheta: float = 0.05
+) -> File:
+    """Write a path as a table with the columns ``x``, ``y``, ``yaw``.
+
+    Parameters
+    ----------
+    path : Path
+        The path.
+    file : str or pathlib.Path
+        A ``.csv``, ``.csv.gz`` or ``.parquet`` file, written whole or not at all.
+    max_ds, max_dtheta : float
+        Largest step between poses [m], [rad].
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    InvalidInputError
+        If the file's type is unknown or it cannot be written.
+    """
+    poses = path.poses(max_ds, max_dtheta)
+    return _write(file, dict(zip(("x", "y", "yaw"), poses.T, strict=True)))
+
+
+def read_trajectory(file: str | File) -> Trajectory:
+    """Read a trajectory: a table with the columns ``t``, ``x``, ``y``, ``yaw``, ``v``, ``omega``.
+
+    Parameters
+    ----------
+    file : str or pathlib.Path
+        A ``.csv``, ``.csv.gz`` or ``.parquet`` file; SI units and radians.
+
+    Returns
+    -------
+    Trajectory
+        The trajectory; yaw unwrapped.
+
+    Raises
+    ------
+    PathError
+        If the file is malformed, time does not increase, or poses and speeds contradict each other;
+        the message names the line.
+    """
+    table = read_table(file, PathError)
+    t, x, y, yaw, v, omega = (
+        _complete(table, name) for name in ("t", "x", "y", "yaw", "v", "omega")
+    )
+    if len(t) < 2:
+        raise PathError(f"{table.source} holds {len(t)} samples; a trajectory needs two or more")
+    back = np.flatnonzero(np.diff(t) <= 0)
+    if len(back):
+        k = int(back[0])
+        raise PathError(
+            f"{table.source}, {table.place(k + 1)}: t does not increase: {t[k + 1]:g} s follows "
+            f"{t[k]:g} s; sort the rows and drop repeated ones"
+        )
+    step = np.diff(t)
+    turn = 0.5 * step * (omega[1:] + omega[:-1])
+    way = 0.5 * step * (v[1:] + v[:-1]) * np.sinc(turn / (2 * np.pi))
+    _agree(table, "yaw", wrap_angle(np.diff(yaw)), "omega", wrap_angle(turn), "rad")
+    _agree(table, "x, y", np.hypot(np.diff(x), np.diff(y)), "v", np.abs(way), "m")
+    return Trajectory(t, x, y, np.unwrap(yaw), v, omega)
+
+
+def _complete(table: Table, name: str) -> FloatArray:
+    """Return a column without holes."""
+    values = table.column(name)
+    hole = np.flatnonzero(~np.isfinite(values))
+    if len(hole):
+        raise PathError(
+            f"{table.source}, {table.place(int(hole[0]))}: {name} is empty or not finite; fill it "
+            "in or drop the row"
+        )
+    return values
+
+
+def _agree(
+    table: Table, what: str, told: FloatArray, rate: str, expected: FloatArray, unit: str
+) -> None:
+    """Refuse poses and speeds that contradict each other on the whole, as degrees would."""
+    error = np.abs(told - expected)
+    larger = max(float(np.abs(told).sum()), float(np.abs(expected).sum()))
+    if larger > 0.1 and error.sum() > 0.5 * larger:
+        k = int(np.argmax(error))
+        raise PathError(
+            f"{table.source}, {table.place(k + 1)}: {what} changes by {told[k]:.3g} {unit} where "
+            f"{rate} gives {expected[k]:.3g} {unit}, and so on along the trajectory; check the "
+            "units (m, rad, s) and the step between samples"
+        )
+
+
+def write_trajectory(trajectory: Trajectory, file: str | File) -> File:
+    """Write a trajectory with the columns ``t``, ``x``, ``y``, ``yaw``, ``v``, ``omega``.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        The trajectory.
+    file : str or pathlib.Path
+        A ``.csv``, ``.csv.gz`` or ``.parquet`` file, written whole or not at all.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    InvalidInputError
+        If the file's type is unknown or it cannot be written.
+    """
+    names = ("t", "x", "y", "yaw", "v", "omega")
+    return _write(file, {name: getattr(trajectory, name) for name in names})
+
+
+def write_log(log: DriveLog, file: str | File) -> File:
+    """Write a drive log with one column for each of its channels.
+
+    Parameters
+    ----------
+    log : DriveLog
+        The log.
+    file : str or pathlib.Path
+        A ``.csv``, ``.csv.gz`` or ``.parquet`` file, written whole or not at all.
+
+    Returns
+    -------
+    pathlib.Path
+        The file, which `DriveLog.read` reads.
+
+    Raises
+    ------
+    InvalidInputError
+        If the file's type is unknown or it cannot be written.
+    """
+    first = [name for name in _FIRST if log.has(name)]
+    rest = sorted(set(log.channels) - set(first))
+    return _write(file, {name: log.channels[name] for name in (*first, *rest)})
+
+
+def _write(file: str | File, columns: Mapping[str, FloatArray]) -> File:
+    """Write columns; numbers as the shortest text that reads back the same."""
+    target = File(file)
+    frame = pd.DataFrame(dict(columns))
+    suffix = target.suffix.lower()
+    if suffix in (".parquet", ".pq"):
+        stream = io.BytesIO()
+        try:
+            frame.to_parquet(stream)
+        except ImportError:
+            raise MissingDependencyError(
+                f"writing {target} needs pyarrow; install it with pip install 'energyplan[parquet]'"
+            ) from None
+        return atomic_write(target, stream.getvalue())
+    text = frame.to_csv(index=False, lineterminator="\n").encode()
+    if suffix == ".csv":
+        return atomic_write(target, text)
+    if suffix == ".gz":
+        return atomic_write(target, gzip.compress(text, mtime=0))
+    raise InvalidInputError(
+        f"{target} is of an unknown type; name a .csv, .csv.gz or .parquet file"
+    )
