@@ -22,7 +22,7 @@ __all__ = ["HeightMap", "OccupancyGrid", "Surface", "SurfaceMap", "footprint"]
 
 BoolArray = NDArray[np.bool_]
 
-MAX_CELLS = 2**28
+MAX_CELLS = 2**26
 """Largest number of cells of a map; more is taken for a mistake or an attack."""
 
 

@@ -1,10 +1,10 @@
-"""Read maps: ROS map_server YAML with its image, and MovingAI benchmark maps."""
+"""Read and write maps: ROS map_server YAML with its image, and MovingAI benchmark maps."""
 
 from __future__ import annotations
 
 import io
 import math
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -14,6 +14,8 @@ from PIL import Image, UnidentifiedImageError
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from energyplan.errors import MapError
+from energyplan.io._limited import beside, read_bytes
+from energyplan.io.files import atomic_write
 from energyplan.maps import MAX_CELLS, OccupancyGrid
 from energyplan.path import Pose
 
@@ -83,7 +85,7 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
             ".map"
         )
     header = _header(file)
-    values, alpha = _pixels(_image_file(file, header.image))
+    values, alpha = _pixels(beside(file, "image", header.image))
     occupied, free = _interpret(values, alpha, header)
     return OccupancyGrid(
         # images start with the top row, maps with the bottom one
@@ -95,22 +97,8 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
     )
 
 
-def _read_bytes(file: Path, limit: int) -> bytes:
-    """Return a file's content if it is not larger than `limit` [bytes]."""
-    try:
-        with file.open("rb") as stream:
-            content = stream.read(limit + 1)
-    except OSError as error:
-        raise MapError(f"{file}: cannot be read: {error.strerror or error}") from None
-    except ValueError as error:
-        raise MapError(f"{str(file)!r}: no usable file name: {error}") from None
-    if len(content) > limit:
-        raise MapError(f"{file}: larger than {limit} bytes; crop the map or coarsen it")
-    return content
-
-
 def _header(file: Path) -> _MapHeader:
-    content = _read_bytes(file, MAX_HEADER)
+    content = read_bytes(file, MAX_HEADER)
     try:
         data = yaml.safe_load(content)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
@@ -126,28 +114,12 @@ def _header(file: Path) -> _MapHeader:
         raise MapError(f"{file}: {key}: {first['msg']}") from None
 
 
-def _image_file(header: Path, name: str) -> Path:
-    """Return the image that a header names, if it lies in the header's folder or below."""
-    if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts or "\0" in name:
-        raise MapError(
-            f"{header}: image: {name!r} leaves the map's folder; put the image beside the YAML and "
-            "name it alone"
-        )
-    folder = header.resolve().parent
-    image = (folder / name).resolve()
-    if not image.is_relative_to(folder):
-        raise MapError(
-            f"{header}: image: {name!r} is a link out of the map's folder; copy the image there"
-        )
-    return image
-
-
 def _pixels(file: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
     """Return an image's grey values in [0, 1] and its alpha channel, if it has one.
 
     With an alpha channel the colours alone are averaged; what alpha means is up to the mode.
     """
-    content = _read_bytes(file, MAX_FILE)
+    content = read_bytes(file, MAX_FILE)
     try:
         # the size stands in the header: nothing is decompressed before it is known to be sane
         with Image.open(io.BytesIO(content), formats=("PPM", "PNG", "BMP")) as image:
@@ -200,7 +172,7 @@ def _interpret(
 
 def _read_movingai(file: Path) -> OccupancyGrid:
     """Read a MovingAI map: cells of 1 m, lower left corner at the origin."""
-    lines = _read_bytes(file, MAX_FILE).splitlines()
+    lines = read_bytes(file, MAX_FILE).splitlines()
     size: dict[str, int] = {}
     for number, line in enumerate(lines[:16], start=1):
         words = line.split()
@@ -229,3 +201,39 @@ def _read_movingai(file: Path) -> OccupancyGrid:
     cells = np.frombuffer(b"".join(rows), np.uint8).reshape(size["height"], size["width"])
     passable = np.isin(cells, np.frombuffer(MOVINGAI_FREE, np.uint8))
     return OccupancyGrid(~passable[::-1], resolution=1.0)
+
+
+def write_map(grid: OccupancyGrid, path: str | Path) -> None:
+    """Write a map as map_server YAML with a PNG of the same name beside it.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        The map.
+    path : str or Path
+        The YAML file. Both files are replaced as a whole.
+
+    Raises
+    ------
+    MapError
+        If the file's name does not end in ``.yaml`` or ``.yml``.
+    """
+    file = Path(path)
+    if file.suffix not in {".yaml", ".yml"}:
+        raise MapError(f"{file}: name the map something.yaml; its image stands beside it")
+    pixels = np.where(grid.occupied, 0, 254).astype(np.uint8)
+    if grid.unknown is not None:
+        pixels[grid.unknown & ~grid.occupied] = 205
+    image = io.BytesIO()
+    Image.fromarray(pixels[::-1]).save(image, format="PNG", optimize=True)
+    header = {
+        "image": file.with_suffix(".png").name,
+        "mode": "trinary",
+        "resolution": float(grid.resolution),
+        "origin": [float(v) for v in grid.origin],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.196,
+    }
+    atomic_write(file.with_suffix(".png"), image.getvalue())
+    atomic_write(file, yaml.safe_dump(header, sort_keys=False, default_flow_style=None))

@@ -1,0 +1,132 @@
+"""Read and write surfaces as GeoJSON: polygons that name a power model each."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from energyplan.errors import EnergyPlanError, MapError
+from energyplan.io._limited import beside, read_features
+from energyplan.io.files import atomic_write
+from energyplan.maps import Surface, SurfaceMap
+from energyplan.power import PowerModel
+
+KEEP_OUT = ("keep_out", "keep-out", "keepout")
+"""Names of a surface that the robot must not enter."""
+
+MAX_COORDINATES = 1_000_000
+"""Most coordinates that a file of surfaces may hold."""
+
+
+def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = None) -> SurfaceMap:
+    """Read a GeoJSON FeatureCollection of polygons.
+
+    Each feature is a Polygon or MultiPolygon in the map's frame [m]. Its property ``model``, or
+    ``surface`` where there is no ``model``, names a power model: a preset, a YAML file beside the
+    GeoJSON, or a key of `models`; ``keep_out`` stands for an area that the robot must not enter.
+    ``surface`` or ``name`` labels it. Where surfaces overlap, the last one counts.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    models : mapping of str to PowerModel, optional
+        Models by name; they come before presets and files.
+
+    Returns
+    -------
+    SurfaceMap
+        The surfaces.
+
+    Raises
+    ------
+    MapError
+        If the file is missing or malformed, or a model is not known; the message names the
+        feature.
+    """
+    file = Path(path)
+    _, features = read_features(file)
+    known = dict(models or {})
+    surfaces: list[Surface] = []
+    keep_out: list[BaseGeometry] = []
+    total = 0
+    for k, feature in enumerate(features):
+        place = f"{file}: feature {k}"
+        area = _polygon(feature["geometry"], place)
+        total += int(shapely.get_num_coordinates(area))
+        if total > MAX_COORDINATES:
+            raise MapError(f"{place}: more than {MAX_COORDINATES} coordinates; simplify the areas")
+        properties = feature["properties"]
+        name = properties.get("model", properties.get("surface"))
+        if not isinstance(name, str) or not name:
+            raise MapError(
+                f"{place}: no property 'model' or 'surface'; name a power model, or 'keep_out'"
+            )
+        if name in KEEP_OUT:
+            keep_out.append(area)
+            continue
+        if name not in known:
+            known[name] = _model(file, k, name)
+        label = properties.get("surface", properties.get("name", name))
+        surfaces.append(Surface(area, known[name], str(label)))
+    return SurfaceMap(tuple(surfaces), tuple(keep_out))
+
+
+def _polygon(geometry: Mapping[str, Any], place: str) -> BaseGeometry:
+    kind = geometry.get("type")
+    if kind not in {"Polygon", "MultiPolygon"}:
+        raise MapError(f"{place}: a {kind}; a surface is a Polygon or a MultiPolygon")
+    try:
+        area = shapely.from_geojson(json.dumps(geometry))
+    except (shapely.errors.GEOSException, ValueError, TypeError, RecursionError) as error:
+        raise MapError(f"{place}: malformed coordinates: {error}") from None
+    if area is None or area.is_empty:
+        raise MapError(f"{place}: no coordinates; remove the feature or draw it")
+    if not area.is_valid:
+        raise MapError(f"{place}: {shapely.is_valid_reason(area)}; correct the polygon")
+    return area
+
+
+def _model(file: Path, feature: int, name: str) -> PowerModel:
+    """Return the model of a preset or of a YAML file beside the GeoJSON."""
+    try:
+        if not name.endswith((".yaml", ".yml")):
+            return PowerModel.preset(name)
+        target = beside(file, f"feature {feature}: model", name)
+        from energyplan.io.config import read_model
+
+        return read_model(target)
+    except EnergyPlanError as error:
+        raise MapError(f"{file}: feature {feature}: model: {error}") from None
+
+
+def write_surfaces(surfaces: SurfaceMap, path: str | Path) -> None:
+    """Write surfaces as GeoJSON; each model is named, not written.
+
+    Parameters
+    ----------
+    surfaces : SurfaceMap
+        The surfaces. Their models' names must be presets, or YAML files beside `path`, for
+        `read_surfaces` to find them again.
+    path : str or Path
+        The file. It is replaced as a whole.
+    """
+    features = [
+        _feature(s.area, {"model": s.model.name, "surface": s.name}) for s in surfaces.surfaces
+    ]
+    features += [_feature(area, {"surface": KEEP_OUT[0]}) for area in surfaces.keep_out]
+    document = {"type": "FeatureCollection", "features": features}
+    atomic_write(Path(path), json.dumps(document, indent=1) + "\n")
+
+
+def _feature(area: BaseGeometry, properties: dict[str, str]) -> dict[str, Any]:
+    return {
+        "type": "Feature",
+        "properties": properties,
+        "geometry": shapely.geometry.mapping(area),
+    }

@@ -1,0 +1,156 @@
+"""Make the maps of this folder: ``python maps/make_maps.py [FOLDER]``.
+
+Each is a map_server YAML with its PNG, and surfaces in GeoJSON. They are drawn so that the
+shortest route and the route of least energy differ; ``docs/maps.md`` explains why. The same
+script makes the same bytes every time.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import shapely
+from shapely import box
+from shapely.geometry.base import BaseGeometry
+
+from energyplan.io.geojson import write_surfaces
+from energyplan.io.maps import write_map
+from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
+from energyplan.path import Pose
+from energyplan.power import PowerModel
+
+RESOLUTION = 0.05
+WALL = 0.15
+
+
+def walls(*lines: tuple[float, float, float, float]) -> list[BaseGeometry]:
+    """Return walls about centre lines (x0, y0, x1, y1)."""
+    half = WALL / 2
+    return [
+        box(min(x0, x1) - half, min(y0, y1) - half, max(x0, x1) + half, max(y0, y1) + half)
+        for x0, y0, x1, y1 in lines
+    ]
+
+
+def hull(width: float, height: float) -> list[BaseGeometry]:
+    """Return the outer walls of a building with a corner at the origin."""
+    return [box(0, 0, width, height).difference(box(WALL, WALL, width - WALL, height - WALL))]
+
+
+def surface(area: BaseGeometry, name: str, load: str) -> Surface:
+    """Return a ground of the paper's Table II."""
+    return Surface(area, PowerModel.preset(f"quadriga:{load}:{name}"), name)
+
+
+def office() -> tuple[OccupancyGrid, SurfaceMap]:
+    """Return an office: a marble corridor, and concrete rooms with doors between them."""
+    width, height = 20.0, 14.0
+    obstacles = hull(width, height)
+    low, high = 6.0, 8.2
+    # south rooms: 5 m wide, one door to the corridor each, and doors from room to room that lie
+    # alternately near the window and near the corridor
+    for k in range(4):
+        left = 5.0 * k
+        obstacles += walls((left, low, left + 3.2, low), (left + 4.4, low, left + 5.0, low))
+        if k:
+            door = 1.0 if k % 2 else 3.4
+            obstacles += walls((left, 0, left, door), (left, door + 1.2, left, low))
+        obstacles += [box(left + 1.7, 2.4, left + 3.1, 3.2), box(left + 1.7, 4.6, left + 2.6, 5.2)]
+    # north rooms: offices with a desk each, and a meeting room
+    for k in range(3):
+        left = 4.0 * k
+        obstacles += walls((left, high, left + 0.8, high), (left + 2.0, high, left + 4.0, high))
+        obstacles += walls((left + 4.0, high, left + 4.0, height))
+        obstacles += [box(left + 1.0, 11.4, left + 2.8, 12.2)]
+    obstacles += walls((12, high, 15.4, high), (16.8, high, 20, high))
+    obstacles += [box(14.0, 10.4, 18.0, 11.6)]
+    # a copier and a plant stand in the corridor, leaving it wide enough
+    obstacles += [box(10.6, 7.6, 11.6, 8.2), shapely.Point(14.2, 6.4).buffer(0.25)]
+    grid = OccupancyGrid.from_polygons(obstacles, (0, 0, width, height), RESOLUTION)
+    inside = box(0, 0, width, height)
+    corridor = box(0, low, width, high)
+    ground = SurfaceMap(
+        [
+            surface(inside.difference(corridor), "concrete", "empty"),
+            surface(corridor, "marble", "empty"),
+        ]
+    )
+    return grid, ground
+
+
+def warehouse() -> tuple[OccupancyGrid, SurfaceMap]:
+    """Return a warehouse: a concrete hall with pallets in blocks, a marble hall with long racks."""
+    width, height = 24.0, 16.0
+    obstacles = hull(width, height)
+    obstacles += walls((12, 0, 12, 1.1), (12, 3.1, 12, 9.4), (12, 11.4, 12, height))
+    for i in range(3):
+        for j in range(4):
+            left, low = 3.4 + 2.7 * i, 3.1 + 2.7 * j
+            obstacles.append(box(left, low, left + 1.3, low + 1.3))
+    for low in (3.4, 5.6, 7.8, 12.6):
+        obstacles.append(box(14.0, low, 18.4, low + 0.8))
+    obstacles.append(box(21.4, 4.0, 22.6, 9.0))
+    # the office of the foreman in a corner; nobody drives on its mats
+    obstacles += walls((0, 14.2, 3.0, 14.2), (3.0, 14.2, 3.0, height))
+    grid = OccupancyGrid.from_polygons(obstacles, (0, 0, width, height), RESOLUTION)
+    inside_office = grid.with_blocked(box(0.2, 14.4, 2.8, 15.8)).occupied & ~grid.occupied
+    grid = OccupancyGrid(grid.occupied, RESOLUTION, grid.origin, unknown=inside_office)
+    ground = SurfaceMap(
+        [
+            surface(box(0, 0, 12, height), "concrete", "full"),
+            surface(box(12, 0, width, height), "marble", "full"),
+        ],
+        keep_out=[box(18.6, 14.4, 22.0, 15.6)],
+    )
+    return grid, ground
+
+
+def orchard() -> tuple[OccupancyGrid, SurfaceMap]:
+    """Return an orchard, turned by 20 degrees: rows of trees with gaps, and a paved yard."""
+    rng = np.random.default_rng(7)
+    width, height = 30.0, 20.0
+    obstacles: list[BaseGeometry] = [
+        box(0, 0, width, height).difference(box(0.1, 0.1, width - 0.1, height - 0.1))
+    ]
+    for row in range(6):
+        y = 3.0 + 2.4 * row
+        # where trees died, a robot slips through
+        gap = 8 + 3.1 * row
+        for x in np.arange(4.0, 26.01, 1.0):
+            if abs(x - gap) < 1.3:
+                continue
+            at = np.array([x, y]) + rng.normal(0, 0.06, 2)
+            obstacles.append(shapely.Point(at).buffer(rng.uniform(0.12, 0.22), quad_segs=4))
+    shed = box(26.2, 17.6, 29.6, 19.6)
+    grid = OccupancyGrid.from_polygons([*obstacles, shed], (0, 0, width, height), RESOLUTION)
+    grid = OccupancyGrid(grid.occupied, RESOLUTION, Pose(-5.0, 2.0, np.deg2rad(20)))
+
+    def world(area: BaseGeometry) -> BaseGeometry:
+        return shapely.transform(area, lambda points: grid.to_world(points / RESOLUTION))
+
+    yard = box(27.2, 0, width, height)
+    ground = SurfaceMap(
+        [
+            surface(world(box(0, 0, 27.2, height)), "concrete", "empty"),
+            surface(world(yard), "marble", "empty"),
+        ],
+        keep_out=[world(shapely.Point(1.6, 17.9).buffer(1.2, quad_segs=6))],
+    )
+    return grid, ground
+
+
+MAPS = {"office": office, "warehouse": warehouse, "orchard": orchard}
+
+
+def main(folder: Path) -> None:
+    """Write every map into a folder."""
+    for name, make in MAPS.items():
+        grid, ground = make()
+        write_map(grid, folder / f"{name}.yaml")
+        write_surfaces(ground, folder / f"{name}_surfaces.geojson")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parent)

@@ -1,0 +1,368 @@
+"""Map files: what they mean, and that hostile ones are refused by name."""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from energyplan.errors import EnergyPlanError, MapError
+from energyplan.io.geojson import read_surfaces, write_surfaces
+from energyplan.io.maps import read_map, write_map
+from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
+from energyplan.path import Pose
+from energyplan.power import PowerModel
+
+HEADER = {
+    "image": "m.png",
+    "resolution": 0.1,
+    "origin": [1.0, -2.0, 0.5],
+    "negate": 0,
+    "occupied_thresh": 0.65,
+    "free_thresh": 0.25,
+}
+
+
+def write(folder, pixels, image="m.png", mode=None, **header):
+    Image.fromarray(np.asarray(pixels), mode).save(folder / image)
+    lines = {**HEADER, "image": image, **header}
+    file = folder / "m.yaml"
+    file.write_text("\n".join(f"{k}: {v}" for k, v in lines.items()))
+    return file
+
+
+def states(grid):
+    """Return o, u or . for each cell, top row first, as one looks at the image."""
+    unknown = np.zeros(grid.shape, bool) if grid.unknown is None else grid.unknown
+    letters = np.where(grid.occupied, "o", np.where(unknown, "u", "."))
+    return ["".join(row) for row in letters[::-1]]
+
+
+@pytest.mark.parametrize("image", ["m.png", "m.pgm"])
+def test_trinary(tmp_path, image):
+    file = write(tmp_path, np.array([[0, 254, 205], [255, 100, 60]], np.uint8), image)
+    grid = read_map(file)
+    # darkness 0, 1/255, 0.196 | 0, 0.608, 0.765
+    assert states(grid) == ["o..", ".uo"]
+    assert grid.origin == Pose(1.0, -2.0, 0.5)
+    assert grid.resolution == 0.1
+
+
+def test_the_bottom_row_of_the_image_is_row_zero(tmp_path):
+    pixels = np.full((4, 5), 254, np.uint8)
+    pixels[3, 0] = 0
+    grid = read_map(write(tmp_path, pixels))
+    assert grid.occupied[0, 0]
+    assert grid.occupied.sum() == 1
+    # the origin is the outer corner of that cell, and the map is turned by the origin's yaw
+    corner = grid.to_world([1.0, 0.0]) - np.array([1.0, -2.0])
+    assert np.allclose(corner, 0.1 * np.array([np.cos(0.5), np.sin(0.5)]))
+
+
+def test_negate(tmp_path):
+    file = write(tmp_path, np.array([[0, 255, 150]], np.uint8), negate=1)
+    assert states(read_map(file)) == [".ou"]
+
+
+def test_scale_counts_what_lies_between_as_unknown(tmp_path):
+    pixels = np.zeros((1, 4, 4), np.uint8)
+    pixels[0, :, 3] = [255, 255, 255, 10]
+    pixels[0, :, :3] = np.array([0, 255, 128, 255])[:, None]
+    assert states(read_map(write(tmp_path, pixels, mode="RGBA"))) is not None
+    file = tmp_path / "m.yaml"
+    file.write_text(file.read_text() + "\nmode: scale\n")
+    assert states(read_map(file)) == ["o.uu"]
+
+
+def test_raw_reads_percent(tmp_path):
+    file = write(tmp_path, np.array([[0, 24, 50, 66, 100, 101, 255]], np.uint8))
+    file.write_text(file.read_text() + "\nmode: raw\n")
+    assert states(read_map(file)) == ["..uoouu"]
+
+
+def test_trinary_averages_alpha_in(tmp_path):
+    """White but transparent: (3 * 255 + 0) / 4 is 0.25 dark, at the threshold and not below."""
+    pixels = np.full((1, 2, 4), 255, np.uint8)
+    pixels[0, 1, 3] = 0
+    file = write(tmp_path, pixels, mode="RGBA")
+    assert states(read_map(file)) == [".u"]
+
+
+def test_sixteen_bit_and_ascii_images(tmp_path):
+    file = write(tmp_path, np.array([[0, 65535]], np.uint16))
+    assert states(read_map(file)) == ["o."]
+    (tmp_path / "m.png").unlink()
+    (tmp_path / "m.pgm").write_text("P2\n# drawn by hand\n2 1\n255\n0 255\n")
+    file.write_text(file.read_text().replace("m.png", "m.pgm"))
+    assert states(read_map(file)) == ["o."]
+
+
+def test_unknown_is_free_on_request(tmp_path):
+    file = write(tmp_path, np.full((3, 3), 128, np.uint8))
+    assert read_map(file).blocked.all()
+    assert not read_map(file, unknown_is_free=True).blocked.any()
+
+
+def test_movingai(tmp_path):
+    file = tmp_path / "a.map"
+    file.write_text("type octile\nheight 2\nwidth 4\nmap\n.G@T\nSW.O\n")
+    grid = read_map(file)
+    assert states(grid) == ["..oo", ".o.o"]
+    assert grid.resolution == 1.0
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["depot", "tb3_sandbox"])
+def test_nav2_maps(shared_data, name):
+    """Against a plain reading of the image with the formula of the map format."""
+    folder = shared_data / "maps"
+    grid = read_map(folder / f"{name}.yaml")
+    pixels = np.asarray(Image.open(folder / f"{name}.pgm").convert("L"), float)[::-1]
+    occupied = (255 - pixels) / 255 > 0.65
+    assert np.array_equal(grid.occupied, occupied)
+    if name == "depot":
+        assert grid.shape == (307, 604)
+        assert grid.size == pytest.approx((30.2, 15.35))
+    else:
+        assert grid.origin == Pose(-10.0, -10.0, 0.0)
+        assert np.mean(grid.unknown) > 0.5
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(1, 12), st.integers(1, 12), st.integers(0, 2**32 - 1))
+def test_maps_come_back_as_they_were_written(tmp_path_factory, rows, columns, seed):
+    rng = np.random.default_rng(seed)
+    occupied, unknown = rng.random((2, rows, columns)) < 0.3
+    origin = Pose(*rng.normal(size=3))
+    grid = OccupancyGrid(occupied, 0.05, origin, unknown=unknown & ~occupied)
+    file = tmp_path_factory.mktemp("maps") / "m.yaml"
+    write_map(grid, file)
+    back = read_map(file)
+    assert np.array_equal(back.occupied, grid.occupied)
+    assert np.array_equal(back.unknown, grid.unknown)
+    assert back.origin == grid.origin
+    assert back.resolution == grid.resolution
+
+
+# -- hostile files ----------------------------------------------------------------------------
+
+
+def png_claiming(width, height):
+    """Return a PNG whose header claims a size, with next to no data behind it."""
+
+    def chunk(kind, body):
+        return (
+            struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        )
+
+    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    data = zlib.compress(bytes(1 << 16), 9)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize("size", [(100_000, 100_000), (2**31 - 1, 2**31 - 1), (20_000, 20_000)])
+def test_decompression_bombs_are_refused(tmp_path, size):
+    file = write(tmp_path, np.zeros((2, 2), np.uint8))
+    (tmp_path / "m.png").write_bytes(png_claiming(*size))
+    with pytest.raises(MapError, match=r"m\.png"):
+        read_map(file)
+
+
+def test_a_pgm_of_absurd_size_is_refused(tmp_path):
+    file = write(tmp_path, np.zeros((2, 2), np.uint8), "m.pgm")
+    (tmp_path / "m.pgm").write_bytes(b"P5\n99999999 99999999\n255\n\0\0")
+    with pytest.raises(MapError, match=r"m\.pgm.*pixels"):
+        read_map(file)
+
+
+@pytest.mark.parametrize(
+    "name", ["../m.png", "/etc/passwd", "a/../../m.png", "link.png", "..\\m.png"]
+)
+def test_images_outside_the_folder_are_refused(tmp_path, name):
+    folder = tmp_path / "maps"
+    folder.mkdir()
+    file = write(folder, np.zeros((2, 2), np.uint8))
+    write(tmp_path, np.zeros((2, 2), np.uint8))
+    (folder / "link.png").symlink_to(tmp_path / "m.png")
+    file.write_text(file.read_text().replace("m.png", f"'{name}'"))
+    with pytest.raises(MapError, match="folder"):
+        read_map(file)
+
+
+@pytest.mark.parametrize(
+    ("change", "place"),
+    [
+        ({"resolution": 0}, "resolution"),
+        ({"resolution": "'five'"}, "resolution"),
+        ({"resolution": ".nan"}, "resolution"),
+        ({"origin": "[0, 0]"}, "origin"),
+        ({"origin": "[0, 0, .inf]"}, "origin"),
+        ({"mode": "quaternary"}, "mode"),
+        ({"free_thresh": 0.9}, "free_thresh"),
+        ({"occupied_thresh": 7}, "occupied_thresh"),
+        ({"image": "missing.png"}, r"missing\.png"),
+        ({"image": "m.yaml"}, "not a PGM"),
+        ({"image": "[1"}, "not valid YAML"),
+        ({"image": "!!python/object/apply:os.getcwd []"}, "not valid YAML"),
+    ],
+)
+def test_malformed_headers_name_the_place(tmp_path, change, place):
+    write(tmp_path, np.zeros((2, 2), np.uint8))
+    file = tmp_path / "m.yaml"
+    file.write_text("\n".join(f"{k}: {v}" for k, v in {**HEADER, **change}.items()))
+    with pytest.raises(MapError, match=place):
+        read_map(file)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "type octile\nheight 2\nwidth 2\n",
+        "type octile\nheight 2\nmap\n..\n..\n",
+        "height 0\nwidth 2\nmap\n",
+        "height 2\nwidth 2\nmap\n..\n.\n",
+        "height 3\nwidth 2\nmap\n..\n..\n",
+        "height 999999999\nwidth 999999999\nmap\n",
+        "height -2\nwidth 2\nmap\n..\n..\n",
+    ],
+)
+def test_malformed_movingai_maps_are_refused(tmp_path, text):
+    file = tmp_path / "a.map"
+    file.write_text(text)
+    with pytest.raises(MapError, match=r"a\.map"):
+        read_map(file)
+
+
+def test_missing_and_strange_files(tmp_path):
+    with pytest.raises(MapError, match="cannot be read"):
+        read_map(tmp_path / "none.yaml")
+    with pytest.raises(MapError, match="unknown kind"):
+        read_map(tmp_path / "map.bmp")
+    with pytest.raises(MapError, match="cannot be read"):
+        (tmp_path / "folder.yaml").mkdir()
+        read_map(tmp_path / "folder.yaml")
+    with pytest.raises(MapError, match="file name"):
+        read_map("a\0.yaml")
+
+
+FUZZ = settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+
+
+@FUZZ
+@given(st.binary(max_size=300))
+def test_any_bytes_end_in_a_map_or_a_named_error(tmp_path, content):
+    for name in ("f.yaml", "f.map"):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(EnergyPlanError):
+            read_map(tmp_path / name)
+    file = write(tmp_path, np.zeros((2, 2), np.uint8))
+    (tmp_path / "m.png").write_bytes(content)
+    with pytest.raises(EnergyPlanError):
+        read_map(file)
+
+
+@FUZZ
+@given(st.integers(0, 10_000), st.integers(1, 255), st.sampled_from(["m.png", "m.pgm", "m.yaml"]))
+def test_a_flipped_byte_ends_in_a_map_or_a_named_error(tmp_path, where, mask, name):
+    image = name if name != "m.yaml" else "m.png"
+    file = write(tmp_path, (np.arange(64).reshape(8, 8) * 4).astype(np.uint8), image)
+    content = bytearray((tmp_path / name).read_bytes())
+    content[where % len(content)] ^= mask
+    (tmp_path / name).write_bytes(content)
+    try:
+        grid = read_map(file)
+    except EnergyPlanError:
+        return
+    assert grid.resolution > 0
+    assert np.all(np.isfinite(grid.origin))
+
+
+# -- surfaces ---------------------------------------------------------------------------------
+
+
+def collection(*features):
+    return json.dumps({"type": "FeatureCollection", "features": list(features)})
+
+
+def feature(area, **properties):
+    return {
+        "type": "Feature",
+        "properties": properties,
+        "geometry": shapely.geometry.mapping(area),
+    }
+
+
+BOX = shapely.box(0, 0, 2, 1)
+
+
+def test_surfaces(tmp_path):
+    file = tmp_path / "s.geojson"
+    own = PowerModel.preset("quadriga:full:marble")
+    file.write_text(
+        collection(
+            feature(BOX, model="quadriga:empty:marble", surface="hall"),
+            feature(shapely.MultiPolygon([BOX]), surface="mine"),
+            feature(shapely.box(5, 5, 6, 6), surface="keep-out"),
+        )
+    )
+    ground = read_surfaces(file, {"mine": own})
+    assert [s.name for s in ground.surfaces] == ["hall", "mine"]
+    assert ground.surfaces[0].model.coefficient("traction_resistance") == 90.0
+    assert ground.surfaces[1].model is own
+    assert ground.keep_out[0].bounds == (5, 5, 6, 6)
+    assert [name for name, _ in ground.polygons] == ["hall", "mine", "keep-out"]
+
+
+def test_surfaces_come_back_as_they_were_written(tmp_path):
+    ring = shapely.Point(1, 2).buffer(3).difference(shapely.Point(1, 2).buffer(1))
+    marble = PowerModel.preset("quadriga:full:marble")
+    ground = SurfaceMap([Surface(ring, marble, "ring")], [BOX])
+    write_surfaces(ground, tmp_path / "s.geojson")
+    back = read_surfaces(tmp_path / "s.geojson")
+    assert shapely.equals_exact(back.surfaces[0].area, ring, 1e-12)
+    assert back.surfaces[0].model.name == marble.name
+    assert back.surfaces[0].name == "ring"
+    assert back.keep_out[0].equals(BOX)
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("{", "JSON"),
+        ("[]", "FeatureCollection"),
+        ("[" * 100_000, "JSON"),
+        (collection({"type": "Feature", "geometry": None}), "feature 0 has no geometry"),
+        (collection(feature(BOX)), "feature 0: no property"),
+        (collection(feature(BOX, model="ice")), "feature 0.*unknown model preset 'ice'"),
+        (collection(feature(BOX, model="../m.yaml")), "folder"),
+        (collection(feature(shapely.Point(0, 0), model="x")), "feature 0: a Point"),
+        (
+            collection(feature(shapely.Polygon([(0, 0), (1, 1), (1, 0), (0, 1)]), model="x")),
+            "Self-intersection",
+        ),
+        (
+            '{"features":[{"geometry":{"type":"Polygon","coordinates":[[[0,0],[1,"a"]]]}}]}',
+            "coordinates",
+        ),
+        (
+            '{"features":[{"geometry":{"type":"Polygon","coordinates":'
+            '[[[0,0],[1e999,0],[1,1],[0,0]]]},"properties":{"model":"x"}}]}',
+            "feature 0",
+        ),
+    ],
+)
+def test_malformed_surfaces_name_the_place(tmp_path, text, place):
+    file = tmp_path / "s.geojson"
+    file.write_text(text)
+    with pytest.raises(MapError, match=place):
+        read_surfaces(file)
