@@ -21,6 +21,9 @@ from energyplan.vehicle import TreadICR
 _LEAST_TURNING = 1.0
 """Yaw that a log must have turned through in all for an ICR to be told [rad]."""
 
+_WINDOW = 50
+"""Samples over which the noise of increments is judged."""
+
 _LEAST_GRIP = 0.05
 """Measured turning over what the wheels say; below, the wheels do not drive the body."""
 
@@ -205,8 +208,8 @@ def fit_icr(
     turning = float(np.abs(np.sign(data.around) @ data.yaw)) if len(data.dt) else 0.0
     if turning < _LEAST_TURNING or not turned(drives, prior):
         raise NotIdentifiableError(
-            f"the tread ICRs cannot be identified: by {channel} the robot turned through only "
-            f"{turning:.2f} rad while its wheels drove it round; add a spin of several turns"
+            f"the tread ICRs cannot be identified: by {channel} the robot turned through "
+            f"{turning:.2f} rad only; add a spin of several turns, wheels on the ground"
         )
     nuisance = data.dt if channel == "yaw_rate" else None
     equations = [_Equation(data.difference, nuisance, np.ones_like(data.dt))]
@@ -255,9 +258,14 @@ def _instrumented(
 
 def _variance(weight: FloatArray, residual: FloatArray, pieces: Sequence[slice]) -> float:
     """Variance of the weighted sum of an autocorrelated residual."""
-    scale = local_scale(residual, 100, pieces)
+    scale = local_scale(residual, _WINDOW, pieces)
     rho = autocorrelation(residual, pieces).rho
-    return max(float(sum_covariance(weight[:, None], scale, rho, pieces)[0, 0]), 0.0)
+    modelled = float(sum_covariance(weight[:, None], scale, rho, pieces)[0, 0])
+    # Errors of a yaw cancel from one increment to the next, all but completely, and an
+    # autoregression may cancel them altogether. Sums over windows are positive whatever comes.
+    kernel = np.ones(_WINDOW)
+    sums = (np.convolve(weight[piece] * residual[piece], kernel) for piece in pieces)
+    return max(modelled, sum(float(part @ part) for part in sums) / _WINDOW)
 
 
 def icr_from_spin(

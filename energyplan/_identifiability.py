@@ -22,6 +22,9 @@ _NEARLY_COLLINEAR = 0.1
 """Smallest singular value of the regressors, each of unit size: below, they are one another's
 combination but for what the noise of the speeds adds."""
 
+_CLEAR = 4.0
+"""Standard deviations of its noise beyond which a speed is no noise."""
+
 
 # -- linearisation ------------------------------------------------------------------------------
 
@@ -101,12 +104,62 @@ def _noise(speed: FloatArray) -> float:
     return float(1.4826 * np.median(second) / np.sqrt(6))
 
 
+@dataclass(frozen=True)
+class _Signal:
+    """Tread speeds averaged over a second, and zero where they may be noise."""
+
+    left: FloatArray
+    right: FloatArray
+
+
+def _signal(log: DriveLog) -> _Signal:
+    """Average the speeds; a speed, or difference of speeds, within four deviations of 0 is 0."""
+    v_left, v_right = log.channel("v_left"), log.channel("v_right")
+    window = max(1, min(round(1.0 / float(np.median(np.diff(log.t)))), len(log) // 2))
+    left, right = np.empty_like(v_left), np.empty_like(v_right)
+    for run in log.runs:
+        left[run] = uniform_filter1d(v_left[run], window, mode="nearest")
+        right[run] = uniform_filter1d(v_right[run], window, mode="nearest")
+    level = _CLEAR * np.hypot(_noise(v_left), _noise(v_right)) / np.sqrt(window)
+    mean, straight = 0.5 * (left + right), np.abs(right - left) < level
+    left, right = (np.where(straight, mean, v) for v in (left, right))
+    left, right = (np.where(np.abs(v) < level, 0.0, v) for v in (left, right))
+    return _Signal(left, right)
+
+
+def settled_motion(log: DriveLog, icr: TreadICR) -> Motion:
+    """Return a log's motion, straight and at rest where it was but for noise of the speeds.
+
+    Forces change sign with the speeds. Noise that makes them flip would make losses appear that
+    were never there, and friction at rest.
+
+    Parameters
+    ----------
+    log : DriveLog
+        The log.
+    icr : TreadICR
+        Tread ICRs.
+
+    Returns
+    -------
+    Motion
+        The motion: measured speeds but for those stretches.
+    """
+    motion, signal = log.motion(icr), _signal(log)
+    mean = 0.5 * (motion.v_left + motion.v_right)
+    straight = signal.left == signal.right
+    left = np.where(straight, mean, motion.v_left)
+    right = np.where(straight, mean, motion.v_right)
+    left = np.where(signal.left == 0.0, 0.0, left)
+    right = np.where(signal.right == 0.0, 0.0, right)
+    return Motion(left, right, icr, motion.channels)
+
+
 def signal_motion(log: DriveLog, icr: TreadICR, turning: bool = True) -> Motion:
     """Return a log's motion without what may be noise of its speeds.
 
-    Speeds are averaged over a second, and a speed, or a difference of the treads' speeds, within
-    four standard deviations of the noise left is zero. Regressors of this motion show what the
-    manoeuvres tell; those of the raw one are never quite zero.
+    Regressors of this motion show what the manoeuvres tell; those of the measured one are never
+    quite zero and never quite proportional.
 
     Parameters
     ----------
@@ -120,22 +173,13 @@ def signal_motion(log: DriveLog, icr: TreadICR, turning: bool = True) -> Motion:
     Returns
     -------
     Motion
-        The cleaned motion, accelerations included.
+        Speeds averaged over a second, zero where they may be noise, and their accelerations.
     """
-    motion = log.motion(icr)
-    period = float(np.median(np.diff(log.t)))
-    window = max(1, min(round(1.0 / period), len(log) // 2))
-    left = uniform_filter1d(motion.v_left, window, mode="nearest")
-    right = uniform_filter1d(motion.v_right, window, mode="nearest")
-    level = 4.0 * np.hypot(_noise(motion.v_left), _noise(motion.v_right)) / np.sqrt(window)
-    mean, difference = 0.5 * (left + right), right - left
-    if turning:
-        difference = np.where(np.abs(difference) < level, 0.0, difference)
-        left, right = mean - 0.5 * difference, mean + 0.5 * difference
-    else:
-        left = right = mean
-    left, right = (np.where(np.abs(v) < level, 0.0, v) for v in (left, right))
-    clean = Motion(left, right, icr, motion.channels)
+    signal = _signal(log)
+    left, right = signal.left, signal.right
+    if not turning:
+        left = right = 0.5 * (left + right)
+    clean = Motion(left, right, icr, log.motion(icr).channels)
     return clean.with_channels(
         accel=np.gradient(clean.v, log.t), yaw_accel=np.gradient(clean.omega, log.t)
     )
@@ -240,6 +284,11 @@ def check_identifiable(model: PowerModel, jacobian: FloatArray) -> tuple[str, ..
         for name, c in tests.items()
     }
     remedy = _best(gains) if gains else "drives in which they vary apart"
+    if gap < _COLLINEAR and gains and gains[remedy] < 2 * gap:
+        raise NotIdentifiableError(
+            f"{_named(chosen)} cannot be told apart, and no common manoeuvre would tell them: "
+            "leave one of the terms out, or measure it by other means"
+        )
     if gap < _COLLINEAR:
         raise NotIdentifiableError(
             f"{_named(chosen)} cannot be told apart: what they multiply is proportional throughout "

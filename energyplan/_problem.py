@@ -18,7 +18,7 @@ from energyplan._covariance import (
 )
 from energyplan._fit import Bounds
 from energyplan._icr import ICREstimate
-from energyplan._identifiability import is_linear, linearise
+from energyplan._identifiability import is_linear, linearise, settled_motion
 from energyplan.drivelog import DriveLog
 from energyplan.errors import UnknownNameError
 from energyplan.path import FloatArray
@@ -45,7 +45,7 @@ class Problem:
 
     def __init__(self, drives: Sequence[DriveLog], model: PowerModel) -> None:
         self._start = model
-        self._motions = [log.motion(model.vehicle.icr) for log in drives]
+        self._motions = [settled_motion(log, model.vehicle.icr) for log in drives]
         self._battery = [log.battery_side for log in drives]
         self._window = max(1, round(_SCALE_WINDOW / float(np.median(np.diff(drives[0].t)))))
         self._measured = np.concatenate([log.power for log in drives])

@@ -201,14 +201,12 @@ def identify(
     covariance = problem.covariance(model, method)
     if estimate is not None:
         covariance = covariance + problem.inherited(model, estimate)
-    rest = np.concatenate([(m.v_left == 0) & (m.v_right == 0) for m in clean])
-    remainder = problem.residual(model)
-    residual = _statistics(remainder, drives)
+    residual = _statistics(problem.residual(model), drives)
     independent = residual.duration / max(2 * residual.correlation_time, 1e-300)
     model = replace(model, covariance=covariance, residual=residual)
     icr_covariance = None if estimate is None else estimate.covariance
     warnings += _doubts(model, bounds, independent)
-    warnings += _draw_at_rest(remainder[rest])
+    warnings += _draw_at_rest(model, clean, drives)
     return Identification(model, method, icr_covariance, independent, tuple(warnings))
 
 
@@ -260,8 +258,18 @@ def _statistics(residual: FloatArray, drives: Sequence[DriveLog]) -> Residual:
     )
 
 
-def _draw_at_rest(residual: FloatArray) -> list[str]:
+def _draw_at_rest(
+    model: PowerModel, clean: Sequence[Motion], drives: Sequence[DriveLog]
+) -> list[str]:
     """Warn of power that the robot draws standing still and no term explains."""
+    residual = np.concatenate(
+        [
+            (log.power - (model.battery_side() if log.battery_side else model).power(motion))[
+                (motion.v_left == 0) & (motion.v_right == 0)
+            ]
+            for motion, log in zip(clean, drives, strict=True)
+        ]
+    )
     if len(residual) < _LEAST_INDEPENDENT:
         return []
     mean, error = float(residual.mean()), float(residual.std())
