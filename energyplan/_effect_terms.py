@@ -30,23 +30,24 @@ def grade(motion: Motion, vehicle: Vehicle) -> Sides:
 def specific_force(motion: Motion, vehicle: Vehicle) -> Sides:
     """Force per unit of mass that an accelerometer feels: ``dv/dt + g sin(slope)``.
 
-    Where the motion has no accelerometer, its own acceleration and slope stand in for it.
+    Where the slope is known, as on a map, slope and acceleration stand in for the accelerometer.
     """
-    reading = motion.channels.get("accel_x")
-    if reading is None:
-        slope = motion.channels.get("slope", np.zeros(motion.shape))
-        accel = motion.channels.get("accel", np.zeros(motion.shape))
-        reading = np.asarray(accel + GRAVITY * np.sin(slope))
-    return tread_forces(motion, longitudinal=reading)
+    slope = motion.channels.get("slope")
+    if slope is None:
+        return tread_forces(motion, longitudinal=motion.channel("accel_x", "'specific_force'"))
+    accel = motion.channels.get("accel", np.zeros(motion.shape))
+    return tread_forces(motion, longitudinal=accel + GRAVITY * np.sin(slope))
 
 
 def _heading(motion: Motion, offset: float) -> FloatArray:
-    yaw = motion.channels.get("yaw")
-    return np.zeros(motion.shape) if yaw is None else np.cos(yaw - offset)
+    """Cosine of the heading; zero where yaw is unknown, or where the map knows the slope."""
+    if "slope" in motion.channels or "yaw" not in motion.channels:
+        return np.zeros(motion.shape)
+    return np.cos(motion.channels["yaw"] - offset)
 
 
 def tilt_x(motion: Motion, vehicle: Vehicle) -> Sides:
-    """Weight along the heading on a plane that climbs towards yaw 0; zero where yaw is unknown."""
+    """Weight along the heading on a plane that climbs towards yaw 0, where no slope is known."""
     return tread_forces(motion, longitudinal=GRAVITY * _heading(motion, 0.0))
 
 

@@ -48,7 +48,7 @@ __all__ = [
     "VISCOUS_LOSS", "WARM_UP", "Effect", "catalogue", "effect", "empirical_term", "term",
 ]  # fmt: skip
 
-Acts = Literal["motion", "change", "log"]
+Acts = Literal["motion", "change", "place", "kinematics", "log"]
 
 
 @dataclass(frozen=True)
@@ -77,8 +77,9 @@ class Effect:
         Values to try of the parameters in which the terms are not linear.
     size : callable, optional
         ``size(model) -> float`` where it is not the coefficient of the only term.
-    acts : {"motion", "change", "log"}
-        On every motion alike, only after a change at an unknown time, or on the log alone.
+    acts : {"motion", "change", "place", "kinematics", "log"}
+        On the power of every motion, only after a change at an unknown time, only beyond a line on
+        the ground, on how the robot moves, or on the log alone.
 
     Raises
     ------
@@ -212,7 +213,8 @@ _ENTRIES = (
     Effect.of(GRADE, plausible=(1.0, 1e5), manoeuvre=_BOTH_WAYS, planner="with the map's slope"),
     Effect(
         "tilted_plane", (TILT_X, TILT_Y), "angle", "rad",
-        "ground that is one tilted plane, seen from the heading", _BOTH_WAYS, "with the heading",
+        "ground that is one tilted plane, seen from the heading", _BOTH_WAYS,
+        "as the map's slope, with the term grade",
         (0.0, 0.6), ("yaw",), size=_tilt,
     ),
     Effect.of(
@@ -245,7 +247,12 @@ _ENTRIES = (
         "surface_border", (SLIP_BEYOND, TRACTION_BEYOND), "dmu", "1",
         "another surface beyond a line on the ground", "cross the line several times",
         "with surface regions on the map", (-2.0, 2.0), ("x", "y"), size=_slip_beyond,
-        acts="change",
+        acts="place",
+    ),
+    Effect(
+        "centre_of_mass", (), "d", "m", "centre of mass off centre: it moves the tread ICRs",
+        "weigh the load under each wheel, or spin on the spot both ways", "with its tread ICRs",
+        (0.0, 1.0), ("x", "y", "yaw"), acts="kinematics",
     ),
     Effect.of(TRACTION_ASYMMETRY, plausible=(-1e4, 1e4), manoeuvre=_BOTH_WAYS),
     Effect.of(DRAGGING_LEFT, plausible=(0.0, 1e4), manoeuvre="lift that side and spin its wheels"),
@@ -256,6 +263,12 @@ _ENTRIES = (
               grid={"radius": (0.1, 0.3, 1.0, 3.0, 10.0)}),
     Effect.of(TOWING_FORCE, plausible=(-1e4, 1e4),
               manoeuvre="drive one line forwards and backwards"),
+    Effect(
+        "time_offset", (), "delay", "s", "power logged later than speed",
+        "start and stop abruptly on level ground", "no", (-2.0, 2.0), acts="log",
+        grid={"delay": (-1.0, -0.7, -0.5, -0.35, -0.25, -0.15, -0.1,
+                        0.1, 0.15, 0.25, 0.35, 0.5, 0.7, 1.0)},
+    ),
     Effect.of(POWER_OFFSET, plausible=(-2000.0, 2000.0), manoeuvre=_STAND, planner="no",
               acts="log"),
 )  # fmt: skip

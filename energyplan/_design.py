@@ -1,0 +1,253 @@
+"""Drives as regression data: columns averaged over windows of several lengths (private).
+
+A residual has causes on several time scales: inertia lives in the ramps, a hotel load or a slope
+in whole manoeuvres. Least squares on single samples sees mostly noise and ramps. Here every drive
+is averaged over windows of half a second, two and eight seconds, and an error counts relative to
+the present error on its own scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from energyplan.drivelog import DriveLog
+from energyplan.errors import DriveLogError
+from energyplan.motion import Motion
+from energyplan.path import FloatArray
+from energyplan.power import Sides, Term
+from energyplan.vehicle import Vehicle
+
+SCALES = (0.5, 2.0, 8.0)
+"""Window lengths [s]; each divides the next."""
+
+BLOCK = 8.0
+"""Length of the blocks that cross-validation leaves out [s]."""
+
+_SMOOTHING = 0.45  # width of the local parabola [s]
+_NOISELESS = 1e-4  # speed noise not worth smoothing [m/s]
+_CREEP = 2e-3  # a slower tread is at rest [m/s]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A log ready for regression.
+
+    Parameters
+    ----------
+    name : str
+        Name of the log.
+    t : ndarray, shape (n,)
+        Time since the start [s].
+    motion : Motion, shape (n,)
+        The motion, with the channels ``accel``, ``yaw_accel`` and ``distance``.
+    power : ndarray, shape (n,)
+        Measured total power [W].
+    battery : bool
+        Whether it was measured at the battery.
+    """
+
+    name: str
+    t: FloatArray
+    motion: Motion
+    power: FloatArray
+    battery: bool = False
+
+    @classmethod
+    def of(cls, log: DriveLog, vehicle: Vehicle) -> Drive:
+        """Prepare a log.
+
+        Raises
+        ------
+        DriveLogError
+            If it is shorter than two blocks.
+        """
+        t = np.asarray(log.t - log.t[0])
+        if t[-1] < 2 * BLOCK:
+            raise DriveLogError(
+                f"{log.name}: {t[-1]:.1f} s are too short to learn from; give {2 * BLOCK:.0f} s "
+                "or more"
+            )
+        motion = quiet(log.motion(vehicle.icr), t)
+        steps = 0.5 * np.diff(t) * (np.abs(motion.v[1:]) + np.abs(motion.v[:-1]))
+        distance = np.concatenate([[0.0], np.cumsum(steps)])
+        return cls(
+            log.name, t, motion.with_channels(t=t, distance=distance), log.power, log.battery_side
+        )
+
+    def with_channels(self, **channels: FloatArray) -> Drive:
+        """Return the drive with channels added to its motion."""
+        return replace(self, motion=self.motion.with_channels(**channels))
+
+    def advanced(self, delay: float) -> Drive:
+        """Return the drive with its power moved ahead in time by `delay` [s]."""
+        return replace(self, power=np.interp(self.t + delay, self.t, self.power))
+
+    @cached_property
+    def windows(self) -> tuple[Windows, ...]:
+        """Windows of each scale."""
+        period = float(np.median(np.diff(self.t)))
+        return tuple(Windows.of(self.t, max(scale, 3 * period)) for scale in SCALES)
+
+
+def quiet(motion: Motion, t: FloatArray) -> Motion:
+    """Return a motion without the noise of its speed sensors.
+
+    Friction turns with the sign of a speed, and noise about zero has any sign: speeds are smoothed
+    by a local parabola, and a speed, or a difference of both treads' speeds, that noise can
+    explain is zero. Without noise only creep at rest is taken out.
+    """
+    noise = max(_noise(motion.v_left), _noise(motion.v_right))
+    width = 2 * round(0.5 * _SMOOTHING / float(np.median(np.diff(t)))) + 1
+    left, right = motion.v_left, motion.v_right
+    level = 4.0 * noise
+    if noise > _NOISELESS and width >= 5:
+        left, right = (savgol_filter(v, width, 2) for v in (left, right))
+        level *= 1.5 / np.sqrt(width)  # a parabola leaves 9 / 4n of the variance at its middle
+    straight = np.abs(right - left) < np.sqrt(2) * level
+    left, right = (np.where(straight, 0.5 * (left + right), v) for v in (left, right))
+    level = max(level, _CREEP)
+    left, right = (np.where(np.abs(v) < level, 0.0, v) for v in (left, right))
+    return replace(motion, v_left=left, v_right=right)
+
+
+def _noise(values: FloatArray) -> float:
+    """Return the deviation of white noise on a smooth signal, from its third differences."""
+    return float(1.4826 * np.median(np.abs(np.diff(values, 3))) / np.sqrt(20.0))
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Consecutive windows of one length over a drive.
+
+    Parameters
+    ----------
+    starts : ndarray of int, shape (w,)
+        First sample of each window.
+    counts : ndarray, shape (w,)
+        Samples in each window.
+    blocks : ndarray of int, shape (w,)
+        Block that each window lies in.
+    """
+
+    starts: np.ndarray[tuple[int], np.dtype[np.intp]]
+    counts: FloatArray
+    blocks: np.ndarray[tuple[int], np.dtype[np.intp]]
+
+    @classmethod
+    def of(cls, t: FloatArray, length: float) -> Windows:
+        """Cut times into windows; a last one shorter than half its length joins its neighbour."""
+        count = max(int(np.floor(t[-1] / length + 0.5)), 1)
+        index = np.minimum((t / length).astype(np.intp), count - 1)
+        _, starts = np.unique(index, return_index=True)
+        counts = np.diff(np.append(starts, len(t))).astype(float)
+        number = max(int(np.floor(t[-1] / BLOCK + 0.5)), 1)
+        blocks = np.minimum((t[starts] / BLOCK).astype(np.intp), number - 1)
+        return cls(starts.astype(np.intp), counts, blocks)
+
+    def mean(self, values: FloatArray) -> FloatArray:
+        """Return means over the windows; the first axis is time."""
+        total = np.add.reduceat(values, self.starts, axis=0)
+        return np.asarray(total / self.counts.reshape(-1, *[1] * (values.ndim - 1)))
+
+
+def column(term: Term, drive: Drive, vehicle: Vehicle) -> FloatArray:
+    """Total power per unit of a linear term's coefficient at each sample [W per unit]."""
+    value = term.function(drive.motion, vehicle, **term.params)
+    if term.kind == "force":
+        motion = drive.motion
+        value = Sides(value.left * motion.v_left, value.right * motion.v_right)
+    return np.asarray(value.total if isinstance(value, Sides) else value)
+
+
+@dataclass(frozen=True)
+class Design:
+    """Window means of columns and power, block by block, at every scale.
+
+    Parameters
+    ----------
+    rows : tuple of ndarray, shape (w, k + 1)
+        At each scale, window means of the k columns and, last, of the power.
+    blocks : tuple of ndarray of int, shape (w,)
+        At each scale, the block of each window, counted over all drives.
+    drives : ndarray of int, shape (b,)
+        Drive that each block belongs to.
+    """
+
+    rows: tuple[FloatArray, ...]
+    blocks: tuple[np.ndarray[tuple[int], np.dtype[np.intp]], ...]
+    drives: np.ndarray[tuple[int], np.dtype[np.intp]]
+
+    @classmethod
+    def of(
+        cls, drives: Sequence[Drive], columns: Sequence[FloatArray], targets: Sequence[FloatArray]
+    ) -> Design:
+        """Average columns, shape (n, k), and target power of each drive over its windows."""
+        first, owner = 0, []
+        rows: list[list[FloatArray]] = [[] for _ in SCALES]
+        blocks: list[list[FloatArray]] = [[] for _ in SCALES]
+        for k, (drive, values, target) in enumerate(zip(drives, columns, targets, strict=True)):
+            table = np.column_stack([values, target])
+            for scale, windows in enumerate(drive.windows):
+                rows[scale].append(windows.mean(table))
+                blocks[scale].append(windows.blocks + first)
+            count = int(drive.windows[0].blocks[-1]) + 1
+            owner += [k] * count
+            first += count
+        return cls(
+            tuple(np.concatenate(part) for part in rows),
+            tuple(np.concatenate(part) for part in blocks),
+            np.array(owner),
+        )
+
+    def joined(self, extra: Sequence[FloatArray]) -> Design:
+        """Return the design with further columns, window means at each scale, before the power."""
+        rows = tuple(
+            np.column_stack([table[:, :-1], more, table[:, -1]])
+            for table, more in zip(self.rows, extra, strict=True)
+        )
+        return replace(self, rows=rows)
+
+    def picked(self, columns: Sequence[int]) -> Design:
+        """Return the design with some of its columns."""
+        keep = [*columns, -1]
+        return replace(self, rows=tuple(table[:, keep] for table in self.rows))
+
+    @cached_property
+    def grams(self) -> FloatArray:
+        """Gram matrix of each scale and block, power included, shape (scales, b, k+1, k+1)."""
+        width = self.rows[0].shape[1]
+        total = np.zeros((len(self.rows), len(self.drives), width, width))
+        for scale, (table, block) in enumerate(zip(self.rows, self.blocks, strict=True)):
+            edges = np.flatnonzero(np.diff(block, prepend=-1))
+            products = np.einsum("ni,nj->nij", table, table)
+            total[scale, block[edges]] = np.add.reduceat(products, edges, axis=0)
+        return total
+
+    @property
+    def counts(self) -> FloatArray:
+        """Number of windows at each scale."""
+        return np.array([len(table) for table in self.rows], float)
+
+
+def window_means(drives: Sequence[Drive], columns: Sequence[FloatArray]) -> list[FloatArray]:
+    """Window means of the columns of all drives, at each scale."""
+    return [
+        np.concatenate(
+            [drive.windows[k].mean(values) for drive, values in zip(drives, columns, strict=True)]
+        )
+        for k in range(len(SCALES))
+    ]
+
+
+def channels_of(drives: Sequence[Drive]) -> frozenset[str]:
+    """Return the channels that every drive carries."""
+    common: Mapping[str, object] = drives[0].motion.channels
+    names = set(common)
+    for drive in drives[1:]:
+        names &= set(drive.motion.channels)
+    return frozenset(names)

@@ -1,0 +1,301 @@
+"""Forward selection of effects by blocked cross-validation (private).
+
+One step: fit every candidate beside what is already in the model; keep the one that predicts
+blocks it was not fitted to best; name those that do as well. Then fit all together again, and take
+out what became superfluous.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from energyplan._change_points import lines, mark_changes
+from energyplan._design import Design, channels_of, window_means
+from energyplan._fitting import PAPER, Fit, Part, Problem, difference, fit
+from energyplan._residual import dependences
+from energyplan.effects import Effect
+from energyplan.path import FloatArray
+from energyplan.power import PowerModel, Term
+
+SIGNIFICANCE = 0.01
+"""Chance of a false find that a step accepts, over all candidates together."""
+
+WORTHWHILE = 0.03
+"""Smallest fall of the cross-validated error, mean over the scales, that is worth an effect."""
+
+_SAME = 0.98
+"""Share of a rival's gain that counts as doing as well."""
+
+_CLEARLY = 0.05
+"""By how much more of the error something smooth must explain than a sudden change."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A candidate fitted beside the present model.
+
+    Parameters
+    ----------
+    part : Part
+        The candidate.
+    problem : Problem
+        The drives that it was fitted to; a change or a delay alters them.
+    fit : Fit
+        The fit of all terms.
+    gain, gain_error : float
+        Fall of the cross-validated error, mean over the scales, and its standard error.
+    p_value : float
+        Of its coefficients being zero.
+    """
+
+    part: Part
+    problem: Problem
+    fit: Fit
+    gain: float
+    gain_error: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """An effect that selection kept."""
+
+    part: Part
+    trial: Trial
+    rivals: tuple[Trial, ...]
+    tried: int
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Outcome of forward selection."""
+
+    problem: Problem
+    chosen: tuple[Chosen, ...]
+    untested: tuple[tuple[str, str], ...]
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The parts of the model, in the order in which they were added."""
+        return tuple(choice.part for choice in self.chosen)
+
+
+def terms_of(parts: Sequence[Part]) -> list[Term]:
+    """Return the paper's terms and those of the parts."""
+    return [*PAPER, *(term for part in parts for term in part.terms)]
+
+
+class Selector:
+    """Forward selection over a catalogue.
+
+    Parameters
+    ----------
+    problem : Problem
+        Training drives.
+    effects : sequence of Effect
+        The catalogue; ties go to the one that comes first.
+    progress : callable
+        Called with a fraction in [0, 1] and what is being done.
+    limit : int
+        Largest number of effects.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        effects: Sequence[Effect],
+        progress: Callable[[float, str], object],
+        limit: int,
+    ) -> None:
+        self.problem = problem
+        self.progress = progress
+        self.limit = limit
+        self.untested: list[tuple[str, str]] = []
+        testable = (effect for effect in effects if self._testable(effect))
+        self.effects = tuple(effect for effect in testable if effect.acts != "kinematics")
+
+    def _testable(self, effect: Effect) -> bool:
+        common = channels_of(self.problem.drives)
+        for name in effect.channels:
+            if name not in common:
+                self.untested.append((effect.name, f"the logs have no channel {name!r}"))
+                return False
+            if all(np.ptp(d.motion.channels[name]) < 1e-9 for d in self.problem.drives):
+                self.untested.append((effect.name, f"the channel {name!r} never changes"))
+                return False
+        return True
+
+    # -- one step -------------------------------------------------------------------------------
+
+    def _variants(self, effect: Effect) -> Iterator[Part]:
+        if effect.acts == "place":
+            yield from lines(effect, self.problem.drives)
+            return
+        grids = [[(key, value) for value in values] for key, values in effect.grid.items()]
+        chosen: list[tuple[tuple[str, float], ...]] = [()]
+        for grid in grids:
+            chosen = [(*before, pair) for before in chosen for pair in grid]
+        yield from (Part(effect, params) for params in chosen)
+
+    def _trial(
+        self, part: Part, parts: Sequence[Part], now: Fit, design: Design, errors: FloatArray
+    ) -> Trial | None:
+        problem, width = self.problem, design.rows[0].shape[1] - 1
+        if part.effect.acts == "change":
+            problem = mark_changes(problem, terms_of(parts), errors)
+            if problem is self.problem:
+                return None
+        if any(term.kind == "loss" for term in terms_of([*parts, part])):
+            terms = terms_of([*parts, part])
+            known = dict(zip((t.name for t in terms), now.values, strict=False))
+            full = problem.design(terms, errors, known, rounds=3)
+        elif part.effect.name == "time_offset":
+            delay = dict(part.params)["delay"]
+            drives = [drive.advanced(delay) for drive in problem.drives]
+            problem = Problem(drives, problem.vehicle)
+            moved = window_means(
+                drives,
+                [
+                    (d.power - e.power)[:, None]
+                    for d, e in zip(drives, self.problem.drives, strict=True)
+                ],
+            )
+            rows = [
+                np.column_stack([a[:, :-1], a[:, -1:] + b])
+                for a, b in zip(design.rows, moved, strict=True)
+            ]
+            full = replace(design, rows=tuple(rows))
+        else:
+            full = design.joined(problem.means(part.terms))
+        new = fit(full, errors)
+        gain, error = difference(now.losses, new.losses)
+        added = range(width, full.rows[0].shape[1] - 1)
+        p_value = new.p_value(added) if len(added) else 0.0
+        scales = len(errors)
+        return Trial(part, problem, new, gain / scales, error / scales, p_value)
+
+    def _plausible(self, trial: Trial, parts: Sequence[Part]) -> bool:
+        terms = terms_of([*parts, trial.part])
+        if not trial.part.terms:
+            return True
+        values = dict(zip((term.name for term in terms), trial.fit.values, strict=True))
+        slack = 3 * np.sqrt(np.maximum(np.diag(trial.fit.covariance), 0.0))
+        for term, wide in zip(terms, slack, strict=True):
+            low, high = term.bounds
+            own = term in trial.part.terms
+            margin = 0.0 if own else float(wide)
+            if not low - margin <= values[term.name] <= high + margin:
+                return False
+        low, high = trial.part.effect.plausible
+        return low <= self._size(trial.part, terms, trial.fit) <= high
+
+    def _size(self, part: Part, terms: Sequence[Term], found: Fit) -> float:
+        return part.effect.value(PowerModel(self.problem.vehicle, tuple(terms), found.values))
+
+    def _acceptable(self, trial: Trial, tried: int) -> bool:
+        return (
+            trial.gain > max(WORTHWHILE, trial.gain_error) and trial.p_value * tried < SIGNIFICANCE
+        )
+
+    def trials(self, parts: Sequence[Part]) -> tuple[list[Trial], int]:
+        """Fit the best variant of every effect that is not in the model yet."""
+        errors = self.problem.reference(self.problem.design(terms_of(parts)))
+        design = self.problem.design(terms_of(parts), errors)
+        now = fit(design, errors)
+        taken = {term.name for part in parts for term in part.effect.terms}
+        found, tried = [], 0
+        for effect in self.effects:
+            if taken & {term.name for term in effect.terms}:
+                continue
+            best: Trial | None = None
+            for part in self._variants(effect):
+                tried += 1
+                trial = self._trial(part, parts, now, design, errors)
+                if trial is not None and (best is None or trial.fit.loss < best.fit.loss):
+                    best = trial
+            if best is not None and self._plausible(best, parts):
+                found.append(best)
+        return found, max(tried, 1)
+
+    # -- the loop -------------------------------------------------------------------------------
+
+    def run(self) -> Selection:
+        """Add effects one at a time until none helps."""
+        chosen: list[Chosen] = []
+        while True:
+            parts = [choice.part for choice in chosen]
+            share = len(chosen) / (self.limit + 1)
+            self.progress(share, f"trying {len(self.effects)} effects beside {len(chosen)}")
+            found, tried = self.trials(parts)
+            good = [trial for trial in found if self._acceptable(trial, tried)]
+            if not good or len(chosen) >= self.limit:
+                break
+            good = self._without_ramps(good, parts)
+            if not good:
+                break
+            best = min(good, key=lambda trial: trial.fit.loss)
+            # Exact ties go to the effect that comes first in the catalogue.
+            best = next(t for t in good if t.fit.loss <= best.fit.loss * (1 + 1e-6) + 1e-9)
+            rivals = tuple(
+                trial for trial in good if trial is not best and self._rivals(trial, best)
+            )
+            self.problem = best.problem
+            part = self._refined(best.part, parts)
+            chosen.append(Chosen(part, best, rivals, tried))
+            chosen = self._without_superfluous(chosen)
+        return Selection(self.problem, tuple(chosen), tuple(self.untested))
+
+    def _rivals(self, trial: Trial, best: Trial) -> bool:
+        gap, error = difference(trial.fit.losses, best.fit.losses)
+        return gap <= error or trial.gain >= _SAME * best.gain
+
+    def _without_ramps(self, good: list[Trial], parts: Sequence[Part]) -> list[Trial]:
+        """Leave out sudden changes where something smooth fits better: they only mimic it."""
+        sudden = [trial for trial in good if trial.part.effect.acts in ("change", "place")]
+        best = max(good, key=lambda trial: trial.gain)
+        if best not in sudden:
+            return good
+        smooth = dependences(self.problem, terms_of(parts))[0]
+        if smooth.explained_variance < best.gain + _CLEARLY:
+            return good
+        return [trial for trial in good if trial not in sudden]
+
+    def _refined(self, part: Part, parts: Sequence[Part]) -> Part:
+        """Move each parameter between its grid's neighbours to where the loss is least."""
+        for key, start in part.params:
+            if key not in part.effect.grid or key == "delay":
+                continue
+            grid = sorted(part.effect.grid[key])
+            k = grid.index(start)
+            low, high = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
+            errors = self.problem.reference(self.problem.design(terms_of([*parts, part])))
+
+            def moved(x: float, key: str = key, now: Part = part) -> Part:
+                return replace(now, params=tuple((n, x if n == key else v) for n, v in now.params))
+
+            def loss(x: float, make: Callable[..., Part] = moved, e: FloatArray = errors) -> float:
+                design = self.problem.design(terms_of([*parts, make(float(np.exp(x)))]), e)
+                return fit(design, e).loss
+
+            ends = (float(np.log(low)), float(np.log(high)))
+            best = minimize_scalar(loss, bounds=ends, method="bounded", options={"xatol": 0.02})
+            part = moved(float(np.exp(best.x)))
+        return part
+
+    def _without_superfluous(self, chosen: list[Chosen]) -> list[Chosen]:
+        """Take out effects that the later ones made unnecessary."""
+        for choice in chosen[:-1]:
+            rest = [other for other in chosen if other is not choice]
+            full_parts = [other.part for other in chosen]
+            errors = self.problem.reference(self.problem.design(terms_of(full_parts)))
+            full = fit(self.problem.design(terms_of(full_parts), errors), errors)
+            less_terms = terms_of([other.part for other in rest])
+            less = fit(self.problem.design(less_terms, errors), errors)
+            gap, error = difference(less.losses, full.losses)
+            if gap <= max(error, WORTHWHILE * len(errors)):
+                chosen = rest
+        return chosen
