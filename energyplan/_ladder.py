@@ -39,6 +39,9 @@ class Runs:
     ----------
     forward, turn : ndarray, shape (n,)
         Speed along the heading [1] and yaw rate [1/m] at unit rate.
+    drift : ndarray, shape (4, n)
+        How fast `forward` and `turn` change along a smooth curve [1/m], [1/m^2]: about the start
+        of the run, then about its end. At rate r that takes acceleration in proportion to r^2.
     model : PowerModel
         The power model.
     channels : mapping of str to ndarray, shape (n,)
@@ -47,19 +50,34 @@ class Runs:
 
     forward: FloatArray
     turn: FloatArray
+    drift: FloatArray
     model: PowerModel
     channels: Mapping[str, FloatArray]
 
-    def motion(self, rate: FloatArray, gain: FloatArray | float = 0.0) -> Motion:
-        """Motion at rates of shape (..., n) that change by `gain` [m/s^2]."""
+    @cached_property
+    def bend(self) -> FloatArray:
+        """How fast the speed of either tread changes along a smooth curve at unit rate [1/m]."""
+        icr = self.model.vehicle.icr
+        forward, turn = self.drift[::2], self.drift[1::2]
+        sides = np.abs(forward - icr.left * turn), np.abs(forward + icr.right * turn)
+        return np.asarray(np.max(sides, axis=(0, 1)))
+
+    def motion(
+        self, rate: FloatArray, gain: FloatArray | float = 0.0, end: int | None = None
+    ) -> Motion:
+        """Motion at rates of shape (..., n) that change by `gain` [m/s^2].
+
+        With `end` 0 or 1, the motion about the start or the end of a run on a smooth curve.
+        """
         rise = np.broadcast_to(np.asarray(gain, float), np.shape(rate))
+        drift = np.zeros(2)[:, None] if end is None else self.drift[2 * end : 2 * end + 2]
         known = {"slope": np.zeros_like(self.forward), **self.channels}
         return Motion.from_twist(
             self.forward * rate,
             self.turn * rate,
             self.model.vehicle.icr,
-            accel=self.forward * rise,
-            yaw_accel=self.turn * rise,
+            accel=self.forward * rise + drift[0] * rate**2,
+            yaw_accel=self.turn * rise + drift[1] * rate**2,
             **known,
         )
 
@@ -69,7 +87,11 @@ class Runs:
 
     def use(self, limits: Limits, rate: FloatArray, gain: FloatArray | float = 0.0) -> FloatArray:
         """Largest load over limit, as `Limits.use`."""
-        return limits.use(self.model, self.motion(rate, gain))
+        worst = limits.use(self.model, self.motion(rate, gain))
+        if self.drift.any():
+            for end in (0, 1):
+                worst = np.maximum(worst, limits.use(self.model, self.motion(rate, gain, end)))
+        return worst
 
     def top_rate(self, limits: Limits) -> FloatArray:
         """Largest rate up to which every steady rate is within the limits.
@@ -82,10 +104,13 @@ class Runs:
             If the robot cannot even crawl along a run.
         """
         with np.errstate(divide="ignore"):
-            top = np.minimum(
-                np.minimum(limits.motor.speed, limits.yaw_rate / np.abs(self.turn)),
+            bounds = (
+                np.full_like(self.turn, limits.motor.speed),
+                limits.yaw_rate / np.abs(self.turn),
                 np.sqrt(limits.lateral_acceleration / np.abs(self.forward * self.turn)),
+                np.sqrt(0.99 * min(limits.motor.acceleration, UNLIMITED) / self.bend),
             )
+            top = np.min(bounds, axis=0)
         free = ~np.isfinite(top)
         top = np.where(free, 1.0, top)
         while np.any(growing := free & (self.use(limits, top) <= 1.0)):
@@ -161,8 +186,8 @@ class Ladder:
         return replace(self, up=up, down=down)
 
     @classmethod
-    def fastest(cls, runs: Runs, limits: Limits, full: FloatArray, rungs: int) -> Ladder:
-        """Return the ladder of greatest accelerations within the limits, at most `full` each.
+    def fastest(cls, runs: Runs, limits: Limits, rungs: int) -> Ladder:
+        """Return the ladder of greatest accelerations within the limits.
 
         The rungs stand closer at both ends. Between two rungs the smaller of both bounds holds,
         so that a motion which is feasible at the rungs is so in between.
@@ -170,9 +195,11 @@ class Ladder:
         top = runs.top_rate(limits)
         rate = top * (0.5 - 0.5 * np.cos(np.linspace(0, np.pi, rungs + 1)))[:, None]
         moving = np.maximum(rate, CRAWL * top)
+        full = min(limits.motor.acceleration, UNLIMITED)
+        spare = full - runs.bend * rate**2
         gains = []
         for sign in (1.0, -1.0):
-            bound = _largest_gain(runs, limits, full, moving, sign)
+            bound = _largest_gain(runs, limits, spare, moving, sign)
             gains.append(np.minimum(bound[:-1], bound[1:]))
         # A rung that takes for ever to reach, or to leave, ends the ladder.
         usable = np.logical_and.accumulate(np.minimum(*gains) > IDLE * full, axis=0)
@@ -190,8 +217,8 @@ class Ladder:
 def _largest_gain(
     runs: Runs, limits: Limits, full: FloatArray, rate: FloatArray, sign: float
 ) -> FloatArray:
-    """Largest acceleration at each rate that keeps all limits, by bisection over the model."""
-    high = np.broadcast_to(full, rate.shape)
+    """Largest acceleration at each rate that keeps all limits, at most `full`."""
+    high = full
     within = runs.use(limits, rate, sign * high) <= 1
     if within.all():
         return high

@@ -128,8 +128,9 @@ class Course:
         rate = phases.rate[k] + phases.gain[k] * since
         rate = np.append(rate, phases.rate[-1] + phases.gain[-1] * phases.time[-1])
         rate[np.abs(rate) < 1e-9] = 0.0
-        keep = ~self._hidden(run, at)
-        t, run, at, rate = t[keep], run[keep], at[keep], rate[keep]
+        for unwanted in (self._hidden, _crowded):
+            keep = ~unwanted(t, run, at)
+            t, run, at, rate = t[keep], run[keep], at[keep], rate[keep]
         poses = self._poses(run, np.clip(at / self.length[run], 0.0, 1.0))
         unit = rate / self.length[run]
         v, omega = self.path.ds[run] * unit, self.path.dtheta[run] * unit
@@ -140,7 +141,7 @@ class Course:
         reach = 0.5 * np.minimum(self.length[:-1], self.length[1:]) * self.through
         return np.append(0.0, reach), np.append(reach, 0.0)
 
-    def _hidden(self, run: NDArray[np.int_], at: FloatArray) -> NDArray[np.bool_]:
+    def _hidden(self, t: FloatArray, run: NDArray[np.int_], at: FloatArray) -> NDArray[np.bool_]:
         head, tail = self._windows()
         slack = 1e-9 * self.length[run]
         left = self.length[run] - at
@@ -182,6 +183,15 @@ class Course:
         x = begin[:, 0] + lever * (np.cos(begin[:, 2]) - np.cos(yaw)) + chord * np.cos(mid)
         y = begin[:, 1] + lever * (np.sin(begin[:, 2]) - np.sin(yaw)) + chord * np.sin(mid)
         return np.column_stack([x, y, yaw])
+
+
+def _crowded(t: FloatArray, run: NDArray[np.int_], at: FloatArray) -> NDArray[np.bool_]:
+    """Mark samples too close to a neighbour for a meaningful acceleration; never corners."""
+    close = np.diff(t) < max(1e-5, 1e-6 * float(t[-1]))
+    corner = at <= 0.0
+    corner[-1] = True
+    near = np.append(close, False) | np.append(False, close)
+    return np.asarray(near & ~corner)
 
 
 def _run_phases(

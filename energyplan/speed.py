@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from energyplan._economy import Choice, Economy
-from energyplan._ladder import UNLIMITED, Ladder, Runs
+from energyplan._ladder import Ladder, Runs
 from energyplan._limit_kernels import window_mean
 from energyplan._limits import ROUNDING, Limits, relative
 from energyplan._timing import Course, Phases, Sampled
@@ -32,8 +32,8 @@ from energyplan.vehicle import MotorLimits, Vehicle
 RUNGS = 96
 """Rungs of the speed ladders; matters only where power or force limit the acceleration."""
 
-SHARE = 0.5
-"""Part of the tread acceleration that pays for changes of curvature along a smooth curve."""
+SAME = 1e-9
+"""Difference of the treads' shares in the speed below which two curvatures are one."""
 
 DEAREST = 1e6
 """Highest price of time that the search for a duration tries [W]."""
@@ -167,7 +167,6 @@ class _Task:
     course: Course
     runs: Runs
     kinds: NDArray[np.int_]
-    gain: FloatArray
 
     @classmethod
     def build(
@@ -196,7 +195,7 @@ class _Task:
         share = np.column_stack([left[moves], right[moves]]) / length[moves, None]
         given = np.column_stack([np.zeros(count), *columns.values()])[moves]
         # Neighbours of one curvature and one set of channels are one run.
-        fresh = np.any(np.abs(np.diff(share, axis=0)) > 1e-9, axis=1)
+        fresh = np.any(np.abs(np.diff(share, axis=0)) > SAME, axis=1)
         fresh |= np.any(np.diff(given, axis=0) != 0, axis=1)
         begin = np.flatnonzero(np.append(True, fresh))
         joined = Path(
@@ -208,23 +207,25 @@ class _Task:
         length = np.add.reduceat(length[moves], begin)
         share, given = share[begin], given[begin]
         jump = np.max(np.abs(np.diff(share, axis=0)), axis=1, initial=0.0)
-        full = min(limits.motor.acceleration, UNLIMITED)
-        corner, gain = _corners(length, jump, smooth, full)
-        corner[0], corner[-1] = ends
-        features = np.column_stack([joined.ds / length, joined.dtheta / length, given, gain])
+        through = (jump > SAME) & (jump <= smooth)
+        corner = np.concatenate(
+            [ends[:1], np.where(jump <= max(SAME, smooth), np.inf, 0), ends[1:]]
+        )
+        shape = np.column_stack([joined.ds / length, joined.dtheta / length])
+        drift = _drift(length, shape, jump * through)
+        features = np.column_stack([shape, given, drift])
         _, first, kinds = np.unique(
             features.round(9), axis=0, return_index=True, return_inverse=True
         )
         kind = features[first]
-        names = dict(zip(columns, kind.T[3:-1], strict=True))
-        runs = Runs(kind[:, 0], kind[:, 1], model, names)
-        through = (jump > 1e-9) & (corner[1:-1] > 0)
+        names = dict(zip(columns, kind.T[3:-4], strict=True))
+        runs = Runs(kind[:, 0], kind[:, 1], kind[:, -4:].T, model, names)
         course = Course(joined, length, corner, through)
-        return cls(course, runs, kinds.reshape(-1), kind[:, -1])
+        return cls(course, runs, kinds.reshape(-1))
 
     def phases(self, limits: Limits, objective: str, duration: float | None) -> Phases:
         """Return the phases that meet the objective, or take the duration."""
-        fastest = Ladder.fastest(self.runs, limits, self.gain, RUNGS)
+        fastest = Ladder.fastest(self.runs, limits, RUNGS)
         quick = Choice(fastest.take(self.kinds), fastest.rate[-1, self.kinds])
         best = self._drive(quick)
         self._check_ends(best)
@@ -300,21 +301,13 @@ class _Task:
         return max(float(np.max(relative(mean, motor.continuous_power))) for mean in means)
 
 
-def _corners(
-    length: FloatArray, jump: FloatArray, smooth: float, full: float
-) -> tuple[FloatArray, FloatArray]:
-    """Largest rate at each corner, ends included, and the acceleration left for each run.
+def _drift(length: FloatArray, shape: FloatArray, jump: FloatArray) -> FloatArray:
+    """How fast the shape of the motion changes about both ends of each run of a smooth curve.
 
-    On a smooth curve the shares of the treads change over half the shorter neighbour on either
-    side of a corner; that change is given `SHARE` of the acceleration.
+    A jump between two runs is spread over half the shorter one on either side. The factor
+    ``1 + 2 jump`` covers what straight interpolation across it leaves out.
     """
-    same = jump <= 1e-9
-    bend = ~same & (jump <= smooth)
     reach = np.minimum(length[:-1], length[1:])
-    square = np.zeros(len(jump))
-    square[same] = np.inf
-    spare = SHARE * full / np.where(bend, jump, 1.0) - (1 - SHARE) * full
-    square[bend] = np.maximum(reach * spare, 0.0)[bend]
-    corner = np.concatenate([[0.0], np.sqrt(square), [0.0]])
-    touched = np.append(bend, False) | np.append(False, bend)
-    return corner, np.where(touched, (1 - SHARE) * full, full)
+    rate = np.diff(shape, axis=0) * ((jump > 0) * (1 + 2 * jump) / reach)[:, None]
+    none = np.zeros((1, 2))
+    return np.hstack([np.vstack([none, rate]), np.vstack([rate, none])])

@@ -259,6 +259,25 @@ def test_a_smooth_curve_is_driven_through_within_the_limits():
     assert finer.duration == pytest.approx(times[0.1], rel=0.02)
 
 
+@pytest.mark.parametrize("model", [PAPER, INERTIA, LOSSY])
+def test_random_smooth_curves_are_within_the_limits(model):
+    rng = np.random.default_rng(1)
+    for k in range(12):
+        n = int(rng.integers(20, 80))
+        step = float(rng.choice([0.02, 0.05, 0.1])) * float(rng.choice([1, -1]))
+        curvature = np.convolve(rng.normal(0, 2, n + 8), np.ones(9) / 9, mode="valid")
+        path = Path(START, np.full(n, step), step * curvature)
+        vehicle = with_motor(
+            acceleration=float(rng.uniform(0.3, 4)), force=float(rng.uniform(420, 900))
+        )
+        found = profile(
+            path, model, vehicle=vehicle, smooth=float(rng.choice([0.05, 0.1, 0.3])),
+            objective=("time", "energy")[k % 2],
+        )  # fmt: skip
+        report = check(found, model, vehicle)
+        assert report.feasible, report.violations[0]
+
+
 # -- least energy and given duration ------------------------------------------------------------
 
 
