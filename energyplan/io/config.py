@@ -1,0 +1,373 @@
+"""Vehicles and power models as YAML files, checked key by key."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+from math import inf
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import numpy as np
+import yaml
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from energyplan.effects import term
+from energyplan.errors import ConfigError, InvalidInputError, ModelError, UnknownNameError
+from energyplan.io._yaml import Document, load
+from energyplan.io.files import atomic_write
+from energyplan.path import FloatArray
+from energyplan.power import PowerModel, Residual, Term
+from energyplan.vehicle import MotorLimits, TreadICR, Vehicle, predict_icr, wheel_loads
+
+T = TypeVar("T")
+
+
+def _infinite(value: Any) -> Any:
+    """Read ``inf`` and ``null`` as no limit."""
+    return inf if value is None or value == "inf" else value
+
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Limit = Annotated[float, BeforeValidator(_infinite), Field(ge=0)]
+Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _ICR(_Strict):
+    left: Number
+    right: Number
+    longitudinal: Number = 0.0
+
+
+class _Motor(_Strict):
+    continuous_power: Limit = inf
+    peak_power: Limit = inf
+    thermal_time: Limit = 30.0
+    force: Limit = inf
+    speed: Limit = inf
+    acceleration: Limit = inf
+    regeneration: Limit = inf
+
+
+class _Vehicle(_Strict):
+    """A vehicle: a preset with changes, wheel by wheel, or symmetric from its dimensions."""
+
+    kind: Literal["vehicle"] = "vehicle"
+    preset: str | None = None
+    name: str | None = None
+    contacts: Annotated[list[Pair], Field(min_length=3, max_length=100)] | None = None
+    loads: list[Number] | None = None
+    footprint: Annotated[list[Pair], Field(min_length=2, max_length=2)] | None = None
+    mass: Number | None = None
+    cog: Pair | None = None
+    wheelbase: Number | None = None
+    track: Number | None = None
+    length: Number | None = None
+    width: Number | None = None
+    icr: _ICR | None = None
+    motor: _Motor | None = None
+    drive_efficiency: Number | None = None
+    regen_efficiency: Number | None = None
+    max_yaw_rate: Limit | None = None
+
+
+class _Term(_Strict):
+    name: str
+    value: Number
+    std_error: Number | None = None
+    symbol: str | None = None
+    unit: str | None = None
+    params: dict[str, Number] = {}
+
+
+class _Residual(_Strict):
+    rmse: Number
+    mae: Number
+    bias: Number
+    energy_error: Number
+    correlation_time: Number = 0.0
+    duration: Number = 0.0
+
+
+class _Model(_Strict):
+    kind: Literal["model"] = "model"
+    name: str = "model"
+    vehicle: _Vehicle | str
+    terms: list[_Term]
+    covariance: list[list[Number]] | None = None
+    residual: _Residual | None = None
+
+
+def read_vehicle(source: str | Path) -> Vehicle:
+    """Return a vehicle: a preset's, or the one that a YAML file describes.
+
+    A file gives ``contacts``, ``loads`` (or ``mass`` with ``cog``) and ``footprint``; or
+    ``wheelbase``, ``track``, ``length``, ``width`` and ``mass`` of a symmetric vehicle; or
+    ``preset`` with whatever differs from it. ``icr``, ``motor``, ``drive_efficiency``,
+    ``regen_efficiency`` and ``max_yaw_rate`` may go with each. SI units.
+
+    Parameters
+    ----------
+    source : str or Path
+        Name of a preset, or a ``.yaml`` file.
+
+    Returns
+    -------
+    Vehicle
+        The vehicle.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is neither such a preset nor such a file.
+    ConfigError
+        If the file is malformed; the message names file, line and key.
+    """
+    if not _is_file(source):
+        return Vehicle.preset(str(source))
+    document = load(source, ConfigError)
+    _expect(document, "vehicle")
+    return _vehicle(document.check(_Vehicle), document, ())
+
+
+def read_model(source: str | Path) -> PowerModel:
+    """Return a power model: a preset's, or the one that a YAML file holds.
+
+    Parameters
+    ----------
+    source : str or Path
+        Name of a preset, such as ``quadriga:full:marble``, or a ``.yaml`` file that `write_model`
+        wrote.
+
+    Returns
+    -------
+    PowerModel
+        The model, with its vehicle, covariance and residual.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is neither such a preset nor such a file.
+    ConfigError
+        If the file is malformed or names a term that does not exist; the message names file, line
+        and key.
+    """
+    if not _is_file(source):
+        return PowerModel.preset(str(source))
+    document = load(source, ConfigError)
+    _expect(document, "model")
+    spec = document.check(_Model)
+    if isinstance(spec.vehicle, str):
+        vehicle = _placed(document, ("vehicle",), Vehicle.preset, spec.vehicle)
+    else:
+        vehicle = _vehicle(spec.vehicle, document, ("vehicle",))
+    terms = tuple(_placed(document, ("terms", k), _term, item) for k, item in enumerate(spec.terms))
+    covariance = None if spec.covariance is None else _square(document, spec.covariance)
+    if covariance is None and any(item.std_error is not None for item in spec.terms):
+        # Standard errors alone, written by hand, say nothing of correlations.
+        covariance = np.diag([(item.std_error or 0.0) ** 2 for item in spec.terms])
+    residual = None if spec.residual is None else Residual(**spec.residual.model_dump())
+    values = np.array([item.value for item in spec.terms])
+    return _placed(
+        document, ("terms",), PowerModel, vehicle, terms, values, covariance, residual, spec.name
+    )
+
+
+def write_vehicle(vehicle: Vehicle, path: str | Path) -> Path:
+    """Write a vehicle as YAML, whole or not at all.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    path : str or Path
+        The file, which `read_vehicle` reads.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InvalidInputError
+        If it cannot be written.
+    """
+    return _dump({"kind": "vehicle", **_plain_vehicle(vehicle)}, path)
+
+
+def write_model(model: PowerModel, path: str | Path) -> Path:
+    """Write a power model with its vehicle as YAML, whole or not at all.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The model.
+    path : str or Path
+        The file, which `read_model` reads.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ConfigError
+        If a term is not known by its name, so that the file could not be read again.
+    InvalidInputError
+        If the file cannot be written.
+    """
+    terms = []
+    for item, value in zip(model.terms, model.coefficients, strict=True):
+        try:
+            term(item.name)
+        except UnknownNameError as problem:
+            raise ConfigError(
+                f"the model {model.name!r} cannot be written: {problem}; publish the term through "
+                "the entry-point group energyplan.effects"
+            ) from None
+        entry: dict[str, Any] = {"name": item.name, "value": float(value)}
+        error = model.std_error(item.name)
+        entry |= {} if error is None else {"std_error": error}
+        entry |= {"symbol": item.symbol, "unit": item.unit}
+        entry |= {"params": {k: _plain(v) for k, v in item.params.items()}} if item.params else {}
+        terms.append(entry)
+    data: dict[str, Any] = {
+        "kind": "model",
+        "name": model.name,
+        "terms": terms,
+        "vehicle": _plain_vehicle(model.vehicle),
+    }
+    if model.covariance is not None:
+        data["covariance"] = model.covariance.tolist()
+    if model.residual is not None:
+        data["residual"] = {k: float(v) for k, v in vars(model.residual).items()}
+    return _dump(data, path)
+
+
+def _is_file(source: str | Path) -> bool:
+    """Whether a file is meant, rather than a preset."""
+    return isinstance(source, Path) or source.endswith((".yaml", ".yml")) or Path(source).is_file()
+
+
+def _expect(document: Document, kind: str) -> None:
+    """Refuse a file of another kind."""
+    told = document.data.get("kind", kind)
+    if told != kind:
+        raise document.fail(("kind",), f"this file holds a {told!r}, where a {kind} is needed")
+
+
+def _placed(
+    document: Document, loc: tuple[int | str, ...], build: Callable[..., T], *args: Any
+) -> T:
+    """Build something; a complaint gets the place in the file."""
+    try:
+        return build(*args)
+    except InvalidInputError as problem:
+        raise document.fail(loc, str(problem)) from None
+
+
+def _vehicle(spec: _Vehicle, document: Document, loc: tuple[int | str, ...]) -> Vehicle:
+    """Build the vehicle that a file describes."""
+    given = {key for key, value in spec if value is not None} - {"kind"}
+    wheels = {"contacts", "footprint"}
+    sizes = {"wheelbase", "track", "length", "width"}
+    if spec.preset is not None:
+        base = _vehicle_fields(_placed(document, (*loc, "preset"), Vehicle.preset, spec.preset))
+        clash = given & sizes
+        need: set[str] = set()
+    elif given & sizes:
+        base, clash, need = {}, given & (wheels | {"loads"}), {"name", "mass", *sizes}
+    else:
+        weighed = {"loads"} if "mass" not in given else {"mass"}
+        base, clash, need = {}, set(), {"name", *wheels, *weighed}
+        need |= {"icr"} if len(spec.contacts or ()) != 4 else set()
+    if need - given:
+        raise document.fail(
+            (*loc, sorted(need - given)[0]),
+            "the key is missing; a vehicle is a preset with changes, or contacts, loads (or mass "
+            "and cog) and footprint, or mass, wheelbase, track, length and width",
+        )
+    if "loads" in given and given & {"mass", "cog"}:
+        clash = clash | {"loads"}
+    if clash:
+        raise document.fail(
+            (*loc, sorted(clash)[0]), "the key contradicts the others; leave it out"
+        )
+    return _placed(document, loc, _built, spec, base)
+
+
+def _built(spec: _Vehicle, base: dict[str, Any]) -> Vehicle:
+    """Build a vehicle from a file's values upon those of its preset."""
+    told: dict[str, Any] = {
+        key: getattr(spec, key)
+        for key in ("name", "drive_efficiency", "regen_efficiency", "max_yaw_rate")
+        if getattr(spec, key) is not None
+    }
+    if spec.icr is not None:
+        told["icr"] = TreadICR(**spec.icr.model_dump())
+    if spec.motor is not None:
+        known = vars(base["motor"]) if "motor" in base else {}
+        told["motor"] = MotorLimits(**{**known, **spec.motor.model_dump(exclude_unset=True)})
+    cog = spec.cog or (0.0, 0.0)
+    if spec.wheelbase is not None:
+        sizes = {
+            key: getattr(spec, key) for key in ("mass", "wheelbase", "track", "length", "width")
+        }
+        return Vehicle.from_geometry(**told, **sizes, cog=cog)
+    for key in ("contacts", "loads", "footprint"):
+        if getattr(spec, key) is not None:
+            told[key] = np.array(getattr(spec, key), float)
+    values = {**base, **told}
+    contacts = np.asarray(values["contacts"])
+    if "icr" not in values:
+        values["icr"] = TreadICR.symmetric(predict_icr(*np.ptp(contacts, axis=0)))
+    if spec.mass is None and spec.cog is None:
+        return Vehicle(**values)
+    mass = Vehicle(**values).mass if spec.mass is None else spec.mass
+    return Vehicle(**{**values, "loads": wheel_loads(contacts, mass, cog)})
+
+
+def _term(item: _Term) -> Term:
+    """Return the catalogue's term with a file's parameters."""
+    known = term(item.name)
+    if item.unit is not None and item.unit != known.unit:
+        raise ModelError(f"the unit of {item.name} is {known.unit!r}, not {item.unit!r}")
+    stray = set(item.params) - set(known.params)
+    if known.params and stray:
+        raise UnknownNameError(f"parameter of {item.name}", sorted(stray)[0], known.params)
+    return replace(known, params={**known.params, **item.params})
+
+
+def _square(document: Document, rows: list[list[float]]) -> FloatArray:
+    for k, row in enumerate(rows):
+        if len(row) != len(rows):
+            raise document.fail(("covariance", k), f"the row has {len(row)} of {len(rows)} values")
+    return np.array(rows)
+
+
+def _vehicle_fields(vehicle: Vehicle) -> dict[str, Any]:
+    return {field.name: getattr(vehicle, field.name) for field in fields(vehicle)}
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as YAML knows it; no limit is ``.inf``."""
+    if isinstance(value, np.ndarray | list | tuple):
+        return [_plain(item) for item in value]
+    return value if isinstance(value, str) else float(value)
+
+
+def _plain_vehicle(vehicle: Vehicle) -> dict[str, Any]:
+    found = _vehicle_fields(vehicle)
+    for key in ("icr", "motor"):
+        found[key] = {k: float(v) for k, v in vars(found[key]).items()}
+    return {k: v if isinstance(v, dict) else _plain(v) for k, v in found.items()}
+
+
+def _dump(data: dict[str, Any], path: str | Path) -> Path:
+    return atomic_write(path, yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100))

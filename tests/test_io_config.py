@@ -1,0 +1,283 @@
+"""Vehicle and model files: they read back the same, and complaints name file, line and key."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from energyplan import simulate
+from energyplan.effects import HOTEL, WARM_UP, empirical_term
+from energyplan.errors import ConfigError, EnergyPlanError, InvalidInputError, UnknownNameError
+from energyplan.io.config import read_model, read_vehicle, write_model, write_vehicle
+from energyplan.io.files import atomic_write
+from energyplan.power import PowerModel, Residual
+from energyplan.vehicle import GRAVITY, MotorLimits, TreadICR, Vehicle
+
+PRESETS = ("quadriga", "quadriga:full", "husky_a200", "jackal")
+
+DIMENSIONS = """\
+name: mule
+mass: 120.0
+wheelbase: 0.6
+track: 0.7
+length: 1.0
+width: 0.9
+"""
+WHEELS = """\
+name: mule
+contacts: [[0.3, 0.35], [-0.3, 0.35], [0.3, -0.35], [-0.3, -0.35]]
+footprint: [[-0.5, -0.45], [0.5, 0.45]]
+mass: 120.0
+"""
+MODEL = """\
+name: by hand
+vehicle: quadriga:full
+terms:
+- {name: slip_friction, value: 0.5, std_error: 0.1}
+- {name: traction_resistance, value: 100.0}
+"""
+
+
+def same_vehicle(one, other):
+    for key, value in vars(one).items():
+        if isinstance(value, np.ndarray):
+            assert_array_equal(value, getattr(other, key))
+        else:
+            assert value == getattr(other, key)
+
+
+def write(tmp_path, text):
+    file = tmp_path / "it.yaml"
+    file.write_text(text)
+    return file
+
+
+# -- vehicles -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_vehicles_read_back_the_same(tmp_path, name):
+    vehicle = replace(
+        Vehicle.preset(name), icr=TreadICR(0.41, 0.52, -0.03), regen_efficiency=0.25,
+        motor=MotorLimits(speed=1.5, force=300.0),
+    )  # fmt: skip
+    same_vehicle(read_vehicle(write_vehicle(vehicle, tmp_path / "v.yaml")), vehicle)
+    same_vehicle(read_vehicle(name), Vehicle.preset(name))
+
+
+def test_a_vehicle_from_its_dimensions_and_from_its_wheels(tmp_path):
+    sizes = read_vehicle(write(tmp_path, DIMENSIONS))
+    expected = Vehicle.from_geometry(
+        "mule", mass=120.0, wheelbase=0.6, track=0.7, length=1.0, width=0.9
+    )
+    same_vehicle(sizes, expected)
+    wheels = read_vehicle(write(tmp_path, WHEELS))
+    assert_allclose(np.sort(wheels.contacts, axis=0), np.sort(expected.contacts, axis=0))
+    assert wheels.slip_moment == pytest.approx(expected.slip_moment)
+    assert wheels.icr.left == pytest.approx(expected.icr.left)
+
+
+def test_a_preset_with_changes(tmp_path):
+    text = (
+        "preset: jackal\nname: ours\nmass: 30\nmotor: {speed: 1.0, force: .inf, peak_power: null}\n"
+    )
+    vehicle, jackal = read_vehicle(write(tmp_path, text)), Vehicle.preset("jackal")
+    assert vehicle.name == "ours"
+    assert vehicle.loads.sum() == pytest.approx(30 * GRAVITY)
+    assert (vehicle.motor.speed, vehicle.motor.peak_power) == (1.0, np.inf)
+    assert vehicle.motor.continuous_power == jackal.motor.continuous_power
+    assert_array_equal(vehicle.contacts, jackal.contacts)
+    shifted = read_vehicle(write(tmp_path, "preset: jackal\ncog: [0.02, 0.0]\n"))
+    assert shifted.loads.sum() == pytest.approx(jackal.loads.sum())
+    assert shifted.loads @ shifted.contacts[:, 0] == pytest.approx(0.02 * shifted.loads.sum())
+
+
+# -- models -------------------------------------------------------------------------------------
+
+
+def test_a_model_reads_back_the_same_and_predicts_the_same(tmp_path):
+    rng = np.random.default_rng(3)
+    base = PowerModel.preset("quadriga:empty:concrete")
+    warm = replace(WARM_UP, params={"time_constant": 45.0})
+    shape = empirical_term("empirical_traction_v", [0.0, 0.4, 0.8], [0.0, 5.0, 20.0])
+    terms = (*base.terms, warm, shape, HOTEL)
+    root = rng.standard_normal((5, 5))
+    model = PowerModel(
+        base.vehicle.with_icr(TreadICR(0.4, 0.5, 0.01)), terms, [0.6, 110.0, 30.0, 1.0, 12.5],
+        root @ root.T, Residual(3.0, 2.0, 0.1, 0.01, 0.7, 120.0), "found",
+    )  # fmt: skip
+    again = read_model(write_model(model, tmp_path / "m.yaml"))
+    assert again.name == model.name
+    assert again.residual == model.residual
+    assert_array_equal(again.coefficients, model.coefficients)
+    assert_array_equal(again.covariance, model.covariance)
+    assert [dict(term.params) for term in again.terms] == [dict(t.params) for t in model.terms]
+    same_vehicle(again.vehicle, model.vehicle)
+    motion = simulate.validation_drive(base).motion(model.vehicle.icr)
+    assert_array_equal(again.power(motion), model.power(motion))
+    assert np.ptp(model.breakdown(motion)["empirical_traction_v"]) > 1.0
+
+
+def test_a_model_written_by_hand(tmp_path):
+    model = read_model(write(tmp_path, MODEL))
+    same_vehicle(model.vehicle, Vehicle.preset("quadriga:full"))
+    assert model.coefficient("slip_friction") == 0.5
+    assert model.std_error("slip_friction") == pytest.approx(0.1)
+    assert model.std_error("traction_resistance") == 0.0
+    plain = read_model(write(tmp_path, MODEL.replace(", std_error: 0.1", "")))
+    assert plain.covariance is None
+
+
+def test_model_presets(tmp_path):
+    assert read_model("quadriga:full:marble").coefficient("traction_resistance") == 110.0
+    with pytest.raises(UnknownNameError, match="quadriga:full:marble"):
+        read_model("quadriga:full:gravel")
+    with pytest.raises(UnknownNameError, match="husky_a200"):
+        read_vehicle("husky")
+
+
+def test_a_term_that_no_file_could_name_is_refused(tmp_path):
+    base = PowerModel.preset("quadriga:empty:marble")
+    odd = base.with_term(replace(HOTEL, name="my_own"), 3.0)
+    with pytest.raises(ConfigError, match="my_own"):
+        write_model(odd, tmp_path / "m.yaml")
+    assert not (tmp_path / "m.yaml").exists()
+
+
+# -- complaints ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (DIMENSIONS + "colour: red\n", "line 7, colour: there is no such key; the keys are kind"),
+        (DIMENSIONS + "motor: {pawer: 3}\n", "line 7, motor.pawer: .* continuous_power"),
+        (DIMENSIONS + "motor:\n  speed: fast\n", "line 8, motor.speed: .* not 'fast'"),
+        (DIMENSIONS + "motor:\n  speed: -1\n", "line 8, motor.speed: .* greater"),
+        (DIMENSIONS + "mass: 3\n", "line 7: 'mass' stands twice"),
+        (DIMENSIONS.replace("mass: 120.0\n", ""), "mass: the key is missing"),
+        (DIMENSIONS.replace("120.0", ".nan"), "line 2, mass: .* finite"),
+        (DIMENSIONS.replace("120.0", "-3"), "mass is -3"),
+        (DIMENSIONS + "loads: [1, 2, 3, 4]\n", "line 7, loads: the key contradicts"),
+        (DIMENSIONS + "icr: {left: 0.4}\n", "line 7, icr.right: Field required"),
+        (DIMENSIONS + "icr: {left: -1, right: 0.5}\n", "slip track"),
+        (DIMENSIONS + "drive_efficiency: 1.5\n", "drive_efficiency is 1.5"),
+        (DIMENSIONS + "cog: [2.0, 0.0]\n", "lift off"),
+        (WHEELS.replace("mass: 120.0\n", ""), "loads: the key is missing"),
+        (WHEELS.replace("[0.3, 0.35], ", ""), "icr: the key is missing"),
+        (WHEELS.replace("[0.3, 0.35]", "[0.3]"), r"line 2, contacts.0: .* at least 2"),
+        (WHEELS + "loads: [1, 2, 3, 4]\n", "loads: the key contradicts"),
+        ("preset: horse\n", "line 1, preset: unknown vehicle preset"),
+        ("preset: jackal\ntrack: 1\n", "line 2, track: the key contradicts"),
+        ("kind: model\n", "holds a 'model', where a vehicle"),
+        ("", "must hold a mapping"),
+        ("- 1\n", "must hold a mapping"),
+        ("a: [1\n", "line 2 is no valid YAML"),
+        ("a: !!python/object/apply:os.system [x]\n", "line 1: leave the tag"),
+        ("a: !!python/name:os.system x\n", "line 1: .* cannot be read"),
+        ("? [1, 2]\n: 3\n", "plain word"),
+        ("a: 2001-99-99\n", "line 1: '2001-99-99' cannot be read"),
+        ("a: " + "[" * 5000, "nested too deeply|too deep|no valid YAML"),
+        ("a: &a [*a]\n", "too deep|no valid YAML|unhashable"),
+        ("a: \x07\n", "no valid YAML"),
+    ],
+)
+def test_malformed_vehicles_are_refused_with_their_place(tmp_path, text, words):
+    with pytest.raises(ConfigError, match=words) as caught:
+        read_vehicle(write(tmp_path, text))
+    assert "it.yaml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (MODEL.replace("slip_friction", "slippery"), "line 4, terms.0: unknown power term"),
+        (
+            MODEL.replace("traction_resistance", "slip_friction"),
+            "line 3, terms: a term stands twice",
+        ),
+        (MODEL.replace("value: 100.0", "value: much"), "line 5, terms.1.value: .* not 'much'"),
+        (MODEL.replace("value: 100.0", "value: .inf"), "line 5, terms.1.value: .* finite"),
+        (MODEL.replace("quadriga:full", "horse"), "line 2, vehicle: unknown vehicle preset"),
+        (MODEL.replace("quadriga:full", "{preset: jackal, mass: -1}"), "line 2, vehicle"),
+        (MODEL.replace("vehicle: quadriga:full\n", ""), "vehicle: Field required"),
+        (MODEL + "- {name: warm_up, value: 1, params: {tau: 3}}\n", "terms.2: .*time_constant"),
+        (MODEL + "- {name: hotel_load, value: 1, unit: kW}\n", "terms.2: the unit .* 'W'"),
+        (MODEL + "covariance: [[1, 0], [0]]\n", "line 6, covariance.1: the row has 1 of 2"),
+        (MODEL + "covariance: [[1, 5], [0, 1]]\n", "symmetric"),
+        (MODEL + "covariance: [[1]]\n", "shape"),
+        (MODEL + "residual: {rmse: 1}\n", "residual.mae: Field required"),
+        ("kind: vehicle\n", "holds a 'vehicle', where a model"),
+    ],
+)
+def test_malformed_models_are_refused_with_their_place(tmp_path, text, words):
+    with pytest.raises(ConfigError, match=words) as caught:
+        read_model(write(tmp_path, text))
+    assert "it.yaml" in str(caught.value)
+
+
+def test_a_document_that_explodes_is_refused(tmp_path):
+    bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
+        f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 12)
+    )
+    with pytest.raises(ConfigError, match="too many values"):
+        read_vehicle(write(tmp_path, bomb))
+    with pytest.raises(ConfigError, match="larger than 1024 KiB"):
+        read_vehicle(write(tmp_path, "name: " + "x" * (1 << 20)))
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_vehicle(tmp_path / "absent.yaml")
+
+
+TEXTS = st.lists(
+    st.sampled_from([*(MODEL + DIMENSIONS + WHEELS).splitlines(), "- 1", "vehicle:", "  mass: 3",
+                     "icr: {left: 1e308, right: 1e308}", "mass: 1e308", "kind: vehicle", "a: *b"]),
+    max_size=9,
+).map("\n".join)  # fmt: skip
+
+
+@settings(
+    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(text=st.one_of(TEXTS, st.text(max_size=60)), cut=st.integers(0, 400))
+def test_any_text_gives_a_result_or_a_named_error(tmp_path, text, cut):
+    file = tmp_path / "any.yaml"
+    file.write_bytes(text.encode("utf-8", "surrogatepass")[:cut])
+    for read in (read_vehicle, read_model):
+        try:
+            read(file)
+        except EnergyPlanError as error:
+            assert "any.yaml" in str(error)
+
+
+# -- files --------------------------------------------------------------------------------------
+
+
+def test_atomic_write_keeps_the_old_file_when_it_fails(tmp_path, monkeypatch):
+    file = tmp_path / "deep" / "it.txt"
+    atomic_write(file, "old")
+    monkeypatch.setattr("os.fsync", lambda handle: (_ for _ in ()).throw(OSError(28, "disk full")))
+    with pytest.raises(InvalidInputError, match="disk full"):
+        atomic_write(file, "new")
+    assert file.read_text() == "old"
+    assert [entry.name for entry in file.parent.iterdir()] == ["it.txt"]
+
+
+def test_atomic_write_keeps_permissions_and_links(tmp_path):
+    file, link = tmp_path / "it.txt", tmp_path / "link"
+    file.write_text("old")
+    file.chmod(0o640)
+    link.symlink_to(file)
+    assert atomic_write(link, b"new") == link
+    assert link.is_symlink()
+    assert file.read_bytes() == b"new"
+    assert file.stat().st_mode & 0o777 == 0o640
+    with pytest.raises(InvalidInputError, match="cannot be written"):
+        atomic_write(tmp_path, "a folder")
+    with pytest.raises(InvalidInputError, match="cannot be written"):
+        atomic_write("nul\0name", "x")
