@@ -1,0 +1,240 @@
+"""From place to place: planned once, timed within the limits, priced for the payload on board."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from energyplan import steering
+from energyplan._mission_energy import Estimate, Grounds, Regions
+from energyplan._mission_types import Mission
+from energyplan.cost import EnergyCost
+from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitError
+from energyplan.maps import SurfaceMap
+from energyplan.path import FloatArray, Path, Pose, Trajectory
+from energyplan.planners import PlanningProblem, plan
+from energyplan.power import PowerModel
+from energyplan.speed import profile
+
+_PERIOD = 0.1
+"""Largest time between two samples of a leg [s]."""
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A drive from one place to another.
+
+    Parameters
+    ----------
+    path : Path
+        Where it leads; empty where there is none.
+    trajectory : Trajectory or None
+        When the robot is where; None where it does not move, or cannot.
+    power : ndarray, shape (n,)
+        Mean power of each interval of the trajectory [W].
+    energy : Estimate
+        Its energy; infinite where it cannot be driven.
+    trouble : str
+        ``""``, ``"no_path"`` or ``"motor"``.
+    detail : str
+        What the trouble is.
+    """
+
+    path: Path
+    trajectory: Trajectory | None
+    power: FloatArray
+    energy: Estimate
+    trouble: str = ""
+    detail: str = ""
+
+    @property
+    def duration(self) -> float:
+        """Time that it takes [s]."""
+        return 0.0 if self.trajectory is None else self.trajectory.duration
+
+
+@dataclass(frozen=True)
+class _Route:
+    path: Path
+    trouble: str = ""
+    detail: str = ""
+
+
+class Legs:
+    """All legs of a mission, each planned when it is first asked for.
+
+    Node 0 is the start; tasks, chargers and home follow.
+
+    Parameters
+    ----------
+    mission : Mission
+        The mission.
+    progress : callable, optional
+        Called with a line of text before each route is planned.
+    """
+
+    def __init__(self, mission: Mission, progress: Callable[[str], None] | None = None) -> None:
+        self.mission = mission
+        self.grounds = Grounds(mission)
+        self._progress = progress
+        home = mission.start if mission.home is None else mission.home
+        self.poses: list[Pose] = [
+            mission.start,
+            *(task.pose for task in mission.tasks),
+            *(charger.pose for charger in mission.chargers),
+        ]
+        self.names = [
+            "start",
+            *(t.name for t in mission.tasks),
+            *(c.name for c in mission.chargers),
+        ]
+        self.home = 0
+        if home != mission.start:
+            self.home = len(self.poses)
+            self.poses.append(home)
+            self.names.append("home")
+        self._routes: dict[tuple[int, int], _Route] = {}
+        self._legs: dict[tuple[int, int, float], Leg] = {}
+        self._costs: dict[float, tuple[EnergyCost, SurfaceMap | None]] = {}
+
+    def under(self, mission: Mission) -> Legs:
+        """Return these legs for a mission that differs in battery, charge or reserve only."""
+        other = copy(self)
+        other.mission = mission
+        return other
+
+    # -- places -----------------------------------------------------------------------------------
+
+    @property
+    def chargers(self) -> range:
+        """Nodes of the chargers."""
+        first = 1 + len(self.mission.tasks)
+        return range(first, first + len(self.mission.chargers))
+
+    def region(self, node: int) -> int:
+        """Return the surface under a place."""
+        surfaces = self.mission.surfaces
+        return 0 if surfaces is None else int(surfaces.region_at(self.poses[node][:2]))
+
+    # -- bounds -----------------------------------------------------------------------------------
+
+    def cost(self, payload: float) -> tuple[EnergyCost, SurfaceMap | None]:
+        """Return the cost and the surfaces with a payload [kg] on board."""
+        if payload not in self._costs:
+            mission, grounds = self.mission, self.grounds
+            surfaces = mission.surfaces
+            if surfaces is not None:
+                laden = [
+                    replace(surface, model=grounds.model(k, payload))
+                    for k, surface in enumerate(surfaces.surfaces, start=1)
+                ]
+                surfaces = replace(surfaces, surfaces=tuple(laden))
+            model = grounds.model(0, payload)
+            cost = EnergyCost(model, battery=True, speed=mission.speed)
+            self._costs[payload] = cost, surfaces
+        return self._costs[payload]
+
+    def lower_bounds(self, payload: float) -> FloatArray:
+        """Return the least energy from node to node without obstacles [J], shape (n, n)."""
+        cost, surfaces = self.cost(payload)
+        poses = np.array(self.poses)
+        costs = (cost,) if surfaces is None else surfaces.costs(cost)
+        return np.asarray(
+            np.min([steering.energy(poses[:, None], poses[None, :], c) for c in costs], axis=0)
+        )
+
+    def planned(self, start: int, goal: int) -> bool:
+        """Tell whether the route from node to node has been planned."""
+        return (start, goal) in self._routes
+
+    # -- legs -------------------------------------------------------------------------------------
+
+    def leg(self, start: int, goal: int, payload: float) -> Leg:
+        """Return the leg from node to node with a payload [kg] on board."""
+        key = (start, goal, payload)
+        if key not in self._legs:
+            self._legs[key] = self._priced(self._route(start, goal), payload)
+        return self._legs[key]
+
+    def _route(self, start: int, goal: int) -> _Route:
+        """Plan from node to node, for the payload at the start of the mission."""
+        key = (start, goal)
+        if key not in self._routes:
+            self._routes[key] = self._planned(start, goal)
+        return self._routes[key]
+
+    def _planned(self, start: int, goal: int) -> _Route:
+        mission = self.mission
+        here, there = self.poses[start], self.poses[goal]
+        cost, surfaces = self.cost(mission.payload)
+        still = Path(here, np.zeros(0), np.zeros(0), cost.icr.longitudinal)
+        if here == there:
+            return _Route(still)
+        if self._progress is not None:
+            self._progress(f"planning from {self.names[start]} to {self.names[goal]}")
+        problem = PlanningProblem(mission.map, cost, here, there, surfaces=surfaces)
+        for patience in (1.0, 10.0):
+            try:
+                limit = patience * mission.planning_time
+                return _Route(plan(problem, planner=mission.planner, time_limit=limit).path)
+            except TimeLimitError as error:
+                last = str(error)
+            except PlanningError as error:
+                return _Route(still, "no_path", str(error))
+        return _Route(still, "no_path", last)
+
+    def _priced(self, route: _Route, payload: float) -> Leg:
+        grounds, path = self.grounds, route.path
+        nothing = grounds.nothing
+        if route.trouble:
+            return _stuck(path, nothing, route.trouble, route.detail)
+        if not len(path):
+            return Leg(path, None, np.zeros(0), nothing)
+        try:
+            trajectory = profile(
+                path,
+                self._leading_model(path, payload),
+                objective="energy" if self.mission.speed is None else "time",
+                period=_PERIOD,
+            )
+        except InfeasibleMotionError as error:
+            return _stuck(path, nothing, "motor", str(error))
+        region = self._regions(trajectory, path.longitudinal)
+        return Leg(
+            path,
+            trajectory,
+            grounds.power(trajectory, region, payload),
+            grounds.estimate(trajectory, region, payload),
+        )
+
+    def _leading_model(self, path: Path, payload: float) -> PowerModel:
+        """Return the model by which a path is timed: that of the most demanding ground on it.
+
+        Times that the motors can keep there, they can keep on all of the path.
+        """
+        cost, surfaces = self.cost(payload)
+        model = cost.model
+        if surfaces is not None:
+            met = np.flatnonzero(surfaces.shares(path).max(axis=0) > 0)
+            costs = surfaces.costs(cost)
+            model = max((costs[int(k)] for k in met), key=lambda c: c.energy(path)).model
+        speed = self.mission.speed
+        if speed is not None:
+            motor = replace(model.vehicle.motor, speed=min(speed, model.vehicle.motor.speed))
+            model = replace(model, vehicle=replace(model.vehicle, motor=motor))
+        return model.battery_side()
+
+    def _regions(self, trajectory: Trajectory, longitudinal: float) -> Regions:
+        surfaces = self.mission.surfaces
+        if surfaces is None:
+            return np.zeros(len(trajectory) - 1, np.intp)
+        heading = np.column_stack([np.cos(trajectory.yaw), np.sin(trajectory.yaw)])
+        points = trajectory.poses[:, :2] + longitudinal * heading
+        return surfaces.region_at(0.5 * (points[1:] + points[:-1]))
+
+
+def _stuck(path: Path, nothing: Estimate, trouble: str, detail: str) -> Leg:
+    return Leg(path, None, np.zeros(0), replace(nothing, mean=np.inf), trouble, detail)
