@@ -49,15 +49,14 @@ def office() -> tuple[OccupancyGrid, SurfaceMap]:
     width, height = 20.0, 14.0
     obstacles = hull(width, height)
     low, high = 6.0, 8.2
-    # south rooms: 5 m wide, one door to the corridor each, and doors from room to room that lie
-    # alternately near the window and near the corridor
+    # south rooms: 5 m wide, a door to the corridor, doors from room to room, and a shelf in the
+    # middle that one must drive around
     for k in range(4):
         left = 5.0 * k
         obstacles += walls((left, low, left + 3.2, low), (left + 4.4, low, left + 5.0, low))
+        obstacles += [box(left + 2.3, 0, left + 2.7, 4.0)]
         if k:
-            door = 1.0 if k % 2 else 3.4
-            obstacles += walls((left, 0, left, door), (left, door + 1.2, left, low))
-        obstacles += [box(left + 1.7, 2.4, left + 3.1, 3.2), box(left + 1.7, 4.6, left + 2.6, 5.2)]
+            obstacles += walls((left, 0, left, 2.5), (left, 3.7, left, low))
     # north rooms: offices with a desk each, and a meeting room
     for k in range(3):
         left = 4.0 * k
@@ -116,10 +115,10 @@ def orchard() -> tuple[OccupancyGrid, SurfaceMap]:
     ]
     for row in range(6):
         y = 3.0 + 2.4 * row
-        # where trees died, a robot slips through
-        gap = 8 + 3.1 * row
-        for x in np.arange(4.0, 26.01, 1.0):
-            if abs(x - gap) < 1.3:
+        # where a tree died a robot slips through
+        gap = (6, 8, 6, 9, 7, 10)[row]
+        for x in range(4, 27):
+            if x == gap:
                 continue
             at = np.array([x, y]) + rng.normal(0, 0.06, 2)
             obstacles.append(shapely.Point(at).buffer(rng.uniform(0.12, 0.22), quad_segs=4))
@@ -136,7 +135,7 @@ def orchard() -> tuple[OccupancyGrid, SurfaceMap]:
             surface(world(box(0, 0, 27.2, height)), "concrete", "empty"),
             surface(world(yard), "marble", "empty"),
         ],
-        keep_out=[world(shapely.Point(1.6, 17.9).buffer(1.2, quad_segs=6))],
+        keep_out=[world(shapely.Point(20.0, 18.0).buffer(1.1, quad_segs=6))],
     )
     return grid, ground
 
