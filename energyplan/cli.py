@@ -48,8 +48,8 @@ Columns = Annotated[
 OutModel = Annotated[Path | None, typer.Option("--out", help="Write the model to this YAML file.")]
 Report = Annotated[Path | None, typer.Option("--report", help="Write a report to this HTML file.")]
 
-NO = 3
-"""Exit code of a negative answer with ``--strict``."""
+NO, INTERRUPTED = 3, 130
+"""Exit codes of a negative answer with ``--strict``, and of Ctrl-C."""
 
 
 def _say(text: str) -> None:
@@ -134,7 +134,8 @@ def identify(
     from energyplan.io.config import read_vehicle, write_model
     from energyplan.report import number
 
-    found = run(_logs(logs, columns), read_vehicle(vehicle), method=method)  # type: ignore[arg-type]
+    robot = read_vehicle(vehicle)
+    found = run(_logs(logs, columns), robot, method=method)  # type: ignore[arg-type]
     if out:
         write_model(found.model, out)
     lines = []
@@ -179,9 +180,10 @@ def diagnose(
     from energyplan.io.files import atomic_write
     from energyplan.report import number
 
+    robot = read_vehicle(vehicle)
     training, judging = _logs(logs, columns), _logs(holdout, columns)
     with _progress("diagnosing") as update:
-        told = run(training, holdout=judging, vehicle=read_vehicle(vehicle), progress=update)
+        told = run(training, holdout=judging, vehicle=robot, progress=update)
     if out:
         write_model(told.model, out)
     if report:
@@ -430,10 +432,10 @@ def main() -> None:
         code = _fail(str(error), 2)
     except typer.TyperException as error:
         code = _fail(error.format_message(), error.exit_code)
-    except typer.Exit as leave:
+    except typer.Exit as leave:  # typer turns Ctrl-C into an exit with this code
         code = leave.exit_code
-    except (KeyboardInterrupt, typer.Abort):
-        code = _fail("interrupted; files are as they were", 130)
+        if code == INTERRUPTED:
+            _fail("interrupted; files are as they were", code)
     sys.exit(code or 0)
 
 

@@ -12,18 +12,19 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 import matplotlib.colors
 import matplotlib.patches
+import matplotlib.path
 import matplotlib.transforms
 import numpy as np
+import shapely
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from energyplan.drivelog import DriveLog
 from energyplan.path import FloatArray, Path
-from energyplan.power import PowerModel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from shapely.geometry import Polygon
+    from shapely.geometry.base import BaseGeometry
 
     from energyplan.feasibility import FeasibleRegion
     from energyplan.maps import OccupancyGrid
@@ -76,7 +77,7 @@ def tread_speeds(ax: Axes, log: DriveLog) -> Axes:
     return ax
 
 
-def power_over_time(ax: Axes, log: DriveLog, models: Mapping[str, PowerModel]) -> Axes:
+def power_over_time(ax: Axes, log: DriveLog, predictions: Mapping[str, ArrayLike]) -> Axes:
     """Draw measured and predicted power over time.
 
     Parameters
@@ -85,8 +86,8 @@ def power_over_time(ax: Axes, log: DriveLog, models: Mapping[str, PowerModel]) -
         Where to draw.
     log : DriveLog
         The drive.
-    models : mapping of str to PowerModel
-        Predictions by label.
+    predictions : mapping of str to array_like, shape (n,)
+        Predicted power [W] by label.
 
     Returns
     -------
@@ -94,34 +95,33 @@ def power_over_time(ax: Axes, log: DriveLog, models: Mapping[str, PowerModel]) -
         `ax`.
     """
     ax.plot(log.t, log.power, color="0.6", lw=0.8, label="measured")
-    for (label, model), (color, dash) in zip(models.items(), _LINES, strict=False):
-        motion = log.motion(model.vehicle.icr)
-        ax.plot(log.t, model.power(motion), color=color, ls=dash, lw=1.2, label=label)
+    for (label, power), (color, dash) in zip(predictions.items(), _LINES, strict=False):
+        ax.plot(log.t, power, color=color, ls=dash, lw=1.2, label=label)
     _label(ax, "time [s]", "power [W]", "Power")
     _legend(ax, ncols=3)
     return ax
 
 
-def energy_over_time(ax: Axes, log: DriveLog, models: Mapping[str, PowerModel]) -> Axes:
+def energy_over_time(ax: Axes, log: DriveLog, predictions: Mapping[str, ArrayLike]) -> Axes:
     """Draw measured and predicted energy since the start; arguments as in `power_over_time`."""
     ax.plot(log.t, _integral(log.t, log.power) / 1e3, color="0.6", lw=2.5, label="measured")
-    for (label, model), (color, dash) in zip(models.items(), _LINES, strict=False):
-        power = model.power(log.motion(model.vehicle.icr))
-        ax.plot(log.t, _integral(log.t, power) / 1e3, color=color, ls=dash, lw=1.4, label=label)
+    for (label, power), (color, dash) in zip(predictions.items(), _LINES, strict=False):
+        energy = _integral(log.t, np.asarray(power, float)) / 1e3
+        ax.plot(log.t, energy, color=color, ls=dash, lw=1.4, label=label)
     _label(ax, "time [s]", "energy [kJ]", "Energy since the start")
     _legend(ax)
     return ax
 
 
-def prediction(log: DriveLog, models: Mapping[str, PowerModel], title: str = "") -> Figure:
+def prediction(log: DriveLog, predictions: Mapping[str, ArrayLike], title: str = "") -> Figure:
     """Draw tread speeds, power and energy of a drive, as in the paper's figures 6 to 9.
 
     Parameters
     ----------
     log : DriveLog
-        A drive that the models were not fitted to.
-    models : mapping of str to PowerModel
-        Predictions by label.
+        A drive, best one that the model was not fitted to.
+    predictions : mapping of str to array_like, shape (n,)
+        Predicted power [W] by label.
     title : str
         Title of the figure.
 
@@ -132,8 +132,8 @@ def prediction(log: DriveLog, models: Mapping[str, PowerModel], title: str = "")
     """
     made = figure(3, 1, size=(8.0, 8.0))
     tread_speeds(made.axes[0], log)
-    power_over_time(made.axes[1], log, models)
-    energy_over_time(made.axes[2], log, models)
+    power_over_time(made.axes[1], log, predictions)
+    energy_over_time(made.axes[2], log, predictions)
     for ax in made.axes[:2]:
         ax.set_xlabel("")
     made.suptitle(title, x=0.01, ha="left", fontsize="large")
@@ -189,8 +189,8 @@ def occupancy(ax: Axes, grid: OccupancyGrid) -> Axes:
     x, y, yaw = (float(v) for v in grid.origin)
     rows, columns = grid.occupied.shape
     image = ax.imshow(
-        np.where(grid.occupied, 0.25, 1.0),
-        cmap="gray", vmin=0, vmax=1, origin="lower", interpolation="nearest",
+        np.ma.masked_where(~grid.occupied, np.full(grid.occupied.shape, 0.25)),
+        cmap="gray", vmin=0, vmax=1, origin="lower", interpolation="nearest", zorder=2,
         extent=(0.0, columns * grid.resolution, 0.0, rows * grid.resolution),
     )  # fmt: skip
     turn = mpl.transforms.Affine2D().rotate(yaw).translate(x, y)
@@ -209,8 +209,8 @@ def route(
 ) -> Axes:
     """Draw a path, its start and, with `arrows`, its headings."""
     poses = path.poses()
-    ax.plot(poses[:, 0], poses[:, 1], color=color, ls=dash, lw=2, label=label)
-    ax.plot(*poses[0, :2], "o", color=color, ms=5)
+    ax.plot(poses[:, 0], poses[:, 1], color=color, ls=dash, lw=2, label=label, zorder=3)
+    ax.plot(*poses[0, :2], "o", color=color, ms=5, zorder=3)
     if arrows:
         along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
         marks = np.searchsorted(along, np.linspace(0, along[-1], 8)).clip(0, len(poses) - 1)
@@ -225,7 +225,7 @@ def routes(
     grid: OccupancyGrid,
     paths: Mapping[str, Path],
     title: str = "",
-    surfaces: Sequence[tuple[str, Polygon]] = (),
+    surfaces: Sequence[tuple[str, BaseGeometry]] = (),
 ) -> Figure:
     """Draw routes on a map.
 
@@ -252,16 +252,24 @@ def routes(
     _surfaces(ax, surfaces)
     for (label, path), (color, dash) in zip(paths.items(), _LINES, strict=False):
         route(ax, path, label, color, dash)
-    ax.set_title(title, loc="left", fontsize="medium")
-    _legend(ax, outside=True)
+    made.suptitle(title, x=0.01, ha="left", fontsize="large")
+    _legend(ax, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4)
     return made
 
 
-def _surfaces(ax: Axes, surfaces: Sequence[tuple[str, Polygon]]) -> None:
+def _surfaces(ax: Axes, surfaces: Sequence[tuple[str, BaseGeometry]]) -> None:
     tints = (SKY, ORANGE, GREEN, PURPLE, YELLOW)
-    for k, (name, polygon) in enumerate(surfaces):
-        ring = np.asarray(polygon.exterior.coords)
-        ax.fill(ring[:, 0], ring[:, 1], color=tints[k % len(tints)], alpha=0.2, lw=0, label=name)
+    names = list(dict.fromkeys(name for name, _ in surfaces))
+    for name, area in surfaces:
+        outline = mpl.path.Path.make_compound_path(
+            *(
+                mpl.path.Path(np.asarray(ring.coords), closed=True)
+                for part in shapely.get_parts(area)
+                for ring in (part.exterior, *part.interiors)
+            )
+        )
+        tint = RED if name == "keep-out" else tints[names.index(name) % len(tints)]
+        ax.add_patch(mpl.patches.PathPatch(outline, color=tint, alpha=0.2, lw=0, label=name))
 
 
 def breakdown(ax: Axes, parts: Mapping[str, Mapping[str, float]]) -> Axes:

@@ -20,7 +20,8 @@ def assert_axes_have_units(ax: Axes) -> None:
 
 def test_prediction_shows_speeds_power_and_energy() -> None:
     log = simulate.drive(MODEL, "figure8", power_noise=5.0)
-    figure = plots.prediction(log, {"model": MODEL}, "Figure-8")
+    expected = MODEL.power(log.motion(MODEL.vehicle.icr))
+    figure = plots.prediction(log, {"model": expected}, "Figure-8")
     speeds, power, energy = figure.axes
     assert [ax.get_title(loc="left") for ax in figure.axes] == [
         "Tread speeds",
@@ -30,7 +31,7 @@ def test_prediction_shows_speeds_power_and_energy() -> None:
     assert_axes_have_units(energy)
     measured, predicted = power.get_lines()
     assert measured.get_ydata() == pytest.approx(log.power)
-    assert predicted.get_ydata() == pytest.approx(MODEL.power(log.motion(MODEL.vehicle.icr)))
+    assert predicted.get_ydata() == pytest.approx(expected)
     drawn = np.asarray(energy.get_lines()[0].get_ydata(), float)
     assert drawn[-1] == pytest.approx(np.trapezoid(log.power, log.t) / 1e3)
     assert len(speeds.get_lines()) == 2
