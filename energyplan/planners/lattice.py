@@ -162,7 +162,7 @@ class _Improvement:
         budget = 0.15 * (self.deadline - time.perf_counter())
         refiner.polish(time.perf_counter() + budget)
         self.offer(refiner)
-        self.bound = lower_bound(self.query, self.deadline, self.cost)
+        self.bound = lower_bound(self.query, self.cost)
         for scale, weight in ((1.0, 1.0), (0.5, 1.0)):
             if self.done:
                 return

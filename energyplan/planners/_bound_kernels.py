@@ -1,0 +1,225 @@
+"""Kernels of the lower bound: a search over the corners of the obstacles (docs/planning.md)."""
+
+from __future__ import annotations
+
+from math import atan2, cos, floor, hypot, inf, pi, sin
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from energyplan._collision import Space
+from energyplan._numba import njit
+from energyplan.planners._search_kernels import pop, push
+
+
+class Corners(NamedTuple):
+    """Convex corners of the obstacles, grown by less than the inscribed disc.
+
+    Attributes
+    ----------
+    point : ndarray, shape (n, 2)
+        The corners; the last two are start and goal.
+    before, after : ndarray, shape (n, 2)
+        Neighbouring corners along the outline; for start and goal their own place.
+    """
+
+    point: NDArray[np.float64]
+    before: NDArray[np.float64]
+    after: NDArray[np.float64]
+
+
+class Rates(NamedTuple):
+    """Costs of the relaxed problem.
+
+    Attributes
+    ----------
+    metre, radian : float
+        Cost per metre driven and per radian turned.
+    start, goal : float
+        Headings.
+    direct : float
+        Least cost from start to goal without obstacles.
+    radius : float
+        A point nearer to an obstacle than this is blocked for certain [m].
+    """
+
+    metre: float
+    radian: float
+    start: float
+    goal: float
+    direct: float
+    radius: float
+
+
+@njit
+def angle_between(a: float, b: float) -> float:
+    """Angle between two headings, 0 to pi."""
+    turn = abs(a - b) % (2.0 * pi)
+    return min(turn, 2.0 * pi - turn)
+
+
+@njit
+def line_open(space: Space, radius: float, ax: float, ay: float, bx: float, by: float) -> bool:
+    """Tell whether no point of a line is for certain nearer to an obstacle than `radius`.
+
+    May say yes wrongly, never no: the bound becomes lower then, and stays a bound.
+    """
+    rows, columns = space.clearance.shape
+    length = hypot(bx - ax, by - ay)
+    res = space.resolution
+    if length == 0.0:
+        return True
+    ux = (bx - ax) / length
+    uy = (by - ay) / length
+    at = 0.0
+    while at < length:
+        dx = ax + at * ux - space.x
+        dy = ay + at * uy - space.y
+        across = (space.cos * dx + space.sin * dy) / res
+        along = (-space.sin * dx + space.cos * dy) / res
+        column = floor(across)
+        row = floor(along)
+        if row < 0 or column < 0 or row >= rows or column >= columns:
+            at += 0.5 * res
+            continue
+        off = hypot(across - column - 0.5, along - row - 0.5) * res
+        near = float(space.clearance[row, column]) * res
+        if near + off < radius:
+            return False
+        at += max(near - off - radius, 0.5 * res)
+    return True
+
+
+@njit
+def _supports(corners: Corners, k: int, ux: float, uy: float) -> bool:
+    """Tell whether a line through a corner has the obstacle on one side."""
+    x = corners.point[k, 0]
+    y = corners.point[k, 1]
+    one = ux * (corners.before[k, 1] - y) - uy * (corners.before[k, 0] - x)
+    two = ux * (corners.after[k, 1] - y) - uy * (corners.after[k, 0] - x)
+    return one * two >= -1e-9
+
+
+@njit
+def least_over_corners(
+    space: Space, corners: Corners, rates: Rates, limit: float, most: int
+) -> float:
+    """Return a lower bound on the cost of going from corner to corner, at most `limit`.
+
+    A* over labels (corner, heading of the last long line). A line shorter than twice
+    ``radian / metre`` is charged for its length alone: on so short a line it can pay to avoid
+    its heading by reversing.
+
+    Parameters
+    ----------
+    space : Space
+        Obstacles.
+    corners : Corners
+        Corners, start and goal.
+    rates : Rates
+        Costs.
+    limit : float
+        Costs at or above are of no interest.
+    most : int
+        Number of labels at which to stop with what is known by then.
+    """
+    n = len(corners.point)
+    start = n - 2
+    goal = n - 1
+    gx = corners.point[goal, 0]
+    gy = corners.point[goal, 1]
+    short = 2.0 * rates.radian / rates.metre
+    seen = np.zeros((n, n), np.uint8)
+    capacity = most + 2 * n + 8
+    at = np.empty(capacity, np.int32)
+    heading = np.empty(capacity)
+    cost = np.empty(capacity)
+    older = np.empty(capacity, np.int32)
+    newest = np.full(n, -1, np.int32)
+    heap_f = np.empty(capacity)
+    heap_node = np.empty(capacity, np.int32)
+    at[0] = start
+    heading[0] = rates.start
+    cost[0] = 0.0
+    older[0] = -1
+    newest[start] = 0
+    count = 1
+    first = rates.metre * hypot(gx - corners.point[start, 0], gy - corners.point[start, 1])
+    size = push(heap_f, heap_node, 0, first, 0)
+    while size > 0:
+        f = heap_f[0]
+        label = int(heap_node[0])
+        size = pop(heap_f, heap_node, size)
+        if f >= limit:
+            return limit
+        u = int(at[label])
+        if u == goal or count >= most:
+            return f
+        if cost[label] == inf:
+            continue
+        g = cost[label]
+        h = heading[label]
+        for v in range(n):
+            if v == u or v == start:
+                continue
+            dx = corners.point[v, 0] - corners.point[u, 0]
+            dy = corners.point[v, 1] - corners.point[u, 1]
+            length = hypot(dx, dy)
+            if length < 1e-12:
+                continue
+            rest = hypot(gx - corners.point[v, 0], gy - corners.point[v, 1])
+            if g + rates.metre * (length + rest) >= limit or seen[u, v] == 2:
+                continue
+            if seen[u, v] == 0:
+                good = (
+                    _supports(corners, u, dx, dy)
+                    and _supports(corners, v, dx, dy)
+                    and line_open(
+                        space,
+                        rates.radius,
+                        corners.point[u, 0],
+                        corners.point[u, 1],
+                        corners.point[v, 0],
+                        corners.point[v, 1],
+                    )
+                )
+                seen[u, v] = 1 if good else 2
+                seen[v, u] = seen[u, v]
+                if not good:
+                    continue
+            psi = atan2(dy, dx)
+            for way in range(1 if length < short else 2):
+                then = h if length < short else psi + way * pi
+                gg = g + rates.metre * length + rates.radian * angle_between(h, then)
+                ff = gg + rates.metre * rest + rates.radian * angle_between(then, rates.goal)
+                if v == goal:
+                    if u == start:
+                        ff = rates.direct
+                    gg = ff
+                if ff >= limit:
+                    continue
+                worse = False
+                other = newest[v]
+                while other >= 0:
+                    gap = rates.radian * angle_between(heading[other], then)
+                    if v == goal:
+                        gap = 0.0
+                    if cost[other] + gap <= gg + 1e-9:
+                        worse = True
+                        break
+                    if gg + gap <= cost[other]:
+                        cost[other] = inf
+                    other = older[other]
+                if worse:
+                    continue
+                if count >= capacity - 2 or size >= capacity - 2:
+                    return f
+                at[count] = v
+                heading[count] = then
+                cost[count] = gg
+                older[count] = newest[v]
+                newest[v] = count
+                size = push(heap_f, heap_node, size, max(ff, f), count)
+                count += 1
+    return limit

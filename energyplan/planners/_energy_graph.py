@@ -1,0 +1,284 @@
+"""Graphs of places made into graphs of states, whose arcs cost the energy of edges and turns.
+
+A state is an edge of the user's graph with the gear it is driven in: where the robot is and which
+way it faces when it arrives. A graph of places cannot carry the cost of turning, because what a
+turn costs depends on where the robot came from; a graph of states can, and every shortest-path
+algorithm applies to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import networkx as nx
+import numpy as np
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import InvalidInputError
+from energyplan.maps import SurfaceMap
+from energyplan.path import FloatArray, Path, Pose, wrap_angle
+
+Graph = Any
+"""A networkx graph of any kind; its nodes carry ``pos`` or ``x`` and ``y``."""
+
+_RADII = np.linspace(0.0, 1.0, 9)
+"""Radii at which a rounded corner is priced, as fractions of the largest."""
+
+
+class State(NamedTuple):
+    """An edge as it is driven.
+
+    Attributes
+    ----------
+    source, target : hashable
+        Its nodes.
+    key : hashable
+        Its key in a multigraph; None in others.
+    gear : int
+        1 forwards, -1 backwards.
+    """
+
+    source: Hashable
+    target: Hashable
+    key: Hashable
+    gear: int
+
+
+def positions(graph: Graph) -> dict[Hashable, tuple[float, float]]:
+    """Return the position of each node [m].
+
+    Raises
+    ------
+    InvalidInputError
+        If a node has none.
+    """
+    found = {}
+    for node, data in graph.nodes(data=True):
+        place = data.get("pos", (data.get("x"), data.get("y")))
+        try:
+            x, y = (float(v) for v in place)
+        except (TypeError, ValueError):
+            raise InvalidInputError(
+                f"node {node!r} has no position; give each node pos=(x, y) or x= and y= [m]"
+            ) from None
+        if not (np.isfinite(x) and np.isfinite(y)):
+            raise InvalidInputError(f"node {node!r} lies at ({x}, {y}); give finite metres")
+        found[node] = (x, y)
+    return found
+
+
+@dataclass(frozen=True)
+class Corner:
+    """How a route turns from one edge to the next.
+
+    Parameters
+    ----------
+    radius : ndarray, shape (n,)
+        Radius of the arc [m]; 0 for a spin on the spot.
+    energy : ndarray, shape (n,)
+        Energy of the arc, less that of the straight lines that it cuts off [J].
+    """
+
+    radius: FloatArray
+    energy: FloatArray
+
+
+def round_corner(
+    cost: EnergyCost, turn: FloatArray, limit: FloatArray, gear: FloatArray
+) -> Corner:
+    """Return the best way round corners.
+
+    Both lines that meet at a corner are left at the same distance before it and joined by an
+    arc. Of all radii up to `limit` that of least energy is chosen. Where every joule of an inner,
+    generating motor comes back, that is the largest one, which cuts off most of the way; where it
+    is lost, it is often the pivot about a tread's ICR.
+
+    Parameters
+    ----------
+    cost : EnergyCost
+        Cost of motions.
+    turn : ndarray, shape (n,)
+        Turns [rad], in (-pi, pi].
+    limit : ndarray, shape (n,)
+        Largest radius [m].
+    gear : ndarray, shape (n,)
+        1 forwards, -1 backwards.
+
+    Returns
+    -------
+    Corner
+        Radius and energy of each.
+    """
+    half = cost.half_track
+    pivot = np.where(limit >= half, half, 0.0)
+    radius = np.concatenate([limit[:, None] * _RADII, pivot[:, None]], axis=1)
+    size = np.abs(turn)[:, None]
+    # a half turn cannot be rounded: its lines never meet
+    cut = radius * np.tan(np.minimum(0.5 * size, 1.5))
+    way = gear[:, None]
+    arc = cost.segment_energy(way * radius * size, np.broadcast_to(turn[:, None], radius.shape))
+    energy = arc - cost.segment_energy(way * 2 * cut, np.zeros(1))
+    best = np.argmin(energy, axis=1)
+    row = np.arange(len(turn))
+    return Corner(radius[row, best], energy[row, best])
+
+
+@dataclass(frozen=True)
+class Edges:
+    """All ways to drive the edges of a graph, as arrays in the order of `states`."""
+
+    states: tuple[State, ...]
+    start: FloatArray
+    heading: FloatArray
+    length: FloatArray
+    gear: FloatArray
+
+    @property
+    def yaw(self) -> FloatArray:
+        """Yaw of the robot on each [rad]."""
+        return self.heading + np.where(self.gear > 0, 0.0, np.pi)
+
+
+def edges_of(graph: Graph, reverse: bool) -> Edges:
+    """Return every way to drive the edges of a graph; an undirected edge can be driven both ways.
+
+    Raises
+    ------
+    InvalidInputError
+        If an edge has no length.
+    """
+    place = positions(graph)
+    states: list[State] = []
+    rows: list[tuple[float, float, float, float, float]] = []
+    keyed = (
+        graph.edges(keys=True)
+        if graph.is_multigraph()
+        else ((source, target, None) for source, target in graph.edges())
+    )
+    for source, target, key in keyed:
+        ways = [(source, target)]
+        if not graph.is_directed():
+            ways.append((target, source))
+        for a, b in ways:
+            (ax, ay), (bx, by) = place[a], place[b]
+            length = float(np.hypot(bx - ax, by - ay))
+            if length == 0.0:
+                raise InvalidInputError(
+                    f"the edge from {a!r} to {b!r} has no length; merge these nodes"
+                )
+            for gear in (1, -1) if reverse else (1,):
+                states.append(State(a, b, key, gear))
+                rows.append((ax, ay, float(np.arctan2(by - ay, bx - ax)), length, gear))
+    table = np.array(rows, float).reshape(-1, 5)
+    return Edges(tuple(states), table[:, :2], table[:, 2], table[:, 3], table[:, 4])
+
+
+def edge_energies(edges: Edges, cost: EnergyCost, surfaces: SurfaceMap | None) -> FloatArray:
+    """Return the energy of driving each edge straight [J]."""
+    ds = edges.gear * edges.length
+    if surfaces is None:
+        return cost.segment_energy(ds, np.zeros(len(ds)))
+    out = np.zeros(len(ds))
+    costs = surfaces.costs(cost)
+    for k, heading in enumerate(edges.heading):
+        line = Path(Pose(*edges.start[k], heading), [edges.length[k]], [0.0])
+        share = surfaces.shares(line)[0]
+        for c, part in zip(costs, share, strict=True):
+            if part > 0:
+                out[k] += part * float(c.segment_energy(ds[k], 0.0))
+    return out
+
+
+def turn_cost(cost: EnergyCost, surfaces: SurfaceMap | None) -> list[EnergyCost]:
+    """Return the costs of turning in each region."""
+    return [cost] if surfaces is None else list(surfaces.costs(cost))
+
+
+def energy_graph(
+    graph: Graph,
+    cost: EnergyCost,
+    *,
+    surfaces: SurfaceMap | None = None,
+    reverse: bool = True,
+    radius: float = 0.0,
+) -> nx.DiGraph[State]:
+    """Return the graph of states whose shortest paths are the routes of least energy.
+
+    Its nodes are `State` tuples, with the energy of driving that edge straight as ``energy`` [J].
+    Its arcs join an edge to the next one; their ``weight`` [J] is the energy of the turn at the
+    node between them plus that of the next edge, and ``radius`` [m] says how the turn is made.
+    It may start forwards and go on backwards, in which case it turns on the spot.
+
+    Parameters
+    ----------
+    graph : networkx graph
+        Any graph, directed or not, multigraph or not; nodes carry ``pos=(x, y)``, or ``x`` and
+        ``y`` [m]. Edges are straight. A node's ``radius`` [m] is the largest with which a route
+        may round it; `radius` where it has none.
+    cost : EnergyCost
+        Cost of motions.
+    surfaces : SurfaceMap, optional
+        Grounds with power models of their own. A turn counts on the ground under its node.
+    reverse : bool
+        Whether the robot may drive backwards.
+    radius : float
+        Largest radius of rounded corners [m]; 0 to turn on the spot.
+
+    Returns
+    -------
+    networkx.DiGraph
+        The graph of states.
+
+    Raises
+    ------
+    InvalidInputError
+        If a node has no position or an edge no length.
+
+    Examples
+    --------
+    >>> square = nx.Graph([("a", "b"), ("b", "c")])
+    >>> nx.set_node_attributes(square, {"a": (0, 0), "b": (4, 0), "c": (4, 3)}, "pos")
+    >>> cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
+    >>> states = energy_graph(square, cost, reverse=False)
+    >>> arc = states[State("a", "b", None, 1)][State("b", "c", None, 1)]
+    >>> round(arc["weight"], 2)  # a quarter turn of 200 J/rad, then 3 m of 200 J/m
+    914.16
+    """
+    edges = edges_of(graph, reverse)
+    energies = edge_energies(edges, cost, surfaces)
+    out: nx.DiGraph[State] = nx.DiGraph()
+    for state, energy in zip(edges.states, energies.tolist(), strict=True):
+        out.add_node(state, energy=energy)
+    leaving: dict[Hashable, list[int]] = {}
+    for k, state in enumerate(edges.states):
+        leaving.setdefault(state.source, []).append(k)
+    pairs = [
+        (i, j) for i, state in enumerate(edges.states) for j in leaving.get(state.target, ())
+    ]
+    if not pairs:
+        return out
+    first, then = np.array(pairs).T
+    turn = wrap_angle(edges.yaw[then] - edges.yaw[first])
+    # rounding errors must not tell a turn to the left from one to the right
+    turn = np.where(np.abs(np.abs(turn) - np.pi) < 1e-9, np.pi, turn)
+    widest = np.array([float(graph.nodes[edges.states[k].source].get("radius", radius)) for k in then])
+    room = 0.5 * np.minimum(edges.length[first], edges.length[then])
+    tangent = np.tan(np.minimum(0.5 * np.abs(turn), 1.5))
+    limit = np.minimum(widest, room / np.maximum(tangent, 1e-9))
+    same_gear = (edges.gear[first] == edges.gear[then]) & (np.abs(turn) < 3.0)
+    limit = np.where(same_gear, limit, 0.0)
+    region = np.zeros(len(turn), int) if surfaces is None else surfaces.region_at(edges.start[then])
+    arc_radius, arc_energy = np.zeros(len(turn)), np.zeros(len(turn))
+    for number, c in enumerate(turn_cost(cost, surfaces)):
+        here = region == number
+        if np.any(here):
+            corner = round_corner(c, turn[here], limit[here], edges.gear[then][here])
+            arc_radius[here], arc_energy[here] = corner.radius, corner.energy
+    weight = arc_energy + energies[then]
+    out.add_edges_from(
+        (edges.states[i], edges.states[j], {"weight": w, "radius": r})
+        for (i, j), w, r in zip(pairs, weight.tolist(), arc_radius.tolist(), strict=True)
+    )
+    return out
