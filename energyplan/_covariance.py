@@ -25,7 +25,7 @@ _LARGEST_PARTIAL = 0.9995
 _CORRECTIONS = 3
 _LEAST_KEPT = 0.2
 _NEGLIGIBLE = 1e-3
-"""Autocorrelation below which the tail is cut."""
+"""Autocorrelation at which its tail is cut; share of the noise that a fit may take unseen."""
 
 
 def normal_scores(residual: FloatArray) -> FloatArray:
@@ -161,8 +161,12 @@ def autocorrelation(
         return Correlation(np.ones(1))
     pairs = np.array([sum(max(s.stop - s.start - k, 0) for s in pieces) for k in range(lags + 1)])
     ones = np.ones((count, 1))
-    basis, _ = np.linalg.qr(ones if regressors is None else np.hstack([ones, regressors]))
-    rho, kept = _extended(observed * count / pairs, count, longest), 1.0
+    fitted = ones if regressors is None else np.hstack([ones, regressors])
+    first = Correlation(_extended(observed * count / pairs, count, longest))
+    if first.repeats * fitted.shape[1] < _NEGLIGIBLE * count:
+        return first
+    basis, _ = np.linalg.qr(fitted)
+    rho, kept = first.rho, 1.0
     for _ in range(_CORRECTIONS):
         absorbed = _absorbed(basis, rho, pieces, lags) / count
         kept = min(max(1.0 - absorbed[0], _LEAST_KEPT), 1.0)

@@ -21,7 +21,7 @@ from energyplan.vehicle import TreadICR
 _LEAST_TURNING = 1.0
 """Yaw that a log must have turned through in all for an ICR to be told [rad]."""
 
-_WINDOW = 50
+_WINDOW = 200
 """Samples over which the noise of increments is judged."""
 
 _LEAST_GRIP = 0.05
@@ -263,9 +263,9 @@ def _variance(weight: FloatArray, residual: FloatArray, pieces: Sequence[slice])
     modelled = float(sum_covariance(weight[:, None], scale, rho, pieces)[0, 0])
     # Errors of a yaw cancel from one increment to the next, all but completely, and an
     # autoregression may cancel them altogether. Sums over windows are positive whatever comes.
-    kernel = np.ones(_WINDOW)
-    sums = (np.convolve(weight[piece] * residual[piece], kernel) for piece in pieces)
-    return max(modelled, sum(float(part @ part) for part in sums) / _WINDOW)
+    length = min(_WINDOW, max(len(residual) // 10, 1))
+    sums = (np.convolve(weight[s] * residual[s], np.ones(length)) for s in pieces)
+    return max(modelled, sum(float(part @ part) for part in sums) / length)
 
 
 def icr_from_spin(
@@ -306,7 +306,6 @@ def icr_from_spin(
     source = DriveLog({**speeds}, log.name) if channel is None else log
     data = _increments(source, channel or "yaw_rate", pose=False)
     way = np.sign(data.around)
-    way[np.abs(data.around) < 0.1 * np.max(np.abs(data.around), initial=0.0)] = 0.0
     travel = 0.5 * float(way @ data.difference)
     drift = float(np.abs(way * data.mean).sum())
     if travel <= 0 or drift > 0.2 * travel:

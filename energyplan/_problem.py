@@ -79,13 +79,22 @@ class Problem:
         """Return the model with the coefficients that minimise the method's sum."""
         if method not in ("lad", "simplex", "huber"):
             raise UnknownNameError("method", str(method), ("lad", "simplex", "huber"))
-        model = self._start
         if method == "simplex":
             rough = self._iterate(_fit.weighted_least_squares, _squares, bounds)
-            return model.with_coefficients(self._simplex(rough, bounds))
-        if method == "lad":
-            return model.with_coefficients(self._iterate(_fit.lad, _absolute, bounds))
-        return model.with_coefficients(self._iterate(_fit.huber, _huber_loss, bounds))
+            found = self._simplex(rough, bounds)
+        elif method == "lad":
+            found = self._iterate(_fit.lad, _absolute, bounds)
+        else:
+            found = self._iterate(_fit.huber, _huber_loss, bounds)
+        return self._start.with_coefficients(self._snapped(found, bounds))
+
+    def _snapped(self, c: FloatArray, bounds: Bounds) -> FloatArray:
+        """Put coefficients that are at a bound but for rounding at the bound."""
+        _, design = self._linearise(self._start.with_coefficients(c))
+        watt = 1e-9 * float(np.max(np.abs(self._measured), initial=0.0))
+        for bound in (bounds.lower, bounds.upper):
+            c = np.where(np.abs(c - bound) * _fit.column_scale(design) < watt, bound, c)
+        return c
 
     def _simplex(self, start: FloatArray, bounds: Bounds) -> FloatArray:
         target, design = self._linearise(self._start)

@@ -1,0 +1,496 @@
+"""Identification against simulated truth, closed forms and second algorithms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import toeplitz
+from scipy.optimize import linprog
+from scipy.signal import lfilter
+
+from energyplan import _covariance, _fit, effects, simulate
+from energyplan._problem import Problem
+from energyplan.drivelog import DriveLog
+from energyplan.errors import (
+    InvalidInputError,
+    MissingChannelError,
+    NotIdentifiableError,
+    UnknownNameError,
+)
+from energyplan.identify import ICREstimate, fit_icr, fit_residual, icr_from_spin, identify
+from energyplan.power import (
+    DRIVE_LOSS,
+    HOTEL,
+    REGENERATION_LOSS,
+    SLIP,
+    TABLE_II,
+    TRACTION,
+    PowerModel,
+)
+from energyplan.simulate import Leg
+from energyplan.vehicle import TreadICR, Vehicle
+
+NOISE = {"power_noise": 5.0, "speed_noise": 0.005, "correlation_time": 0.3}
+
+
+@pytest.fixture(scope="module")
+def truth() -> PowerModel:
+    return PowerModel.preset("quadriga:full:concrete")
+
+
+@pytest.fixture(scope="module")
+def spiral(truth: PowerModel) -> DriveLog:
+    return simulate.drive(truth, "spiral", seed=1, **NOISE)
+
+
+# -- the fits -----------------------------------------------------------------------------------
+
+
+def _linear_program(X: np.ndarray, y: np.ndarray, bounds: _fit.Bounds) -> np.ndarray:
+    """Eq. 7 in its textbook form: residuals split into positive and negative parts."""
+    n, p = X.shape
+    cost = np.concatenate([np.zeros(p), np.ones(2 * n)])
+    equations = np.hstack([X, np.eye(n), -np.eye(n)])
+    limits = [*zip(bounds.lower, bounds.upper, strict=True), *[(0, None)] * (2 * n)]
+    return linprog(cost, A_eq=equations, b_eq=y, bounds=limits, method="highs-ipm").x[:p]
+
+
+def _regression(n: int, p: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    X = np.abs(rng.normal(size=(n, p))) * 10.0 ** np.arange(p)
+    noise = lfilter([1.0], [1.0, -0.9], rng.standard_t(2, n))
+    return X, X @ (1.0 + np.arange(p)) + 3.0 * noise
+
+
+@pytest.mark.parametrize(("n", "p", "seed"), [(60, 1, 0), (200, 2, 1), (400, 4, 2)])
+def test_lad_is_the_textbook_linear_program(n: int, p: int, seed: int) -> None:
+    X, y = _regression(n, p, seed)
+    free = _fit.Bounds(np.full(p, -np.inf), np.full(p, np.inf))
+    np.testing.assert_allclose(_fit.lad(X, y, free), _linear_program(X, y, free), rtol=1e-6)
+    tight = _fit.Bounds(np.zeros(p), np.full(p, 1.5))
+    bounded = _fit.lad(X, y, tight)
+    other = _linear_program(X, y, tight)
+    assert np.abs(y - X @ bounded).sum() == pytest.approx(np.abs(y - X @ other).sum(), rel=1e-9)
+    assert np.all(bounded <= 1.5)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_lad_of_many_rows_is_certified_optimal(seed: int) -> None:
+    """A vertex is optimal where its rows' multipliers balance all other rows with |d| <= 1."""
+    n, p = 30_000, 3
+    X, y = _regression(n, p, seed)
+    c = _fit.lad(X, y, _fit.Bounds(np.full(p, -np.inf), np.full(p, np.inf)))
+    residual = y - X @ c
+    basis = np.argsort(np.abs(residual))[:p]
+    assert np.all(np.abs(residual[basis]) < 1e-9 * np.abs(y).max())
+    others = np.delete(np.arange(n), basis)
+    pull = X[others].T @ np.sign(residual[others])
+    assert np.all(np.abs(np.linalg.solve(X[basis].T, -pull)) <= 1 + 1e-6)
+
+
+def test_lad_of_quantised_speeds_has_ties() -> None:
+    rng = np.random.default_rng(0)
+    X = rng.integers(0, 6, (20_000, 2)) / 5.0
+    y = np.round(X @ [3.0, 7.0] + rng.normal(size=len(X)), 0)
+    free = _fit.Bounds(np.full(2, -np.inf), np.full(2, np.inf))
+    found = _fit.lad(X, y, free)
+    rows, counts = np.unique(np.column_stack([X, y]), axis=0, return_counts=True)
+    weighted = _linear_program(rows[:, :2] * counts[:, None], rows[:, 2] * counts, free)
+    best = np.abs(y - X @ weighted).sum()
+    assert np.abs(y - X @ found).sum() == pytest.approx(best, rel=1e-9)
+
+
+def test_huber_between_mean_and_median() -> None:
+    rng = np.random.default_rng(3)
+    X, free = np.ones((4000, 1)), _fit.Bounds(np.array([-np.inf]), np.array([np.inf]))
+    y = rng.normal(10.0, 1.0, 4000)
+    clean = _fit.huber(X, y, free)[0]
+    assert clean == pytest.approx(y.mean(), abs=0.02)
+    y[:400] = 1000.0
+    assert _fit.huber(X, y, free)[0] == pytest.approx(10.0, abs=0.3)
+    assert y.mean() > 100.0
+
+
+def test_simplex_agrees_with_the_linear_program(truth: PowerModel, spiral: DriveLog) -> None:
+    for log in (spiral, simulate.identification_drive(truth, seed=5, **NOISE)):
+        exact = identify(log, truth.vehicle, method="lad").model.coefficients
+        searched = identify(log, truth.vehicle, method="simplex").model.coefficients
+        np.testing.assert_allclose(searched, exact, rtol=1e-3)
+
+
+# -- the paper ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["lad", "simplex", "huber"])
+@pytest.mark.parametrize("pair", sorted(TABLE_II))
+def test_table_two_from_a_noisy_spiral(pair: str, method: str) -> None:
+    model = PowerModel.preset(pair)
+    log = simulate.drive(model, "spiral", seed=2, power_noise=5.0, speed_noise=0.005)
+    found = identify(log, model.vehicle, method=method)
+    np.testing.assert_allclose(found.model.coefficients, model.coefficients, rtol=0.02)
+    assert found.icr.half_track == pytest.approx(0.47, rel=0.005)
+    other = simulate.drive(model, "figure8", seed=3, power_noise=5.0, speed_noise=0.005)
+    assert abs(fit_residual(found.model, other).energy_error) < 0.02
+
+
+def _hoisted(log: DriveLog) -> DriveLog:
+    still = {name: np.zeros(len(log)) for name in ("x", "y", "yaw", "yaw_rate")}
+    return DriveLog({**log.channels, **still}, "hoisted")
+
+
+def test_hoisted_vehicle() -> None:
+    vehicle = Vehicle.preset("quadriga:empty")
+    log = _hoisted(simulate.drive(PowerModel.paper(vehicle, 59.0, 0.0), "spiral", seed=4, **NOISE))
+    found = identify(log, vehicle, terms=[TRACTION])
+    assert found.model.coefficient("traction_resistance") == pytest.approx(59.0, rel=0.02)
+    assert any("tread ICRs were kept" in text for text in found.warnings)
+    with pytest.raises(NotIdentifiableError, match=r"slip_friction \(mu\).*spin"):
+        identify(log, vehicle)
+
+
+# -- standard errors ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["lad", "huber"])
+def test_intervals_hold_the_truth(method: str) -> None:
+    model = PowerModel.preset("quadriga:empty:concrete")
+    drives, hits = 200, np.zeros(2)
+    for seed in range(drives):
+        log = simulate.drive(
+            model, "spiral", seed=seed, power_noise=10.0, speed_noise=0.005, correlation_time=0.5
+        )
+        found = identify(log, model.vehicle, method=method)
+        error = np.abs(found.model.coefficients - model.coefficients)
+        hits += error < 1.96 * np.array(list(found.std_error.values()))
+    assert np.all(hits >= 0.90 * drives)
+    assert np.all(hits <= 0.99 * drives)
+
+
+def test_independent_samples_would_be_too_few(truth: PowerModel) -> None:
+    log = simulate.drive(truth, "spiral", seed=8, power_noise=10.0, correlation_time=1.0)
+    white = simulate.drive(truth, "spiral", seed=8, power_noise=10.0)
+    slow, fast = (identify(x, truth.vehicle, icr="vehicle") for x in (log, white))
+    ratio = slow.std_error["slip_friction"] / fast.std_error["slip_friction"]
+    # A Markov process of 20 samples' time constant repeats each sample 40 times; its signs, by the
+    # arcsine law, fewer times.
+    assert 3.0 < ratio < np.sqrt(40.0)
+    assert slow.effective_samples < 0.1 * fast.effective_samples
+    lower, upper = slow.interval("slip_friction", 0.95)
+    wider = slow.interval("slip_friction", 0.99)
+    assert wider[0] < lower < truth.coefficient("slip_friction") < upper < wider[1]
+
+
+def test_covariance_of_a_sum_is_the_double_sum() -> None:
+    rng = np.random.default_rng(0)
+    X, scale = rng.normal(size=(300, 2)), rng.uniform(0.5, 2.0, 300)
+    rho = 0.8 ** np.arange(40)
+    pieces = [slice(0, 120), slice(120, 300)]
+    found = _covariance.sum_covariance(X, scale, rho, pieces)
+    R = toeplitz(np.pad(rho, (0, 260)))
+    R[:120, 120:] = R[120:, :120] = 0.0
+    loaded = X * scale[:, None]
+    np.testing.assert_allclose(found, loaded.T @ R @ loaded, rtol=1e-10)
+
+
+@pytest.mark.parametrize("tau", [0.2, 1.0])
+def test_correlation_time_of_a_markov_process(tau: float) -> None:
+    keep, rng = np.exp(-0.05 / tau), np.random.default_rng(1)
+    series = lfilter([1.0], [1.0, -keep], rng.normal(size=200_000))
+    exact = 0.05 * (0.5 + keep / (1 - keep))
+    found = _covariance.correlation_time(series, 0.05, [slice(0, len(series))])
+    assert found == pytest.approx(exact, rel=0.1)
+
+
+def test_autocorrelation_adds_back_what_the_fit_took() -> None:
+    """The mean over many short residuals is unbiased; without the correction it is not."""
+    rng, n, keep = np.random.default_rng(2), 400, 0.95
+    X = np.column_stack([np.ones(n), np.linspace(-1, 1, n)])
+    H = X @ np.linalg.pinv(X)
+    sums = np.zeros(2)
+    for _ in range(100):
+        noise = lfilter([1.0], [1.0, -keep], rng.normal(size=n + 200))[200:]
+        residual = noise - H @ noise
+        for k, regressors in enumerate((None, X)):
+            noise_model = _covariance.autocorrelation(residual, [slice(0, n)], regressors)
+            sums[k] += noise_model.repeats / 100
+    exact = (1 + keep) / (1 - keep)
+    assert sums[1] == pytest.approx(exact, rel=0.2)
+    assert sums[0] < sums[1]
+
+
+def test_error_of_the_tread_icrs_is_passed_on(truth: PowerModel) -> None:
+    """What the covariance takes over is what identification with another ICR would find."""
+    log = simulate.drive(truth, "spiral")
+    error = 0.005
+    near, far = (
+        identify(log, truth.vehicle, icr=TreadICR.symmetric(0.6 + shift), method="huber")
+        for shift in (-error, error)
+    )
+    change = 0.5 * (far.model.coefficients - near.model.coefficients)
+    covariance = np.zeros((3, 3))
+    covariance[:2, :2] = error**2
+    off = truth.vehicle.with_icr(TreadICR.symmetric(0.6))
+    model = identify(log, off, icr="vehicle", method="huber").model
+    estimate = ICREstimate(off.icr, covariance, 10.0, "yaw")
+    passed = Problem([log], model).inherited(model, estimate)
+    np.testing.assert_allclose(passed, np.outer(change, change), rtol=0.05, atol=1e-12)
+    assert identify(log, off, icr="vehicle").icr_std_error is None
+
+
+# -- tread ICRs ---------------------------------------------------------------------------------
+
+
+def test_icr_from_a_spin_is_equation_five(truth: PowerModel) -> None:
+    log = simulate.drive(truth, "spin", seed=1, speed_noise=0.005, noise={"yaw": 0.02})
+    found = icr_from_spin(log)
+    assert found.icr.left == pytest.approx(0.47, abs=3 * found.std_error["left"])
+    assert 0 < found.std_error["left"] < 0.01
+    exact = simulate.drive(truth, "spin")
+    counted = float(np.sum(np.abs(np.diff(exact.channel("yaw")))))
+    bare = DriveLog({k: exact.channel(k) for k in ("t", "v_left", "v_right", "p_left", "p_right")})
+    by_hand = icr_from_spin(bare, angle=counted, angle_error=0.01 * counted)
+    assert by_hand.icr.left == pytest.approx(0.47, rel=1e-3)
+    assert by_hand.std_error["left"] == pytest.approx(0.0047, rel=1e-3)
+    with pytest.raises(NotIdentifiableError, match="angle"):
+        icr_from_spin(bare)
+
+
+def test_no_spin_no_equation_five(spiral: DriveLog) -> None:
+    with pytest.raises(NotIdentifiableError, match="no spin"):
+        icr_from_spin(spiral)
+
+
+def test_icr_from_a_biased_noisy_yaw_rate(truth: PowerModel) -> None:
+    log = simulate.drive(
+        truth, ["straight", "spiral"], seed=2, noise={"yaw_rate": 0.05}, biases={"yaw_rate": 0.02},
+        without=("x", "y", "yaw"), **NOISE,
+    )  # fmt: skip
+    found = fit_icr(log, TreadICR.symmetric(0.3))
+    assert found.source == "yaw_rate"
+    assert found.icr.left == found.icr.right
+    assert found.icr.left == pytest.approx(0.47, abs=3 * found.std_error["left"])
+    assert found.std_error["left"] < 0.003
+
+
+def test_icr_does_not_shrink_with_speed_noise(truth: PowerModel) -> None:
+    """Least squares of yaw rate on speeds this noisy would be 5 % out; the instrument is not."""
+    log = simulate.drive(
+        truth, ["spin", "spiral"], seed=6, speed_noise=0.15, without=("x", "y", "yaw")
+    )
+    difference = log.channel("v_right") - log.channel("v_left")
+    rate = log.channel("yaw_rate")
+    naive = float(difference @ difference / (difference @ rate)) / 2
+    found = fit_icr(log, truth.vehicle.icr)
+    assert abs(naive - 0.47) > 0.02
+    assert found.icr.left == pytest.approx(0.47, abs=3 * found.std_error["left"])
+    assert found.std_error["left"] < 0.004
+
+
+def test_asymmetric_icrs_from_a_pose(truth: PowerModel) -> None:
+    icr = TreadICR(0.50, 0.42, 0.06)
+    model = PowerModel.paper(truth.vehicle.with_icr(icr), 118.0, 0.647)
+    log = simulate.identification_drive(
+        model, seed=1, noise={"x": 0.01, "y": 0.01, "yaw": 0.01}, **NOISE
+    )
+    found = identify(log, truth.vehicle)
+    errors = found.icr_std_error
+    assert errors is not None
+    for name in ("left", "right", "longitudinal"):
+        assert getattr(found.icr, name) == pytest.approx(getattr(icr, name), abs=3 * errors[name])
+        assert 0 < errors[name] < 0.005
+    np.testing.assert_allclose(found.model.coefficients, [0.647, 118.0], rtol=0.02)
+
+
+def test_symmetric_fit_keeps_the_known_offset(truth: PowerModel) -> None:
+    icr = TreadICR(0.50, 0.42, 0.06)
+    model = PowerModel.paper(truth.vehicle.with_icr(icr), 118.0, 0.647)
+    log = simulate.drive(model, "spiral", seed=1, without=("x", "y"), **NOISE)
+    found = fit_icr(log, TreadICR(0.6, 0.52, 0.06))
+    assert found.icr.left == pytest.approx(0.50, abs=0.003)
+    assert found.icr.right == pytest.approx(0.42, abs=0.003)
+    assert found.icr.longitudinal == 0.06
+
+
+def test_without_yaw_the_icr_is_kept_and_said_so(truth: PowerModel) -> None:
+    log = simulate.drive(truth, "spiral", seed=1, without=("x", "y", "yaw", "yaw_rate"), **NOISE)
+    found = identify(log, truth.vehicle)
+    assert found.icr == truth.vehicle.icr
+    assert found.icr_std_error is None
+    assert any("no yaw" in text for text in found.warnings)
+    with pytest.raises(NotIdentifiableError, match="yaw"):
+        identify(log, truth.vehicle, icr="symmetric")
+    with pytest.raises(NotIdentifiableError, match="pose"):
+        fit_icr(simulate.drive(truth, "spin", without=("x", "y")), truth.vehicle.icr,
+                asymmetric=True)  # fmt: skip
+
+
+# -- what cannot be identified ------------------------------------------------------------------
+
+
+def test_no_turning_no_friction_coefficient(truth: PowerModel) -> None:
+    log = simulate.drive(truth, "straight", seed=1, **NOISE)
+    with pytest.raises(NotIdentifiableError, match=r"slip_friction \(mu\).*a spin on the spot"):
+        identify(log, truth.vehicle)
+    alone = identify(log, truth.vehicle, terms=[TRACTION])
+    assert alone.model.coefficient("traction_resistance") == pytest.approx(118.0, rel=0.02)
+
+
+@pytest.mark.parametrize("pattern", ["spin", [Leg(0.3, 0.6, 30.0)]])
+def test_one_radius_cannot_tell_slip_from_traction(truth: PowerModel, pattern: object) -> None:
+    log = simulate.drive(truth, pattern, seed=1, **NOISE).segment(2.5, 29.0)
+    with pytest.raises(NotIdentifiableError, match=r"slip_friction.*traction.*straight lines"):
+        identify(log, truth.vehicle)
+    both = [log, simulate.drive(truth, "straight", seed=2, **NOISE)]
+    np.testing.assert_allclose(
+        identify(both, truth.vehicle).model.coefficients, truth.coefficients, rtol=0.03
+    )
+
+
+def test_constant_speed_with_a_hotel_load(truth: PowerModel) -> None:
+    model = truth.with_term(HOTEL, 40.0)
+    log = simulate.drive(model, [Leg(0.5, 0.5, 60.0)], seed=1, **NOISE).segment(3.0, 55.0)
+    with pytest.raises(NotIdentifiableError, match=r"traction_resistance.*hotel_load.*a stop"):
+        identify(log, truth.vehicle, terms=[TRACTION, HOTEL])
+    drive = simulate.identification_drive(model, seed=1, **NOISE)
+    found = identify(drive, truth.vehicle, terms=[SLIP, TRACTION, HOTEL])
+    assert found.model.coefficient("hotel_load") == pytest.approx(
+        40.0, abs=3 * found.std_error["hotel_load"]
+    )
+    missed = identify(drive, truth.vehicle)
+    assert any("at rest the robot draws" in text for text in missed.warnings)
+    assert not any("at rest" in text for text in found.warnings)
+
+
+def test_drive_efficiency_scales_all_and_is_refused(truth: PowerModel) -> None:
+    """No motor generates in straight lines and spins, so that every power has the same factor."""
+    log = simulate.drive(truth, ["spin", "straight"], seed=1, **NOISE)
+    with pytest.raises(NotIdentifiableError, match="drive_efficiency"):
+        identify(log, truth.vehicle, terms=[SLIP, TRACTION, DRIVE_LOSS])
+
+
+def test_hardly_known_is_said(truth: PowerModel) -> None:
+    log = simulate.identification_drive(truth, seed=1, **NOISE)
+    terms = [SLIP, TRACTION, effects.LINEAR_INERTIA]
+    found = identify(log, truth.vehicle, terms=terms)
+    assert any("linear_inertia" in text for text in found.warnings)
+
+
+def test_missing_channel_is_named(truth: PowerModel, spiral: DriveLog) -> None:
+    with pytest.raises(MissingChannelError, match="slope"):
+        identify(spiral, truth.vehicle, terms=[SLIP, TRACTION, effects.GRADE])
+
+
+def test_bad_requests(truth: PowerModel, spiral: DriveLog) -> None:
+    with pytest.raises(InvalidInputError, match="no logs"):
+        identify([], truth.vehicle)
+    with pytest.raises(InvalidInputError, match="no terms"):
+        identify(spiral, truth.vehicle, terms=[])
+    with pytest.raises(UnknownNameError, match="method"):
+        identify(spiral, truth.vehicle, method="ols")  # type: ignore[arg-type]
+    with pytest.raises(UnknownNameError, match="icr"):
+        identify(spiral, truth.vehicle, icr="guess")  # type: ignore[arg-type]
+    with pytest.raises(InvalidInputError, match="level"):
+        identify(spiral, truth.vehicle).interval("slip_friction", 95.0)
+
+
+# -- any terms ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["lad", "simplex", "huber"])
+def test_copper_loss_is_quadratic_in_the_forces(truth: PowerModel, method: str) -> None:
+    model = truth.with_term(effects.COPPER_LOSS, 2e-4)
+    log = simulate.identification_drive(model, seed=1, power_noise=5.0)
+    found = identify(log, truth.vehicle, terms=model.terms, method=method)
+    errors = np.array(list(found.std_error.values()))
+    assert np.all(np.abs(found.model.coefficients - model.coefficients) < 4 * errors)
+    np.testing.assert_allclose(found.model.coefficients, model.coefficients, rtol=0.03)
+
+
+def test_nonlinear_fit_of_exact_data_is_exact(truth: PowerModel) -> None:
+    model = truth.with_term(effects.COPPER_LOSS, 2e-4).with_term(REGENERATION_LOSS, 0.6)
+    log = simulate.identification_drive(model)
+    found = identify(log, truth.vehicle, terms=model.terms)
+    np.testing.assert_allclose(found.model.coefficients, model.coefficients, rtol=1e-4)
+
+
+def test_battery_log_gives_the_motor_side_model(truth: PowerModel) -> None:
+    vehicle = Vehicle.preset("quadriga:full")
+    lossy = replace(vehicle, drive_efficiency=0.8, regen_efficiency=0.3)
+    model = PowerModel.paper(lossy, 118.0, 0.647)
+    log = simulate.identification_drive(model.battery_side(), measured="battery", seed=1)
+    assert log.battery_side
+    found = identify(log, lossy)
+    np.testing.assert_allclose(found.model.coefficients, [0.647, 118.0], rtol=1e-3)
+    assert abs(found.residual.energy_error) < 0.002
+    blind = identify(log, vehicle)
+    assert blind.model.coefficient("traction_resistance") > 1.15 * 118.0
+
+
+def test_bounds_are_respected_and_reported(truth: PowerModel) -> None:
+    model = truth.with_coefficients([0.647, 118.0]).with_term(HOTEL, 0.0)
+    log = simulate.identification_drive(model, seed=1, biases={"p_left": -20.0}, **NOISE)
+    for method in ("lad", "simplex", "huber"):
+        found = identify(log, truth.vehicle, terms=model.terms, method=method)
+        assert found.model.coefficient("hotel_load") == 0.0
+        assert any("hotel_load" in t and "possible range" in t for t in found.warnings)
+
+
+# -- logs together, residuals -------------------------------------------------------------------
+
+
+def test_logs_together_are_worth_more(truth: PowerModel) -> None:
+    logs = [simulate.drive(truth, "spiral", seed=k, **NOISE) for k in range(4)]
+    one, all_four = identify(logs[0], truth.vehicle), identify(logs, truth.vehicle)
+    ratio = one.std_error["slip_friction"] / all_four.std_error["slip_friction"]
+    assert ratio == pytest.approx(2.0, rel=0.35)
+    parts = np.array([fit_residual(all_four.model, log).rmse for log in logs])
+    assert all_four.residual.rmse == pytest.approx(np.sqrt(np.mean(parts**2)), rel=1e-3)
+    assert all_four.residual.duration == pytest.approx(240.0)
+
+
+def test_a_gap_is_no_time_driven(truth: PowerModel, spiral: DriveLog) -> None:
+    kept = (spiral.t < 20.0) | (spiral.t > 40.0)
+    log = DriveLog({k: v[kept] for k, v in spiral.channels.items()})
+    found = identify(log, truth.vehicle)
+    np.testing.assert_allclose(found.model.coefficients, truth.coefficients, rtol=0.03)
+    assert found.residual.duration == pytest.approx(40.0, abs=0.2)
+
+
+def test_residual_statistics(truth: PowerModel) -> None:
+    log = simulate.drive(truth, "spiral", duration=600.0, seed=1, power_noise=10.0,
+                         correlation_time=1.0, biases={"power": 3.0}, measured="total")  # fmt: skip
+    found = fit_residual(truth, log)
+    assert found.bias == pytest.approx(3.0, abs=2.0)
+    assert found.rmse == pytest.approx(np.hypot(10.0, found.bias), rel=0.1)
+    assert found.mae == pytest.approx(np.sqrt(2 / np.pi) * found.rmse, rel=0.05)
+    assert found.correlation_time == pytest.approx(1.0, rel=0.3)
+    assert found.duration == pytest.approx(600.0)
+    energy = float(np.trapezoid(truth.power(log.motion(truth.vehicle.icr)), log.t))
+    assert found.energy_error == pytest.approx(energy / log.energy - 1, abs=1e-6)
+
+
+# -- other robots than the simulator's own ------------------------------------------------------
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(
+    ("scenario", "pair"),
+    [
+        ("none", "quadriga:full:concrete"),
+        ("none_concrete_empty", "quadriga:empty:concrete"),
+        ("none_marble_full", "quadriga:full:marble"),
+        ("none_marble_empty", "quadriga:empty:marble"),
+    ],
+)
+def test_physics_engine(shared_data, scenario: str, pair: str, seed: int) -> None:
+    folder = shared_data / "quadriga_mujoco"
+    log = DriveLog.read(folder / f"{scenario}_s{seed}_ident.csv.gz")
+    K, mu = TABLE_II[pair]
+    found = identify(log, Vehicle.preset(pair.rpartition(":")[0]))
+    np.testing.assert_allclose(found.model.coefficients, [mu, K], rtol=0.02)
+    assert found.icr.half_track == pytest.approx(0.4756, rel=0.01)
+    other = DriveLog.read(folder / f"{scenario}_s{seed}_valid.csv.gz")
+    assert abs(fit_residual(found.model, other).energy_error) < 0.02
