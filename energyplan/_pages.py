@@ -17,6 +17,7 @@ from energyplan.report import Page, number
 if TYPE_CHECKING:
     from energyplan.diagnose import Diagnosis
     from energyplan.drivelog import DriveLog
+    from energyplan.mission import MissionReport
     from energyplan.power import Residual
 
 
@@ -120,6 +121,56 @@ def _guilty_channel(told: Diagnosis, holdout: Sequence[DriveLog]) -> Picture:
     figure = plots.figure(size=(8.0, 4.5))
     plots.residual_against(figure.axes[0], values, residuals, f"{channel} [{_unit(channel)}]")
     return Picture("residual", figure, "The residual against the channel that it depends on most.")
+
+
+def mission_page(told: MissionReport) -> Page:
+    """Return the report of a mission, flagged tasks first."""
+    page = Page(f"Mission {told.mission.name}")
+    flagged = [task for task in told.tasks if task.verdict == "unreachable"]
+    page.paragraph(
+        f"{len(told.tasks) - len(flagged)} of {len(told.tasks)} tasks can be done. It takes "
+        f"{told.duration / 60:.0f} minutes and {number(told.energy / 3600)} Wh, at "
+        f"{100 * told.mission.confidence:.0f} % confidence no more than "
+        f"{number(told.energy_upper / 3600)} Wh, and ends at {told.end} with "
+        f"{100 * told.soc_end:.0f} % of the battery's charge.",
+        "lead",
+    )
+    for task in flagged:
+        page.paragraph(f"{task.name} is out of reach: {task.detail} {task.remedy}", "flag")
+    page.table(MISSION_HEADER, mission_rows(told))
+    for _, figure, caption in mission_pictures(told):
+        page.picture(figure, caption)
+    return page
+
+
+MISSION_HEADER = (
+    "task", "verdict", "reason", "alone", "energy [Wh]", "at most [Wh]", "charge after", "remedy",
+)  # fmt: skip
+"""Header of `mission_rows`."""
+
+
+def mission_rows(told: MissionReport) -> Iterator[Sequence[object]]:
+    """Yield a row for each task, flagged ones first."""
+    for task in told.table.itertuples():
+        yield (
+            task.name, task.verdict, str(task.reason).replace("_", " "),
+            "yes" if task.reachable_alone else "no", *(
+                number(joules / 3600) if np.isfinite(joules) else "-"
+                for joules in (task.energy, task.energy_upper)
+            ),
+            f"{100 * task.soc_after:.0f} %" if np.isfinite(task.soc_after) else "-",
+            task.remedy or "-",
+        )  # fmt: skip
+
+
+def mission_pictures(told: MissionReport) -> Iterator[Picture]:
+    """Yield the route on the map, coloured by power, and the state of charge over time."""
+    yield Picture(
+        "map", plots.mission_map(told), "The route, coloured by the power at the battery."
+    )
+    figure = plots.figure(size=(8.0, 4.0))
+    plots.state_of_charge(figure.axes[0], told)
+    yield Picture("charge", figure, "State of charge over the mission, with its band.")
 
 
 def _unit(channel: str) -> str:

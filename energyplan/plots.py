@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
+import matplotlib.collections
 import matplotlib.colors
 import matplotlib.patches
 import matplotlib.path
@@ -20,7 +21,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from energyplan.drivelog import DriveLog
-from energyplan.path import FloatArray, Path
+from energyplan.path import FloatArray, Path, Pose
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
     from energyplan.feasibility import FeasibleRegion
     from energyplan.maps import OccupancyGrid
+    from energyplan.mission import MissionReport
 
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PURPLE = (
     "#000000", "#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7",
@@ -253,7 +255,8 @@ def routes(
     for (label, path), (color, dash) in zip(paths.items(), _LINES, strict=False):
         route(ax, path, label, color, dash)
     made.suptitle(title, x=0.01, ha="left", fontsize="large")
-    _legend(ax, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4)
+    if paths or surfaces:
+        _legend(ax, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4)
     return made
 
 
@@ -270,6 +273,73 @@ def _surfaces(ax: Axes, surfaces: Sequence[tuple[str, BaseGeometry]]) -> None:
         )
         tint = RED if name == "keep-out" else tints[names.index(name) % len(tints)]
         ax.add_patch(mpl.patches.PathPatch(outline, color=tint, alpha=0.2, lw=0, label=name))
+
+
+def mission_map(report: MissionReport) -> Figure:
+    """Draw a mission's route, coloured by power, and its tasks: crossed where unreachable."""
+    mission, line = report.mission, report.timeline
+    areas = mission.surfaces.polygons if mission.surfaces else ()
+    made = routes(mission.map, {}, surfaces=areas)
+    ax = made.axes[0]
+    points = np.column_stack([line.x, line.y])
+    moving = np.any(np.diff(points, axis=0) != 0, axis=1)
+    pairs = np.stack([points[:-1], points[1:]], axis=1)[moving]
+    drawn = mpl.collections.LineCollection(list(pairs), cmap="viridis", lw=2.5, zorder=3)
+    drawn.set_array(line.power[:-1][moving])
+    ax.add_collection(drawn)
+    made.colorbar(drawn, ax=ax, label="power [W]", shrink=0.8)
+    verdicts = {task.name: task.verdict == "reachable" for task in report.tasks}
+    for task in mission.tasks:
+        good = verdicts[task.name]
+        _place(ax, task.name, task.pose, "o" if good else "X", GREEN if good else RED)
+    for charger in mission.chargers:
+        _place(ax, charger.name, charger.pose, "P", BLUE)
+    _place(ax, "start", mission.start, "s", BLACK)
+    return made
+
+
+def _place(ax: Axes, name: str, pose: Pose, marker: str, color: str) -> None:
+    ax.plot(pose.x, pose.y, marker, color=color, ms=9, mec="white", zorder=5)
+    ax.annotate(
+        name, (pose.x, pose.y), xytext=(6, 6), textcoords="offset points", fontsize="small",
+        zorder=6,
+        bbox={"facecolor": "white", "alpha": 0.7, "edgecolor": "none", "pad": 1},
+    )  # fmt: skip
+
+
+def state_of_charge(ax: Axes, report: MissionReport) -> Axes:
+    """Draw the state of charge over a mission, its band at the mission's confidence, the reserve.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    report : MissionReport
+        The mission's evaluation.
+
+    Returns
+    -------
+    Axes
+        `ax`.
+    """
+    line, mission = report.timeline, report.mission
+    minutes = line.t / 60
+    band = f"{100 * mission.confidence:.0f} % on either side"
+    ax.fill_between(
+        minutes, 100 * line.soc_lower, 100 * line.soc_upper, color=SKY, alpha=0.5, lw=0, label=band
+    )
+    ax.plot(minutes, 100 * line.soc, color=BLUE, lw=1.5, label="expected")
+    ax.axhline(100 * mission.reserve, color=RED, ls="--", lw=1.2, label="reserve")
+    for task in report.tasks:
+        if np.isfinite(task.start):
+            ax.axvline(task.start / 60, color="0.6", lw=0.8, ls=":")
+            ax.annotate(
+                task.name, (task.start / 60, 1.0), xycoords=("data", "axes fraction"),
+                rotation=90, va="top", ha="right", fontsize="small", color="0.3",
+            )  # fmt: skip
+    _label(ax, "time [min]", "state of charge [%]", "State of charge over the mission")
+    _legend(ax, loc="lower left")
+    return ax
 
 
 def breakdown(ax: Axes, parts: Mapping[str, Mapping[str, float]]) -> Axes:
