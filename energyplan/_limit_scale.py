@@ -30,6 +30,8 @@ class SpeedScale(NamedTuple):
 def largest_scale(drive: Drive) -> SpeedScale:
     """Return the largest feasible speed scale and say what limits it."""
     survey = drive.survey()
+    if not survey.peaks:
+        return SpeedScale(np.inf, "nothing limits the speed")
     if _is_static(drive):
         factor = min(_closed_form(survey, KINEMATIC | STATIC), _thermal(drive, survey))
         slowest = survey
@@ -127,7 +129,7 @@ class _Order:
 
 
 def _reason(factor: float, peaks: list[Peak], slowest: list[Peak]) -> str:
-    if not peaks or factor == np.inf:
+    if factor == np.inf:
         return "nothing limits the speed"
     if factor == 0:
         worst = max(slowest, key=lambda peak: peak.use)
