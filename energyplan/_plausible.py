@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import correlate
 
 from energyplan._logchecks import gap_limit
@@ -189,10 +188,10 @@ def check_turning(
             continue
         rate = channels[name]
         if name == "yaw":
-            by_degrees = derivative(t, np.unwrap(rate, period=360.0), runs, 0.5)
             rate = derivative(t, np.unwrap(rate), runs, 0.5)
-            if abs(_alike(rate, difference)) < 0.5 < abs(_alike(by_degrees, difference)):
-                rate = by_degrees
+            if abs(_alike(rate, difference)) < 0.5:
+                degrees = derivative(t, np.unwrap(channels[name], period=360.0), runs, 0.5)
+                rate = degrees if abs(_alike(degrees, difference)) > 0.5 else rate
         if not np.any(rate):
             told.append(f"{name} never changes, though the tread speeds say that the robot turns")
             continue
@@ -258,22 +257,18 @@ def check_power(
         return ["the robot hardly moves; nothing can be told about its power parameters"]
     if not np.any(power):
         return ["power is zero all along"]
-    # Driven straight or spun on the spot neither side generates on the level; downhill both may.
-    plain = moving & (np.minimum(np.abs(left + right), np.abs(right - left)) < 0.15 * effort)
-    flipped = []
     sides = [name for name in ("p_left", "p_right") if {"p_left", "p_right"} <= set(channels)]
-    for name in sides:
-        flipped += [name] if _wrong_sign(channels[name], plain) else []
-    descends = "slope" in channels and _descends(channels)
-    if len(flipped) == 1 or ((flipped or _wrong_sign(power, moving)) and not descends):
-        names = " and ".join(flipped) or "power"
-        unit = "map it with a minus in its unit, as in " + (
-            "current=NAME[-A]" if "current" in channels and not sides
-            else f"{flipped[0] if flipped else 'power'}=NAME[-W]"
-        )  # fmt: skip
+    flipped = [name for name in sides if _dragging(channels, name)]
+    if len(flipped) != 1:
+        wrong = _wrong_sign(power[moving]) and not _descends(channels)
+        source = ["current"] if "current" in channels and "power" not in channels else ["power"]
+        flipped = (sides or source) if wrong else []
+    if flipped:
+        unit = "A" if flipped == ["current"] else "W"
         raise DriveLogError(
-            f"{label}: {names} is negative while the robot drives; power drawn counts positive, "
-            f"and so does the current of a discharge; {unit}"
+            f"{label}: {' and '.join(flipped)} has the wrong sign: power drawn counts positive, and"
+            f" so does the current of a discharge; map it with a minus in its unit, as in "
+            f"{flipped[0]}=NAME[-{unit}]"
         )
     if sides:
         lean = np.abs(right) ** 2 - np.abs(left) ** 2
@@ -290,16 +285,36 @@ def check_power(
     return told
 
 
-def _wrong_sign(power: FloatArray, chosen: NDArray[np.bool_]) -> bool:
-    """Whether power is negative where it should be positive, beyond chance."""
-    values = power[chosen]
-    if len(values) < _ENOUGH:
-        return False
-    return bool(values.mean() < -0.3 * np.abs(values).mean() and np.median(values) < 0)
+def _dragging(channels: Mapping[str, FloatArray], side: str) -> bool:
+    """Whether a side's power falls as its tread drives, whichever way the robot turns.
+
+    The inner side of an arc generates: its power is that of the slip force, which changes sign with
+    the turn, and of a resistance, which does not. Only the latter tells a wrong sign.
+    """
+    speed = channels["v_right" if side == "p_right" else "v_left"]
+    outwards = 1.0 if side == "p_right" else -1.0
+    turn = outwards * np.clip((channels["v_right"] - channels["v_left"]) / _TURNING, -1.0, 1.0)
+    X, y = np.stack([turn * speed, np.abs(speed)]), channels[side]
+    gram, cross = X @ X.T, X @ y
+    alike = _alike(X[0], X[1])
+    if abs(alike) > 0.97:
+        # Not to be told apart. In spins and on the outer side both draw; on the inner side, who
+        # knows.
+        return alike > 0 and _wrong_sign(y[X[1] > _MOVING])
+    slip, resistance = np.linalg.solve(gram + 1e-12 * np.trace(gram) * np.eye(2), cross)
+    explained = (slip * cross[0] + resistance * cross[1]) / float(y @ y)
+    return bool(explained > 0.5 and gram[1, 1] > 0 and resistance < -0.1 * abs(slip))
+
+
+def _wrong_sign(power: FloatArray) -> bool:
+    """Whether power is negative on the whole, beyond chance."""
+    return bool(len(power) and power.mean() < -0.3 * np.abs(power).mean() and np.median(power) < 0)
 
 
 def _descends(channels: Mapping[str, FloatArray]) -> bool:
-    """Whether the drive goes downhill on the whole."""
+    """Whether the drive goes downhill on the whole, as far as the log tells."""
+    if "slope" not in channels:
+        return False
     forward = channels["v_left"] + channels["v_right"]
     return float(np.sin(channels["slope"]) @ forward) < -0.02 * float(np.abs(forward).sum())
 

@@ -9,7 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from energyplan.path import FloatArray
 
-_BLOCK = 1 << 16  # samples worked on at once, to bound memory
+_BLOCK = 1 << 13  # samples worked on at once, to stay in the cache
 
 
 def derivative(
@@ -65,8 +65,11 @@ def _local_rate(time: FloatArray, value: FloatArray, width: int) -> FloatArray:
         u = (times[first] - time[index, None]) / span[:, None]
         y = values[first] - value[index, None]
         # Normal equations of c0 + c1 u + c2 u^2; c1 by Cramer's rule.
-        s1, s2, s3, s4 = (np.sum(u**k, axis=1) for k in (1, 2, 3, 4))
-        b0, b1, b2 = (np.sum(u**k * y, axis=1) for k in (0, 1, 2))
+        u2 = u * u
+        s1, b0 = u.sum(axis=1), y.sum(axis=1)
+        s2, s3, s4, b1, b2 = (
+            np.einsum("ij,ij->i", p, q) for p, q in ((u, u), (u2, u), (u2, u2), (u, y), (u2, y))
+        )
         m00, m01, m02 = width * s2 - s1 * s1, width * s3 - s1 * s2, width * s4 - s2 * s2
         r1, r2 = width * b1 - s1 * b0, width * b2 - s2 * b0
         det = m00 * m02 - m01 * m01

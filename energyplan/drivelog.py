@@ -161,9 +161,8 @@ class DriveLog:
     ) -> DriveLog:
         """Build a log from raw columns, setting aside what cannot be used.
 
-        Rows without time, tread speeds or power, and rows that repeat the one before, are left
-        out. Holes of up to a second in another channel are interpolated. A few impossible readings
-        are glitches; many are an error.
+        Rows without time, speeds or power, and rows that repeat the one before, are left out; holes
+        of up to a second in another channel are interpolated.
 
         Parameters
         ----------
@@ -378,10 +377,7 @@ class DriveLog:
         if not (np.isfinite(period) and period > 0):
             raise DriveLogError(f"{self.name}: resampling every {period} s; give a positive period")
         if self.duration > period * _MOST_INTERVALS:
-            raise DriveLogError(
-                f"{self.name}: resampling every {period:g} s gives more than {_MOST_INTERVALS} "
-                "samples; give a longer period"
-            )
+            raise DriveLogError(f"{self.name}: every {period:g} s is absurd; give a longer period")
         raw = {**self.channels}
         if "yaw" in raw:
             raw["yaw"] = np.unwrap(raw["yaw"])

@@ -321,7 +321,7 @@ def spoil(raw, what):
     [
         ("sides", "left and right are swapped"),
         ("clockwise", r"yaw_rate=NAME\[-rad/s\]"),
-        ("power", r"p_left and p_right is negative"),
+        ("power", r"p_left and p_right has the wrong sign"),
         ("one power", r"p_right=NAME\[-W\]"),
         ("degrees", r"yaw=NAME\[deg\]"),
         ("degrees wrapped", r"yaw=NAME\[deg\]"),
@@ -349,6 +349,25 @@ def test_doubtful_logs_are_read_with_a_warning(raw):
     assert "wheel radius" in DriveLog.from_columns({**raw, **fast}).warnings[0]
     still = {**raw, "v_left": 0.0 * raw["t"], "v_right": 0.0 * raw["t"]}
     assert any("hardly moves" in warning for warning in DriveLog.from_columns(still).warnings)
+
+
+@pytest.mark.parametrize("pattern", ["straight", "spin", "spiral", "figure8", "survey"])
+@pytest.mark.parametrize("preset", ["quadriga:full:marble", "quadriga:empty:concrete"])
+def test_every_pattern_passes_without_a_warning(preset, pattern):
+    # The inner motor generates in wide arcs, yet nothing has the wrong sign.
+    model = PowerModel.preset(preset)
+    for seed in range(4):
+        log = drive(model, pattern, power_noise=5.0, speed_noise=0.005, seed=seed)
+        assert DriveLog.from_columns(log.channels).warnings == ()
+
+
+@pytest.mark.parametrize("side", ["p_left", "p_right"])
+@pytest.mark.parametrize("pattern", ["straight", "spin", "figure8"])
+def test_one_side_with_the_wrong_sign_is_named(model, pattern, side):
+    log = drive(model, pattern, power_noise=5.0, speed_noise=0.005)
+    raw = {**log.channels, side: -log.channels[side]}
+    with pytest.raises(DriveLogError, match=rf"{side}=NAME\[-W\]"):
+        DriveLog.from_columns(raw)
 
 
 def test_descending_with_regeneration_is_no_wrong_sign(model):

@@ -16,6 +16,8 @@ from energyplan.errors import InvalidInputError, MissingDependencyError, PathErr
 from energyplan.io.files import atomic_write
 from energyplan.path import FloatArray, Path, Trajectory, wrap_angle
 
+_LIMITS = {"x": 1e8, "y": 1e8, "yaw": 1e5, "t": 1e11, "v": 100.0, "omega": 100.0}
+_LONGEST = 1e6  # longest path that is read [m]
 _FIRST = ("t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current")
 
 
@@ -44,9 +46,14 @@ def read_path(file: str | File, longitudinal: float = 0.0) -> Path:
     if len(poses) < 2:
         raise PathError(f"{table.source} holds {len(poses)} poses; a path needs two or more")
     try:
-        return Path.from_poses(poses, longitudinal)
+        path = Path.from_poses(poses, longitudinal)
     except PathError as problem:
         raise PathError(f"{table.source} (pose 0 is {table.place(0)}): {problem}") from None
+    if path.length > _LONGEST:
+        raise PathError(
+            f"{table.source} is {path.length:g} m long, beyond {_LONGEST:g} m; check the unit (m)"
+        )
+    return path
 
 
 def write_path(
@@ -118,13 +125,19 @@ def read_trajectory(file: str | File) -> Trajectory:
 
 
 def _complete(table: Table, name: str) -> FloatArray:
-    """Return a column without holes."""
+    """Return a column without holes or absurd values."""
     values = table.column(name)
     hole = np.flatnonzero(~np.isfinite(values))
     if len(hole):
         raise PathError(
             f"{table.source}, {table.place(int(hole[0]))}: {name} is empty or not finite; fill it "
             "in or drop the row"
+        )
+    far = np.flatnonzero(np.abs(values) > _LIMITS[name])
+    if len(far):
+        raise PathError(
+            f"{table.source}, {table.place(int(far[0]))}: {name} is {values[far[0]]:g}, beyond "
+            f"{_LIMITS[name]:g}; check the unit (m, rad, s)"
         )
     return values
 
