@@ -321,3 +321,28 @@ def first_collision(
         ):
             return k
     return -1
+
+
+@njit
+def motions_free(
+    space: Space,
+    body: Body,
+    starts: NDArray[np.float64],
+    ds: NDArray[np.float64],
+    dtheta: NDArray[np.float64],
+    longitudinal: float,
+) -> NDArray[np.bool_]:
+    """Tell of many motions, each from its own pose (x, y, yaw), which are free."""
+    out = np.empty(len(starts), np.bool_)
+    for k in range(len(starts)):
+        out[k] = motion_free(
+            space,
+            body,
+            starts[k, 0],
+            starts[k, 1],
+            starts[k, 2],
+            ds[k],
+            dtheta[k],
+            longitudinal,
+        )
+    return out

@@ -286,6 +286,42 @@ class OccupancyGrid:
         """
         return self.first_collision(path, vehicle) is None
 
+    def motions_free(
+        self,
+        starts: ArrayLike,
+        ds: ArrayLike,
+        dtheta: ArrayLike,
+        vehicle: Vehicle,
+        longitudinal: float = 0.0,
+    ) -> BoolArray:
+        """Tell along which of many motions, each from its own pose, the footprint is free.
+
+        Parameters
+        ----------
+        starts : array_like, shape (n, 3)
+            Poses of the body frame where the motions start: x, y [m], yaw [rad].
+        ds, dtheta : array_like, shape (n,)
+            Signed arc lengths of the reference point [m] and signed turns [rad].
+        vehicle : Vehicle
+            The vehicle, for its footprint.
+        longitudinal : float
+            x coordinate of the reference point in the body frame [m], as in `Path`.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            Which are free; as exact as `path_free`.
+        """
+        rows = np.ascontiguousarray(np.reshape(np.asarray(starts, float), (-1, 3)))
+        return _collision.motions_free(
+            self._space,
+            footprint(vehicle),
+            rows,
+            np.ascontiguousarray(np.broadcast_to(np.asarray(ds, float), len(rows))),
+            np.ascontiguousarray(np.broadcast_to(np.asarray(dtheta, float), len(rows))),
+            longitudinal,
+        )
+
     @classmethod
     def from_polygons(
         cls,

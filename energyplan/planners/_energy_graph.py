@@ -85,9 +85,7 @@ class Corner:
     energy: FloatArray
 
 
-def round_corner(
-    cost: EnergyCost, turn: FloatArray, limit: FloatArray, gear: FloatArray
-) -> Corner:
+def round_corner(cost: EnergyCost, turn: FloatArray, limit: FloatArray, gear: FloatArray) -> Corner:
     """Return the best way round corners.
 
     Both lines that meet at a corner are left at the same distance before it and joined by an
@@ -183,17 +181,13 @@ def edge_energies(edges: Edges, cost: EnergyCost, surfaces: SurfaceMap | None) -
     out = np.zeros(len(ds))
     costs = surfaces.costs(cost)
     for k, heading in enumerate(edges.heading):
-        line = Path(Pose(*edges.start[k], heading), [edges.length[k]], [0.0])
+        x, y = edges.start[k].tolist()
+        line = Path(Pose(x, y, heading), edges.length[k : k + 1], np.zeros(1))
         share = surfaces.shares(line)[0]
         for c, part in zip(costs, share, strict=True):
             if part > 0:
                 out[k] += part * float(c.segment_energy(ds[k], 0.0))
     return out
-
-
-def turn_cost(cost: EnergyCost, surfaces: SurfaceMap | None) -> list[EnergyCost]:
-    """Return the costs of turning in each region."""
-    return [cost] if surfaces is None else list(surfaces.costs(cost))
 
 
 def energy_graph(
@@ -254,16 +248,16 @@ def energy_graph(
     leaving: dict[Hashable, list[int]] = {}
     for k, state in enumerate(edges.states):
         leaving.setdefault(state.source, []).append(k)
-    pairs = [
-        (i, j) for i, state in enumerate(edges.states) for j in leaving.get(state.target, ())
-    ]
+    pairs = [(i, j) for i, state in enumerate(edges.states) for j in leaving.get(state.target, ())]
     if not pairs:
         return out
     first, then = np.array(pairs).T
     turn = wrap_angle(edges.yaw[then] - edges.yaw[first])
     # rounding errors must not tell a turn to the left from one to the right
     turn = np.where(np.abs(np.abs(turn) - np.pi) < 1e-9, np.pi, turn)
-    widest = np.array([float(graph.nodes[edges.states[k].source].get("radius", radius)) for k in then])
+    widest = np.array(
+        [float(graph.nodes[edges.states[k].source].get("radius", radius)) for k in then]
+    )
     room = 0.5 * np.minimum(edges.length[first], edges.length[then])
     tangent = np.tan(np.minimum(0.5 * np.abs(turn), 1.5))
     limit = np.minimum(widest, room / np.maximum(tangent, 1e-9))
@@ -271,7 +265,7 @@ def energy_graph(
     limit = np.where(same_gear, limit, 0.0)
     region = np.zeros(len(turn), int) if surfaces is None else surfaces.region_at(edges.start[then])
     arc_radius, arc_energy = np.zeros(len(turn)), np.zeros(len(turn))
-    for number, c in enumerate(turn_cost(cost, surfaces)):
+    for number, c in enumerate((cost,) if surfaces is None else surfaces.costs(cost)):
         here = region == number
         if np.any(here):
             corner = round_corner(c, turn[here], limit[here], edges.gear[then][here])

@@ -1,0 +1,260 @@
+"""Routes of least energy on graphs of places, with networkx.
+
+Any networkx graph with positions becomes an energy graph, whose routes pay for the turns at its
+nodes (`Roadmap`). As a planner it drives along a graph that it is given, or along the visibility
+graph of the map's obstacles, with corners rounded by the best radius.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Hashable, Iterable, Sequence
+from itertools import pairwise
+
+import numpy as np
+from shapely.geometry.base import BaseGeometry
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import (
+    InvalidInputError,
+    NoPathError,
+    TimeLimitError,
+    UnsupportedPlannerError,
+)
+from energyplan.maps import SurfaceMap
+from energyplan.path import Path, Pose, wrap_angle
+from energyplan.planners._bound import lower_bound
+from energyplan.planners._energy_graph import (
+    Graph,
+    State,
+    edge_energies,
+    edges_of,
+    energy_graph,
+    positions,
+)
+from energyplan.planners._problem import Plan, PlanningProblem
+from energyplan.planners._query import Query
+from energyplan.planners._routes import Roadmap, Route
+from energyplan.planners._visibility import traced, visibility_graph
+
+__all__ = [
+    "Roadmap",
+    "Route",
+    "State",
+    "energy_graph",
+    "plan",
+    "price_edges",
+    "visibility_graph",
+]
+
+
+def price_edges(graph: Graph, cost: EnergyCost, surfaces: SurfaceMap | None = None) -> Graph:
+    """Return a copy of a graph whose edges carry the energy of driving them as ``cost`` [J].
+
+    A graph of places cannot carry the energy of the turns at its nodes: a planner that adds up
+    these costs sees none of it, `Roadmap` does.
+
+    Parameters
+    ----------
+    graph : networkx graph
+        The graph; nodes carry positions.
+    cost : EnergyCost
+        Cost of motions, driving forwards.
+    surfaces : SurfaceMap, optional
+        Grounds with power models of their own.
+
+    Returns
+    -------
+    networkx graph
+        The copy, of the same kind. Of an undirected edge the dearer way counts.
+    """
+    priced = graph.copy()
+    edges = edges_of(graph, reverse=False)
+    for _, _, data in priced.edges(data=True):
+        data["cost"] = 0.0
+    for state, energy in zip(edges.states, edge_energies(edges, cost, surfaces), strict=True):
+        place = (state.source, state.target)
+        data = priced.edges[(*place, state.key) if graph.is_multigraph() else place]
+        data["cost"] = max(data["cost"], float(energy))
+    return priced
+
+
+def plan(
+    problem: PlanningProblem,
+    time_limit: float = 1.0,
+    *,
+    graph: Graph | None = None,
+    obstacles: BaseGeometry | Iterable[BaseGeometry] | None = None,
+    clearance: float | None = None,
+    neighbours: int = 12,
+    reverse: bool = True,
+    radius: float = 0.0,
+) -> Plan:
+    """Plan along a graph of places, or along the visibility graph of the obstacles.
+
+    Every edge and every turn of the answer is tested with the whole footprint; those that are not
+    free are left out, and the search is repeated without them.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        The problem; its objective must be the energy.
+    time_limit : float
+        Time to plan [s].
+    graph : networkx graph, optional
+        Places with positions; start and goal are joined to the nearest ones that can be reached
+        in a straight line. Without it the visibility graph of the obstacles is used.
+    obstacles : shapely geometry or iterable of them, optional
+        Shapes of the obstacles for the visibility graph; traced from the map where not given.
+    clearance : float, optional
+        Distance that the visibility graph keeps from obstacles [m]; half the footprint's width
+        and half a cell where not given.
+    neighbours : int
+        How many places of `graph` start and goal may be joined to.
+    reverse : bool
+        Whether the robot may drive backwards.
+    radius : float
+        Largest radius of rounded corners [m] at nodes of `graph` without a ``radius``.
+
+    Returns
+    -------
+    Plan
+        The route of least energy on the graph. Its lower bound holds for all paths, not only for
+        those on the graph.
+
+    Raises
+    ------
+    StartInCollisionError, GoalInCollisionError, OutsideMapError
+        If start or goal cannot be.
+    NoPathError
+        If the graph holds no free route.
+    TimeLimitError
+        If time was over before one was found.
+    UnsupportedPlannerError
+        If the objective is not the energy alone.
+    """
+    begun = time.perf_counter()
+    if not time_limit > 0:
+        raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
+    if problem.weights != {"energy": 1.0}:
+        raise UnsupportedPlannerError(
+            f"the planner 'roadmap' makes energy least, not {problem.objective!r}; use 'lattice'"
+        )
+    query = Query(problem)
+    places = [_reference(problem, problem.start), _reference(problem, problem.goal)]
+    if graph is None:
+        if clearance is None:
+            half = float(np.abs(problem.robot.footprint[:, 1]).max())
+            clearance = half + 0.5 * query.grid.resolution
+        shapes = traced(query.grid, query.grid.resolution) if obstacles is None else obstacles
+        graph = visibility_graph(shapes, clearance, places)
+        ends: tuple[Hashable, Hashable] = (0, 1)
+    else:
+        graph, ends = _with_ends(graph, places, neighbours)
+    roadmap = Roadmap(graph, problem.cost, problem.surfaces, reverse, radius)
+    path = _free_route(roadmap, ends, query, begun + time_limit)
+    first = time.perf_counter()
+    energy = roadmap.price(path)
+    bound = lower_bound(query, energy)
+    return query.plan(path, bound, begun, first, "roadmap")
+
+
+def _reference(problem: PlanningProblem, pose: Pose) -> tuple[float, float]:
+    """Return where the reference point is at a pose."""
+    lon = problem.cost.icr.longitudinal
+    return float(pose.x + lon * np.cos(pose.yaw)), float(pose.y + lon * np.sin(pose.yaw))
+
+
+def _with_ends(
+    graph: Graph, places: Sequence[tuple[float, float]], neighbours: int
+) -> tuple[Graph, tuple[Hashable, Hashable]]:
+    """Return a copy of a graph with start and goal joined to it, and their nodes."""
+    joined = graph.copy()
+    known = positions(graph)
+    ends = ("start of the plan", "goal of the plan")
+    for node, place in zip(ends, places, strict=True):
+        joined.add_node(node, pos=place)
+        distance = {
+            other: float(np.hypot(*(np.subtract(place, at)))) for other, at in known.items()
+        }
+        for other in sorted(distance, key=distance.__getitem__)[:neighbours]:
+            if distance[other] < 1e-9:
+                # the place itself: whatever leaves or enters it
+                continue
+            pair = (node, other) if node == ends[0] else (other, node)
+            joined.add_edge(*pair)
+    if np.hypot(*np.subtract(places[1], places[0])) > 1e-9:
+        joined.add_edge(*ends)
+    return joined, ends
+
+
+def _free_route(
+    roadmap: Roadmap, ends: tuple[Hashable, Hashable], query: Query, deadline: float
+) -> Path:
+    """Return the cheapest route whose footprint is free all along.
+
+    Edges are tested at once; turns when a route wants them.
+    """
+    problem, states = query.problem, roadmap.states
+    everything = list(states)
+    free = query.grid.motions_free(
+        [roadmap.pose(state, 0.0) for state in everything],
+        [state.gear * roadmap.length(state) for state in everything],
+        np.zeros(len(everything)),
+        problem.robot,
+        problem.cost.icr.longitudinal,
+    )
+    states.remove_nodes_from([s for s, good in zip(everything, free, strict=True) if not good])
+    closed: set[tuple[str, State]] = set()
+    while True:
+        sequence = roadmap.search(*ends, problem.start.yaw, problem.goal.yaw, closed)
+        path = roadmap.drive(ends[0], sequence, problem.start.yaw, problem.goal.yaw)
+        if query.grid.path_free(path, problem.robot):
+            return path
+        if time.perf_counter() > deadline:
+            raise TimeLimitError(
+                "time was over before a free route was found; give more time or a larger clearance"
+            )
+        if not _mend(roadmap, sequence, query, closed):
+            raise NoPathError("the footprint is not free where start and goal are the same place")
+
+
+def _mend(
+    roadmap: Roadmap, sequence: Sequence[State], query: Query, closed: set[tuple[str, State]]
+) -> bool:
+    """Make the turns of a route tighter that are not free, or take them out; tell if any."""
+    problem, found = query.problem, False
+    lon = problem.cost.icr.longitudinal
+
+    def is_free(start: Pose, ds: float, turn: float) -> bool:
+        return query.grid.path_free(
+            Path(start, np.array([ds]), np.array([turn]), lon), problem.robot
+        )
+
+    for here, ahead in pairwise(sequence):
+        arc = roadmap.states[here][ahead]
+        before = arc["radius"]
+        turn = float(wrap_angle(roadmap.yaw(ahead) - roadmap.yaw(here)))
+        for part in (1.0, 0.75, 0.5, 0.25, 0.0):
+            radius = part * before
+            back = radius * float(np.tan(0.5 * abs(turn))) if radius > 0 else 0.0
+            start = roadmap.pose(here, roadmap.length(here) - back)
+            if is_free(start, here.gear * radius * abs(turn), turn):
+                if part < 1.0:
+                    roadmap.retune(here, ahead, radius)
+                break
+        else:
+            roadmap.states.remove_edge(here, ahead)
+            part = -1.0
+        found = found or part < 1.0
+    if sequence:
+        first, last = sequence[0], sequence[-1]
+        leave = float(wrap_angle(roadmap.yaw(first) - problem.start.yaw))
+        if not is_free(problem.start, 0.0, leave):
+            closed.add(("start", first))
+            found = True
+        arrival = roadmap.pose(last, roadmap.length(last))
+        if not is_free(arrival, 0.0, float(wrap_angle(problem.goal.yaw - arrival.yaw))):
+            closed.add(("goal", last))
+            found = True
+    return found
