@@ -9,13 +9,13 @@ it is a bound is derived in docs/planning.md.
 from __future__ import annotations
 
 from math import sqrt
-from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import contourpy
 import numpy as np
 import shapely
 
+from energyplan import _distance
 from energyplan.maps import OccupancyGrid
 from energyplan.path import FloatArray
 from energyplan.planners._bound_kernels import Corners, Rates, least_over_corners
@@ -26,24 +26,18 @@ from energyplan.planners._search import inscribed
 LABELS = 200_000
 """Labels at which the search over corners stops with what is known by then."""
 
-SLACK = 0.1
+FINE_CELLS = 1e6
+"""Smaller maps are divided more finely before outlines are drawn."""
+
+SLACK = 0.05
 """Largest distance by which an outline is simplified, in radii of the disc."""
 
 
-class Outline(NamedTuple):
-    """Convex corners of all obstacles grown by a disc, each with its neighbours [m]."""
-
-    point: FloatArray
-    before: FloatArray
-    after: FloatArray
-    blocked_within: float
+_outlines: WeakKeyDictionary[OccupancyGrid, tuple[float, Corners]] = WeakKeyDictionary()
 
 
-_outlines: WeakKeyDictionary[OccupancyGrid, tuple[float, Outline]] = WeakKeyDictionary()
-
-
-def outline(grid: OccupancyGrid, radius: float) -> Outline:
-    """Return the convex corners of obstacles that lie within those grown by `radius`.
+def outline(grid: OccupancyGrid, radius: float) -> Corners:
+    """Return an outline that lies within the obstacles grown by `radius`, and its convex corners.
 
     The level set of the interpolated clearance lies within the grown obstacles when the level is
     lower than `radius` by the interpolation's error, at most half a cell's diagonal since
@@ -59,56 +53,53 @@ def outline(grid: OccupancyGrid, radius: float) -> Outline:
 
     Returns
     -------
-    Outline
-        The corners. A point within `blocked_within` of an obstacle lies inside the outline.
+    Corners
+        The corners and edges, in the world.
     """
     known = _outlines.get(grid)
     if known is not None and known[0] == radius:
         return known[1]
-    half = grid.resolution * sqrt(0.5)
+    rows, columns = grid.shape
+    factor = max(min(int(sqrt(FINE_CELLS / (rows * columns))), 4), 1)
+    cell = grid.resolution / factor
+    clearance = grid.clearance
+    if factor > 1:
+        fine = np.repeat(np.repeat(grid.blocked, factor, axis=0), factor, axis=1)
+        clearance = _distance.clearance(fine) * np.float32(cell)
+    half = cell * sqrt(0.5)
     tolerance = SLACK * radius
     level = radius - half - tolerance
-    parts: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+    point, before, after = [np.empty((0, 2))], [np.empty((0, 2))], [np.empty((0, 2))]
+    first, last = [np.empty((0, 2))], [np.empty((0, 2))]
     if level > 0:
-        rows, columns = grid.shape
-        generator = contourpy.contour_generator(
-            np.arange(columns) + 0.5, np.arange(rows) + 0.5, np.asarray(grid.clearance, float)
-        )
-        for line in generator.lines(level):
-            points = np.asarray(line)
-            parts.append(_convex(points, bool(np.all(points[0] == points[-1])), grid, tolerance))
-    point, before, after = (
-        (np.concatenate([p[k] for p in parts]) if parts else np.empty((0, 2))) for k in range(3)
-    )
-    # a corner of the simplified outline is the level set's own, so this near is always inside
-    found = Outline(
-        grid.to_world(point),
-        grid.to_world(before),
-        grid.to_world(after),
+        x, y = (np.arange(n * factor) + 0.5 for n in (columns, rows))
+        for line in contourpy.contour_generator(x, y, clearance).lines(level):
+            simple = shapely.simplify(shapely.linestrings(line), tolerance / cell)
+            corner = shapely.get_coordinates(simple)
+            first.append(corner[:-1])
+            last.append(corner[1:])
+            if np.all(corner[0] == corner[-1]):
+                corner = np.concatenate([corner[-2:-1], corner])
+            (x1, y1), (x2, y2) = np.diff(corner[:-1], axis=0).T, np.diff(corner[1:], axis=0).T
+            # the clearance is higher on the outline's left, so obstacles' convex corners turn right
+            convex = x1 * y2 - y1 * x2 < 0
+            point.append(corner[1:-1][convex])
+            before.append(corner[:-2][convex])
+            after.append(corner[2:][convex])
+
+    def world(parts: list[FloatArray]) -> FloatArray:
+        return grid.to_world(np.concatenate(parts) / factor)
+
+    found = Corners(
+        world(point),
+        world(before),
+        world(after),
+        np.hstack([world(first), world(last)]),
         max(level - half - tolerance, 0.0),
+        level + half + tolerance,
     )
     _outlines[grid] = radius, found
     return found
-
-
-def _convex(
-    points: FloatArray, closed: bool, grid: OccupancyGrid, tolerance: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the convex corners of one outline, in cells, and their neighbours."""
-    line = shapely.linestrings(points)
-    simple = shapely.get_coordinates(shapely.simplify(line, tolerance / grid.resolution))
-    if closed:
-        ring = simple[:-1]
-        before, after = np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0)
-    else:
-        ring, before, after = simple[1:-1], simple[:-2], simple[2:]
-    if len(ring) == 0:
-        return ring, before, after
-    (x1, y1), (x2, y2) = (ring - before).T, (after - ring).T
-    turn = x1 * y2 - y1 * x2
-    # the clearance is higher on the outline's left, so an obstacle's convex corner turns right
-    convex = turn < 0
-    return ring[convex], before[convex], after[convex]
 
 
 def lower_bound(query: Query, cost: float) -> float:
@@ -142,17 +133,12 @@ def _among_obstacles(grid: OccupancyGrid, setting: Setting, free: float, cost: f
     # corners by which the way alone costs more than the path that is known
     way = sum(np.hypot(*(found.point - end).T) for end in ends)
     near = setting.least_metre * way < cost
-    corners = Corners(
-        np.concatenate([found.point[near], ends]),
-        np.concatenate([found.before[near], ends]),
-        np.concatenate([found.after[near], ends]),
+    corners = found._replace(
+        point=np.concatenate([found.point[near], ends]),
+        before=np.concatenate([found.before[near], ends]),
+        after=np.concatenate([found.after[near], ends]),
     )
     rates = Rates(
-        setting.least_metre,
-        setting.least_radian,
-        setting.start_yaw,
-        setting.goal_yaw,
-        free,
-        found.blocked_within,
+        setting.least_metre, setting.least_radian, setting.start_yaw, setting.goal_yaw, free
     )
     return float(least_over_corners(setting.space, corners, rates, cost, LABELS))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import atan2, cos, floor, hypot, inf, pi, sin
+from math import atan2, floor, hypot, inf, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from energyplan._collision import Space
 from energyplan._numba import njit
-from energyplan.planners._search_kernels import pop, push
+from energyplan.planners._search_kernels import angle_between, pop, push
 
 
 class Corners(NamedTuple):
@@ -22,11 +22,19 @@ class Corners(NamedTuple):
         The corners; the last two are start and goal.
     before, after : ndarray, shape (n, 2)
         Neighbouring corners along the outline; for start and goal their own place.
+    edges : ndarray, shape (m, 4)
+        All edges of the outline: both ends.
+    inside, outside : float
+        Nearer to an obstacle than `inside` a point lies within the outline for certain, further
+        than `outside` it lies outside for certain [m].
     """
 
     point: NDArray[np.float64]
     before: NDArray[np.float64]
     after: NDArray[np.float64]
+    edges: NDArray[np.float64]
+    inside: float
+    outside: float
 
 
 class Rates(NamedTuple):
@@ -40,8 +48,6 @@ class Rates(NamedTuple):
         Headings.
     direct : float
         Least cost from start to goal without obstacles.
-    radius : float
-        A point nearer to an obstacle than this is blocked for certain [m].
     """
 
     metre: float
@@ -49,21 +55,13 @@ class Rates(NamedTuple):
     start: float
     goal: float
     direct: float
-    radius: float
 
 
 @njit
-def angle_between(a: float, b: float) -> float:
-    """Angle between two headings, 0 to pi."""
-    turn = abs(a - b) % (2.0 * pi)
-    return min(turn, 2.0 * pi - turn)
+def line_open(space: Space, corners: Corners, ax: float, ay: float, bx: float, by: float) -> bool:
+    """Tell whether a line between corners crosses no edge of the outline.
 
-
-@njit
-def line_open(space: Space, radius: float, ax: float, ay: float, bx: float, by: float) -> bool:
-    """Tell whether no point of a line is for certain nearer to an obstacle than `radius`.
-
-    May say yes wrongly, never no: the bound becomes lower then, and stays a bound.
+    Clearance decides most lines; the others are tested against the edges. Touching is no crossing.
     """
     rows, columns = space.clearance.shape
     length = hypot(bx - ax, by - ay)
@@ -73,6 +71,7 @@ def line_open(space: Space, radius: float, ax: float, ay: float, bx: float, by: 
     ux = (bx - ax) / length
     uy = (by - ay) / length
     at = 0.0
+    sure = True
     while at < length:
         dx = ax + at * ux - space.x
         dy = ay + at * uy - space.y
@@ -81,13 +80,37 @@ def line_open(space: Space, radius: float, ax: float, ay: float, bx: float, by: 
         column = floor(across)
         row = floor(along)
         if row < 0 or column < 0 or row >= rows or column >= columns:
+            sure = False
             at += 0.5 * res
             continue
         off = hypot(across - column - 0.5, along - row - 0.5) * res
         near = float(space.clearance[row, column]) * res
-        if near + off < radius:
+        if near + off < corners.inside:
             return False
-        at += max(near - off - radius, 0.5 * res)
+        if near - off <= corners.outside:
+            sure = False
+        at += max(near - off - corners.outside, 0.5 * res)
+    if sure:
+        return True
+    left = min(ax, bx)
+    right = max(ax, bx)
+    low = min(ay, by)
+    high = max(ay, by)
+    for k in range(len(corners.edges)):
+        px = corners.edges[k, 0]
+        py = corners.edges[k, 1]
+        qx = corners.edges[k, 2]
+        qy = corners.edges[k, 3]
+        if max(px, qx) < left or min(px, qx) > right or max(py, qy) < low or min(py, qy) > high:
+            continue
+        p_side = ux * (py - ay) - uy * (px - ax)
+        q_side = ux * (qy - ay) - uy * (qx - ax)
+        if not (p_side * q_side < 0.0 and min(abs(p_side), abs(q_side)) > 1e-9):
+            continue
+        a_side = (qx - px) * (ay - py) - (qy - py) * (ax - px)
+        b_side = (qx - px) * (by - py) - (qy - py) * (bx - px)
+        if a_side * b_side < 0.0 and min(abs(a_side), abs(b_side)) > 1e-9:
+            return False
     return True
 
 
@@ -177,7 +200,7 @@ def least_over_corners(
                     and _supports(corners, v, dx, dy)
                     and line_open(
                         space,
-                        rates.radius,
+                        corners,
                         corners.point[u, 0],
                         corners.point[u, 1],
                         corners.point[v, 0],

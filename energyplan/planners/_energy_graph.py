@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import networkx as nx
 import numpy as np
+from numpy.typing import NDArray
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
@@ -210,7 +211,9 @@ def energy_graph(
     graph : networkx graph
         Any graph, directed or not, multigraph or not; nodes carry ``pos=(x, y)``, or ``x`` and
         ``y`` [m]. Edges are straight. A node's ``radius`` [m] is the largest with which a route
-        may round it; `radius` where it has none.
+        may round it; `radius` where it has none. A node at an obstacle's corner may carry ``rim``,
+        the two directions in which the obstacle's rim leaves it: a route turns there only around
+        the obstacle, and without changing gear.
     cost : EnergyCost
         Cost of motions.
     surfaces : SurfaceMap, optional
@@ -252,6 +255,7 @@ def energy_graph(
     if not pairs:
         return out
     first, then = np.array(pairs).T
+    first, then = _around_obstacles(graph, edges, first, then)
     turn = wrap_angle(edges.yaw[then] - edges.yaw[first])
     # rounding errors must not tell a turn to the left from one to the right
     turn = np.where(np.abs(np.abs(turn) - np.pi) < 1e-9, np.pi, turn)
@@ -273,6 +277,33 @@ def energy_graph(
     weight = arc_energy + energies[then]
     out.add_edges_from(
         (edges.states[i], edges.states[j], {"weight": w, "radius": r})
-        for (i, j), w, r in zip(pairs, weight.tolist(), arc_radius.tolist(), strict=True)
+        for i, j, w, r in zip(
+            first.tolist(), then.tolist(), weight.tolist(), arc_radius.tolist(), strict=True
+        )
     )
     return out
+
+
+def _around_obstacles(
+    graph: Graph, edges: Edges, first: NDArray[np.intp], then: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Leave out the turns at corners of obstacles that no cheapest route makes.
+
+    A node that carries ``rim``, the directions of the obstacle's rim to either side, is worth
+    turning at only to get around the obstacle.
+    """
+    rims = {node: rim for node, rim in graph.nodes(data="rim") if rim is not None}
+    if not rims:
+        return first, then
+    nothing = ((0.0, 0.0), (0.0, 0.0))
+    nodes = [edges.states[k].source for k in then]
+    rim = np.array([rims.get(node, nothing) for node in nodes]).sum(axis=1)
+    bound = np.array([node in rims for node in nodes])
+    arriving, leaving = edges.heading[first], edges.heading[then]
+    turn = wrap_angle(leaving - arriving)
+    # positive where the obstacle lies to the left
+    side_before = np.cos(arriving) * rim[:, 1] - np.sin(arriving) * rim[:, 0]
+    side_after = np.cos(leaving) * rim[:, 1] - np.sin(leaving) * rim[:, 0]
+    around = (turn * side_before >= -1e-9) & (turn * side_after >= -1e-9)
+    keep = ~bound | (around & (edges.gear[first] == edges.gear[then]))
+    return first[keep], then[keep]

@@ -19,6 +19,9 @@ Number = TypeVar("Number", bound=np.generic)
 HEADINGS = 32
 """Headings of the lattice."""
 
+AHEAD = 1.5
+"""How far ahead the field looks for the direction of the way [m]."""
+
 SLICE = 2000
 """Expansions between two looks at the clock."""
 
@@ -57,8 +60,12 @@ def field_for(setting: Setting) -> kernels.Field:
     radius = max(inscribed(setting) / res - 0.7072 * stride, 0.5)
     goal = cell_of(setting, setting.goal_x, setting.goal_y, stride)
     start = cell_of(setting, setting.start_x, setting.start_y, stride)
-    cells = kernels.distance_field(setting.space.clearance, stride, radius, *goal, *start, 1.5)
-    return kernels.Field(cells * np.float32(res), stride * res)
+    # where it turns for nothing within this distance, reversing can be cheaper
+    far = 2.0 * setting.least_radian / setting.least_metre
+    distance, direction = kernels.distance_field(
+        setting.space.clearance, stride, radius, *goal, *start, 1.5, AHEAD / res
+    )
+    return kernels.Field(distance * np.float32(res), direction, stride * res, far)
 
 
 @dataclass

@@ -7,7 +7,7 @@ straight along the heading, a pivot about either tread's ICR, or a spin.
 
 from __future__ import annotations
 
-from math import cos, floor, hypot, inf, pi, sin
+from math import atan2, cos, floor, hypot, inf, pi, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +26,9 @@ RUNNING, FOUND, EXHAUSTED, FULL = 0, 1, 2, 3
 """Why a slice of the search ended."""
 
 MOTIONS = 10
+
+TOLERANCE = 0.15
+"""How far the first heading of the way may be off [rad]."""
 
 
 class Lattice(NamedTuple):
@@ -56,12 +59,18 @@ class Field(NamedTuple):
     ----------
     distance : ndarray of float32, shape (rows, columns)
         Distance to the goal [m]; infinite where it cannot be reached.
+    direction : ndarray of float32, shape (rows, columns)
+        Direction in which the way to the goal sets out [rad].
     spacing : float
         Distance between its points [m].
+    far : float
+        Distance to the goal beyond which the direction counts [m].
     """
 
     distance: NDArray[np.float32]
+    direction: NDArray[np.float32]
     spacing: float
+    far: float
 
 
 class Tree(NamedTuple):
@@ -150,6 +159,13 @@ def pop(heap_f: NDArray[np.float64], heap_node: NDArray[np.int32], size: int) ->
 
 
 @njit
+def angle_between(a: float, b: float) -> float:
+    """Angle between two headings, 0 to pi."""
+    turn = abs(a - b) % (2.0 * pi)
+    return min(turn, 2.0 * pi - turn)
+
+
+@njit
 def distance_field(
     clearance: NDArray[np.float32],
     stride: int,
@@ -159,8 +175,9 @@ def distance_field(
     stop_row: int,
     stop_column: int,
     margin: float,
-) -> NDArray[np.float32]:
-    """Return the distance of a disc's centre from one point, over 16 neighbours [cells].
+    ahead: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the distance of a disc's centre from one point, over 16 neighbours.
 
     Parameters
     ----------
@@ -176,16 +193,23 @@ def distance_field(
         The field need not reach further than `margin` times the distance of this point.
     margin : float
         See above.
+    ahead : float
+        How far ahead directions look [cells].
 
     Returns
     -------
-    ndarray of float32
-        Distance in cells of the map; negative where it was not needed, infinite where no disc
-        gets.
+    distance : ndarray of float32
+        Distance [cells]: a lower limit of it where it was not needed, infinite where no disc gets.
+    direction : ndarray of float32
+        Direction of the way at its first `ahead` cells, in the frame of the grid [rad].
     """
     rows = (clearance.shape[0] + stride - 1) // stride
     columns = (clearance.shape[1] + stride - 1) // stride
     out = np.full((rows, columns), np.float32(inf))
+    direction = np.zeros((rows, columns), np.float32)
+    parent = np.full(rows * columns, -1, np.int32)
+    target = np.full(rows * columns, -1, np.int32)
+    target[row * columns + column] = row * columns + column
     steps_r = np.array([0, 1, 0, -1, 1, 1, -1, -1, 1, 2, 2, 1, -1, -2, -2, -1])
     steps_c = np.array([1, 0, -1, 0, 1, -1, 1, -1, 2, 1, -1, -2, -2, -1, 1, 2])
     capacity = 1 << 16
@@ -204,6 +228,14 @@ def distance_field(
             continue
         if d > limit:
             break
+        if target[node] < 0:
+            far = target[parent[node]]
+            if d - out[far // columns, far % columns] > 1.25 * ahead:
+                far = node
+                while parent[far] >= 0 and d - out[far // columns, far % columns] < 0.8 * ahead:
+                    far = parent[far]
+            target[node] = far
+            direction[r, c] = atan2(far // columns - r, far % columns - c)
         if r == stop_row and c == stop_column:
             limit = margin * d + 40.0
         for k in range(16):
@@ -222,6 +254,7 @@ def distance_field(
             dd = d + stride * hypot(steps_r[k], steps_c[k])
             if dd < out[rr, cc] - 1e-4:
                 out[rr, cc] = dd
+                parent[rr * columns + cc] = node
                 if size + 1 >= capacity:
                     capacity *= 2
                     larger_f = np.empty(capacity)
@@ -237,7 +270,7 @@ def distance_field(
             for c in range(columns):
                 if out[r, c] > limit and clearance[r * stride, c * stride] >= radius:
                     out[r, c] = limit
-    return out
+    return out, direction
 
 
 @njit
@@ -261,8 +294,17 @@ def _estimate(setting: Setting, field: Field, x: float, y: float, yaw: float) ->
             return inf
     # 16 neighbours overestimate distances by up to 2.8 per cent
     far = 0.973 * far
-    turn = abs(yaw - setting.goal_yaw) % (2 * pi)
-    turn = min(turn, 2 * pi - turn)
+    turn = angle_between(yaw, setting.goal_yaw)
+    if far > field.far:
+        # on its way the robot takes the heading of the way, or drives it backwards
+        ahead = float(field.direction[row, column]) + space.yaw
+        through = inf
+        for way in range(2):
+            heading = ahead + way * pi
+            through = min(
+                through, angle_between(yaw, heading) + angle_between(heading, setting.goal_yaw)
+            )
+        turn = max(turn, through - 2.0 * TOLERANCE)
     round_obstacles = setting.least_metre * far + setting.least_radian * turn
     return max(round_obstacles, free_energy(setting, x, y, yaw))
 
@@ -359,10 +401,9 @@ def grow(
         g = tree.g[node]
         if f > g + weight * tree.h[node] + 1e-9:
             continue
-        if g + tree.h[node] >= tree.best[0]:
-            if weight <= 1.0:
-                return EXHAUSTED
-            continue
+        if f >= tree.best[0]:
+            # what is left costs more, or at least more than best / weight
+            return EXHAUSTED
         counts[2] += 1
         counts[4] += 1
         x = tree.x[node]

@@ -58,7 +58,7 @@ def visibility_graph(
     that touch the obstacle at either end without cutting into it. Around a corner of such a line
     an arc of any radius up to `clearance` keeps that distance from the obstacle, so that each
     node of a corner carries ``radius=clearance``: which radius is best is for `energy_graph` to
-    find.
+    find. It also carries ``rim``, so that a route turns there only around the obstacle.
 
     Parameters
     ----------
@@ -115,7 +115,11 @@ def visibility_graph(
     seen = ~shapely.intersects(core, sight)
     graph: nx.Graph[int] = nx.Graph()
     for node, (x, y) in enumerate(place.tolist()):
-        graph.add_node(node, pos=(x, y), radius=clearance if node >= len(places) else 0.0)
+        if node < len(places):
+            graph.add_node(node, pos=(x, y), radius=0.0)
+        else:
+            rim = (tuple(before[node].tolist()), tuple(after[node].tolist()))
+            graph.add_node(node, pos=(x, y), radius=clearance, rim=rim)
     graph.add_edges_from(
         (a, b, {"length": d})
         for a, b, d in zip(i[seen].tolist(), j[seen].tolist(), length[seen].tolist(), strict=True)

@@ -26,6 +26,12 @@ from energyplan.planners.refine import Refiner
 FIRST_WEIGHT = 2.0
 """Weight of the search for the first path."""
 
+SEARCHES = ((1.0, 1.2), (1.0, 1.0), (0.5, 1.0))
+"""Scale of the lattice and weight of the searches that follow."""
+
+SEARCH_SHARE = 0.6
+"""Largest part of the time left that one of them may take."""
+
 
 def plan(
     problem: PlanningProblem,
@@ -157,33 +163,34 @@ class _Improvement:
 
     def improve(self) -> None:
         """Make the path cheaper until time is over or the gap is closed."""
-        refiner = Refiner(self.setting, self.best, self.seed)
-        refiner.shortcut()
-        budget = 0.15 * (self.deadline - time.perf_counter())
-        refiner.polish(time.perf_counter() + budget)
-        self.offer(refiner)
         self.bound = lower_bound(self.query, self.cost)
-        for scale, weight in ((1.0, 1.0), (0.5, 1.0)):
+        for scale, weight in SEARCHES:
             if self.done:
                 return
             search = Search(self.setting, self.field, lattice_for(self.setting, scale), weight)
-            search.run(self.deadline, stop_at_first=False)
+            # what is found must be refined before the deadline
+            search.run(self._share(SEARCH_SHARE), stop_at_first=False)
             if search.found:
-                self._refined(search.segments(), self.seed)
+                self._refined(search.segments(), self.seed, self._share(1.0 - SEARCH_SHARE))
         seed = self.seed
         while not self.done:
             seed += 1
             before = self.cost
-            self._refined(self.best, seed)
+            self._refined(self.best, seed, self.deadline)
             if seed > self.seed + 3 and self.cost > before * (1 - 1e-5):
                 return
 
-    def _refined(self, segments: Segments, seed: int) -> None:
+    def _share(self, fraction: float) -> float:
+        """Return the moment at which this fraction of the time left will be over."""
+        now = time.perf_counter()
+        return now + fraction * max(self.deadline - now, 0.0)
+
+    def _refined(self, segments: Segments, seed: int, deadline: float) -> None:
+        """Refine motions, and keep them if they are the best so far."""
         refiner = Refiner(self.setting, segments, seed)
         refiner.shortcut()
-        self.offer(refiner)
         enough = self.bound * (1.0 + self.gap)
-        refiner.polish(self.deadline, enough=enough)
+        refiner.polish(deadline, enough=enough)
         refiner.again()
-        refiner.polish(self.deadline, enough=enough)
+        refiner.polish(deadline, enough=enough)
         self.offer(refiner)
