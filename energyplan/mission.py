@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from energyplan._mission_energy import Estimate
 from energyplan._mission_legs import Legs
 from energyplan._mission_plan import best_stops
 from energyplan._mission_report import MissionReport, Reason, TaskReport, Timeline
@@ -25,6 +26,9 @@ __all__ = ["Charger", "Mission", "MissionReport", "Task", "TaskReport", "Timelin
 
 _CANDIDATES = 5
 """How many earlier tasks are tried as the one to drop."""
+
+_MOST = 10.0
+"""Batteries beyond so many times the one on board are not proposed."""
 
 
 def evaluate(mission: Mission, progress: Callable[[str], None] | None = None) -> MissionReport:
@@ -168,33 +172,25 @@ class _Evaluation:
     def _task(self, k: int) -> TaskReport:
         task = self.mission.tasks[k]
         before, attempt, _ = self.attempts[k]
-        leg = self.legs.leg(before.node, k + 1, before.payload)
-        after = attempt.after
         if attempt.reason == "none":
-            used = replace(
-                after.total,
-                mean=after.total.mean - before.total.mean,
-                sensitivity=after.total.sensitivity - before.total.sensitivity,
-                noise=after.total.noise - before.total.noise,
-            )
+            used = _between(before, attempt.after)
             return TaskReport(
                 task.name, "reachable", "none", True, used.mean, used.upper(self.walk.quantile),
-                after.expected.soc, 0.0, "", "", after.time - task.dwell,
+                attempt.after.expected.soc, 0.0, "", "", attempt.after.time - task.dwell,
             )  # fmt: skip
         alone = attempt if not self.done else self.walk.attempt_charged(self.walk.start, k)
         blocked = alone.reason == "none"
         told = attempt if blocked else alone
         reason: Reason = "blocked_by_earlier" if blocked else _REASONS[alone.reason]
         lacking = told.reason == "battery"
+        used = _between(before if blocked else self.walk.start, told.after)
         return TaskReport(
             name=task.name,
             verdict="unreachable",
             reason=reason,
             reachable_alone=blocked,
-            energy=leg.energy.mean if np.isfinite(leg.energy.mean) else np.nan,
-            energy_upper=(
-                leg.energy.upper(self.walk.quantile) if np.isfinite(leg.energy.mean) else np.nan
-            ),
+            energy=used.mean if lacking else np.nan,
+            energy_upper=used.upper(self.walk.quantile) if lacking else np.nan,
             soc_after=told.after.expected.soc if lacking else np.nan,
             shortfall=self.walk.shortfall(told.safe) if lacking else 0.0,
             remedy=self._remedy(k, reason, told),
@@ -211,11 +207,14 @@ class _Evaluation:
         elif told.reason == "no_path":
             hints = [f"clear the way back: {told.detail}"]
         else:
-            hints = self._larger_battery(k, self.walk.shortfall(told.safe)) or [told.detail]
+            tasks = (*self.attempts[k].earlier, k) if reason == "blocked_by_earlier" else (k,)
+            hints = [
+                *self._charge_first(tasks),
+                *self._larger_battery(tasks, self.walk.shortfall(told.safe)),
+                *self._smaller_reserve(tasks),
+            ] or [told.detail]
         if reason == "blocked_by_earlier":
             hints = [*self._drop(k), *hints]
-        if told.reason == "battery":
-            hints = [*self._charge_first(k), *hints, *self._smaller_reserve(k)]
         if told.reason == "motor" and self.mission.payload > 0:
             hints.append("leave payload behind")
         return ", or ".join(hints)
@@ -240,42 +239,55 @@ class _Evaluation:
             state = attempt.after
         return True
 
-    def _charge_first(self, k: int) -> list[str]:
+    def _charge_first(self, tasks: Sequence[int]) -> list[str]:
         """Tell the state of charge with which to leave so that the task can be done."""
         if self.mission.soc >= 1:
             return []
         levels = np.arange(np.ceil(100 * self.mission.soc) + 1, 101) / 100
         low, high = 0, len(levels) - 1
-        if not self._works(k, replace(self.mission, soc=float(levels[high]))):
+        if not self._works(tasks, replace(self.mission, soc=float(levels[high]))):
             return []
         while low < high:
             middle = (low + high) // 2
-            if self._works(k, replace(self.mission, soc=float(levels[middle]))):
+            if self._works(tasks, replace(self.mission, soc=float(levels[middle]))):
                 high = middle
             else:
                 low = middle + 1
         return [f"charge to {100 * levels[high]:.0f} % before leaving"]
 
-    def _larger_battery(self, k: int, shortfall: float) -> list[str]:
-        """Tell how much more the battery has to hold; more than is missing where it sags."""
-        for factor in (1.0, 1.25, 1.5, 2.0, 3.0, 5.0):
-            more = max(factor * shortfall, 3600.0 * factor)
-            if self._works(k, replace(self.mission, battery=_larger(self.mission.battery, more))):
-                return [f"a battery with {np.ceil(more / 3600):.0f} Wh more"]
-        return []
+    def _larger_battery(self, tasks: Sequence[int], shortfall: float) -> list[str]:
+        """Tell how much more the battery has to hold.
 
-    def _smaller_reserve(self, k: int) -> list[str]:
+        That is more than is missing: part of it is reserve, and the load draws charge on top of
+        energy.
+        """
+        battery = self.mission.battery
+
+        def works(energy: float) -> bool:
+            return self._works(tasks, replace(self.mission, battery=_larger(battery, energy)))
+
+        low, high = 0.0, max(shortfall, 3600.0)
+        while not works(high):
+            low, high = high, 2 * high
+            if high > _MOST * battery.capacity * float(battery.ocv(1.0)):
+                return []
+        while high - low > max(0.02 * high, 3600.0):
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if works(middle) else (middle, high)
+        return [f"a battery with {np.ceil(high / 3600):.0f} Wh more"]
+
+    def _smaller_reserve(self, tasks: Sequence[int]) -> list[str]:
         least = self.mission.battery.cutoff_soc
         for share in (0.75, 0.5, 0.25):
             reserve = max(round(share * self.mission.reserve, 3), least)
             if reserve < self.mission.reserve and self._works(
-                k, replace(self.mission, reserve=reserve)
+                tasks, replace(self.mission, reserve=reserve)
             ):
                 return [f"a reserve of {100 * reserve:.0f} %"]
         return []
 
-    def _works(self, k: int, changed: Mission) -> bool:
-        return self._follow(Walk(self.legs.under(changed)), (*self.attempts[k].earlier, k))
+    def _works(self, tasks: Sequence[int], changed: Mission) -> bool:
+        return self._follow(Walk(self.legs.under(changed)), tasks)
 
 
 _REASONS: dict[str, Reason] = {
@@ -284,6 +296,15 @@ _REASONS: dict[str, Reason] = {
     "battery": "battery",
     "late": "motor",
 }
+
+
+def _between(before: Condition, after: Condition) -> Estimate:
+    """Return the energy from one condition to a later one."""
+    return Estimate(
+        after.total.mean - before.total.mean,
+        after.total.sensitivity - before.total.sensitivity,
+        after.total.noise - before.total.noise,
+    )
 
 
 def _larger(battery: Battery, energy: float) -> Battery:

@@ -1,0 +1,331 @@
+"""Missions as YAML files; every complaint names the line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from math import inf, radians
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from energyplan.battery import Battery
+from energyplan.errors import EnergyPlanError, MissionError
+from energyplan.io._yaml import Document, Loc, load
+from energyplan.io.bundled import bundled
+from energyplan.io.config import read_model, read_vehicle
+from energyplan.io.geojson import read_surfaces
+from energyplan.io.maps import read_map
+from energyplan.mission import Charger, Mission, Task
+from energyplan.path import Pose
+from energyplan.power import PowerModel
+
+T = TypeVar("T")
+
+_UNITS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "min": 60.0, "h": 3600.0},
+    "power": {"W": 1.0, "kW": 1e3},
+    "charge": {"C": 1.0, "Ah": 3600.0},
+    "energy": {"J": 1.0, "Wh": 3600.0, "kWh": 3.6e6},
+    "mass": {"kg": 1.0, "g": 1e-3},
+    "fraction": {"%": 0.01},
+    "speed": {"m/s": 1.0, "km/h": 1 / 3.6},
+    "angle": {"rad": 1.0, "deg": radians(1.0)},
+}
+_AMOUNT = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z/%]*)\s*")
+
+
+def _amount(kind: str, value: Any) -> Any:
+    """Read ``5 min``, ``20 %`` or a plain number in SI units."""
+    if not isinstance(value, str):
+        return value
+    found = _AMOUNT.fullmatch(value)
+    units = _UNITS[kind]
+    if value == "inf" or found is None:
+        return value
+    if found[2] and found[2] not in units:
+        raise ValueError(f"the unit of a {kind} is one of {', '.join(units)}, or none for SI")
+    return float(found[1]) * units.get(found[2], 1.0)
+
+
+Time = Annotated[float, BeforeValidator(partial(_amount, "time"))]
+Power = Annotated[float, BeforeValidator(partial(_amount, "power"))]
+Amps = Annotated[float, BeforeValidator(partial(_amount, "charge"))]
+Mass = Annotated[float, BeforeValidator(partial(_amount, "mass"))]
+Speed = Annotated[float, BeforeValidator(partial(_amount, "speed"))]
+Fraction = Annotated[float, BeforeValidator(partial(_amount, "fraction"))]
+PoseText = str | list[float | str]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _Task(_Strict):
+    name: str
+    pose: PoseText
+    dwell: Time = 0.0
+    power: Power = 0.0
+    payload: Mass = 0.0
+    prize: float = 1.0
+    required: bool = True
+    window: Annotated[list[Time], Field(min_length=2, max_length=2)] = [0.0, inf]
+
+
+class _Charger(_Strict):
+    name: str
+    pose: PoseText
+    power: Power
+    until: Fraction = 0.95
+
+
+class _Battery(_Strict):
+    """A preset or a pack of units, with whatever differs from it."""
+
+    preset: str | None = None
+    chemistry: str | None = None
+    series: int | None = None
+    parallel: int | None = None
+    unit_capacity: Amps | None = None
+    unit_resistance: float | None = None
+    capacity: Amps | None = None
+    resistance: float | None = None
+    pair_resistance: float | None = None
+    pair_time: Time | None = None
+    peukert: float | None = None
+    rated_current: float | None = None
+    charge_efficiency: Fraction | None = None
+    cutoff_voltage: float | None = None
+    cutoff_soc: Fraction | None = None
+    max_voltage: float | None = None
+    max_discharge_current: float | None = None
+    max_charge_current: float | None = None
+    temperature: float | None = None
+    health: Fraction | None = None
+
+
+class _Mission(_Strict):
+    name: str = "mission"
+    vehicle: str | None = None
+    model: str
+    payload_models: dict[str, dict[float, str]] = {}
+    map: str
+    surfaces: str | None = None
+    battery: str | _Battery
+    soc: Fraction = 1.0
+    start: PoseText
+    home: PoseText | None = None
+    places: dict[str, PoseText] = {}
+    tasks: Annotated[list[_Task], Field(min_length=1, max_length=1000)]
+    chargers: Annotated[list[_Charger], Field(max_length=100)] = []
+    payload: Mass = 0.0
+    reserve: float | str = 0.2
+    confidence: Fraction = 0.95
+    coefficient_spread: Fraction = 0.0
+    order: Literal["given", "free"] = "given"
+    return_to: Literal["start", "charger", "any"] = "any"
+    time: Time = 0.0
+    speed: Speed | None = None
+    planner: str = "lattice"
+    planning_time: Time = 1.0
+
+
+def read_mission(path: str | Path) -> Mission:
+    """Read a mission from YAML.
+
+    Numbers are in SI units, or carry one: ``5 min``, ``60 W``, ``36 Ah``, ``20 %``. A pose is
+    ``[x, y, yaw]``, ``"x,y,90deg"`` or the name of one of the `places`. Files are looked for
+    beside the mission, then among those that come with the library. docs/missions lists the keys.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    Mission
+        The mission.
+
+    Raises
+    ------
+    MissionError
+        If the file is malformed, or the mission makes no sense; the message names file, line and
+        key.
+    """
+    return _Reader(load(path, MissionError), Path(path).parent).mission()
+
+
+class _Reader:
+    """Builds a mission; whatever goes wrong gets its place in the file."""
+
+    def __init__(self, document: Document, folder: Path) -> None:
+        self._document = document
+        self._folder = folder
+        self._spec = document.check(_Mission)
+
+    def mission(self) -> Mission:
+        """Return the mission."""
+        spec = self._spec
+        model = self._placed(("model",), self._model, spec.model)
+        if spec.vehicle is not None:
+            vehicle = self._placed(("vehicle",), read_vehicle, self._source(spec.vehicle))
+            model = replace(model, vehicle=vehicle.with_icr(model.vehicle.icr))
+        battery = self._battery()
+        loaded = {
+            name: {
+                payload: self._placed(("payload_models", name), self._model, source)
+                for payload, source in models.items()
+            }
+            for name, models in spec.payload_models.items()
+        }
+        tasks = [
+            self._placed(("tasks", k), self._task, k, task) for k, task in enumerate(spec.tasks)
+        ]
+        chargers = [
+            self._placed(("chargers", k), self._charger, k, charger)
+            for k, charger in enumerate(spec.chargers)
+        ]
+        surfaces = None
+        if spec.surfaces is not None:
+            surfaces = self._placed(("surfaces",), read_surfaces, self._file(spec.surfaces))
+        names = {model.name, *(s.model.name for s in (surfaces.surfaces if surfaces else ()))}
+        for name in loaded:
+            if name not in names:
+                known = ", ".join(sorted(names))
+                raise self._document.fail(
+                    ("payload_models", name), f"the mission has no such model; it has {known}"
+                )
+        return self._placed(
+            (), Mission,
+            model=model,
+            map=self._placed(("map",), read_map, self._file(spec.map)),
+            battery=battery,
+            start=self._pose(spec.start, ("start",)),
+            tasks=tuple(tasks),
+            chargers=tuple(chargers),
+            surfaces=surfaces,
+            payload=spec.payload,
+            payload_models=loaded,
+            soc=spec.soc,
+            reserve=self._reserve(battery),
+            confidence=spec.confidence,
+            coefficient_spread=spec.coefficient_spread,
+            order=spec.order,
+            return_to=spec.return_to,
+            home=None if spec.home is None else self._pose(spec.home, ("home",)),
+            time=spec.time,
+            speed=spec.speed,
+            planner=spec.planner,
+            planning_time=spec.planning_time,
+            name=spec.name,
+        )  # fmt: skip
+
+    def _placed(self, loc: Loc, build: Callable[..., T], *args: Any, **values: Any) -> T:
+        try:
+            return build(*args, **values)
+        except MissionError as problem:
+            if str(problem).startswith(self._document.source):
+                raise
+            raise self._document.fail((*loc, *problem.place), str(problem)) from None
+        except EnergyPlanError as problem:
+            raise self._document.fail(loc, str(problem)) from None
+
+    # -- parts ------------------------------------------------------------------------------------
+
+    def _file(self, name: str) -> Path:
+        beside = self._folder / name
+        return beside if beside.exists() else bundled(name)
+
+    def _source(self, name: str) -> str | Path:
+        """Return the file beside the mission where a file is meant, else the preset's name."""
+        return self._file(name) if name.endswith((".yaml", ".yml")) else name
+
+    def _model(self, name: str) -> PowerModel:
+        return read_model(self._source(name))
+
+    def _task(self, k: int, spec: _Task) -> Task:
+        values = spec.model_dump()
+        values["pose"] = self._pose(spec.pose, ("tasks", k, "pose"))
+        values["window"] = (spec.window[0], spec.window[1])
+        return Task(**values)
+
+    def _charger(self, k: int, spec: _Charger) -> Charger:
+        return Charger(
+            spec.name, self._pose(spec.pose, ("chargers", k, "pose")), spec.power, spec.until
+        )
+
+    def _pose(self, value: PoseText, loc: Loc, named: bool = True) -> Pose:
+        places = self._spec.places
+        if isinstance(value, str):
+            if named and value in places:
+                return self._pose(places[value], ("places", value), named=False)
+            if "," not in value:
+                known = ", ".join(sorted(places)) or "none"
+                raise self._document.fail(
+                    loc, f"there is no place {value!r}; the places are {known}"
+                )
+            value = list(value.split(","))
+        try:
+            if len(value) != 3:
+                raise ValueError(f"{len(value)} numbers")
+            x, y = float(value[0]), float(value[1])
+            return Pose(x, y, float(_amount("angle", value[2])))
+        except ValueError as problem:
+            raise self._document.fail(
+                loc, f"{value} is no pose ({problem}); give x, y [m] and yaw [rad] or as 90deg"
+            ) from None
+
+    def _reserve(self, battery: Battery) -> float:
+        """Return the reserve as a state of charge; an energy is one of the full battery's."""
+        value = self._spec.reserve
+        if not isinstance(value, str):
+            return value
+        try:
+            if value.strip().endswith("%"):
+                return float(_amount("fraction", value))
+            energy = float(_amount("energy", value))
+        except ValueError as problem:
+            raise self._document.fail(
+                ("reserve",), f"{problem}; give a fraction, a percentage or an energy"
+            ) from None
+        grid = np.linspace(0.0, 1.0, 101)
+        whole = battery.available_capacity * float(np.trapezoid(battery.ocv(grid), grid))
+        if energy >= whole:
+            raise self._document.fail(
+                ("reserve",),
+                f"the reserve of {energy / 3600:.0f} Wh is above the battery's capacity of "
+                f"{whole / 3600:.0f} Wh",
+            )
+        return energy / whole
+
+    def _battery(self) -> Battery:
+        spec = self._spec.battery
+        if isinstance(spec, str):
+            return self._placed(("battery",), Battery.preset, spec)
+        given = {key: value for key, value in spec if value is not None}
+        units = {
+            key: given.pop(key)
+            for key in ("chemistry", "series", "parallel", "unit_capacity", "unit_resistance")
+            if key in given
+        }
+        if ("preset" in given) == bool(units):
+            raise self._document.fail(
+                ("battery",),
+                "give a preset, or chemistry, series, parallel, unit_capacity and unit_resistance",
+            )
+        if units:
+            if len(units) < 5:
+                raise self._document.fail(
+                    ("battery",),
+                    "a pack needs chemistry, series, parallel, unit_capacity and unit_resistance",
+                )
+            base = self._placed(("battery",), partial(Battery.from_units, self._spec.name), **units)
+        else:
+            base = self._placed(("battery", "preset"), Battery.preset, given.pop("preset"))
+        changed: Battery = self._placed(("battery",), replace, base, **given)
+        return changed
