@@ -21,6 +21,7 @@ Planner = Callable[..., Plan]
 
 PLANNERS = {
     "lattice": "energyplan.planners.lattice:plan",
+    "roadmap": "energyplan.planners.roadmap:plan",
     "rrtstar": "energyplan.planners.ompl:rrtstar",
     "informed_rrtstar": "energyplan.planners.ompl:informed_rrtstar",
     "bitstar": "energyplan.planners.ompl:bitstar",

@@ -74,7 +74,7 @@ def outline(grid: OccupancyGrid, radius: float) -> Corners:
     if level > 0:
         x, y = (np.arange(n * factor) + 0.5 for n in (columns, rows))
         for line in contourpy.contour_generator(x, y, clearance).lines(level):
-            simple = shapely.simplify(shapely.linestrings(line), tolerance / cell)
+            simple = shapely.simplify(shapely.LineString(np.asarray(line)), tolerance / cell)
             corner = shapely.get_coordinates(simple)
             first.append(corner[:-1])
             last.append(corner[1:])

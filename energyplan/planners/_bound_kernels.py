@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from energyplan._collision import Space
 from energyplan._numba import njit
-from energyplan.planners._search_kernels import angle_between, pop, push
+from energyplan.planners._field_kernels import angle_between, pop, push
 
 
 class Corners(NamedTuple):
@@ -121,7 +121,7 @@ def _supports(corners: Corners, k: int, ux: float, uy: float) -> bool:
     y = corners.point[k, 1]
     one = ux * (corners.before[k, 1] - y) - uy * (corners.before[k, 0] - x)
     two = ux * (corners.after[k, 1] - y) - uy * (corners.after[k, 0] - x)
-    return one * two >= -1e-9
+    return bool(one * two >= -1e-9)
 
 
 @njit
@@ -178,18 +178,18 @@ def least_over_corners(
             return limit
         u = int(at[label])
         if u == goal or count >= most:
-            return f
+            return float(f)
         if cost[label] == inf:
             continue
         g = cost[label]
         h = heading[label]
         for v in range(n):
-            if v == u or v == start:
+            if v == start:
                 continue
             dx = corners.point[v, 0] - corners.point[u, 0]
             dy = corners.point[v, 1] - corners.point[u, 1]
             length = hypot(dx, dy)
-            if length < 1e-12:
+            if length < 1e-12:  # the corner itself, too
                 continue
             rest = hypot(gx - corners.point[v, 0], gy - corners.point[v, 1])
             if g + rates.metre * (length + rest) >= limit or seen[u, v] == 2:
@@ -237,7 +237,7 @@ def least_over_corners(
                 if worse:
                     continue
                 if count >= capacity - 2 or size >= capacity - 2:
-                    return f
+                    return float(f)
                 at[count] = v
                 heading[count] = then
                 cost[count] = gg

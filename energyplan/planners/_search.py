@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from energyplan._steering_kernels import MAX_SEGMENTS
 from energyplan.planners import _search_kernels as kernels
+from energyplan.planners._field_kernels import Field, distance_field
 from energyplan.planners._motion_kernels import Setting, join
 from energyplan.planners._query import Segments
 
@@ -52,7 +53,7 @@ def inscribed(setting: Setting) -> float:
     return max(min(-body.x_min, body.x_max, -body.y_min, body.y_max), 0.0)
 
 
-def field_for(setting: Setting) -> kernels.Field:
+def field_for(setting: Setting) -> Field:
     """Return the distance to go to the goal for the inscribed disc, as far as it is needed."""
     res = setting.space.resolution
     stride = max(int(0.1 / res + 0.5), 1)
@@ -62,10 +63,10 @@ def field_for(setting: Setting) -> kernels.Field:
     start = cell_of(setting, setting.start_x, setting.start_y, stride)
     # where it turns for nothing within this distance, reversing can be cheaper
     far = 2.0 * setting.least_radian / setting.least_metre
-    distance, direction = kernels.distance_field(
+    distance, direction = distance_field(
         setting.space.clearance, stride, radius, *goal, *start, 1.5, AHEAD / res
     )
-    return kernels.Field(distance * np.float32(res), direction, stride * res, far)
+    return Field(distance * np.float32(res), direction, stride * res, far)
 
 
 @dataclass
@@ -87,7 +88,7 @@ class Search:
     """
 
     setting: Setting
-    field: kernels.Field
+    field: Field
     lattice: kernels.Lattice
     weight: float
     limit: float = np.inf

@@ -7,7 +7,7 @@ straight along the heading, a pivot about either tread's ICR, or a spin.
 
 from __future__ import annotations
 
-from math import atan2, cos, floor, hypot, inf, pi, sin
+from math import cos, floor, inf, pi, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from energyplan._collision import motion_free
 from energyplan._numba import njit
+from energyplan.planners._field_kernels import Field, angle_between, pop, push
 from energyplan.planners._motion_kernels import (
     Setting,
     connection,
@@ -50,27 +51,6 @@ class Lattice(NamedTuple):
     turn: float
     headings: int
     step: float
-
-
-class Field(NamedTuple):
-    """Distance to go for a disc, on a grid of its own.
-
-    Attributes
-    ----------
-    distance : ndarray of float32, shape (rows, columns)
-        Distance to the goal [m]; infinite where it cannot be reached.
-    direction : ndarray of float32, shape (rows, columns)
-        Direction in which the way to the goal sets out [rad].
-    spacing : float
-        Distance between its points [m].
-    far : float
-        Distance to the goal beyond which the direction counts [m].
-    """
-
-    distance: NDArray[np.float32]
-    direction: NDArray[np.float32]
-    spacing: float
-    far: float
 
 
 class Tree(NamedTuple):
@@ -115,162 +95,6 @@ class Tree(NamedTuple):
     heap_node: NDArray[np.int32]
     counts: NDArray[np.int64]
     best: NDArray[np.float64]
-
-
-@njit
-def push(
-    heap_f: NDArray[np.float64], heap_node: NDArray[np.int32], size: int, f: float, node: int
-) -> int:
-    """Add an entry to a binary heap and return its new size."""
-    k = size
-    while k > 0:
-        up = (k - 1) >> 1
-        if heap_f[up] <= f:
-            break
-        heap_f[k] = heap_f[up]
-        heap_node[k] = heap_node[up]
-        k = up
-    heap_f[k] = f
-    heap_node[k] = node
-    return size + 1
-
-
-@njit
-def pop(heap_f: NDArray[np.float64], heap_node: NDArray[np.int32], size: int) -> int:
-    """Remove the least entry of a binary heap (read it first) and return the new size."""
-    size -= 1
-    f = heap_f[size]
-    node = heap_node[size]
-    k = 0
-    while True:
-        child = 2 * k + 1
-        if child >= size:
-            break
-        if child + 1 < size and heap_f[child + 1] < heap_f[child]:
-            child += 1
-        if heap_f[child] >= f:
-            break
-        heap_f[k] = heap_f[child]
-        heap_node[k] = heap_node[child]
-        k = child
-    heap_f[k] = f
-    heap_node[k] = node
-    return size
-
-
-@njit
-def angle_between(a: float, b: float) -> float:
-    """Angle between two headings, 0 to pi."""
-    turn = abs(a - b) % (2.0 * pi)
-    return min(turn, 2.0 * pi - turn)
-
-
-@njit
-def distance_field(
-    clearance: NDArray[np.float32],
-    stride: int,
-    radius: float,
-    row: int,
-    column: int,
-    stop_row: int,
-    stop_column: int,
-    margin: float,
-    ahead: float,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the distance of a disc's centre from one point, over 16 neighbours.
-
-    Parameters
-    ----------
-    clearance : ndarray, shape (rows, columns)
-        Distance to the nearest blocked cell [cells].
-    stride : int
-        Every how many cells a point of the field lies.
-    radius : float
-        Radius of the disc [cells]; points with less clearance are blocked.
-    row, column : int
-        Where the distance is zero, in points of the field.
-    stop_row, stop_column : int
-        The field need not reach further than `margin` times the distance of this point.
-    margin : float
-        See above.
-    ahead : float
-        How far ahead directions look [cells].
-
-    Returns
-    -------
-    distance : ndarray of float32
-        Distance [cells]: a lower limit of it where it was not needed, infinite where no disc gets.
-    direction : ndarray of float32
-        Direction of the way at its first `ahead` cells, in the frame of the grid [rad].
-    """
-    rows = (clearance.shape[0] + stride - 1) // stride
-    columns = (clearance.shape[1] + stride - 1) // stride
-    out = np.full((rows, columns), np.float32(inf))
-    direction = np.zeros((rows, columns), np.float32)
-    parent = np.full(rows * columns, -1, np.int32)
-    target = np.full(rows * columns, -1, np.int32)
-    target[row * columns + column] = row * columns + column
-    steps_r = np.array([0, 1, 0, -1, 1, 1, -1, -1, 1, 2, 2, 1, -1, -2, -2, -1])
-    steps_c = np.array([1, 0, -1, 0, 1, -1, 1, -1, 2, 1, -1, -2, -2, -1, 1, 2])
-    capacity = 1 << 16
-    heap_f = np.empty(capacity)
-    heap_node = np.empty(capacity, np.int32)
-    out[row, column] = 0.0
-    size = push(heap_f, heap_node, 0, 0.0, row * columns + column)
-    limit = inf
-    while size > 0:
-        d = heap_f[0]
-        node = heap_node[0]
-        size = pop(heap_f, heap_node, size)
-        r = node // columns
-        c = node % columns
-        if d > out[r, c] + 1e-3:
-            continue
-        if d > limit:
-            break
-        if target[node] < 0:
-            far = target[parent[node]]
-            if d - out[far // columns, far % columns] > 1.25 * ahead:
-                far = node
-                while parent[far] >= 0 and d - out[far // columns, far % columns] < 0.8 * ahead:
-                    far = parent[far]
-            target[node] = far
-            direction[r, c] = atan2(far // columns - r, far % columns - c)
-        if r == stop_row and c == stop_column:
-            limit = margin * d + 40.0
-        for k in range(16):
-            rr = r + steps_r[k]
-            cc = c + steps_c[k]
-            if rr < 0 or cc < 0 or rr >= rows or cc >= columns:
-                continue
-            if clearance[rr * stride, cc * stride] < radius:
-                continue
-            if k >= 8:
-                # a knight's move must not jump over an obstacle
-                half_r = (r + rr) * stride // 2
-                half_c = (c + cc) * stride // 2
-                if clearance[half_r, half_c] < radius:
-                    continue
-            dd = d + stride * hypot(steps_r[k], steps_c[k])
-            if dd < out[rr, cc] - 1e-4:
-                out[rr, cc] = dd
-                parent[rr * columns + cc] = node
-                if size + 1 >= capacity:
-                    capacity *= 2
-                    larger_f = np.empty(capacity)
-                    larger_node = np.empty(capacity, np.int32)
-                    larger_f[:size] = heap_f[:size]
-                    larger_node[:size] = heap_node[:size]
-                    heap_f = larger_f
-                    heap_node = larger_node
-                size = push(heap_f, heap_node, size, dd, rr * columns + cc)
-    if size > 0:
-        # ended early: what was not reached is further than the last distance that was
-        for r in range(rows):
-            for c in range(columns):
-                if out[r, c] > limit and clearance[r * stride, c * stride] >= radius:
-                    out[r, c] = limit
-    return out, direction
 
 
 @njit
