@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from energyplan import steering
+from energyplan._mission_bounds import shortest_ways
 from energyplan._mission_energy import Estimate, Grounds, Regions
 from energyplan._mission_types import Mission
 from energyplan.cost import EnergyCost
 from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitError
 from energyplan.maps import SurfaceMap
-from energyplan.path import FloatArray, Path, Pose, Trajectory
+from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
 from energyplan.planners import PlanningProblem, plan
 from energyplan.power import PowerModel
 from energyplan.speed import profile
@@ -98,6 +100,7 @@ class Legs:
             self.names.append("home")
         self._routes: dict[tuple[int, int], _Route] = {}
         self._legs: dict[tuple[int, int, float], Leg] = {}
+        self._bounds: dict[float, FloatArray] = {}
         self._costs: dict[float, tuple[EnergyCost, SurfaceMap | None]] = {}
 
     def under(self, mission: Mission) -> Legs:
@@ -138,13 +141,31 @@ class Legs:
         return self._costs[payload]
 
     def lower_bounds(self, payload: float) -> FloatArray:
-        """Return the least energy from node to node without obstacles [J], shape (n, n)."""
-        cost, surfaces = self.cost(payload)
-        poses = np.array(self.poses)
-        costs = (cost,) if surfaces is None else surfaces.costs(cost)
-        return np.asarray(
-            np.min([steering.energy(poses[:, None], poses[None, :], c) for c in costs], axis=0)
-        )
+        """Return what it takes at least from node to node [J], shape (n, n).
+
+        The greater of the least energy without obstacles and that of the shortest way round them;
+        infinite where there is no way.
+        """
+        if payload not in self._bounds:
+            cost, surfaces = self.cost(payload)
+            costs = (cost,) if surfaces is None else surfaces.costs(cost)
+            poses = np.array(self.poses)
+            turn = wrap_angle(poses[:, None, 2] - poses[None, :, 2])
+            bounds = [
+                np.maximum(
+                    steering.energy(poses[:, None], poses[None, :], c),
+                    c.lower_bound().energy(self._ways, turn),
+                )
+                for c in costs
+            ]
+            self._bounds[payload] = np.asarray(np.min(bounds, axis=0))
+        return self._bounds[payload]
+
+    @cached_property
+    def _ways(self) -> FloatArray:
+        mission = self.mission
+        points = np.array(self.poses)[:, :2]
+        return shortest_ways(mission.free_map, mission.vehicle, points)
 
     def planned(self, start: int, goal: int) -> bool:
         """Tell whether the route from node to node has been planned."""

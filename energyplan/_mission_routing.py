@@ -138,6 +138,10 @@ class _Search:
         charge.CumulVar(routing.Start(0)).SetValue(int(max(problem.budget, 0.0)))
         for k in range(problem.tasks + 1):
             charge.SlackVar(manager.NodeToIndex(k) if k else routing.Start(0)).SetValue(0)
+        for c, full in enumerate(problem.capacity):
+            node = manager.NodeToIndex(problem.tasks + 1 + c)
+            filled = charge.CumulVar(node) + charge.SlackVar(node)
+            routing.solver().Add(filled <= max(int(full), 0))
 
     def _keep_windows(self, routing: Any, manager: Any, transit: int) -> None:
         problem = self._problem

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
 
@@ -214,7 +215,7 @@ class Mission:
     time: float = 0.0
     speed: float | None = None
     planner: str = "lattice"
-    planning_time: float = 1.0
+    planning_time: float = 0.5
     name: str = "mission"
 
     def __post_init__(self) -> None:
@@ -232,7 +233,8 @@ class Mission:
 
     def __getstate__(self) -> dict[str, object]:
         plain = {key: dict(value) for key, value in self.payload_models.items()}
-        return {**vars(self), "payload_models": plain}
+        kept = {key: value for key, value in vars(self).items() if key != "free_map"}
+        return {**kept, "payload_models": plain}
 
     def _check_names(self) -> None:
         seen = {"start"}
@@ -309,14 +311,14 @@ class Mission:
             (f"charger {c.name!r}", c.pose, ("chargers", k, "pose"))
             for k, c in enumerate(self.chargers)
         ]
-        free = self.map.footprint_free([pose for _, pose, _ in places], self.vehicle)
+        free = self.free_map.footprint_free([pose for _, pose, _ in places], self.vehicle)
         for (label, pose, place), good in zip(places, free, strict=True):
             if good:
                 continue
             where = f"({pose.x:g}, {pose.y:g}, {np.degrees(pose.yaw):.0f} deg)"
             if not self.map.inside(pose[:2]):
                 raise MissionError(f"{label}: {where} lies outside the map", place)
-            near = nearest_free(self.map, self.vehicle, pose)
+            near = nearest_free(self.free_map, self.vehicle, pose)
             hint = "" if near is None else (
                 f"; the nearest free pose found is ({near.x:.2f}, {near.y:.2f}, "
                 f"{np.degrees(near.yaw):.0f} deg)"
@@ -327,6 +329,12 @@ class Mission:
     def vehicle(self) -> Vehicle:
         """The vehicle, without payload."""
         return self.model.vehicle
+
+    @cached_property
+    def free_map(self) -> OccupancyGrid:
+        """The map with the areas to keep out of occupied."""
+        kept = self.surfaces.keep_out if self.surfaces is not None else ()
+        return self.map.with_blocked(kept) if kept else self.map
 
     def resume(
         self,

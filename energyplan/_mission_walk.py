@@ -273,20 +273,23 @@ class Walk:
 
     def attempt_charged(self, state: Condition, task: int) -> Attempt:
         """Try a task, charging before it where it cannot be done otherwise."""
-        direct = self.attempt(state, task)
-        if direct.reason != "battery":
-            return direct
-        best = direct
+        best = self.attempt(state, task)
+        if best.reason != "battery":
+            return best
         for charger in self.legs.chargers:
             docked = self.drive(state, charger) if charger != state.node else state
             if docked is None or not self.holds(docked):
                 continue
             tried = self.attempt(self.charge(docked), task)
-            if tried.reason == "none" and (
-                best.reason != "none" or tried.after.total.mean < best.after.total.mean
-            ):
+            if self._rank(tried) < self._rank(best):
                 best = tried
         return best
+
+    def _rank(self, attempt: Attempt) -> tuple[bool, float]:
+        """Sort what works by energy before what does not by what is missing."""
+        if attempt.reason == "none":
+            return False, attempt.after.total.mean
+        return True, self.shortfall(attempt.safe) if attempt.reason == "battery" else np.inf
 
     def refuge(self, state: Condition) -> tuple[Condition | None, Leg]:
         """Drive to the nearest safe place: home or a charger."""

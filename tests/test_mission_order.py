@@ -1,0 +1,206 @@
+"""Orders against brute force, and the search against the exact solution."""
+
+from __future__ import annotations
+
+from itertools import permutations, product
+
+import numpy as np
+import pytest
+
+from energyplan._mission_order import OrderProblem, solve, solve_exactly
+
+
+def problem(
+    seed: int,
+    tasks: int,
+    *,
+    budget: float = 12.0,
+    chargers: int = 0,
+    windows: bool = False,
+    payload: bool = False,
+    required: float = 0.3,
+) -> OrderProblem:
+    """A random problem; asymmetric energies, dearer with more payload."""
+    rng = np.random.default_rng(seed)
+    size = 1 + tasks + chargers
+    places = rng.uniform(0, 3, (size, 2))
+    base = np.linalg.norm(places[:, None] - places[None], axis=-1)
+    base = base * rng.uniform(1.0, 1.4, base.shape)
+    blocked = rng.uniform(size=base.shape) < 0.05
+    base[blocked & (np.arange(size)[:, None] != np.arange(size))] = np.inf
+    change = rng.uniform(-1, 1, tasks) if payload else np.zeros(tasks)
+
+    def energy(load: float) -> np.ndarray:
+        return base * (1.0 + 0.2 * load)
+
+    window = np.tile([0.0, np.inf], (tasks, 1))
+    if windows:
+        window[:, 0] = rng.uniform(0, 8, tasks)
+        window[:, 1] = window[:, 0] + rng.uniform(2, 8, tasks)
+    return OrderProblem(
+        energy=energy,
+        finish=lambda load: energy(load)[:, 0],
+        time=np.where(np.isfinite(base), base, 1e3),
+        finish_time=np.where(np.isfinite(base[:, 0]), base[:, 0], 1e3),
+        service=rng.uniform(0, 0.5, tasks),
+        service_time=rng.uniform(0, 1.0, tasks),
+        payload=3.0,
+        payload_change=change,
+        prize=rng.integers(1, 6, tasks).astype(float),
+        required=rng.uniform(size=tasks) < required,
+        window=window,
+        budget=budget,
+        capacity=np.full(chargers, 15.0),
+        charge_power=np.full(chargers, 5.0),
+    )
+
+
+def drive(p: OrderProblem, stops: tuple[int, ...]) -> tuple[float, float] | None:
+    """Energy and time of a tour, or None where it cannot be driven; independent of the solver."""
+    left, spent, clock, load, node = p.budget, 0.0, p.start_time, p.payload, 0
+    for stop in stops:
+        use = p.energy(load)[node, stop]
+        clock += p.time[node, stop]
+        if stop <= p.tasks:
+            use += p.service[stop - 1]
+        if use > left:
+            return None
+        left, spent = left - use, spent + use
+        if stop <= p.tasks:
+            earliest, latest = p.window[stop - 1]
+            if clock > latest:
+                return None
+            clock = max(clock, earliest) + p.service_time[stop - 1]
+            load += p.payload_change[stop - 1]
+        else:
+            filled = max(left, p.capacity[stop - 1 - p.tasks])
+            clock += (filled - left) / p.charge_power[stop - 1 - p.tasks]
+            left = filled
+        node = stop
+    home = p.finish(load)[node]
+    return None if home > left else (spent + home, clock + p.finish_time[node])
+
+
+def brute_force(p: OrderProblem) -> tuple[float, float]:
+    """Worth and energy of the best tour, over every order of every subset with every charge."""
+    best = (0.0, 0.0) if drive(p, ()) else (-1.0, np.inf)
+    chargers = range(p.tasks + 1, p.tasks + 1 + len(p.capacity))
+    for count in range(p.tasks + 1):
+        for order in permutations(range(1, p.tasks + 1), count):
+            for charges in product((0, *chargers), repeat=count + 1):
+                stops: list[int] = []
+                for charge, task in zip(charges, (*order, 0), strict=True):
+                    stops += [charge] if charge else []
+                    stops += [task] if task else []
+                driven = drive(p, tuple(stops))
+                if driven is not None:
+                    worth = float(p.worth[[k - 1 for k in order]].sum())
+                    if (-worth, driven[0]) < (-best[0], best[1]):
+                        best = (worth, driven[0])
+    return best
+
+
+def worth_of(p: OrderProblem, stops: tuple[int, ...]) -> float:
+    return float(sum(p.worth[s - 1] for s in stops if s <= p.tasks))
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"tasks": 6, "budget": 6.0},
+        {"tasks": 5, "budget": 9.0, "windows": True},
+        {"tasks": 5, "budget": 9.0, "payload": True},
+        {"tasks": 3, "budget": 4.0, "chargers": 2},
+        {"tasks": 3, "budget": 4.0, "chargers": 1, "windows": True, "payload": True},
+    ],
+    ids=["plain", "windows", "payload", "chargers", "all"],
+)
+def test_equals_brute_force(seed, options):
+    p = problem(seed, **options)
+    order = solve_exactly(p)
+    worth, energy = brute_force(p)
+    assert order.proven
+    assert worth_of(p, order.stops) == pytest.approx(max(worth, 0.0))
+    driven = drive(p, order.stops)
+    if worth >= 0:
+        assert driven is not None
+        assert order.energy == pytest.approx(energy)
+        assert driven[0] == pytest.approx(energy)
+
+
+def test_nine_tasks_equal_the_best_of_all_orders():
+    p = problem(1, 9, budget=1e3, required=1.0)
+    # Without a binding budget the answer is the shortest tour, which Held and Karp give.
+    matrix = p.energy(p.payload)
+    nodes = range(1, 10)
+    table = {(1 << (j - 1), j): matrix[0, j] + p.service[j - 1] for j in nodes}
+    for mask in range(1, 2**9):
+        for j in nodes:
+            if (mask, j) in table:
+                for k in nodes:
+                    if not mask >> (k - 1) & 1:
+                        key = (mask | 1 << (k - 1), k)
+                        value = table[mask, j] + matrix[j, k] + p.service[k - 1]
+                        table[key] = min(table.get(key, np.inf), value)
+    best = min(table[2**9 - 1, j] + matrix[j, 0] for j in nodes)
+    order = solve(p)
+    assert sorted(order.stops) == list(nodes)
+    assert order.energy == pytest.approx(best)
+
+
+def test_a_charger_is_visited_only_where_it_pays():
+    energy = np.array(
+        [[0, 4, 9, 1], [4, 0, 9, 9], [9, 9, 0, 9], [1, 9, 9, 0]], float
+    )  # start, two tasks, charger
+    common = {
+        "energy": lambda load: energy, "finish": lambda load: energy[:, 0], "time": energy,
+        "finish_time": energy[:, 0], "service": np.zeros(2), "service_time": np.zeros(2),
+        "payload": 0.0, "payload_change": np.zeros(2), "prize": np.ones(2),
+        "required": np.zeros(2, bool), "window": np.tile([0.0, np.inf], (2, 1)),
+        "capacity": np.array([20.0]), "charge_power": np.array([1.0]),
+    }  # fmt: skip
+    enough = solve_exactly(OrderProblem(**common, budget=22.0))
+    assert enough.stops in ((1, 2), (2, 1))
+    low = solve_exactly(OrderProblem(**common, budget=9.0))
+    # Charge (1), second task (9), back to charge (9), first task (9), home (4).
+    assert low.stops == (3, 2, 3, 1)
+    assert low.energy == 1 + 9 + 9 + 9 + 4
+
+
+def test_required_tasks_come_before_any_prize():
+    energy = np.full((3, 3), 5.0)
+    np.fill_diagonal(energy, 0.0)
+    p = OrderProblem(
+        energy=lambda load: energy, finish=lambda load: energy[:, 0], time=energy,
+        finish_time=energy[:, 0], service=np.zeros(2), service_time=np.zeros(2), payload=0.0,
+        payload_change=np.zeros(2), prize=np.array([1.0, 1e6]), required=np.array([True, False]),
+        window=np.tile([0.0, np.inf], (2, 1)), budget=10.0, capacity=np.zeros(0),
+        charge_power=np.zeros(0),
+    )  # fmt: skip
+    assert solve_exactly(p).stops == (1,)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_search_comes_close_to_the_exact_order(seed):
+    pytest.importorskip("ortools")
+    from energyplan._mission_routing import solve_by_search
+
+    p = problem(seed, 8, budget=7.0, chargers=1)
+    # Whole joules: bring the energies to a size at which rounding does not matter.
+    scaled = OrderProblem(
+        **{
+            **vars(p),
+            "energy": lambda load: 1e4 * p.energy(load),
+            "finish": lambda load: 1e4 * p.finish(load),
+            "service": 1e4 * p.service,
+            "budget": 1e4 * p.budget,
+            "capacity": 1e4 * p.capacity,
+            "charge_power": 1e4 * p.charge_power,
+        }
+    )
+    exact = solve_exactly(scaled)
+    found = solve_by_search(scaled, time_limit=0.5)
+    assert drive(scaled, found.stops) is not None
+    assert worth_of(scaled, found.stops) >= 0.95 * worth_of(scaled, exact.stops)
+    assert not found.proven
