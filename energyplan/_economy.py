@@ -15,10 +15,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan._ladder import Ladder, Runs
+from energyplan._numba import njit
 from energyplan.path import FloatArray
 
 TIE = 1e-9
 """Relative difference of cost below which the faster choice wins."""
+
+
+@njit
+def cheapest(
+    gains: FloatArray,
+    power: FloatArray,
+    rate: FloatArray,
+    kind: NDArray[np.int_],
+    nu: FloatArray,
+    price: float,
+    tie: float,
+) -> FloatArray:
+    """Acceleration of least ``(P + price - nu r) / a`` on each rung of each run, shape (m, n).
+
+    `gains` and `power` have shape (grades, m, kinds), the greatest acceleration first, `rate` has
+    shape (m, kinds). Of equal costs the greatest acceleration wins.
+    """
+    grades, rungs, _ = gains.shape
+    chosen = np.empty((rungs, len(kind)))
+    for j in range(rungs):
+        for i in range(len(kind)):
+            k = kind[i]
+            worth = price - nu[i] * rate[j, k]
+            least, scale = np.inf, abs(price)
+            for g in range(grades):
+                least = min(least, (power[g, j, k] + worth) / gains[g, j, k])
+                scale = max(scale, abs(power[g, j, k]))
+            enough = least + tie * scale / gains[0, j, k]
+            for g in range(grades):
+                if (power[g, j, k] + worth) / gains[g, j, k] <= enough:
+                    chosen[j, i] = gains[g, j, k]
+                    break
+    return chosen
 
 
 class Choice(NamedTuple):
@@ -115,19 +149,11 @@ class Economy:
         self, price: float, kind: NDArray[np.int_], nu: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Acceleration and deceleration of least cost on each rung, shape (m, n)."""
-        chosen = []
-        for gains, power in (self._up, self._down):
-            best = np.empty((gains.shape[1], len(kind)))
-            for part in np.array_split(np.arange(len(kind)), 1 + len(kind) // 64):
-                tried = gains[:, :, kind[part]]
-                worth = power[:, :, kind[part]] + price - nu[part] * self._middle[:, kind[part]]
-                cost = worth / tried
-                scale = np.abs(power[:, :, kind[part]]).max(axis=0) + abs(price)
-                fine = cost <= cost.min(axis=0) + TIE * scale / tried[0]
-                first = np.argmax(fine, axis=0)
-                best[:, part] = np.take_along_axis(tried, first[None], axis=0)[0]
-            chosen.append(best)
-        return chosen[0], chosen[1]
+        up, down = (
+            cheapest(gains, power, self._middle, kind, nu, price, TIE)
+            for gains, power in (self._up, self._down)
+        )
+        return up, down
 
     def _distance(
         self, kind: NDArray[np.int_], rung: NDArray[np.int_], up: FloatArray, down: FloatArray

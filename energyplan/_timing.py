@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan._ladder import Ladder
+from energyplan._timing_kernels import lay_phases, limit_corners
 from energyplan.path import FloatArray, Path, Trajectory
 
 
@@ -78,36 +79,16 @@ class Course:
         cruise : ndarray, shape (n,)
             Largest rate on each run [m/s].
         """
-        nodes = self._corner_squares(ladder, cruise)
-        parts = [
-            _run_phases(ladder, k, self.length[k], nodes[k], nodes[k + 1], cruise[k] ** 2)
-            for k in range(len(self.length))
-        ]
-        run = np.repeat(np.arange(len(parts)), [part.shape[1] for part in parts])
-        at, rate, gain, time = np.concatenate(parts, axis=1)
-        keep = time > 1e-12
-        return Phases(run[keep], at[keep], rate[keep], gain[keep], time[keep])
-
-    def _corner_squares(self, ladder: Ladder, cruise: FloatArray) -> FloatArray:
-        """Squared rates at the corners: a pass forwards, then one backwards.
-
-        The rates at start and end are given; cruising begins after and ends before them.
-        """
         top = ladder.rate[-1]
+        # The rates at start and end are given; cruising begins after and ends before them.
         cap = np.concatenate([top[:1], np.minimum(cruise[:-1], cruise[1:]), top[-1:]])
-        nodes: FloatArray = np.minimum(self.corner, cap) ** 2
+        nodes = np.minimum(self.corner, cap) ** 2
         square, climb, descent = ladder.square, ladder.climb, ladder.descent
-        for k, length in enumerate(self.length):
-            if nodes[k + 1] > 0:
-                start = np.interp(nodes[k], square[:, k], climb[:, k])
-                reach = np.interp(start + length, climb[:, k], square[:, k])
-                nodes[k + 1] = min(nodes[k + 1], reach)
-        for k in range(len(self.length) - 1, -1, -1):
-            if nodes[k] > 0:
-                stop = np.interp(nodes[k + 1], square[:, k], descent[:, k])
-                reach = np.interp(stop + self.length[k], descent[:, k], square[:, k])
-                nodes[k] = min(nodes[k], reach)
-        return nodes
+        limit_corners(square, climb, descent, self.length, nodes)
+        run, rows = lay_phases(
+            square, ladder.up, ladder.down, climb, descent, self.length, nodes, cruise**2
+        )
+        return Phases(run, *rows)
 
     def sample(self, phases: Phases, period: float) -> Sampled:
         """Sample the motion at the ends of the phases and at least every `period` [s].
@@ -192,54 +173,3 @@ def _crowded(t: FloatArray, run: NDArray[np.int_], at: FloatArray) -> NDArray[np
     corner[-1] = True
     near = np.append(close, False) | np.append(False, close)
     return np.asarray(near & ~corner)
-
-
-def _run_phases(
-    ladder: Ladder, k: int, length: float, first: float, last: float, cruise: float
-) -> FloatArray:
-    """Climb, cruise and descend: rows at, rate, gain, time of one run's phases.
-
-    `first`, `last` and `cruise` are squared rates.
-    """
-    square, climb, descent = ladder.square[:, k], ladder.climb[:, k], ladder.descent[:, k]
-    faster, slower = (square, ladder.up[:, k]), (square, ladder.down[:, k])
-    begin = float(np.interp(first, square, climb))
-    end = float(np.interp(last, square, descent))
-    peak = min(float(np.interp(length + begin + end, climb + descent, square)), cruise)
-    before = _steps(*faster, first, peak) if peak >= first else _back(*slower, peak, first)
-    after = _back(*slower, last, peak) if peak >= last else _steps(*faster, peak, last)
-    if before[2].sum() + after[2].sum() > length * (1 + 1e-9):
-        # Too short to slow down to the cruising rate in between.
-        peak = max(first, last)
-        before, after = _steps(*faster, first, peak), _back(*slower, last, peak)
-    rest = max(length - before[2].sum() - after[2].sum(), 0.0)
-    fast = np.sqrt(peak)
-    level = np.array([[fast], [0.0], [rest], [rest / fast]])
-    rows = _merge(np.concatenate([before, level, after], axis=1))
-    at = np.concatenate([[0.0], np.cumsum(rows[2])[:-1]])
-    return np.array([at, rows[0], rows[1], rows[3]])
-
-
-def _steps(square: FloatArray, gain: FloatArray, low: float, high: float) -> FloatArray:
-    """Rows rate, gain, distance, time of the climb from squared rate `low` to `high`."""
-    inner = (square > low) & (square < high)
-    knots = np.concatenate([[low], square[inner], [high]])
-    rung = np.clip(np.searchsorted(square, 0.5 * (knots[:-1] + knots[1:])) - 1, 0, len(gain) - 1)
-    rate = np.sqrt(knots)
-    distance = np.diff(knots) / (2 * gain[rung])
-    return np.array([rate[:-1], gain[rung], distance, np.diff(rate) / gain[rung]])
-
-
-def _back(square: FloatArray, gain: FloatArray, low: float, high: float) -> FloatArray:
-    """Rows rate, gain, distance, time of the descent from squared rate `high` to `low`."""
-    rate, rise, distance, time = _steps(square, gain, low, high)[:, ::-1]
-    return np.array([rate + rise * time, -rise, distance, time])
-
-
-def _merge(rows: FloatArray) -> FloatArray:
-    """Join neighbouring phases of equal acceleration."""
-    rows = rows[:, rows[3] > 0]
-    fresh = np.concatenate([[True], np.abs(np.diff(rows[1])) > 1e-9 * np.abs(rows[1][1:])])
-    place = np.flatnonzero(fresh)
-    summed = np.add.reduceat(rows[2:], place, axis=1)
-    return np.vstack([rows[:2, place], summed])

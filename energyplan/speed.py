@@ -17,6 +17,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
 
 from energyplan._economy import Choice, Economy
 from energyplan._ladder import Ladder, Runs
@@ -260,25 +261,32 @@ class _Task:
                 )
 
     def _lasting(self, economy: Economy, quick: Choice, duration: float) -> Phases:
-        """Bisect the price of time, then a cap on the speed, until the duration fits."""
-        low, high = -np.arcsinh(DEAREST), np.arcsinh(DEAREST)
-        choice = quick
-        for _ in range(30):
-            middle = 0.5 * (low + high)
-            tried = self._choice(economy, float(np.sinh(middle)))
-            if self._drive(tried).duration > duration:
-                low = middle
-            else:
-                high, choice = middle, tried
+        """Search the price of time, then a cap on the speed, until the duration fits."""
+        best, longest = quick, 0.0
+
+        def excess(logprice: float) -> float:
+            nonlocal best, longest
+            tried = self._choice(economy, float(np.sinh(logprice)))
+            taken = self._drive(tried).duration
+            if longest < taken <= duration:
+                best, longest = tried, taken
+            return float(np.log(taken / duration))
+
+        top = float(np.arcsinh(DEAREST))
+        if excess(top) < 0 < excess(-top):
+            brentq(excess, -top, top, xtol=1e-3)
+
         # What remains is a jump between two choices: slow the faster one down evenly.
-        slow, fast = 0.0, float(choice.cruise.max())
-        for _ in range(60):
-            cap = 0.5 * (slow + fast)
-            if self._drive(choice, cap).duration > duration:
-                slow = cap
-            else:
-                fast = cap
-        return self._drive(choice, fast)
+        def late(cap: float) -> float:
+            return float(np.log(self._drive(best, cap).duration / duration))
+
+        fast = float(best.cruise.max())
+        slow = 0.5 * fast
+        while late(slow) < 0:
+            slow *= 0.5
+        if late(fast) >= 0:
+            return self._drive(best)
+        return self._drive(best, brentq(late, slow, fast, xtol=1e-15, rtol=1e-13))
 
     def drawn(self, sampled: Sampled) -> list[FloatArray]:
         """Shaft power that each side draws [W]."""

@@ -6,6 +6,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import linprog
 from scipy.sparse import diags_array, vstack
 
+from energyplan import _timing_kernels
+from energyplan._economy import cheapest
 from energyplan.effects import term
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
 from energyplan.feasibility import check
@@ -99,6 +101,57 @@ def least_cost_dp(model, ds, dtheta, price=0.0, cells=100, levels=400):
     return float(value[0])
 
 
+# -- kernels against plain twins ----------------------------------------------------------------
+
+
+def test_phases_are_laid_alike_compiled_and_plain():
+    rng = np.random.default_rng(8)
+    rungs, runs = 5, 6
+    square = np.vstack([np.zeros(runs), np.cumsum(rng.uniform(0, 0.4, (rungs, runs)), axis=0)])
+    up, down = rng.uniform(0.2, 2, (2, rungs, runs))
+    climb, descent = (
+        np.vstack([np.zeros(runs), np.cumsum(np.diff(square, axis=0) / (2 * gain), axis=0)])
+        for gain in (up, down)
+    )
+    length, cruise = rng.uniform(0.05, 2, runs), rng.uniform(0.2, 1, runs) * square[-1]
+    nodes = np.append(0.0, rng.uniform(0, 0.2, runs)) * (rng.random(runs + 1) > 0.3)
+    plain = nodes.copy()
+    _timing_kernels.limit_corners(square, climb, descent, length, nodes)
+    _timing_kernels.limit_corners.py_func(square, climb, descent, length, plain)
+    assert np.allclose(nodes, plain, rtol=1e-14)
+    tables = square, up, down, climb, descent, length, nodes, cruise
+    run, rows = _timing_kernels.lay_phases(*tables)
+    run_plain, rows_plain = _timing_kernels.lay_phases.py_func(*tables)
+    assert np.array_equal(run, run_plain)
+    assert np.allclose(rows, rows_plain, rtol=1e-12, atol=1e-15)
+    _at, rate, gain, time = rows
+    covered = np.bincount(run, rate * time + 0.5 * gain * time**2)
+    assert np.allclose(covered, length, rtol=1e-12)
+    final = rate + gain * time
+    assert np.allclose(final[:-1], rate[1:], atol=1e-12)
+    assert np.allclose(rate[np.searchsorted(run, np.arange(runs))], np.sqrt(nodes[:-1]))
+
+
+def test_interpolation_is_that_of_numpy():
+    known, value = np.array([0.0, 0.5, 0.5, 2.0]), np.array([1.0, 2.0, 2.0, 5.0])
+    for x in (-1.0, 0.0, 0.2, 0.5, 1.1, 2.0, 3.0):
+        assert _timing_kernels.interpolate(x, known, value) == np.interp(x, known, value)
+
+
+def test_the_cheapest_acceleration_is_that_of_a_full_search():
+    rng = np.random.default_rng(9)
+    gains = -np.sort(-rng.uniform(0.1, 2, (7, 5, 3)), axis=0)
+    power, rate = rng.normal(100, 60, (7, 5, 3)), rng.uniform(0.1, 1, (5, 3))
+    kind, nu, price = np.array([2, 0, 1, 1]), rng.uniform(0, 200, 4), 20.0
+    cost = (power[:, :, kind] + price - nu * rate[:, kind]) / gains[:, :, kind]
+    best = np.take_along_axis(gains[:, :, kind], np.argmin(cost, axis=0)[None], axis=0)[0]
+    for kernel in (cheapest, cheapest.py_func):
+        assert np.array_equal(kernel(gains, power, rate, kind, nu, price, 1e-12), best)
+    flat = np.full_like(power, 50.0)
+    ties = cheapest(gains, flat * 0, rate, kind, nu * 0, 0.0, 1e-9)
+    assert np.array_equal(ties, gains[0][:, kind])
+
+
 # -- least time ---------------------------------------------------------------------------------
 
 
@@ -161,7 +214,7 @@ def test_power_limited_acceleration_agrees_with_integrating_the_equation_of_moti
 @pytest.mark.parametrize("objective", ["time", "energy"])
 def test_every_profile_is_within_all_limits(model, objective):
     rng = np.random.default_rng(7)
-    for _ in range(6):
+    for _ in range(4):
         path = random_path(rng)
         vehicle = with_motor(
             peak_power=float(rng.uniform(150, 500)),
