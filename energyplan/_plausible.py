@@ -37,6 +37,8 @@ class Offset:
         The same as logged.
     sign : int
         Sign of the relation at that offset.
+    duration : float
+        Length of the stretches compared [s].
     """
 
     channel: str
@@ -44,11 +46,16 @@ class Offset:
     explained: float
     before: float
     sign: int
+    duration: float
 
     @property
     def certain(self) -> bool:
-        """Whether the shift explains clearly more."""
-        return self.explained > 0.3 and 1 - self.before > 1.15 * (1 - self.explained)
+        """Whether the shift explains clearly more, over a long enough time."""
+        return (
+            self.duration >= 30.0
+            and self.explained > 0.3
+            and 1 - self.before > 1.15 * (1 - self.explained)
+        )
 
 
 def find_offset(
@@ -87,17 +94,21 @@ def find_offset(
     Offset or None
         The offset; None where the log is too short or does not move.
     """
-    step = float(np.median(np.diff(t)))
+    long = [run for run in runs if t[run][-1] - t[run][0] >= 4 * largest]
+    if not long:
+        return None
+    # Where most samples crowd together the grid must not grow without bound.
+    spread = sum(float(t[run][-1] - t[run][0]) for run in long) / (4 * len(t))
+    step = max(float(np.median(np.diff(t))), spread)
     lags = round(largest / step)
+    if lags < 1:
+        return None
     columns = [*regressors, np.ones(len(t))] if centred else list(regressors)
     size = len(columns)
     cross, gram = np.zeros((2 * lags + 1, size)), np.zeros((2 * lags + 1, size, size))
     square = total = count = 0.0
-    for run in runs:
-        span = float(t[run][-1] - t[run][0])
-        if lags < 1 or span < 4 * largest:
-            continue
-        grid = t[run][0] + step * np.arange(int(span / step) + 1)
+    for run in long:
+        grid = t[run][0] + step * np.arange(int((t[run][-1] - t[run][0]) / step) + 1)
         # The channel's samples that every lag can reach; the regressors move past them.
         y = np.interp(grid, t[run], values[run])[lags:-lags]
         X = np.stack([np.interp(grid, t[run], column[run]) for column in columns])
@@ -128,6 +139,7 @@ def find_offset(
         float(explained[best]),
         float(explained[lags]),
         int(np.sign(weights[best, 0])),
+        count * step,
     )
 
 
@@ -280,7 +292,7 @@ def check_power(
                 "the more"
             )
     offset = find_offset("power", t, power, power_regressors(channels, runs), runs)
-    if offset is not None and offset.certain and offset.explained > 0.5:
+    if offset is not None and offset.certain and offset.explained > 0.75:
         told.append(_offset_warning(offset))
     return told
 

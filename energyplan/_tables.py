@@ -8,7 +8,8 @@ import io
 import warnings
 import zlib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
@@ -105,21 +106,56 @@ def read_table(path: str | Path, error: type[InvalidInputError]) -> Table:
         If a Parquet file is read without pyarrow.
     """
     file = Path(path)
-    suffix = file.suffix.lower()
-    try:
-        if suffix in (".parquet", ".pq"):
+    with _reading(file, error):
+        if _suffix(file, error) == ".parquet":
             return _read_parquet(file, error)
-        if suffix == ".gz":
-            with file.open("rb") as raw:
-                return _read_csv(_Unzipped(raw, file, error), file, error)
-        if suffix == ".csv":
-            if file.stat().st_size > MAX_BYTES:
-                raise error(f"{file} is larger than {MAX_BYTES >> 20} MiB; split it")
-            with file.open("rb") as raw:
-                return _read_csv(raw, file, error)
+        with file.open("rb") as raw:
+            return _read_csv(_plain(raw, file, error), file, error)
+
+
+def column_names(path: str | Path, error: type[InvalidInputError]) -> list[str]:
+    """Return the column names of a CSV or gzipped CSV file, which is read no further.
+
+    Raises
+    ------
+    InvalidInputError
+        As the given `error`: the file is missing, of another kind, or its first line is malformed.
+    """
+    file = Path(path)
+    with _reading(file, error):
+        if _suffix(file, error) == ".parquet":
+            raise error(f"{file} is no CSV file")
+        with file.open("rb") as raw:
+            return _header(_plain(raw, file, error).readline(MAX_HEADER + 1), file, error)
+
+
+@contextmanager
+def _reading(file: Path, error: type[InvalidInputError]) -> Iterator[None]:
+    """Name the file in what the operating system complains of."""
+    try:
+        yield
     except OSError as problem:
         raise error(f"{file} cannot be read: {problem.strerror or problem}") from None
-    raise error(f"{file} is of an unknown type; give a .csv, .csv.gz or .parquet file")
+    except ValueError as problem:
+        if isinstance(problem, InvalidInputError):
+            raise
+        raise error(f"{str(file)!r} cannot be read: {problem}") from None
+
+
+def _suffix(file: Path, error: type[InvalidInputError]) -> str:
+    suffix = {".pq": ".parquet"}.get(file.suffix.lower(), file.suffix.lower())
+    if suffix not in (".csv", ".gz", ".parquet"):
+        raise error(f"{file} is of an unknown type; give a .csv, .csv.gz or .parquet file")
+    return suffix
+
+
+def _plain(raw: BinaryIO, file: Path, error: type[InvalidInputError]) -> BinaryIO:
+    """Return the file's text as bytes, decompressed where need be."""
+    if file.suffix.lower() == ".gz":
+        return io.BufferedReader(_Unzipped(raw, file, error))
+    if file.stat().st_size > MAX_BYTES:
+        raise error(f"{file} is larger than {MAX_BYTES >> 20} MiB; split it")
+    return raw
 
 
 class _Unzipped(io.RawIOBase):
@@ -186,8 +222,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _read_csv(raw: BinaryIO | io.RawIOBase, file: Path, error: type[InvalidInputError]) -> Table:
-    stream = io.BufferedReader(raw) if isinstance(raw, io.RawIOBase) else raw
+def _read_csv(stream: BinaryIO, file: Path, error: type[InvalidInputError]) -> Table:
     names = _header(stream.readline(MAX_HEADER + 1), file, error)
     most = MAX_CELLS // len(names)
     try:

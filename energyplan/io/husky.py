@@ -1,0 +1,259 @@
+"""Drives of a Clearpath Husky A200 as BorealTC records them, turned into drive logs.
+
+A drive is a file ``pro_NN.csv`` with ``time`` [s], ``curL``, ``curR`` [A], ``velL``, ``velR`` [m/s]
+and mostly a file ``imu_NN.csv`` with ``time``, ``wx``, ``wy``, ``wz`` [rad/s], ``ax``, ``ay``,
+``az`` [m/s^2] from a clock of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import pi
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from energyplan._logchecks import find_runs
+from energyplan._plausible import Offset, find_offset
+from energyplan._tables import Table, column_names, read_table
+from energyplan.drivelog import DriveLog, SetAside
+from energyplan.errors import DriveLogError
+from energyplan.path import FloatArray
+
+WHEEL_COLUMNS = ("time", "curL", "curR", "velL", "velR")
+"""Columns of a wheel file."""
+_CREDIBLE = 0.3  # share of the yaw rate's variance from which a clock offset is believed
+
+
+@dataclass(frozen=True)
+class HuskyDrive:
+    """The drive train, as far as the conversion of current to power needs it.
+
+    Parameters
+    ----------
+    back_emf : float
+        Motor constant [V s/rad], which is also its torque constant [N m/A].
+    gear : float
+        Reduction from motor to wheel.
+    wheel_radius : float
+        Wheel radius [m].
+    dead_band : float
+        Smallest current that the sensor tells from nothing [A]; of a motor that generates it reads
+        no more than this.
+    quantum : float
+        Step of the speed readings [m/s].
+    """
+
+    back_emf: float = 0.141 / pi
+    gear: float = 78.71
+    wheel_radius: float = 0.165
+    dead_band: float = 0.59
+    quantum: float = 1 / 127
+
+    @property
+    def power_per_current(self) -> float:
+        """Mechanical power per ampere and tread speed [V s/m]: 21.4 for a Husky."""
+        return self.back_emf * self.gear / self.wheel_radius
+
+
+def read_husky(
+    wheels: str | Path,
+    imu: str | Path | None = None,
+    *,
+    drive: HuskyDrive | None = None,
+    blind: Literal["keep", "drop"] = "keep",
+    largest_offset: float = 2.0,
+) -> DriveLog:
+    """Read a drive of a Husky.
+
+    The mechanical power of a side is motor constant times current times tread speed. Currents in
+    the dead band count as half of it. The clock offset of the IMU is the one at which its yaw rate
+    follows the tread speeds best; its readings are then averaged around each wheel sample.
+
+    The sensors read nothing while a motor generates, as the inner one may in an arc. Such samples
+    tell no more than that a side draws less than the dead band; `set_aside` counts them.
+
+    Parameters
+    ----------
+    wheels : str or Path
+        The file ``pro_NN.csv``.
+    imu : str or Path, optional
+        The file ``imu_NN.csv``; the one beside `wheels` where not given and there is one.
+    drive : HuskyDrive, optional
+        The drive train.
+    blind : {"keep", "drop"}
+        What to do with samples of arcs in which the inner motor reads nothing: ``keep`` takes its
+        power as zero, which is what a drive draws that takes no power back; ``drop`` leaves them
+        out, for a model of what the treads need.
+    largest_offset : float
+        Longest clock offset looked for [s].
+
+    Returns
+    -------
+    DriveLog
+        Channels ``t``, ``v_left``, ``v_right``, ``p_left``, ``p_right``; with an IMU ``yaw_rate``
+        and ``accel_x``. `set_aside` counts what was mended or left out, `warnings` states the clock
+        offset and what the sensors cannot tell.
+
+    Raises
+    ------
+    DriveLogError
+        If a file is malformed; the message names file, line and column.
+
+    References
+    ----------
+    LaRocque et al. (2024), arXiv 2403.16877.
+    """
+    train = drive or HuskyDrive()
+    table = read_table(wheels, DriveLogError)
+    t, current_left, current_right, left, right = (_bounded(table, name) for name in WHEEL_COLUMNS)
+    channels = {"t": t, "v_left": left, "v_right": right}
+    aside: list[SetAside] = []
+    for name, current, speed in (
+        ("p_left", current_left, left), ("p_right", current_right, right)
+    ):  # fmt: skip
+        faint = current <= train.dead_band
+        drawn = np.where(faint, 0.5 * train.dead_band, current)
+        channels[name] = train.power_per_current * drawn * np.abs(speed)
+        reason = f"{name}: current within the dead band of {train.dead_band:g} A; half of it taken"
+        _note(aside, table, faint & (speed != 0), reason)
+    channels = {name: np.array(values) for name, values in channels.items()}
+    inner = _blind_inner(left, right, current_left, current_right, train)
+    channels["p_left"][inner.left] = 0.0
+    channels["p_right"][inner.right] = 0.0
+    fate = "taken as drawing nothing" if blind == "keep" else "left out"
+    lost = inner.left | inner.right
+    _note(aside, table, lost, f"the inner motor of an arc reads nothing and may generate; {fate}")
+    warnings = [
+        f"speeds come in steps of {train.quantum:.4f} m/s",
+        "the current sensors see no direction: what a motor gives back while it generates or "
+        "brakes cannot be told",
+    ]
+    file = _beside(Path(wheels), imu)
+    if file is None:
+        warnings.append("there is no IMU: nothing tells the yaw rate, and so the tread ICRs")
+    else:
+        readings = read_table(file, DriveLogError)
+        channels |= _inertial(readings, t, right - left, largest_offset, warnings)
+    rows = np.arange(len(t))
+    if blind == "drop":
+        rows = rows[~lost]
+        channels = {name: values[rows] for name, values in channels.items()}
+    label = "/".join(Path(wheels).parts[-2:])
+    log = DriveLog.from_columns(channels, label, lambda k: table.place(int(rows[k])))
+    return replace(log, set_aside=(*aside, *log.set_aside), warnings=(*warnings, *log.warnings))
+
+
+def _bounded(table: Table, name: str) -> FloatArray:
+    """Return a column without readings so large that they would overflow."""
+    values = table.column(name)
+    return np.where(np.abs(values) < 1e12, values, np.nan)
+
+
+def _note(aside: list[SetAside], table: Table, chosen: NDArray[np.bool_], reason: str) -> None:
+    """Count samples."""
+    some = np.flatnonzero(chosen)
+    if len(some):
+        names = ", ".join(table.place(int(k)) for k in some[:3])
+        where = f"{names}, ..." if len(some) > 3 else names
+        aside.append(SetAside(reason, len(some), where))
+
+
+class _Blind(NamedTuple):
+    """Samples at which the left or the right motor is the inner one and reads nothing."""
+
+    left: NDArray[np.bool_]
+    right: NDArray[np.bool_]
+
+
+def _blind_inner(
+    left: FloatArray,
+    right: FloatArray,
+    current_left: FloatArray,
+    current_right: FloatArray,
+    train: HuskyDrive,
+) -> _Blind:
+    slow_left, slow_right = np.abs(left), np.abs(right)
+    # Beyond rounding, both treads roll the same way at different speeds.
+    step = 1.5 * train.quantum
+    arc = (left * right > 0) & (np.minimum(slow_left, slow_right) > step)
+    return _Blind(
+        arc & (slow_right - slow_left > step) & (current_left <= train.dead_band),
+        arc & (slow_left - slow_right > step) & (current_right <= train.dead_band),
+    )
+
+
+def _beside(wheels: Path, imu: str | Path | None) -> Path | None:
+    """Return the IMU file: the one named, or the one that belongs to the wheel file."""
+    if imu is not None:
+        return Path(imu)
+    file = wheels.with_name(wheels.name.replace("pro_", "imu_", 1))
+    return file if file != wheels and file.is_file() else None
+
+
+def _inertial(
+    imu: Table, t: FloatArray, difference: FloatArray, largest: float, warnings: list[str]
+) -> dict[str, FloatArray]:
+    """Yaw rate and forward acceleration at the times of the wheel samples; NaN where unknown."""
+    clock, rate, forward = (_bounded(imu, name) for name in ("time", "wz", "ax"))
+    bad = ~(np.isfinite(clock) & np.isfinite(rate) & np.isfinite(forward))
+    if np.any(bad) or len(clock) < 3 or np.any(np.diff(clock) <= 0):
+        k = int(np.argmax(bad if np.any(bad) else np.append(False, np.diff(clock) <= 0)))
+        raise DriveLogError(
+            f"{imu.source}, {imu.place(k)}: time must increase, and wz and ax must be finite, over "
+            "three rows or more; repair the file or read the drive without it"
+        )
+    offset = _clock_offset(clock, rate, t, difference, largest)
+    seconds = 0.0
+    if offset is None:
+        warnings.append(
+            "the turning is too steady to tell the IMU's clock offset; taken as zero, it may be a "
+            "second or more"
+        )
+    else:
+        seconds = offset.seconds
+        way = "behind" if seconds > 0 else "ahead of"
+        warnings.append(
+            f"the IMU's clock is {abs(seconds):.3f} s {way} the wheels'; set right (its yaw rate "
+            f"then explains {offset.explained:.3f} of the variance, {offset.before:.3f} as logged)"
+        )
+    half = 0.5 * float(np.median(np.diff(t)))
+    edges = np.stack([t - half, t + half]) + seconds
+    inside = (edges[0] >= clock[0]) & (edges[1] <= clock[-1])
+    found = {}
+    for name, values in (("yaw_rate", rate), ("accel_x", forward)):
+        steps = 0.5 * np.diff(clock) * (values[1:] + values[:-1])
+        integral = np.concatenate([[0.0], np.cumsum(steps)])
+        low, high = np.interp(edges, clock, integral)
+        found[name] = np.where(inside, (high - low) / (2 * half), np.nan)
+    return found
+
+
+def _clock_offset(
+    clock: FloatArray, rate: FloatArray, t: FloatArray, difference: FloatArray, largest: float
+) -> Offset | None:
+    """Find by how much the IMU's clock lags behind the wheels', if the drive tells."""
+    common = (clock >= t[0]) & (clock <= t[-1])
+    count = int(np.count_nonzero(common))
+    if count < 3:
+        return None
+    now = clock[common]
+    regressor = np.interp(now, t, difference)
+    if np.std(regressor) < 0.02:  # a couple of speed steps: straight, or one steady spin
+        return None
+    largest = min(largest, float(now[-1] - now[0]) / 5)
+    offset = find_offset(
+        "yaw_rate", now, rate[common], [regressor], find_runs(now), largest=largest
+    )
+    usable = offset is not None and offset.explained > _CREDIBLE and offset.sign > 0
+    return offset if usable else None
+
+
+def is_husky(path: str | Path) -> bool:
+    """Tell whether a CSV file is a wheel file of a Husky, by its line of column names."""
+    try:
+        return set(WHEEL_COLUMNS) <= set(column_names(path, DriveLogError))
+    except DriveLogError:
+        return False

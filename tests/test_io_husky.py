@@ -1,0 +1,183 @@
+"""Husky recordings: a simulated drive comes back through the sensors' flaws, real ones are read."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from energyplan.drivelog import DriveLog
+from energyplan.errors import DriveLogError, EnergyPlanError
+from energyplan.io.husky import HuskyDrive, is_husky, read_husky
+from energyplan.power import PowerModel
+from energyplan.simulate import drive, identification_drive
+from energyplan.vehicle import TreadICR, Vehicle
+
+TRAIN = HuskyDrive()
+PERIOD = 2 / 13  # 6.5 Hz
+
+
+@pytest.fixture(scope="module")
+def model():
+    vehicle = Vehicle.preset("husky_a200").with_icr(TreadICR.symmetric(0.42))
+    return PowerModel.paper(vehicle, 40.0, 0.5)
+
+
+def write_drive(folder, log, lag, number="00"):
+    """Write a drive as a Husky's sensors see it; `lag` is that of the IMU's clock."""
+    t = np.arange(0.0, log.t[-1], PERIOD)
+
+    def at(name, when):
+        return np.interp(when, log.t, log.channels[name])
+
+    columns = {"time": t}
+    for side, name in (("L", "left"), ("R", "right")):
+        speed, power = at(f"v_{name}", t), at(f"p_{name}", t)
+        force = np.divide(power, speed, out=np.zeros_like(t), where=np.abs(speed) > 1e-3)
+        drawn = np.where(power > 0, np.abs(force) / TRAIN.power_per_current, 0.0)
+        columns[f"cur{side}"] = np.where(drawn > TRAIN.dead_band, drawn, 0.0)
+        columns[f"vel{side}"] = np.round(speed * 127) / 127
+    clock = np.arange(0.0, log.t[-1], 0.01)
+    rng = np.random.default_rng(1)
+    imu = {
+        "time": clock,
+        "wz": at("yaw_rate", clock - lag) + 0.02 * rng.standard_normal(len(clock)),
+        "ax": at("accel_x", clock - lag) + 0.5 * rng.standard_normal(len(clock)),
+    }
+    for stem, table in (("pro", columns), ("imu", imu)):
+        rows = np.column_stack(list(table.values()))
+        np.savetxt(
+            folder / f"{stem}_{number}.csv", rows, "%.12g", ",", header=",".join(table), comments=""
+        )
+    return folder / f"pro_{number}.csv"
+
+
+def test_motor_constant_of_a_husky():
+    assert pytest.approx(21.4, abs=0.02) == TRAIN.power_per_current
+    geared = replace(TRAIN, gear=2 * TRAIN.gear)
+    assert geared.power_per_current == pytest.approx(2 * TRAIN.power_per_current)
+
+
+@pytest.mark.parametrize("lag", [-0.73, 0.0, 0.21, 1.5])
+def test_clock_offset_is_found_and_set_right(tmp_path, model, lag):
+    truth = identification_drive(model, duration=200.0)
+    log = read_husky(write_drive(tmp_path, truth, lag))
+    told = next(warning for warning in log.warnings if "IMU's clock is" in warning)
+    seconds = float(told.split()[4]) * (1 if "behind" in told else -1)
+    assert seconds == pytest.approx(lag, abs=0.03)
+    expected = np.interp(log.t, truth.t, truth.channels["yaw_rate"])
+    assert np.std(log.channels["yaw_rate"] - expected) < 0.02
+    accel = np.interp(log.t, truth.t, truth.channels["accel_x"])
+    assert np.std(log.channels["accel_x"] - accel) < 0.15
+    assert DriveLog.from_columns(log.channels).warnings == ()
+
+
+def test_power_comes_back_but_for_what_the_sensors_cannot_see(tmp_path, model):
+    truth = identification_drive(model, duration=200.0)
+    file = write_drive(tmp_path, truth, 0.2)
+    kept, dropped = read_husky(file), read_husky(file, blind="drop")
+    for name in ("p_left", "p_right"):
+        drawn = np.maximum(np.interp(kept.t, truth.t, truth.channels[name]), 0.0)
+        # Half the dead band at the tread speed, and half a speed step at the force.
+        unseen = 0.5 * TRAIN.dead_band * TRAIN.power_per_current * 0.75
+        assert np.abs(kept.channels[name] - drawn).max() < unseen + 0.004 * 200.0
+    missing = len(kept) - len(dropped)
+    counts = {item.reason.rpartition("; ")[2]: item.count for item in dropped.set_aside}
+    assert missing > 100
+    assert counts["left out"] == pytest.approx(missing, abs=10)
+    # Without the blind samples the power is the model's, generating motors and all.
+    motion = dropped.motion(model.vehicle.icr)
+    steady = np.abs(motion.channel("accel")) + np.abs(motion.channel("yaw_accel")) < 0.05
+    error = dropped.power - model.power(motion)
+    assert np.median(np.abs(error[steady])) < 2.0
+    generated = kept.power - model.power(kept.motion(model.vehicle.icr))
+    assert generated.max() > 20.0
+
+
+def test_currents_in_the_dead_band_are_counted(tmp_path):
+    (tmp_path / "pro_00.csv").write_text(
+        "time,curL,curR,velL,velR\n0.0,0.0,2.0,0.5,0.5\n0.2,0.59,2.0,0.5,0.5\n0.4,1.0,2.0,0.5,0.5\n"
+    )
+    log = read_husky(tmp_path / "pro_00.csv")
+    unit = TRAIN.power_per_current * 0.5
+    assert_allclose(log.sides.left, unit * np.array([0.295, 0.295, 1.0]))
+    assert_allclose(log.sides.right, unit * 2.0)
+    assert (log.set_aside[0].count, log.set_aside[0].where) == (2, "line 2, line 3")
+    assert any("no IMU" in warning for warning in log.warnings)
+    assert any("steps of 0.0079 m/s" in warning for warning in log.warnings)
+
+
+def test_a_steady_drive_tells_no_clock_offset(tmp_path, model):
+    log = read_husky(write_drive(tmp_path, drive(model, "straight"), 0.5))
+    assert any("too steady" in warning for warning in log.warnings)
+    assert log.has("yaw_rate")
+
+
+def test_wheel_files_are_told_from_other_tables(tmp_path, model):
+    file = write_drive(tmp_path, drive(model, "spin"), 0.0)
+    assert is_husky(file)
+    assert not is_husky(file.with_name("imu_00.csv"))
+    assert not is_husky(tmp_path / "absent.csv")
+    with pytest.raises(DriveLogError, match="no column 'curL'"):
+        read_husky(file.with_name("imu_00.csv"))
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [("0,0,0\n0.01,0,0\n0.01,0,0\n", "line 4"), ("0,0,0\n,0,0\n1,0,0\n", "line 3"), ("", "line 2")],
+)
+def test_malformed_imu_files_are_refused_with_the_line(tmp_path, model, rows, words):
+    file = write_drive(tmp_path, drive(model, "spin"), 0.0)
+    (tmp_path / "imu_00.csv").write_text("time,wz,ax\n" + rows)
+    with pytest.raises(DriveLogError, match=rf"imu_00.csv, {words}"):
+        read_husky(file)
+
+
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    wheels=st.lists(st.lists(st.floats().map(repr), min_size=5, max_size=5), max_size=6),
+    imu=st.lists(st.lists(st.floats().map(repr), min_size=3, max_size=3), max_size=6),
+)  # fmt: skip
+def test_any_numbers_give_a_log_or_a_named_error(tmp_path, wheels, imu):
+    for name, head, rows in (
+        ("pro_00.csv", "time,curL,curR,velL,velR", wheels), ("imu_00.csv", "time,wz,ax", imu)
+    ):  # fmt: skip
+        text = [head, *(",".join(row) for row in rows)]
+        (tmp_path / name).write_text("\n".join(text) + "\n")
+    try:
+        log = read_husky(tmp_path / "pro_00.csv")
+    except EnergyPlanError as error:
+        assert "_00.csv" in str(error)
+    else:
+        assert all(np.all(np.isfinite(values)) for values in log.channels.values())
+
+
+@pytest.mark.shared
+def test_real_drives_are_read_and_their_yaw_follows_the_treads(shared_data):
+    files = sorted((shared_data / "borealtc").glob("*/pro_*.csv"))
+    assert len(files) > 30
+    offsets, tracks = {}, {}
+    for file in files:
+        log = read_husky(file)
+        assert np.all(log.power >= 0)
+        name = f"{file.parent.name}/{file.stem}"
+        for warning in log.warnings:
+            if "IMU's clock is" in warning:
+                offsets[name] = float(warning.split()[4]) * (1 if "behind" in warning else -1)
+        if name in offsets:
+            difference = log.channels["v_right"] - log.channels["v_left"]
+            rate = log.channels["yaw_rate"]
+            tracks[name] = float(difference @ difference) / float(difference @ rate)
+    assert {f"{d}/pro_{k}" for d, k in (("FLOORING", "04"), ("ICE", "01"))}.isdisjoint(offsets)
+    assert len(offsets) >= 12
+    assert np.abs(list(offsets.values())).max() < 1.6
+    # The slip track is wider than the wheel track of 0.555 m: the true yaw rate is 0.55 to 0.7 of
+    # the one that the wheel track suggests.
+    floors = [track for name, track in tracks.items() if name.startswith("FLOORING")]
+    assert 0.55 / 0.7 < np.median(floors) < 0.555 / 0.55
