@@ -42,7 +42,8 @@ def mass_advice(model: PowerModel, effects: Sequence[str]) -> list[str]:
         if value > most * own + max(3 * error, 0.1 * own) or value < 0.9 * own - 3 * error:
             lines.append(
                 f"{_plain(name)} gives {value:.0f} +- {error:.0f} kg, the vehicle has "
-                f"{own:.0f} kg: weigh it, or check the gain of the power sensor, which is off by the same factor"
+                f"{own:.0f} kg: weigh it, or check the gain of the power sensor, which is off by "
+                "the same factor"
             )
     return lines
 

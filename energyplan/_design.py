@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import savgol_filter
 
+from energyplan._quiet import quiet
 from energyplan.drivelog import DriveLog
 from energyplan.errors import DriveLogError
 from energyplan.motion import Motion
@@ -27,10 +27,6 @@ SCALES = (0.5, 2.0, 8.0)
 
 BLOCK = 8.0
 """Length of the blocks that cross-validation leaves out [s]."""
-
-_SMOOTHING = 0.45  # width of the local parabola [s]
-_NOISELESS = 1e-4  # speed noise not worth smoothing [m/s]
-_CREEP = 2e-3  # a slower tread is at rest [m/s]
 
 
 @dataclass(frozen=True)
@@ -92,32 +88,6 @@ class Drive:
         """Windows of each scale."""
         period = float(np.median(np.diff(self.t)))
         return tuple(Windows.of(self.t, max(scale, 3 * period)) for scale in SCALES)
-
-
-def quiet(motion: Motion, t: FloatArray) -> Motion:
-    """Return a motion without the noise of its speed sensors.
-
-    Friction turns with the sign of a speed, and noise about zero has any sign: speeds are smoothed
-    by a local parabola, and a speed, or a difference of both treads' speeds, that noise can
-    explain is zero. Without noise only creep at rest is taken out.
-    """
-    noise = max(_noise(motion.v_left), _noise(motion.v_right))
-    width = 2 * round(0.5 * _SMOOTHING / float(np.median(np.diff(t)))) + 1
-    left, right = motion.v_left, motion.v_right
-    level = 4.0 * noise
-    if noise > _NOISELESS and width >= 5:
-        left, right = (savgol_filter(v, width, 2) for v in (left, right))
-        level *= 1.5 / np.sqrt(width)  # a parabola leaves 9 / 4n of the variance at its middle
-    straight = np.abs(right - left) < np.sqrt(2) * level
-    left, right = (np.where(straight, 0.5 * (left + right), v) for v in (left, right))
-    level = max(level, _CREEP)
-    left, right = (np.where(np.abs(v) < level, 0.0, v) for v in (left, right))
-    return replace(motion, v_left=left, v_right=right)
-
-
-def _noise(values: FloatArray) -> float:
-    """Return the deviation of white noise on a smooth signal, from its third differences."""
-    return float(1.4826 * np.median(np.abs(np.diff(values, 3))) / np.sqrt(20.0))
 
 
 @dataclass(frozen=True)

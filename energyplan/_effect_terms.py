@@ -187,6 +187,19 @@ def copper_loss(motion: Motion, vehicle: Vehicle, forces: Sides) -> Sides:
     return Sides(np.square(forces.left), np.square(forces.right))
 
 
+def unsigned_power(motion: Motion, vehicle: Vehicle, forces: Sides) -> Sides:
+    """Twice the returned power, which a sensor without a sign adds to the sum."""
+    return Sides(
+        2.0 * np.maximum(-forces.left * motion.v_left, 0.0),
+        2.0 * np.maximum(-forces.right * motion.v_right, 0.0),
+    )
+
+
+def side_gain(motion: Motion, vehicle: Vehicle, forces: Sides) -> Sides:
+    """Power that the left side's sensor shows too high and the right side's too low."""
+    return Sides(forces.left * motion.v_left, -forces.right * motion.v_right)
+
+
 def power_offset(motion: Motion, vehicle: Vehicle) -> FloatArray:
     """Offset of the power sensor."""
     return np.ones(motion.shape)
@@ -246,7 +259,7 @@ SLIP_SPEED = Term(
 )  # fmt: skip
 MOBILISATION = Term(
     "friction_mobilisation", "mu_m", "1", "force", friction_mobilisation, {"radius": 1.0},
-    bounds=(0.0, 2.0), meaning="slip friction not fully mobilised in wide turns",
+    bounds=(-2.0, 2.0), meaning="slip friction that is smaller in wide turns than in a spin",
 )  # fmt: skip
 WARM_UP = Term(
     "warm_up", "K_0", "N", "force", warm_up, {"time_constant": 60.0}, bounds=_POSITIVE,
@@ -271,6 +284,14 @@ TRACTION_BEYOND = Term(
 COPPER_LOSS = Term(
     "copper_loss", "R/k^2", "W/N^2", "loss", copper_loss, bounds=_POSITIVE,
     meaning="heat in the motor windings",
+)  # fmt: skip
+UNSIGNED_POWER = Term(
+    "unsigned_power", "s", "1", "loss", unsigned_power, bounds=(0.0, 2.0),
+    meaning="a current sensor that does not tell drawing from returning",
+)  # fmt: skip
+SIDE_GAIN = Term(
+    "side_gain", "g", "1", "loss", side_gain, bounds=(-1.0, 1.0),
+    meaning="gains of the left and the right power sensor differ",
 )  # fmt: skip
 POWER_OFFSET = Term(
     "power_offset", "P_0", "W", "power", power_offset, bounds=_ANY,

@@ -102,7 +102,7 @@ def weighted(design: Design, errors: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("sbij,s->bij", design.grams, 1.0 / (errors * design.counts)))
 
 
-def fit(design: Design, errors: FloatArray) -> Fit:
+def fit(design: Design, errors: FloatArray, by_block: bool = False) -> Fit:
     """Fit a design and cross-validate it.
 
     Parameters
@@ -111,6 +111,8 @@ def fit(design: Design, errors: FloatArray) -> Fit:
         Columns and power.
     errors : ndarray, shape (scales,)
         Reference mean square error of each scale [W^2].
+    by_block : bool
+        Leave out blocks also where there are many drives: for what differs from drive to drive.
 
     Returns
     -------
@@ -125,7 +127,7 @@ def fit(design: Design, errors: FloatArray) -> Fit:
     jack = _left_out(total, grams, blocks)
     centred = jack - jack.mean(axis=0)
     covariance = (len(grams) - 1) / len(grams) * centred.T @ centred
-    by_drive = int(design.drives.max()) >= 3
+    by_drive = int(design.drives.max()) >= 3 and not by_block
     held = _left_out(total, grams, design.drives)[design.drives] if by_drive else jack
     signed = np.column_stack([held, -np.ones(len(held))])
     losses = np.einsum("bi,bij,bj->b", signed, grams, signed)

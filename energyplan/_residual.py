@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from energyplan._design import Drive, channels_of, window_means
+from energyplan._design import Design, Drive, channels_of, window_means
 from energyplan._empirical import CARRIERS, DERIVED, carry, signal
 from energyplan._fitting import Fit, Problem, difference, fit
 from energyplan.path import FloatArray
@@ -146,39 +146,43 @@ def _dependence(
 ) -> Dependence:
     gain, error = difference(now.losses, new.losses)
     p_value = new.p_value(range(width, len(new.values)))
-    scale = max(now.loss, 1e-300)
+    scale = len(now.errors)
     return Dependence(
         name, carrier, in_words(name, carrier, knots, shape), gain / scale, error / scale,
         p_value, tuple(knots.tolist()), tuple(shape.tolist()),
     )  # fmt: skip
 
 
-def _periodic(problem: Problem, now: Fit, errors: FloatArray, design: object) -> list[Dependence]:
+def _periodic(problem: Problem, now: Fit, errors: FloatArray, design: Design) -> list[Dependence]:
     """Test for a load that comes and goes with a fixed period, its phase free in each drive."""
     longest = max(float(drive.t[-1]) for drive in problem.drives)
     low, high = 1 / min(_PERIODS[1], longest / 3), 1 / _PERIODS[0]
-    best: tuple[float, Fit, float] | None = None
-    tried = 0
-    for frequency in np.arange(low, high, 0.5 / longest):
-        tables = []
-        for k, drive in enumerate(problem.drives):
-            table = np.zeros((len(drive.t), 2 * len(problem.drives)))
-            angle = 2 * np.pi * frequency * drive.t
-            table[:, 2 * k], table[:, 2 * k + 1] = np.cos(angle), np.sin(angle)
-            tables.append(table)
-        new = fit(design.joined(window_means(problem.drives, tables)), errors)
-        tried += 1
-        if best is None or new.loss < best[0]:
-            best = (new.loss, new, float(frequency))
-    if best is None:
-        return []
-    _, new, frequency = best
-    gain, error = difference(now.losses, new.losses)
+    frequencies = np.arange(low, high, 0.5 / longest)
+    table = design.rows[0]
+    residual, first, explained = table[:, -1] - table[:, :-1] @ now.values, 0, 0.0 * frequencies
+    for drive in problem.drives:
+        starts = drive.windows[0].starts
+        part = residual[first : first + len(starts)]
+        first += len(starts)
+        phase = 2 * np.pi * np.outer(frequencies, drive.t[starts])
+        part = part - part.mean()
+        explained += (np.cos(phase) @ part) ** 2 / len(part) + (np.sin(phase) @ part) ** 2 / len(
+            part
+        )
+    frequency = float(frequencies[np.argmax(explained)])
+    tables = []
+    for k, drive in enumerate(problem.drives):
+        waves = np.zeros((len(drive.t), 2 * len(problem.drives)))
+        angle = 2 * np.pi * frequency * drive.t
+        waves[:, 2 * k], waves[:, 2 * k + 1] = np.cos(angle), np.sin(angle)
+        tables.append(waves)
+    joined = design.joined(window_means(problem.drives, tables))
+    new = fit(joined, errors, by_block=True)
+    gain, error = difference(fit(design, errors, by_block=True).losses, new.losses)
     width = len(now.values)
-    p_value = min(new.p_value(range(width, len(new.values))) * tried, 1.0)
-    scale = max(now.loss, 1e-300)
+    p_value = min(new.p_value(range(width, len(new.values))) * len(frequencies), 1.0)
     words = f"periodic load, period {1 / frequency:.2g} s"
-    return [Dependence("t", "power", words, gain / scale, error / scale, p_value)]
+    return [Dependence("t", "power", words, gain / len(errors), error / len(errors), p_value)]
 
 
 def _holm(found: Sequence[Dependence]) -> tuple[Dependence, ...]:

@@ -131,6 +131,12 @@ class Selector:
 
     # -- one step -------------------------------------------------------------------------------
 
+    def _looks(self, effect: Effect) -> int:
+        """Count the models that one variant stands for: a change may come at any window."""
+        if effect.acts != "change":
+            return 1
+        return sum(len(drive.windows[0].starts) for drive in self.problem.drives)
+
     def _variants(self, effect: Effect) -> Iterator[Part]:
         if effect.acts == "place":
             yield from lines(effect, self.problem.drives)
@@ -213,7 +219,7 @@ class Selector:
                 continue
             best: Trial | None = None
             for part in self._variants(effect):
-                tried += 1
+                tried += self._looks(effect)
                 trial = self._trial(part, parts, now, design, errors)
                 if trial is not None and (best is None or trial.fit.loss < best.fit.loss):
                     best = trial

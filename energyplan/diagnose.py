@@ -20,7 +20,7 @@ from energyplan._fitting import PAPER, Part, Problem
 from energyplan._holdout import ErrorInterval, Prediction, interval, predict, score
 from energyplan._mass_centre import MassCentre, find_mass_centre
 from energyplan._residual import Dependence, dependences
-from energyplan._selection import SIGNIFICANCE, WORTHWHILE, Chosen, Selection, Selector
+from energyplan._selection import SIGNIFICANCE, Chosen, Selection, Selector
 from energyplan.drivelog import DriveLog
 from energyplan.effects import Effect, catalogue, empirical_term
 from energyplan.errors import InvalidInputError, NotIdentifiableError
@@ -37,6 +37,9 @@ __all__ = [
     "Unexplained",
     "diagnose",
 ]
+
+_TELLING = 0.1
+"""Share of the error that a channel must explain to be called a reason."""
 
 Progress = Callable[[float, str], object]
 
@@ -172,7 +175,7 @@ class _Case:
         left = [
             one for one in told_after
             if one.p_value < SIGNIFICANCE
-            and one.explained_variance > max(2 * WORTHWHILE, one.std_error)
+            and one.explained_variance > max(_TELLING, 2 * one.std_error)
         ]  # fmt: skip
         if empirical and left and left[0].knots:
             parts = (*parts, _smooth_part(left[0]))
