@@ -238,6 +238,8 @@ class FeasibleRegion:
         The side at which it is.
     use : ndarray, shape (n, m)
         That limit's use: value over limit.
+    limiting_brief : ndarray of str, shape (n, m)
+        Kind of the limit that is used most in brief motion.
     max_speed, max_speed_brief : ndarray, shape (n,)
         Largest speed up to which every speed is feasible [m/s]; no more than the largest of
         `speed`. 0 where no speed is.
@@ -250,6 +252,7 @@ class FeasibleRegion:
     limiting: NDArray[np.str_]
     side: NDArray[np.str_]
     use: FloatArray
+    limiting_brief: NDArray[np.str_]
     max_speed: FloatArray
     max_speed_brief: FloatArray
 
@@ -325,26 +328,41 @@ def feasible_region(
 
     grid = motion(v[:, None])
     sustained = brief.sustained
-    kinds, sides, uses = ["none"], ["both"], [np.zeros(grid.shape)]
-    for bound, value in zip(sustained.bounds, sustained.loads(model, grid).values, strict=True):
-        rated = bound.kind == "peak_power" and bound.limit < brief.motor.peak_power
-        kinds.append("continuous_power" if rated else bound.kind)
-        sides.append(bound.side)
-        uses.append(relative(value, bound.limit))
-    most = np.argmax(uses, axis=0).T
-    use = np.max(uses, axis=0).T
+    always, awhile = _most_used(sustained, model, grid), _most_used(brief, model, grid)
+    kinds = always.kind
+    if sustained.motor.peak_power < brief.motor.peak_power:
+        kinds = np.where(kinds == "peak_power", "continuous_power", kinds)
     top = np.full(kappa.shape, v.max())
     return FeasibleRegion(
         curvature=kappa,
         speed=v,
-        sustained=use <= 1 + ROUNDING,
-        brief=brief.use(model, grid).T <= 1 + ROUNDING,
-        limiting=np.array(kinds)[most],
-        side=np.array(sides)[most],
-        use=use,
+        sustained=always.use <= 1 + ROUNDING,
+        brief=awhile.use <= 1 + ROUNDING,
+        limiting=kinds,
+        side=always.side,
+        use=always.use,
+        limiting_brief=awhile.kind,
         max_speed=largest_within(lambda speeds: sustained.use(model, motion(speeds)), top),
         max_speed_brief=largest_within(lambda speeds: brief.use(model, motion(speeds)), top),
     )
+
+
+class _Nearest(NamedTuple):
+    """Kind, side and use of the limit that is used most, shape (n, m)."""
+
+    kind: NDArray[np.str_]
+    side: NDArray[np.str_]
+    use: FloatArray
+
+
+def _most_used(limits: Limits, model: PowerModel, motion: Motion) -> _Nearest:
+    kinds, sides, uses = ["none"], ["both"], [np.zeros(motion.shape)]
+    for bound, value in zip(limits.bounds, limits.loads(model, motion).values, strict=True):
+        kinds.append(bound.kind)
+        sides.append(bound.side)
+        uses.append(relative(value, bound.limit))
+    most = np.argmax(uses, axis=0).T
+    return _Nearest(np.array(kinds)[most], np.array(sides)[most], np.max(uses, axis=0).T)
 
 
 def _violation(excess: Excess) -> Violation:
