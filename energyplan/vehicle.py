@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -261,7 +262,7 @@ class Vehicle:
         length, width = self.footprint[1] - self.footprint[0]
         return self.mass * float(length**2 + width**2) / 12.0
 
-    @property
+    @cached_property
     def slip_moment(self) -> float:
         """Sum of load times distance of each contact from its tread's ICR [N m] (Eq. 2)."""
         left = self.contacts[:, 1] > 0

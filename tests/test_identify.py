@@ -388,9 +388,9 @@ def test_bad_requests(truth: PowerModel, spiral: DriveLog) -> None:
     with pytest.raises(InvalidInputError, match="no terms"):
         identify(spiral, truth.vehicle, terms=[])
     with pytest.raises(UnknownNameError, match="method"):
-        identify(spiral, truth.vehicle, method="ols")  # type: ignore[arg-type]
+        identify(spiral, truth.vehicle, method="ols")
     with pytest.raises(UnknownNameError, match="icr"):
-        identify(spiral, truth.vehicle, icr="guess")  # type: ignore[arg-type]
+        identify(spiral, truth.vehicle, icr="guess")
     with pytest.raises(InvalidInputError, match="level"):
         identify(spiral, truth.vehicle).interval("slip_friction", 95.0)
 
