@@ -209,6 +209,37 @@ class SurfaceMap:
             np.add.at(out[k], regions, np.diff(cuts))
         return out
 
+    def line_shares(self, starts: ArrayLike, ends: ArrayLike) -> FloatArray:
+        """Return how straight lines divide over the regions, as `shares` does for segments.
+
+        Parameters
+        ----------
+        starts, ends : array_like, shape (n, 2)
+            Ends of the lines in the world [m].
+
+        Returns
+        -------
+        ndarray, shape (n, regions)
+            Share of each line in each region; rows add up to 1.
+        """
+        p, q = np.asarray(starts, float), np.asarray(ends, float)
+        out = np.zeros((len(p), len(self.surfaces) + 1))
+        a, e = self._edges
+        d = (q - p)[:, None]
+        offset = a[None] - p[:, None]
+        cross = d[..., 0] * e[:, 1] - d[..., 1] * e[:, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = (offset[..., 0] * e[:, 1] - offset[..., 1] * e[:, 0]) / cross
+            s = (offset[..., 0] * d[..., 1] - offset[..., 1] * d[..., 0]) / cross
+        crossed = (t > 0) & (t < 1) & (s >= 0) & (s <= 1)
+        ends_too = np.broadcast_to([0.0, 1.0], (len(p), 2))
+        cuts = np.sort(np.concatenate([ends_too, np.where(crossed, t, 1.0)], axis=1), axis=1)
+        line, place = np.nonzero(np.diff(cuts, axis=1) > 0)
+        middle = 0.5 * (cuts[line, place] + cuts[line, place + 1])
+        region = self.region_at(p[line] + middle[:, None] * d[line, 0])
+        np.add.at(out, (line, region), cuts[line, place + 1] - cuts[line, place])
+        return out
+
     def energy(self, path: Path, cost: EnergyCost) -> float:
         """Return the energy of a path over the surfaces [J].
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
 from energyplan.maps import SurfaceMap
-from energyplan.path import FloatArray, Path, Pose, wrap_angle
+from energyplan.path import FloatArray, wrap_angle
 
 Graph = Any
 """A networkx graph of any kind; its nodes carry ``pos`` or ``x`` and ``y``."""
@@ -146,7 +146,7 @@ def edges_of(graph: Graph, reverse: bool) -> Edges:
     Raises
     ------
     InvalidInputError
-        If an edge has no length.
+        If an edge joins two nodes at one place.
     """
     place = positions(graph)
     states: list[State] = []
@@ -157,6 +157,9 @@ def edges_of(graph: Graph, reverse: bool) -> Edges:
         else ((source, target, None) for source, target in graph.edges())
     )
     for source, target, key in keyed:
+        if source == target:
+            # a loop leads nowhere
+            continue
         ways = [(source, target)]
         if not graph.is_directed():
             ways.append((target, source))
@@ -178,17 +181,12 @@ def edge_energies(edges: Edges, cost: EnergyCost, surfaces: SurfaceMap | None) -
     """Return the energy of driving each edge straight [J]."""
     ds = edges.gear * edges.length
     if surfaces is None:
-        return cost.segment_energy(ds, np.zeros(len(ds)))
-    out = np.zeros(len(ds))
+        return cost.segment_energy(ds, 0.0)
+    heading = np.column_stack([np.cos(edges.heading), np.sin(edges.heading)])
+    shares = surfaces.line_shares(edges.start, edges.start + edges.length[:, None] * heading)
     costs = surfaces.costs(cost)
-    for k, heading in enumerate(edges.heading):
-        x, y = edges.start[k].tolist()
-        line = Path(Pose(x, y, heading), edges.length[k : k + 1], np.zeros(1))
-        share = surfaces.shares(line)[0]
-        for c, part in zip(costs, share, strict=True):
-            if part > 0:
-                out[k] += part * float(c.segment_energy(ds[k], 0.0))
-    return out
+    parts = [c.segment_energy(ds * share, 0.0) for c, share in zip(costs, shares.T, strict=True)]
+    return np.asarray(np.sum(parts, axis=0))
 
 
 def energy_graph(
@@ -231,7 +229,7 @@ def energy_graph(
     Raises
     ------
     InvalidInputError
-        If a node has no position or an edge no length.
+        If a node has no position, or an edge joins two nodes at one place.
 
     Examples
     --------
@@ -248,20 +246,14 @@ def energy_graph(
     out: nx.DiGraph[State] = nx.DiGraph()
     for state, energy in zip(edges.states, energies.tolist(), strict=True):
         out.add_node(state, energy=energy)
-    leaving: dict[Hashable, list[int]] = {}
-    for k, state in enumerate(edges.states):
-        leaving.setdefault(state.source, []).append(k)
-    pairs = [(i, j) for i, state in enumerate(edges.states) for j in leaving.get(state.target, ())]
-    if not pairs:
+    first, then = _successions(graph, edges)
+    if len(first) == 0:
         return out
-    first, then = np.array(pairs).T
-    first, then = _around_obstacles(graph, edges, first, then)
     turn = wrap_angle(edges.yaw[then] - edges.yaw[first])
     # rounding errors must not tell a turn to the left from one to the right
     turn = np.where(np.abs(np.abs(turn) - np.pi) < 1e-9, np.pi, turn)
-    widest = np.array(
-        [float(graph.nodes[edges.states[k].source].get("radius", radius)) for k in then]
-    )
+    known = {node: float(data.get("radius", radius)) for node, data in graph.nodes(data=True)}
+    widest = np.array([known[state.source] for state in edges.states])[then]
     room = 0.5 * np.minimum(edges.length[first], edges.length[then])
     tangent = np.tan(np.minimum(0.5 * np.abs(turn), 1.5))
     limit = np.minimum(widest, room / np.maximum(tangent, 1e-9))
@@ -284,26 +276,27 @@ def energy_graph(
     return out
 
 
-def _around_obstacles(
-    graph: Graph, edges: Edges, first: NDArray[np.intp], then: NDArray[np.intp]
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Leave out the turns at corners of obstacles that no cheapest route makes.
+def _successions(graph: Graph, edges: Edges) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return which state may follow which: the first ones, and those that come then."""
+    number = {node: k for k, node in enumerate(graph)}
+    source = np.array([number[state.source] for state in edges.states], int)
+    target = np.array([number[state.target] for state in edges.states], int)
+    order = np.argsort(source, kind="stable")
+    begin = np.searchsorted(source[order], target, "left")
+    count = np.searchsorted(source[order], target, "right") - begin
+    first = np.repeat(np.arange(len(target)), count)
+    rank = np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)
+    then = order[np.repeat(begin, count) + rank]
 
-    A node that carries ``rim``, the directions of the obstacle's rim to either side, is worth
-    turning at only to get around the obstacle.
-    """
-    rims = {node: rim for node, rim in graph.nodes(data="rim") if rim is not None}
-    if not rims:
-        return first, then
-    nothing = ((0.0, 0.0), (0.0, 0.0))
-    nodes = [edges.states[k].source for k in then]
-    rim = np.array([rims.get(node, nothing) for node in nodes]).sum(axis=1)
-    bound = np.array([node in rims for node in nodes])
+    # At the corner of an obstacle a cheapest route turns only to get around the obstacle.
+    rims = [data.get("rim") for _, data in graph.nodes(data=True)]
+    at_corner = np.array([rim is not None for rim in rims], bool)[source[then]]
+    rim = np.array([np.sum(rim or np.zeros((2, 2)), axis=0) for rim in rims])[source[then]]
     arriving, leaving = edges.heading[first], edges.heading[then]
     turn = wrap_angle(leaving - arriving)
     # positive where the obstacle lies to the left
     side_before = np.cos(arriving) * rim[:, 1] - np.sin(arriving) * rim[:, 0]
     side_after = np.cos(leaving) * rim[:, 1] - np.sin(leaving) * rim[:, 0]
     around = (turn * side_before >= -1e-9) & (turn * side_after >= -1e-9)
-    keep = ~bound | (around & (edges.gear[first] == edges.gear[then]))
+    keep = ~at_corner | (around & (edges.gear[first] == edges.gear[then]))
     return first[keep], then[keep]

@@ -66,12 +66,14 @@ def price_edges(graph: Graph, cost: EnergyCost, surfaces: SurfaceMap | None = No
     Returns
     -------
     networkx graph
-        The copy, of the same kind. Of an undirected edge the dearer way counts.
+        The copy, of the same kind. Of an undirected edge the dearer way counts. Loops, which lead
+        nowhere, are left as they are.
     """
     priced = graph.copy()
     edges = edges_of(graph, reverse=False)
-    for _, _, data in priced.edges(data=True):
-        data["cost"] = 0.0
+    for source, target, data in priced.edges(data=True):
+        if source != target:
+            data["cost"] = 0.0
     for state, energy in zip(edges.states, edge_energies(edges, cost, surfaces), strict=True):
         place = (state.source, state.target)
         data = priced.edges[(*place, state.key) if graph.is_multigraph() else place]
