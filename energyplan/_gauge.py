@@ -105,17 +105,66 @@ class Gauge:
         """Energies in `directions` [J/m], shape (m,)."""
         return np.concatenate([self.special, self.table[:, 1:-1].ravel()])
 
-    def hull(self) -> FloatArray:
-        """Return the vertices of the cheapest mixtures, shape (m, 2), counter-clockwise.
+    @property
+    def is_static(self) -> bool:
+        """Whether the cheapest mixtures are those of straights and pivots of one price each.
 
-        A vertex is the element ``(x, y)`` [m] that costs one joule. Joining the motions of two
-        neighbouring vertices costs the same as their mixture, which no motion undercuts.
+        The energy is then ``a max(|x|, |y|) + beta |y|`` as soon as mixtures are allowed: an arc
+        that costs more, because returned power is partly lost, is none of them.
+        """
+        straight, pivot = self.special[0], self.special[4]
+        equal = np.allclose(self.special[[0, 1]], straight, rtol=1e-9) and np.allclose(
+            self.special[4:], pivot, rtol=1e-9
+        )
+        x, y = np.abs(self.directions.T)
+        least = straight * np.maximum(x, y) + (pivot - straight) * y
+        return bool(
+            equal and pivot >= straight * (1 - 1e-9) and np.all(self.values >= least * (1 - 1e-9))
+        )
+
+    def corners(self, most: int = 40) -> Corners:
+        """Return the corners of the cheapest mixtures.
+
+        Parameters
+        ----------
+        most : int
+            Largest number of corners for either turning direction.
+
+        Returns
+        -------
+        Corners
+            All corners where there are few; a selection with its error where a smooth energy has
+            many.
         """
         points = self.directions / self.values[:, None]
-        # Special directions are exact and attained by simple motions: nodes must beat them by
-        # more than the table's error to count.
-        points[len(SPECIAL) :] *= 1.0 - 2.0 * self.error - 1e-12
-        return _convex_hull(points)
+        points[len(SPECIAL) :] *= 1.0 - 1e-12  # special directions win ties
+        hull = _convex_hull(points)
+        tolerance = 1e-7
+        while True:
+            chosen, error = _simplify(hull, tolerance)
+            turns = np.abs(chosen[:, 1]) > 1e-9 * np.abs(chosen[:, 0])
+            left = chosen[turns & (chosen[:, 1] > 0)]
+            right = chosen[turns & (chosen[:, 1] < 0)]
+            if max(len(left), len(right)) <= most:
+                return Corners(left, right, error)
+            tolerance *= 2.0
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Corners of the elements ``(x, y)`` that one joule can pay for, mixtures included [m].
+
+    Parameters
+    ----------
+    left, right : ndarray, shape (m, 2)
+        Corners that turn left, and right.
+    error : float
+        How much the energy of a mixture may exceed the least one, as a fraction.
+    """
+
+    left: FloatArray
+    right: FloatArray
+    error: float
 
 
 def octant_directions(ratio: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -175,6 +224,35 @@ def _nodes(energy: Callable[[FloatArray, FloatArray], FloatArray], n: int) -> Fl
     near = value[:, n - 1 :]
     first, last = 2 * near[:, 0] - near[:, 1], 2 * near[:, 3] - near[:, 2]
     return np.column_stack([first, value[:, : n - 1], last])
+
+
+def _simplify(hull: FloatArray, tolerance: float) -> tuple[FloatArray, float]:
+    """Drop vertices of a convex polygon about the origin; return the rest and the error made.
+
+    The error is the largest fraction by which a dropped vertex lies outside of what is left.
+    """
+    # Vertices in special directions stay: the motions there are simple, and both halves alike.
+    x, y = np.abs(hull.T)
+    first = np.flatnonzero((np.minimum(x, y) < 1e-9) | (np.abs(x - y) < 1e-9 * x)).tolist()
+    n = len(hull)
+    stack = list(zip(first, [*first[1:], first[0] + n], strict=True))
+    keep, error = set(first), 0.0
+    while stack:
+        i, j = stack.pop()
+        if j - i < 2:
+            continue
+        a, b = hull[i % n], hull[j % n]
+        normal = np.array([b[1] - a[1], a[0] - b[0]])
+        between = np.arange(i + 1, j) % n
+        excess = hull[between] @ normal / (a @ normal) - 1.0
+        worst = int(np.argmax(excess))
+        if excess[worst] <= tolerance:
+            error = max(error, float(excess[worst]))
+            continue
+        middle = i + 1 + worst
+        keep.add(middle % n)
+        stack += [(i, middle), (middle, j)]
+    return hull[sorted(keep)], error
 
 
 def _convex_hull(points: FloatArray) -> FloatArray:

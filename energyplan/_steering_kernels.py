@@ -15,7 +15,11 @@ Contract
 ``params`` is ``EnergyCost.steering_parameters``, a float array laid out as
 ``[KIND, C, longitudinal, lateral, a, b, ...]``: half slip track, body coordinates of the point
 midway between the tread ICRs, joules per metre straight, joules per radian within the slip track.
-`KIND` 0 is the case that these two numbers describe completely; it is solved in closed form.
+`KIND` 0 is the case that these two numbers describe completely; it is solved in closed form, in one
+or two microseconds. `KIND` 1 is a polygon of cost with more corners, solved by `_steering_gauge` in
+about a hundred; its data are ``[6]``, ``[7]`` joules per half slip track forwards and backwards,
+``[8]``, ``[9]`` numbers of corners to the left and right, and from ``[16]`` on for each side the
+rows ``m``, ``g`` and slopes.
 """
 
 from __future__ import annotations
@@ -26,11 +30,11 @@ import numpy as np
 
 from energyplan import _steering_words as words
 from energyplan._numba import njit
+from energyplan._steering_polygon import polygon_energy, polygon_path
 from energyplan._steering_words import best_word
 from energyplan.path import FloatArray
 
-MAX_SEGMENTS = 32
-STATIC = 0.0
+MAX_SEGMENTS = 256
 KIND, HALF_TRACK, LONGITUDINAL, LATERAL, PER_METRE, PER_RADIAN = range(6)
 MIN_RATIO = 1e-9  # beta / (a C); below it the excursion equation degenerates
 TWO_PI = 2.0 * math.pi
@@ -66,6 +70,8 @@ def steer_energy(dx: float, dy: float, theta0: float, theta1: float, params: Flo
     scale = params[PER_METRE] * params[HALF_TRACK]
     c = max(params[PER_RADIAN] / scale - 1.0, MIN_RATIO)
     eta = 0.5 * turn
+    if params[KIND] != 0.0:
+        return polygon_energy(x, y, eta, params)
     if eta > HALF_PI:
         eta = math.pi - eta  # the shorter way round first: it prunes the longer one
     short = best_word(x, y, eta, c, math.inf)
@@ -217,6 +223,11 @@ def steer_path(
     C = params[HALF_TRACK]
     c = max(params[PER_RADIAN] / (params[PER_METRE] * C) - 1.0, MIN_RATIO)
     eta = 0.5 * turn
+    if params[KIND] != 0.0:
+        n = polygon_path(x, y, eta, params, ds, dtheta)
+        for i in range(n):
+            ds[i] = C * ds[i] + params[LATERAL] * dtheta[i]
+        return n
     left = best_word(x, y, eta, c, math.inf)
     # A turn to the right is one to the left, seen in a mirror from the opposite middle heading.
     right = best_word(-x, y, math.pi - eta, c, left[0])

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan import _speeds
-from energyplan._gauge import SPECIAL, Gauge, tabulate
+from energyplan._gauge import SPECIAL, Corners, Gauge, tabulate
 from energyplan.errors import InvalidInputError, ModelError
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Path
@@ -449,8 +449,45 @@ class EnergyCost:
         return LowerBound(per_metre, max(float(rest.min()), 0.0))
 
     @cached_property
+    def _corners(self) -> Corners:
+        return self.gauge.corners()
+
+    @property
+    def steering_error(self) -> float:
+        """Largest fraction by which `steering` may miss the minimum because corners were dropped.
+
+        Zero, or rounding, where the energy is piecewise linear.
+        """
+        return 0.0 if self.gauge.is_static else self._corners.error + self.gauge.error
+
+    @cached_property
     def steering_parameters(self) -> FloatArray:
         """What the compiled steering kernels read; laid out in `_steering_kernels`."""
         C, (lx, ly) = self.half_track, self.icr.centre
-        straight, pivot = float(self.gauge.special[0]), float(self.gauge.special[4])
-        return np.array([0.0, C, lx, ly, straight, pivot * C])
+        gauge = self.gauge
+        ahead, behind, pivot = (float(gauge.special[k]) for k in (0, 1, 4))
+        head = np.zeros(16)
+        head[:8] = [0.0, C, lx, ly, ahead, pivot * C, ahead * C, behind * C]
+        if gauge.is_static:
+            return head
+        left = _turn_table(self._corners.left, C, ahead * C)
+        right = _turn_table(self._corners.right * [1, -1], C, ahead * C)
+        head[0], head[8], head[9] = 1.0, left.shape[1], right.shape[1]
+        return np.concatenate([head, left.ravel(), right.ravel()])
+
+
+def _turn_table(corners: FloatArray, half_track: float, straight: float) -> FloatArray:
+    """Rows ``m``, ``g``, and the slopes to the next corner, of one turning direction's corners."""
+    order = np.argsort(corners[:, 0] / corners[:, 1])
+    x, y = corners[order].T
+    m, g = x / y, half_track / y
+    slope = np.diff(g) / np.diff(m)
+    flat = np.flatnonzero(np.abs(slope) < 1e-7 * straight)
+    if len(flat):
+        # Along a flat edge every mixture costs the same and the dual says nothing about which to
+        # take. A corner in its middle, cheaper by a rounding error, makes up its mind.
+        k = int(flat[0]) + 1
+        m, g = np.insert(m, k, 0.5 * (m[k - 1] + m[k])), np.insert(g, k, g[k - 1 : k + 1].min())
+        g[k] *= 1.0 - 1e-8
+        slope = np.diff(g) / np.diff(m)
+    return np.vstack([m, g, np.append(slope, np.inf)])

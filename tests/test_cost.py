@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from energyplan.cost import EnergyCost
 from energyplan.power import PowerModel
