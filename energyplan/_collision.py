@@ -14,7 +14,7 @@ is the only pessimism, and there is no false free.
 
 from __future__ import annotations
 
-from math import atan2, ceil, cos, floor, hypot, inf, pi, sin
+from math import ceil, cos, floor, hypot, inf, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -186,30 +186,35 @@ def poses_free(space: Space, body: Body, poses: NDArray[np.float64]) -> NDArray[
 def _swept_box(body: Body, centre_x: float, centre_y: float, half: float) -> Body:
     """Return the bounding box of a body that turns by up to `half` either way about a centre.
 
-    Everything is in the frame of the middle pose; `half` is at most pi / 2.
+    Everything is in the frame of the middle pose; `half` is less than pi / 2.
     """
     x_min = inf
     y_min = inf
     x_max = -inf
     y_max = -inf
+    c = cos(half)
+    s = sin(half)
     for k in range(4):
         px = (body.x_min if k < 2 else body.x_max) - centre_x
         py = (body.y_min if k % 2 == 0 else body.y_max) - centre_y
+        # the corner at both ends of its arc, which runs counter-clockwise from (ax, ay)
+        ax = c * px + s * py
+        ay = c * py - s * px
+        bx = c * px - s * py
+        by = c * py + s * px
+        x_min = min(x_min, ax, bx)
+        x_max = max(x_max, ax, bx)
+        y_min = min(y_min, ay, by)
+        y_max = max(y_max, ay, by)
+        # where it passes an axis it reaches as far out as it can
         radius = hypot(px, py)
-        angle = atan2(py, px)
-        # cos and sin are monotone on the arc up to where it passes an axis
-        for end in (angle - half, angle + half):
-            x_min = min(x_min, radius * cos(end))
-            x_max = max(x_max, radius * cos(end))
-            y_min = min(y_min, radius * sin(end))
-            y_max = max(y_max, radius * sin(end))
-        if abs(angle) <= half:
+        if ay <= 0.0 <= by:
             x_max = max(x_max, radius)
-        if pi - abs(angle) <= half:
+        elif by <= 0.0 <= ay:
             x_min = min(x_min, -radius)
-        if abs(angle - 0.5 * pi) <= half:
+        if bx <= 0.0 <= ax:
             y_max = max(y_max, radius)
-        if abs(angle + 0.5 * pi) <= half:
+        elif ax <= 0.0 <= bx:
             y_min = min(y_min, -radius)
     return Body(x_min + centre_x, y_min + centre_y, x_max + centre_x, y_max + centre_y)
 

@@ -52,6 +52,7 @@ def test_poses_agree_with_shapely():
     poses = random_poses(rng, grid, 4000)
     # headings along the axes of the grid are a special case of the kernel
     poses[:800, 2] = grid.origin.yaw + rng.integers(-4, 5, 800) * np.pi / 2
+    poses[400:800, 2] += 10 ** rng.uniform(-12, -3, 400)
     obstacles, area = obstacles_of(grid), map_area(grid)
     shapely.prepare(obstacles)
     bodies = np.array([rectangle(VEHICLE, pose) for pose in poses])
