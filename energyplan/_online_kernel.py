@@ -20,8 +20,9 @@ COEFFICIENTS, SHIFT = range(2)
     VARIANCE,  # of the residual [W^2]
     SAMPLES,  # that the variance stands on
     REPEATS,  # samples that make one independent sample
-    REPEATS_OVER,  # its numerator and denominator
-    REPEATS_UNDER,
+    BLOCKS,  # that this stands on; means over them of the sum's size and of the sum of squares
+    MEAN_SIZE,
+    MEAN_SQUARES,
     EXCITATION,  # mean square of the regressors while driving [W^2]
     LEVEL,  # of the statistic, over what chance alone gives
     BLOCK_SUM,  # of normalised residuals in the present block, their squares, its length [s]
@@ -38,7 +39,7 @@ COEFFICIENTS, SHIFT = range(2)
     TOTAL_RESIDUAL,
     TOTAL_MEASURED,
     SCALARS,
-) = range(21)
+) = range(22)
 # Settings.
 MEMORY, NOISE_MEMORY, THRESHOLD, LEAST_MATERIAL, SETTINGS = range(5)
 
@@ -205,7 +206,8 @@ def advance(
     scalars[EXCITATION] += share * (excitation - scalars[EXCITATION])
 
     variance = scalars[VARIANCE]
-    limit = CLIP * np.sqrt(variance + _form(phi, covariance, phi))
+    doubt = _form(phi, covariance, phi)
+    limit = CLIP * np.sqrt(variance + doubt)
     clipped = min(max(residual, -limit), limit)
     weight = 1.0 if clipped == residual else clipped / residual
     z = min(max(residual / np.sqrt(variance), -CLIP), CLIP)
@@ -232,14 +234,19 @@ def advance(
     most = max(settings[NOISE_MEMORY] / max(dt, 1e-9), 2.0)
     scalars[SAMPLES] = min(scalars[SAMPLES] + 1.0, most)
     scalars[VARIANCE] += (min(after * after, limit * limit) - variance) / scalars[SAMPLES]
-    scalars[BLOCK_SUM] += z
-    scalars[BLOCK_SQUARES] += z * z
-    scalars[BLOCK_TIME] += dt
+    if doubt < variance:  # else the residual is mostly that of coefficients yet to be found
+        scalars[BLOCK_SUM] += z
+        scalars[BLOCK_SQUARES] += z * z
+        scalars[BLOCK_TIME] += dt
     if scalars[BLOCK_TIME] >= BLOCK:
         fade = np.exp(-scalars[BLOCK_TIME] / settings[NOISE_MEMORY])
-        scalars[REPEATS_OVER] = fade * scalars[REPEATS_OVER] + scalars[BLOCK_SUM] ** 2
-        scalars[REPEATS_UNDER] = fade * scalars[REPEATS_UNDER] + scalars[BLOCK_SQUARES]
-        scalars[REPEATS] = max(scalars[REPEATS_OVER] / scalars[REPEATS_UNDER], 1.0)
+        scalars[BLOCKS] = fade * scalars[BLOCKS] + 1.0
+        share = 1.0 / scalars[BLOCKS]
+        scalars[MEAN_SIZE] += share * (abs(scalars[BLOCK_SUM]) - scalars[MEAN_SIZE])
+        scalars[MEAN_SQUARES] += share * (scalars[BLOCK_SQUARES] - scalars[MEAN_SQUARES])
+        # By the mean size, not the mean square: one block across a change must not count much.
+        spread = 0.5 * np.pi * scalars[MEAN_SIZE] ** 2
+        scalars[REPEATS] = max(spread / max(scalars[MEAN_SQUARES], 1e-300), 1.0)
         scalars[BLOCK_SUM] = scalars[BLOCK_SQUARES] = scalars[BLOCK_TIME] = 0.0
 
     scalars[TICK_TIME] += dt

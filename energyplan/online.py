@@ -169,9 +169,10 @@ class OnlineIdentifier:
         time = residual.correlation_time if residual else 0.0
         repeats = max(2.0 * (time if time > 0 else _CORRELATION_TIME) / period, 1.0)
         self._scalars[kernel.REPEATS] = repeats
-        weight = 4.0 * kernel.BLOCK / period
-        self._scalars[kernel.REPEATS_OVER] = repeats * weight
-        self._scalars[kernel.REPEATS_UNDER] = weight
+        count = kernel.BLOCK / period
+        self._scalars[kernel.BLOCKS] = 4.0
+        self._scalars[kernel.MEAN_SIZE] = np.sqrt(2.0 / np.pi * repeats * count)
+        self._scalars[kernel.MEAN_SQUARES] = count
 
     # -- samples --------------------------------------------------------------------------------
 
