@@ -242,7 +242,8 @@ class Grounds:
         model = self.model(region, payload)
         steady = dict.fromkeys((c for term in model.terms for c in term.channels), 0.0)
         motion = Motion.from_twist(np.zeros(2), np.zeros(2), model.vehicle.icr, **steady)
-        return self._one(region, motion, np.array([duration]), payload)
+        # The residual is what the model misses while driving.
+        return replace(self._one(region, motion, np.array([duration]), payload), noise=0.0)
 
     def _one(self, region: int, motion: Motion, width: FloatArray, payload: float) -> Estimate:
         model = self.model(region, payload)

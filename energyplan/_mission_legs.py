@@ -194,6 +194,9 @@ class Legs:
         still = Path(here, np.zeros(0), np.zeros(0), cost.icr.longitudinal)
         if here == there:
             return _Route(still)
+        back = self._routes.get((goal, start))
+        if back is not None and self._symmetric:
+            return replace(back, path=still if back.trouble else back.path.reversed())
         if self._progress is not None:
             self._progress(f"planning from {self.names[start]} to {self.names[goal]}")
         problem = PlanningProblem(mission.map, cost, here, there, surfaces=surfaces)
@@ -206,6 +209,17 @@ class Legs:
             except PlanningError as error:
                 return _Route(still, "no_path", str(error))
         return _Route(still, "no_path", last)
+
+    @cached_property
+    def _symmetric(self) -> bool:
+        """Whether a way costs the same driven backwards, so that one plan serves both."""
+        cost, surfaces = self.cost(self.mission.payload)
+        angle = np.linspace(0.0, np.pi, 65)
+        ds, turn = np.cos(angle), np.sin(angle)
+        return all(
+            np.allclose(c.segment_energy(ds, turn), c.segment_energy(-ds, -turn), rtol=1e-6)
+            for c in ((cost,) if surfaces is None else surfaces.costs(cost))
+        )
 
     def _priced(self, route: _Route, payload: float) -> Leg:
         grounds, path = self.grounds, route.path

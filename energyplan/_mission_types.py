@@ -215,7 +215,7 @@ class Mission:
     time: float = 0.0
     speed: float | None = None
     planner: str = "lattice"
-    planning_time: float = 0.5
+    planning_time: float = 0.3
     name: str = "mission"
 
     def __post_init__(self) -> None:

@@ -131,7 +131,7 @@ class _Mission(_Strict):
     time: Time = 0.0
     speed: Speed | None = None
     planner: str = "lattice"
-    planning_time: Time = 0.5
+    planning_time: Time = 0.3
 
 
 def read_mission(path: str | Path) -> Mission:

@@ -1,0 +1,425 @@
+"""Missions: energies against closed forms, bounds against simulations, verdicts by design."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+
+from energyplan.battery import Battery
+from energyplan.errors import MissionError
+from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
+from energyplan.mission import Charger, Mission, MissionReport, Task, evaluate
+from energyplan.path import Pose
+from energyplan.power import HOTEL, PowerModel, Residual
+from energyplan.vehicle import Vehicle
+
+WH = 3600.0
+
+
+def hall(width: float = 14.0, height: float = 10.0) -> OccupancyGrid:
+    return OccupancyGrid(np.zeros((int(height * 10), int(width * 10)), bool), 0.1)
+
+
+def known(name: str = "quadriga:empty:marble", spread: float = 0.0) -> PowerModel:
+    """A preset whose coefficients have a relative standard error."""
+    model = PowerModel.preset(name)
+    return model.with_coefficients(model.coefficients, np.diag((spread * model.coefficients) ** 2))
+
+
+def mission(tasks: list[Task], **changes: Any) -> Mission:
+    values: dict[str, Any] = {
+        "model": known(), "map": hall(), "battery": Battery.preset("quadriga"),
+        "start": Pose(1.0, 5.0, 0.0), "tasks": tuple(tasks),
+    }  # fmt: skip
+    return Mission(**{**values, **changes})
+
+
+def tiny(energy: float, **changes: Any) -> Battery:
+    """An ideal battery that holds so much energy [J] at 10 V."""
+    ocv = np.array([10.0, 10.0])
+    return replace(Battery("tiny", energy / 10.0, np.array([0.0, 1.0]), ocv, 0.0), **changes)
+
+
+# -- energies ------------------------------------------------------------------------------------
+
+
+def test_straight_drive_and_dwell_are_the_closed_form():
+    work = Task("work", Pose(11.0, 5.0, 0.0), dwell=600.0, power=50.0)
+    report = evaluate(mission([work]))
+    # 90 N a side over 10 m, tool power, and the same way back in reverse.
+    assert report.task("work").energy == pytest.approx(2 * 90 * 10 + 600 * 50, rel=1e-6)
+    assert report.energy == pytest.approx(2 * 90 * 20 + 600 * 50, rel=1e-6)
+    assert report.feasible
+    assert report.order == ("work",)
+    assert report.end == "start"
+    assert report.task("work").soc_after > report.soc_end
+
+
+def test_hotel_load_draws_while_standing_and_driving():
+    model = known().with_term(HOTEL, 30.0)
+    work = Task("work", Pose(11.0, 5.0, 0.0), dwell=600.0)
+    report = evaluate(mission([work], model=model))
+    assert report.energy == pytest.approx(2 * 90 * 20 + 30 * report.duration, rel=1e-6)
+    assert report.duration > 600 + 20 / 1.2
+
+
+def test_payload_interpolates_table_two_on_the_way():
+    marble = "quadriga:empty:marble"
+    tasks = [
+        Task("first", Pose(5.0, 5.0, 0.0), payload=-32.0),
+        Task("second", Pose(9.0, 5.0, 0.0), payload=-32.0),
+    ]
+    loaded = {marble: {64.0: known("quadriga:full:marble")}}
+    report = evaluate(mission(tasks, payload=64.0, payload_models=loaded))
+    # K is 110 N with a full tank, 90 N with an empty one, 100 N in between.
+    assert report.task("first").energy == pytest.approx(2 * 110 * 4, rel=1e-6)
+    assert report.task("second").energy == pytest.approx(2 * 100 * 4, rel=1e-6)
+    assert report.energy == pytest.approx(2 * (110 * 4 + 100 * 4 + 90 * 8), rel=1e-6)
+
+
+def test_payload_alone_raises_the_slip_moment_by_the_wheel_loads():
+    spin = Task("spin", Pose(1.0, 5.0, np.pi))
+    light = evaluate(mission([spin])).task("spin").energy
+    heavy = evaluate(mission([spin], payload=64.0)).task("spin").energy
+    vehicle = Vehicle.preset("quadriga")
+    mu = known().coefficient("slip_friction")
+    grown = vehicle.with_mass(64.0).slip_moment
+    assert heavy - light == pytest.approx(np.pi * mu * grown, rel=1e-3)
+
+
+def test_surfaces_are_priced_by_their_own_models():
+    concrete = known("quadriga:empty:concrete")
+    surfaces = SurfaceMap([Surface(shapely.box(6.0, 0.0, 14.0, 10.0), concrete)])
+    report = evaluate(mission([Task("far", Pose(11.0, 5.0, 0.0))], surfaces=surfaces))
+    assert report.task("far").energy == pytest.approx(2 * (90 * 5 + 113 * 5), rel=2e-3)
+
+
+# -- uncertainty ---------------------------------------------------------------------------------
+
+
+def simulated_energies(report: MissionReport, residual: Residual, count: int, seed: int) -> Any:
+    """Energies of missions whose parameters are drawn, by the paper's closed form on each path."""
+    rng = np.random.default_rng(seed)
+    model = report.mission.model
+    assert model.covariance is not None
+    draws = rng.multivariate_normal(model.coefficients, model.covariance, count)
+    half, moment = model.vehicle.icr.half_track, model.vehicle.slip_moment
+    travel = sum(np.maximum(np.abs(p.ds), half * np.abs(p.dtheta)).sum() for p in report.paths)
+    turning = sum(p.turning for p in report.paths)
+    drive = draws @ np.array([moment * turning, 2 * travel])
+    moving = report.duration - sum(task.dwell for task in report.mission.tasks)
+    steps, period = int(moving / 0.1), 0.1
+    # A first-order process whose autocorrelation decays as exp(-t / tau).
+    decay = np.exp(-period / residual.correlation_time)
+    noise, total = rng.normal(0, residual.rmse, count), np.zeros(count)
+    for _ in range(steps):
+        total += noise * period
+        noise = decay * noise + rng.normal(0, residual.rmse * np.sqrt(1 - decay**2), count)
+    error = 1.0 + rng.normal(0, residual.energy_error, count)
+    work = sum(task.dwell * task.power for task in report.mission.tasks)
+    return drive * error + total + work
+
+
+TASKS = [
+    Task("a", Pose(11.0, 2.0, 1.0), dwell=60.0, power=40.0),
+    Task("b", Pose(12.0, 8.0, 3.0)),
+    Task("c", Pose(4.0, 8.0, -2.0), dwell=30.0, power=40.0),
+    Task("d", Pose(7.0, 5.0, 0.5)),
+]
+
+
+@pytest.mark.parametrize(
+    "residual",
+    [
+        Residual(rmse=15.0, mae=12.0, bias=0.0, energy_error=0.03, correlation_time=2.0),
+        Residual(rmse=60.0, mae=50.0, bias=0.0, energy_error=0.0, correlation_time=3.0),
+        Residual(rmse=5.0, mae=4.0, bias=0.0, energy_error=0.005, correlation_time=0.5),
+    ],
+    ids=["mixed", "noise", "parameters"],
+)
+def test_the_bound_holds_as_often_as_it_says(residual):
+    model = replace(known("quadriga:empty:concrete", spread=0.04), residual=residual)
+    report = evaluate(mission(TASKS, model=model))
+    energies = simulated_energies(report, residual, 500, seed=11)
+    assert 0.93 <= np.mean(energies <= report.energy_upper) <= 0.98
+    assert np.mean(energies) == pytest.approx(report.energy, rel=0.01)
+
+
+def test_charge_at_the_bound_is_the_battery_run_with_that_energy():
+    model = known("quadriga:empty:concrete", spread=0.2)
+    report = evaluate(mission(TASKS, model=model, battery=tiny(60 * WH), reserve=0.05))
+    assert report.feasible
+    # An ideal battery: state of charge is energy.
+    assert report.soc_end == pytest.approx(1 - report.energy / (60 * WH), rel=1e-4)
+    assert report.soc_end_lower == pytest.approx(1 - report.energy_upper / (60 * WH), rel=1e-4)
+
+
+def test_errors_of_legs_that_share_a_model_add_up():
+    model = known("quadriga:empty:concrete", spread=0.05)
+    report = evaluate(mission(TASKS[:1], model=model, confidence=0.95))
+    twice = evaluate(
+        mission([TASKS[0], replace(TASKS[0], name="again")], model=model, confidence=0.95)
+    )
+    first, again = twice.tasks
+    assert again.energy == pytest.approx(TASKS[0].dwell * TASKS[0].power)
+    margin = report.energy_upper - report.energy
+    assert twice.energy_upper - twice.energy == pytest.approx(margin)
+    # Independent legs would give the root of the sum of squares, 0.71 of this.
+    there = first.energy_upper - first.energy
+    assert margin == pytest.approx(2 * there, rel=0.1)
+
+
+def test_confidence_one_half_is_the_expectation():
+    report = evaluate(
+        mission(TASKS, model=PowerModel.preset("quadriga:empty:marble"), confidence=0.5)
+    )
+    assert report.energy_upper == pytest.approx(report.energy)
+    assert report.soc_end == pytest.approx(report.soc_end_lower)
+
+
+def test_a_bound_that_nothing_supports_is_refused():
+    with pytest.raises(MissionError, match="neither a covariance nor a hold-out error"):
+        evaluate(mission(TASKS, model=PowerModel.preset("quadriga:empty:marble")))
+
+
+def test_spread_of_surfaces_stands_in_for_a_missing_covariance():
+    model = PowerModel.preset("quadriga:empty:marble")
+    straight = [Task("far", Pose(11.0, 5.0, 0.0))]
+    report = evaluate(mission(straight, model=model, coefficient_spread=0.1))
+    assert report.energy_upper / report.energy == pytest.approx(1 + 1.6449 * 0.1, rel=1e-3)
+
+
+# -- verdicts ------------------------------------------------------------------------------------
+
+
+def walled() -> OccupancyGrid:
+    grid = hall()
+    return grid.with_blocked(shapely.box(10.0, 0.0, 10.4, 10.0))
+
+
+def test_no_path():
+    tasks = [Task("near", Pose(5.0, 5.0, 0.0)), Task("behind", Pose(12.0, 5.0, 0.0))]
+    report = evaluate(mission(tasks, map=walled()))
+    behind = report.task("behind")
+    assert (behind.verdict, behind.reason) == ("unreachable", "no_path")
+    assert not behind.reachable_alone
+    assert np.isnan(behind.energy)
+    assert behind.remedy.startswith("clear the way or move the task")
+    assert report.task("near").verdict == "reachable"
+    assert not report.feasible
+    assert report.table["name"].tolist() == ["behind", "near"]
+
+
+def test_motor_limits():
+    # Turning on the spot takes mu S / B = 120 N a side beyond what the motor has.
+    model = known()
+    weak = replace(model.vehicle, motor=replace(model.vehicle.motor, force=150.0))
+    tasks = [
+        Task("ahead", Pose(5.0, 5.0, 0.0)),
+        Task("turned", Pose(5.0, 5.0, np.pi)),
+    ]
+    report = evaluate(mission(tasks, model=replace(model, vehicle=weak)))
+    assert report.task("ahead").verdict == "reachable"
+    turned = report.task("turned")
+    assert (turned.verdict, turned.reason) == ("unreachable", "motor")
+    assert "force" in turned.detail
+
+
+def test_there_but_not_back_is_out_of_reach():
+    # 10 m take 1800 J: enough to get there with the reserve of 10 % left, not to get back.
+    for energy, verdict in ((3600 / 0.9 + 10, "reachable"), (3600 / 0.9 - 10, "unreachable")):
+        report = evaluate(
+            mission([Task("far", Pose(11.0, 5.0, 0.0))], battery=tiny(energy), reserve=0.1)
+        )
+        assert report.task("far").verdict == verdict
+    far = report.task("far")
+    assert far.reason == "battery"
+    assert far.shortfall == pytest.approx(9.0, rel=0.02)
+    assert "battery" in far.remedy
+
+
+def test_blocked_by_an_earlier_task():
+    tasks = [
+        Task("long", Pose(5.0, 5.0, 0.0), dwell=100.0, power=80.0),
+        Task("short", Pose(9.0, 5.0, 0.0), dwell=10.0, power=10.0),
+        Task("late", Pose(9.0, 5.0, 0.0), dwell=100.0, power=80.0),
+    ]
+    report = evaluate(mission(tasks, battery=tiny(15000.0), reserve=0.1))
+    late = report.task("late")
+    assert (late.verdict, late.reason) == ("unreachable", "blocked_by_earlier")
+    assert late.reachable_alone
+    # 8000 + 100 + 8000 + 2 * 90 * 16 J are needed, 13500 J are there.
+    assert late.shortfall == pytest.approx(8000 + 100 + 8000 + 2 * 90 * 16 - 13500, rel=1e-3)
+    assert late.remedy.startswith("drop 'long'")
+    without = evaluate(mission(tasks[1:], battery=tiny(15000.0), reserve=0.1))
+    assert without.feasible
+
+
+def test_remedies_hold():
+    task = [Task("far", Pose(11.0, 5.0, 0.0), dwell=100.0, power=100.0)]
+    low = mission(task, battery=tiny(20000.0), soc=0.6, reserve=0.2)
+    told = evaluate(low).task("far")
+    assert told.reason == "battery"
+    # 13600 J and a fifth of 20000 J are 88 % of the battery.
+    assert "charge to 88 % before leaving" in told.remedy
+    assert evaluate(replace(low, soc=0.88)).feasible
+    assert not evaluate(replace(low, soc=0.87)).feasible
+
+
+def test_a_charger_on_the_way_makes_a_task_reachable():
+    task = [Task("far", Pose(11.0, 5.0, 0.0), dwell=100.0, power=100.0)]
+    low = mission(task, battery=tiny(20000.0), soc=0.6, reserve=0.2)
+    dock = Charger("dock", Pose(3.0, 5.0, 0.0), power=50.0)
+    report = evaluate(replace(low, chargers=(dock,)))
+    assert report.feasible
+    assert report.order == ("dock", "far", "dock")
+    line = report.timeline
+    assert line.power.min() == -50.0
+    # From 0.6 less the way there to 0.95 at 50 W.
+    stored = (0.95 - 0.6) * 20000 + 2 * 90 * 2
+    assert np.sum(line.power < 0) * 30.0 == pytest.approx(stored / 50.0, abs=60)
+    assert np.all(np.diff(line.t) >= 0)
+
+
+def test_the_voltage_must_hold_under_the_load():
+    sagging = tiny(1e6, resistance=0.2, cutoff_voltage=9.0)
+    task = [Task("drill", Pose(5.0, 5.0, 0.0), dwell=60.0, power=60.0)]
+    # 60 W pull the terminals to 8.5 V.
+    report = evaluate(mission(task, battery=sagging, speed=0.1))
+    assert report.task("drill").reason == "battery"
+    assert "sags" in report.task("drill").detail
+
+
+def test_time_windows():
+    tasks = [
+        Task("wait", Pose(5.0, 5.0, 0.0), window=(120.0, np.inf)),
+        Task("gone", Pose(9.0, 5.0, 0.0), window=(0.0, 60.0)),
+        Task("never", Pose(11.0, 5.0, 0.0), window=(0.0, 1.0)),
+    ]
+    report = evaluate(mission(tasks, model=known().with_term(HOTEL, 30.0)))
+    assert report.task("wait").start == pytest.approx(120.0)
+    assert report.task("gone").reason == "blocked_by_earlier"
+    assert report.task("gone").remedy.startswith("drop 'wait'")
+    assert report.task("never").reason == "motor"
+    assert not report.task("never").reachable_alone
+
+
+def test_return_rules():
+    dock = Charger("dock", Pose(9.0, 5.0, 0.0), power=50.0)
+    task = [Task("far", Pose(11.0, 5.0, 0.0))]
+    ends = {
+        rule: evaluate(mission(task, chargers=(dock,), return_to=rule)).end
+        for rule in ("start", "charger", "any")
+    }
+    assert ends == {"start": "start", "charger": "dock", "any": "dock"}
+
+
+# -- free order ----------------------------------------------------------------------------------
+
+
+def test_free_order_is_the_best_of_all_orders():
+    tasks = TASKS[:3]
+    free = evaluate(mission(tasks, order="free"))
+    given = [evaluate(mission(list(order))).energy for order in permutations(tasks)]
+    assert free.feasible
+    assert free.proven
+    assert free.energy <= min(given) * 1.005
+    assert max(given) > 1.05 * min(given)
+
+
+def test_free_order_takes_prizes_within_the_budget():
+    tasks = [
+        Task("rich", Pose(5.0, 5.0, 0.0), dwell=100.0, power=80.0, prize=5.0, required=False),
+        Task("poor", Pose(9.0, 5.0, 0.0), dwell=100.0, power=80.0, prize=1.0, required=False),
+    ]
+    report = evaluate(mission(tasks, battery=tiny(13000.0), reserve=0.1, order="free"))
+    assert report.order == ("rich",)
+    poor = report.task("poor")
+    assert (poor.reason, poor.reachable_alone) == ("blocked_by_earlier", True)
+    assert report.feasible
+    must = evaluate(
+        mission([tasks[0], replace(tasks[1], required=True)], battery=tiny(13000.0), reserve=0.1,
+                order="free")
+    )  # fmt: skip
+    assert must.order == ("poor",)
+
+
+# -- under way -----------------------------------------------------------------------------------
+
+
+def test_the_rest_of_a_mission_costs_what_is_left_of_it():
+    model = known("quadriga:empty:concrete")
+    whole = mission(TASKS, model=model)
+    told = evaluate(whole)
+    done = told.tasks[:2]
+    at = TASKS[1].pose
+    rest = whole.resume(at, soc=done[1].soc_after, done=["a", "b"], time=500.0)
+    assert rest.home == whole.start
+    again = evaluate(rest)
+    assert [t.name for t in again.tasks] == ["c", "d"]
+    assert again.energy == pytest.approx(told.energy - sum(t.energy for t in done), rel=2e-3)
+    assert again.soc_end == pytest.approx(told.soc_end, abs=1e-4)
+    assert again.end == "home"
+
+
+def test_a_corrected_model_takes_the_place_of_the_old_one():
+    loaded = {"quadriga:empty:marble": {64.0: known("quadriga:full:marble")}}
+    task = Task("far", Pose(11.0, 5.0, 0.0))
+    whole = mission([task], payload=64.0, payload_models=loaded)
+    old = whole.model
+    worn = old.with_coefficients(old.coefficients * 1.5, old.covariance)
+    rest = whole.resume(whole.start, soc=0.9, model=replace(worn, name="learned"))
+    assert evaluate(rest).task("far").energy == pytest.approx(1.5 * 2 * 110 * 10, rel=1e-6)
+
+
+def test_missions_travel_to_other_processes():
+    again = pickle.loads(pickle.dumps(mission(TASKS)))
+    assert again.tasks == tuple(TASKS)
+    assert evaluate(again).feasible
+
+
+# -- bad missions --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "message", "place"),
+    [
+        ({"tasks": ()}, "no task", ("tasks",)),
+        ({"tasks": (TASKS[0], TASKS[0])}, "stands twice", ("tasks", 1, "name")),
+        ({"reserve": 1.2}, "reserve is 1.2", ("reserve",)),
+        ({"reserve": 0.5, "soc": 0.4}, "not below the state of charge", ("reserve",)),
+        ({"soc": np.nan}, "soc is nan", ("soc",)),
+        ({"confidence": 1.0}, "confidence", ("confidence",)),
+        ({"start": Pose(50.0, 5.0, 0.0)}, "outside the map", ("start",)),
+        ({"map": walled(), "start": Pose(10.2, 5.0, 0.0)}, "nearest free pose", ("start",)),
+        ({"return_to": "charger"}, "has none", ("return_to",)),
+        ({"payload": -1.0}, "payload", ("payload",)),
+    ],
+)
+def test_bad_missions_are_refused(changes, message, place):
+    with pytest.raises(MissionError, match=message) as caught:
+        mission(**{"tasks": TASKS, **changes})
+    assert caught.value.place == place
+
+
+@pytest.mark.parametrize(
+    ("changes", "place"),
+    [
+        ({"dwell": -1.0}, ("dwell",)),
+        ({"power": np.nan}, ("power",)),
+        ({"pose": Pose(np.nan, 0.0, 0.0)}, ("pose",)),
+        ({"window": (5.0, 1.0)}, ("window",)),
+        ({"prize": -2.0}, ("prize",)),
+        ({"name": ""}, ("name",)),
+    ],
+)
+def test_bad_tasks_are_refused(changes, place):
+    with pytest.raises(MissionError) as caught:
+        replace(TASKS[0], **changes)
+    assert caught.value.place == place
