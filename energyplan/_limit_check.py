@@ -20,7 +20,7 @@ from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
 from energyplan.power import PowerModel
 
-BLOCK = 8192
+BLOCK = 16384
 """Samples per block."""
 
 

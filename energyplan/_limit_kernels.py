@@ -97,19 +97,21 @@ def energy_drawn(t: FloatArray, power: FloatArray) -> FloatArray:
 @njit
 def window_mean(t: FloatArray, power: FloatArray, window: float) -> FloatArray:
     """Mean power over the window that ends at each sample; before the first one it was zero."""
-    energy = energy_drawn(t, power)
     mean = np.empty(len(t))
-    j = 0
+    drawn, gone, j = 0.0, 0.0, 0
     for k in range(len(t)):
+        if k > 0:
+            drawn += 0.5 * (power[k] + power[k - 1]) * (t[k] - t[k - 1])
         since = t[k] - window
         if since <= t[0]:
-            mean[k] = energy[k] / window
+            mean[k] = drawn / window
             continue
         while t[j + 1] <= since:
+            gone += 0.5 * (power[j] + power[j + 1]) * (t[j + 1] - t[j])
             j += 1
         into, step = since - t[j], t[j + 1] - t[j]
-        before = energy[j] + into * (power[j] + 0.5 * (power[j + 1] - power[j]) * into / step)
-        mean[k] = (energy[k] - before) / window
+        before = gone + into * (power[j] + 0.5 * (power[j + 1] - power[j]) * into / step)
+        mean[k] = (drawn - before) / window
     return mean
 
 
