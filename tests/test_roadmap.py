@@ -254,13 +254,15 @@ def hall(*boxes, size=(12.0, 10.0)):
 
 def test_plan_in_an_empty_hall_turns_drives_and_turns():
     problem = PlanningProblem(hall((11, 9, 12, 10)), COST, (1, 1, 0.4), (6, 5, 1.2))
-    plan = rm.plan(problem)
+    plan = rm.plan(problem, refine=False)
     bearing = np.arctan2(4, 5)
     turning = abs(bearing - 0.4) + abs(1.2 - bearing)
     assert plan.energy == pytest.approx(A * np.hypot(4, 5) + SPIN * turning)
     assert plan.lower_bound <= plan.energy
     assert plan.lower_bound >= 0.999 * float(steering.energy(problem.start, problem.goal, COST))
     assert plan.planner == "roadmap"
+    # exact steering does better than turning on the spot
+    assert rm.plan(problem).energy == pytest.approx(plan.lower_bound, rel=1e-3)
 
 
 def test_plans_are_free_and_end_at_the_goal():

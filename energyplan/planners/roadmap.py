@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
+from energyplan._collision import first_collision
 from energyplan.cost import EnergyCost
 from energyplan.errors import (
     InvalidInputError,
@@ -33,9 +34,10 @@ from energyplan.planners._energy_graph import (
     positions,
 )
 from energyplan.planners._problem import Plan, PlanningProblem
-from energyplan.planners._query import Query
+from energyplan.planners._query import Query, Segments
 from energyplan.planners._routes import Roadmap, Route
 from energyplan.planners._visibility import traced, visibility_graph
+from energyplan.planners.refine import refine as refine_motions
 
 __all__ = [
     "Roadmap",
@@ -91,6 +93,7 @@ def plan(
     neighbours: int = 12,
     reverse: bool = True,
     radius: float = 0.0,
+    refine: bool | None = None,
 ) -> Plan:
     """Plan along a graph of places, or along the visibility graph of the obstacles.
 
@@ -117,12 +120,15 @@ def plan(
         Whether the robot may drive backwards.
     radius : float
         Largest radius of rounded corners [m] at nodes of `graph` without a ``radius``.
+    refine : bool, optional
+        Whether to use what is left of the time to make the route cheaper with exact steering,
+        which leaves the graph; done where not given, unless a `graph` is.
 
     Returns
     -------
     Plan
-        The route of least energy on the graph. Its lower bound holds for all paths, not only for
-        those on the graph.
+        The route of least energy on the graph, refined where wanted. Its lower bound holds for
+        all paths, not only for those on the graph.
 
     Raises
     ------
@@ -142,6 +148,7 @@ def plan(
         raise UnsupportedPlannerError(
             f"the planner 'roadmap' makes energy least, not {problem.objective!r}; use 'lattice'"
         )
+    polish = graph is None if refine is None else refine
     query = Query(problem)
     places = [_reference(problem, problem.start), _reference(problem, problem.goal)]
     if graph is None:
@@ -156,8 +163,9 @@ def plan(
     roadmap = Roadmap(graph, problem.cost, problem.surfaces, reverse, radius)
     path = _free_route(roadmap, ends, query, begun + time_limit)
     first = time.perf_counter()
-    energy = roadmap.price(path)
-    bound = lower_bound(query, energy)
+    if polish:
+        path = _refined(roadmap, path, query, begun + time_limit)
+    bound = lower_bound(query, roadmap.price(path))
     return query.plan(path, bound, begun, first, "roadmap")
 
 
@@ -219,6 +227,19 @@ def _free_route(
             )
         if not _mend(roadmap, sequence, query, closed):
             raise NoPathError("the footprint is not free where start and goal are the same place")
+
+
+def _refined(roadmap: Roadmap, path: Path, query: Query, deadline: float) -> Path:
+    """Return a route made cheaper with exact steering, or the route itself."""
+    lateral = query.problem.cost.icr.centre[1]
+    motions = Segments(path.ds - lateral * path.dtheta, path.dtheta)
+    setting = query.setting
+    centre = Path(query.centre(path.start), motions.ds, motions.dtheta)
+    # the planners' footprint is a little larger than the robot's
+    if first_collision(setting.space, setting.body, centre.vertices, *motions, 0.0) >= 0:
+        return path
+    better = query.path(refine_motions(query, motions, deadline))
+    return better if roadmap.price(better) < roadmap.price(path) else path
 
 
 def _mend(
