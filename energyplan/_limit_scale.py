@@ -43,17 +43,17 @@ def largest_scale(drive: Drive) -> SpeedScale:
 
 def _is_static(drive: Drive) -> bool:
     """Tell whether every limited quantity grows with the pure powers of `STATIC`."""
-    for scale in (0.5, 2.0):
-        for one, other in zip(drive.blocks(1.0), drive.blocks(scale), strict=True):
-            now = drive.limits.loads(drive.model, one.motion)
-            then = drive.limits.loads(drive.model, other.motion)
+    for k in range(drive.block_count):
+        now = drive.limits.loads(drive.model, drive.block(k).motion)
+        for scale in (0.5, 2.0):
+            then = drive.limits.loads(drive.model, drive.block(k, scale).motion)
             pairs = [(now.left * scale, then.left), (now.right * scale, then.right)]
             for bound, a, b in zip(drive.limits.bounds, now.values, then.values, strict=True):
                 if bound.kind in STATIC:
                     pairs.append((a * scale ** STATIC[bound.kind], b))
             for expected, found in pairs:
-                size = float(np.max(np.abs(expected), initial=0.0))
-                if np.max(np.abs(expected - found), initial=0.0) > 1e-12 * size:
+                size = float(np.max(np.abs(expected)))
+                if np.max(np.abs(expected - found)) > 1e-12 * size:
                     return False
     return True
 

@@ -11,7 +11,7 @@ limit of the motors holds in any case.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -144,21 +144,38 @@ def profile(
     def solve(within: Limits) -> Sampled:
         return task.course.sample(task.phases(within, objective, duration), period)
 
-    motor = limits.motor
     sampled = solve(limits)
-    if np.isinf(motor.continuous_power) or task.hottest(sampled, motor) <= 1 + ROUNDING:
-        return sampled.trajectory
-    # Lower the peak power until every thermal window is within the continuous power.
-    low, high = motor.continuous_power, task.strongest(sampled)
-    sampled = solve(limits.sustained)
-    for _ in range(10):
-        middle = 0.5 * (low + high)
-        tried = solve(replace(limits, motor=replace(motor, peak_power=middle)))
-        if task.hottest(tried, motor) > 1 + ROUNDING:
-            high = middle
-        else:
-            low, sampled = middle, tried
+    if np.isfinite(limits.motor.continuous_power) and task.is_hot(sampled, limits.motor):
+        sampled = _cooled(solve, task, limits, task.strongest(sampled))
     return sampled.trajectory
+
+
+def _cooled(
+    solve: Callable[[Limits], Sampled], task: _Task, limits: Limits, strongest: float
+) -> Sampled:
+    """Lower the peak power until every thermal window is within the continuous power."""
+    motor = limits.motor
+    low, high = motor.continuous_power, strongest
+    cool: list[Sampled] = []
+    for k in range(11):
+        power = low if k == 0 else 0.5 * (low + high)
+        try:
+            tried = solve(replace(limits, motor=replace(motor, peak_power=power)))
+        except InfeasibleMotionError:
+            # With so little power a given duration is too short.
+            low = power
+            continue
+        if task.is_hot(tried, motor):
+            high = power
+        else:
+            low = power
+            cool.append(tried)
+    if not cool:
+        raise InfeasibleMotionError(
+            f"the motors' continuous power of {motor.continuous_power:g} W does not suffice in "
+            "any profile that was tried; allow more time or take a longer way round"
+        )
+    return cool[-1]
 
 
 @dataclass(frozen=True)
@@ -300,13 +317,14 @@ class _Task:
         """Largest shaft power that a side draws [W]."""
         return max(float(power.max()) for power in self.drawn(sampled))
 
-    def hottest(self, sampled: Sampled, motor: MotorLimits) -> float:
-        """Largest mean drawn power over a thermal window, relative to the continuous power."""
+    def is_hot(self, sampled: Sampled, motor: MotorLimits) -> bool:
+        """Tell whether the mean drawn power of a thermal window is above the continuous power."""
         means = self.drawn(sampled)
         if motor.thermal_time > 0:
             t = sampled.trajectory.t
             means = [window_mean(t, power, motor.thermal_time) for power in means]
-        return max(float(np.max(relative(mean, motor.continuous_power))) for mean in means)
+        uses = [relative(mean, motor.continuous_power) for mean in means]
+        return bool(np.max(uses) > 1 + ROUNDING)
 
 
 def _drift(length: FloatArray, shape: FloatArray, jump: FloatArray) -> FloatArray:

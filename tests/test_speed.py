@@ -412,6 +412,18 @@ def test_the_continuous_power_holds_over_every_window():
     assert not check(fast, PAPER, cool).feasible
 
 
+def test_a_given_duration_keeps_the_motors_cool():
+    path = Path(START, [0.0, 1.0], [40.0, 0.0])
+    cool = with_motor(continuous_power=120.0, thermal_time=4.0)
+    least = profile(path, PAPER, vehicle=cool).duration
+    for part in (1.0, 1.3):
+        found = profile(path, PAPER, vehicle=cool, duration=part * least)
+        assert found.duration == pytest.approx(part * least, rel=1e-9)
+        assert check(found, PAPER, cool).feasible
+    with pytest.raises(InfeasibleMotionError, match="continuous power of 120 W"):
+        profile(path, PAPER, vehicle=cool, duration=0.7 * least)
+
+
 def test_a_slope_slows_the_climb_and_not_the_descent():
     model = INERTIA.with_term(term("grade"), 83.0)
     vehicle = with_motor(peak_power=150.0, continuous_power=150.0)
