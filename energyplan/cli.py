@@ -356,8 +356,8 @@ def check(
     from energyplan.io.trajectory import read_trajectory
     from energyplan.report import number
 
-    limits = read_vehicle(vehicle) if vehicle else None
-    report = run(read_trajectory(trajectory), read_model(model), limits)
+    law, limits = read_model(model), read_vehicle(vehicle) if vehicle else None
+    report = run(read_trajectory(trajectory), law, limits)
     lines = ["feasible" if report.feasible else "not feasible"]
     lines += [
         f"{found.kind.replace('_', ' ')} {found.side}: {number(found.start)} s to "
@@ -425,18 +425,16 @@ def demo(
 def main() -> None:
     """Entry point: map errors to exit codes and one line on stderr."""
     try:
-        code = app(standalone_mode=False)
+        code = app(standalone_mode=False) or 0
     except (TimeLimitError, MissingDependencyError) as error:
         code = _fail(str(error), 1)
     except (EnergyPlanError, OSError) as error:
         code = _fail(str(error), 2)
     except typer.TyperException as error:
         code = _fail(error.format_message(), error.exit_code)
-    except typer.Exit as leave:  # typer turns Ctrl-C into an exit with this code
-        code = leave.exit_code
-        if code == INTERRUPTED:
-            _fail("interrupted; files are as they were", code)
-    sys.exit(code or 0)
+    if code == INTERRUPTED:  # typer turns Ctrl-C into an exit with this code
+        _fail("interrupted; files are as they were", code)
+    sys.exit(code)
 
 
 def _fail(message: str, code: int) -> int:

@@ -338,7 +338,8 @@ def state_of_charge(ax: Axes, report: MissionReport) -> Axes:
                 rotation=90, va="top", ha="right", fontsize="small", color="0.3",
             )  # fmt: skip
     _label(ax, "time [min]", "state of charge [%]", "State of charge over the mission")
-    _legend(ax, loc="lower left")
+    ax.set_ylim(0, 105)
+    _legend(ax, loc="lower left", bbox_to_anchor=(0.0, 0.02))
     return ax
 
 

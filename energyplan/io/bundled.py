@@ -20,14 +20,14 @@ def bundled(name: str) -> Path:
     Returns
     -------
     Path
-        The file: in the installed package, or in ``maps/`` of a checkout.
+        The file: in the installed package, or in ``maps/`` or ``examples/`` of a checkout.
 
     Raises
     ------
     UnknownNameError
         If the library has no such file.
     """
-    folders = (_PACKAGE / "maps_data", _PACKAGE.parent / "maps")
+    folders = (_PACKAGE / "bundle", _PACKAGE.parent / "maps", _PACKAGE.parent / "examples")
     files = {file.name: file for folder in folders if folder.is_dir() for file in folder.iterdir()}
     if name not in files:
         raise UnknownNameError("bundled file", name, files)

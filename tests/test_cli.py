@@ -1,0 +1,257 @@
+"""Command line: keys, exit codes, one-line errors, nothing but JSON on stdout."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import energyplan as ep
+from energyplan import cli, simulate
+from energyplan.io.bundled import bundled
+from energyplan.io.trajectory import write_log, write_trajectory
+from energyplan.path import Trajectory
+from energyplan.power import HOTEL, PowerModel
+
+Run = Callable[..., "Result"]
+MODEL = PowerModel.preset("quadriga:full:marble")
+COMMANDS = ("identify", "diagnose", "plan", "compare", "check", "mission", "demo")
+
+
+class Result:
+    """What a command left behind."""
+
+    def __init__(self, code: int, out: str, err: str) -> None:
+        self.code, self.out, self.err = code, out, err
+
+    @property
+    def json(self) -> dict:
+        return json.loads(self.out)
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    def call(*arguments: object) -> Result:
+        monkeypatch.setattr("sys.argv", ["energyplan", *(str(a) for a in arguments)])
+        with pytest.raises(SystemExit) as left:
+            cli.main()
+        printed = capsys.readouterr()
+        return Result(int(left.value.code or 0), printed.out, printed.err)
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def spiral(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    log = simulate.drive(MODEL, "spiral", power_noise=10.0, speed_noise=0.005, seed=4)
+    return write_log(log, tmp_path_factory.mktemp("logs") / "spiral.csv")
+
+
+def test_diagnose_writes_a_model_that_the_planner_takes(run: Run, tmp_path: Path) -> None:
+    truth = MODEL.with_term(HOTEL, 40.0)
+    files = [
+        write_log(make(truth, power_noise=5.0, seed=seed), tmp_path / f"{seed}.csv")
+        for seed, make in enumerate((simulate.identification_drive, simulate.validation_drive))
+    ]
+    out, report = tmp_path / "extended.yaml", tmp_path / "diagnosis.html"
+    result = run("diagnose", files[0], "--holdout", files[1], "--vehicle", "quadriga:full",
+                 "--out", out, "--report", report, "--json")  # fmt: skip
+    assert result.code == 0
+    keys = {"verdict", "effects", "before", "after", "unexplained", "advice"}
+    assert keys <= set(result.json)
+    (effect,) = result.json["effects"]
+    wanted = {"name", "symbol", "value", "unit", "std_error", "evidence", "rivals"}
+    assert wanted <= set(effect)
+    assert effect["name"] == "hotel_load"
+    assert effect["value"] == pytest.approx(40.0, abs=5 * effect["std_error"])
+    assert result.json["after"]["rmse"] < result.json["before"]["rmse"]
+    assert report.read_text().startswith("<!doctype html>")
+    planned = run("plan", "--map", bundled("office.yaml"), "--model", out, "--start",
+                  "1.2,2,90deg", "--goal", "3.9,2,90deg", "--json")  # fmt: skip
+    assert planned.json["breakdown"]["hotel_load"] > 0
+
+
+def test_mission_flags_what_is_out_of_reach(run: Run, tmp_path: Path) -> None:
+    report = tmp_path / "mission.html"
+    file = bundled("mission_warehouse.yaml")
+    result = run("mission", file, "--report", report, "--json")
+    assert result.code == 0
+    assert set(result.json) >= {"tasks", "order", "energy", "energy_upper", "soc_end", "feasible"}
+    verdicts = {task["name"]: task["verdict"] for task in result.json["tasks"]}
+    assert verdicts["wash the marble hall"] == "unreachable"
+    assert verdicts["inspect the gate"] == "reachable"
+    for task in result.json["tasks"]:
+        assert set(task) == {"name", "verdict", "reason", "reachable_alone", "energy",
+                             "energy_upper", "soc_after", "shortfall", "remedy"}  # fmt: skip
+    assert "wash the marble hall" in report.read_text()
+
+
+def test_demo_makes_every_file_it_lists(run: Run, tmp_path: Path) -> None:
+    result = run("demo", "--out", tmp_path / "demo", "--json")
+    assert result.code == 0
+    files = [Path(name) for name in result.json["files"]]
+    made = {file for file in (tmp_path / "demo").rglob("*") if file.is_file()}
+    assert set(files) == made
+    page = files[-1].read_text()
+    assert files[-1].name == "index.html"
+    assert page.count("data:image/png;base64,") == len([f for f in files if f.suffix == ".png"])
+    assert "http" not in re.sub(r"base64,[^\"]+", "", page)
+
+
+def arc(speed: float) -> Trajectory:
+    t = np.linspace(0, 4, 81)
+    rate = speed * 1.5
+    yaw = rate * t
+    return Trajectory(
+        t, np.sin(yaw) / 1.5, (1 - np.cos(yaw)) / 1.5, yaw, 0 * t + speed, 0 * t + rate
+    )
+
+
+def assert_refused(result: Result, *words: str) -> None:
+    assert result.code == 2
+    assert result.out == ""
+    assert len(result.err.splitlines()) == 1
+    assert "Traceback" not in result.err
+    for word in words:
+        assert word in result.err
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_shows_an_example(run: Run, command: str) -> None:
+    result = run(command, "--help")
+    assert result.code == 0
+    assert f"Example: energyplan {command}" in result.out
+
+
+def test_identify_prints_what_the_library_finds(run: Run, spiral: Path, tmp_path: Path) -> None:
+    out = tmp_path / "model.yaml"
+    result = run("identify", spiral, "--vehicle", "quadriga:full", "--out", out, "--json")
+    assert result.code == 0
+    found = ep.identify(ep.DriveLog.read(spiral), ep.Vehicle.preset("quadriga:full"))
+    assert set(result.json) == {"terms", "icr", "residual", "warnings"}
+    assert set(result.json["icr"]) == {"left", "right", "longitudinal", "std_error"}
+    assert set(result.json["residual"]) == {"rmse", "mae", "bias", "energy_error"}
+    for row in result.json["terms"]:
+        assert set(row) == {"name", "symbol", "value", "unit", "std_error"}
+        assert row["value"] == pytest.approx(found.model.coefficient(row["name"]))
+        assert row["std_error"] == pytest.approx(found.std_error[row["name"]])
+    again = ep.read_model(out)
+    assert again.coefficients == pytest.approx(found.model.coefficients)
+    assert again.covariance == pytest.approx(found.model.covariance)
+
+
+def test_columns_of_another_name_and_unit(run: Run, spiral: Path, tmp_path: Path) -> None:
+    log = ep.DriveLog.read(spiral)
+    rows = np.column_stack(
+        [log.t, log.channel("v_left"), log.channel("v_right"), log.power,
+         np.degrees(log.channel("yaw"))]
+    )  # fmt: skip
+    other = tmp_path / "other.csv"
+    np.savetxt(other, rows, delimiter=",", header="t,velL,velR,power,heading", comments="")
+    columns = "v_left=velL,v_right=velR,yaw=heading[deg]"
+    result = run("identify", other, "--vehicle", "quadriga:full", "--columns", columns, "--json")
+    whole = run("identify", spiral, "--vehicle", "quadriga:full", "--json")
+    for mine, theirs in zip(result.json["terms"], whole.json["terms"], strict=True):
+        assert mine["value"] == pytest.approx(theirs["value"], rel=0.01)
+
+
+def test_check_answers_no_and_strict_says_so(run: Run, tmp_path: Path) -> None:
+    file = write_trajectory(arc(1.1), tmp_path / "fast.csv")
+    result = run("check", file, "--model", "quadriga:full:marble", "--json")
+    assert result.code == 0
+    assert result.json["feasible"] is False
+    assert {v["kind"] for v in result.json["violations"]} >= {"speed"}
+    assert all(
+        set(v) == {"kind", "side", "start", "end", "peak", "limit"}
+        for v in result.json["violations"]
+    )
+    scale = result.json["max_speed_scale"]
+    assert 0 < scale < 1
+    assert run("check", file, "--model", "quadriga:full:marble", "--strict").code == 3
+    slower = write_trajectory(arc(1.1).scaled(0.99 * scale), tmp_path / "slow.csv")
+    assert run("check", slower, "--model", "quadriga:full:marble", "--strict").code == 0
+
+
+def test_plan_and_compare(run: Run, tmp_path: Path) -> None:
+    options = ("--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
+               "--start", "1.2,2,90deg", "--goal", "3.9,2,90deg", "--time-limit", 0.2)  # fmt: skip
+    out, plot = tmp_path / "path.csv", tmp_path / "path.png"
+    result = run("plan", *options, "--out", out, "--plot", plot, "--json")
+    assert result.code == 0
+    keys = {"energy", "length", "turning", "lower_bound", "gap", "planning_time", "planner",
+            "breakdown", "path"}  # fmt: skip
+    assert keys <= set(result.json)
+    assert result.json["energy"] == pytest.approx(sum(result.json["breakdown"].values()))
+    assert result.json["lower_bound"] <= result.json["energy"]
+    assert result.json["path"][-1] == pytest.approx([3.9, 2, math.pi / 2], abs=1e-6)
+    assert out.read_text().startswith("x,y,yaw\n")
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    both = run("compare", *options, "--json").json
+    assert set(both) == {"energy_optimal", "shortest", "saving"}
+    assert both["saving"] == pytest.approx(
+        1 - both["energy_optimal"]["energy"] / both["shortest"]["energy"]
+    )
+    assert both["saving"] >= 0
+
+
+@pytest.mark.parametrize("pose", ["1,2", "1,2,3,4", "1,2,north", "1,nan,0", ""])
+def test_bad_poses_are_refused(run: Run, pose: str) -> None:
+    result = run("plan", "--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
+                 "--start", pose, "--goal", "4,2,0")  # fmt: skip
+    assert_refused(result, "pose", "90deg")
+
+
+def test_a_goal_in_a_wall_or_outside_is_named(run: Run) -> None:
+    options = ("plan", "--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
+               "--start", "1.2,2,90deg", "--goal")  # fmt: skip
+    assert_refused(run(*options, "0,0,0"), "goal")
+    assert_refused(run(*options, "-50,0,0"), "goal", "outside")
+
+
+def test_missing_and_broken_files_are_refused(run: Run, tmp_path: Path) -> None:
+    absent = tmp_path / "absent.csv"
+    assert_refused(run("identify", absent, "--vehicle", "quadriga"), "absent.csv")
+    broken = tmp_path / "broken.csv"
+    broken.write_text("t,v_left,v_right,power\n0,0,0,1\n1,0,0,1\n0.5,0,0,1\n")
+    assert_refused(run("identify", broken, "--vehicle", "quadriga"), "broken.csv", "line 4")
+    assert_refused(run("mission", tmp_path / "absent.yaml"), "absent.yaml")
+    assert_refused(run("check", absent, "--model", "quadriga:full:marble"), "absent.csv")
+
+
+def test_unknown_names_list_the_known_ones(run: Run, spiral: Path) -> None:
+    assert_refused(run("identify", spiral, "--vehicle", "quadrga"), "quadrga", "husky_a200")
+    assert_refused(
+        run("identify", spiral, "--vehicle", "quadriga", "--method", "magic"), "magic", "huber"
+    )
+    assert_refused(run("check", spiral, "--model", "quadriga:full:ice"), "quadriga:full:marble")
+
+
+def test_wrong_usage_is_one_line(run: Run) -> None:
+    assert_refused(run("identify", "--nonsense"), "--nonsense")
+    assert_refused(run("plan"), "--map")
+
+
+def test_what_a_log_cannot_tell_is_an_error_not_a_number(run: Run, tmp_path: Path) -> None:
+    log = simulate.drive(MODEL, "straight", power_noise=5.0)
+    file = write_log(log, tmp_path / "straight.csv")
+    assert_refused(run("identify", file, "--vehicle", "quadriga:full"), "mu", "spin")
+
+
+def test_interrupting_is_clean(
+    run: Run, spiral: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("energyplan.drivelog.DriveLog.read", interrupted)
+    out = tmp_path / "model.yaml"
+    out.write_text("as it was")
+    result = run("identify", spiral, "--vehicle", "quadriga", "--out", out)
+    assert result.code == 130
+    assert result.err == "energyplan: interrupted; files are as they were\n"
+    assert out.read_text() == "as it was"
