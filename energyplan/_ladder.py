@@ -103,14 +103,19 @@ class Runs:
         InfeasibleMotionError
             If the robot cannot even crawl along a run.
         """
-        with np.errstate(divide="ignore"):
-            bounds = (
-                np.full_like(self.turn, limits.motor.speed),
-                limits.yaw_rate / np.abs(self.turn),
-                np.sqrt(limits.lateral_acceleration / np.abs(self.forward * self.turn)),
-                np.sqrt(0.99 * min(limits.motor.acceleration, UNLIMITED) / self.bend),
-            )
-            top = np.min(bounds, axis=0)
+        full = min(limits.motor.acceleration, UNLIMITED)
+        if full == 0:
+            raise InvalidInputError("the motors' acceleration limit is 0; the robot cannot start")
+        bounds = (
+            np.full_like(self.turn, limits.motor.speed),
+            _ratio(limits.yaw_rate, np.abs(self.turn)),
+            np.sqrt(_ratio(limits.lateral_acceleration, np.abs(self.forward * self.turn))),
+            np.sqrt(_ratio(0.99 * full, self.bend)),
+        )
+        top = np.min(bounds, axis=0)
+        if np.any(top == 0):
+            k = int(np.argmin(top))
+            raise InfeasibleMotionError(f"{self.place(k)} a limit of 0 forbids any speed")
         free = ~np.isfinite(top)
         top = np.where(free, 1.0, top)
         while np.any(growing := free & (self.use(limits, top) <= 1.0)):
@@ -133,7 +138,10 @@ class Runs:
             if value[k] > bound.limit
         ]
         reasons = "; ".join(over)
-        return f"{self.place(k)} no speed is feasible: {reasons}. Turn wider or lighten the robot"
+        return (
+            f"{self.place(k)} no speed is feasible: {reasons}. It takes another path, less load, "
+            "other ground or stronger motors"
+        )
 
     def place(self, k: int) -> str:
         """Describe run `k` for messages."""
@@ -207,11 +215,16 @@ class Ladder:
             k = int(np.argmin(usable[0]))
             raise InfeasibleMotionError(
                 f"{runs.place(k)} the limits leave nothing to speed up or slow down with; "
-                "turn wider or lighten the robot"
+                "it takes another path, less load, other ground or stronger motors"
             )
         last = np.take_along_axis(rate, usable.sum(axis=0)[None], axis=0)
         up, down = (np.where(usable, gain, full) for gain in gains)
         return cls(np.minimum(rate, last), up, down)
+
+
+def _ratio(limit: float, value: FloatArray) -> FloatArray:
+    """Limit over value; infinite where there is nothing to limit."""
+    return np.divide(limit, value, out=np.full_like(value, np.inf), where=value > 0)
 
 
 def _largest_gain(
