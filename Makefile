@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 OUT ?= demo
 
-.PHONY: demo test lint docs bench lock clean
+.PHONY: demo test lint pictures bench lock clean
 
 demo: $(READY)
 	$(BIN)/energyplan demo --out $(OUT)
@@ -18,6 +18,11 @@ lint: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# The pictures of the README, drawn by the demo.
+pictures: demo
+	mkdir -p docs/pictures
+	cp $(OUT)/*.png docs/pictures/
 
 # Every figure of the benchmark pages, measured on this machine. Takes a while.
 bench: $(READY)

@@ -1,0 +1,104 @@
+"""Conventions that hold for every public object: names, docstrings, errors, what text may say."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from numpydoc.docscrape import FunctionDoc
+
+import energyplan
+from energyplan import errors
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def modules() -> list[str]:
+    found = pkgutil.walk_packages(energyplan.__path__, "energyplan.")
+    return sorted(m.name for m in found if not re.search(r"\._", m.name))
+
+
+def public_functions() -> Iterator[tuple[str, object]]:
+    for name in modules():
+        module = importlib.import_module(name)
+        for key, value in vars(module).items():
+            if key.startswith("_") or getattr(value, "__module__", None) != name:
+                continue
+            if inspect.isfunction(value):
+                yield f"{name}.{key}", value
+            elif inspect.isclass(value):
+                yield f"{name}.{key}", value
+                for method, function in vars(value).items():
+                    function = getattr(function, "__func__", function)
+                    if inspect.isfunction(function) and not method.startswith("_"):
+                        yield f"{name}.{key}.{method}", function
+
+
+PUBLIC = dict(public_functions())
+COMMANDS = "energyplan.cli."  # typer's own help strings document the options of commands
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_docstrings_document_exactly_the_parameters(name: str) -> None:
+    value = PUBLIC[name]
+    text = inspect.getdoc(value)
+    assert text, f"{name} has no docstring"
+    first = text.splitlines()[0]
+    assert first.endswith("."), f"{name}: the first line is one sentence"
+    if name.startswith(COMMANDS):
+        return
+    documented = [p.name for p in FunctionDoc(value, doc=text)["Parameters"]]
+    if not documented:
+        return
+    named = [part.strip().lstrip("*") for entry in documented for part in entry.split(",")]
+    wanted = [
+        p for p in inspect.signature(value).parameters if p not in ("self", "cls") and p[0] != "_"
+    ]
+    assert sorted(named) == sorted(wanted), f"{name} documents {named}, takes {wanted}"
+
+
+@pytest.mark.parametrize("name", [n for n in dir(errors) if n.endswith("Error")])
+def test_errors_share_a_base_and_bad_input_is_a_value_error(name: str) -> None:
+    error = getattr(errors, name)
+    assert issubclass(error, errors.EnergyPlanError)
+    assert issubclass(error, ValueError) is issubclass(error, errors.InvalidInputError)
+
+
+def test_every_public_name_can_be_imported() -> None:
+    for name in energyplan.__all__:
+        assert getattr(energyplan, name) is not None
+
+
+def test_functions_are_not_hidden_by_modules_of_the_same_name() -> None:
+    code = (
+        "import energyplan, energyplan.identify, energyplan.diagnose, energyplan.compare\n"
+        "from energyplan.identify import fit_residual\n"
+        "print(all(callable(getattr(energyplan, n)) for n in ('identify', 'diagnose', 'compare')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "True"
+
+
+def test_importing_the_package_imports_nothing_heavy() -> None:
+    code = (
+        "import sys, energyplan.cli\n"
+        "print([m for m in ('numpy', 'numba', 'scipy', 'matplotlib', 'pandas', 'ompl') "
+        "if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_no_module_is_long() -> None:
+    lengths = {
+        path.relative_to(ROOT).as_posix(): len(path.read_text().splitlines())
+        for path in (ROOT / "energyplan").rglob("*.py")
+    }
+    assert {name: count for name, count in lengths.items() if count > 470} == {}
