@@ -77,7 +77,8 @@ def main(folder: Path) -> None:
         predicted = float(log.weights @ found.model.power(log.motion(icr)))
         error = predicted / log.energy - 1
         print(
-            f"   {log.name}: {log.energy:6.0f} J measured, {predicted:6.0f} J predicted ({error:+.1%})"
+            f"   {log.name}: {log.energy:6.0f} J measured, {predicted:6.0f} J predicted "
+            f"({error:+.1%})"
         )
 
 

@@ -1,0 +1,350 @@
+"""Bags written with rosbags come back as the drive that was simulated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from energyplan.drivelog import DriveLog
+from energyplan.errors import ConfigError, DriveLogError, EnergyPlanError, UnknownNameError
+from energyplan.io._align import Series, align, interpolation_error
+from energyplan.io.bags import bag_info, is_bag, read_bag
+from energyplan.io.logs import read_log
+from energyplan.io.topics import TOPIC_MAPS, TopicMap, TopicSource
+from energyplan.io.trajectory import write_log
+from energyplan.power import PowerModel
+from energyplan.simulate import identification_drive
+from energyplan.vehicle import Vehicle
+
+rosbags = pytest.importorskip("rosbags")
+
+START = 1_700_000_000  # seconds since the epoch
+HUSKY_STATUS = """\
+std_msgs/Header header
+float64 left_driver_current
+float64 right_driver_current
+float64 left_driver_voltage
+float64 right_driver_voltage
+"""
+KINDS = ("ros1", "ros2", "mcap")
+
+
+@pytest.fixture(scope="module")
+def drive():
+    vehicle = Vehicle.preset("husky_a200")
+    return identification_drive(PowerModel.paper(vehicle, 40.0, 0.6), duration=120.0, rate=100.0)
+
+
+class Recorder:
+    """Writes messages of every kind of bag."""
+
+    def __init__(self, path, kind):
+        from rosbags.rosbag1 import Writer as Writer1
+        from rosbags.rosbag2 import StoragePlugin
+        from rosbags.rosbag2 import Writer as Writer2
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        self.first = kind == "ros1"
+        self.store = get_typestore(Stores.ROS1_NOETIC if self.first else Stores.ROS2_HUMBLE)
+        self.store.register(get_types_from_msg(HUSKY_STATUS, "husky_msgs/msg/HuskyStatus"))
+        if self.first:
+            self.path = path / "drive.bag"
+            self.writer = Writer1(self.path)
+        else:
+            self.path = path / f"drive_{kind}"
+            plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+            self.writer = Writer2(self.path, version=9, storage_plugin=plugin)
+        self.connections = {}
+
+    def __enter__(self):
+        self.writer.open()
+        return self
+
+    def __exit__(self, *error):
+        self.writer.close()
+
+    def header(self, t):
+        sec, nanosec = divmod(round((START + t) * 1e9), 10**9)
+        stamp = self.store.types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
+        more = {"seq": 0} if self.first else {}
+        return self.store.types["std_msgs/msg/Header"](stamp=stamp, frame_id="base", **more)
+
+    def make(self, kind, **fields):
+        return self.store.types[kind](**fields)
+
+    def write(self, topic, kind, t, message, late=0.004):
+        if topic not in self.connections:
+            self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
+        dump = self.store.serialize_ros1 if self.first else self.store.serialize_cdr
+        arrival = round((START + t + late) * 1e9)
+        self.writer.write(self.connections[topic], arrival, dump(message, kind))
+
+
+def record(folder, kind, log, *, prefix="", power="status", joints=True):
+    """Record a drive at the rates of a real robot."""
+
+    def at(name, t):
+        return float(np.interp(t, log.t, log.channels[name]))
+
+    events = []
+    for topic, rate in (("joint", 50.0), ("imu", 100.0), ("odom", 20.0), ("status", 10.0)):
+        events += [(t, topic) for t in np.arange(0.0, log.t[-1], 1 / rate)]
+    none = np.zeros(0)
+    with Recorder(folder, kind) as bag:
+        for t, topic in sorted(events):
+            header = bag.header(t)
+            if topic == "joint" and joints:
+                left, right = at("v_left", t) / 0.1651, at("v_right", t) / 0.1651
+                message = bag.make(
+                    "sensor_msgs/msg/JointState", header=header, position=none, effort=none,
+                    name=["front_left_wheel", "front_right_wheel", "rear_left_wheel",
+                          "rear_right_wheel"],
+                    velocity=np.array([left, right, left, right]),
+                )  # fmt: skip
+                bag.write(f"{prefix}/joint_states", "sensor_msgs/msg/JointState", t, message)
+            elif topic == "imu":
+                zero = np.zeros(9)
+                vector, turn = "geometry_msgs/msg/Vector3", "geometry_msgs/msg/Quaternion"
+                message = bag.make(
+                    "sensor_msgs/msg/Imu", header=header,
+                    orientation=bag.make(turn, x=0.0, y=0.0, z=0.0, w=1.0),
+                    angular_velocity=bag.make(vector, x=0.0, y=0.0, z=at("yaw_rate", t)),
+                    linear_acceleration=bag.make(vector, x=at("accel_x", t), y=0.0, z=9.81),
+                    orientation_covariance=zero, angular_velocity_covariance=zero,
+                    linear_acceleration_covariance=zero,
+                )  # fmt: skip
+                bag.write(f"{prefix}/imu/data", "sensor_msgs/msg/Imu", t, message)
+            elif topic == "odom":
+                bag.write(
+                    f"{prefix}/odometry/filtered", "nav_msgs/msg/Odometry", t,
+                    odometry(bag, header, at("x", t), at("y", t), at("yaw", t)),
+                )  # fmt: skip
+            elif topic == "status" and power == "status":
+                volts = 24.0
+                message = bag.make(
+                    "husky_msgs/msg/HuskyStatus", header=header,
+                    left_driver_current=at("p_left", t) / volts, left_driver_voltage=volts,
+                    right_driver_current=at("p_right", t) / volts, right_driver_voltage=volts,
+                )  # fmt: skip
+                bag.write(f"{prefix}/status", "husky_msgs/msg/HuskyStatus", t, message)
+            elif topic == "status" and power == "battery":
+                total = at("p_left", t) + at("p_right", t)
+                bag.write(
+                    f"{prefix}/battery_state", "sensor_msgs/msg/BatteryState", t,
+                    battery(bag, header, 24.0, -total / 24.0),
+                )  # fmt: skip
+    return bag.path
+
+
+def odometry(bag, header, x, y, yaw):
+    vector = bag.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+    pose = bag.make(
+        "geometry_msgs/msg/Pose",
+        position=bag.make("geometry_msgs/msg/Point", x=x, y=y, z=0.0),
+        orientation=bag.make(
+            "geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=np.sin(yaw / 2), w=np.cos(yaw / 2)
+        ),
+    )
+    covariance = np.zeros(36)
+    twist = bag.make("geometry_msgs/msg/Twist", linear=vector, angular=vector)
+    return bag.make(
+        "nav_msgs/msg/Odometry", header=header, child_frame_id="base_link",
+        pose=bag.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance),
+        twist=bag.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=covariance),
+    )  # fmt: skip
+
+
+def battery(bag, header, voltage, current):
+    none = np.zeros(0, np.float32)
+    more = {} if bag.first else {"temperature": 20.0, "cell_temperature": none}
+    return bag.make(
+        "sensor_msgs/msg/BatteryState", header=header, voltage=voltage, current=current,
+        charge=0.0, capacity=0.0, design_capacity=0.0, percentage=0.5, power_supply_status=2,
+        power_supply_health=1, power_supply_technology=1, present=True, cell_voltage=none,
+        location="", serial_number="", **more,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory, drive):
+    return {kind: record(tmp_path_factory.mktemp(kind), kind, drive) for kind in KINDS}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_drive_comes_back_from_every_kind_of_bag(bags, drive, kind):
+    fractions = []
+    log = read_bag(bags[kind], "husky", progress=fractions.append)
+    assert len(log) == pytest.approx(120 * 50, abs=30)
+    for channel, tolerance in (
+        ("v_left", 1e-9), ("v_right", 1e-9), ("x", 2e-3), ("y", 2e-3), ("yaw", 2e-3),
+        ("yaw_rate", 0.01), ("accel_x", 0.2),
+    ):  # fmt: skip
+        truth = np.interp(log.t, drive.t, drive.channels[channel])
+        assert_allclose(log.channels[channel], truth, atol=tolerance, err_msg=channel)
+    for channel in ("p_left", "p_right"):
+        truth = np.interp(log.t, drive.t, drive.channels[channel])
+        error = np.sqrt(np.mean((log.channels[channel] - truth) ** 2))
+        told = next(w for w in log.warnings if w.startswith(f"{channel} is"))
+        stated = float(told.split("about ")[1].split()[0])
+        # Power jumps where the turn changes sign, here just after a sample: the worst case.
+        assert 0.5 * stated < error < 1.5 * stated
+    assert log.energy == pytest.approx(drive.energy, rel=5e-3)
+    assert fractions[-1] == 1.0
+    assert np.all(np.diff(fractions) >= 0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_channel_says_where_it_came_from_and_how(bags, kind):
+    log = read_bag(bags[kind])
+    told = {warning.split()[0]: warning for warning in log.warnings}
+    assert "velocity[*left*], as logged" in told["v_left"]
+    assert "angular_velocity.z, averaged from 100 Hz" in told["yaw_rate"]
+    assert "interpolated from 10 Hz, error about" in told["p_left"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_info_lists_topics_and_what_they_serve_for(bags, kind):
+    info = bag_info(bags[kind])
+    topics = {topic.name: topic for topic in info.topics}
+    assert info.duration == pytest.approx(120.0, abs=0.2)
+    assert topics["/imu/data"].rate == pytest.approx(100.0, rel=0.01)
+    assert topics["/imu/data"].serves == "yaw_rate, accel_x"
+    assert topics["/joint_states"].count == pytest.approx(6000, abs=2)
+    assert topics["/status"].serves.startswith("p_left")
+
+
+def test_battery_currents_change_sign_and_namespaces_match(tmp_path, drive):
+    bag = record(tmp_path, "ros2", drive, prefix="/a200_0000", power="battery")
+    log = read_log(bag)
+    assert log.battery_side
+    assert log.energy == pytest.approx(drive.energy, rel=5e-3)
+
+
+def test_a_topic_map_of_ones_own(tmp_path, bags, drive):
+    file = tmp_path / "topics.yaml"
+    file.write_text(
+        "name: mine\nchannels:\n"
+        "  v_left: {topic: joint_states, field: 'velocity[rear_left_wheel]', scale: 0.1651}\n"
+        "  v_right: {topic: joint_states, field: 'velocity[3]', scale: 0.1651}\n"
+        "  power:\n"
+        "  - {topic: nowhere, field: current}\n"
+        "  - {topic: status, field: left_driver_current, times: left_driver_voltage, scale: 2}\n"
+        "  yaw: {topic: odometry/filtered, field: yaw(pose.pose.orientation)}\n"
+    )
+    log = read_bag(bags["ros2"], file)
+    assert set(log.channels) == {"t", "v_left", "v_right", "power", "yaw"}
+    truth = np.interp(log.t, drive.t, 2 * drive.channels["p_left"])
+    assert np.median(np.abs(log.power - truth)) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("channels: {v_left: {topic: a, field: 'b['}}\n", "channels.v_left.0.field: write a field"),
+        ("channels: {v_left: {topic: a}}\n", "v_left.0.field: Field required"),
+        ("channels: {v_left: {topic: a, field: b, gain: 2}}\n", "no such key"),
+        ("name: x\n", "channels: Field required"),
+    ],
+)
+def test_malformed_topic_maps_are_refused(tmp_path, text, words):
+    file = tmp_path / "topics.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=words):
+        TopicMap.read(file)
+
+
+def test_unknown_topic_maps_and_missing_topics_are_named(tmp_path, drive, bags):
+    with pytest.raises(UnknownNameError, match="warthog"):
+        read_bag(bags["ros2"], "hsuky")
+    bag = record(tmp_path, "mcap", drive.segment(0.0, 5.0), joints=False)
+    with pytest.raises(DriveLogError, match=r"no topic serves as v_left.*imu/data"):
+        read_bag(bag)
+
+
+def test_fields_are_read_from_messages():
+    class Message:
+        name = ("a_left", "b_left", "c_right")
+        velocity = (1.0, 3.0, 7.0)
+
+    def value(field):
+        return TopicSource(topic="t", field=field).value(Message())
+
+    assert value("velocity[*left*]") == 2.0
+    assert value("velocity[2]") == 7.0
+    assert np.isnan(value("velocity[9]"))
+    assert np.isnan(value("velocity[*wheel*]"))
+    assert np.isnan(value("effort"))
+
+
+@pytest.mark.parametrize("name", sorted(TOPIC_MAPS))
+def test_ready_made_maps_tell_speeds_and_power(name):
+    channels = set(TOPIC_MAPS[name].channels)
+    assert {"v_left", "v_right", "yaw_rate", "x", "y", "yaw"} <= channels
+    assert {"p_left", "p_right"} <= channels or "power" in channels
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap"])
+def test_damaged_bags_are_refused_with_their_name(tmp_path, bags, kind):
+    source = bags[kind] if kind == "ros1" else next(bags[kind].glob("*.mcap"))
+    data = source.read_bytes()
+    rng = np.random.default_rng(4)
+    for k in range(25):
+        spoiled = bytearray(data[: int(rng.integers(1, 200_000))])
+        for place in rng.integers(0, len(spoiled), 8):
+            spoiled[place] = int(rng.integers(0, 256))
+        file = tmp_path / f"spoiled_{k}{source.suffix}"
+        file.write_bytes(spoiled)
+        try:
+            log = read_bag(file)
+        except EnergyPlanError as error:
+            assert "spoiled" in str(error)
+        else:
+            assert isinstance(log, DriveLog)
+
+
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.binary(max_size=300), suffix=st.sampled_from([".bag", ".mcap", ".db3"]))
+def test_any_bytes_are_refused_with_the_name(tmp_path, data, suffix):
+    file = tmp_path / f"any{suffix}"
+    magic = {".bag": b"#ROSBAG V2.0\n", ".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3\0"}
+    file.write_bytes(magic[suffix] + data)
+    for read in (read_bag, bag_info):
+        with pytest.raises(EnergyPlanError, match="any"):
+            read(file)
+
+
+def test_bags_are_told_from_tables(tmp_path, bags, drive):
+    assert all(is_bag(path) for path in bags.values())
+    table = write_log(drive, tmp_path / "drive.csv")
+    assert not is_bag(table)
+    assert read_log(table).energy == pytest.approx(drive.energy)
+
+
+# -- alignment ----------------------------------------------------------------------------------
+
+
+def test_slow_channels_are_interpolated_within_the_stated_error():
+    fine = np.arange(0.0, 60.0, 0.02)
+    series = Series(np.arange(0.0, 60.0, 0.2), np.sin(1.7 * np.arange(0.0, 60.0, 0.2)))
+    aligned = align(series, fine[fine < 59.8])
+    actual = np.sqrt(np.mean((aligned.values - np.sin(1.7 * fine[fine < 59.8])) ** 2))
+    assert aligned.error == pytest.approx(interpolation_error(series))
+    # The stated error is that halfway between samples; on average it is smaller: sqrt(8/15).
+    assert actual == pytest.approx(aligned.error * np.sqrt(8 / 15), rel=0.05)
+
+
+def test_fast_channels_are_averaged_and_holes_stay_holes():
+    rng = np.random.default_rng(2)
+    t = np.arange(0.0, 50.0, 0.01)
+    values = np.sin(t) + rng.standard_normal(len(t))
+    clock = np.arange(1.0, 49.0, 0.2)
+    aligned = align(Series(t, values), clock)
+    assert np.std(aligned.values - np.sin(clock)) == pytest.approx(1 / np.sqrt(20), rel=0.15)
+    keep = (t < 20.05) | (t > 23.05)
+    holed = align(Series(t[keep], values[keep]), clock)
+    assert_allclose(np.isnan(holed.values), (clock > 20.1) & (clock < 23.1))
