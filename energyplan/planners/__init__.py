@@ -26,7 +26,11 @@ PLANNERS = {
     "informed_rrtstar": "energyplan.planners.ompl:informed_rrtstar",
     "bitstar": "energyplan.planners.ompl:bitstar",
     "fmt": "energyplan.planners.ompl:fmt",
-    "sst": "energyplan.planners.ompl:sst",
+    "control_rrt": "energyplan.planners._ompl_control:control_rrt",
+    "sst": "energyplan.planners._ompl_control:sst",
+    "prm": "energyplan.planners.ompl:prm",
+    "prmstar": "energyplan.planners.ompl:prmstar",
+    "aorrtc": "energyplan.planners.ompl:aorrtc",
 }
 """Where the library's own planners are; they are imported when they are used."""
 

@@ -253,3 +253,37 @@ def connection(setting: Setting, x: float, y: float, yaw: float, limit: float) -
     return join(
         setting, x, y, yaw, setting.goal_x, setting.goal_y, setting.goal_yaw, limit, ds, dtheta
     )[0]
+
+
+@njit
+def steering_cost(
+    setting: Setting, x: float, y: float, yaw: float, to_x: float, to_y: float, to_yaw: float
+) -> float:
+    """Cost of the exact steering motion between two poses, whatever lies in its way."""
+    dx = to_x - x
+    dy = to_y - y
+    if setting.surface.size == 1:
+        return float(steer_energy(dx, dy, yaw, to_yaw, setting.steering))
+    ds = np.empty(MAX_SEGMENTS)
+    dtheta = np.empty(MAX_SEGMENTS)
+    count = steer_path(dx, dy, yaw, to_yaw, setting.steering, ds, dtheta)
+    total = 0.0
+    for k in range(count):
+        total += motion_cost(setting, x, y, yaw, ds[k], dtheta[k])
+        half = 0.5 * dtheta[k]
+        chord = ds[k] * (sin(half) / half if half != 0.0 else 1.0)
+        x += chord * cos(yaw + half)
+        y += chord * sin(yaw + half)
+        yaw += dtheta[k]
+    return total
+
+
+@njit
+def steering_free(
+    setting: Setting, x: float, y: float, yaw: float, to_x: float, to_y: float, to_yaw: float
+) -> bool:
+    """Tell whether the body is free along the exact steering motion between two poses."""
+    ds = np.empty(MAX_SEGMENTS)
+    dtheta = np.empty(MAX_SEGMENTS)
+    count = steer_path(to_x - x, to_y - y, yaw, to_yaw, setting.steering, ds, dtheta)
+    return drive(setting, x, y, yaw, ds, dtheta, count, inf) < inf

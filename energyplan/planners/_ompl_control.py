@@ -1,0 +1,239 @@
+"""OMPL's planners in the space of controls, within the limits of each side's motor.
+
+A control is a direction in the plane of arc length and turn, from straight ahead over pivots and
+spins to straight back. It is driven at the fastest speed that the vehicle's limits of tread speed,
+yaw rate and power per side allow for it, so that every motion of the tree is one the motors can
+hold.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from ompl import base, control, util
+from typing_extensions import override
+
+from energyplan._steering_kernels import MAX_SEGMENTS
+from energyplan.errors import InvalidInputError, TimeLimitError, UnsupportedPlannerError
+from energyplan.path import FloatArray, Path
+from energyplan.planners._bound import lower_bound
+from energyplan.planners._motion_kernels import connection, drive, join
+from energyplan.planners._problem import Plan, PlanningProblem
+from energyplan.planners._query import Query, Segments
+from energyplan.planners.ompl import (
+    EnergyObjective,
+    PoseChecker,
+    pose_space,
+    pose_state,
+    set_parameters,
+)
+
+RAYS = 360
+"""Directions for which the speed is tabulated."""
+
+STEP = 0.1
+"""Time step of propagation [s]."""
+
+REACH = 0.6
+"""Distance from the goal at which a branch may end and be joined to it [m, a radian as 0.3 m]."""
+
+
+def driving_rates(query: Query) -> FloatArray:
+    """Return how fast the vehicle drives in each direction of the plane ``(ds, C dtheta)`` [m/s].
+
+    It is the speed of the cost: the cheapest within the limits, which is the fastest one where
+    speed costs nothing.
+
+    Raises
+    ------
+    UnsupportedPlannerError
+        If the vehicle has no limit, so that motions take no time.
+    """
+    cost = query.problem.cost
+    if not (np.isfinite(cost.vehicle.motor.speed) or cost.speed):
+        raise UnsupportedPlannerError(
+            f"SST plans in time, but the vehicle {cost.vehicle.name!r} has no speed limit; "
+            "set its motor speed, or use 'lattice'"
+        )
+    angle = np.arange(RAYS) * (2 * np.pi / RAYS)
+    motion = query.reference(np.cos(angle), np.sin(angle) / cost.half_track)
+    start, c_x = query.problem.start, cost.icr.longitudinal
+    return np.array(
+        [
+            1.0 / cost.duration(Path(start, motion.ds[k : k + 1], motion.dtheta[k : k + 1], c_x))
+            for k in range(RAYS)
+        ]
+    )
+
+
+class _Goal(base.Goal):
+    """The neighbourhood of the goal from which exact steering reaches it freely."""
+
+    def __init__(self, information: Any, query: Query) -> None:
+        super().__init__(information)
+        self._setting = query.setting
+
+    @override
+    def isSatisfied(self, state: Any) -> bool:
+        """Tell whether the goal can be joined from a state."""
+        setting = self._setting
+        x, y, yaw = state.getX(), state.getY(), state.getYaw()
+        turn = abs(np.remainder(yaw - setting.goal_yaw + np.pi, 2 * np.pi) - np.pi)
+        if np.hypot(setting.goal_x - x, setting.goal_y - y) + 0.3 * turn > REACH:
+            return False
+        return bool(np.isfinite(connection(setting, x, y, yaw, np.inf)))
+
+
+def sst(
+    problem: PlanningProblem, time_limit: float = 5.0, *, seed: int = 1, **parameters: object
+) -> Plan:
+    """Plan with OMPL's SST over controls that the motors can hold; parameters as in `control_rrt`.
+
+    Raises
+    ------
+    UnsupportedPlannerError
+        With OMPL 2.0.1, whose Python module declares SST without a constructor.
+    """
+    return _controlled(control.SST, "sst", problem, time_limit, seed, parameters)
+
+
+def control_rrt(
+    problem: PlanningProblem, time_limit: float = 5.0, *, seed: int = 1, **parameters: object
+) -> Plan:
+    """Plan with OMPL's RRT over controls that the motors can hold.
+
+    It is started again until the time is over, and the best of its paths counts. The last stretch
+    to the goal, less than `REACH`, is the exact steering motion.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        The problem.
+    time_limit : float
+        Time to plan, all of which is used [s].
+    seed : int
+        Seed of OMPL's random numbers, which are those of the whole process.
+    **parameters : object
+        Parameters of OMPL's planner: ``goal_bias=0.1`` calls ``setGoalBias(0.1)``.
+
+    Returns
+    -------
+    Plan
+        The best path found, its cost computed anew.
+
+    Raises
+    ------
+    StartInCollisionError, GoalInCollisionError, OutsideMapError
+        If start or goal cannot be.
+    TimeLimitError
+        If no path was found in time.
+    UnsupportedPlannerError
+        If the vehicle has no speed limit.
+    """
+    return _controlled(control.RRT, "control_rrt", problem, time_limit, seed, parameters)
+
+
+def _controlled(
+    kind: Any,
+    name: str,
+    problem: PlanningProblem,
+    time_limit: float,
+    seed: int,
+    parameters: Mapping[str, object],
+) -> Plan:
+    """Let one of OMPL's planners over controls solve a problem."""
+    begun = time.perf_counter()
+    if not time_limit > 0:
+        raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
+    query = Query(problem)
+    setting = query.setting
+    rates = driving_rates(query)
+    util.setLogLevel(util.LOG_NONE)
+    util.RNG.setSeed(seed)
+    space = pose_space(query)
+    controls = control.RealVectorControlSpace(space, 1)
+    bounds = base.RealVectorBounds(1)
+    bounds.setLow(0.0)
+    bounds.setHigh(2 * np.pi)
+    controls.setBounds(bounds)
+
+    def motion(action: Any, duration: float) -> tuple[float, float]:
+        """Return the arc length and turn of a control that is held for some time."""
+        angle = float(action[0])
+        size = float(rates[int(angle / (2 * np.pi) * RAYS) % RAYS]) * duration
+        return size * np.cos(angle), size * np.sin(angle) / setting.half_track
+
+    def propagate(state: Any, action: Any, duration: float, result: Any) -> None:
+        ds, turn = motion(action, duration)
+        half = 0.5 * turn
+        chord = ds * np.sinc(half / np.pi)
+        yaw = state.getYaw()
+        result.setX(float(state.getX() + chord * np.cos(yaw + half)))
+        result.setY(float(state.getY() + chord * np.sin(yaw + half)))
+        result.setYaw(float(np.remainder(yaw + turn + np.pi, 2 * np.pi) - np.pi))
+
+    information = control.SpaceInformation(space, controls)
+    checker = PoseChecker(information, query)
+    information.setStateValidityChecker(checker)
+    information.setStatePropagator(propagate)
+    information.setPropagationStepSize(STEP)
+    information.setMinMaxControlDuration(1, 20)
+    information.setup()
+    best: tuple[float, Segments] | None = None
+    first = begun
+    while (left := begun + time_limit - time.perf_counter()) > 0:
+        definition = base.ProblemDefinition(information)
+        definition.addStartState(
+            pose_state(space, setting.start_x, setting.start_y, setting.start_yaw)
+        )
+        definition.setGoal(_Goal(information, query))
+        definition.setOptimizationObjective(EnergyObjective(information, query))
+        try:
+            planner = kind(information)
+        except TypeError as error:
+            raise UnsupportedPlannerError(
+                f"OMPL's Python module cannot make {name} ({error}); use 'control_rrt' or 'lattice'"
+            ) from None
+        set_parameters(planner, name, parameters)
+        planner.setProblemDefinition(definition)
+        planner.setup()
+        planner.solve(base.timedPlannerTerminationCondition(left))
+        if not definition.hasExactSolution():
+            break
+        way = definition.getSolutionPath()
+        motions = [
+            motion(action, duration)
+            for action, duration in zip(way.getControls(), way.getControlDurations(), strict=True)
+        ]
+        state = way.getStates()[-1]
+        found = _completed(query, motions, (state.getX(), state.getY(), state.getYaw()))
+        if best is None:
+            first = time.perf_counter()
+        if best is None or found[0] < best[0]:
+            best = found
+    if best is None:
+        raise TimeLimitError(
+            f"{name} found no path within {time_limit:g} s; give more time_limit, or use the "
+            "planner 'lattice'"
+        )
+    return query.plan(query.path(best[1]), lower_bound(query, np.inf), begun, first, name)
+
+
+def _completed(
+    query: Query, motions: list[tuple[float, float]], last: tuple[float, float, float]
+) -> tuple[float, Segments]:
+    """Return motions joined to the goal, with their cost."""
+    setting = query.setting
+    ds, dtheta = np.empty(MAX_SEGMENTS), np.empty(MAX_SEGMENTS)
+    _, count = join(
+        setting, *last, setting.goal_x, setting.goal_y, setting.goal_yaw, np.inf, ds, dtheta
+    )
+    whole = Segments(
+        np.concatenate([[ds for ds, _ in motions], ds[:count]]),
+        np.concatenate([[turn for _, turn in motions], dtheta[:count]]),
+    )
+    start = setting.start_x, setting.start_y, setting.start_yaw
+    return drive(setting, *start, whole.ds, whole.dtheta, len(whole.ds), np.inf), whole
