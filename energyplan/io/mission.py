@@ -14,15 +14,17 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from energyplan.battery import Battery
-from energyplan.errors import EnergyPlanError, MissionError
+from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
 from energyplan.io._yaml import Document, Loc, load
 from energyplan.io.bundled import bundled
 from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.maps import read_map
+from energyplan.maps import OccupancyGrid, SurfaceMap
 from energyplan.mission import Charger, Mission, Task
 from energyplan.path import Pose
 from energyplan.power import PowerModel
+from energyplan.vehicle import Vehicle
 
 T = TypeVar("T")
 
@@ -173,7 +175,7 @@ class _Reader:
         spec = self._spec
         model = self._placed(("model",), self._model, spec.model)
         if spec.vehicle is not None:
-            vehicle = self._placed(("vehicle",), read_vehicle, self._source(spec.vehicle))
+            vehicle = self._placed(("vehicle",), self._vehicle, spec.vehicle)
             model = replace(model, vehicle=vehicle.with_icr(model.vehicle.icr))
         battery = self._battery()
         loaded = {
@@ -192,7 +194,7 @@ class _Reader:
         ]
         surfaces = None
         if spec.surfaces is not None:
-            surfaces = self._placed(("surfaces",), read_surfaces, self._file(spec.surfaces))
+            surfaces = self._placed(("surfaces",), self._surfaces, spec.surfaces)
         names = {model.name, *(s.model.name for s in (surfaces.surfaces if surfaces else ()))}
         for name in loaded:
             if name not in names:
@@ -203,7 +205,7 @@ class _Reader:
         return self._placed(
             (), Mission,
             model=model,
-            map=self._placed(("map",), read_map, self._file(spec.map)),
+            map=self._placed(("map",), self._map, spec.map),
             battery=battery,
             start=self._pose(spec.start, ("start",)),
             tasks=tuple(tasks),
@@ -239,11 +241,27 @@ class _Reader:
 
     def _file(self, name: str) -> Path:
         beside = self._folder / name
-        return beside if beside.exists() else bundled(name)
+        if beside.exists():
+            return beside
+        try:
+            return bundled(name)
+        except UnknownNameError:
+            raise MissionError(
+                f"there is no file {name!r} beside the mission, nor does the library bring one"
+            ) from None
 
     def _source(self, name: str) -> str | Path:
         """Return the file beside the mission where a file is meant, else the preset's name."""
         return self._file(name) if name.endswith((".yaml", ".yml")) else name
+
+    def _vehicle(self, name: str) -> Vehicle:
+        return read_vehicle(self._source(name))
+
+    def _map(self, name: str) -> OccupancyGrid:
+        return read_map(self._file(name))
+
+    def _surfaces(self, name: str) -> SurfaceMap:
+        return read_surfaces(self._file(name))
 
     def _model(self, name: str) -> PowerModel:
         return read_model(self._source(name))

@@ -1,0 +1,171 @@
+"""Mission files: what they may say, and complaints that name the line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from energyplan.battery import Battery
+from energyplan.errors import MissionError
+from energyplan.io.mission import read_mission
+from energyplan.mission import evaluate
+from energyplan.power import PowerModel
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+
+GOOD = """\
+name: round
+model: quadriga:empty:concrete
+map: warehouse.yaml
+surfaces: warehouse_surfaces.geojson
+battery: {preset: quadriga, health: 80 %, temperature: 10}
+soc: 90 %
+coefficient_spread: 0.05
+start: dock
+places:
+  dock: [1.5, 1.5, 90deg]
+  gate: "11.0,10.4,0"
+tasks:
+  - name: look
+    pose: gate
+    dwell: 5 min
+    power: 0.1 kW
+    prize: 3
+  - name: drop
+    pose: [2.5, 8.0, 1.5]
+    required: false
+    window: [1 min, 1 h]
+chargers:
+  - {name: station, pose: dock, power: 200 W, until: 90 %}
+order: free
+return_to: charger
+reserve: 20 %
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    file = folder / "round.yaml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_everything_arrives_in_si_units(tmp_path):
+    mission = read_mission(written(tmp_path, GOOD))
+    assert mission.name == "round"
+    assert mission.start == pytest.approx((1.5, 1.5, np.pi / 2))
+    look, drop = mission.tasks
+    assert (look.dwell, look.power, look.prize, look.required) == (300.0, 100.0, 3.0, True)
+    assert look.pose == (11.0, 10.4, 0.0)
+    assert (drop.required, drop.window) == (False, (60.0, 3600.0))
+    assert (mission.soc, mission.reserve, mission.coefficient_spread) == (0.9, 0.2, 0.05)
+    station = mission.chargers[0]
+    assert (station.power, station.until, station.pose) == (200.0, 0.9, mission.start)
+    assert (mission.order, mission.return_to) == ("free", "charger")
+    pack = Battery.preset("quadriga")
+    assert mission.battery.health == 0.8
+    assert mission.battery.temperature == 10
+    assert mission.battery.capacity == pack.capacity
+    assert mission.surfaces is not None
+    assert mission.model.name == "quadriga:empty:concrete"
+
+
+def test_a_pack_of_units_and_a_reserve_in_watt_hours(tmp_path):
+    text = GOOD.replace(
+        "battery: {preset: quadriga, health: 80 %, temperature: 10}",
+        "battery: {chemistry: lithium_ion, series: 10, parallel: 4, unit_capacity: 3.5 Ah, "
+        "unit_resistance: 0.02, cutoff_soc: 5 %}",
+    ).replace("reserve: 20 %", "reserve: 100 Wh")
+    mission = read_mission(written(tmp_path, text))
+    pack = mission.battery
+    assert pack.capacity == pytest.approx(14 * 3600)
+    assert pack.cutoff_soc == 0.05
+    grid = np.linspace(0, 1, 1001)
+    stored = pack.capacity * np.trapezoid(pack.ocv(grid), grid)
+    assert mission.reserve * stored == pytest.approx(360e3, rel=1e-3)
+
+
+def test_payload_models(tmp_path):
+    text = GOOD.replace("surfaces: warehouse_surfaces.geojson\n", "") + (
+        "payload: 64 kg\npayload_models:\n  quadriga:empty:concrete: {64: quadriga:full:concrete}\n"
+    )
+    mission = read_mission(written(tmp_path, text))
+    heavy = mission.payload_models["quadriga:empty:concrete"][64.0]
+    full = PowerModel.preset("quadriga:full:concrete")
+    np.testing.assert_array_equal(heavy.coefficients, full.coefficients)
+
+
+@pytest.mark.parametrize("name", ["warehouse", "orchard"])
+def test_examples_are_read(name):
+    mission = read_mission(EXAMPLES / f"mission_{name}.yaml")
+    assert len(mission.tasks) == 5
+
+
+@pytest.mark.slow
+def test_example_flags_the_task_that_is_out_of_reach():
+    report = evaluate(read_mission(EXAMPLES / "mission_warehouse.yaml"))
+    verdicts = {task.name: task.verdict for task in report.tasks}
+    assert verdicts.pop("wash the marble hall") == "unreachable"
+    assert set(verdicts.values()) == {"reachable"}
+    assert report.task("wash the marble hall").reason == "battery"
+    assert report.feasible
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "message"),
+    [
+        ("pose: gate", "pose: [0.05, 8.0, 0]", 14, "touches an obstacle"),
+        ("pose: gate", "pose: [99, 8.0, 0]", 14, "outside the map"),
+        ("pose: gate", "pose: garage", 14, "there is no place 'garage'; the places are dock, gate"),
+        ("pose: gate", "pose: [1, 2]", 14, "no pose"),
+        ("pose: gate", "pose: [.nan, 2, 0]", 14, "finite"),
+        ("name: drop", "name: look", 18, "stands twice"),
+        ("dwell: 5 min", "dwell: 5 hours", 15, "unit of a time"),
+        ("dwell: 5 min", "dwell: -3", 15, "dwell is -3"),
+        ("power: 0.1 kW", "power: .nan", 16, "power"),
+        ("power: 0.1 kW", "watts: 3", 16, "no such key"),
+        ("model: quadriga:empty:concrete", "model: quadriga:empty:ice", 2, "unknown model preset"),
+        ("map: warehouse.yaml", "map: castle.yaml", 3, "castle.yaml"),
+        ("temperature: 10", "capacity: -5 Ah", 5, "capacity is"),
+        ("preset: quadriga", "preset: nuclear", 5, "unknown battery preset"),
+        ("soc: 90 %", "soc: 190 %", 6, "soc is 1.9"),
+        ("reserve: 20 %", "reserve: 5 kWh", 26, "above the battery's capacity"),
+        ("reserve: 20 %", "reserve: 95 %", 26, "not below the state of charge"),
+        ("order: free", "order: random", 24, "'given' or 'free'"),
+        ("until: 90 %", "until: 10 %", 23, "not above the reserve"),
+        ("power: 200 W", "power: 0", 23, "watts > 0"),
+    ],
+)
+def test_complaints_name_the_line(tmp_path, old, new, line, message):
+    assert old in GOOD
+    with pytest.raises(MissionError) as caught:
+        read_mission(written(tmp_path, GOOD.replace(old, new, 1)))
+    assert f"round.yaml, line {line}" in str(caught.value)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_empty_task_list_is_named(tmp_path):
+    head, _, tail = GOOD.partition("tasks:\n")
+    text = head + "tasks: []\n" + tail[tail.index("chargers:") :]
+    with pytest.raises(MissionError, match="line 12, tasks"):
+        read_mission(written(tmp_path, text))
+
+
+def test_an_unknown_surface_is_named(tmp_path):
+    (tmp_path / "ground.geojson").write_text(
+        '{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": '
+        '{"model": "moon"}, "geometry": {"type": "Polygon", "coordinates": '
+        "[[[0, 0], [1, 0], [1, 1], [0, 0]]]}}]}",
+        encoding="utf-8",
+    )
+    text = GOOD.replace("warehouse_surfaces.geojson", "ground.geojson")
+    with pytest.raises(MissionError, match=r"round\.yaml, line 4, surfaces: .*moon"):
+        read_mission(written(tmp_path, text))
+
+
+def test_payload_models_of_a_model_that_is_not_there(tmp_path):
+    text = GOOD + "payload_models:\n  quadriga:empty:mud: {64: quadriga:full:concrete}\n"
+    with pytest.raises(MissionError, match="line 28, payload_models"):
+        read_mission(written(tmp_path, text))
