@@ -133,7 +133,7 @@ class Runs:
     def _why_not(self, limits: Limits, k: int, rate: FloatArray) -> str:
         values = limits.loads(self.model, self.motion(rate)).values
         over = [
-            f"the {bound.side} {bound.kind} is {value[k]:.4g} against a limit of {bound.limit:.4g}"
+            bound.describe(value[k])
             for bound, value in zip(limits.bounds, values, strict=True)
             if value[k] > bound.limit
         ]

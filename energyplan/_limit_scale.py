@@ -131,19 +131,13 @@ class _Order:
 def _reason(factor: float, peaks: list[Peak], slowest: list[Peak]) -> str:
     if factor == np.inf:
         return "nothing limits the speed"
+    worst = max(peaks if factor > 0 else slowest, key=lambda peak: peak.use)
+    what = f"at {worst.t:.3g} s {worst.bound.describe(worst.value)}"
     if factor == 0:
-        worst = max(slowest, key=lambda peak: peak.use)
         return (
-            f"no speed is feasible: at {worst.t:.3g} s {_words(worst)} however slowly the robot "
-            "drives; it needs other ground, less load, wider turns or stronger motors"
+            f"no speed is feasible: {what} however slowly the robot drives; it takes other "
+            "ground, less load, another path or stronger motors"
         )
-    worst = max(peaks, key=lambda peak: peak.use)
     if factor >= 1 - ROUNDING:
         return f"every limit holds up to {factor:.4g} times the speed"
-    return f"too fast: at {worst.t:.3g} s {_words(worst)}; feasible at {factor:.4g} times the speed"
-
-
-def _words(peak: Peak) -> str:
-    kind, side, limit = peak.bound
-    who = "the robot" if side == "both" else f"the {side} side"
-    return f"{who} asks for {peak.value:.4g} of {kind} against a limit of {limit:.4g}"
+    return f"too fast: {what}; feasible at {factor:.4g} times the speed"

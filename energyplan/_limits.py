@@ -24,12 +24,34 @@ ROUNDING = 1e-9
 """Fraction of a limit by which a value may exceed it and still count as within."""
 
 
+UNITS = {
+    "peak_power": "W",
+    "continuous_power": "W",
+    "regeneration": "W",
+    "force": "N",
+    "speed": "m/s",
+    "acceleration": "m/s^2",
+    "yaw_rate": "rad/s",
+    "lateral_acceleration": "m/s^2",
+    "battery_power": "W",
+    "battery_return": "W",
+}
+"""Every kind of limit, with its unit."""
+
+
 class Bound(NamedTuple):
     """One limit of one side: what `Limits.loads` compares with."""
 
     kind: str
     side: str
     limit: float
+
+    def describe(self, value: float) -> str:
+        """Compare a value with the limit in words, for messages."""
+        what = self.kind.replace("_", " ")
+        unit = UNITS[self.kind]
+        whose = "" if self.side == "both" else f"{self.side} side's "
+        return f"the {whose}{what} is {value:.4g} {unit} against a limit of {self.limit:.4g} {unit}"
 
 
 @dataclass(frozen=True)
