@@ -200,12 +200,13 @@ def sum_covariance(
     return np.asarray(0.5 * (total + total.T))
 
 
-def local_scale(series: FloatArray, window: int, pieces: Sequence[slice]) -> FloatArray:
-    """Root mean square of a series around each sample: noise need not be the same throughout."""
-    power = np.concatenate(
-        [uniform_filter1d(series[s] ** 2, window, mode="nearest") for s in pieces]
-    )
-    return np.asarray(np.sqrt(np.maximum(power, 0.0)))
+def local_scale(series: FloatArray, repeats: float) -> FloatArray:
+    """Root mean square of a series around each sample: noise need not be the same throughout.
+
+    The window holds some twenty independent samples: a shorter one would follow the noise itself.
+    """
+    window = min(len(series), max(100, round(20 * repeats)))
+    return np.asarray(np.sqrt(np.maximum(uniform_filter1d(series**2, window), 0.0)))
 
 
 def sandwich(bread: FloatArray, meat: FloatArray) -> FloatArray:

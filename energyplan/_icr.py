@@ -258,9 +258,9 @@ def _instrumented(
 
 def _variance(weight: FloatArray, residual: FloatArray, pieces: Sequence[slice]) -> float:
     """Variance of the weighted sum of an autocorrelated residual."""
-    scale = local_scale(residual, _WINDOW, pieces)
-    rho = autocorrelation(residual, pieces).rho
-    modelled = float(sum_covariance(weight[:, None], scale, rho, pieces)[0, 0])
+    noise = autocorrelation(residual, pieces)
+    scale = local_scale(residual, noise.repeats)
+    modelled = float(sum_covariance(weight[:, None], scale, noise.rho, pieces)[0, 0])
     # Errors of a yaw cancel from one increment to the next, all but completely, and an
     # autoregression may cancel them altogether. Sums over windows are positive whatever comes.
     length = min(_WINDOW, max(len(residual) // 10, 1))

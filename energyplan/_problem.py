@@ -26,9 +26,6 @@ from energyplan.power import PowerModel
 
 Method = Literal["lad", "simplex", "huber"]
 
-_SCALE_WINDOW = 5.0
-"""Over what time the noise's strength is averaged [s]."""
-
 
 def pieces_of(drives: Sequence[DriveLog]) -> list[slice]:
     """Stretches without a gap, all logs one below the other."""
@@ -47,7 +44,6 @@ class Problem:
         self._start = model
         self._motions = [settled_motion(log, model.vehicle.icr) for log in drives]
         self._battery = [log.battery_side for log in drives]
-        self._window = max(1, round(_SCALE_WINDOW / float(np.median(np.diff(drives[0].t)))))
         self._measured = np.concatenate([log.power for log in drives])
         self.pieces = pieces_of(drives)
         self._linear = is_linear(model) and not (
@@ -151,7 +147,7 @@ class Problem:
         sigma = max(sigma, 1e-9 * float(np.max(np.abs(self._measured), initial=1e-300)))
         if method == "huber":
             edge = _fit.HUBER_TUNING * sigma
-            scale = local_scale(np.clip(residual, -edge, edge), self._window, self.pieces)
+            scale = local_scale(np.clip(residual, -edge, edge), noise.repeats)
             rho = noise.rho
             slope = (np.abs(residual) < edge).astype(float)
         else:
