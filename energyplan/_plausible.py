@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.signal import correlate
+from scipy.fft import irfft, next_fast_len, rfft
 
 from energyplan._logchecks import gap_limit
 from energyplan._smooth import derivative
@@ -113,8 +113,11 @@ def find_offset(
         y = np.interp(grid, t[run], values[run])[lags:-lags]
         X = np.stack([np.interp(grid, t[run], column[run]) for column in columns])
         square, total, count = square + float(y @ y), total + float(y.sum()), count + len(y)
+        length = next_fast_len(X.shape[1], real=True)
+        spectrum = np.conj(rfft(y, length))
         for j in range(size):
-            cross[:, j] += correlate(X[j], y, mode="valid", method="fft")[::-1]
+            # Correlation at every lag at once; it wraps round only beyond the lags wanted.
+            cross[:, j] += irfft(rfft(X[j], length) * spectrum, length)[2 * lags :: -1]
             for k in range(size):
                 sums = np.concatenate([[0.0], np.cumsum(X[j] * X[k])])
                 gram[:, j, k] += (sums[len(y) :] - sums[: 2 * lags + 1])[::-1]

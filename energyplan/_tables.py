@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
-import pandas as pd
 
 from energyplan.errors import InvalidInputError, MissingDependencyError
 from energyplan.path import FloatArray
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is read
+    import pandas as pd
     from _typeshed import WriteableBuffer
 
 MAX_COLUMNS = 4096
@@ -223,6 +223,8 @@ def _is_number(text: str) -> bool:
 
 
 def _read_csv(stream: BinaryIO, file: Path, error: type[InvalidInputError]) -> Table:
+    import pandas as pd
+
     names = _header(stream.readline(MAX_HEADER + 1), file, error)
     most = MAX_CELLS // len(names)
     try:
@@ -286,6 +288,8 @@ def _table(
     frame: pd.DataFrame, file: Path, first: int, unit: str, error: type[InvalidInputError]
 ) -> Table:
     """Sort the columns into numbers and text."""
+    import pandas as pd
+
     numbers: dict[str, FloatArray] = {}
     text: dict[str, str] = {}
     for name, series in frame.items():

@@ -11,7 +11,6 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
-from scipy.signal import lfilter
 
 from energyplan._patterns import PATTERNS, Brief, Leg, Schedule, schedule
 from energyplan.drivelog import DriveLog
@@ -226,11 +225,15 @@ def _stream(seed: int, label: str) -> np.random.Generator:
 
 def _noise(count: int, deviation: float, tau: float, seed: int, label: str) -> FloatArray:
     """Stationary first-order Markov noise; `tau` in samples."""
-    white = _stream(seed, label).standard_normal(count)
-    keep = float(np.exp(-1.0 / tau)) if tau > 0 else 0.0
-    drive_ = white * np.sqrt(1.0 - keep**2)
-    drive_[:1] = white[:1]  # start in the stationary state
-    return np.asarray(deviation * lfilter([1.0], [1.0, -keep], drive_))
+    white = deviation * _stream(seed, label).standard_normal(count)
+    if tau <= 0:
+        return white
+    from scipy.signal import lfilter  # slow to import, and rarely needed
+
+    keep = float(np.exp(-1.0 / tau))
+    innovation = white * np.sqrt(1.0 - keep**2)
+    innovation[:1] = white[:1]  # start in the stationary state
+    return np.asarray(lfilter([1.0], [1.0, -keep], innovation))
 
 
 def _legs(

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from pathlib import Path as File
 
 import numpy as np
-import pandas as pd
 
 from energyplan._tables import Table, read_table
 from energyplan.drivelog import DriveLog
@@ -208,6 +207,8 @@ def write_log(log: DriveLog, file: str | File) -> File:
 
 def _write(file: str | File, columns: Mapping[str, FloatArray]) -> File:
     """Write columns; numbers as the shortest text that reads back the same."""
+    import pandas as pd  # slow to import, and needed only where a file is written
+
     target = File(file)
     frame = pd.DataFrame(dict(columns))
     suffix = target.suffix.lower()
