@@ -89,14 +89,16 @@ def _thermal(drive: Drive, survey: Survey) -> float:
 
 def _search(drive: Drive, ceiling: float) -> float:
     """Look downwards for the first feasible scale, then bisect towards the last infeasible one."""
+    if ceiling == 0:
+        return 0.0
     bounded = np.isfinite(ceiling)
     high = ceiling if bounded else FASTEST
     order = _Order(drive)
     if not order.exceeded(high):
         return high if bounded else np.inf
-    low = high / STEP
+    low = _below(high)
     while order.exceeded(low):
-        high, low = low, low / STEP
+        high, low = low, _below(low)
         if low < SLOWEST:
             return 0.0
     while high / low > 1 + ROUNDING:
@@ -106,6 +108,12 @@ def _search(drive: Drive, ceiling: float) -> float:
         else:
             low = middle
     return float(low)
+
+
+def _below(scale: float) -> float:
+    """Return the next scale to try; the trajectory as it is always is one."""
+    lower = scale / STEP
+    return 1.0 if lower < 1.0 < scale else lower
 
 
 class _Order:

@@ -302,6 +302,22 @@ def test_friction_that_falls_with_speed_leaves_a_band_of_feasible_speeds():
     assert not check(path, model, limited(force=150.0, speed=0.15)).any_speed_feasible
 
 
+def test_a_feasible_trajectory_has_a_scale_of_one_or_more():
+    def bump(motion, vehicle):
+        # A force that is small only in a narrow band of speeds around 0.5 m/s.
+        return Sides(*(1 - np.exp(-(((np.abs(v) - 0.5) / 0.005) ** 2)) for v in
+                       (motion.v_left, motion.v_right)))  # fmt: skip
+
+    model = PAPER.with_term(Term("bump", "S", "N", "force", bump), 100.0)
+    path = drive(np.linspace(0, 5, 21), 0.5, 0.0)
+    report = check(path, model, limited(force=150.0, speed=1.3))
+    assert report.feasible
+    assert 1.0 < report.max_speed_scale < 1.02
+    assert check(path, model, limited(force=150.0), lateral_acceleration=0.0).feasible
+    turning = check(drive(path.t, 0.5, 0.1), INERTIA, lateral_acceleration=0.0)
+    assert turning.max_speed_scale == 0.0
+
+
 def test_nothing_limits_the_speed():
     report = check(wavy(50), INERTIA, limited())
     assert report.feasible
