@@ -151,7 +151,7 @@ MISSION_HEADER = (
 
 def mission_rows(told: MissionReport) -> Iterator[Sequence[object]]:
     """Yield a row for each task, flagged ones first."""
-    for task in told.table.itertuples():
+    for task in map(told.task, told.table["name"]):
         yield (
             task.name, task.verdict, str(task.reason).replace("_", " "),
             "yes" if task.reachable_alone else "no", *(

@@ -7,8 +7,9 @@ import math
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 
@@ -35,12 +36,19 @@ app = typer.Typer(
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 Strict = Annotated[bool, typer.Option("--strict", help="Exit with 3 if the answer is no.")]
-Logs = Annotated[list[Path], typer.Argument(help="Drive logs: CSV, CSV.gz or Parquet.")]
+Logs = Annotated[
+    list[Path],
+    typer.Argument(help="Drive logs: CSV, CSV.gz, Parquet, bags, Husky recordings."),
+]
 VehicleName = Annotated[
     str, typer.Option("--vehicle", help="Preset such as quadriga:full, or a YAML file.")
 ]
 ModelName = Annotated[
     str, typer.Option("--model", help="Preset such as quadriga:full:marble, or a YAML file.")
+]
+Method = Annotated[
+    Literal["lad", "simplex", "huber"],
+    typer.Option(help="lad (exact), simplex (the paper's), huber (robust)."),
 ]
 Columns = Annotated[
     str | None, typer.Option(help="Other column names, such as v_left=velL,yaw=heading[deg].")
@@ -89,13 +97,13 @@ def _progress(text: str) -> Iterator[Any]:
 
 
 def _logs(paths: list[Path], columns: str | None) -> list[DriveLog]:
-    from energyplan.drivelog import DriveLog
+    from energyplan.io.logs import read_log
 
-    logs = [DriveLog.read(path, columns=columns) for path in paths]
-    for log in logs:
-        for warning in log.warnings:
-            _warn(f"{log.name}: {warning}")
-    return logs
+    return [read_log(path, columns) for path in paths]
+
+
+def _notes(logs: list[DriveLog]) -> list[str]:
+    return [f"{log.name}: {warning}" for log in logs for warning in log.warnings]
 
 
 def _pose(text: str) -> Pose:
@@ -123,7 +131,7 @@ def _pose(text: str) -> Pose:
 def identify(
     logs: Logs,
     vehicle: VehicleName,
-    method: Annotated[str, typer.Option(help="lad (exact), simplex (the paper's), huber.")] = "lad",
+    method: Method = "lad",
     out: OutModel = None,
     columns: Columns = None,
     json: Json = False,
@@ -135,7 +143,9 @@ def identify(
     from energyplan.report import number
 
     robot = read_vehicle(vehicle)
-    found = run(_logs(logs, columns), robot, method=method)  # type: ignore[arg-type]
+    drives = _logs(logs, columns)
+    found = run(drives, robot, method=method)
+    found = replace(found, warnings=(*_notes(drives), *found.warnings))
     if out:
         write_model(found.model, out)
     lines = []
@@ -182,6 +192,8 @@ def diagnose(
 
     robot = read_vehicle(vehicle)
     training, judging = _logs(logs, columns), _logs(holdout, columns)
+    for note in _notes([*training, *judging]):
+        _warn(note)
     with _progress("diagnosing") as update:
         told = run(training, holdout=judging, vehicle=robot, progress=update)
     if out:
@@ -394,7 +406,7 @@ def mission(
     if report:
         atomic_write(report, mission_page(told).html())
     lines = ["mission feasible" if told.feasible else "mission not feasible as asked"]
-    for task in sorted(told.tasks, key=lambda task: task.verdict == "reachable"):
+    for task in map(told.task, told.table["name"]):
         line = f"{task.name}: {task.verdict}"
         if task.verdict == "unreachable":
             line += f" ({task.reason.replace('_', ' ')}); {task.remedy}"

@@ -248,7 +248,7 @@ def test_interrupting_is_clean(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("energyplan.drivelog.DriveLog.read", interrupted)
+    monkeypatch.setattr("energyplan.io.logs.read_log", interrupted)
     out = tmp_path / "model.yaml"
     out.write_text("as it was")
     result = run("identify", spiral, "--vehicle", "quadriga", "--out", out)
