@@ -53,6 +53,11 @@ def mimic_advice(unexplained: Sequence[Dependence], effects: Sequence[str]) -> l
     if not unexplained:
         return []
     first = unexplained[0]
+    if first.channel == "drive":
+        return [
+            f"{first.shape}: the ground, the load or a temperature differed and is in no channel; "
+            "no model foretells that from other drives: log what differed, or identify on the spot"
+        ]
     if effects:
         names = ", ".join(_plain(name) for name in effects)
         return [

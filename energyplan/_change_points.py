@@ -95,6 +95,7 @@ def mark_changes(problem: Problem, terms: Sequence[Term], errors: FloatArray) ->
     return Problem(
         [_marked(drive, *split) for drive, split in zip(problem.drives, splits, strict=True)],
         problem.vehicle,
+        problem.memory,
     )
 
 

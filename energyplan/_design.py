@@ -9,8 +9,9 @@ the present error on its own scale.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,8 @@ SCALES = (0.5, 2.0, 8.0)
 
 BLOCK = 8.0
 """Length of the blocks that cross-validation leaves out [s]."""
+
+_KEPT = 60  # forces of terms kept a drive
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,8 @@ class Drive:
         Measured total power [W].
     battery : bool
         Whether it was measured at the battery.
+    fields : dict
+        Forces of terms, kept for `field_of`.
     """
 
     name: str
@@ -52,6 +57,7 @@ class Drive:
     motion: Motion
     power: FloatArray
     battery: bool = False
+    fields: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
     def of(cls, log: DriveLog, vehicle: Vehicle) -> Drive:
@@ -77,7 +83,7 @@ class Drive:
 
     def with_channels(self, **channels: FloatArray) -> Drive:
         """Return the drive with channels added to its motion."""
-        return replace(self, motion=self.motion.with_channels(**channels))
+        return replace(self, motion=self.motion.with_channels(**channels), fields={})
 
     def advanced(self, delay: float) -> Drive:
         """Return the drive with its power moved ahead in time by `delay` [s]."""
@@ -125,12 +131,22 @@ class Windows:
         return np.asarray(total / self.counts.reshape(-1, *[1] * (values.ndim - 1)))
 
 
+def field_of(term: Term, drive: Drive, vehicle: Vehicle) -> Any:
+    """Return force or power per unit of a term that is no loss, computed once a drive."""
+    key = (term.name, tuple(term.params.items()), vehicle.slip_moment)
+    if key not in drive.fields:
+        if len(drive.fields) > _KEPT:
+            drive.fields.clear()
+        drive.fields[key] = term.function(drive.motion, vehicle, **term.params)
+    return drive.fields[key]
+
+
 def column(term: Term, drive: Drive, vehicle: Vehicle) -> FloatArray:
     """Total power per unit of a linear term's coefficient at each sample [W per unit]."""
-    value = term.function(drive.motion, vehicle, **term.params)
+    value = field_of(term, drive, vehicle)
     if term.kind == "force":
         motion = drive.motion
-        value = Sides(value.left * motion.v_left, value.right * motion.v_right)
+        return np.asarray(value.left * motion.v_left + value.right * motion.v_right)
     return np.asarray(value.total if isinstance(value, Sides) else value)
 
 

@@ -14,10 +14,10 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from energyplan._design import Design, Drive, column, window_means
-from energyplan._identifiability import linearise
+from energyplan._linear import is_lossy, linearise
 from energyplan.effects import Effect
 from energyplan.path import FloatArray
-from energyplan.power import SLIP, TRACTION, PowerModel, Term
+from energyplan.power import SLIP, TRACTION, Term
 from energyplan.vehicle import Vehicle
 
 PAPER = (SLIP, TRACTION)
@@ -150,13 +150,27 @@ class Problem:
         Training drives.
     vehicle : Vehicle
         With the tread ICRs of the drives' motions.
+    memory : mapping of str to float, optional
+        Coefficients found before, by name of their term, for fits that are not linear to start
+        from.
     """
 
-    def __init__(self, drives: Sequence[Drive], vehicle: Vehicle) -> None:
+    def __init__(
+        self, drives: Sequence[Drive], vehicle: Vehicle, memory: Mapping[str, float] | None = None
+    ) -> None:
         self.drives = tuple(drives)
         self.vehicle = vehicle
+        self.memory = dict(memory or {})
         mean_square = np.mean(np.concatenate([drive.power**2 for drive in self.drives]))
         self.floor = FLOOR**2 * float(mean_square)
+
+    def without_transitions(self) -> Problem:
+        """Return the drives, each throughout in the state that it was in for longer."""
+        drives = []
+        for drive in self.drives:
+            state = round(float(np.mean(drive.motion.channels["changed"])))
+            drives.append(drive.with_channels(changed=np.full(len(drive.t), float(state))))
+        return Problem(drives, self.vehicle, self.memory)
 
     def tables(
         self, terms: Sequence[Term], values: FloatArray
@@ -166,13 +180,12 @@ class Problem:
         Where a loss depends on the forces, and so on the other coefficients, both are linearised
         about `values`.
         """
-        model = PowerModel(self.vehicle, tuple(terms), values)
         columns, targets = [], []
         for drive in self.drives:
-            if drive.battery or any(term.kind == "loss" for term in terms):
-                about = linearise(model, drive.motion, drive.battery)
-                columns.append(about.jacobian)
-                targets.append(drive.power - about.power + about.jacobian @ values)
+            if is_lossy(drive, terms):
+                about = linearise(drive, self.vehicle, terms, values)
+                columns.append(about.columns)
+                targets.append(drive.power - about.power + about.columns @ values)
             else:
                 columns.append(
                     np.column_stack([column(term, drive, self.vehicle) for term in terms])
@@ -206,9 +219,10 @@ class Problem:
             Columns, and the power that they are to explain.
         """
         if start is None:
-            start = self._start(terms, errors)
+            names = {term.name for term in terms}
+            start = self.memory if names <= set(self.memory) else self._start(terms, errors)
         values = np.array([start.get(term.name, 0.0) for term in terms])
-        lossy = any(d.battery for d in self.drives) or any(t.kind == "loss" for t in terms)
+        lossy = any(is_lossy(drive, terms) for drive in self.drives)
         for _ in range(rounds):
             design = Design.of(self.drives, *self.tables(terms, values))
             if not lossy:
@@ -217,6 +231,8 @@ class Problem:
             before, values = values, solve(weighted(design, scale).sum(axis=0))
             if np.allclose(values, before, rtol=1e-4):
                 break
+        if lossy:
+            self.memory |= {term.name: float(v) for term, v in zip(terms, values, strict=True)}
         return design
 
     def _start(self, terms: Sequence[Term], errors: FloatArray | None) -> dict[str, float]:
@@ -228,12 +244,36 @@ class Problem:
         values = solve(weighted(design, scale).sum(axis=0))
         return {term.name: float(v) for term, v in zip(linear, values, strict=True)}
 
-    def means(self, terms: Sequence[Term]) -> list[FloatArray]:
-        """Return the window means of the columns of terms that are no `loss`."""
-        columns = [
-            np.column_stack([column(term, drive, self.vehicle) for term in terms])
-            for drive in self.drives
-        ]
+    def means(
+        self, extra: Sequence[Term], terms: Sequence[Term] = (), values: FloatArray | None = None
+    ) -> list[FloatArray]:
+        """Return window means of the columns of further terms beside a model's.
+
+        Parameters
+        ----------
+        extra : sequence of Term
+            The further terms, none of them a loss.
+        terms : sequence of Term
+            Terms of the model; where one is a loss, a further force changes it too.
+        values : ndarray, optional
+            Their coefficients.
+
+        Returns
+        -------
+        list of ndarray
+            Means at each scale.
+        """
+        columns = []
+        for drive in self.drives:
+            if values is not None and is_lossy(drive, terms):
+                whole = np.append(values, np.zeros(len(extra)))
+                wanted = range(len(terms), len(whole))
+                about = linearise(drive, self.vehicle, [*terms, *extra], whole, wanted)
+                columns.append(about.columns)
+            else:
+                columns.append(
+                    np.column_stack([column(term, drive, self.vehicle) for term in extra])
+                )
         return window_means(self.drives, columns)
 
     def reference(self, design: Design) -> FloatArray:

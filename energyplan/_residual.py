@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import f as fisher
 
 from energyplan._design import Design, Drive, channels_of, window_means
 from energyplan._empirical import CARRIERS, DERIVED, carry, signal
@@ -138,7 +139,37 @@ def dependences(
             shape = np.insert(new.values[width:], skipped, 0.0)
             found.append(_dependence(name, carrier, knots, shape, now, new, width))
     found += _periodic(problem, now, errors, design)
+    found += _between_drives(problem, now, errors, design)
     return _holm(found)
+
+
+def _between_drives(
+    problem: Problem, now: Fit, errors: FloatArray, design: Design
+) -> list[Dependence]:
+    """Test whether drives differ as a whole: one-way analysis of variance over blocks.
+
+    What only differs from drive to drive no other drive can foretell; no term is made of it.
+    """
+    count = len(problem.drives)
+    if count < 3:
+        return []
+    table, owner = design.rows[-1], design.drives[design.blocks[-1]]
+    predicted = table[:, :-1] @ now.values
+    residual = table[:, -1] - predicted
+    size = np.bincount(owner, minlength=count).astype(float)
+    means = np.bincount(owner, residual, count) / size
+    between = float(size @ (means - residual.mean()) ** 2)
+    within = float(np.sum((residual - means[owner]) ** 2))
+    free = len(residual) - count
+    if free < count or within == 0.0:
+        return []
+    noise = within / free
+    p_value = float(fisher.sf(between / (count - 1) / noise, count - 1, free))
+    share = max(between - (count - 1) * noise, 0.0) / (between + within)
+    scale = float(np.mean(residual**2)) / float(errors[-1])
+    spread = float(np.std(means / (np.bincount(owner, predicted, count) / size), ddof=1))
+    words = f"drives differ as a whole, by {100 * spread:.0f} % of their power (standard deviation)"
+    return [Dependence("drive", "power", words, share * scale, 0.0, p_value)]
 
 
 def _dependence(

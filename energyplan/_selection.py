@@ -24,7 +24,7 @@ from energyplan.power import PowerModel, Term
 SIGNIFICANCE = 0.01
 """Chance of a false find that a step accepts, over all candidates together."""
 
-WORTHWHILE = 0.03
+WORTHWHILE = 0.05
 """Smallest fall of the cross-validated error, mean over the scales, that is worth an effect."""
 
 _SAME = 0.98
@@ -153,16 +153,16 @@ class Selector:
         problem, width = self.problem, design.rows[0].shape[1] - 1
         if part.effect.acts == "change":
             problem = mark_changes(problem, terms_of(parts), errors)
-            if problem is self.problem:
+            if self._only_between(part, parts, problem, now, design, errors):
                 return None
-        if any(term.kind == "loss" for term in terms_of([*parts, part])):
+        if any(term.kind == "loss" for term in part.terms):
             terms = terms_of([*parts, part])
             known = dict(zip((t.name for t in terms), now.values, strict=False))
             full = problem.design(terms, errors, known, rounds=3)
         elif part.effect.name == "time_offset":
             delay = dict(part.params)["delay"]
             drives = [drive.advanced(delay) for drive in problem.drives]
-            problem = Problem(drives, problem.vehicle)
+            problem = Problem(drives, problem.vehicle, problem.memory)
             moved = window_means(
                 drives,
                 [
@@ -176,13 +176,32 @@ class Selector:
             ]
             full = replace(design, rows=tuple(rows))
         else:
-            full = design.joined(problem.means(part.terms))
+            full = design.joined(problem.means(part.terms, terms_of(parts), now.values))
         new = fit(full, errors)
         gain, error = difference(now.losses, new.losses)
         added = range(width, full.rows[0].shape[1] - 1)
         p_value = new.p_value(added) if len(added) else 0.0
         scales = len(errors)
         return Trial(part, problem, new, gain / scales, error / scales, p_value)
+
+    def _only_between(
+        self,
+        part: Part,
+        parts: Sequence[Part],
+        problem: Problem,
+        now: Fit,
+        design: Design,
+        errors: FloatArray,
+    ) -> bool:
+        """Tell whether whole drives differ, rather than anything changing during one."""
+        settled = problem.without_transitions()
+        terms = terms_of(parts)
+        changed, constant = (
+            fit(design.joined(case.means(part.terms, terms, now.values)), errors, by_block=True)
+            for case in (problem, settled)
+        )
+        base = fit(design, errors, by_block=True)
+        return constant.loss - changed.loss < 0.5 * (base.loss - changed.loss)
 
     def _plausible(self, trial: Trial, parts: Sequence[Part]) -> bool:
         terms = terms_of([*parts, trial.part])
