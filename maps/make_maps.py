@@ -89,7 +89,7 @@ def warehouse() -> tuple[OccupancyGrid, SurfaceMap]:
             left, low = 3.4 + 2.7 * i, 3.1 + 2.7 * j
             obstacles.append(box(left, low, left + 1.3, low + 1.3))
     for low in (3.4, 5.6, 7.8, 12.6):
-        obstacles.append(box(14.0, low, 18.4, low + 0.8))
+        obstacles.append(box(12.0 if low < 9 else 14.0, low, 18.4, low + 0.8))
     obstacles.append(box(21.4, 4.0, 22.6, 9.0))
     # the office of the foreman in a corner; nobody drives on its mats
     obstacles += walls((0, 14.2, 3.0, 14.2), (3.0, 14.2, 3.0, height))
@@ -107,7 +107,7 @@ def warehouse() -> tuple[OccupancyGrid, SurfaceMap]:
 
 
 def orchard() -> tuple[OccupancyGrid, SurfaceMap]:
-    """Return an orchard, turned by 20 degrees: rows of trees with gaps, and a paved yard."""
+    """Return an orchard, turned by 20 degrees: rows of trees with gaps, and a paved lane."""
     rng = np.random.default_rng(7)
     width, height = 30.0, 20.0
     obstacles: list[BaseGeometry] = [
@@ -116,12 +116,14 @@ def orchard() -> tuple[OccupancyGrid, SurfaceMap]:
     for row in range(6):
         y = 3.0 + 2.4 * row
         # where a tree died a robot slips through
-        gap = (6, 8, 6, 9, 7, 10)[row]
+        gap = (6, 8, 6, 8, 6, 8)[row]
         for x in range(4, 27):
             if x == gap:
                 continue
             at = np.array([x, y]) + rng.normal(0, 0.06, 2)
             obstacles.append(shapely.Point(at).buffer(rng.uniform(0.12, 0.22), quad_segs=4))
+    # a fence parts the trees from the paved lane in the west
+    obstacles.append(box(3.5, 4.4, 3.6, 16.0))
     shed = box(26.2, 17.6, 29.6, 19.6)
     grid = OccupancyGrid.from_polygons([*obstacles, shed], (0, 0, width, height), RESOLUTION)
     grid = OccupancyGrid(grid.occupied, RESOLUTION, Pose(-5.0, 2.0, np.deg2rad(20)))
@@ -129,12 +131,9 @@ def orchard() -> tuple[OccupancyGrid, SurfaceMap]:
     def world(area: BaseGeometry) -> BaseGeometry:
         return shapely.transform(area, lambda points: grid.to_world(points / RESOLUTION))
 
-    yard = box(27.2, 0, width, height)
+    lane, field = box(0, 0, 3.55, height), box(3.55, 0, width, height)
     ground = SurfaceMap(
-        [
-            surface(world(box(0, 0, 27.2, height)), "concrete", "empty"),
-            surface(world(yard), "marble", "empty"),
-        ],
+        [surface(world(field), "concrete", "empty"), surface(world(lane), "marble", "empty")],
         keep_out=[world(shapely.Point(20.0, 18.0).buffer(1.1, quad_segs=6))],
     )
     return grid, ground

@@ -1,0 +1,72 @@
+"""The maps of the repository: made by their script, and telling what docs/maps.md says."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+from energyplan.cost import EnergyCost
+from energyplan.io.geojson import read_surfaces
+from energyplan.io.maps import read_map
+from energyplan.planners import PlanningProblem, plan
+from energyplan.power import PowerModel
+
+FOLDER = Path(__file__).resolve().parents[1] / "maps"
+
+# start and goal in the map's own frame, a bar across the way of least energy, and where that is
+CASES = {
+    "office": ("empty", (1.0, 4.4, 0.0), (19.0, 4.0, -90.0), (0.0, 5.95, 20.0, 6.1), (10, 7)),
+    "warehouse": ("full", (2.0, 2.0, 0.0), (20.0, 12.0, 90.0), (13.0, 0.0, 13.2, 3.5), (15, 2.5)),
+    "orchard": ("empty", (2.0, 1.5, 90.0), (14.0, 17.0, 0.0), (0.0, 9.0, 3.6, 9.2), (2.5, 9)),
+}
+
+
+def test_the_script_makes_these_files(tmp_path):
+    spec = importlib.util.spec_from_file_location("make_maps", FOLDER / "make_maps.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    script.main(tmp_path)
+    made = sorted(file.name for file in tmp_path.iterdir())
+    assert made == sorted(
+        f"{name}{end}" for name in CASES for end in (".yaml", ".png", "_surfaces.geojson")
+    )
+    for name in made:
+        if name.endswith(".png"):
+            # another release of the image library may compress otherwise
+            continue
+        assert (tmp_path / name).read_bytes() == (FOLDER / name).read_bytes(), name
+    for name in CASES:
+        one, other = read_map(tmp_path / f"{name}.yaml"), read_map(FOLDER / f"{name}.yaml")
+        assert np.array_equal(one.occupied, other.occupied)
+        assert np.array_equal(one.unknown, other.unknown)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_the_shorter_way_costs_more(name):
+    load, start, goal, bar, spot = CASES[name]
+    grid = read_map(FOLDER / f"{name}.yaml")
+    ground = read_surfaces(FOLDER / f"{name}_surfaces.geojson")
+    cost = EnergyCost(PowerModel.preset(f"quadriga:{load}:concrete"))
+
+    def world(pose):
+        x, y = grid.to_world(np.array(pose[:2]) / grid.resolution)
+        return x, y, np.deg2rad(pose[2]) + grid.origin.yaw
+
+    def planned(where):
+        problem = PlanningProblem(where, cost, world(start), world(goal), surfaces=ground)
+        return plan(problem, planner="roadmap", time_limit=3.0)
+
+    across = shapely.transform(
+        shapely.box(*bar), lambda points: grid.to_world(points / grid.resolution)
+    )
+    best, other = planned(grid), planned(grid.with_blocked(across))
+    places = grid.to_cells(best.poses[:, :2]) * grid.resolution
+    assert np.hypot(*(places - spot).T).min() < 1.0
+    assert other.length < best.length
+    assert other.turning > 2 * best.turning
+    assert other.energy > 1.03 * best.energy
