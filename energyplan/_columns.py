@@ -7,7 +7,9 @@ from collections.abc import Mapping
 from math import isfinite, pi
 from typing import NamedTuple
 
+from energyplan._tables import Table
 from energyplan.errors import DriveLogError
+from energyplan.path import FloatArray
 
 
 class Scale(NamedTuple):
@@ -133,3 +135,44 @@ def parse_columns(columns: str | Mapping[str, str] | None) -> dict[str, Column]:
             raise DriveLogError(f"column mapping names the channel {channel!r} twice; drop one")
         found[channel] = Column(source, _scale(channel, unit) if unit else Scale())
     return found
+
+
+class Chosen(NamedTuple):
+    """Channels taken from a table, and its columns of text that nobody asked for."""
+
+    channels: dict[str, FloatArray]
+    unread: list[str]
+
+
+def choose_columns(table: Table, columns: str | Mapping[str, str] | None) -> Chosen:
+    """Take a log's channels from a table.
+
+    Parameters
+    ----------
+    table : Table
+        The table.
+    columns : str or mapping of str to str, optional
+        As in `parse_columns`; columns that bear a channel's name, and any others of numbers, need
+        no mention.
+
+    Returns
+    -------
+    Chosen
+        The channels in the library's units.
+
+    Raises
+    ------
+    DriveLogError
+        If the mapping is malformed, or a column is missing or holds text.
+    """
+    wanted = parse_columns(columns)
+    taken = {column.source for column in wanted.values()}
+    for name in (*table.columns, *table.text):
+        useful = name in table.columns or name in UNITS
+        if useful and name not in wanted and name not in taken:
+            wanted[name] = Column(name)
+    channels = {
+        channel: table.column(column.source) * column.scale.factor + column.scale.offset
+        for channel, column in wanted.items()
+    }
+    return Chosen(channels, [name for name in table.text if name not in channels])

@@ -158,7 +158,41 @@ def power_regressors(channels: Mapping[str, FloatArray], runs: Sequence[slice]) 
     ]
 
 
-def check_time(t: FloatArray, runs: Sequence[slice], label: str) -> list[str]:
+def find_doubts(
+    channels: Mapping[str, FloatArray], power: FloatArray, runs: Sequence[slice], label: str
+) -> list[str]:
+    """Compare the channels with each other.
+
+    Parameters
+    ----------
+    channels : mapping of str to ndarray, shape (n,)
+        Sound channels.
+    power : ndarray, shape (n,)
+        Total power [W].
+    runs : sequence of slice
+        Stretches without a gap.
+    label : str
+        Name of the log.
+
+    Returns
+    -------
+    list of str
+        What is doubtful.
+
+    Raises
+    ------
+    DriveLogError
+        If channels contradict each other.
+    """
+    return [
+        *_check_time(channels["t"], runs, label),
+        *_check_turning(channels, runs, label),
+        *_check_power(channels, power, runs, label),
+        *_check_speed(channels, runs),
+    ]
+
+
+def _check_time(t: FloatArray, runs: Sequence[slice], label: str) -> list[str]:
     """Refuse time in another unit; report gaps.
 
     Raises
@@ -185,7 +219,7 @@ def check_time(t: FloatArray, runs: Sequence[slice], label: str) -> list[str]:
     ]
 
 
-def check_turning(
+def _check_turning(
     channels: Mapping[str, FloatArray], runs: Sequence[slice], label: str
 ) -> list[str]:
     """Compare measured turning with the tread speeds.
@@ -254,7 +288,7 @@ def _offset_warning(offset: Offset) -> str:
     )
 
 
-def check_power(
+def _check_power(
     channels: Mapping[str, FloatArray], power: FloatArray, runs: Sequence[slice], label: str
 ) -> list[str]:
     """Compare power with the tread speeds: its sign, its side, its time.
@@ -334,7 +368,7 @@ def _descends(channels: Mapping[str, FloatArray]) -> bool:
     return float(np.sin(channels["slope"]) @ forward) < -0.02 * float(np.abs(forward).sum())
 
 
-def check_speed(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> list[str]:
+def _check_speed(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> list[str]:
     """Compare tread speeds with the distance travelled."""
     if not {"x", "y"} <= set(channels):
         return []

@@ -12,27 +12,24 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from energyplan._columns import Column, parse_columns
+from energyplan._columns import choose_columns, parse_columns
 from energyplan._logchecks import Place, SetAside, clean, find_runs, needed_channels
-from energyplan._plausible import check_power, check_speed, check_time, check_turning
+from energyplan._plausible import find_doubts
 from energyplan._resample import interval_means, shift
 from energyplan._smooth import derivative
 from energyplan._tables import read_table
 from energyplan.errors import DriveLogError, MissingChannelError
-from energyplan.motion import CHANNELS, Motion
+from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import Sides
 from energyplan.vehicle import TreadICR
 
 __all__ = ["DriveLog", "SetAside", "parse_columns"]
 
-_KNOWN = {
-    *CHANNELS, "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current"
-}  # fmt: skip
 _MOST_INTERVALS = 50_000_000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class DriveLog:
     """One drive: named channels over time.
 
@@ -105,6 +102,12 @@ class DriveLog:
     def __len__(self) -> int:
         return len(self.t)
 
+    def __repr__(self) -> str:
+        return (
+            f"<DriveLog {self.name!r}: {len(self)} samples over {self.duration:.1f} s, "
+            f"{self.energy / 1e3:.2f} kJ; {', '.join(self.channels)}>"
+        )
+
     # -- building -------------------------------------------------------------------------------
 
     @classmethod
@@ -134,24 +137,11 @@ class DriveLog:
         MissingDependencyError
             If a Parquet file is read without pyarrow.
         """
-        wanted = parse_columns(columns)
         table = read_table(path, DriveLogError)
-        taken = {column.source for column in wanted.values()}
-        for name in (*table.columns, *table.text):
-            if (
-                name not in wanted
-                and name not in taken
-                and (name in table.columns or name in _KNOWN)
-            ):
-                wanted[name] = Column(name)
-        found = {
-            channel: table.column(column.source) * column.scale.factor + column.scale.offset
-            for channel, column in wanted.items()
-        }
-        log = cls.from_columns(found, table.source, table.place)
-        unread = [name for name in table.text if name not in taken]
-        if unread:
-            note = f"columns of text are left out: {', '.join(unread[:10])}"
+        chosen = choose_columns(table, columns)
+        log = cls.from_columns(chosen.channels, table.source, table.place)
+        if chosen.unread:
+            note = f"columns of text are left out: {', '.join(chosen.unread[:10])}"
             log = replace(log, warnings=(*log.warnings, note))
         return log
 
@@ -186,11 +176,10 @@ class DriveLog:
         """
         cleaned = clean(columns, name, place or "sample {}".format)
         raw = cls(cleaned.channels, name)
-        warnings = [*cleaned.warnings, *check_time(raw.t, raw.runs, name)]
-        warnings += check_turning(raw.channels, raw.runs, name)
-        warnings += check_power(raw.channels, raw.power, raw.runs, name)
-        warnings += check_speed(raw.channels, raw.runs)
-        return replace(raw, set_aside=tuple(cleaned.set_aside), warnings=tuple(warnings))
+        doubts = find_doubts(raw.channels, raw.power, raw.runs, name)
+        return replace(
+            raw, set_aside=tuple(cleaned.set_aside), warnings=(*cleaned.warnings, *doubts)
+        )
 
     # -- channels -------------------------------------------------------------------------------
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import runpy
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -182,3 +185,16 @@ def test_real_drives_are_read_and_their_yaw_follows_the_treads(shared_data):
     # the one that the wheel track suggests.
     floors = [track for name, track in tracks.items() if name.startswith("FLOORING")]
     assert 0.55 / 0.7 < np.median(floors) < 0.555 / 0.55
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("surface", ["FLOORING", "ICE"])
+def test_the_example_goes_from_raw_files_to_parameters(shared_data, surface, capsys):
+    example = Path(__file__).resolve().parents[1] / "examples" / "husky_log.py"
+    runpy.run_path(str(example))["main"](shared_data / "borealtc" / surface)
+    told = capsys.readouterr().out
+    for words in ("21.4 V per m/s", "mu  =", "K   =", "dead band", "see no direction"):
+        assert words in told
+    errors = [float(text) for text in re.findall(r"predicted \(([+-][\d.]+)%\)", told)]
+    assert len(errors) >= 3
+    assert np.abs(errors).max() < 15.0
