@@ -1,0 +1,209 @@
+"""The catalogue: every regressor against its equation, and how plugins join it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from energyplan import EnergyCost, effects
+from energyplan._effect_terms import (
+    DRAGGING_LEFT,
+    DRAGGING_RIGHT,
+    MOBILISATION,
+    SIDE_GAIN,
+    SLIP_BEYOND,
+    SLIP_CHANGE,
+    SLIP_SPEED,
+    TILT_X,
+    TILT_Y,
+    TOWING_FORCE,
+    TRACTION_ASYMMETRY,
+    TRACTION_CHANGE,
+    TURN_ASYMMETRY,
+    UNSIGNED_POWER,
+)
+from energyplan.effects import (
+    AIR_DRAG,
+    ANGULAR_INERTIA,
+    COPPER_LOSS,
+    GRADE,
+    LINEAR_INERTIA,
+    SPECIFIC_FORCE,
+    VISCOUS_LOSS,
+    WARM_UP,
+    Effect,
+    catalogue,
+    effect,
+    empirical_term,
+    term,
+)
+from energyplan.errors import MissingChannelError, ModelError, UnknownNameError
+from energyplan.motion import Motion
+from energyplan.power import PowerModel, Term, tread_forces
+from energyplan.vehicle import GRAVITY, TreadICR, Vehicle
+
+VEHICLE = Vehicle.preset("quadriga:full")
+T = np.array([0.0, 30.0, 90.0])
+
+
+def _motion(v: object = (0.6, -0.4, 0.3), omega: object = (0.2, 0.5, -0.8), **channels: object):
+    return Motion.from_twist(v, omega, VEHICLE.icr, **channels)
+
+
+def _power(made: Term, motion: Motion) -> np.ndarray:
+    """Power of the term alone, per unit of its coefficient."""
+    return PowerModel(VEHICLE, (made,), np.array([1.0])).power(motion)
+
+
+def test_every_term_equals_its_equation() -> None:
+    slope, accel, yaw_accel = np.array([0.1, -0.05, 0.2]), np.array([0.3, -1.0, 0.2]), 0.7
+    yaw, x, y = np.array([0.0, 1.0, -2.0]), np.array([0.0, 2.0, 5.0]), np.array([1.0, -1.0, 0.0])
+    m = _motion(slope=slope, accel=accel, yaw_accel=yaw_accel, t=T, x=x, y=y)
+    headed = _motion(yaw=yaw)
+    left, right, v, w, S = m.v_left, m.v_right, m.v, m.omega, VEHICLE.slip_moment
+    reach = S / float(VEHICLE.loads.sum())
+    pairs = [
+        (GRADE, GRAVITY * np.sin(slope) * v),
+        (LINEAR_INERTIA, accel * v),
+        (ANGULAR_INERTIA, yaw_accel * w),
+        (SPECIFIC_FORCE, (accel + GRAVITY * np.sin(slope)) * v),
+        (VISCOUS_LOSS, left**2 + right**2),
+        (AIR_DRAG, np.abs(v) ** 3),
+        (TOWING_FORCE, v),
+        (TRACTION_ASYMMETRY, np.abs(left) - np.abs(right)),
+        (DRAGGING_LEFT, np.abs(left)),
+        (DRAGGING_RIGHT, np.abs(right)),
+        (TURN_ASYMMETRY, S * w),
+        (SLIP_SPEED, S * reach * w**2),
+        (MOBILISATION, -S * np.abs(w) * np.abs(v) / (np.abs(v) + np.abs(w))),
+        (WARM_UP, np.exp(-T / 60) * (np.abs(left) + np.abs(right))),
+        (replace(SLIP_CHANGE, params={"time": 30.0}), S * np.abs(w) * (T >= 30)),
+        (
+            replace(TRACTION_CHANGE, params={"time": 31.0}),
+            (np.abs(left) + np.abs(right)) * (T > 31),
+        ),
+        (replace(SLIP_BEYOND, params={"direction": 0.0, "offset": 3.0}), S * np.abs(w) * (x > 3)),
+    ]
+    for made, power in pairs:
+        assert _power(made, m) == pytest.approx(power, abs=1e-9), made.name
+    assert _power(TILT_X, headed) == pytest.approx(GRAVITY * np.cos(yaw) * v)
+    assert _power(TILT_Y, headed) == pytest.approx(GRAVITY * np.sin(yaw) * v)
+
+
+def test_a_tilted_plane_is_the_grade_of_its_slope() -> None:
+    angle, uphill = 0.06, 0.7
+    yaw = np.linspace(-3, 3, 50)
+    slope = np.arcsin(np.sin(angle) * np.cos(yaw - uphill))
+    weight = VEHICLE.mass * np.sin(angle)
+    plane = PowerModel(
+        VEHICLE, (TILT_X, TILT_Y), weight * np.array([np.cos(uphill), np.sin(uphill)])
+    )
+    graded = PowerModel(VEHICLE, (GRADE,), np.array([VEHICLE.mass]))
+    one = plane.power(_motion(0.5, 0.1, yaw=yaw))
+    assert one == pytest.approx(graded.power(_motion(0.5, 0.1, slope=slope)))
+    assert catalogue()["tilted_plane"].value(plane) == pytest.approx(angle)
+    # Where the slope is known the plane must not count twice.
+    assert np.all(plane.power(_motion(0.5, 0.1, yaw=yaw, slope=slope)) == 0.0)
+
+
+def test_losses_act_on_the_forces_of_all_terms() -> None:
+    paper = PowerModel.paper(VEHICLE, 110.0, 0.43)
+    motion = _motion(0.5, 0.4)  # the inner side generates
+    force, sides = paper.forces(motion), paper.sides(motion)
+    assert float(sides.left) < 0 < float(sides.right)
+    copper = paper.with_term(COPPER_LOSS, 2e-4).power(motion)
+    heat = 2e-4 * (force.left**2 + force.right**2)
+    assert float(copper) == pytest.approx(float(sides.total + heat))
+    unsigned = paper.with_term(UNSIGNED_POWER, 1.0).power(motion)
+    assert float(unsigned) == pytest.approx(float(np.abs(sides.left) + np.abs(sides.right)))
+    gain = paper.with_term(SIDE_GAIN, 0.1).power(motion)
+    assert float(gain) == pytest.approx(float(1.1 * sides.left + 0.9 * sides.right))
+
+
+def test_what_a_planner_does_not_know_is_warm_changed_and_level() -> None:
+    motion = _motion(0.5, 0.2)
+    assert float(_power(WARM_UP, motion)) == 0.0
+    assert float(_power(TILT_X, motion)) == 0.0
+    assert float(_power(SLIP_CHANGE, motion)) == pytest.approx(0.2 * VEHICLE.slip_moment)
+    with pytest.raises(MissingChannelError, match="'x'"):
+        _power(SLIP_BEYOND, motion)
+
+
+def test_every_term_of_the_catalogue_prices_motion_for_a_planner() -> None:
+    for entry in catalogue().values():
+        model = PowerModel.paper(VEHICLE, 110.0, 0.43)
+        for made in entry.terms:
+            model = model.with_term(made, 1e-3)
+        energy = EnergyCost(model, speed=0.5).segment_energy(np.array([1.0]), np.array([0.3]))
+        assert np.all(np.isfinite(energy)), entry.name
+
+
+def test_entries_are_complete_and_resolve_by_name() -> None:
+    for name, entry in catalogue().items():
+        assert name == entry.name
+        assert entry.meaning and entry.manoeuvre and entry.unit and entry.symbol, name
+        for made in entry.terms:
+            assert term(made.name).function is made.function
+            assert set(made.params) <= set(entry.grid) | {"time", "direction", "offset"}
+    assert len(catalogue()) >= 20
+    with pytest.raises(UnknownNameError, match="power term 'gremlins'"):
+        term("gremlins")
+
+
+def test_an_empirical_term_follows_its_knots_and_resolves_by_name() -> None:
+    made = empirical_term("empirical_traction_temperature", [0.0, 10.0, 20.0], [5.0, 0.0, 20.0])
+    motion = _motion([0.5] * 3, 0.0, temperature=[0.0, 15.0, 40.0])
+    assert _power(made, motion) == pytest.approx(np.array([5.0, 10.0, 20.0]) * 2 * 0.5)
+    found = replace(term(made.name), params=made.params)
+    assert _power(found, motion) == pytest.approx(_power(made, motion))
+    assert float(_power(made, _motion(0.5, 0.0))) == 0.0
+    with pytest.raises(UnknownNameError, match="empirical term"):
+        empirical_term("empirical_magic_t")
+
+
+def test_one_function_makes_an_effect_and_a_plugin_brings_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    @effect("rail_friction", "F_r", "N", meaning="a guide rail", plausible=(0.0, 100.0))
+    def rail(motion: Motion, vehicle: Vehicle):
+        return tread_forces(motion, longitudinal=np.sign(motion.v))
+
+    assert isinstance(rail, Effect)
+    assert _power(rail.terms[0], _motion(-0.5, 0.0)) == pytest.approx(0.5)
+
+    class Point:
+        name = "rail"
+
+        def __init__(self, made: object) -> None:
+            self._made = made
+
+        def load(self) -> object:
+            return self._made
+
+    for made in (rail, rail.terms[0]):
+        monkeypatch.setattr(effects, "entry_points", lambda group, made=made: [Point(made)])
+        assert catalogue()["rail_friction"].unit == "N"
+        assert term("rail_friction") is rail.terms[0]
+    monkeypatch.setattr(effects, "entry_points", lambda group: [Point(Effect.of(GRADE))])
+    with pytest.raises(ModelError, match="redefines"):
+        catalogue()
+    monkeypatch.setattr(effects, "entry_points", lambda group: [Point(3)])
+    with pytest.raises(ModelError, match="no Effect"):
+        catalogue()
+
+
+def test_an_effect_without_a_size_or_a_range_is_refused() -> None:
+    with pytest.raises(ModelError, match="give its size"):
+        Effect("two", (TILT_X, TILT_Y), "a", "kg", "two terms")
+    with pytest.raises(ModelError, match="empty range"):
+        Effect.of(GRADE, plausible=(2.0, 1.0))
+
+
+def test_regressors_scale_with_the_icr_as_virtual_work_says() -> None:
+    for icr in (TreadICR(0.5, 0.4, 0.1), TreadICR.symmetric(0.6)):
+        vehicle = VEHICLE.with_icr(icr)
+        motion = Motion.from_twist(0.4, 0.3, icr, accel=0.2, yaw_accel=0.1)
+        model = PowerModel(vehicle, (LINEAR_INERTIA, ANGULAR_INERTIA), np.array([100.0, 10.0]))
+        assert float(model.power(motion)) == pytest.approx(100 * 0.2 * 0.4 + 10 * 0.1 * 0.3)
