@@ -168,8 +168,9 @@ class Legs:
         return shortest_ways(mission.free_map, mission.vehicle, points)
 
     def planned(self, start: int, goal: int) -> bool:
-        """Tell whether the route from node to node has been planned."""
-        return (start, goal) in self._routes
+        """Tell whether the route from node to node is known."""
+        known = self._routes
+        return (start, goal) in known or (self._symmetric and (goal, start) in known)
 
     # -- legs -------------------------------------------------------------------------------------
 

@@ -18,8 +18,8 @@ from energyplan._mission_walk import Condition, Walk
 from energyplan.path import FloatArray
 
 _ROUNDS = 25
-_SEARCH_ROUNDS = 5
-_SEARCH_TIME = 4.0
+_SEARCH_ROUNDS = 3
+_SEARCH_TIME = 2.0
 _LEVELS = 3
 
 
