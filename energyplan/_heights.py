@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from energyplan.cost import EnergyCost
 from energyplan.errors import MapError
 from energyplan.path import FloatArray, Path, Pose
 
@@ -125,10 +126,43 @@ class HeightMap:
         rows = np.asarray(poses, float)
         steep = self.gradient(rows[..., :2])
         yaw = rows[..., 2]
-        return np.arctan(steep[..., 0] * np.cos(yaw) + steep[..., 1] * np.sin(yaw))
+        return np.asarray(np.arctan(steep[..., 0] * np.cos(yaw) + steep[..., 1] * np.sin(yaw)))
 
     def rise(self, path: Path) -> float:
         """Return how much higher a path ends than it starts [m]."""
         ends = np.array([path.start[:2], path.end[:2]])
         low, high = self.height(ends)
         return float(high - low)
+
+    def energy(self, path: Path, cost: EnergyCost) -> float:
+        """Return the energy of a path on the slopes of this ground [J].
+
+        The path is cut into pieces of half the raster's resolution and 0.1 rad at most, each
+        priced at the slope of its middle; halving them changes the energy by a quarter as much
+        each time. Lengths are taken in plan view, which misses half a percent at 6 degrees.
+
+        Parameters
+        ----------
+        path : Path
+            The path.
+        cost : EnergyCost
+            Cost of motions. Its model needs a term that reads the slope, such as the grade, for
+            the slope to matter.
+
+        Returns
+        -------
+        float
+            Energy.
+
+        Raises
+        ------
+        MapError
+            If the path leaves the raster.
+        """
+        fine = path.subdivide(0.5 * self.resolution, 0.1)
+        vertices = fine.vertices
+        yaw = 0.5 * (vertices[1:, 2] + vertices[:-1, 2])
+        heading = np.column_stack([np.cos(vertices[:, 2]), np.sin(vertices[:, 2])])
+        point = vertices[:, :2] + path.longitudinal * heading
+        middle = np.column_stack([0.5 * (point[1:] + point[:-1]), yaw])
+        return float(cost.segment_energy(fine.ds, fine.dtheta, self.slope(middle)).sum())

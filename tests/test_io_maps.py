@@ -366,3 +366,22 @@ def test_malformed_surfaces_name_the_place(tmp_path, text, place):
     file.write_text(text)
     with pytest.raises(MapError, match=place):
         read_surfaces(file)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner),
+    max_leaves=10,
+)
+
+
+@FUZZ
+@given(JSON, JSON, st.sampled_from(["Polygon", "MultiPolygon", "Point", ""]))
+def test_any_values_end_in_surfaces_or_a_named_error(tmp_path, coordinates, model, kind):
+    file = tmp_path / "s.geojson"
+    document = json.loads(collection(feature(BOX, model="quadriga:empty:marble"), feature(BOX)))
+    document["features"][1]["geometry"] = {"type": kind, "coordinates": coordinates}
+    document["features"][1]["properties"]["model"] = model
+    file.write_text(json.dumps(document))
+    with pytest.raises(EnergyPlanError):
+        read_surfaces(file)

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 import shapely
 
+from energyplan import effects
 from energyplan.cost import EnergyCost
 from energyplan.errors import MapError
+from energyplan.io.heights import read_heights
 from energyplan.maps import HeightMap, OccupancyGrid, Surface, SurfaceMap
 from energyplan.path import Path, Pose
 from energyplan.power import PowerModel
@@ -61,6 +63,18 @@ def test_shares_agree_with_dense_sampling(longitudinal):
             counted = np.bincount(regions, minlength=shares.shape[1]) / n
             # each crossing may misplace one sample
             assert np.abs(counted - shares[k]).max() < 12 / n
+
+
+def test_lines_are_shared_as_segments_are():
+    rng = np.random.default_rng(17)
+    ground = random_surfaces(rng)
+    starts, ends = rng.uniform(-4, 4, (2, 40, 2))
+    shares = ground.line_shares(starts, ends)
+    for k in range(40):
+        step = ends[k] - starts[k]
+        line = Path(Pose(*starts[k], np.arctan2(step[1], step[0])), [np.hypot(*step)], [0.0])
+        assert np.allclose(shares[k], ground.shares(line)[0], atol=1e-12)
+    assert np.allclose(SurfaceMap([]).line_shares(starts, ends), 1.0)
 
 
 def test_a_straight_line_is_clipped_exactly():
@@ -157,3 +171,69 @@ def test_rise_is_the_difference_of_heights():
     assert np.isclose(ramp.rise(Path(Pose(0.1, 0.5, 0), [1.5], [0.0])), 1.5)
     with pytest.raises(MapError, match="off the height map"):
         ramp.rise(Path(Pose(0.1, 0.5, 0), [2.5], [0.0]))
+
+
+# -- heights ----------------------------------------------------------------------------------
+
+
+GRADE = CONCRETE.with_term(effects.term("grade"), 83.1)
+
+
+def test_energy_on_a_ramp():
+    """Level cost plus the weight times the rise, up and down."""
+    cost = EnergyCost(GRADE)
+    i = np.arange(11.0)
+    ramp = HeightMap(np.tile(0.05 * i, (4, 1)), 1.0)
+    up = Path(Pose(1, 1.5, 0), [6.0], [0.0])
+    expected = cost.energy(up) + 83.1 * 9.81 * 6.0 * np.sin(np.arctan(0.05))
+    assert ramp.energy(up, cost) == pytest.approx(expected, rel=1e-9)
+    there_and_back = ramp.energy(up, cost) + ramp.energy(up.reversed(), cost)
+    assert there_and_back == pytest.approx(2 * cost.energy(up), rel=1e-9)
+
+
+def test_energy_over_hills_is_the_potential():
+    """Without losses the weight's work is that of the height between the ends."""
+    rng = np.random.default_rng(16)
+    cost = EnergyCost(GRADE)
+    i, j = np.indices((60, 60)) * 0.2
+    hills = HeightMap(0.2 * np.sin(0.5 * i) * np.cos(0.4 * j), 0.2)
+    path = Path(Pose(4, 4, 0.3), rng.uniform(-1, 1.5, 6), rng.uniform(-1, 1, 6))
+    work = hills.energy(path, cost) - cost.energy(path)
+    assert work == pytest.approx(83.1 * 9.81 * hills.rise(path), rel=0.02, abs=2.0)
+
+
+ASC = "ncols 3\nnrows 2\nxllcorner 10\nyllcorner 20\ncellsize 2\nNODATA_value -9999\n1 2 3\n4 5 6\n"
+
+
+def test_esri_grids(tmp_path):
+    file = tmp_path / "h.asc"
+    file.write_text(ASC)
+    ground = read_heights(file)
+    # the lower left value stands one metre from the corner either way
+    assert ground.height((11, 21)) == 4.0
+    assert ground.height((15, 23)) == 3.0
+    file.write_text(ASC.replace("corner", "center"))
+    assert read_heights(file).height((10, 20)) == 4.0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place"),
+    [
+        ("cellsize 2", "cellsize", "line 5: cellsize"),
+        ("cellsize 2", "cellsize 0", "resolution"),
+        ("cellsize 2\n", "", "no cellsize"),
+        ("nrows 2", "nrows 1e9", "rows of 3"),
+        ("nrows 2", "nrows 2.5", "whole"),
+        ("nrows 2", "nrows nan", "finite"),
+        ("nrows 2", "nrows 3", "2 rows"),
+        ("4 5 6", "4 5", "line 8: 2 heights"),
+        ("4 5 6", "4 x 6", "line 8"),
+        ("4 5 6", "4 nan 6", "finite"),
+        ("4 5 6", "4 -9999 6", "line 8: cells without data"),
+    ],
+)
+def test_malformed_grids_name_the_place(tmp_path, old, new, place):
+    file = tmp_path / "h.asc"
+    file.write_text(ASC.replace(old, new))
+    with pytest.raises(MapError, match=place):
+        read_heights(file)
