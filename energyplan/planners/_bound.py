@@ -8,14 +8,14 @@ it is a bound is derived in docs/planning.md.
 
 from __future__ import annotations
 
-from math import sqrt
+from math import cos, pi, sqrt
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import contourpy
 import numpy as np
 import shapely
 
-from energyplan import _distance
 from energyplan.maps import OccupancyGrid
 from energyplan.path import FloatArray
 from energyplan.planners._bound_kernels import Corners, Rates, least_over_corners
@@ -26,23 +26,69 @@ from energyplan.planners._search import inscribed
 LABELS = 200_000
 """Labels at which the search over corners stops with what is known by then."""
 
-FINE_CELLS = 1e6
-"""Smaller maps are divided more finely before outlines are drawn."""
+MOST_RUNS = 6000
+"""Runs of blocked cells up to which obstacles are grown as polygons, in less than a second."""
 
-SLACK = 0.05
+ARC = 4
+"""Chords of a quarter circle."""
+
+SLACK = 0.03
 """Largest distance by which an outline is simplified, in radii of the disc."""
 
 
 _outlines: WeakKeyDictionary[OccupancyGrid, tuple[float, Corners]] = WeakKeyDictionary()
 
 
+class _Rings(NamedTuple):
+    """Closed outlines in cells, with the obstacle on their right.
+
+    `low` and `high` bound the distance from the obstacles at which they run [m].
+    """
+
+    rings: list[FloatArray]
+    low: float
+    high: float
+
+
+def _grown(grid: OccupancyGrid, radius: float) -> _Rings | None:
+    """Return the outlines of the blocked cells grown by `radius`; None where there are too many.
+
+    Round corners are drawn as polygons inside them.
+    """
+    change = np.diff(np.pad(grid.blocked, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    row, first = np.nonzero(change == 1)
+    _, last = np.nonzero(change == -1)
+    if len(row) > MOST_RUNS:
+        return None
+    boxes = shapely.box(first, row, last, row + 1)
+    area = shapely.union_all(shapely.buffer(boxes, radius / grid.resolution, quad_segs=ARC))
+    rings = []
+    for polygon in shapely.get_parts(area):
+        for k, ring in enumerate(shapely.get_rings(polygon)):
+            points = shapely.get_coordinates(ring)
+            rings.append(points[::-1] if shapely.is_ccw(ring) == (k == 0) else points)
+    return _Rings(rings, radius * cos(0.25 * pi / ARC), radius)
+
+
+def _level_set(grid: OccupancyGrid, radius: float) -> _Rings:
+    """Return a level set of the clearance that lies within the blocked cells grown by `radius`.
+
+    The clearance between the cells' centres is interpolated. That is off by half a cell's diagonal
+    at most, since clearance changes by no more than the distance, and the level is lower by that.
+    """
+    rows, columns = grid.shape
+    error = grid.resolution * sqrt(0.5)
+    if radius <= error:
+        return _Rings([], 0.0, 0.0)
+    x, y = (np.arange(n) + 0.5 for n in (columns, rows))
+    lines = contourpy.contour_generator(x, y, grid.clearance).lines(radius - error)
+    return _Rings([np.asarray(line) for line in lines], radius - 2.0 * error, radius)
+
+
 def outline(grid: OccupancyGrid, radius: float) -> Corners:
     """Return an outline that lies within the obstacles grown by `radius`, and its convex corners.
 
-    The level set of the interpolated clearance lies within the grown obstacles when the level is
-    lower than `radius` by the interpolation's error, at most half a cell's diagonal since
-    clearance changes by no more than the distance. Simplifying it moves it by at most the
-    tolerance, so that comes off the level as well.
+    It is simplified, which moves it by at most a tolerance, so the obstacles grow by that less.
 
     Parameters
     ----------
@@ -59,44 +105,33 @@ def outline(grid: OccupancyGrid, radius: float) -> Corners:
     known = _outlines.get(grid)
     if known is not None and known[0] == radius:
         return known[1]
-    rows, columns = grid.shape
-    factor = max(min(int(sqrt(FINE_CELLS / (rows * columns))), 4), 1)
-    cell = grid.resolution / factor
-    clearance = grid.clearance
-    if factor > 1:
-        fine = np.repeat(np.repeat(grid.blocked, factor, axis=0), factor, axis=1)
-        clearance = _distance.clearance(fine) * np.float32(cell)
-    half = cell * sqrt(0.5)
     tolerance = SLACK * radius
-    level = radius - half - tolerance
+    drawn = _grown(grid, radius - tolerance) or _level_set(grid, radius - tolerance)
     point, before, after = [np.empty((0, 2))], [np.empty((0, 2))], [np.empty((0, 2))]
     first, last = [np.empty((0, 2))], [np.empty((0, 2))]
-    if level > 0:
-        x, y = (np.arange(n * factor) + 0.5 for n in (columns, rows))
-        for line in contourpy.contour_generator(x, y, clearance).lines(level):
-            simple = shapely.simplify(shapely.LineString(np.asarray(line)), tolerance / cell)
-            corner = shapely.get_coordinates(simple)
-            first.append(corner[:-1])
-            last.append(corner[1:])
-            if np.all(corner[0] == corner[-1]):
-                corner = np.concatenate([corner[-2:-1], corner])
-            (x1, y1), (x2, y2) = np.diff(corner[:-1], axis=0).T, np.diff(corner[1:], axis=0).T
-            # the clearance is higher on the outline's left, so obstacles' convex corners turn right
-            convex = x1 * y2 - y1 * x2 < 0
-            point.append(corner[1:-1][convex])
-            before.append(corner[:-2][convex])
-            after.append(corner[2:][convex])
+    for ring in drawn.rings:
+        simple = shapely.simplify(shapely.LineString(ring), tolerance / grid.resolution)
+        corner = shapely.get_coordinates(simple)
+        first.append(corner[:-1])
+        last.append(corner[1:])
+        if np.all(corner[0] == corner[-1]):
+            corner = np.concatenate([corner[-2:-1], corner])
+        (x1, y1), (x2, y2) = np.diff(corner[:-1], axis=0).T, np.diff(corner[1:], axis=0).T
+        convex = x1 * y2 - y1 * x2 < 0
+        point.append(corner[1:-1][convex])
+        before.append(corner[:-2][convex])
+        after.append(corner[2:][convex])
 
     def world(parts: list[FloatArray]) -> FloatArray:
-        return grid.to_world(np.concatenate(parts) / factor)
+        return grid.to_world(np.concatenate(parts))
 
     found = Corners(
         world(point),
         world(before),
         world(after),
         np.hstack([world(first), world(last)]),
-        max(level - half - tolerance, 0.0),
-        level + half + tolerance,
+        max(drawn.low - tolerance, 0.0),
+        drawn.high + tolerance,
     )
     _outlines[grid] = radius, found
     return found

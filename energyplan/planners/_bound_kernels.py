@@ -115,13 +115,18 @@ def line_open(space: Space, corners: Corners, ax: float, ay: float, bx: float, b
 
 
 @njit
-def _supports(corners: Corners, k: int, ux: float, uy: float) -> bool:
-    """Tell whether a line through a corner has the obstacle on one side."""
+def _side(corners: Corners, k: int, ux: float, uy: float) -> int:
+    """Side of a line through a corner on which the obstacle lies: 1 left, -1 right, 0 both."""
     x = corners.point[k, 0]
     y = corners.point[k, 1]
     one = ux * (corners.before[k, 1] - y) - uy * (corners.before[k, 0] - x)
     two = ux * (corners.after[k, 1] - y) - uy * (corners.after[k, 0] - x)
-    return bool(one * two >= -1e-9)
+    tiny = 1e-9
+    if one >= -tiny and two >= -tiny:
+        return 1
+    if one <= tiny and two <= tiny:
+        return -1
+    return 0
 
 
 @njit
@@ -130,9 +135,9 @@ def least_over_corners(
 ) -> float:
     """Return a lower bound on the cost of going from corner to corner, at most `limit`.
 
-    A* over labels (corner, heading of the last long line). A line shorter than twice
-    ``radian / metre`` is charged for its length alone: on so short a line it can pay to avoid
-    its heading by reversing.
+    A* over labels (corner, line it was reached by, heading of the last long line). A way turns at
+    a corner only around the obstacle there. A line shorter than twice ``radian / metre`` is
+    charged for its length alone: on so short a line it can pay to avoid its heading by reversing.
 
     Parameters
     ----------
@@ -159,6 +164,9 @@ def least_over_corners(
     heading = np.empty(capacity)
     cost = np.empty(capacity)
     older = np.empty(capacity, np.int32)
+    side = np.zeros(capacity, np.int8)
+    way_x = np.zeros(capacity)
+    way_y = np.zeros(capacity)
     newest = np.full(n, -1, np.int32)
     heap_f = np.empty(capacity)
     heap_node = np.empty(capacity, np.int32)
@@ -196,8 +204,8 @@ def least_over_corners(
                 continue
             if seen[u, v] == 0:
                 good = (
-                    _supports(corners, u, dx, dy)
-                    and _supports(corners, v, dx, dy)
+                    (u == start or _side(corners, u, dx, dy) != 0)
+                    and (v == goal or _side(corners, v, dx, dy) != 0)
                     and line_open(
                         space,
                         corners,
@@ -211,6 +219,14 @@ def least_over_corners(
                 seen[v, u] = seen[u, v]
                 if not good:
                     continue
+            ux = dx / length
+            uy = dy / length
+            if u != start:
+                about = int(side[label])
+                turned = way_x[label] * uy - way_y[label] * ux
+                if _side(corners, u, dx, dy) != about or turned * about < -1e-9:
+                    continue
+            there = 0 if v == goal else _side(corners, v, dx, dy)
             psi = atan2(dy, dx)
             for way in range(1 if length < short else 2):
                 then = h if length < short else psi + way * pi
@@ -226,13 +242,16 @@ def least_over_corners(
                 other = newest[v]
                 while other >= 0:
                     gap = rates.radian * angle_between(heading[other], then)
+                    # positive where this line is turned further around the obstacle
+                    turned = (way_x[other] * uy - way_y[other] * ux) * there
                     if v == goal:
                         gap = 0.0
-                    if cost[other] + gap <= gg + 1e-9:
-                        worse = True
-                        break
-                    if gg + gap <= cost[other]:
-                        cost[other] = inf
+                    if v == goal or side[other] == there:
+                        if cost[other] + gap <= gg + 1e-9 and turned >= -1e-9:
+                            worse = True
+                            break
+                        if gg + gap <= cost[other] and turned <= 1e-9:
+                            cost[other] = inf
                     other = older[other]
                 if worse:
                     continue
@@ -241,6 +260,9 @@ def least_over_corners(
                 at[count] = v
                 heading[count] = then
                 cost[count] = gg
+                side[count] = there
+                way_x[count] = ux
+                way_y[count] = uy
                 older[count] = newest[v]
                 newest[v] = count
                 size = push(heap_f, heap_node, size, max(ff, f), count)
