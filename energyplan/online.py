@@ -28,6 +28,9 @@ _NOISE_MEMORY = 120.0
 _CORRELATION_TIME = 0.5
 """Of the residual, until the drive shows its own [s]."""
 
+_RAMP_TIME = 0.15
+"""Time constant of the filter that accelerations of single samples come from [s]."""
+
 
 @dataclass(frozen=True)
 class SurfaceChange:
@@ -128,8 +131,10 @@ class OnlineIdentifier:
             self._model = PowerModel(prior, tuple(terms), np.array(values), name="online")
         self._battery, self._spread = battery, spread
         self._linear = is_linear(self._model.battery_side() if battery else self._model)
+        self._filtered = np.full(2, np.nan)
         self._needed = {name for term in self._model.terms for name in term.channels}
         p = len(self._model.terms)
+        self._ramps = bool(self._needed & {"accel", "yaw_accel"})
         # Looks are not independent, so that this bounds the rate of false alarms.
         threshold = float(chi2.isf(false_alarms * kernel.TICK / 3600.0, p))
         self._settings = np.array([memory, _NOISE_MEMORY, threshold, material])
@@ -190,7 +195,8 @@ class OnlineIdentifier:
         power : float
             Measured power [W].
         **channels : float
-            Further channels that the model's terms need, such as ``slope`` or ``accel``.
+            Further channels that the model's terms need, such as ``slope``. ``accel`` and
+            ``yaw_accel`` follow from the speeds where they are not given.
 
         Returns
         -------
@@ -214,6 +220,8 @@ class OnlineIdentifier:
                 self._t = t
                 return False
             self._begin(t, t - self._t)
+        if self._ramps:
+            channels = {**self._accelerations(v_left, v_right, t - self._t), **channels}
         phi, target = self._sample(v_left, v_right, power, channels)
         changed = kernel.advance(
             phi, target, t - self._t, self._matrices, self._vectors, self._ring, self._scalars,
@@ -223,6 +231,19 @@ class OnlineIdentifier:
         if changed:
             self._change()
         return bool(changed)
+
+    def _accelerations(self, v_left: float, v_right: float, dt: float) -> dict[str, float]:
+        """Rates of change of the speeds, by the lag of a first-order filter behind them."""
+        speeds, icr = np.array([v_left, v_right]), self._model.vehicle.icr
+        if np.isnan(self._filtered[0]):
+            self._filtered = speeds
+        self._filtered = speeds + (self._filtered - speeds) * np.exp(-dt / _RAMP_TIME)
+        # In a steady ramp the filter lags by this much for each unit of acceleration.
+        left, right = (speeds - self._filtered) * np.expm1(dt / _RAMP_TIME) / dt
+        return {
+            "accel": float((icr.right * left + icr.left * right) / icr.slip_track),
+            "yaw_accel": float((right - left) / icr.slip_track),
+        }
 
     def _sample(
         self, v_left: float, v_right: float, power: float, channels: dict[str, float]

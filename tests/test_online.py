@@ -267,6 +267,19 @@ def test_terms_with_channels() -> None:
         single.update(0.05, 0.5, 0.5, 100.0)
 
 
+def test_accelerations_follow_from_the_speeds() -> None:
+    truth = CONCRETE.with_term(effects.LINEAR_INERTIA, 83.1)
+    log = simulate.drive(truth, "stop_and_go", duration=240.0, seed=1, **NOISE)
+    single = OnlineIdentifier(CONCRETE.vehicle, terms=truth.terms)
+    for t, left, right, power in zip(
+        log.t, log.channel("v_left"), log.channel("v_right"), log.power, strict=True
+    ):
+        single.update(t, left, right, power)
+    found = single.model
+    np.testing.assert_allclose(found.coefficients[:2], truth.coefficients[:2], rtol=0.05)
+    assert found.coefficient("linear_inertia") == pytest.approx(83.1, rel=0.1)
+
+
 def test_bad_input() -> None:
     for setting in ({"memory": 0.0}, {"spread": -1.0}, {"false_alarms": np.nan}, {"material": 1.0}):
         with pytest.raises(InvalidInputError, match=next(iter(setting))):
