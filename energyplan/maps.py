@@ -25,6 +25,12 @@ BoolArray = NDArray[np.bool_]
 MAX_CELLS = 2**26
 """Largest number of cells of a map; more is taken for a mistake or an attack."""
 
+MIN_RESOLUTION, MAX_RESOLUTION = 1e-4, 1e4
+"""Smallest and largest size of a cell [m]."""
+
+FARTHEST = 1e7
+"""Largest coordinate of a map's origin [m]; beyond it rounding would blur collisions."""
+
 
 def _frozen_bool(value: ArrayLike, name: str) -> BoolArray:
     array = np.array(value)
@@ -84,11 +90,17 @@ class OccupancyGrid:
                     f"unknown has shape {self.unknown.shape}, occupied {self.occupied.shape}; "
                     "give the same"
                 )
-        if not (np.isfinite(self.resolution) and self.resolution > 0):
-            raise MapError(f"the resolution is {self.resolution} m; give a positive number")
+        if not MIN_RESOLUTION <= self.resolution <= MAX_RESOLUTION:
+            raise MapError(
+                f"the resolution is {self.resolution} m; give metres from {MIN_RESOLUTION} to "
+                f"{MAX_RESOLUTION}"
+            )
         origin = np.asarray(self.origin, float)
-        if origin.shape != (3,) or not np.all(np.isfinite(origin)):
-            raise MapError(f"the origin is {origin.tolist()}; give x, y [m] and yaw [rad]")
+        if origin.shape != (3,) or not np.all(np.abs(origin) <= FARTHEST):
+            raise MapError(
+                f"the origin is {origin.tolist()}; give x, y [m] and yaw [rad], none beyond "
+                f"{FARTHEST:g}"
+            )
         object.__setattr__(self, "origin", Pose(*(float(v) for v in origin)))
 
     @property

@@ -167,7 +167,9 @@ def png_claiming(width, height):
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
 
 
-@pytest.mark.parametrize("size", [(100_000, 100_000), (2**31 - 1, 2**31 - 1), (20_000, 20_000)])
+@pytest.mark.parametrize(
+    "size", [(100_000, 100_000), (2**31 - 1, 2**31 - 1), (20_000, 20_000), (12_000, 9_000)]
+)
 def test_decompression_bombs_are_refused(tmp_path, size):
     file = write(tmp_path, np.zeros((2, 2), np.uint8))
     (tmp_path / "m.png").write_bytes(png_claiming(*size))
@@ -202,7 +204,9 @@ def test_images_outside_the_folder_are_refused(tmp_path, name):
         ({"resolution": 0}, "resolution"),
         ({"resolution": "'five'"}, "resolution"),
         ({"resolution": ".nan"}, "resolution"),
+        ({"resolution": "1e-300"}, "resolution"),
         ({"origin": "[0, 0]"}, "origin"),
+        ({"origin": "[1e300, 0, 0]"}, "origin"),
         ({"origin": "[0, 0, .inf]"}, "origin"),
         ({"mode": "quaternary"}, "mode"),
         ({"free_thresh": 0.9}, "free_thresh"),

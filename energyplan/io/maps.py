@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import warnings
 from pathlib import Path
 from typing import Literal
 
@@ -87,14 +88,17 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
     header = _header(file)
     values, alpha = _pixels(beside(file, "image", header.image))
     occupied, free = _interpret(values, alpha, header)
-    return OccupancyGrid(
-        # images start with the top row, maps with the bottom one
-        occupied=occupied[::-1],
-        resolution=header.resolution,
-        origin=Pose(*header.origin),
-        unknown=~(occupied | free)[::-1],
-        unknown_is_free=unknown_is_free,
-    )
+    try:
+        return OccupancyGrid(
+            # images start with the top row, maps with the bottom one
+            occupied=occupied[::-1],
+            resolution=header.resolution,
+            origin=Pose(*header.origin),
+            unknown=~(occupied | free)[::-1],
+            unknown_is_free=unknown_is_free,
+        )
+    except MapError as error:
+        raise MapError(f"{file}: {error}") from None
 
 
 def _header(file: Path) -> _MapHeader:
@@ -122,7 +126,10 @@ def _pixels(file: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
     content = read_bytes(file, MAX_FILE)
     try:
         # the size stands in the header: nothing is decompressed before it is known to be sane
-        with Image.open(io.BytesIO(content), formats=("PPM", "PNG", "BMP")) as image:
+        with (
+            warnings.catch_warnings(action="ignore", category=Image.DecompressionBombWarning),
+            Image.open(io.BytesIO(content), formats=("PPM", "PNG", "BMP")) as image,
+        ):
             width, height = image.size
             if width * height > MAX_CELLS:
                 raise MapError(
