@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from math import isfinite, pi
 from typing import NamedTuple
 
+import numpy as np
+
 from energyplan._tables import Table
 from energyplan.errors import DriveLogError
 from energyplan.path import FloatArray
@@ -171,8 +173,9 @@ def choose_columns(table: Table, columns: str | Mapping[str, str] | None) -> Cho
         useful = name in table.columns or name in UNITS
         if useful and name not in wanted and name not in taken:
             wanted[name] = Column(name)
-    channels = {
-        channel: table.column(column.source) * column.scale.factor + column.scale.offset
-        for channel, column in wanted.items()
-    }
+    with np.errstate(over="ignore"):  # what overflows is out of range in any unit
+        channels = {
+            channel: table.column(column.source) * column.scale.factor + column.scale.offset
+            for channel, column in wanted.items()
+        }
     return Chosen(channels, [name for name in table.text if name not in channels])

@@ -15,6 +15,7 @@ from energyplan.path import FloatArray
 Place = Callable[[int], str]
 
 LIMITS = {
+    "t": (-1e11, 1e11, "s"),
     "v_left": (-20.0, 20.0, "m/s"),
     "v_right": (-20.0, 20.0, "m/s"),
     "p_left": (-5e4, 5e4, "W"),
@@ -32,7 +33,15 @@ LIMITS = {
     "payload": (0.0, 1e5, "kg"),
 }
 """Range in which a reading is possible at all, by channel."""
-_OTHER_UNIT = {"rad": "deg", "rad/s": "deg/s", "m/s": "km/h", "V": "mV", "A": "mA", "W": "mW"}
+_OTHER_UNIT = {
+    "s": "ns",
+    "rad": "deg",
+    "rad/s": "deg/s",
+    "m/s": "km/h",
+    "V": "mV",
+    "A": "mA",
+    "W": "mW",
+}
 _STRAY = 0.01  # share of readings out of range that is taken for glitches, not for a wrong unit
 _BRIDGE = 1.0  # longest hole in a further channel that is bridged by interpolation [s]
 _SPARSE = 0.1  # share of rows that may be set aside for want of a further channel
@@ -195,7 +204,7 @@ class _Cleaner:
 
     def blank_strays(self, name: str) -> None:
         """Blank the few readings that are impossible; many of them mean a wrong unit."""
-        low, high, unit = LIMITS.get(name, (-np.inf, np.inf, ""))
+        low, high, unit = LIMITS.get(name, (-1e30, 1e30, "in its unit"))
         values = self.channels[name]
         stray = (values < low) | (values > high)
         count = int(np.count_nonzero(stray))
