@@ -104,9 +104,12 @@ class Legs:
         self._costs: dict[float, tuple[EnergyCost, SurfaceMap | None]] = {}
 
     def under(self, mission: Mission) -> Legs:
-        """Return these legs for a mission that differs in battery, charge or reserve only."""
+        """Return these legs for a mission that differs in battery, charge, reserve or speed."""
         other = copy(self)
         other.mission = mission
+        if mission.speed != self.mission.speed:
+            # The routes stay; times and energies change.
+            other._legs, other._costs = {}, {}
         return other
 
     # -- places -----------------------------------------------------------------------------------

@@ -29,11 +29,15 @@ class Charge(NamedTuple):
         Voltage of its RC pair [V].
     failure : str
         Why it gave up on the way; ``"none"`` if it did not.
+    instant, load : float
+        When it gave up [s], and under which power [W].
     """
 
     soc: float
-    polarisation: float
-    failure: str
+    polarisation: float = 0.0
+    failure: str = "none"
+    instant: float = np.inf
+    load: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -138,7 +142,7 @@ class Walk:
     def start(self) -> Condition:
         """The condition at the start."""
         mission, nothing = self.mission, self.legs.grounds.nothing
-        full = Charge(mission.soc, 0.0, "none")
+        full = Charge(mission.soc)
         origin = (mission.soc, mission.time)
         return Condition(0, mission.payload, mission.time, nothing, nothing, origin, full, full)
 
@@ -186,9 +190,9 @@ class Walk:
             raised = power * (more / energy.mean)
         else:
             raised = power + (more - energy.mean) / span
-        expected, soc = self._run(state.expected, t, power)
-        worst, soc_lower = self._run(state.worst, t, raised)
         clock = state.time + t - t[0]
+        expected, soc = self._run(state.expected, clock, power)
+        worst, soc_lower = self._run(state.worst, clock, raised)
         piece = Piece(kind, goal, clock, np.append(power, power[-1]), soc, soc_lower, leg)
         return replace(
             state,
@@ -204,8 +208,11 @@ class Walk:
         run = self.mission.battery.simulate(
             t, np.append(power, 0.0), soc=charge.soc, polarisation=charge.polarisation
         )
-        failure = run.reason if charge.failure == "none" else charge.failure
-        return Charge(run.soc_end, run.polarisation, failure), run.soc
+        after = charge._replace(soc=run.soc_end, polarisation=run.polarisation)
+        if charge.failure == "none" and run.reason != "none":
+            load = power[min(int(np.searchsorted(t, run.brown_out, "right")), len(power)) - 1]
+            after = after._replace(failure=run.reason, instant=run.brown_out, load=float(load))
+        return after, run.soc
 
     def charge(self, state: Condition) -> Condition:
         """Charge at the charger at hand."""
@@ -217,7 +224,7 @@ class Walk:
         filled = [np.append(s, np.full(count - len(s), s[-1])) for s in (high, low)]
         power = np.where(np.arange(count) < len(high) - 1, -charger.power, 0.0)
         piece = Piece("charge", state.node, t, power, filled[0], filled[1])
-        low_end, high_end = (Charge(float(s[-1]), 0.0, "none") for s in (low, high))
+        low_end, high_end = (Charge(float(s[-1])) for s in (low, high))
         return replace(
             state,
             time=float(t[-1]),
@@ -327,24 +334,32 @@ class Walk:
     # -- shortfall --------------------------------------------------------------------------------
 
     def shortfall(self, safe: Condition) -> float:
-        """Energy that is missing at a safe place to keep the reserve [J]."""
+        """Energy that is missing at a safe place to keep the reserve [J].
+
+        Nothing is missing where the battery holds the energy but not the power.
+        """
         soc, since = safe.origin
         need = safe.spent.upper(self.quantile)
         mean = max(need / max(safe.time - since, 1.0), 1.0)
-        stored = self.mission.battery.usable_energy(
-            mean, [soc, self.mission.reserve, safe.worst.soc]
-        )
+        levels = [soc, self.mission.reserve, safe.worst.soc]
+        stored = self.mission.battery.usable_energy(mean, levels)
+        if stored[0] == 0 and safe.worst.failure in _SAGS:
+            return 0.0
         by_soc = stored[1] - stored[2] if safe.worst.failure == "none" else 0.0
         return float(max(need - (stored[0] - stored[1]), by_soc, 0.0))
 
     def _why_not(self, safe: Condition) -> str:
         need, missing = safe.spent.upper(self.quantile), self.shortfall(safe)
-        place = self.legs.names[safe.node]
-        sag = {
-            "voltage": "; the voltage sags below cut-off under the load",
-            "current": "; the load asks for more current than the battery may deliver",
-        }.get(safe.worst.failure, "")
+        worst = safe.worst
+        if missing == 0 and worst.failure in _SAGS:
+            return f"{_SAGS[worst.failure]} at {worst.instant:.0f} s under {worst.load:.0f} W"
         return (
-            f"with the way back to {place} it may take {need / 3600:.0f} Wh, "
-            f"{missing / 3600:.0f} Wh more than there is above the reserve{sag}"
+            f"with the way back to {self.legs.names[safe.node]} it may take "
+            f"{need / 3600:.0f} Wh, {missing / 3600:.0f} Wh more than there is above the reserve"
         )
+
+
+_SAGS = {
+    "voltage": "the voltage sags below cut-off",
+    "current": "the battery would have to deliver more current than it may",
+}

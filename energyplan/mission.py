@@ -209,6 +209,7 @@ class _Evaluation:
         else:
             tasks = (*self.attempts[k].earlier, k) if reason == "blocked_by_earlier" else (k,)
             hints = [
+                *self._slower(tasks, told.safe.worst.failure),
                 *self._charge_first(tasks),
                 *self._larger_battery(tasks, self.walk.shortfall(told.safe)),
                 *self._smaller_reserve(tasks),
@@ -284,6 +285,21 @@ class _Evaluation:
                 tasks, replace(self.mission, reserve=reserve)
             ):
                 return [f"a reserve of {100 * reserve:.0f} %"]
+        return []
+
+    def _slower(self, tasks: Sequence[int], failure: str) -> list[str]:
+        """Tell whether another speed helps: that of least energy, or one of less power."""
+        given, top = self.mission.speed, self.mission.vehicle.motor.speed
+        speeds: list[float | None] = [] if given is None else [None]
+        if failure in ("voltage", "current") and np.isfinite(top):
+            speeds += [share * min(top, given or top) for share in (0.75, 0.5, 0.25)]
+        for speed in speeds:
+            if self._works(tasks, replace(self.mission, speed=speed)):
+                return [
+                    f"drive at no more than {speed:.3g} m/s"
+                    if speed is not None
+                    else f"drive at the speed of least energy instead of {given:.3g} m/s"
+                ]
         return []
 
     def _works(self, tasks: Sequence[int], changed: Mission) -> bool:
