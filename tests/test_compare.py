@@ -1,0 +1,50 @@
+import numpy as np
+import pytest
+
+from energyplan.compare import compare
+from energyplan.cost import EnergyCost
+from energyplan.maps import OccupancyGrid
+from energyplan.planners import PlanningProblem
+from energyplan.power import PowerModel
+
+COST = EnergyCost(PowerModel.preset("quadriga:full:concrete"))
+
+
+def pillars(seed: int) -> OccupancyGrid:
+    rng = np.random.default_rng(seed)
+    occupied = np.zeros((80, 120), bool)
+    for row, column in zip(rng.integers(10, 70, 8), rng.integers(25, 95, 8), strict=True):
+        occupied[row : row + 6, column : column + 6] = True
+    return OccupancyGrid(occupied, 0.1)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_least_energy_never_exceeds_the_shortest_routes(seed):
+    told = compare(
+        PlanningProblem(pillars(seed), COST, (1.2, 4, 2.0), (10.8, 4, -1.0)), time_limit=0.6
+    )
+    assert told.energy_optimal.energy <= told.shortest.energy * (1 + 1e-12)
+    assert told.shortest.length <= told.energy_optimal.length * 1.002
+    assert told.saving == pytest.approx(1 - told.energy_optimal.energy / told.shortest.energy)
+    assert told.saving >= 0
+    assert sum(told.by_term.values()) == pytest.approx(
+        told.shortest.energy - told.energy_optimal.energy, rel=1e-9, abs=1e-6
+    )
+
+
+def test_shortest_route_in_the_open_is_turn_drive_turn():
+    room = OccupancyGrid(np.zeros((100, 100), bool), 0.1)
+    told = compare(PlanningProblem(room, COST, (3, 5, 0.0), (6, 5, np.pi / 2)), time_limit=0.5)
+    # 3 m straight and a quarter turn on the spot, priced by the paper's two terms
+    expected = 3 * 2 * 118 + np.pi / 2 * (2 * 118 * 0.47 + 0.647 * COST.vehicle.slip_moment)
+    assert told.shortest.energy == pytest.approx(expected, rel=2e-3)
+    assert told.shortest.length == pytest.approx(3.0, rel=2e-3)
+    assert told.energy_optimal.energy < 0.95 * told.shortest.energy
+
+
+def test_a_worse_planner_falls_back_on_the_shortest_route():
+    problem = PlanningProblem(pillars(1), COST, (1.2, 4, 0.0), (10.8, 4, 0.0))
+    told = compare(problem, planner="rrtstar", time_limit=1.5)
+    assert told.energy_optimal.energy <= told.shortest.energy
+    assert told.energy_optimal.planner == "rrtstar"
+    assert told.energy_optimal.lower_bound <= told.energy_optimal.energy

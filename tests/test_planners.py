@@ -1,0 +1,199 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import (
+    GoalInCollisionError,
+    InvalidInputError,
+    NoPathError,
+    OutsideMapError,
+    StartInCollisionError,
+    TimeLimitError,
+    UnknownNameError,
+)
+from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
+from energyplan.planners import PlanningProblem, plan, planners
+from energyplan.planners._problem import nearest_free
+from energyplan.power import PowerModel
+from energyplan.vehicle import TreadICR
+
+MODEL = PowerModel.preset("quadriga:empty:concrete")
+COST = EnergyCost(MODEL)
+
+
+def walled(door: bool) -> OccupancyGrid:
+    """A room of 10 m by 8 m with a wall across it, with or without a door at the top."""
+    occupied = np.zeros((80, 100), bool)
+    occupied[: 60 if door else 80, 48:52] = True
+    return OccupancyGrid(occupied, 0.1)
+
+
+def problem(**changes):
+    given = {"map": walled(True), "cost": COST, "start": (2, 2, 0), "goal": (8, 2, 0)}
+    return PlanningProblem(**{**given, **changes})
+
+
+def test_start_in_collision_names_a_free_pose_nearby():
+    with pytest.raises(StartInCollisionError, match="nearest free pose") as told:
+        plan(problem(start=(4.6, 2, 0)))
+    assert "(4.600, 2.000, 0.0 deg)" in str(told.value)
+    near = nearest_free(walled(True), COST.vehicle, problem(start=(4.6, 2, 0)).start)
+    assert near is not None
+    assert walled(True).footprint_free([near], COST.vehicle)[0]
+    # 4.8 m minus half the footprint's length, which is 0.41 m
+    assert np.hypot(near.x - 4.6, near.y - 2) == pytest.approx(0.21, abs=0.1)
+
+
+def test_goal_in_collision():
+    with pytest.raises(GoalInCollisionError, match=r"goal \(5.000"):
+        plan(problem(goal=(5, 2, 0)))
+
+
+def test_outside_the_map_says_what_it_covers():
+    with pytest.raises(OutsideMapError, match="x from 0 to 10 m and y from 0 to 8 m"):
+        plan(problem(goal=(12, 2, 0)))
+
+
+def test_no_path():
+    with pytest.raises(NoPathError, match="no path leads"):
+        plan(problem(map=walled(False)), time_limit=5.0)
+
+
+def test_keep_out_area_closes_the_door():
+    closed = SurfaceMap([], keep_out=[shapely.box(4.5, 5.5, 5.5, 8.0)])
+    with pytest.raises(NoPathError):
+        plan(problem(surfaces=closed), time_limit=5.0)
+
+
+def test_time_limit_before_a_first_plan():
+    plan(problem())  # compile first
+    with pytest.raises(TimeLimitError, match="time_limit"):
+        plan(problem(), time_limit=1e-6)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"start": (0, 0)},
+        {"goal": (1, 2, np.nan)},
+        {"objective": "beauty"},
+        {"objective": {"energy": -1.0}},
+        {"objective": {}},
+    ],
+)
+def test_malformed_problems_are_refused(changes):
+    with pytest.raises(InvalidInputError):
+        problem(**changes)
+
+
+def test_unknown_planner_names_those_there_are():
+    with pytest.raises(UnknownNameError, match="lattice"):
+        plan(problem(), "nonsense")
+
+
+def test_plugin_planner(tmp_path, monkeypatch):
+    package = tmp_path / "crow_flies.py"
+    package.write_text(
+        "from energyplan.planners import plan as other\n"
+        "def plan(problem, time_limit=1.0, *, twice=False):\n"
+        "    found = other(problem, 'lattice', time_limit)\n"
+        "    from dataclasses import replace\n"
+        "    return replace(found, planner='crow2' if twice else 'crow')\n"
+    )
+    info = tmp_path / "crow_flies-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: crow-flies\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[energyplan.planners]\ncrow = crow_flies:plan\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert "crow" in planners()
+    assert plan(problem(), "crow", 0.5, twice=True).planner == "crow2"
+
+
+def test_plan_reports_what_the_model_says_of_its_path():
+    found = plan(problem(), time_limit=2.0)
+    assert found.energy == pytest.approx(COST.energy(found.path), rel=1e-12)
+    assert found.cost == found.energy
+    assert sum(found.breakdown.values()) == pytest.approx(found.energy, rel=1e-9)
+    assert set(found.breakdown) == {term.name for term in MODEL.terms}
+    assert found.length == found.path.length
+    assert found.duration == pytest.approx(COST.duration(found.path), rel=1e-12)
+    assert found.gap == pytest.approx(found.energy / found.lower_bound - 1)
+    assert walled(True).path_free(found.path, COST.vehicle)
+    np.testing.assert_allclose(np.array(found.path.end), (8, 2, 0), atol=1e-6)
+
+
+def test_each_objective_is_best_at_its_own():
+    plans = {
+        name: plan(problem(objective=name), time_limit=2.0) for name in ("energy", "length", "time")
+    }
+    slack = 1.003
+    assert plans["energy"].energy <= slack * min(p.energy for p in plans.values())
+    assert plans["length"].length <= slack * min(p.length for p in plans.values())
+    assert plans["time"].duration <= slack * min(p.duration for p in plans.values())
+    for found in plans.values():
+        assert found.lower_bound <= found.cost
+
+
+def test_weights_trace_a_pareto_front():
+    plans = [
+        plan(problem(goal=(8, 2, 2.0), objective={"energy": 1.0, "time": weight}), time_limit=1.5)
+        for weight in (0.0, 100.0, 1e4)
+    ]
+    energy, duration = [p.energy for p in plans], [p.duration for p in plans]
+    assert energy[0] <= 1.003 * energy[1] <= 1.003**2 * energy[2]
+    assert duration[2] <= 1.003 * duration[1] <= 1.003**2 * duration[0]
+    assert duration[2] < 0.995 * duration[0]
+    for found, weight in zip(plans, (0.0, 100.0, 1e4), strict=True):
+        assert found.cost == pytest.approx(found.energy + weight * found.duration, rel=1e-9)
+
+
+def test_surfaces_bend_the_route_around_costly_ground():
+    room = OccupancyGrid(np.zeros((80, 120), bool), 0.1)
+    mud = PowerModel.paper(MODEL.vehicle, K=600.0, mu=0.627, name="mud")
+    ground = SurfaceMap([Surface(shapely.box(4, 2.5, 8, 5.5), mud)])
+    task = PlanningProblem(room, COST, (2, 4, 0), (10, 4, 0), surfaces=ground)
+    found = plan(task, time_limit=2.0)
+    straight = plan(replace(task, objective="length"), time_limit=1.0)
+    assert straight.energy == pytest.approx(ground.energy(straight.path, COST), rel=1e-12)
+    # through the mud: 4 m at 226 J/m and 4 m at 1200 J/m
+    assert straight.energy == pytest.approx(4 * 226 + 4 * 1200, rel=0.01)
+    assert found.energy < 0.6 * straight.energy
+    assert ground.shares(found.path)[:, 1].sum() < 0.2 * len(found.path)
+    # ground as everywhere else bends nothing
+    same = SurfaceMap([Surface(shapely.box(4, 2.5, 8, 5.5), MODEL)])
+    level = plan(replace(task, surfaces=same), time_limit=1.0)
+    assert level.energy == pytest.approx(8 * 226, rel=1e-6)
+
+
+def test_asymmetric_tread_icrs_plan_in_the_robots_own_frame():
+    vehicle = MODEL.vehicle.with_icr(TreadICR(0.40, 0.54, 0.05))
+    cost = EnergyCost(replace(MODEL, vehicle=vehicle))
+    found = plan(problem(cost=cost), time_limit=2.0)
+    assert walled(True).path_free(found.path, vehicle)
+    assert found.energy == pytest.approx(cost.energy(found.path), rel=1e-12)
+    np.testing.assert_allclose(np.array(found.path.end)[:2], (8, 2), atol=1e-6)
+    assert found.lower_bound <= found.energy
+
+
+def test_map_with_turned_origin_gives_the_same_plan():
+    turn = 0.6
+    c, s = np.cos(turn), np.sin(turn)
+
+    def moved(pose):
+        x, y, yaw = pose
+        return (3 + c * x - s * y, -1 + s * x + c * y, yaw + turn)
+
+    here = plan(problem(), time_limit=2.0)
+    there = plan(
+        problem(
+            map=OccupancyGrid(walled(True).occupied, 0.1, (3, -1, turn)),
+            start=moved((2, 2, 0)),
+            goal=moved((8, 2, 0)),
+        ),
+        time_limit=2.0,
+    )
+    assert there.energy == pytest.approx(here.energy, rel=2e-3)
+    assert there.lower_bound == pytest.approx(here.lower_bound, rel=1e-3)
