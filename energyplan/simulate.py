@@ -16,7 +16,7 @@ from energyplan._patterns import PATTERNS, Brief, Leg, Schedule, schedule
 from energyplan.drivelog import DriveLog
 from energyplan.errors import InvalidInputError, UnknownNameError
 from energyplan.motion import Motion
-from energyplan.path import FloatArray
+from energyplan.path import FloatArray, Pose, Trajectory
 from energyplan.power import PowerModel
 from energyplan.vehicle import GRAVITY
 
@@ -44,7 +44,7 @@ _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
 def drive(
     model: PowerModel,
-    pattern: str | Sequence[Part],
+    pattern: str | Sequence[Part] | Trajectory,
     *,
     duration: float | None = None,
     speed: float = 0.75,
@@ -77,16 +77,17 @@ def drive(
     ----------
     model : PowerModel
         What the robot draws; its vehicle's tread ICRs say how it moves.
-    pattern : str or sequence
-        Name of a pattern in `PATTERNS`, or a sequence of names, of ``(name, duration)`` pairs and
-        of `Leg` objects, driven one after the other.
+    pattern : str, sequence or Trajectory
+        Name of a pattern in `PATTERNS`; or a sequence of names, of ``(name, duration)`` pairs and
+        of `Leg` objects, driven one after the other; or a trajectory, whose speeds are driven from
+        its first pose on.
     duration : float, optional
         Length of the drive [s]; the named patterns of a sequence share it in proportion to their
-        own durations.
+        own durations, a trajectory is driven faster or slower.
     speed : float
-        Largest tread speed [m/s].
+        Largest tread speed of a pattern [m/s].
     accel_limit : float
-        Tread acceleration of the speed ramps [m/s^2].
+        Tread acceleration of a pattern's speed ramps [m/s^2].
     rate : float
         Samples per second [Hz].
     power_noise, speed_noise : float
@@ -144,9 +145,13 @@ def drive(
     """
     _check(speed, accel_limit, rate, model, {"power_noise": power_noise, "speed_noise": speed_noise,
            "correlation_time": correlation_time, **(noise or {})})  # fmt: skip
-    plan = schedule(_legs(model, pattern, duration, speed, accel_limit, seed), accel_limit)
+    start = Pose(0.0, 0.0, 0.0)
+    if isinstance(pattern, Trajectory):
+        plan, start = _followed(model, pattern, duration)
+    else:
+        plan = schedule(_legs(model, pattern, duration, speed, accel_limit, seed), accel_limit)
     t = np.arange(int(np.floor(plan.duration * rate + 1e-9)) + 1) / rate
-    world = _World(plan, ((0.0, model), *changes), slope, uphill, channels or {})
+    world = _World(plan, ((0.0, model), *changes), slope, uphill, channels or {}, start)
     log = _logged(world.at(t), measured, voltage, ground=slope != 0.0)
     unknown = {*(delays or {}), *(gains or {}), *(biases or {}), *(noise or {}), *without}
     for channel in sorted(unknown - set(log)):
@@ -236,6 +241,19 @@ def _noise(count: int, deviation: float, tau: float, seed: int, label: str) -> F
     return np.asarray(lfilter([1.0], [1.0, -keep], innovation))
 
 
+def _followed(
+    model: PowerModel, trajectory: Trajectory, duration: float | None
+) -> tuple[Schedule, Pose]:
+    """Tread speeds of a trajectory, linear between its samples, and its first pose."""
+    if duration is not None:
+        if not (np.isfinite(duration) and duration > 0):
+            raise InvalidInputError(f"duration is {duration}; give seconds > 0")
+        trajectory = trajectory.scaled(trajectory.duration / duration)
+    motion = Motion.from_twist(trajectory.v, trajectory.omega, model.vehicle.icr)
+    plan = Schedule(trajectory.t - trajectory.t[0], motion.v_left, motion.v_right)
+    return plan, Pose(*(float(value) for value in trajectory.poses[0]))
+
+
 def _legs(
     model: PowerModel,
     pattern: str | Sequence[Part],
@@ -296,8 +314,9 @@ class _World:
         slope: Slope,
         uphill: float,
         extra: Mapping[str, float | Callable[[FloatArray], FloatArray]],
+        start: Pose,
     ) -> None:
-        self._plan, self._phases, self._extra = plan, phases, extra
+        self._plan, self._phases, self._extra, self._start = plan, phases, extra, start
         self._slope, self._uphill = slope, uphill
         self._starts = np.array([start for start, _ in phases])
         if np.any(np.diff(self._starts) <= 0):
@@ -314,6 +333,8 @@ class _World:
         phase = self._phase(t)
         for k, (_, model) in enumerate(self._phases):
             now = phase == k
+            if not np.any(now):
+                continue
             known = {name: values[now] for name, values in truth.items()}
             motion = Motion(known.pop("v_left"), known.pop("v_right"), model.vehicle.icr, known)
             sides = model.sides(motion)
@@ -341,7 +362,7 @@ class _World:
         start, end = slice(None, -1), slice(1, None)
         w0, w1 = ((right[k] - left[k]) / track for k in (start, end))
         v0, v1 = ((1 - share) * left[k] + share * right[k] for k in (start, end))
-        yaw = np.concatenate([[0.0], np.cumsum(0.5 * h * (w0 + w1))])
+        yaw = self._start.yaw + np.concatenate([[0.0], np.cumsum(0.5 * h * (w0 + w1))])
         u = _NODES[:, None]
         theta = yaw[:-1] + h * (u * w0 + 0.5 * u**2 * (w1 - w0))
         v, w = v0 + u * (v1 - v0), w0 + u * (w1 - w0)
@@ -355,8 +376,8 @@ class _World:
             "t": t,
             "v_left": left[node],
             "v_right": right[node],
-            "x": np.concatenate([[0.0], np.cumsum(dx)])[node],
-            "y": np.concatenate([[0.0], np.cumsum(dy)])[node],
+            "x": self._start.x + np.concatenate([[0.0], np.cumsum(dx)])[node],
+            "y": self._start.y + np.concatenate([[0.0], np.cumsum(dy)])[node],
             "yaw": yaw[node],
             "yaw_rate": np.where(late, w1[piece], w0[piece]),
         }

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from energyplan.effects import GRADE, LINEAR_INERTIA
 from energyplan.errors import InvalidInputError, MissingChannelError, UnknownNameError
 from energyplan.motion import Motion
-from energyplan.path import Path, Pose
+from energyplan.path import Path, Pose, Trajectory
 from energyplan.power import HOTEL, SLIP, PowerModel
 from energyplan.simulate import PATTERNS, Leg, drive, identification_drive, validation_drive
 from energyplan.vehicle import GRAVITY, TreadICR
@@ -58,6 +58,25 @@ def test_pose_is_that_of_the_same_arcs_driven_exactly(model):
     k = 850  # at rest between the arcs
     middle = [log.channels[name][k] for name in ("x", "y", "yaw")]
     assert_allclose(middle, path.vertices[1], atol=1e-12)
+
+
+def test_a_trajectory_is_driven_from_its_first_pose_to_its_last(model):
+    t = np.linspace(2.0, 12.0, 401)
+    v, omega = 0.4 * np.sin(0.6 * (t - 2)) ** 2, 0.5 * np.cos(t)
+    known = drive(model, [Leg(0.2, 0.5, 4.0), Leg(-0.4, 0.3, 2.0)], rate=50.0)
+    poses = [known.channels[name] for name in ("x", "y", "yaw")]
+    motion = known.motion(model.vehicle.icr)
+    there = Trajectory(known.t + 7.0, *poses, motion.v, motion.omega)
+    again = drive(model, there, rate=50.0)
+    for name in ("v_left", "v_right", "x", "y", "yaw"):
+        # Corners between two samples are cut, by less than accel_limit dt^2.
+        assert_allclose(again.channels[name], known.channels[name], atol=1.2e-4, err_msg=name)
+    assert again.energy == pytest.approx(known.energy, rel=1e-3)
+    slow = drive(model, there, duration=2 * there.duration, rate=50.0)
+    assert slow.energy == pytest.approx(again.energy, rel=2e-3)  # a static model knows no speed
+    assert slow.channels["x"][-1] == pytest.approx(poses[0][-1], abs=1e-4)
+    moved = drive(model, Trajectory(t, t, t, 0 * t + 1.0, v, omega))
+    assert [moved.channels[name][0] for name in ("x", "y", "yaw")] == [2.0, 2.0, 1.0]
 
 
 def test_figure_eight_closes_and_spiral_ends_where_it_turned_from(model):
