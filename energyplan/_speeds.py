@@ -15,7 +15,8 @@ from energyplan.power import Sides
 from energyplan.vehicle import Vehicle
 
 _UNLIMITED = 1e6  # tread speed [m/s] beyond which a power limit is not looked for
-_SLOWEST = 10**-2.5  # slowest rate tried, as a fraction of the admissible one
+_SLOWEST = 0.05  # slowest tread speed, as a fraction of the vehicle's limit
+_SCAN = 25  # rates tried before the best is refined
 _INVERSE_GOLDEN = 0.5 * (5**0.5 - 1)
 
 
@@ -68,33 +69,49 @@ def admissible_rate(
     return np.where(good, limit, low)
 
 
-def cheapest_rate(limit: FloatArray, energy: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    """Return the rate of least energy at or below `limit`.
+def slowest_rate(x: FloatArray, y: FloatArray, limit: FloatArray, vehicle: Vehicle) -> FloatArray:
+    """Return the slowest rate [1/s] worth trying.
+
+    A model whose energy falls with speed all the way, because time costs nothing in it, would have
+    the robot stand still; it is driven at a twentieth of its speed limit instead.
+    """
+    top = vehicle.motor.speed
+    if not np.isfinite(top):
+        return np.asarray(_SLOWEST * limit)
+    return np.asarray(np.minimum(limit, _SLOWEST * top / (np.abs(x) + np.abs(y))))
+
+
+def cheapest_rate(
+    slowest: FloatArray, limit: FloatArray, energy: Callable[[FloatArray], FloatArray]
+) -> FloatArray:
+    """Return the rate of least energy between `slowest` and `limit`.
 
     Parameters
     ----------
-    limit : ndarray, shape (...)
-        Largest rates [1/s], finite.
+    slowest, limit : ndarray, shape (...)
+        Range of rates [1/s], finite.
     energy : callable
         Energy [J] of the elements at given rates.
 
     Returns
     -------
     ndarray, shape (...)
-        Rates [1/s]: the least of a scan over the admissible range, refined by golden section.
+        Rates [1/s]: the least of a scan over the range, refined by golden section.
     """
-    scan = np.geomspace(_SLOWEST, 1.0, 33)
+    ratio = (limit / slowest) ** (1.0 / (_SCAN - 1))
     best = np.full(limit.shape, np.inf)
     place = np.zeros(limit.shape, int)
-    for k, fraction in enumerate(scan):
-        value = energy(limit * fraction)
+    for k in range(_SCAN):
+        value = energy(slowest * ratio**k)
         better = value <= best
         best, place = np.where(better, value, best), np.where(better, k, place)
-    low = limit * scan[np.maximum(place - 1, 0)]
-    high = limit * scan[np.minimum(place + 1, len(scan) - 1)]
+    low = slowest * ratio ** np.maximum(place - 1, 0)
+    high = slowest * ratio ** np.minimum(place + 1, _SCAN - 1)
     for _ in range(45):
         gap = _INVERSE_GOLDEN * (high - low)
         down = energy(high - gap) < energy(low + gap)
         low, high = np.where(down, low, high - gap), np.where(down, low + gap, high)
-    middle = 0.5 * (low + high)
-    return np.where(energy(limit) <= energy(middle), limit, middle)
+    rate = 0.5 * (low + high)
+    for end in (slowest, limit):
+        rate = np.where(energy(end) <= energy(rate), end, rate)
+    return rate

@@ -14,8 +14,7 @@ and ``hi`` is the maximum over the dual vector p of
 
 The gradient ``r`` of this concave function is the displacement that pivots leave to straight lines.
 The maximum is looked for along the boundary of the constraints, and along the ray to it where the
-boundary is not reached. Its derivative with respect to ``lo`` and ``hi`` says whether an excursion
-pays (docs/steering.md).
+boundary is not reached.
 """
 
 from __future__ import annotations
@@ -81,7 +80,7 @@ def _integral(
 
 
 @njit
-def _value(
+def dual_value(
     px: float,
     py: float,
     dx: float,
@@ -134,7 +133,7 @@ def _boundary(
 
 
 @njit
-def _between(a: float, b: float, f_a: float, f_b: float) -> float:
+def between(a: float, b: float, f_a: float, f_b: float) -> float:
     """Next point of a bracketed root search: regula falsi, or the middle where it cannot tell.
 
     The caller halves the value at an end that stays twice (the Illinois rule).
@@ -162,8 +161,8 @@ def _ray(
     """Fraction of p at which the dual function is greatest along the ray to p."""
     low, high, f_low, f_high, last = 0.0, 1.0, 0.0, 0.0, 0
     for _ in range(80):
-        f = _between(low, high, f_low, f_high)
-        _, rx, ry = _value(f * px, f * py, dx, dy, lo, hi, eta, left, right)
+        f = between(low, high, f_low, f_high)
+        _, rx, ry = dual_value(f * px, f * py, dx, dy, lo, hi, eta, left, right)
         slope = rx * px + ry * py
         if slope > 0.0:
             low, f_low, f_high, last = f, slope, f_high * (0.5 if last == 1 else 1.0), 1
@@ -209,7 +208,7 @@ def _interior(
     right: FloatArray,
 ) -> tuple[float, float, float, float]:
     """Return ``(energy, px, py, |r|)``: a maximum regardless of the constraints, by Newton."""
-    value, rx, ry = _value(px, py, dx, dy, lo, hi, eta, left, right)
+    value, rx, ry = dual_value(px, py, dx, dy, lo, hi, eta, left, right)
     for _ in range(40):
         rho, psi = math.hypot(px, py), math.atan2(py, px)
         xx, xy, yy = _curvature(rho, psi, lo, hi, left[0], left[2])
@@ -226,7 +225,7 @@ def _interior(
         step, better = 1.0, False
         for _ in range(8):
             nx, ny = px + step * sx, py + step * sy
-            trial, tx, ty = _value(nx, ny, dx, dy, lo, hi, eta, left, right)
+            trial, tx, ty = dual_value(nx, ny, dx, dy, lo, hi, eta, left, right)
             if tx * tx + ty * ty < rx * rx + ry * ry:
                 better = True
                 break
@@ -246,7 +245,7 @@ def _inside(px: float, py: float, lo: float, hi: float, af: float, ab: float) ->
 
 
 @njit
-def _corner(
+def corner_dual(
     dx: float,
     dy: float,
     lo: float,
@@ -267,7 +266,7 @@ def _corner(
     c0, s0, c1, s1 = math.cos(lo), math.sin(lo), math.cos(hi), math.sin(hi)
     det = math.sin(hi - lo)
     px, py = (q0 * s1 - q1 * s0) / det, (q1 * c0 - q0 * c1) / det
-    value, rx, ry = _value(px, py, dx, dy, lo, hi, eta, left, right)
+    value, rx, ry = dual_value(px, py, dx, dy, lo, hi, eta, left, right)
     return value, px, py, (rx * s1 - ry * c1) / det, (ry * c0 - rx * s0) / det
 
 
@@ -289,7 +288,7 @@ def maximise(
     `tolerance` is that of the direction of p [rad]. The last two are the signed lengths of
     straight driving at the ends of the extent; the rest of ``r(p)``, if any, is driven along p.
     """
-    _, rx, ry = _value(0.0, 0.0, dx, dy, lo, hi, eta, left, right)
+    _, rx, ry = dual_value(0.0, 0.0, dx, dy, lo, hi, eta, left, right)
     stretch = 1.0 / max(math.sin(min(0.5 * (hi - lo), HALF_PI)), 0.5 * NARROW)
     middle = math.atan2(stretch * ry, rx)
     low, high = middle - HALF_PI, middle + HALF_PI
@@ -299,15 +298,15 @@ def maximise(
     tested, t = False, middle
     for i in range(120):
         # Kinks of the boundary make the rise jump; bisection now and then gets across them.
-        t = _between(low, high, f_low, f_high) if i % 4 != 3 else 0.5 * (low + high)
+        t = between(low, high, f_low, f_high) if i % 4 != 3 else 0.5 * (low + high)
         px, py, side, where = _boundary(t, stretch, lo, hi, af, ab)
-        best, rx, ry = _value(px, py, dx, dy, lo, hi, eta, left, right)
+        best, rx, ry = dual_value(px, py, dx, dy, lo, hi, eta, left, right)
         if rx * px + ry * py < 0.0:
             side, where = 0, INSIDE
             fine = max(min(COARSE, COARSE * (high - low)), 4e-16)
             f = _ray(px, py, dx, dy, lo, hi, eta, left, right, fine)
             px, py = f * px, f * py
-            best, rx, ry = _value(px, py, dx, dy, lo, hi, eta, left, right)
+            best, rx, ry = dual_value(px, py, dx, dy, lo, hi, eta, left, right)
             if i % 4 == 0:  # the maximum may lie inside, where its gradient vanishes
                 inner = _interior(px, py, dx, dy, lo, hi, eta, left, right)
                 if inner[3] < 1e-12 and _inside(inner[1], inner[2], lo, hi, af, ab):
@@ -329,7 +328,7 @@ def maximise(
             # A corner of the region lies between: straight lines at both ends may share the rest.
             tested = True
             s1 = side_high if where_low == AT_LO else side_low
-            corner = _corner(dx, dy, lo, hi, eta, s1, af, ab, left, right)
+            corner = corner_dual(dx, dy, lo, hi, eta, s1, af, ab, left, right)
             if corner[3] * s1 <= 0.0 and corner[4] * s1 >= 0.0:
                 return corner
     if side == 0:
@@ -341,190 +340,3 @@ def maximise(
     if where == AT_HI:
         return best, px, py, 0.0, rx * math.cos(hi) + ry * math.sin(hi)
     return best, px, py, 0.0, 0.0
-
-
-@njit
-def _pays(
-    px: float,
-    py: float,
-    end: float,
-    outward: float,
-    length: float,
-    left: FloatArray,
-    right: FloatArray,
-) -> float:
-    """Logarithm of what a further excursion saves over what it costs, within +-60.
-
-    Straight driving of `length` at the heading `end` gains from going further out as far as the
-    dual ``p.u`` grows there.
-    """
-    c, s = math.cos(end), math.sin(end)
-    gain = length * (py * c - px * s) * outward
-    if gain <= 0.0:
-        return -60.0
-    q = px * c + py * s
-    cost = least(q, left[0], left[1]) + least(q, right[0], right[1])
-    if cost <= 0.0:
-        return 60.0
-    return min(max(math.log(gain / cost), -60.0), 60.0)
-
-
-@njit
-def _extend(
-    dx: float,
-    dy: float,
-    lo: float,
-    hi: float,
-    eta: float,
-    af: float,
-    ab: float,
-    left: FloatArray,
-    right: FloatArray,
-    upper: bool,
-) -> tuple[float, float]:
-    """Best extent ``(lo, hi)`` when only its upper end, or only its lower one, moves outwards."""
-    near, far = (hi, max(lo + math.pi, hi)) if upper else (lo, min(hi - math.pi, lo))
-    f_near, f_far, last, end = 0.0, 0.0, 0, near
-    for i in range(60):
-        if i > 0:
-            end = _between(near, far, f_near, f_far)
-        a, b = (lo, end) if upper else (end, hi)
-        _, px, py, at_lo, at_hi = maximise(dx, dy, a, b, eta, af, ab, left, right, SEARCH)
-        f = _pays(px, py, end, 1.0 if upper else -1.0, at_hi if upper else at_lo, left, right)
-        f = min(max(f, -2.0), 2.0)
-        if f > 0.0:
-            near, f_near, f_far, last = end, f, f_far * (0.5 if last == 1 else 1.0), 1
-        else:
-            far, f_far, f_near, last = end, f, f_near * (0.5 if last == -1 else 1.0), -1
-        if (i == 0 and f <= 0.0) or abs(f) < 1e-4 or abs(far - near) < 1e-9:
-            break
-    return (lo, end) if upper else (end, hi)
-
-
-@njit
-def _both(
-    dx: float,
-    dy: float,
-    lo: float,
-    hi: float,
-    eta: float,
-    side: int,
-    af: float,
-    ab: float,
-    left: FloatArray,
-    right: FloatArray,
-) -> tuple[float, float, bool]:
-    """Best extent ``(lo, hi, found)`` beyond both ends, by Newton's method.
-
-    Straight lines at both ends, and both excursions exactly worth their cost.
-    """
-    if not (lo < -eta and hi > eta):
-        return lo, hi, False
-    a, b = math.log(-eta - lo), math.log(hi - eta)  # logarithms keep both excursions positive
-    step = 1e-6
-    for _ in range(30):
-        fa, fb = _gains(dx, dy, a, b, eta, side, af, ab, left, right)
-        if max(abs(fa), abs(fb)) < 1e-7:
-            return -eta - math.exp(a), eta + math.exp(b), True
-        aa, ba = _gains(dx, dy, a + step, b, eta, side, af, ab, left, right)
-        ab_, bb = _gains(dx, dy, a, b + step, eta, side, af, ab, left, right)
-        j00, j01, j10, j11 = aa - fa, ab_ - fa, ba - fb, bb - fb
-        det = j00 * j11 - j01 * j10
-        if not abs(det) > 0.0:
-            break
-        da, db = step * (j11 * fa - j01 * fb) / det, step * (j00 * fb - j10 * fa) / det
-        size = max(abs(da), abs(db), 1.0)
-        a, b = a - da / size, b - db / size
-    return lo, hi, False
-
-
-@njit
-def _gains(
-    dx: float,
-    dy: float,
-    a: float,
-    b: float,
-    eta: float,
-    side: int,
-    af: float,
-    ab: float,
-    left: FloatArray,
-    right: FloatArray,
-) -> tuple[float, float]:
-    """Return by how much both excursions pay, given the logarithms of their sizes."""
-    lo, hi = -eta - math.exp(min(a, 1.0)), eta + math.exp(min(b, 1.0))
-    _, px, py, at_lo, at_hi = _corner(dx, dy, lo, hi, eta, side, af, ab, left, right)
-    return (
-        _pays(px, py, lo, -1.0, at_lo, left, right),
-        _pays(px, py, hi, 1.0, at_hi, left, right),
-    )
-
-
-@njit
-def best_extent(
-    dx: float,
-    dy: float,
-    eta: float,
-    af: float,
-    ab: float,
-    left: FloatArray,
-    right: FloatArray,
-    bound: float,
-) -> tuple[float, float, float]:
-    """Return ``(energy, lo, hi)`` of the best schedule that sweeps to the left.
-
-    The search is given up once no schedule can cost less than `bound`; the energy returned is then
-    infinite.
-    """
-    # A dual vector within both straight costs is feasible for every schedule, and an excursion
-    # never lowers its value: it bounds all of them from below.
-    d = math.hypot(dx, dy)
-    floor = 0.0
-    q = 0.999999 * min(af, ab)
-    if d > 0.0:
-        floor, _, _ = _value(q * dx / d, q * dy / d, dx, dy, -eta, eta, eta, left, right)
-    rest, _, _ = _value(0.0, 0.0, dx, dy, -eta, eta, eta, left, right)
-    if max(floor, rest) >= bound:
-        return math.inf, -eta, eta
-    half = max(eta, 0.5 * NARROW)
-    lo, hi = -half, half
-    energy, px, py, at_lo, at_hi = maximise(dx, dy, lo, hi, half, af, ab, left, right, EXACT)
-    best = energy, lo, hi
-    if hi - lo >= math.pi:
-        return best
-    up = _pays(px, py, hi, 1.0, at_hi, left, right) > 0.0
-    down = _pays(px, py, lo, -1.0, at_lo, left, right) > 0.0
-    for first in range(2):
-        if not (up if first == 0 else down):
-            continue
-        # An excursion beyond one end alone may be a local optimum, so each is tried.
-        lo, hi = _extend(dx, dy, -half, half, half, af, ab, left, right, first == 0)
-        energy, px, py, at_lo, at_hi = maximise(dx, dy, lo, hi, half, af, ab, left, right, EXACT)
-        other = (lo, -1.0, at_lo) if first == 0 else (hi, 1.0, at_hi)
-        more = _pays(px, py, *other, left, right) > 0.0
-        for k in range(40):  # one end after the other, until Newton's method takes over
-            side = 1 if at_hi - at_lo > 0.0 else -1
-            # Two excursions turn about as much together as one of them alone would.
-            share = 0.5 * (hi - half + -half - lo)
-            a, b = (-half - share, half + share) if k == 0 else (lo, hi)
-            a, b, found = _both(dx, dy, a, b, half, side, af, ab, left, right)
-            if found and b - a < math.pi:
-                tight = maximise(dx, dy, a, b, half, af, ab, left, right, EXACT)
-                if tight[0] <= energy:
-                    energy, lo, hi = tight[0], a, b
-                    break
-            if not more:
-                break
-            before = energy
-            if (k % 2 == 0) == (first == 1):
-                lo, hi = _extend(dx, dy, lo, half, half, af, ab, left, right, True)
-            else:
-                lo, hi = _extend(dx, dy, -half, hi, half, af, ab, left, right, False)
-            energy, px, py, at_lo, at_hi = maximise(
-                dx, dy, lo, hi, half, af, ab, left, right, EXACT
-            )
-            if before - energy <= 1e-9 * energy:
-                break
-        if energy < best[0]:
-            best = energy, lo, hi
-    return best

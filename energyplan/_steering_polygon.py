@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 
 from energyplan._numba import njit
-from energyplan._steering_gauge import EXACT, NARROW, best_extent, maximise
+from energyplan._steering_extent import best_extent
+from energyplan._steering_gauge import EXACT, NARROW, maximise
 from energyplan.path import FloatArray
 
 TWO_PI = 2.0 * math.pi

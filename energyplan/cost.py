@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan import _speeds
-from energyplan._gauge import SPECIAL, Corners, Gauge, tabulate
+from energyplan._bounds import LowerBound, lower_bound
+from energyplan._gauge import SPECIAL, Corners, Gauge, steering_parameters, tabulate
 from energyplan.errors import InvalidInputError, ModelError
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Path
@@ -33,29 +34,6 @@ from energyplan.vehicle import GRAVITY, MotorLimits, TreadICR, Vehicle
 STEADY = {"t": 1e9, "x": 0.0, "y": 0.0, "yaw": 0.0, "slope": 0.0, "accel": 0.0, "yaw_accel": 0.0}
 STEADY |= {"accel_x": 0.0}
 """Channels of steady motion on level ground, long after the start."""
-
-
-@dataclass(frozen=True)
-class LowerBound:
-    """Coefficients of a lower bound on the energy of any motion.
-
-    Parameters
-    ----------
-    per_metre : float
-        Least energy per metre that a body point travels [J/m].
-    per_radian : float
-        Least energy per radian of turning, on top of it [J/rad].
-    """
-
-    per_metre: float
-    per_radian: float
-
-    def energy(self, length: ArrayLike, turn: ArrayLike) -> FloatArray:
-        """Return the bound [J] for a length travelled [m] and a turn [rad]."""
-        return np.asarray(
-            self.per_metre * np.abs(np.asarray(length, float))
-            + self.per_radian * np.abs(np.asarray(turn, float))
-        )
 
 
 @dataclass(frozen=True)
@@ -231,8 +209,9 @@ class EnergyCost:
                 f"the energy of the model {self.model.name!r} depends on speed, but the vehicle "
                 f"{self.vehicle.name!r} has no speed limit; set its motor speed, or give speed="
             )
+        slowest = _speeds.slowest_rate(x, y, limit, self.vehicle)
         return _speeds.cheapest_rate(
-            limit, lambda rate: self._drawn.power(self._motion(x, y, rate)) / rate
+            slowest, limit, lambda rate: self._drawn.power(self._motion(x, y, rate)) / rate
         )
 
     def admissible_speed(self, curvature: ArrayLike) -> FloatArray:
@@ -263,7 +242,8 @@ class EnergyCost:
         -------
         ndarray, shape (...)
             Speed of the reference point [m/s]; the fastest where several cost the same, and that
-            of `speed` where it was given.
+            of `speed` where it was given. Treads run at a twentieth of the motor's speed limit or
+            faster, else the cheapest speed would be zero where time costs nothing.
         """
         return self._rate(*self._element(np.ones(np.shape(curvature)), curvature))
 
@@ -437,16 +417,7 @@ class EnergyCost:
         ----------
         docs/theory, section 5.
         """
-        x, y = self.gauge.directions.T
-        energy = self.gauge.values * (1.0 - 2.0 * self.gauge.error)
-        turn = np.abs(y) / self.half_track
-        lx, ly = self.icr.centre
-        travel = np.hypot(x - (point[1] - ly) * y / self.half_track, (point[0] - lx) * turn)
-        moving = travel > 0
-        per_metre = float(np.min(energy[moving] / travel[moving]))
-        turning = turn > 0
-        rest = (energy - per_metre * travel)[turning] / turn[turning]
-        return LowerBound(per_metre, max(float(rest.min()), 0.0))
+        return lower_bound(self.gauge, self.icr, point)
 
     @cached_property
     def _corners(self) -> Corners:
@@ -463,31 +434,4 @@ class EnergyCost:
     @cached_property
     def steering_parameters(self) -> FloatArray:
         """What the compiled steering kernels read; laid out in `_steering_kernels`."""
-        C, (lx, ly) = self.half_track, self.icr.centre
-        gauge = self.gauge
-        ahead, behind, pivot = (float(gauge.special[k]) for k in (0, 1, 4))
-        head = np.zeros(16)
-        head[:8] = [0.0, C, lx, ly, ahead, pivot * C, ahead * C, behind * C]
-        if gauge.is_static:
-            return head
-        left = _turn_table(self._corners.left, C, ahead * C)
-        right = _turn_table(self._corners.right * [1, -1], C, ahead * C)
-        head[0], head[8], head[9] = 1.0, left.shape[1], right.shape[1]
-        return np.concatenate([head, left.ravel(), right.ravel()])
-
-
-def _turn_table(corners: FloatArray, half_track: float, straight: float) -> FloatArray:
-    """Rows ``m``, ``g``, and the slopes to the next corner, of one turning direction's corners."""
-    order = np.argsort(corners[:, 0] / corners[:, 1])
-    x, y = corners[order].T
-    m, g = x / y, half_track / y
-    slope = np.diff(g) / np.diff(m)
-    flat = np.flatnonzero(np.abs(slope) < 1e-7 * straight)
-    if len(flat):
-        # Along a flat edge every mixture costs the same and the dual says nothing about which to
-        # take. A corner in its middle, cheaper by a rounding error, makes up its mind.
-        k = int(flat[0]) + 1
-        m, g = np.insert(m, k, 0.5 * (m[k - 1] + m[k])), np.insert(g, k, g[k - 1 : k + 1].min())
-        g[k] *= 1.0 - 1e-8
-        slope = np.diff(g) / np.diff(m)
-    return np.vstack([m, g, np.append(slope, np.inf)])
+        return steering_parameters(self.gauge, self._corners, self.icr)

@@ -1,20 +1,206 @@
-"""EnergyCost against the closed forms of the static model and against the power model itself."""
+"""EnergyCost against closed forms, bounds, and the power model evaluated motion by motion."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from energyplan.cost import EnergyCost
-from energyplan.power import PowerModel
+from energyplan.effects import GRADE, VISCOUS_LOSS
+from energyplan.errors import InvalidInputError, MissingChannelError, ModelError
+from energyplan.motion import Motion
+from energyplan.path import Path, Pose
+from energyplan.power import HOTEL, TRACTION, PowerModel, Term
+from energyplan.vehicle import MotorLimits, TreadICR
 
-MODEL = PowerModel.preset("quadriga:empty:concrete")
+MODEL = PowerModel.preset("quadriga:full:marble")
+C = MODEL.vehicle.icr.half_track
+K, MU = MODEL.coefficient("traction_resistance"), MODEL.coefficient("slip_friction")
+SLIP_FORCE = MU * MODEL.vehicle.slip_moment / (2 * C)
+
+
+def with_vehicle(model: PowerModel, **changes: object) -> PowerModel:
+    return replace(model, vehicle=replace(model.vehicle, **changes))
+
+
+def random_elements(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    ds, dtheta = rng.normal(size=(2, n))
+    return ds, dtheta
 
 
 def test_static_cost_is_the_closed_form() -> None:
-    cost = EnergyCost(MODEL)
-    a = 2 * MODEL.coefficient("traction_resistance")
-    beta = MODEL.coefficient("slip_friction") * MODEL.vehicle.slip_moment
-    rng = np.random.default_rng(1)
-    ds, dtheta = rng.normal(size=(2, 1000))
-    expected = a * np.maximum(abs(ds), cost.half_track * abs(dtheta)) + beta * abs(dtheta)
+    ds, dtheta = random_elements(1000)
+    expected = 2 * K * np.maximum(abs(ds), C * abs(dtheta)) + 2 * C * SLIP_FORCE * abs(dtheta)
+    np.testing.assert_allclose(EnergyCost(MODEL).segment_energy(ds, dtheta), expected, rtol=1e-12)
+
+
+def test_lossy_regeneration_is_the_closed_form() -> None:
+    eta, back = 0.8, 0.3
+    model = with_vehicle(MODEL, drive_efficiency=eta, regen_efficiency=back)
+    ds, dtheta = random_elements(1000)
+    left, right = ds - C * dtheta, ds + C * dtheta
+    expected = np.zeros(1000)
+    for travel, force in ((left, -SLIP_FORCE), (right, SLIP_FORCE)):
+        work = force * np.sign(dtheta) * travel + K * abs(travel)
+        expected += np.where(work > 0, work / eta, back * work)
+    cost = EnergyCost(model, battery=True)
     np.testing.assert_allclose(cost.segment_energy(ds, dtheta), expected, rtol=1e-9)
+    # The straight line has no slip force: it costs less than the arcs beside it.
+    straight, arc = cost.segment_energy([1.0, 1.0], [0.0, 1e-6])
+    assert straight == pytest.approx(2 * K / eta)
+    assert arc > 1.2 * straight
+
+
+def test_hotel_load_adds_the_time_at_the_speed_limit() -> None:
+    model = with_vehicle(MODEL.with_term(HOTEL, 60.0), motor=MotorLimits(speed=1.2))
+    ds, dtheta = random_elements(1000)
+    expected = EnergyCost(MODEL).segment_energy(ds, dtheta)
+    expected = expected + 60.0 * (abs(ds) + C * abs(dtheta)) / 1.2
+    np.testing.assert_allclose(EnergyCost(model).segment_energy(ds, dtheta), expected, rtol=1e-9)
+
+
+def test_cheapest_speed_balances_hotel_load_and_viscous_loss() -> None:
+    model = with_vehicle(
+        MODEL.with_term(HOTEL, 50.0).with_term(VISCOUS_LOSS, 40.0), motor=MotorLimits(speed=3.0)
+    )
+    cost = EnergyCost(model)
+    best = np.sqrt(50.0 / (2 * 40.0))  # least of 2 K + 2 B v + P / v
+    np.testing.assert_allclose(cost.cheapest_speed(0.0), best, rtol=1e-6)
+    np.testing.assert_allclose(
+        cost.per_metre(0.0), 2 * K + 2 * 40.0 * best + 50.0 / best, rtol=1e-9
+    )
+    slow = EnergyCost(model, speed=0.3)
+    assert float(slow.cheapest_speed(0.0)) == pytest.approx(0.3)
+    assert float(slow.per_metre(0.0)) == pytest.approx(2 * K + 2 * 40.0 * 0.3 + 50.0 / 0.3)
+
+
+def test_table_of_a_smooth_cost_keeps_its_stated_error() -> None:
+    cost = EnergyCost(MODEL.with_term(HOTEL, 50.0).with_term(VISCOUS_LOSS, 40.0))
+    ds, dtheta = random_elements(500, seed=3)
+    exact = cost.segment_energy(ds, dtheta, slope=0.0)  # through the model, not the table
+    error = np.max(np.abs(cost.segment_energy(ds, dtheta) / exact - 1))
+    assert error <= 1.5 * cost.gauge.error
+    assert cost.gauge.error < 1e-6
+
+
+def test_per_metre_and_per_radian_at_a_speed_are_the_models_power() -> None:
+    model = MODEL.with_term(HOTEL, 50.0).with_term(VISCOUS_LOSS, 40.0)
+    cost = EnergyCost(model)
+    curvature = np.array([-3.0, -0.5, 0.0, 0.7])
+    power = model.power(Motion.from_twist(0.4, 0.4 * curvature, model.vehicle.icr))
+    np.testing.assert_allclose(cost.per_metre(curvature, 0.4), power / 0.4, rtol=1e-12)
+    radius = np.array([-C, 0.0, C, 2.0])
+    power = model.power(Motion.from_twist(0.3 * radius, 0.3, model.vehicle.icr))
+    np.testing.assert_allclose(cost.per_radian(radius, 0.3), power / 0.3, rtol=1e-12)
+
+
+def test_motor_power_limits_the_speed() -> None:
+    model = with_vehicle(MODEL, motor=MotorLimits(continuous_power=200.0, speed=5.0))
+    cost = EnergyCost(model)
+    assert float(cost.admissible_speed(0.0)) == pytest.approx(200.0 / K)
+    outer = (SLIP_FORCE + K) * (1 + C * 0.5)  # W per m/s of the outer side at 0.5 1/m
+    assert float(cost.admissible_speed(0.5)) == pytest.approx(200.0 / outer)
+    spinning = EnergyCost(with_vehicle(MODEL, max_yaw_rate=0.4))
+    path = Path(Pose(0, 0, 0), [0.0], [2.0])
+    assert spinning.duration(path) == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize("battery", [False, True])
+def test_breakdown_adds_up(battery: bool) -> None:
+    icr = TreadICR(0.5, 0.42, 0.05)
+    model = with_vehicle(
+        MODEL.with_term(HOTEL, 50.0), icr=icr, drive_efficiency=0.8, regen_efficiency=0.4
+    )
+    cost = EnergyCost(model, battery=battery)
+    rng = np.random.default_rng(5)
+    path = Path(Pose(0, 0, 0), rng.normal(size=20), rng.normal(size=20), longitudinal=0.05)
+    parts = cost.breakdown(path)
+    assert sum(parts.values()) == pytest.approx(cost.energy(path), rel=1e-12)
+    assert parts["hotel_load"] == pytest.approx(50.0 * cost.duration(path), rel=1e-12)
+    arcs = cost.segment_energy(path.ds, path.dtheta)
+    assert arcs.sum() == pytest.approx(cost.energy(path), rel=1e-6)
+    assert ("regeneration_efficiency" in parts) == battery
+
+
+@pytest.mark.parametrize("point", [(0.0, 0.0), (0.3, -0.2), (-0.1, 0.4)])
+def test_lower_bound_holds_for_every_element(point: tuple[float, float]) -> None:
+    icr = TreadICR(0.55, 0.4, 0.07)
+    for model in (MODEL, MODEL.with_term(HOTEL, 300.0), MODEL.with_term(VISCOUS_LOSS, 60.0)):
+        cost = EnergyCost(with_vehicle(model, icr=icr), battery=True)
+        bound = cost.lower_bound(point)
+        ds, dtheta = random_elements(2000, seed=4)
+        travel = np.hypot(ds - point[1] * dtheta, (point[0] - icr.longitudinal) * dtheta)
+        energy = cost.segment_energy(ds, dtheta)
+        assert np.all(energy >= bound.energy(travel, dtheta) * (1 - 1e-9))
+        assert bound.per_metre > 0
+
+
+def test_lower_bound_of_the_static_model_is_a_and_beta() -> None:
+    bound = EnergyCost.from_coefficients(200.0, 70.0, icr=0.5).lower_bound()
+    assert (bound.per_metre, bound.per_radian) == pytest.approx((200.0, 70.0))
+
+
+def test_slope_without_losses_is_a_potential() -> None:
+    cost = EnergyCost(MODEL.with_term(GRADE, MODEL.vehicle.mass))
+    ds, dtheta = random_elements(300, seed=6)
+    slope = np.random.default_rng(7).uniform(-0.4, 0.4, 300)
+    rise = ds * np.sin(slope)
+    level = cost.segment_energy(ds, dtheta)
+    np.testing.assert_allclose(
+        cost.segment_energy(ds, dtheta, slope) - cost.potential * rise, level, rtol=1e-9
+    )
+
+
+def test_slope_with_losses_never_undercuts_its_potential() -> None:
+    model = with_vehicle(
+        MODEL.with_term(GRADE, MODEL.vehicle.mass), drive_efficiency=0.8, regen_efficiency=0.5
+    )
+    cost = EnergyCost(model, battery=True)
+    ds, dtheta = random_elements(2000, seed=8)
+    dtheta[:500] = 0.0
+    slope = np.random.default_rng(9).uniform(-0.6, 0.6, 2000)
+    energy = cost.segment_energy(ds, dtheta, slope)
+    assert np.any(energy < 0)  # steep descents return energy
+    assert np.all(energy - cost.potential * ds * np.sin(slope) >= 0)
+
+
+def test_zero_elements_cost_nothing() -> None:
+    cost = EnergyCost(MODEL)
+    assert float(cost.segment_energy(0.0, 0.0)) == 0.0
+    assert float(cost.segment_energy(0.0, 0.0, 0.1)) == 0.0
+    assert cost.energy(Path(Pose(0, 0, 0), [0.0], [0.0])) == 0.0
+
+
+def test_bad_input_is_told() -> None:
+    with pytest.raises(InvalidInputError, match="per_metre"):
+        EnergyCost.from_coefficients(0.0, 1.0, icr=0.5)
+    with pytest.raises(InvalidInputError, match="per_radian"):
+        EnergyCost.from_coefficients(1.0, -1.0, icr=0.5)
+    with pytest.raises(InvalidInputError, match="speed"):
+        EnergyCost(MODEL, speed=0.0)
+    with pytest.raises(InvalidInputError, match="longitudinal"):
+        EnergyCost(MODEL).energy(Path(Pose(0, 0, 0), [1.0], [0.0], longitudinal=0.2))
+    with pytest.raises(ModelError, match="must cost energy"):
+        EnergyCost(MODEL.with_coefficients([MU, -K]))
+    free = with_vehicle(MODEL, motor=MotorLimits())
+    with pytest.raises(ModelError, match="no speed limit"):
+        EnergyCost(free.with_term(HOTEL, 10.0))
+    with pytest.raises(InvalidInputError, match="no speed limit"):
+        EnergyCost(free).duration(Path(Pose(0, 0, 0), [1.0], [0.0]))
+
+
+def test_constant_channels_reach_the_terms() -> None:
+    warm = Term(
+        "warmth", "w", "N/K", "force",
+        lambda motion, vehicle: TRACTION.function(motion, vehicle)
+        * float(motion.channel("temperature").flat[0]),
+        channels=("temperature",),
+    )  # fmt: skip
+    model = MODEL.with_term(warm, -0.5)
+    with pytest.raises(MissingChannelError, match="temperature"):
+        EnergyCost(model)
+    cost = EnergyCost(model, channels={"temperature": 20.0})
+    assert float(cost.per_metre(0.0)) == pytest.approx(2 * (K - 10.0))

@@ -1,20 +1,339 @@
-"""Steering against bounds, closed forms and an independent optimum."""
+"""Steering against independent optima, closed forms, symmetries, and the power model."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from steering_optimum import Corners, optimum
 
 from energyplan import steering
+from energyplan._gauge import _turn_table
+from energyplan._steering_kernels import steer_energies, steer_energy, steer_paths_end
 from energyplan.cost import EnergyCost
+from energyplan.effects import VISCOUS_LOSS
+from energyplan.errors import InvalidInputError
+from energyplan.motion import Motion
+from energyplan.path import Path, Pose
+from energyplan.power import HOTEL, PowerModel
+from energyplan.vehicle import MotorLimits, TreadICR
+
+FULL = PowerModel.preset("quadriga:full:marble")
+LIMITED = replace(FULL, vehicle=replace(FULL.vehicle, motor=MotorLimits(speed=1.2)))
+ASYMMETRIC = replace(
+    LIMITED,
+    vehicle=replace(
+        LIMITED.vehicle.with_icr(TreadICR(0.52, 0.4, 0.06)),
+        drive_efficiency=0.85,
+        regen_efficiency=0.3,
+    ),
+)
+COSTS = {
+    "static": EnergyCost(FULL),
+    "asymmetric, lossy": EnergyCost(ASYMMETRIC, battery=True),
+    "hotel load": EnergyCost(LIMITED.with_term(HOTEL, 80.0)),
+    "asymmetric, lossy, hotel load": EnergyCost(ASYMMETRIC.with_term(HOTEL, 80.0), battery=True),
+    "yaw rate limit": EnergyCost(
+        replace(LIMITED, vehicle=replace(LIMITED.vehicle, max_yaw_rate=0.8)).with_term(HOTEL, 80.0)
+    ),
+    "smooth": EnergyCost(LIMITED.with_term(HOTEL, 80.0).with_term(VISCOUS_LOSS, 40.0)),
+}
+UNIT = EnergyCost.from_coefficients(per_metre=1.0, per_radian=1.5, icr=1.0)
 
 
-def test_path_attains_the_energy_and_the_goal() -> None:
-    cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=150.0, icr=0.5)
-    rng = np.random.default_rng(2)
-    goals = np.column_stack([rng.normal(size=(200, 2)) * 2, rng.uniform(-np.pi, np.pi, 200)])
-    energies = steering.energy((0, 0, 0), goals, cost)
-    for goal, energy in zip(goals, energies, strict=True):
-        route = steering.path((0, 0, 0), goal, cost)
-        np.testing.assert_allclose(cost.energy(route), energy, rtol=1e-9)
-        np.testing.assert_allclose(route.end[:2], goal[:2], atol=1e-9)
-        assert abs(np.sin(0.5 * (route.end.yaw - goal[2]))) < 1e-9
+def unit_cost(c: float) -> EnergyCost:
+    """Cost with C = 1, a = 1, beta = c."""
+    return EnergyCost.from_coefficients(per_metre=1.0, per_radian=c, icr=1.0)
+
+
+def random_pairs(n: int, seed: int, reach: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of poses at log-uniform distances."""
+    rng = np.random.default_rng(seed)
+    distance = np.exp(rng.uniform(*np.log(reach), n))
+    bearing = rng.uniform(-np.pi, np.pi, n)
+    starts = np.column_stack([rng.normal(size=(n, 2)), rng.uniform(-4, 4, n)])
+    goals = np.column_stack(
+        [
+            starts[:, 0] + distance * np.cos(bearing),
+            starts[:, 1] + distance * np.sin(bearing),
+            rng.uniform(-4, 4, n),
+        ]
+    )
+    return starts, goals
+
+
+# -- against independent optima ----------------------------------------------------------------
+
+
+def test_closed_form_agrees_with_a_linear_program() -> None:
+    rng = np.random.default_rng(11)
+    for _ in range(30):
+        c = math.exp(rng.uniform(math.log(0.2), math.log(4.0)))
+        distance = math.exp(rng.uniform(math.log(0.05), math.log(100.0)))
+        bearing, turn = rng.uniform(-np.pi, np.pi, 2)
+        d = distance * np.array([math.cos(bearing), math.sin(bearing)])
+        corners = ((-1.0, 1.0 + c), (1.0, 1.0 + c))
+        program = optimum(d, turn, Corners(corners, corners, 1.0, 1.0))
+        found = float(steering.energy((0, 0, 0), (*d, turn), unit_cost(c)))
+        # Every solution of the program can be driven: the exact optimum is never above it.
+        assert (1 - 1e-3) * program <= found <= (1 + 1e-9) * program
+
+
+def test_hotel_load_agrees_with_a_linear_program() -> None:
+    cost = COSTS["hotel load"]
+    C, a, kappa = cost.half_track, 2 * 110.0, 80.0 / 1.2
+    b = a * C + 0.431 * FULL.vehicle.slip_moment
+    corners = tuple((m, b + kappa * (C + abs(m))) for m in (-C, 0.0, C))
+    rng = np.random.default_rng(12)
+    for _ in range(10):
+        distance = math.exp(rng.uniform(math.log(0.05), math.log(20.0)))
+        bearing, turn = rng.uniform(-np.pi, np.pi, 2)
+        d = distance * np.array([math.cos(bearing), math.sin(bearing)])
+        program = optimum(d, turn, Corners(corners, corners, a + kappa, a + kappa))
+        found = float(steering.energy((0, 0, 0), (*d, turn), cost))
+        assert (1 - 1e-3) * program <= found <= (1 + 1e-7) * program
+
+
+@pytest.mark.parametrize("c", [0.2, 0.7, 1.5, 4.0])
+def test_closed_form_agrees_with_the_dual_search(c: float) -> None:
+    """Two algorithms with nothing in common: a list of words, and a search over dual vectors."""
+    cost = unit_cost(c)
+    starts, goals = random_pairs(2500, seed=int(10 * c), reach=(0.05, 100.0))
+    words = steering.energy(starts, goals, cost)
+    corners = cost.gauge.corners()
+    left, right = (_turn_table(v, 1.0, 1.0) for v in (corners.left, corners.right * [1, -1]))
+    head = cost.steering_parameters.copy()
+    head[0], head[8], head[9] = 1.0, left.shape[1], right.shape[1]
+    dual = np.empty(len(starts))
+    steer_energies(starts, goals, np.concatenate([head, left.ravel(), right.ravel()]), dual)
+    ratio = words / dual
+    assert ratio.min() > 1 - 1e-3
+    assert ratio.max() < 1 + 1e-7
+    assert np.mean(np.abs(ratio - 1) > 1e-6) < 1e-3
+
+
+# -- the path attains the energy ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", COSTS)
+def test_path_costs_what_energy_says_and_reaches_the_goal(name: str) -> None:
+    cost = COSTS[name]
+    starts, goals = random_pairs(150, seed=3, reach=(0.02, 50.0))
+    energies = steering.energy(starts, goals, cost)
+    model = cost.model.battery_side() if cost.battery else cost.model
+    origin = Pose(0, 0, 0)
+    spin_rate = 1 / cost.duration(Path(origin, [0.0], [1.0], cost.icr.longitudinal))
+    for start, goal, expected in zip(starts, goals, energies, strict=True):
+        route = steering.path(start, goal, cost)
+        end = route.end
+        assert math.hypot(end.x - goal[0], end.y - goal[1]) < 1e-9
+        assert abs(math.sin(0.5 * (end.yaw - goal[2]))) < 1e-9
+        # Integrate power over time, at the speeds that the cost gives for each curvature.
+        spin = route.ds == 0
+        rate = np.empty(len(route))
+        rate[spin] = spin_rate / np.abs(route.dtheta[spin])
+        curvature = route.dtheta[~spin] / route.ds[~spin]
+        rate[~spin] = cost.cheapest_speed(curvature) / np.abs(route.ds[~spin])
+        motion = Motion.from_twist(rate * route.ds, rate * route.dtheta, cost.icr)
+        total = float(np.sum(model.power(motion) / rate))
+        assert total == pytest.approx(expected, rel=1e-6)
+
+
+def test_paths_reach_goals_to_a_nanometre_at_every_distance() -> None:
+    for c in (0.0, 0.2, 1.0, 4.0, 50.0):
+        starts, goals = random_pairs(5000, seed=4, reach=(1e-4, 1e3))
+        miss = np.empty((len(starts), 3))
+        steer_paths_end(starts, goals, unit_cost(c).steering_parameters, miss)
+        assert np.max(np.abs(miss)) < 1e-9
+
+
+@pytest.mark.parametrize("name", COSTS)
+def test_never_below_the_lower_bound(name: str) -> None:
+    cost = COSTS[name]
+    starts, goals = random_pairs(500, seed=5, reach=(0.02, 50.0))
+    bound = cost.lower_bound()
+    turn = np.abs((goals[:, 2] - starts[:, 2] + np.pi) % (2 * np.pi) - np.pi)
+    distance = np.hypot(*(goals - starts)[:, :2].T)
+    slack = 1 + 2 * cost.gauge.error + 1e-9
+    assert np.all(steering.energy(starts, goals, cost) * slack >= bound.energy(distance, turn))
+
+
+# -- symmetries and inequalities ------------------------------------------------------------------
+
+coordinate = st.floats(-8, 8, allow_nan=False)
+angle = st.floats(-3.2, 3.2, allow_nan=False)
+poses = st.tuples(coordinate, coordinate, angle)
+ratios = st.floats(0.0, 6.0)
+
+
+def one(start: tuple[float, ...], goal: tuple[float, ...], cost: EnergyCost) -> float:
+    return float(steering.energy(start, goal, cost))
+
+
+@given(poses, poses, ratios, poses)
+@settings(max_examples=150, deadline=None)
+def test_left_invariance(
+    start: tuple[float, float, float],
+    goal: tuple[float, float, float],
+    c: float,
+    frame: tuple[float, float, float],
+) -> None:
+    cost = unit_cost(c)
+    fx, fy, turn = frame
+
+    def moved(pose: tuple[float, float, float]) -> tuple[float, float, float]:
+        x, y, yaw = pose
+        cos, sin = math.cos(turn), math.sin(turn)
+        return fx + cos * x - sin * y, fy + sin * x + cos * y, yaw + turn
+
+    # Energy is continuous but rises like the square root of a sideways step.
+    assert one(moved(start), moved(goal), cost) == pytest.approx(
+        one(start, goal, cost), rel=1e-6, abs=1e-5
+    )
+
+
+@given(poses, ratios)
+@settings(max_examples=150, deadline=None)
+def test_mirror_and_time_reversal(goal: tuple[float, float, float], c: float) -> None:
+    cost = unit_cost(c)
+    x, y, yaw = goal
+    energy = one((0, 0, 0), goal, cost)
+    assert one((0, 0, 0), (x, -y, -yaw), cost) == pytest.approx(energy, rel=1e-6, abs=1e-5)
+    assert one(goal, (0, 0, 0), cost) == pytest.approx(energy, rel=1e-6, abs=1e-5)
+    assert one((0, 0, 0), (-x, y, -yaw), cost) == pytest.approx(energy, rel=1e-6, abs=1e-5)
+
+
+@given(poses, poses, poses, ratios)
+@settings(max_examples=200, deadline=None)
+def test_triangle_inequality(
+    a: tuple[float, float, float],
+    b: tuple[float, float, float],
+    c: tuple[float, float, float],
+    ratio: float,
+) -> None:
+    cost = unit_cost(ratio)
+    assert one(a, c, cost) <= (one(a, b, cost) + one(b, c, cost)) * (1 + 1e-9) + 1e-9
+
+
+@given(poses, poses, poses)
+@settings(max_examples=25, deadline=None)
+def test_triangle_inequality_with_hotel_load(
+    a: tuple[float, float, float], b: tuple[float, float, float], c: tuple[float, float, float]
+) -> None:
+    cost = COSTS["asymmetric, lossy, hotel load"]
+    assert one(a, c, cost) <= (one(a, b, cost) + one(b, c, cost)) * (1 + 1e-4) + 1e-6
+
+
+@given(poses, ratios)
+@settings(max_examples=150, deadline=None)
+def test_never_below_distance_or_turn(goal: tuple[float, float, float], c: float) -> None:
+    energy = one((0, 0, 0), goal, unit_cost(c))
+    turn = abs(math.remainder(goal[2], 2 * math.pi))
+    assert energy >= math.hypot(goal[0], goal[1]) * (1 - 1e-12) - 1e-12
+    assert energy >= (1 + c) * turn * (1 - 1e-12) - 1e-12
+
+
+# -- limits -------------------------------------------------------------------------------------
+
+
+def test_aligned_poses_are_a_straight_line() -> None:
+    for x in (-7.0, 0.3, 40.0):
+        route = steering.path(
+            (1, 2, 0.5), (1 + x * math.cos(0.5), 2 + x * math.sin(0.5), 0.5), UNIT
+        )
+        assert route.turning < 1e-6
+        assert route.length == pytest.approx(abs(x))
+
+
+def test_pure_rotation_costs_its_angle() -> None:
+    angles = np.linspace(-np.pi, np.pi, 41)
+    goals = np.column_stack([np.zeros((41, 2)), angles])
+    np.testing.assert_allclose(
+        steering.energy((0, 0, 0), goals, UNIT), 2.5 * np.abs(angles), rtol=1e-12, atol=1e-12
+    )
+
+
+def test_a_dear_turn_is_never_made_twice() -> None:
+    """For large c the robot turns no further than the goal asks."""
+    cost = unit_cost(1e4)
+    _, goals = random_pairs(200, seed=6, reach=(0.1, 2.0))
+    goals[:, 2] = np.sign(goals[:, 2]) * np.clip(np.abs(goals[:, 2]), 0.5, 2.5)
+    for goal in goals:
+        extra = steering.path((0, 0, 0), goal, cost).turning - abs(goal[2])
+        assert extra < 0.1
+
+
+def test_free_turning_beside_the_wheels_travel() -> None:
+    """beta = 0 is least wheel rotation: the robot swings about its wheels into a lane beside it.
+
+    Both swings are a quarter turn and a little more, so that the straight line is tangent: length
+    ``sqrt((d + 2)^2 - 4) - 4``, each swing ``pi/2 + asin(2/(d + 2))``.
+    """
+    cost = unit_cost(0.0)
+    for d in (6.0, 10.0, 50.0):
+        tangent = math.sqrt((d + 2) ** 2 - 4) - 4
+        swings = math.pi + 2 * math.asin(2 / (d + 2))
+        assert one((0, 0, 0), (0, d, 0), cost) == pytest.approx(swings + tangent, rel=1e-6)
+
+
+@pytest.mark.parametrize(("d", "turn"), [((1.0, 2.0), 0.4), ((0.2, -0.5), 2.0), ((4.0, 4.0), -1.0)])
+def test_least_wheel_rotation_agrees_with_a_linear_program(
+    d: tuple[float, float], turn: float
+) -> None:
+    corners = ((-1.0, 1.0), (1.0, 1.0))
+    program = optimum(np.array(d), turn, Corners(corners, corners, 1.0, 1.0))
+    assert one((0, 0, 0), (*d, turn), unit_cost(0.0)) == pytest.approx(program, rel=2e-3)
+
+
+def test_small_sideways_steps_cost_the_square_root() -> None:
+    """A sideways step s takes at least the turning ``2 sqrt(2 s)``, at ``1 + c`` per radian."""
+    for s in (1e-3, 1e-5):
+        energy = one((0, 0, 0), (0, s, 0), unit_cost(1e-6))
+        assert energy == pytest.approx(2 * math.sqrt(2 * s), rel=0.02)
+
+
+# -- interface ----------------------------------------------------------------------------------
+
+
+def test_poses_broadcast() -> None:
+    starts = np.zeros((4, 1, 3))
+    goals = np.random.default_rng(0).normal(size=(5, 3))
+    energies = steering.energy(starts, goals, UNIT)
+    assert energies.shape == (4, 5)
+    assert energies[2, 3] == one((0, 0, 0), tuple(goals[3]), UNIT)
+    kernel = steer_energy(goals[3, 0], goals[3, 1], 0.0, goals[3, 2], UNIT.steering_parameters)
+    assert energies[2, 3] == kernel
+
+
+def test_asymmetric_icr_is_a_shift_of_the_reference_point() -> None:
+    icr = TreadICR(0.6, 0.4, 0.1)
+    shifted = EnergyCost.from_coefficients(200.0, 150.0, icr)
+    centred = EnergyCost.from_coefficients(200.0, 150.0, 0.5)
+
+    def centre(pose: np.ndarray) -> tuple[float, float, float]:
+        x, y, yaw = pose
+        return (
+            x + 0.1 * math.cos(yaw) - 0.1 * math.sin(yaw),
+            y + 0.1 * math.sin(yaw) + 0.1 * math.cos(yaw),
+            yaw,
+        )
+
+    for start, goal in zip(*random_pairs(50, seed=8, reach=(0.1, 9.0)), strict=True):
+        assert one(start, goal, shifted) == pytest.approx(
+            one(centre(start), centre(goal), centred), rel=1e-9
+        )
+
+
+def test_bad_poses_are_told() -> None:
+    with pytest.raises(InvalidInputError, match="shape"):
+        steering.energy((0, 0), (1, 1, 0), UNIT)
+    with pytest.raises(InvalidInputError, match="not finite"):
+        steering.energy((0, 0, np.nan), (1, 1, 0), UNIT)
+    with pytest.raises(InvalidInputError, match="broadcast"):
+        steering.energy(np.zeros((2, 3)), np.zeros((4, 3)), UNIT)
+    with pytest.raises(InvalidInputError, match="one pose to one"):
+        steering.path(np.zeros((2, 3)), (1, 1, 0), UNIT)

@@ -1,0 +1,120 @@
+"""An independent optimum for steering: a linear program over discretised headings.
+
+For a range of headings that the motion visits, the cheapest motion is a linear program: how far to
+turn left and right within each cell of headings, at which of the cost's corner elements, and how
+far to drive straight at each heading. Any walk over the range is allowed, with any number of
+reversals; only that every cell is visited, and that the walk leads from start to goal, is asked.
+The range is then searched. Within a cell the robot drives an arc, so every solution is a motion
+that can be driven: the program's optimum is never below the true one, and approaches it with the
+square of the cell's width.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog, minimize
+from scipy.sparse import coo_matrix
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Elements of motion: turns with (m = ds/dtheta, joules per radian), straight joules per m."""
+
+    left: tuple[tuple[float, float], ...]
+    right: tuple[tuple[float, float], ...]
+    ahead: float
+    behind: float
+
+
+def _range_optimum(
+    d: NDArray[np.float64], turn: float, lo: float, hi: float, corners: Corners, cell: float
+) -> float:
+    """Cheapest motion that visits the headings from -lo to turn + hi (or the mirror of it)."""
+    sign = 1.0 if turn >= 0 else -1.0
+    span = abs(turn)
+    pieces = [(-lo, 0.0, 0.0), (0.0, span, 1.0), (span, span + hi, 0.0)]
+    edges, net = [-lo], []
+    for a, b, flow in pieces:
+        n = int(np.ceil((b - a) / cell - 1e-9)) if b > a else 0
+        edges += list(np.linspace(a, b, n + 1)[1:]) if n else []
+        net += [flow] * n
+    edges_ = np.array(edges)
+    width, middle, flow_ = np.diff(edges_), 0.5 * (edges_[1:] + edges_[:-1]), np.array(net)
+    n = len(width)
+    columns: list[tuple[float, float, float, int, float, float]] = []  # cost, x, y, cell, net, pass
+    outward = corners.left if sign > 0 else corners.right
+    back = corners.right if sign > 0 else corners.left
+    for j in range(n):
+        ux, uy = np.cos(sign * middle[j]), np.sin(sign * middle[j])
+        chord = np.sinc(width[j] / (2 * np.pi))
+        for m, g in outward:
+            columns.append((g, m * chord * ux, m * chord * uy, j, 1.0, 1.0))
+        for m, g in back:
+            columns.append((g, m * chord * ux, m * chord * uy, j, -1.0, 1.0))
+    for heading in edges_:
+        ux, uy = np.cos(sign * heading), np.sin(sign * heading)
+        columns.append((corners.ahead, ux, uy, -1, 0.0, 0.0))
+        columns.append((corners.behind, -ux, -uy, -1, 0.0, 0.0))
+    table = np.array([(c[0], c[1], c[2], c[4], c[5]) for c in columns])
+    cells = np.array([c[3] for c in columns])
+    turning = np.flatnonzero(cells >= 0)
+    rows = np.concatenate([np.zeros(len(table)), np.ones(len(table)), cells[turning] + 2])
+    cols = np.concatenate([np.arange(len(table)), np.arange(len(table)), turning])
+    values = np.concatenate([table[:, 1], table[:, 2], table[turning, 3]])
+    equal = coo_matrix((values, (rows.astype(int), cols)), shape=(n + 2, len(table)))
+    passes = coo_matrix((-table[turning, 4], (cells[turning], turning)), shape=(n, len(table)))
+    found = linprog(
+        table[:, 0],
+        A_eq=equal,
+        b_eq=np.concatenate([d, flow_ * width]),
+        A_ub=passes if n else None,
+        b_ub=-width * np.where(flow_ == 0.0, 2.0, 1.0) if n else None,  # out and back again
+        method="highs",
+    )
+    return float(found.fun) if found.status == 0 else np.inf
+
+
+def optimum(d: NDArray[np.float64], turn: float, corners: Corners, cell: float = 0.04) -> float:
+    """Least energy from the pose (0, 0, 0) to (d, turn), from above."""
+    best = np.inf
+    for way in (turn % (2 * np.pi), turn % (2 * np.pi) - 2 * np.pi):
+        coarse = sorted(
+            (_range_optimum(d, way, lo, hi, corners, 0.3), lo, hi)
+            for lo in (0.0, 0.05, 0.2, 0.6)
+            for hi in (0.0, 0.05, 0.2, 0.6)
+        )
+        if coarse[0][0] > 1.2 * best:
+            continue
+        starts = [row for row in coarse[:2] if row[0] < 1.2 * min(best, coarse[0][0])]
+        for _, lo, hi in starts:
+            free = np.array([lo > 0, hi > 0])
+
+            def value(e: NDArray[np.float64], way: float = way) -> float:
+                return _range_optimum(d, way, abs(e[0]), abs(e[1]), corners, cell)
+
+            base = np.array([lo, hi])
+            best = min(best, value(base))
+            if not free.any():
+                continue
+            axes = np.flatnonzero(free)
+
+            def along(
+                v: NDArray[np.float64],
+                base: NDArray[np.float64] = base,
+                axes: NDArray[np.int64] = axes,
+            ) -> float:
+                e = base.copy()
+                e[axes] = v
+                return value(e)
+
+            found = minimize(
+                along,
+                base[axes],
+                method="Nelder-Mead",
+                options={"xatol": 5e-4, "fatol": 1e-6, "maxfev": 50},
+            )
+            best = min(best, float(found.fun))
+    return best
