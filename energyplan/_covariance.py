@@ -73,9 +73,8 @@ def _absorbed(basis: FloatArray, rho: FloatArray, pieces: Sequence[slice], lags:
 def _extended(covariance: FloatArray, count: int, longest: int) -> FloatArray:
     """Continue an autocorrelation from its first lags by an autoregression, until it dies out.
 
-    Levinson's recursion; the order has the least AIC. Corrected autocovariances may be
-    inconsistent by a little: partial correlations are bounded, and the autocorrelation returned is
-    that of the bounded ones.
+    Levinson's recursion; the order has the least AIC. Corrected autocovariances of a short or
+    smooth series may be inconsistent; the recursion ends at the lag where they become so.
     """
     given = covariance / covariance[0]
     rho, current, variance = np.ones(1), np.zeros(0), 1.0
@@ -83,6 +82,8 @@ def _extended(covariance: FloatArray, count: int, longest: int) -> FloatArray:
     for order in range(1, len(given)):
         foretold = float(current @ rho[:0:-1])
         partial = (given[order] - foretold) / variance
+        if abs(partial) > _LARGEST_PARTIAL and order > 1:
+            break
         partial = min(max(partial, -_LARGEST_PARTIAL), _LARGEST_PARTIAL)
         rho = np.append(rho, foretold + partial * variance)
         current = np.append(current - partial * current[::-1], partial)

@@ -12,7 +12,7 @@ from energyplan.errors import MissingChannelError, NotIdentifiableError
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Sides, Term
-from energyplan.vehicle import TreadICR
+from energyplan.vehicle import GRAVITY, TreadICR
 
 _NO_DATA = 0.01
 """A regressor below this fraction of its size in common manoeuvres counts as zero."""
@@ -194,9 +194,11 @@ def _manoeuvres(icr: TreadICR) -> dict[str, Motion]:
 
     def motion(left: object, right: object, **channels: object) -> Motion:
         arrays = np.broadcast_arrays(np.asarray(left, float), np.asarray(right, float))
-        level = dict.fromkeys(("slope", "accel", "yaw_accel"), 0.0)
-        known = {**level, "t": np.linspace(60.0, 120.0, arrays[0].size), **channels}
-        return Motion(arrays[0], arrays[1], icr, {k: np.asarray(v) for k, v in known.items()})
+        level = dict.fromkeys(("slope", "accel", "yaw_accel", "yaw"), 0.0)
+        given = {**level, "t": np.linspace(60.0, 120.0, arrays[0].size), **channels}
+        known = {name: np.asarray(value, float) for name, value in given.items()}
+        known["accel_x"] = known["accel"] + GRAVITY * np.sin(known["slope"])
+        return Motion(arrays[0], arrays[1], icr, known)
 
     speeds, forth = np.array([0.25, 0.5, 0.75, 1.0]), np.array([0.5, -0.5, 0.8, -0.8])
     ramp, change = np.array([0.3, 0.6, 0.6, 0.3]), np.array([0.5, 0.5, -0.5, -0.5])
@@ -210,6 +212,9 @@ def _manoeuvres(icr: TreadICR) -> dict[str, Motion]:
         "speeding up and braking on a straight line": motion(ramp, ramp, accel=change),
         "spins that speed up and brake": motion(-ramp, ramp, yaw_accel=change / half),
         "a slope driven up and down": motion(np.full(4, 0.5), np.full(4, 0.5), slope=0.2 * change),
+        "a straight line driven in four headings": motion(
+            np.full(4, 0.5), np.full(4, 0.5), yaw=0.5 * np.pi * np.arange(4)
+        ),
     }
 
 

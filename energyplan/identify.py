@@ -339,13 +339,14 @@ def _doubts(model: PowerModel, bounds: Bounds, independent: float) -> list[str]:
         error = model.std_error(term.name) or 0.0
         if value <= low or value >= high:
             found.append(
-                f"{term.name} ({term.symbol}) is at the end {value:g} of its possible range: the "
-                "logs would rather have it beyond; a term may be missing or a sign be wrong"
+                f"{term.name} ({term.symbol}) is at the end {value:g} of its possible range: "
+                "nothing of it shows in these logs, a sign is wrong, or a term is missing"
             )
         elif error > 0.5 * abs(value):
             found.append(
                 f"{term.name} ({term.symbol}) is hardly known: {value:.4g} with a standard error "
-                f"of {error:.2g} {term.unit}; drive more of what it acts on"
+                f"of {error:.2g}{'' if term.unit == '1' else ' ' + term.unit}; drive more of what "
+                "it acts on"
             )
     if independent < _LEAST_INDEPENDENT:
         found.append(

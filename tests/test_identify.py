@@ -220,6 +220,18 @@ def test_autocorrelation_adds_back_what_the_fit_took() -> None:
     assert sums[0] < sums[1]
 
 
+def test_autocorrelation_of_short_smooth_series_stays_one() -> None:
+    rng, t = np.random.default_rng(0), np.arange(361.0)
+    series = [lfilter(np.ones(10), [1.0], rng.normal(size=361)) for _ in range(30)]
+    series += [np.sin(t / 20.0), t, np.cumsum(rng.normal(size=361)), np.sign(np.sin(t / 7.0))]
+    for one in series:
+        for regressors in (None, np.column_stack([t, np.abs(t - 100.0)])):
+            found = _covariance.autocorrelation(one, [slice(0, 200), slice(200, 361)], regressors)
+            assert found.rho[0] == 1.0
+            assert np.max(np.abs(found.rho)) <= 1.0 + 1e-9
+            assert 0 < found.kept <= 1.0
+
+
 def test_error_of_the_tread_icrs_is_passed_on(truth: PowerModel) -> None:
     """What the covariance takes over is what identification with another ICR would find."""
     log = simulate.drive(truth, "spiral")
@@ -494,3 +506,40 @@ def test_physics_engine(shared_data, scenario: str, pair: str, seed: int) -> Non
     assert found.icr.half_track == pytest.approx(0.4756, rel=0.01)
     other = DriveLog.read(folder / f"{scenario}_s{seed}_valid.csv.gz")
     assert abs(fit_residual(found.model, other).energy_error) < 0.02
+
+
+def _husky(folder, number: int, imu: bool) -> DriveLog:
+    wheels = np.genfromtxt(folder / f"pro_{number:02d}.csv", delimiter=",", names=True)
+    channels = {"t": wheels["time"], "v_left": wheels["velL"], "v_right": wheels["velR"]}
+    for side in "LR":
+        name = {"L": "p_left", "R": "p_right"}[side]
+        channels[name] = 21.4 * wheels[f"cur{side}"] * np.abs(wheels[f"vel{side}"])
+    if imu:
+        body = np.genfromtxt(folder / f"imu_{number:02d}.csv", delimiter=",", names=True)
+        channels["yaw_rate"] = np.interp(wheels["time"], body["time"], body["wz"])
+    return DriveLog(channels)
+
+
+@pytest.mark.shared
+def test_real_husky_indoors_and_on_ice(shared_data) -> None:
+    vehicle = Vehicle.preset("husky_a200")
+    floor = identify(_husky(shared_data / "borealtc" / "FLOORING", 0, True), vehicle)
+    ice = identify(_husky(shared_data / "borealtc" / "ICE", 0, True), vehicle)
+    assert floor.model.coefficient("slip_friction") > 3 * ice.model.coefficient("slip_friction")
+    for found in (floor, ice):
+        assert found.std_error["traction_resistance"] < 5.0
+        assert found.icr_std_error is not None
+        # The yaw rate is 0.55 to 0.7 of that of wheels on the 0.555 m track.
+        assert 0.555 / 0.7 - 0.05 < found.icr.slip_track < 0.555 / 0.55 + 0.05
+
+
+@pytest.mark.shared
+def test_real_husky_logs_that_tell_less(shared_data) -> None:
+    vehicle, ice = Vehicle.preset("husky_a200"), shared_data / "borealtc" / "ICE"
+    blind = identify(_husky(ice, 1, False), vehicle)
+    assert blind.icr == vehicle.icr
+    assert any("no yaw" in text for text in blind.warnings)
+    with pytest.raises(NotIdentifiableError, match="slip_friction"):
+        identify(_husky(ice, 5, True), vehicle)  # one straight line
+    together = identify([_husky(ice, 0, True), _husky(ice, 1, False)], vehicle)
+    assert together.icr_std_error is not None
