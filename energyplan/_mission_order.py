@@ -193,7 +193,7 @@ def solve_exactly(problem: OrderProblem) -> Order:
                 for k in range(n):
                     if mask >> k & 1:
                         continue
-                    grown = _served(problem, matrix, node, label, k)
+                    grown = _served(problem, matrix, load, node, label, k)
                     if grown is not None:
                         layer = layers.setdefault(mask | 1 << k, {})
                         _keep(layer.setdefault(k + 1, []), grown, timed)
@@ -201,12 +201,12 @@ def solve_exactly(problem: OrderProblem) -> Order:
 
 
 def _served(
-    problem: OrderProblem, matrix: FloatArray, node: int, label: _Label, k: int
+    problem: OrderProblem, matrix: FloatArray, load: float, node: int, label: _Label, k: int
 ) -> _Label | None:
     spent = float(matrix[node, k + 1] + problem.service[k])
     arrival = label.time + float(problem.time[node, k + 1])
     earliest, latest = problem.window[k]
-    if spent > label.left or arrival > latest:
+    if spent > label.left or arrival > latest or load + problem.payload_change[k] < -1e-3:
         return None
     begin = max(arrival, float(earliest))
     return _Label(

@@ -16,6 +16,7 @@ from energyplan.path import FloatArray
 _STEP = 30.0
 _HOURS = 48
 _ROUNDING = 1e-9
+_GRAM = 1e-3
 
 
 class Charge(NamedTuple):
@@ -108,8 +109,8 @@ class Attempt(NamedTuple):
     Parameters
     ----------
     reason : str
-        ``"none"`` if it can be done, else ``"no_path"``, ``"motor"``, ``"battery"`` or
-        ``"late"``.
+        ``"none"`` if it can be done, else ``"no_path"``, ``"motor"``, ``"battery"``, ``"late"``
+        or ``"payload"``.
     after : Condition
         When it is done; where the attempt ended if it cannot be.
     safe : Condition
@@ -270,7 +271,15 @@ class Walk:
             )
         begun = self.stay(there, "wait", asked.window[0] - there.time)
         done = self.stay(begun, "work", asked.dwell, asked.power)
-        done = replace(done, payload=max(done.payload + asked.payload, 0.0))
+        carried = done.payload + asked.payload
+        if carried < -_GRAM:
+            return Attempt(
+                "payload",
+                done,
+                done,
+                f"it leaves {-asked.payload:g} kg, and {done.payload:g} kg are on board",
+            )
+        done = replace(done, payload=max(carried, 0.0))
         safe, trouble = self.refuge(done)
         if safe is None:
             return Attempt(trouble.trouble, done, done, f"no way back: {trouble.detail}")

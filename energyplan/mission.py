@@ -180,8 +180,9 @@ class _Evaluation:
             )  # fmt: skip
         alone = attempt if not self.done else self.walk.attempt_charged(self.walk.start, k)
         blocked = alone.reason == "none"
-        told = attempt if blocked else alone
-        reason: Reason = "blocked_by_earlier" if blocked else _REASONS[alone.reason]
+        # What a task leaves another one may have to bring; alone it cannot be judged.
+        told = attempt if blocked or alone.reason == "payload" else alone
+        reason: Reason = "blocked_by_earlier" if blocked else _REASONS[told.reason]
         lacking = told.reason == "battery"
         used = _between(before if blocked else self.walk.start, told.after)
         return TaskReport(
@@ -202,6 +203,8 @@ class _Evaluation:
             return f"clear the way or move the task: {told.detail}"
         if told.reason == "late":
             hints = ["widen its time window"]
+        elif told.reason == "payload":
+            hints = ["put a task before it that takes the payload on board"]
         elif told.reason == "motor":
             hints = [f"take another route or a stronger drive: {told.detail}"]
         elif told.reason == "no_path":
@@ -311,6 +314,7 @@ _REASONS: dict[str, Reason] = {
     "motor": "motor",
     "battery": "battery",
     "late": "motor",
+    "payload": "blocked_by_earlier",
 }
 
 

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from energyplan.battery import Battery
 from energyplan.errors import MissionError
@@ -360,6 +362,43 @@ def test_free_order_takes_prizes_within_the_budget():
                 order="free")
     )  # fmt: skip
     assert must.order == ("poor",)
+
+
+def test_what_is_left_must_be_on_board():
+    tasks = [
+        Task("leave", Pose(5.0, 5.0, 0.0), payload=-10.0),
+        Task("take", Pose(9.0, 5.0, 0.0), payload=10.0),
+    ]
+    given = evaluate(mission(tasks))
+    assert given.task("leave").reason == "blocked_by_earlier"
+    assert given.task("leave").detail == "it leaves 10 kg, and 0 kg are on board"
+    free = evaluate(mission(tasks, order="free"))
+    assert free.order == ("take", "leave")
+    assert free.feasible
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    soc=st.floats(0.3, 0.95),
+    more=st.floats(0.0, 0.05),
+    reserve=st.floats(0.0, 0.25),
+    dwell=st.floats(0.0, 300.0),
+    confidence=st.floats(0.5, 0.98),
+)
+def test_more_charge_or_less_reserve_never_takes_a_task_away(soc, more, reserve, dwell, confidence):
+    tasks = [
+        Task("a", Pose(6.0, 5.0, 0.0), dwell=dwell, power=60.0),
+        Task("b", Pose(11.0, 5.0, 0.0), dwell=dwell, power=60.0, required=False),
+    ]
+    low = mission(
+        tasks, model=known(spread=0.1), battery=tiny(30e3), soc=soc, reserve=reserve,
+        confidence=confidence, chargers=(Charger("dock", Pose(3.0, 5.0, 0.0), 80.0),),
+    )  # fmt: skip
+    high = replace(low, soc=soc + more, reserve=0.5 * reserve)
+    bold = replace(low, confidence=0.5)
+    count = [sum(t.verdict == "reachable" for t in evaluate(m).tasks) for m in (low, high, bold)]
+    assert count[1] >= count[0]
+    assert count[2] >= count[0]
 
 
 # -- under way -----------------------------------------------------------------------------------

@@ -19,6 +19,7 @@ def problem(
     windows: bool = False,
     payload: bool = False,
     required: float = 0.3,
+    load: float = 3.0,
 ) -> OrderProblem:
     """A random problem; asymmetric energies, dearer with more payload."""
     rng = np.random.default_rng(seed)
@@ -30,8 +31,8 @@ def problem(
     base[blocked & (np.arange(size)[:, None] != np.arange(size))] = np.inf
     change = rng.uniform(-1, 1, tasks) if payload else np.zeros(tasks)
 
-    def energy(load: float) -> np.ndarray:
-        return base * (1.0 + 0.2 * load)
+    def energy(payload: float) -> np.ndarray:
+        return base * (1.0 + 0.2 * payload)
 
     window = np.tile([0.0, np.inf], (tasks, 1))
     if windows:
@@ -44,7 +45,7 @@ def problem(
         finish_time=np.where(np.isfinite(base[:, 0]), base[:, 0], 1e3),
         service=rng.uniform(0, 0.5, tasks),
         service_time=rng.uniform(0, 1.0, tasks),
-        payload=3.0,
+        payload=load,
         payload_change=change,
         prize=rng.integers(1, 6, tasks).astype(float),
         required=rng.uniform(size=tasks) < required,
@@ -72,6 +73,8 @@ def drive(p: OrderProblem, stops: tuple[int, ...]) -> tuple[float, float] | None
                 return None
             clock = max(clock, earliest) + p.service_time[stop - 1]
             load += p.payload_change[stop - 1]
+            if load < -1e-3:
+                return None
         else:
             filled = max(left, p.capacity[stop - 1 - p.tasks])
             clock += (filled - left) / p.charge_power[stop - 1 - p.tasks]
@@ -111,10 +114,11 @@ def worth_of(p: OrderProblem, stops: tuple[int, ...]) -> float:
         {"tasks": 6, "budget": 6.0},
         {"tasks": 5, "budget": 9.0, "windows": True},
         {"tasks": 5, "budget": 9.0, "payload": True},
+        {"tasks": 5, "budget": 30.0, "payload": True, "load": 0.2},
         {"tasks": 3, "budget": 4.0, "chargers": 2},
         {"tasks": 3, "budget": 4.0, "chargers": 1, "windows": True, "payload": True},
     ],
-    ids=["plain", "windows", "payload", "chargers", "all"],
+    ids=["plain", "windows", "payload", "precedence", "chargers", "all"],
 )
 def test_equals_brute_force(seed, options):
     p = problem(seed, **options)
