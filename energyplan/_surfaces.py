@@ -12,6 +12,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.base import BaseGeometry
 
+from energyplan._numba import njit
 from energyplan.cost import EnergyCost
 from energyplan.errors import MapError
 from energyplan.path import FloatArray, Path
@@ -20,6 +21,9 @@ from energyplan.power import PowerModel
 if TYPE_CHECKING:
     from energyplan.maps import OccupancyGrid
 
+FARTHEST = 1e7
+"""Largest coordinate of maps and surfaces [m]; beyond it rounding would blur collisions."""
+
 _STRAIGHT = 1e-6
 """Turns below this are clipped as straight lines [rad]."""
 
@@ -27,6 +31,8 @@ _STRAIGHT = 1e-6
 def _area(geometry: BaseGeometry, name: str) -> BaseGeometry:
     if geometry.geom_type not in {"Polygon", "MultiPolygon"} or geometry.is_empty:
         raise MapError(f"{name} is a {geometry.geom_type}; give a polygon that is not empty")
+    if not np.all(np.abs(geometry.bounds) <= FARTHEST):
+        raise MapError(f"{name} reaches beyond {FARTHEST:g} m; give it in the map's frame")
     if not geometry.is_valid:
         raise MapError(f"{name}: {shapely.is_valid_reason(geometry)}; correct the polygon")
     return geometry
@@ -160,26 +166,21 @@ class SurfaceMap:
 
     def raster(self, grid: OccupancyGrid) -> NDArray[np.intp]:
         """Return the region at the centre of each cell of a map, shape (rows, columns)."""
-        rows, columns = grid.shape
-        raster = np.zeros((rows, columns), np.intp)
-        if self.surfaces:
-            column = np.arange(columns) + 0.5
-            for row in range(rows):
-                cells = np.column_stack([column, np.full(columns, row + 0.5)])
-                raster[row] = self.region_at(grid.to_world(cells))
+        raster = np.zeros(grid.shape, np.intp)
+        for k, surface in enumerate(self.surfaces, start=1):
+            a, e = _rim(shapely.transform(surface.area, grid.to_cells))
+            _fill(raster, a, a + e, k)
         return raster
 
     @cached_property
     def _edges(self) -> tuple[FloatArray, FloatArray]:
         """Starts and directions of all edges of all surfaces, each of shape (n, 2)."""
-        starts: list[FloatArray] = [np.empty((0, 2))]
-        steps: list[FloatArray] = [np.empty((0, 2))]
-        for surface in self.surfaces:
-            for part in shapely.get_parts(shapely.get_rings(shapely.get_parts(surface.area))):
-                ring = shapely.get_coordinates(part)
-                starts.append(ring[:-1])
-                steps.append(np.diff(ring, axis=0))
-        return np.concatenate(starts), np.concatenate(steps)
+        rims = [_rim(surface.area) for surface in self.surfaces]
+        nothing = np.empty((0, 2))
+        return (
+            np.concatenate([nothing, *(a for a, _ in rims)]),
+            np.concatenate([nothing, *(e for _, e in rims)]),
+        )
 
     def shares(self, path: Path) -> FloatArray:
         """Return how each segment of a path divides over the regions.
@@ -279,6 +280,41 @@ class SurfaceMap:
             share = shares[:, region]
             if np.any(share > 0):
                 yield c, replace(path, ds=path.ds * share, dtheta=path.dtheta * share)
+
+
+def _rim(area: BaseGeometry) -> tuple[FloatArray, FloatArray]:
+    """Return starts and directions of the edges of an area, each of shape (n, 2)."""
+    rings = [
+        shapely.get_coordinates(ring)
+        for part in shapely.get_parts(area)
+        for ring in shapely.get_rings(part)
+    ]
+    starts = np.concatenate([ring[:-1] for ring in rings])
+    return starts, np.concatenate([np.diff(ring, axis=0) for ring in rings])
+
+
+@njit
+def _fill(raster: NDArray[np.intp], a: FloatArray, b: FloatArray, value: int) -> None:
+    """Set the cells whose centres lie within a rim of edges from `a` to `b`, in cells.
+
+    Row by row: the row's line through the centres is inside between every second crossing and the
+    next one, whatever holes and parts there are.
+    """
+    rows, columns = raster.shape
+    at = np.empty(len(a))
+    for row in range(rows):
+        y = row + 0.5
+        count = 0
+        for k in range(len(a)):
+            if (a[k, 1] <= y) != (b[k, 1] <= y):
+                at[count] = a[k, 0] + (y - a[k, 1]) / (b[k, 1] - a[k, 1]) * (b[k, 0] - a[k, 0])
+                count += 1
+        crossed = np.sort(at[:count])
+        for k in range(0, count - 1, 2):
+            first = min(max(np.ceil(crossed[k] - 0.5), 0.0), float(columns))
+            last = min(max(np.ceil(crossed[k + 1] - 0.5), 0.0), float(columns))
+            for column in range(int(first), int(last)):
+                raster[row, column] = value
 
 
 @dataclass(frozen=True)

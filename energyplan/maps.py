@@ -13,7 +13,7 @@ from shapely.geometry.base import BaseGeometry
 
 from energyplan import _collision, _distance
 from energyplan._heights import ORIGIN, HeightMap
-from energyplan._surfaces import Surface, SurfaceMap
+from energyplan._surfaces import FARTHEST, Surface, SurfaceMap
 from energyplan.errors import MapError
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.vehicle import Vehicle
@@ -27,9 +27,6 @@ MAX_CELLS = 2**26
 
 MIN_RESOLUTION, MAX_RESOLUTION = 1e-4, 1e4
 """Smallest and largest size of a cell [m]."""
-
-FARTHEST = 1e7
-"""Largest coordinate of a map's origin [m]; beyond it rounding would blur collisions."""
 
 
 def _frozen_bool(value: ArrayLike, name: str) -> BoolArray:

@@ -347,6 +347,7 @@ def test_surfaces_come_back_as_they_were_written(tmp_path):
         ("[" * 100_000, "JSON"),
         (collection({"type": "Feature", "geometry": None}), "feature 0 has no geometry"),
         (collection(feature(BOX)), "feature 0: no property"),
+        (collection(feature(shapely.box(0, 0, 1e9, 1), model="x")), "feature 0: reaches beyond"),
         (collection(feature(BOX, model="ice")), "feature 0.*unknown model preset 'ice'"),
         (collection(feature(BOX, model="../m.yaml")), "folder"),
         (collection(feature(shapely.Point(0, 0), model="x")), "feature 0: a Point"),

@@ -122,6 +122,9 @@ def test_raster_agrees_with_points():
     centres = grid.to_world(np.stack([column + 0.5, row + 0.5], axis=-1))
     assert np.array_equal(raster, ground.region_at(centres))
     assert len(np.unique(raster)) > 3
+    assert not SurfaceMap([]).raster(grid).any()
+    far = SurfaceMap([Surface(shapely.box(100, 100, 200, 200), MARBLE)])
+    assert not far.raster(grid).any()
 
 
 def test_malformed_surfaces_are_refused():
@@ -129,6 +132,8 @@ def test_malformed_surfaces_are_refused():
         Surface(shapely.LineString([(0, 0), (1, 1)]), MARBLE)
     with pytest.raises(MapError, match="Self-intersection"):
         Surface(shapely.Polygon([(0, 0), (1, 1), (1, 0), (0, 1)]), MARBLE)
+    with pytest.raises(MapError, match="beyond"):
+        Surface(shapely.box(0, 0, 1e300, 1), MARBLE)
     with pytest.raises(MapError, match="keep-out area 0"):
         SurfaceMap([], [shapely.Point(0, 0)])
     ahead = PowerModel.paper(MARBLE.vehicle.with_icr(TreadICR(0.5, 0.5, 0.1)), 90.0, 0.4)

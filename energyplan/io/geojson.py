@@ -10,6 +10,7 @@ from typing import Any
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from energyplan._surfaces import FARTHEST
 from energyplan.errors import EnergyPlanError, MapError
 from energyplan.io._limited import beside, read_features
 from energyplan.io.files import atomic_write
@@ -89,6 +90,8 @@ def _polygon(geometry: Mapping[str, Any], place: str) -> BaseGeometry:
         raise MapError(f"{place}: no coordinates; remove the feature or draw it")
     if not area.is_valid:
         raise MapError(f"{place}: {shapely.is_valid_reason(area)}; correct the polygon")
+    if max(abs(v) for v in area.bounds) > FARTHEST:
+        raise MapError(f"{place}: reaches beyond {FARTHEST:g} m; give metres in the map's frame")
     return area
 
 
