@@ -34,6 +34,18 @@ def lattice_for(setting: Setting, scale: float = 1.0) -> kernels.Lattice:
     return kernels.Lattice(cell, 2 * np.pi / headings, headings, 1.5 * cell)
 
 
+def coarse_lattice(setting: Setting) -> kernels.Lattice:
+    """Return the lattice of the search for many goals."""
+    fine = lattice_for(setting)
+    turns = HEADINGS // 2
+    return kernels.Lattice(2.0 * fine.cell, 2 * np.pi / turns, turns, 2.0 * fine.step)
+
+
+def no_field() -> Field:
+    """Return an empty field, for a search without a goal."""
+    return Field(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 1.0, 0.0)
+
+
 def cell_of(setting: Setting, x: float, y: float, stride: int) -> tuple[int, int]:
     """Return row and column of a place in a grid of every `stride`-th cell."""
     space = setting.space
@@ -178,10 +190,21 @@ class Search:
         """Whether a motion to the goal is known."""
         return int(self.tree.counts[3]) >= 0
 
-    def segments(self) -> Segments:
-        """Return the motions from the start to the goal."""
-        tree, setting = self.tree, self.setting
-        node = int(tree.counts[3])
+    @property
+    def frontier(self) -> float:
+        """Cost of the cheapest node that is still open; infinite where none is."""
+        return float(self.tree.heap_f[0]) if int(self.tree.counts[1]) else np.inf
+
+    def attach(self, setting: Setting) -> tuple[float, int]:
+        """Return the cost of reaching another goal from the tree, and the node it is joined to."""
+        cost, node = kernels.attach(self.tree, setting, self.lattice, 6.0 * self.lattice.cell)
+        return float(cost), int(node)
+
+    def segments(self, setting: Setting | None = None, node: int | None = None) -> Segments:
+        """Return the motions to the goal; by way of `node` to that of `setting`, where given."""
+        tree = self.tree
+        setting = self.setting if setting is None else setting
+        node = int(tree.counts[3]) if node is None else node
         last = (
             float(tree.x[node]),
             float(tree.y[node]),

@@ -164,7 +164,8 @@ def plant(tree: Tree, setting: Setting, field: Field, lattice: Lattice, weight: 
     tree.y[0] = setting.start_y
     tree.heading[0] = 0
     tree.g[0] = 0.0
-    tree.h[0] = _estimate(setting, field, setting.start_x, setting.start_y, setting.start_yaw)
+    if weight > 0:
+        tree.h[0] = _estimate(setting, field, setting.start_x, setting.start_y, setting.start_yaw)
     tree.parent[0] = -1
     tree.key[0] = _key(setting.space.x, setting.space.y, lattice, tree.x[0], tree.y[0], 0)
     tree.table[_find(tree, tree.key[0])] = 0
@@ -195,7 +196,8 @@ def grow(
     lattice : Lattice
         Resolution.
     weight : float
-        Factor on the estimate of the cost to go; 1 for the least cost on the lattice.
+        Factor on the estimate of the cost to go; 1 for the least cost on the lattice, 0 for the
+        costs to all places, whatever the goal.
     expansions : int
         Largest number of expansions in this call.
     stop_at_first : bool
@@ -236,7 +238,10 @@ def grow(
         yaw = setting.start_yaw + index * lattice.turn
 
         # the nearer the goal, the more often the exact motion to it is tried
-        if counts[4] * setting.half_track * setting.least_metre >= 0.2 * tree.h[node]:
+        if (
+            weight > 0
+            and counts[4] * setting.half_track * setting.least_metre >= 0.2 * tree.h[node]
+        ):
             counts[4] = 0
             through = g + connection(setting, x, y, yaw, tree.best[0] - g)
             if through < tree.best[0]:
@@ -281,10 +286,10 @@ def grow(
                 if gg >= tree.g[other] - 0.2 * lattice.cell * setting.least_metre:
                     continue
                 h = tree.h[other]
-                if (tree.x[other] - xx) ** 2 + (tree.y[other] - yy) ** 2 > 1e-12:
+                if weight > 0 and (tree.x[other] - xx) ** 2 + (tree.y[other] - yy) ** 2 > 1e-12:
                     h = _estimate(setting, field, xx, yy, yaw + dtheta)
             else:
-                h = _estimate(setting, field, xx, yy, yaw + dtheta)
+                h = _estimate(setting, field, xx, yy, yaw + dtheta) if weight > 0 else 0.0
             if gg + h >= tree.best[0]:
                 continue
             if not motion_free(space, setting.body, x, y, yaw, ds, dtheta, 0.0):
@@ -307,3 +312,36 @@ def grow(
                 tree.g[other] = -inf
             counts[1] = push(tree.heap_f, tree.heap_node, counts[1], gg + weight * h, new)
     return RUNNING
+
+
+@njit
+def attach(tree: Tree, setting: Setting, lattice: Lattice, reach: float) -> tuple[float, int]:
+    """Join the goal to the tree's nearby nodes; return the least cost and the node, or inf and -1.
+
+    Parameters
+    ----------
+    tree : Tree
+        A tree grown with weight 0.
+    setting : Setting
+        The problem with the goal in question.
+    lattice : Lattice
+        Resolution.
+    reach : float
+        Distance within which nodes are tried [m].
+    """
+    best = inf
+    node = -1
+    for k in range(int(tree.counts[0])):
+        g = tree.g[k]
+        x = tree.x[k]
+        y = tree.y[k]
+        if g == -inf or abs(x - setting.goal_x) > reach or abs(y - setting.goal_y) > reach:
+            continue
+        yaw = setting.start_yaw + int(tree.heading[k]) * lattice.turn
+        if g + free_energy(setting, x, y, yaw) >= best:
+            continue
+        cost = connection(setting, x, y, yaw, best - g)
+        if g + cost < best:
+            best = g + cost
+            node = k
+    return best, node

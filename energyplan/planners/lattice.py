@@ -11,16 +11,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from energyplan.errors import InvalidInputError, NoPathError, TimeLimitError
-from energyplan.path import Path
+from energyplan.path import FloatArray, Path
 from energyplan.planners import _search_kernels as kernels
 from energyplan.planners._bound import lower_bound
-from energyplan.planners._problem import Plan, PlanningProblem
+from energyplan.planners._problem import Plan, PlanningProblem, as_pose
 from energyplan.planners._query import Query, Segments
-from energyplan.planners._search import Search, field_for, lattice_for
+from energyplan.planners._search import Search, coarse_lattice, field_for, lattice_for, no_field
 from energyplan.planners.refine import Refiner
 
 FIRST_WEIGHT = 2.0
@@ -28,6 +30,9 @@ FIRST_WEIGHT = 2.0
 
 SEARCHES = ((1.0, 1.2), (1.0, 1.0), (0.5, 1.0))
 """Scale of the lattice and weight of the searches that follow."""
+
+STRIDE = 30_000
+"""Expansions of a search for many goals between two attempts to reach them."""
 
 SEARCH_SHARE = 0.6
 """Largest part of the time left that one of them may take."""
@@ -83,6 +88,73 @@ def plan(
     first = time.perf_counter()
     work.improve()
     return query.plan(query.path(work.best), work.bound, begun, first, "lattice")
+
+
+def energies(
+    problem: PlanningProblem, goals: ArrayLike, time_limit: float = 10.0, *, refined: bool = True
+) -> FloatArray:
+    """Return the cost from the problem's start to each of many goals, from a single search.
+
+    One search without a goal reaches everything within the cost of the farthest goal, on a lattice
+    twice as coarse. Each goal is joined to it exactly, and the path is shortened. The costs are
+    those of drivable paths, close to the least and never below it.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        The problem; its goal does not matter.
+    goals : array_like, shape (n, 3)
+        Goals: x, y [m], yaw [rad].
+    time_limit : float
+        Time for the search [s].
+    refined : bool
+        Whether to shorten the paths.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Costs in the unit of the objective [J for energy]; infinite where no path was found.
+
+    Raises
+    ------
+    StartInCollisionError, GoalInCollisionError, OutsideMapError
+        If start or a goal cannot be; the message names the pose.
+    InvalidInputError
+        If the goals have another shape.
+    """
+    rows = np.asarray(goals, float)
+    if rows.ndim != 2 or rows.shape[1] != 3:
+        raise InvalidInputError(f"goals have shape {rows.shape}; give rows of x, y, yaw")
+    out = np.full(len(rows), np.inf)
+    if len(rows) == 0:
+        return out
+    query = Query(problem)
+    settings = []
+    for row in rows:
+        goal = as_pose(row, "a goal")
+        replace(problem, goal=goal).check_poses(query.grid)
+        centre = query.centre(goal)
+        settings.append(
+            query.setting._replace(goal_x=centre.x, goal_y=centre.y, goal_yaw=centre.yaw)
+        )
+    search = Search(query.setting, no_field(), coarse_lattice(query.setting), 0.0)
+    deadline = time.perf_counter() + time_limit
+    missing = list(range(len(rows)))
+    status = kernels.RUNNING
+    while missing and status == kernels.RUNNING and time.perf_counter() < deadline:
+        status = search.run(deadline, stop_at_first=False, expansions=STRIDE)
+        reached = search.frontier
+        for k in missing.copy():
+            cost, node = search.attach(settings[k])
+            # nothing that is still open can better it by more than the lattice is coarse
+            if cost <= reached or (np.isfinite(cost) and status != kernels.RUNNING):
+                missing.remove(k)
+                out[k] = cost
+                if refined:
+                    refiner = Refiner(settings[k], search.segments(settings[k], node))
+                    refiner.shortcut()
+                    out[k] = refiner.cost
+    return out
 
 
 class _Improvement:
