@@ -27,10 +27,13 @@ MAX_COLUMNS = 4096
 """Widest table that is read."""
 MAX_HEADER = 1 << 18
 """Longest header line that is read [bytes]."""
+MAX_LINE = 1 << 20
+"""Longest line that is read [bytes]."""
 MAX_BYTES = 1 << 31
 """Largest table that is read, after decompression [bytes]."""
 MAX_CELLS = 100_000_000
 """Most cells that are read."""
+_CHUNK = 200_000  # rows parsed at once
 
 
 @dataclass(frozen=True)
@@ -110,7 +113,7 @@ def read_table(path: str | Path, error: type[InvalidInputError]) -> Table:
         if _suffix(file, error) == ".parquet":
             return _read_parquet(file, error)
         with file.open("rb") as raw:
-            return _read_csv(_plain(raw, file, error), file, error)
+            return _read_csv(io.BufferedReader(_Guarded(raw, file, error)), file, error)
 
 
 def column_names(path: str | Path, error: type[InvalidInputError]) -> list[str]:
@@ -126,7 +129,8 @@ def column_names(path: str | Path, error: type[InvalidInputError]) -> list[str]:
         if _suffix(file, error) == ".parquet":
             raise error(f"{file} is no CSV file")
         with file.open("rb") as raw:
-            return _header(_plain(raw, file, error).readline(MAX_HEADER + 1), file, error)
+            stream = io.BufferedReader(_Guarded(raw, file, error))
+            return _header(stream.readline(MAX_HEADER + 1), file, error)
 
 
 @contextmanager
@@ -149,22 +153,16 @@ def _suffix(file: Path, error: type[InvalidInputError]) -> str:
     return suffix
 
 
-def _plain(raw: BinaryIO, file: Path, error: type[InvalidInputError]) -> BinaryIO:
-    """Return the file's text as bytes, decompressed where need be."""
-    if file.suffix.lower() == ".gz":
-        return io.BufferedReader(_Unzipped(raw, file, error))
-    if file.stat().st_size > MAX_BYTES:
-        raise error(f"{file} is larger than {MAX_BYTES >> 20} MiB; split it")
-    return raw
+class _Guarded(io.RawIOBase):
+    """A text file, unzipped where need be, with an end to its size and to its lines.
 
-
-class _Unzipped(io.RawIOBase):
-    """A gzip file, read with an end to its size: a few bytes can hold terabytes."""
+    A few bytes of gzip can hold terabytes, and a line without an end would fill the memory.
+    """
 
     def __init__(self, raw: BinaryIO, file: Path, error: type[InvalidInputError]) -> None:
         super().__init__()
-        self._stream = gzip.GzipFile(fileobj=raw)
-        self._file, self._error, self._left = file, error, MAX_BYTES
+        self._stream = gzip.GzipFile(fileobj=raw) if file.suffix.lower() == ".gz" else raw
+        self._file, self._error, self._left, self._line = file, error, MAX_BYTES, 0
 
     def readable(self) -> bool:
         return True
@@ -172,17 +170,23 @@ class _Unzipped(io.RawIOBase):
     def readinto(self, buffer: WriteableBuffer, /) -> int:
         view = memoryview(buffer).cast("B")
         try:
-            count = self._stream.readinto(view)
+            data = self._stream.read(len(view))
         except (gzip.BadGzipFile, EOFError, zlib.error) as problem:
             raise self._error(
                 f"{self._file} is no sound gzip file ({problem}); copy or compress it anew"
             ) from None
-        self._left -= count
+        view[: len(data)] = data
+        self._left -= len(data)
         if self._left < 0:
+            raise self._error(f"{self._file} holds more than {MAX_BYTES >> 20} MiB; split it")
+        end = data.rfind(b"\n")
+        self._line = len(data) - 1 - end if end >= 0 else self._line + len(data)
+        if self._line > MAX_LINE:
             raise self._error(
-                f"{self._file} holds more than {MAX_BYTES >> 20} MiB of text; split it"
+                f"{self._file} has a line longer than {MAX_LINE >> 10} KiB; this is no table of "
+                "numbers"
             )
-        return count
+        return len(data)
 
 
 def _header(line: bytes, file: Path, error: type[InvalidInputError]) -> list[str]:
@@ -227,11 +231,12 @@ def _read_csv(stream: BinaryIO, file: Path, error: type[InvalidInputError]) -> T
 
     names = _header(stream.readline(MAX_HEADER + 1), file, error)
     most = MAX_CELLS // len(names)
+    columns = _Columns(names, 2, "line")
     try:
         with warnings.catch_warnings():
             # Rows wider than the header would lose their surplus with no more than a warning.
             warnings.simplefilter("error", pd.errors.ParserWarning)
-            frame = pd.read_csv(
+            for frame in pd.read_csv(
                 stream,
                 header=None,
                 names=names,
@@ -239,10 +244,15 @@ def _read_csv(stream: BinaryIO, file: Path, error: type[InvalidInputError]) -> T
                 skip_blank_lines=False,  # so that rows keep their line numbers
                 skipinitialspace=True,
                 low_memory=False,
-                nrows=most + 1,
-            )
+                chunksize=_CHUNK,  # the parser's memory is several times that of the numbers
+            ):
+                columns.add(frame)
+                if columns.rows > most:
+                    raise error(
+                        f"{file} has more than {most} rows of {len(names)} columns; split it"
+                    )
     except pd.errors.EmptyDataError:
-        frame = pd.DataFrame({name: np.zeros(0) for name in names})
+        pass
     except pd.errors.ParserWarning:
         raise error(
             f"{file}: rows have more cells than the {len(names)} names of line 1; name every column"
@@ -251,9 +261,7 @@ def _read_csv(stream: BinaryIO, file: Path, error: type[InvalidInputError]) -> T
         raise error(f"{file} is no table: {_with_line(str(problem))}") from None
     except UnicodeDecodeError as problem:
         raise error(f"{file} is no UTF-8 text ({problem.reason}); save it as such") from None
-    if len(frame) > most:
-        raise error(f"{file} has more than {most} rows of {len(names)} columns; split it")
-    return _table(frame, file, 2, "line", error)
+    return columns.table(file, error)
 
 
 def _with_line(problem: str) -> str:
@@ -281,31 +289,52 @@ def _read_parquet(file: Path, error: type[InvalidInputError]) -> Table:
     except (pa.ArrowException, pa.ArrowInvalid, OSError) as problem:
         first = (str(problem).splitlines() or [""])[0]
         raise error(f"{file} is no sound Parquet file: {first}") from None
-    return _table(frame, file, 1, "row", error)
+    names = [str(name) for name in frame.columns]
+    if len(set(names)) < len(names):
+        raise error(f"{file} names a column twice; rename one")
+    columns = _Columns(names, 1, "row")
+    columns.add(frame)
+    return columns.table(file, error)
 
 
-def _table(
-    frame: pd.DataFrame, file: Path, first: int, unit: str, error: type[InvalidInputError]
-) -> Table:
-    """Sort the columns into numbers and text."""
-    import pandas as pd
+class _Columns:
+    """Columns as they are read, piece by piece, sorted into numbers and text."""
 
-    numbers: dict[str, FloatArray] = {}
-    text: dict[str, str] = {}
-    for name, series in frame.items():
-        label = str(name)
-        if pd.api.types.is_datetime64_any_dtype(series):
-            stamps = series.to_numpy("datetime64[ns]")
-            seconds = (stamps - np.datetime64(0, "ns")) / np.timedelta64(1, "s")
-            numbers[label] = np.asarray(seconds, float)
-            continue
-        if series.dtype == object:  # text among numbers, or integers beyond 64 bits
-            series = series.astype("string")
-        values = pd.to_numeric(series, errors="coerce").to_numpy(float, na_value=np.nan)
-        bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
-        if len(bad):
-            k = int(bad[0])
-            text[label] = f"{unit} {first + k}: {label!r} is {str(series.iloc[k])[:40]!r}"
-        else:
-            numbers[label] = values
-    return Table(file.name, numbers, text, first, unit, error)
+    def __init__(self, names: list[str], first: int, unit: str) -> None:
+        self.rows, self._first, self._unit = 0, first, unit
+        self._numbers: dict[str, list[FloatArray]] = {name: [] for name in names}
+        self._text: dict[str, str] = {}
+
+    def add(self, frame: pd.DataFrame) -> None:
+        """Take in the next rows."""
+        import pandas as pd
+
+        for label, series in zip(self._numbers, (frame[name] for name in frame), strict=True):
+            if label in self._text:
+                continue
+            if pd.api.types.is_datetime64_any_dtype(series):
+                stamps = series.to_numpy("datetime64[ns]")
+                seconds = (stamps - np.datetime64(0, "ns")) / np.timedelta64(1, "s")
+                self._numbers[label].append(np.asarray(seconds, float))
+                continue
+            if series.dtype == object:  # text among numbers, or integers beyond 64 bits
+                series = series.astype("string")
+            values = pd.to_numeric(series, errors="coerce").to_numpy(float, na_value=np.nan)
+            bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
+            if len(bad):
+                k = int(bad[0])
+                place = f"{self._unit} {self._first + self.rows + k}"
+                self._text[label] = f"{place}: {label!r} is {str(series.iloc[k])[:40]!r}"
+                self._numbers[label].clear()
+            else:
+                self._numbers[label].append(values)
+        self.rows += len(frame)
+
+    def table(self, file: Path, error: type[InvalidInputError]) -> Table:
+        """Return what was read."""
+        numbers = {
+            name: np.concatenate(parts) if parts else np.zeros(0)
+            for name, parts in self._numbers.items()
+            if name not in self._text
+        }
+        return Table(file.name, numbers, self._text, self._first, self._unit, error)

@@ -79,6 +79,20 @@ def test_parquet_holds_what_was_written(tmp_path, noisy):
         assert_array_equal(log.channels[channel], values)
 
 
+def test_lines_are_counted_across_pieces(tmp_path, monkeypatch):
+    monkeypatch.setattr(_tables, "_CHUNK", 7)
+    rows = [f"{k},1,1,5,{'word' if k == 33 else k}" for k in range(40)]
+    file = write(tmp_path, "\n".join([HEAD.strip() + ",mine", *rows]) + "\n")
+    log = DriveLog.read(file)
+    assert_array_equal(log.t, np.arange(40.0))
+    assert "columns of text are left out: mine" in log.warnings
+    with pytest.raises(DriveLogError, match="line 35: 'mine' is 'word'"):
+        DriveLog.read(file, "slope=mine")
+    rows[20] = "19,1,1,6,0"
+    with pytest.raises(DriveLogError, match="line 22: t does not increase"):
+        DriveLog.read(write(tmp_path, "\n".join([HEAD.strip() + ",mine", *rows])))
+
+
 def test_columns_are_mapped_and_converted(tmp_path, noisy):
     raw = dict(noisy.channels)
     foreign = {
@@ -198,6 +212,8 @@ def test_absurdly_wide_and_long_tables_are_refused(tmp_path, monkeypatch):
         DriveLog.read(write(tmp_path, "a," * 5000 + "\n"))
     with pytest.raises(DriveLogError, match="line 1 is longer"):
         DriveLog.read(write(tmp_path, "column," * 1_000_000))
+    with pytest.raises(DriveLogError, match="line longer than 1024 KiB"):
+        DriveLog.read(write(tmp_path, HEAD + "1," * 1_000_000))
     monkeypatch.setattr(_tables, "MAX_CELLS", 40)
     with pytest.raises(DriveLogError, match="more than 10 rows"):
         DriveLog.read(write(tmp_path, HEAD + "".join(f"{k},1,1,5\n" for k in range(11))))
