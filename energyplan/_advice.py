@@ -48,7 +48,9 @@ def mass_advice(model: PowerModel, effects: Sequence[str]) -> list[str]:
     return lines
 
 
-def mimic_advice(unexplained: Sequence[Dependence], effects: Sequence[str]) -> list[str]:
+def mimic_advice(
+    unexplained: Sequence[Dependence], effects: Sequence[str], mimics: Sequence[str] = ()
+) -> list[str]:
     """Say that what was found may stand for something the catalogue does not have."""
     if not unexplained:
         return []
@@ -64,9 +66,15 @@ def mimic_advice(unexplained: Sequence[Dependence], effects: Sequence[str]) -> l
             f"the residual still depends on {first.channel} ({first.shape}): {names} may stand in "
             "for something that the catalogue does not have"
         ]
-    return [
+    lines = [
         f"no effect of the catalogue fits; look at what changes with {first.channel}: {first.shape}"
     ]
+    if mimics:
+        names = ", ".join(_plain(name) for name in mimics)
+        lines.append(
+            f"{names} helped only as long as {first.channel} was left out, and was dropped"
+        )
+    return lines
 
 
 def untested_advice(untested: Sequence[tuple[str, str]], effects: Sequence[str]) -> list[str]:

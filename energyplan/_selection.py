@@ -30,6 +30,15 @@ WORTHWHILE = 0.05
 _SAME = 0.98
 """Share of a rival's gain that counts as doing as well."""
 
+_FINE = 0.04
+"""Share of the floor, a fifth of the error, below which ranking does not look."""
+
+_WEIGHTS = (1.0, 2.0, 3.0)
+"""Weight of each scale in ranking."""
+
+_SPENT = 0.5
+"""Share of a rival's gain that must be gone once the effect is in the model."""
+
 _CLEARLY = 0.05
 """By how much more of the error something smooth must explain than a sudden change."""
 
@@ -50,6 +59,8 @@ class Trial:
         Fall of the cross-validated error, mean over the scales, and its standard error.
     p_value : float
         Of its coefficients being zero.
+    looks : int
+        Bonferroni's factor: effects tried, times the variants of this one.
     """
 
     part: Part
@@ -58,6 +69,7 @@ class Trial:
     gain: float
     gain_error: float
     p_value: float
+    looks: int = 1
 
 
 @dataclass(frozen=True)
@@ -67,7 +79,6 @@ class Chosen:
     part: Part
     trial: Trial
     rivals: tuple[Trial, ...]
-    tried: int
 
 
 @dataclass(frozen=True)
@@ -221,30 +232,32 @@ class Selector:
     def _size(self, part: Part, terms: Sequence[Term], found: Fit) -> float:
         return part.effect.value(PowerModel(self.problem.vehicle, tuple(terms), found.values))
 
-    def _acceptable(self, trial: Trial, tried: int) -> bool:
+    def _acceptable(self, trial: Trial) -> bool:
         return (
-            trial.gain > max(WORTHWHILE, trial.gain_error) and trial.p_value * tried < SIGNIFICANCE
+            trial.gain > max(WORTHWHILE, trial.gain_error)
+            and trial.p_value * trial.looks < SIGNIFICANCE
         )
 
-    def trials(self, parts: Sequence[Part]) -> tuple[list[Trial], int]:
+    def trials(self, parts: Sequence[Part]) -> list[Trial]:
         """Fit the best variant of every effect that is not in the model yet."""
         errors = self.problem.reference(self.problem.design(terms_of(parts)))
         design = self.problem.design(terms_of(parts), errors)
         now = fit(design, errors)
         taken = {term.name for part in parts for term in part.effect.terms}
-        found, tried = [], 0
+        found = []
         for effect in self.effects:
             if taken & {term.name for term in effect.terms}:
                 continue
             best: Trial | None = None
+            looks = 0
             for part in self._variants(effect):
-                tried += self._looks(effect)
+                looks += self._looks(effect)
                 trial = self._trial(part, parts, now, design, errors)
                 if trial is not None and (best is None or trial.fit.loss < best.fit.loss):
                     best = trial
             if best is not None and self._plausible(best, parts):
-                found.append(best)
-        return found, max(tried, 1)
+                found.append(replace(best, looks=looks * len(self.effects)))
+        return found
 
     # -- the loop -------------------------------------------------------------------------------
 
@@ -255,24 +268,45 @@ class Selector:
             parts = [choice.part for choice in chosen]
             share = len(chosen) / (self.limit + 1)
             self.progress(share, f"trying {len(self.effects)} effects beside {len(chosen)}")
-            found, tried = self.trials(parts)
-            good = [trial for trial in found if self._acceptable(trial, tried)]
+            found = self.trials(parts)
+            if chosen:
+                chosen[-1] = self._with_true_rivals(chosen[-1], found)
+            good = [trial for trial in found if self._acceptable(trial)]
             if not good or len(chosen) >= self.limit:
                 break
             good = self._without_ramps(good, parts)
             if not good:
                 break
-            best = min(good, key=lambda trial: trial.fit.loss)
+            top = max(self._merit(trial) for trial in good)
             # Exact ties go to the effect that comes first in the catalogue.
-            best = next(t for t in good if t.fit.loss <= best.fit.loss * (1 + 1e-6) + 1e-9)
+            best = next(trial for trial in good if self._merit(trial) >= top - 1e-6)
             rivals = tuple(
                 trial for trial in good if trial is not best and self._rivals(trial, best)
             )
             self.problem = best.problem
             part = self._refined(best.part, parts)
-            chosen.append(Chosen(part, best, rivals, tried))
+            chosen.append(Chosen(part, best, rivals))
             chosen = self._without_superfluous(chosen)
         return Selection(self.problem, tuple(chosen), tuple(self.untested))
+
+    def _merit(self, trial: Trial) -> float:
+        """Return the mean logarithm of the fall of the error over the scales.
+
+        An effect that removes the error of one scale ranks before one that halves that of all, and
+        the longer scales count for more: what lasts adds up to energy.
+        """
+        fall = np.log(trial.fit.errors + _FINE * self.problem.floor)
+        return -float(np.average(fall, weights=_WEIGHTS))
+
+    def _with_true_rivals(self, choice: Chosen, found: Sequence[Trial]) -> Chosen:
+        """Keep those rivals that help no longer once the effect is in the model."""
+        after = {trial.part.effect.name: trial.gain for trial in found}
+        rivals = tuple(
+            rival
+            for rival in choice.rivals
+            if after.get(rival.part.effect.name, 0.0) < _SPENT * rival.gain
+        )
+        return replace(choice, rivals=rivals)
 
     def _rivals(self, trial: Trial, best: Trial) -> bool:
         gap, error = difference(trial.fit.losses, best.fit.losses)
@@ -314,13 +348,17 @@ class Selector:
     def _without_superfluous(self, chosen: list[Chosen]) -> list[Chosen]:
         """Take out effects that the later ones made unnecessary."""
         for choice in chosen[:-1]:
-            rest = [other for other in chosen if other is not choice]
-            full_parts = [other.part for other in chosen]
-            errors = self.problem.reference(self.problem.design(terms_of(full_parts)))
-            full = fit(self.problem.design(terms_of(full_parts), errors), errors)
-            less_terms = terms_of([other.part for other in rest])
-            less = fit(self.problem.design(less_terms, errors), errors)
-            gap, error = difference(less.losses, full.losses)
-            if gap <= max(error, WORTHWHILE * len(errors)):
-                chosen = rest
+            parts = [other.part for other in chosen]
+            if is_needless(self.problem, parts, choice.part):
+                chosen = [other for other in chosen if other is not choice]
         return chosen
+
+
+def is_needless(problem: Problem, parts: Sequence[Part], which: Part) -> bool:
+    """Tell whether a model predicts as well without one of its parts."""
+    errors = problem.reference(problem.design(terms_of(parts)))
+    full = fit(problem.design(terms_of(parts), errors), errors)
+    rest = [part for part in parts if part is not which]
+    less = fit(problem.design(terms_of(rest), errors), errors)
+    gap, error = difference(less.losses, full.losses)
+    return gap <= max(error, WORTHWHILE * len(errors))

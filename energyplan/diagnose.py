@@ -20,7 +20,7 @@ from energyplan._fitting import PAPER, Part, Problem
 from energyplan._holdout import ErrorInterval, Prediction, interval, predict, score
 from energyplan._mass_centre import MassCentre, find_mass_centre
 from energyplan._residual import Dependence, dependences
-from energyplan._selection import SIGNIFICANCE, Chosen, Selection, Selector
+from energyplan._selection import SIGNIFICANCE, Chosen, Selection, Selector, is_needless
 from energyplan.drivelog import DriveLog
 from energyplan.effects import Effect, catalogue, empirical_term
 from energyplan.errors import InvalidInputError, NotIdentifiableError
@@ -40,6 +40,9 @@ __all__ = [
 
 _TELLING = 0.1
 """Share of the error that a channel must explain to be called a reason."""
+
+_MOSTLY = 0.3
+"""Share from which on a channel is asked whether it makes the effects found unnecessary."""
 
 Progress = Callable[[float, str], object]
 
@@ -177,6 +180,15 @@ class _Case:
             if one.p_value < SIGNIFICANCE
             and one.explained_variance > max(_TELLING, 2 * one.std_error)
         ]  # fmt: skip
+        mimics: list[str] = []
+        if left and left[0].knots and left[0].explained_variance > _MOSTLY:
+            smooth = _smooth_part(left[0])
+            for choice in list(chosen):
+                parts = (*(other.part for other in chosen), smooth)
+                if is_needless(selection.problem, parts, choice.part):
+                    chosen.remove(choice)
+                    mimics.append(choice.part.effect.name)
+        parts = tuple(choice.part for choice in chosen)
         if empirical and left and left[0].knots:
             parts = (*parts, _smooth_part(left[0]))
         fitted = final_fit(selection.problem, parts)
@@ -192,7 +204,7 @@ class _Case:
         names = [effect.name for effect in found]
         used = [choice.part.effect for choice in chosen]
         advice = [
-            *_advice.mimic_advice(left, names),
+            *_advice.mimic_advice(left, names, mimics),
             *_advice.rival_advice(chosen),
             *_advice.mass_advice(fitted.model, names),
             *_advice.log_advice(used),
@@ -217,7 +229,7 @@ class _Case:
             paper=replace(self.paper, residual=score(before)),
             dependences_before=told_before,
             dependences_after=told_after,
-            withdrawn=tuple(withdrawn),
+            withdrawn=(*withdrawn, *mimics),
             predictions_before=tuple(one.power for one in before),
             predictions_after=tuple(one.power for one in after),
         )
@@ -267,7 +279,7 @@ class _Case:
             found.append(
                 FoundEffect(
                     entry.name, entry.symbol, value, entry.unit, error,
-                    Evidence(trial.gain, trial.gain_error, min(trial.p_value * choice.tried, 1.0)),
+                    Evidence(trial.gain, trial.gain_error, min(trial.p_value * trial.looks, 1.0)),
                     tuple(rival.part.effect.name for rival in choice.rivals),
                     details, entry.meaning, entry.planner,
                 )

@@ -1,0 +1,448 @@
+"""Diagnosis: hidden effects are named and sized, nothing is claimed where nothing is hidden."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from energyplan import DriveLog, EnergyCost, diagnose, simulate
+from energyplan._design import Design, Drive
+from energyplan._effect_terms import (
+    DRAGGING_LEFT,
+    MOBILISATION,
+    SLIP_SPEED,
+    TOWING_FORCE,
+    TRACTION_ASYMMETRY,
+    TURN_ASYMMETRY,
+)
+from energyplan._fitting import Problem, fit, solve, weighted
+from energyplan._identifiability import linearise as reference_linearise
+from energyplan._linear import linearise
+from energyplan._mass_centre import find_mass_centre, twist
+from energyplan._quiet import quiet, speed_noise
+from energyplan._residual import in_words
+from energyplan.diagnose import Diagnosis
+from energyplan.effects import (
+    AIR_DRAG,
+    ANGULAR_INERTIA,
+    COPPER_LOSS,
+    GRADE,
+    LINEAR_INERTIA,
+    VISCOUS_LOSS,
+    WARM_UP,
+)
+from energyplan.errors import DriveLogError, InvalidInputError
+from energyplan.motion import Motion
+from energyplan.power import HOTEL, SLIP, TABLE_II, TRACTION, PowerModel, Sides, Term
+from energyplan.vehicle import GRAVITY, Vehicle, wheel_loads
+
+NOISE: dict[str, Any] = {"power_noise": 5.0, "speed_noise": 0.005}
+PAPER = PowerModel.preset("quadriga:full:concrete")
+VEHICLE = PAPER.vehicle
+
+
+def _told(
+    model: PowerModel, seed: int = 1, count: int = 1, keep: tuple[str, ...] = (), **options: Any
+) -> Diagnosis:
+    """Diagnose simulated drives of a model, without slope and accelerometer channels."""
+    hidden = {"accel_x", *(("slope",) if options.get("slope") else ())} - set(keep)
+    options = {**NOISE, **options, "without": hidden}
+    train = [
+        simulate.identification_drive(model, seed=10 * seed + k, name=f"train {k}", **options)
+        for k in range(count)
+    ]
+    unseen = simulate.validation_drive(model, seed=10 * seed + 9, name="unseen", **options)
+    return diagnose(train, unseen, model.vehicle)
+
+
+HIDDEN: list[tuple[str, Term, float, dict[str, Any]]] = [
+    ("hotel_load", HOTEL, 25.0, {}),
+    ("grade", GRADE, 147.1, {"slope": 0.06, "uphill": 0.7, "keep": ("slope",)}),
+    ("linear_inertia", LINEAR_INERTIA, 150.0, {"accel_limit": 1.0}),
+    ("angular_inertia", ANGULAR_INERTIA, 30.0, {"accel_limit": 1.5}),
+    ("viscous_loss", VISCOUS_LOSS, 40.0, {}),
+    ("air_drag", AIR_DRAG, 90.0, {}),
+    ("copper_loss", COPPER_LOSS, 4e-4, {}),
+    ("warm_up", replace(WARM_UP, params={"time_constant": 50.0}), 35.0, {}),
+    ("traction_asymmetry", TRACTION_ASYMMETRY, 18.0, {}),
+    ("dragging_wheel_left", DRAGGING_LEFT, 30.0, {}),
+    ("turn_asymmetry", TURN_ASYMMETRY, -0.06, {}),
+    ("slip_speed_friction", SLIP_SPEED, 0.35, {}),
+    ("friction_mobilisation", replace(MOBILISATION, params={"radius": 1.0}), 0.4, {}),
+    ("towing_force", TOWING_FORCE, -25.0, {}),
+]
+
+
+@pytest.mark.parametrize(("name", "term", "size", "options"), HIDDEN, ids=[h[0] for h in HIDDEN])
+def test_a_hidden_effect_is_named_and_sized(
+    name: str, term: Term, size: float, options: dict[str, Any]
+) -> None:
+    told = _told(PAPER.with_term(term, size), **options)
+    assert told.verdict == "effect_found"
+    first = told.effects[0]
+    assert name == first.name or name in first.rivals
+    if name == first.name:
+        assert abs(first.value - size) < max(0.15 * abs(size), 3 * first.std_error)
+    assert told.after.rmse < told.before.rmse
+    assert abs(told.after.energy_error) < 0.02
+    assert told.after_interval.rmse[0] <= told.after.rmse <= told.after_interval.rmse[1]
+
+
+def test_a_tilted_plane_is_found_from_the_heading_alone() -> None:
+    told = _told(PAPER.with_term(GRADE, VEHICLE.mass), slope=0.07, uphill=-1.1)
+    first = told.effects[0]
+    assert first.name == "tilted_plane"
+    assert first.value == pytest.approx(0.07, abs=4 * first.std_error)
+    uphill = np.arctan2(first.details["tilt_y"], first.details["tilt_x"])
+    assert uphill == pytest.approx(-1.1, abs=0.05)
+
+
+def test_an_accelerometer_shows_weight_and_inertia_together() -> None:
+    model = PAPER.with_term(GRADE, 160.0).with_term(LINEAR_INERTIA, 160.0)
+    options = {**NOISE, "slope": 0.05, "without": {"slope", "x", "y", "yaw"}, "accel_limit": 0.6}
+    train = simulate.identification_drive(model, seed=1, **options)
+    unseen = simulate.validation_drive(model, seed=2, **options)
+    first = diagnose(train, unseen, VEHICLE).effects[0]
+    assert first.name == "specific_force"
+    assert first.value == pytest.approx(160.0, rel=0.05)
+
+
+def test_a_payload_change_is_found_with_its_time_and_its_rival() -> None:
+    lighter = PAPER.with_coefficients(PAPER.coefficients * [0.7, 0.85])
+    drives = [
+        make(
+            PAPER,
+            seed=k,
+            name=f"drive {k}",
+            changes=[(time, lighter)],
+            without={"accel_x"},
+            **NOISE,
+        )
+        for k, (make, time) in enumerate(
+            [(simulate.identification_drive, 70.0), (simulate.validation_drive, 55.0)]
+        )
+    ]
+    told = diagnose(drives[0], drives[1], VEHICLE)
+    first = told.effects[0]
+    assert first.name == "payload_change" and "surface_change" in first.rivals
+    assert first.value == pytest.approx(-0.3 * VEHICLE.mass, abs=3 * first.std_error + 1.0)
+    assert first.details["time in drive 0"] == pytest.approx(70.0, abs=1.0)
+    assert first.details["time in drive 1"] == pytest.approx(55.0, abs=1.0)
+    assert any("weigh the robot" in line for line in told.advice)
+    # A planner gets the robot as it is now.
+    slip = told.model.breakdown(Motion.from_twist(0.0, 1.0, VEHICLE.icr, t=1e9))
+    now = float(slip["slip_friction"] + slip["slip_change"]) / VEHICLE.slip_moment
+    assert now == pytest.approx(0.7 * PAPER.coefficient("slip_friction"), rel=0.03)
+
+
+def test_power_logged_late_is_the_logs_fault_and_stays_out_of_the_plan() -> None:
+    told = _told(PAPER, delays={"p_left": 0.5, "p_right": 0.5})
+    first = told.effects[0]
+    assert (first.name, first.planner) == ("time_offset", "no")
+    assert first.value == pytest.approx(0.5, abs=2 * first.std_error)
+    assert [term.name for term in told.model.terms] == ["slip_friction", "traction_resistance"]
+    assert told.model.coefficient("traction_resistance") == pytest.approx(118.0, rel=0.02)
+    assert any("belongs to the log" in line for line in told.advice)
+
+
+def test_a_pair_of_effects_is_found_together() -> None:
+    model = PAPER.with_term(HOTEL, 30.0).with_term(GRADE, VEHICLE.mass)
+    told = _told(model, slope=0.06, uphill=0.4, count=2)
+    found = {effect.name: effect.value for effect in told.effects}
+    assert set(found) == {"hotel_load", "tilted_plane"}
+    assert found["hotel_load"] == pytest.approx(30.0, rel=0.05)
+    assert told.after.rmse < 7.6  # 5 W a side is 7.1 W
+    rivals = {effect.name: effect.rivals for effect in told.effects}
+    assert rivals["hotel_load"] == ("power_offset",)
+    assert any("standstill" in line for line in told.advice)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_nothing_is_claimed_where_nothing_is_hidden(seed: int) -> None:
+    names = list(TABLE_II)
+    model = PowerModel.preset(names[seed % len(names)])
+    told = _told(model, seed=100 + seed, correlation_time=(0.0, 0.3, 1.0)[seed % 3])
+    assert told.verdict == "no_effect", told.effects
+    assert told.after == told.before
+
+
+def _bearing(motion: Motion, vehicle: Vehicle) -> Sides:
+    return Sides(np.sign(motion.v_left) * (motion.omega > 0.02), np.zeros(motion.shape))
+
+
+def _wear(motion: Motion, vehicle: Vehicle) -> Sides:
+    share = motion.channel("t") / 100.0
+    return Sides(share * np.sign(motion.v_left), share * np.sign(motion.v_right))
+
+
+def _pump(motion: Motion, vehicle: Vehicle) -> np.ndarray:
+    return np.asarray(np.sin(2 * np.pi * motion.channel("t") / 7.3))
+
+
+def test_what_the_catalogue_lacks_is_unexplained_with_its_channel() -> None:
+    wear = _told(PAPER.with_term(Term("wear", "k", "N", "force", _wear), 30.0), count=2)
+    assert wear.verdict == "unexplained" and not wear.effects
+    assert wear.unexplained[0].channel in ("t", "distance")
+    assert wear.unexplained[0].shape.startswith("traction resistance rises")
+    assert wear.unexplained[0].explained_variance > 0.8
+    pump = _told(PAPER.with_term(Term("pump", "P", "W", "power", _pump), 25.0))
+    assert pump.verdict == "unexplained"
+    assert (pump.unexplained[0].channel, pump.unexplained[0].shape) == (
+        "t",
+        "periodic load, period 7.3 s",
+    )
+
+
+def test_an_effect_that_only_mimics_says_so() -> None:
+    told = _told(PAPER.with_term(Term("bearing", "k", "N", "force", _bearing), 40.0), count=2)
+    assert told.effects[0].name == "turn_asymmetry"
+    assert told.unexplained[0].channel == "omega"
+    assert "may stand in for something" in told.advice[0]
+
+
+def test_a_smooth_term_improves_what_stays_unexplained() -> None:
+    model = PAPER.with_term(Term("wear", "k", "N", "force", _wear), 30.0)
+    logs = [simulate.identification_drive(model, seed=k, **NOISE) for k in (1, 2)]
+    unseen = simulate.validation_drive(model, seed=3, **NOISE)
+    plain, smooth = (diagnose(logs, unseen, VEHICLE, empirical=on) for on in (False, True))
+    assert plain.after == plain.before
+    assert smooth.unexplained[0].empirical
+    assert smooth.after.rmse < 0.7 * smooth.before.rmse
+    assert smooth.model.terms[-1].name.startswith("empirical_")
+
+
+def test_the_extended_model_goes_straight_into_the_cost() -> None:
+    told = _told(PAPER.with_term(HOTEL, 25.0))
+    hotel = told.effects[0].value
+    cost = EnergyCost(told.model, speed=0.5)
+    straight = float(cost.segment_energy(np.array([1.0]), np.array([0.0]))[0])
+    K = told.model.coefficient("traction_resistance")
+    assert straight == pytest.approx(2 * K + hotel / 0.5, rel=1e-6)
+    assert told.model.residual == told.after
+    assert told.model.covariance is not None
+
+
+def test_drives_and_their_errors_are_checked() -> None:
+    log = simulate.identification_drive(PAPER)
+    short = log.segment(0.0, 10.0)
+    with pytest.raises(InvalidInputError, match="train is empty"):
+        diagnose([], log, VEHICLE)
+    with pytest.raises(InvalidInputError, match="holdout is empty"):
+        diagnose(log, [], VEHICLE)
+    with pytest.raises(InvalidInputError, match="in train and in holdout"):
+        diagnose([log], [log], VEHICLE)
+    with pytest.raises(DriveLogError, match="too short to learn from"):
+        diagnose(short, log, VEHICLE)
+
+
+def test_progress_rises_and_the_answer_is_reproducible() -> None:
+    model = PAPER.with_term(HOTEL, 25.0)
+    train = simulate.identification_drive(model, seed=1, **NOISE)
+    unseen = simulate.validation_drive(model, seed=2, **NOISE)
+    seen: list[float] = []
+    one = diagnose(train, unseen, VEHICLE, progress=lambda share, text: seen.append(share))
+    two = diagnose(train, unseen, VEHICLE)
+    assert seen == sorted(seen) and seen[0] == 0.0 and seen[-1] == 1.0
+    assert one.effects == two.effects and one.after_interval == two.after_interval
+
+
+# -- parts, against second algorithms -------------------------------------------------------------
+
+
+def _problem(model: PowerModel = PAPER, **options: Any) -> Problem:
+    logs = [simulate.identification_drive(model, seed=k, **NOISE, **options) for k in (1, 2)]
+    return Problem([Drive.of(log, VEHICLE) for log in logs], VEHICLE)
+
+
+def test_leaving_out_blocks_equals_fitting_without_them() -> None:
+    problem = _problem(duration=120.0)
+    design = problem.design((SLIP, TRACTION))
+    errors = np.array([3.0, 2.0, 1.0])
+    found = fit(design, errors)
+
+    def rows(keep: np.ndarray) -> np.ndarray:
+        parts = [
+            table[keep[block]] / np.sqrt(error * len(table))
+            for table, block, error in zip(design.rows, design.blocks, errors, strict=True)
+        ]
+        return np.concatenate(parts)
+
+    whole = rows(np.ones(len(design.drives), bool))
+    direct = np.linalg.lstsq(whole[:, :-1], whole[:, -1], rcond=None)[0]
+    assert found.values == pytest.approx(direct, rel=1e-6)
+    for block in (0, 5, len(design.drives) - 1):
+        keep = np.arange(len(design.drives)) != block
+        part, out = rows(keep), rows(~keep)
+        held = np.linalg.lstsq(part[:, :-1], part[:, -1], rcond=None)[0]
+        loss = float(np.sum((out[:, -1] - out[:, :-1] @ held) ** 2))
+        assert found.losses[block] == pytest.approx(loss, rel=1e-6)
+
+
+def test_windows_keep_the_energy() -> None:
+    problem = _problem(duration=120.0)
+    drive = problem.drives[0]
+    for windows in drive.windows:
+        total = float(windows.counts @ windows.mean(drive.power))
+        assert total == pytest.approx(float(drive.power.sum()))
+    design = Design.of([drive], [np.ones((len(drive.t), 1))], [drive.power])
+    assert solve(weighted(design, np.ones(3)).sum(axis=0)) == pytest.approx(
+        [float(drive.power.mean())], rel=0.05
+    )
+
+
+def test_losses_linearise_as_the_model_itself_does() -> None:
+    terms = (SLIP, TRACTION, HOTEL, COPPER_LOSS, LINEAR_INERTIA)
+    values = np.array([0.6, 110.0, 20.0, 3e-4, 150.0])
+    drive = _problem(duration=120.0).drives[0]
+    about = linearise(drive, VEHICLE, terms, values)
+    reference = reference_linearise(PowerModel(VEHICLE, terms, values), drive.motion)
+    assert about.power == pytest.approx(reference.power, rel=1e-9, abs=1e-9)
+    assert about.columns == pytest.approx(reference.jacobian, rel=1e-4, abs=1e-3)
+
+
+def test_noise_is_measured_and_taken_out_without_moving_the_truth() -> None:
+    options = {"seed": 3, "rate": 20.0}
+    clean = simulate.identification_drive(PAPER, **options)
+    noisy = simulate.identification_drive(PAPER, speed_noise=0.005, **options)
+    assert speed_noise(noisy.channels["v_left"]) == pytest.approx(0.005, rel=0.1)
+    truth = clean.motion(VEHICLE.icr)
+    before, after = noisy.motion(VEHICLE.icr), quiet(noisy.motion(VEHICLE.icr), noisy.t)
+    rest = (truth.v_left == 0) & (truth.v_right == 0)
+    assert np.mean(after.v_left[rest] == 0.0) > 0.95 and np.mean(before.v_left[rest] == 0.0) < 0.05
+    assert np.std(after.v_left - truth.v_left) < 0.6 * np.std(before.v_left - truth.v_left)
+
+
+def test_the_twist_of_least_loss_balances_friction() -> None:
+    loads = wheel_loads(VEHICLE.contacts, VEHICLE.mass, (0.06, 0.03))
+    left, right = np.array([0.3, -0.4, 0.6]), np.array([0.5, 0.4, 0.2])
+    found = twist(VEHICLE, loads / loads.sum(), left, right, np.zeros(3))
+    x, y = VEHICLE.contacts.T
+    for (u, q, w), one, two in zip(found, left, right, strict=True):
+        ahead = u - w * y - np.where(y > 0, one, two)
+        aside = q + w * x
+        size = np.hypot(np.hypot(ahead, aside), 1e-3)
+        fx, fy = loads * ahead / size, loads * aside / size
+        # Sideways and in yaw, and forwards, the ground's forces cancel: the treads carry none.
+        assert np.sum(fx) == pytest.approx(0.0, abs=1e-3 * loads.sum())
+        assert np.sum(fy) == pytest.approx(0.0, abs=1e-3 * loads.sum())
+        assert np.sum(x * fy - y * fx) == pytest.approx(0.0, abs=1e-3 * loads.sum())
+    # Spinning with the mass in the middle, the tread ICRs lie where docs/theory, section 1 says.
+    even = np.full(4, 0.25)
+    spin = twist(VEHICLE, even, np.array([-0.4]), np.array([0.4]), np.zeros(1))[0]
+    assert 0.4 / spin[2] == pytest.approx(0.4756, rel=1e-3)
+
+
+def test_the_centre_of_mass_is_found_from_the_motion() -> None:
+    offset = (0.05, -0.03)
+    loads = wheel_loads(VEHICLE.contacts, VEHICLE.mass, offset)
+    t = np.arange(0.0, 60.0, 0.05)
+    left, right = 0.4 * np.sin(0.2 * t) + 0.1, 0.4 * np.cos(0.13 * t)
+    body = twist(VEHICLE, loads / loads.sum(), left, right, np.zeros(len(t)))
+    yaw = np.concatenate([[0.0], np.cumsum(0.05 * 0.5 * (body[1:, 2] + body[:-1, 2]))])
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    speed = np.stack([cos * body[:, 0] - sin * body[:, 1], sin * body[:, 0] + cos * body[:, 1]])
+    steps = 0.05 * 0.5 * (speed[:, 1:] + speed[:, :-1])
+    x, y = np.concatenate([np.zeros((2, 1)), np.cumsum(steps, axis=1)], axis=1)
+    log = DriveLog({"t": t, "v_left": left, "v_right": right, "power": 100 + 0 * t, "x": x, "y": y,
+                    "yaw": yaw})  # fmt: skip
+    found = find_mass_centre([Drive.of(log, VEHICLE)], VEHICLE, mu=1e6 / GRAVITY)
+    assert found is not None and found.found
+    assert (found.forward, found.left) == pytest.approx(offset, abs=0.003)
+    centred = simulate.identification_drive(PAPER, seed=1)
+    none = find_mass_centre([Drive.of(centred, VEHICLE)], VEHICLE, mu=0.6)
+    assert none is not None and not none.found
+
+
+@pytest.mark.parametrize(
+    ("shape", "words"),
+    [
+        ([0, 1, 2, 3, 4], "slip moment rises with c"),
+        ([4, 3, 2, 1, 0], "slip moment falls with c"),
+        ([0, 0, 0, 5, 5], "slip moment steps up at c = 2.5"),
+        ([4, 1, 0, 1, 4], "slip moment has a valley over c"),
+        ([0, 3, 4, 3, 0], "slip moment has a hump over c"),
+    ],
+)
+def test_shapes_are_put_into_words(shape: list[float], words: str) -> None:
+    assert in_words("c", "slip", np.arange(5.0), np.array(shape, float)) == words
+
+
+# -- recorded drives ------------------------------------------------------------------------------
+
+TRUE = {
+    "com_offset": "centre_of_mass",
+    "copper_loss": "copper_loss",
+    "hotel_load": "hotel_load",
+    "inertia": "linear_inertia",
+    "load_change": "payload_change",
+    "slope": "tilted_plane",
+    "viscous": "viscous_loss",
+    "warmup": "warm_up",
+}
+
+
+def _true_size(scenario: str, side_car: dict[str, Any]) -> float:
+    effect, true = side_car["effects"][scenario], side_car["true"]
+    match scenario:
+        case "com_offset":
+            return float(np.hypot(effect["forward_m"], effect["left_m"]))
+        case "copper_loss":
+            return float(
+                effect["R_ohm"] * (true["wheel_radius_m"] / effect["kt_Nm_per_A_at_wheel"]) ** 2
+            )
+        case "hotel_load":
+            return float(effect["power_W_total"])
+        case "inertia":
+            return float(true["mass_equivalent_straight_kg"])
+        case "load_change":
+            return float(effect["mass_after_kg"] - effect["mass_before_kg"])
+        case "slope":
+            return float(np.radians(effect["angle_deg"]))
+        case "viscous":
+            return float(effect["N_per_mps_per_side"])
+        case _:
+            return float(effect["relative_excess_at_0"] * true["K_internal_N_per_side"])
+
+
+def _recorded(folder: Path, stem: str) -> Diagnosis:
+    vehicle = Vehicle.preset("quadriga" if "empty" in stem else "quadriga:full")
+    train, unseen = (
+        DriveLog.read(folder / f"{stem}_{drive}.csv.gz") for drive in ("ident", "valid")
+    )
+    return diagnose(train, unseen, vehicle)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("scenario", sorted(TRUE))
+def test_a_physics_engines_hidden_effect_is_found(
+    shared_data: Path, scenario: str, seed: int
+) -> None:
+    folder = shared_data / "quadriga_mujoco"
+    told = _recorded(folder, f"{scenario}_s{seed}")
+    side_car = json.loads((folder / f"{scenario}_s{seed}_ident.json").read_text())
+    first = told.effects[0]
+    assert first.name == TRUE[scenario] or TRUE[scenario] in first.rivals
+    found = next(effect for effect in told.effects if effect.name == TRUE[scenario])
+    assert found.value == pytest.approx(_true_size(scenario, side_car), rel=0.15)
+    assert told.after.rmse < told.before.rmse
+    assert abs(told.after.energy_error) < 0.02
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("stem", ["none_s1", "none_marble_empty_s2", "none_concrete_empty_s1"])
+def test_without_a_hidden_effect_only_the_inertia_that_is_there_is_found(
+    shared_data: Path, stem: str
+) -> None:
+    folder = shared_data / "quadriga_mujoco"
+    told = _recorded(folder, stem)
+    side_car = json.loads((folder / f"{stem}_ident.json").read_text())
+    linear, angular = told.effects[:2]
+    assert (linear.name, angular.name) == ("linear_inertia", "angular_inertia")
+    assert linear.value == pytest.approx(side_car["true"]["mass_equivalent_straight_kg"], rel=0.05)
+    assert told.after.rmse < 0.85 * told.before.rmse
