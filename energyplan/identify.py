@@ -29,6 +29,9 @@ ICRChoice = Literal["auto", "symmetric", "asymmetric", "vehicle"]
 _SHORTEST = 1.0
 """Shortest drive worth a look [s]."""
 
+_LARGEST_ICR_ERROR = 0.1
+"""Error of an ICR, over half the slip track, beyond which symmetry is the better guess."""
+
 _LEAST_INDEPENDENT = 20.0
 """Effectively independent samples below which a standard error is doubtful."""
 
@@ -213,6 +216,8 @@ def identify(
 def fit_residual(model: PowerModel, logs: DriveLog | Sequence[DriveLog]) -> Residual:
     """Compare a model's power with what logs measured.
 
+    Where speeds are zero but for their noise, or equal, they count as zero, or as equal.
+
     Parameters
     ----------
     model : PowerModel
@@ -324,10 +329,18 @@ def _find_icr(
         )
         return None
     try:
-        return fit_icr(drives, vehicle.icr)
+        estimate = fit_icr(drives, vehicle.icr)
     except NotIdentifiableError as reason:
         warnings.append(f"{kept}: {reason}")
         return None
+    worst = max(estimate.std_error.values())
+    if estimate.source == "pose" and worst > _LARGEST_ICR_ERROR * estimate.icr.half_track:
+        warnings.append(
+            "the pose is too coarse to tell left, right and longitudinal tread ICR apart "
+            f"(standard error {worst:.2g} m): only their distance was identified"
+        )
+        return fit_icr(drives, vehicle.icr, asymmetric=False)
+    return estimate
 
 
 def _doubts(model: PowerModel, bounds: Bounds, independent: float) -> list[str]:

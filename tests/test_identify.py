@@ -325,6 +325,15 @@ def test_symmetric_fit_keeps_the_known_offset(truth: PowerModel) -> None:
     assert found.icr.longitudinal == 0.06
 
 
+def test_coarse_pose_tells_the_slip_track_only(truth: PowerModel) -> None:
+    log = simulate.drive(truth, "spiral", seed=1, noise={"x": 2.0, "y": 2.0}, **NOISE)
+    found = identify(log, truth.vehicle)
+    assert any("too coarse" in text for text in found.warnings)
+    assert found.icr.left == pytest.approx(found.icr.right)
+    assert found.icr.left == pytest.approx(0.47, abs=0.002)
+    np.testing.assert_allclose(found.model.coefficients, truth.coefficients, rtol=0.02)
+
+
 def test_without_yaw_the_icr_is_kept_and_said_so(truth: PowerModel) -> None:
     log = simulate.drive(truth, "spiral", seed=1, without=("x", "y", "yaw", "yaw_rate"), **NOISE)
     found = identify(log, truth.vehicle)
