@@ -25,6 +25,7 @@ from energyplan.path import FloatArray
 from energyplan.power import PowerModel
 
 Method = Literal["lad", "simplex", "huber"]
+Loss = Callable[[FloatArray], float]
 
 
 def pieces_of(drives: Sequence[DriveLog]) -> list[slice]:
@@ -76,10 +77,10 @@ class Problem:
         if method not in ("lad", "simplex", "huber"):
             raise UnknownNameError("method", str(method), ("lad", "simplex", "huber"))
         if method == "simplex":
-            rough = self._iterate(_fit.weighted_least_squares, _squares, bounds)
+            rough = self._iterate(_fit.weighted_least_squares, lambda _: _squares, bounds)
             found = self._simplex(rough, bounds)
         elif method == "lad":
-            found = self._iterate(_fit.lad, _absolute, bounds)
+            found = self._iterate(_fit.lad, lambda _: _absolute, bounds)
         else:
             found = self._iterate(_fit.huber, _huber_loss, bounds)
         return self._start.with_coefficients(self._snapped(found, bounds))
@@ -106,7 +107,7 @@ class Problem:
     def _iterate(
         self,
         fit: Callable[[FloatArray, FloatArray, Bounds], FloatArray],
-        loss: Callable[[FloatArray], float],
+        merit: Callable[[FloatArray], Loss],
         bounds: Bounds,
     ) -> FloatArray:
         """Solve a sequence of linear problems, each about the solution of the one before it."""
@@ -122,8 +123,10 @@ class Problem:
             target - design[:, lossy] @ c[lossy],
             Bounds(bounds.lower[free], bounds.upper[free]),
         )
-        value = loss(self.residual(self._start.with_coefficients(c)))
         for _ in range(50):
+            residual = self.residual(self._start.with_coefficients(c))
+            loss = merit(residual)
+            value = loss(residual)
             target, design = self._linearise(self._start.with_coefficients(c))
             step = fit(design, target, bounds) - c
             for _ in range(30):
@@ -133,8 +136,8 @@ class Problem:
                 step *= 0.5
             else:
                 break
-            c, gain, value = c + step, value - trial, trial
-            if gain <= 1e-12 * value:
+            c = c + step
+            if value - trial <= 1e-12 * value:
                 break
         return bounds.clip(c)
 
@@ -183,10 +186,16 @@ def _absolute(residual: FloatArray) -> float:
     return float(np.abs(residual).sum())
 
 
-def _huber_loss(residual: FloatArray) -> float:
-    edge = _fit.HUBER_TUNING * max(_fit.robust_scale(residual), 1e-300)
-    size = np.abs(residual)
-    return float(np.where(size < edge, 0.5 * size**2 / edge, size - 0.5 * edge).sum())
+def _huber_loss(present: FloatArray) -> Loss:
+    """Huber's loss at the scale of the present residual."""
+    size = np.abs(present)
+    edge = _fit.HUBER_TUNING * max(_fit.robust_scale(present), 1e-9 * float(size.max()), 1e-100)
+
+    def loss(residual: FloatArray) -> float:
+        inner = np.minimum(np.abs(residual), edge)
+        return float((inner * (np.abs(residual) - 0.5 * inner)).sum())
+
+    return loss
 
 
 def _density_at_zero(residual: FloatArray, sigma: float, independent: float) -> FloatArray:
