@@ -181,6 +181,10 @@ def identify(
         raise InvalidInputError(
             f"{drives[0].name}: less than {_SHORTEST:g} s of samples; record a drive"
         )
+    if not any(np.any(log.power) for log in drives):
+        raise NotIdentifiableError(
+            f"{drives[0].name}: the measured power is zero throughout; check its channel"
+        )
     warnings: list[str] = []
     estimate = _find_icr(drives, vehicle, icr, warnings)
     settled = icr if isinstance(icr, TreadICR) else estimate.icr if estimate else vehicle.icr

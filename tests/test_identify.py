@@ -398,6 +398,21 @@ def test_hardly_known_is_said(truth: PowerModel) -> None:
     assert any("linear_inertia" in text for text in found.warnings)
 
 
+def test_power_must_be_measured(truth: PowerModel, spiral: DriveLog) -> None:
+    silent = {"power": np.zeros(len(spiral)), "p_left": spiral.t, "p_right": -spiral.t}
+    with pytest.raises(NotIdentifiableError, match="zero throughout; check"):
+        identify(DriveLog({**spiral.channels, **silent}), truth.vehicle)
+
+
+def test_outliers_do_not_pull(truth: PowerModel, spiral: DriveLog) -> None:
+    spikes = np.array(spiral.channel("p_left"))
+    spikes[::50] += 5000.0
+    log = DriveLog({**spiral.channels, "p_left": spikes})
+    for method in ("lad", "huber"):
+        found = identify(log, truth.vehicle, method=method)
+        np.testing.assert_allclose(found.model.coefficients, truth.coefficients, rtol=0.04)
+
+
 def test_missing_channel_is_named(truth: PowerModel, spiral: DriveLog) -> None:
     with pytest.raises(MissingChannelError, match="slope"):
         identify(spiral, truth.vehicle, terms=[SLIP, TRACTION, effects.GRADE])
