@@ -16,6 +16,7 @@ from energyplan.path import FloatArray
 
 LARGEST_OFFSET = 2.0
 """Longest time offset between channels that is looked for [s]."""
+_SUFFICIENT = 200_000  # samples that tell a time offset as well as more would
 _ENOUGH = 20  # samples below which nothing is concluded
 _TURNING = 0.05  # difference of the tread speeds from which the robot surely turns [m/s]
 _MOVING = 0.03  # tread speed from which it surely moves [m/s]
@@ -146,6 +147,18 @@ def find_offset(
     )
 
 
+def _enough(runs: Sequence[slice]) -> list[slice]:
+    """Stretches that suffice to find a time offset: the first hours of a long log."""
+    some: list[slice] = []
+    left = _SUFFICIENT
+    for run in runs:
+        if left <= 0:
+            break
+        some.append(slice(run.start, min(run.stop, run.start + left)))
+        left -= run.stop - run.start
+    return some
+
+
 def power_regressors(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> list[FloatArray]:
     """Shapes that the power of any skid-steer robot is made of: rolling, sliding, speeding up."""
     t, left, right = channels["t"], channels["v_left"], channels["v_right"]
@@ -246,7 +259,7 @@ def _check_turning(
             continue
         product = float(rate @ difference)
         alike = _alike(rate, difference)
-        offset = find_offset(name, t, rate, [difference], runs, centred=False)
+        offset = find_offset(name, t, rate, [difference], _enough(runs), centred=False)
         shifted = offset is not None and offset.certain
         sign = (
             offset.sign if offset is not None and shifted and abs(alike) < 0.5 else np.sign(alike)
@@ -328,7 +341,8 @@ def _check_power(
                 "p_left and p_right seem to be swapped: in arcs the outer, faster tread must draw "
                 "the more"
             )
-    offset = find_offset("power", t, power, power_regressors(channels, runs), runs)
+    some = _enough(runs)
+    offset = find_offset("power", t, power, power_regressors(channels, some), some)
     if offset is not None and offset.certain and offset.explained > 0.75:
         told.append(_offset_warning(offset))
     return told
