@@ -350,7 +350,7 @@ def test_surfaces_come_back_as_they_were_written(tmp_path):
         (collection(feature(shapely.box(0, 0, 1e9, 1), model="x")), "feature 0: reaches beyond"),
         (collection(feature(BOX, model="ice")), "feature 0.*unknown model preset 'ice'"),
         (collection(feature(BOX, model="../m.yaml")), "folder"),
-        (collection(feature(shapely.Point(0, 0), model="x")), "feature 0: a Point"),
+        (collection(feature(shapely.Point(0, 0), model="x")), "feature 0: a Point; give"),
         (
             collection(feature(shapely.Polygon([(0, 0), (1, 1), (1, 0), (0, 1)]), model="x")),
             "Self-intersection",
@@ -390,3 +390,46 @@ def test_any_values_end_in_surfaces_or_a_named_error(tmp_path, coordinates, mode
     file.write_text(json.dumps(document))
     with pytest.raises(EnergyPlanError):
         read_surfaces(file)
+
+
+def test_a_map_of_obstacles(tmp_path):
+    file = tmp_path / "o.geojson"
+    wall = shapely.LineString([(1, 1), (1, 3)])
+    room = shapely.Polygon([(0, 0), (4, 0), (4, 4), (2, 4), (2, 3), (0, 3)])
+    file.write_text(
+        collection(
+            feature(room, kind="boundary"), feature(wall), feature(shapely.box(3, 1, 3.5, 2))
+        )
+    )
+    grid = read_map(file)
+    assert grid.shape == (80, 80)
+    centres = [(0.5, 0.5), (1.01, 2.0), (3.2, 1.5), (1.0, 3.5), (3.0, 3.5)]
+    column, row = np.floor(grid.to_cells(centres)).astype(int).T
+    assert grid.occupied[row, column].tolist() == [False, True, True, True, False]
+    # whatever is not free of obstacles is occupied, and nothing two cells away from them
+    free = shapely.transform(
+        shapely.union_all(
+            [shapely.box(c, r, c + 1, r + 1) for r, c in np.argwhere(~grid.occupied)]
+        ),
+        grid.to_world,
+    )
+    drivable = room.difference(shapely.box(3, 1, 3.5, 2))
+    assert free.difference(drivable).area < 1e-9
+    assert drivable.difference(wall.buffer(0.1)).difference(free.buffer(0.08)).area < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("features", "place"),
+    [
+        ([], "no features"),
+        ([feature(shapely.Point(0, 0))], "feature 0: a Point"),
+        ([feature(shapely.LineString([(0, 0), (1, 0)]), kind="boundary")], "feature 0: a Line"),
+        ([feature(shapely.box(0, 0, 9e6, 9e6))], "coarser"),
+        ([feature(shapely.LineString([(0, 0), (1, 0)]))], "make no map"),
+    ],
+)
+def test_malformed_obstacles_name_the_place(tmp_path, features, place):
+    file = tmp_path / "o.geojson"
+    file.write_text(collection(*features))
+    with pytest.raises(MapError, match=place):
+        read_map(file)

@@ -6,12 +6,14 @@ import json
 
 import networkx as nx
 import pytest
+import shapely
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import EnergyPlanError, MapError
 from energyplan.io.route_graph import read_route_graph, write_route_graph
+from energyplan.maps import Surface, SurfaceMap
 from energyplan.planners.roadmap import Roadmap, price_edges
 from energyplan.power import PowerModel
 
@@ -79,6 +81,21 @@ def test_a_graph_of_ones_own(tmp_path):
     back = read_route_graph(tmp_path / "g.geojson")
     assert dict(back.nodes(data="pos")) == {0: (0, 0), 1: (1, 0), 2: (1, 1)}
     assert back.edges[1, 2, 1]["cost"] == pytest.approx(226.0)
+
+
+def test_the_route_server_then_prefers_the_ground_that_saves_energy(tmp_path):
+    """Two ways of one length; a planner that adds up the written costs takes the marble one."""
+    corners = {0: (0, 0), 1: (5, 3), 2: (5, -3), 3: (10, 0)}
+    features = [node(k, *place) for k, place in corners.items()]
+    features += [edge(10 + k, *ends) for k, ends in enumerate([(0, 1), (1, 3), (0, 2), (2, 3)])]
+    graph = read_route_graph(write(tmp_path / "g.geojson", features))
+    marble = PowerModel.preset("quadriga:empty:marble")
+    for area, best in ((shapely.box(0, 0, 10, 5), 1), (shapely.box(0, -5, 10, 0), 2)):
+        ground = SurfaceMap([Surface(area, marble)])
+        write_route_graph(price_edges(graph, COST, ground), tmp_path / "h.geojson")
+        priced = read_route_graph(tmp_path / "h.geojson")
+        assert nx.dijkstra_path(priced, 0, 3, weight="cost") == [0, best, 3]
+        assert Roadmap(graph, COST, ground).route(0, 3).nodes == (0, best, 3)
 
 
 @pytest.mark.shared

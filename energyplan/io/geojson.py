@@ -1,12 +1,13 @@
-"""Read and write surfaces as GeoJSON: polygons that name a power model each."""
+"""GeoJSON: surfaces, polygons that name a power model each, and obstacles."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
@@ -14,11 +15,15 @@ from energyplan._surfaces import FARTHEST
 from energyplan.errors import EnergyPlanError, MapError
 from energyplan.io._limited import beside, read_features
 from energyplan.io.files import atomic_write
-from energyplan.maps import Surface, SurfaceMap
+from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
 from energyplan.power import PowerModel
 
 KEEP_OUT = ("keep_out", "keep-out", "keepout")
 """Names of a surface that the robot must not enter."""
+
+AREAS = ("Polygon", "MultiPolygon")
+LINES = ("LineString", "MultiLineString")
+"""Kinds of geometry that are taken for areas, and for walls."""
 
 MAX_COORDINATES = 1_000_000
 """Most coordinates that a file of surfaces may hold."""
@@ -58,7 +63,7 @@ def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = No
     total = 0
     for k, feature in enumerate(features):
         place = f"{file}: feature {k}"
-        area = _polygon(feature["geometry"], place)
+        area = _shape(feature["geometry"], place, AREAS)
         total += int(shapely.get_num_coordinates(area))
         if total > MAX_COORDINATES:
             raise MapError(f"{place}: more than {MAX_COORDINATES} coordinates; simplify the areas")
@@ -78,10 +83,60 @@ def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = No
     return SurfaceMap(tuple(surfaces), tuple(keep_out))
 
 
-def _polygon(geometry: Mapping[str, Any], place: str) -> BaseGeometry:
+def read_obstacles(path: str | Path, resolution: float = 0.05) -> OccupancyGrid:
+    """Read a map from the shapes of its obstacles.
+
+    Each feature of the GeoJSON FeatureCollection is a Polygon, MultiPolygon, LineString or
+    MultiLineString in the world [m]. Polygons whose property ``kind`` is ``boundary`` are where
+    the robot may be, with all beyond them occupied; the other features are obstacles, and every
+    cell that one touches is occupied. The map is as large as all of them together.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    resolution : float
+        Size of a cell [m].
+
+    Returns
+    -------
+    OccupancyGrid
+        The map.
+
+    Raises
+    ------
+    MapError
+        If the file is missing or malformed, or asks for too many cells; the message names the
+        feature.
+    """
+    file = Path(path)
+    _, features = read_features(file)
+    obstacles: list[BaseGeometry] = []
+    inside: list[BaseGeometry] = []
+    for k, feature in enumerate(features):
+        place = f"{file}: feature {k}"
+        if feature["properties"].get("kind") == "boundary":
+            inside.append(_shape(feature["geometry"], place, AREAS))
+        else:
+            obstacles.append(_shape(feature["geometry"], place, (*AREAS, *LINES)))
+    if not features:
+        raise MapError(f"{file}: no features; draw a boundary and the obstacles within")
+    bounds = shapely.total_bounds(np.array([*obstacles, *inside], object))
+    left, low, right, high = (float(v) for v in bounds)
+    try:
+        if inside:
+            beyond = shapely.box(*bounds).buffer(resolution).difference(shapely.union_all(inside))
+            obstacles.append(beyond)
+        return OccupancyGrid.from_polygons(obstacles, (left, low, right, high), resolution)
+    except MapError as error:
+        raise MapError(f"{file}: {error}") from None
+
+
+def _shape(geometry: Mapping[str, Any], place: str, kinds: Sequence[str]) -> BaseGeometry:
+    """Return a geometry of one of these kinds, checked."""
     kind = geometry.get("type")
-    if kind not in {"Polygon", "MultiPolygon"}:
-        raise MapError(f"{place}: a {kind}; a surface is a Polygon or a MultiPolygon")
+    if kind not in kinds:
+        raise MapError(f"{place}: a {str(kind)[:40]}; give one of {', '.join(kinds)}")
     try:
         area = shapely.from_geojson(json.dumps(geometry))
     except (shapely.errors.GEOSException, ValueError, TypeError, RecursionError) as error:
@@ -89,8 +144,8 @@ def _polygon(geometry: Mapping[str, Any], place: str) -> BaseGeometry:
     if area is None or area.is_empty:
         raise MapError(f"{place}: no coordinates; remove the feature or draw it")
     if not area.is_valid:
-        raise MapError(f"{place}: {shapely.is_valid_reason(area)}; correct the polygon")
-    if max(abs(v) for v in area.bounds) > FARTHEST:
+        raise MapError(f"{place}: {shapely.is_valid_reason(area)}; correct the shape")
+    if not max(abs(v) for v in area.bounds) <= FARTHEST:
         raise MapError(f"{place}: reaches beyond {FARTHEST:g} m; give metres in the map's frame")
     return area
 

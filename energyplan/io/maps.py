@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from energyplan.errors import MapError
 from energyplan.io._limited import beside, read_bytes
 from energyplan.io.files import atomic_write
+from energyplan.io.geojson import read_obstacles
 from energyplan.maps import MAX_CELLS, OccupancyGrid
 from energyplan.path import Pose
 
@@ -51,12 +52,13 @@ class _MapHeader(BaseModel):
 
 
 def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGrid:
-    """Read a map: map_server YAML (``.yaml``, ``.yml``) or MovingAI (``.map``).
+    """Read a map: map_server YAML (``.yaml``, ``.yml``), MovingAI (``.map``) or GeoJSON.
 
     Parameters
     ----------
     path : str or Path
-        The file. The image that a YAML names must lie in its folder or below.
+        The file. The image that a YAML names must lie in its folder or below. GeoJSON
+        (``.geojson``) holds obstacles, see `read_obstacles`, and is read in cells of 5 cm.
     unknown_is_free : bool
         Whether the robot may enter cells of which the map knows nothing.
 
@@ -80,10 +82,12 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
     file = Path(path)
     if file.suffix == ".map":
         return _read_movingai(file)
+    if file.suffix == ".geojson":
+        return read_obstacles(file)
     if file.suffix not in {".yaml", ".yml"}:
         raise MapError(
-            f"{file}: unknown kind of map {file.suffix!r}; give a map_server .yaml or a MovingAI "
-            ".map"
+            f"{file}: unknown kind of map {file.suffix!r}; give a map_server .yaml, a MovingAI "
+            ".map or a .geojson"
         )
     header = _header(file)
     values, alpha = _pixels(beside(file, "image", header.image))
