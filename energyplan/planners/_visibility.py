@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import networkx as nx
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from energyplan.errors import InvalidInputError
@@ -103,12 +104,9 @@ def visibility_graph(
     # a point has no neighbours on a rim: any line touches it
     before = np.concatenate([places, before]) - place
     after = np.concatenate([places, after]) - place
-    i, j = np.triu_indices(len(place), 1)
-    line = place[j] - place[i]
-    length = np.hypot(line[:, 0], line[:, 1])
-    touches = (length > 1e-9) & _touching(line, before[i], after[i])
-    touches &= _touching(line, before[j], after[j])
-    i, j, length = i[touches], j[touches], length[touches]
+    pairs = [_touching_pairs(k, place, before, after) for k in range(len(place))]
+    i, j = np.concatenate([np.empty((2, 0), int), *pairs], axis=1)
+    length = np.hypot(*(place[j] - place[i]).T)
     sight = shapely.linestrings(np.stack([place[i], place[j]], axis=1))
     core = shapely.buffer(grown, -_SLACK, join_style="mitre")
     shapely.prepare(core)
@@ -147,6 +145,17 @@ def _corners(area: BaseGeometry) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def _touching_pairs(
+    k: int, place: FloatArray, before: FloatArray, after: FloatArray
+) -> NDArray[np.intp]:
+    """Return the pairs of corner `k` and later ones whose line touches the obstacle at both."""
+    line = place[k + 1 :] - place[k]
+    touches = (np.hypot(line[:, 0], line[:, 1]) > 1e-9) & _touching(line, before[k], after[k])
+    touches &= _touching(line, before[k + 1 :], after[k + 1 :])
+    later = k + 1 + np.flatnonzero(touches)
+    return np.stack([np.full_like(later, k), later])
 
 
 def _touching(line: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray:
