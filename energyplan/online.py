@@ -60,7 +60,7 @@ class OnlineIdentifier:
 
     Recursive least squares in information form with three precautions. Information fades into the
     prior's, so that a coefficient that the drive does not excite becomes uncertain and no more.
-    A residual pulls no harder than three standard deviations. And a sample counts only as much
+    A residual pulls no harder than four standard deviations. And a sample counts only as much
     as the correlation of the residual allows, so that the covariance holds.
 
     Four times a second the residuals of the last 1, 2, 4 and 8 s of driving are tested for a change

@@ -12,6 +12,7 @@ from energyplan import _online_kernel as kernel
 from energyplan import effects, simulate
 from energyplan.drivelog import DriveLog
 from energyplan.errors import InvalidInputError, MissingChannelError
+from energyplan.identify import identify
 from energyplan.online import OnlineIdentifier
 from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel
 from energyplan.simulate import Leg
@@ -134,6 +135,19 @@ def test_marble_to_concrete_within_ten_seconds(load: str, tau: float) -> None:
     assert max(delays) < 6.0
     assert np.median(np.array(errors), axis=0).max() < 0.05
     assert np.max(errors) < 0.15
+
+
+def test_a_sure_prior_on_other_ground_is_given_up() -> None:
+    """A mission that starts on concrete with a model identified on marble."""
+    errors = []
+    for seed in range(6):
+        known = identify(simulate.identification_drive(MARBLE, seed=seed, **NOISE), MARBLE.vehicle)
+        online = OnlineIdentifier(known.model)
+        drive = simulate.drive(CONCRETE, MIXED * 4, seed=seed, accel_limit=0.8, **NOISE)
+        [change] = online.run(drive.segment(0.0, 12.0))
+        assert change.t < 8.0
+        errors.append(np.abs(online.model.coefficients / CONCRETE.coefficients - 1.0))
+    assert np.max(errors) < 0.1
 
 
 @pytest.mark.parametrize("seed", [0, 1])
