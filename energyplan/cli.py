@@ -421,6 +421,22 @@ def mission(
     _verdict(told.feasible, strict)
 
 
+log = typer.Typer(no_args_is_help=True, help="Look into drive logs.")
+app.add_typer(log, name="log")
+
+
+@log.command(epilog="Example: energyplan log info drive.bag")
+def info(
+    file: Annotated[Path, typer.Argument(help="A table or a bag.")], json: Json = False
+) -> None:
+    """List what a log holds, and what it could serve for."""
+    from energyplan import _documents
+    from energyplan.io.logs import describe_log
+
+    told = describe_log(file)
+    _answer(_documents.plain(told), _documents.log_lines(told), json=json)
+
+
 @app.command(epilog="Example: energyplan demo --out demo")
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path("demo"),

@@ -205,6 +205,25 @@ def _choose(mapping: TopicMap, names: list[str]) -> dict[str, _Chosen]:
     return chosen
 
 
+def channels_served(mapping: TopicMap, names: list[str]) -> tuple[str, ...]:
+    """Return the channels that a topic map finds among topics of these names, ``t`` included.
+
+    Parameters
+    ----------
+    mapping : TopicMap
+        The topic map.
+    names : list of str
+        Names of the topics.
+
+    Returns
+    -------
+    tuple of str
+        The channels.
+    """
+    chosen = _choose(mapping, sorted(names))
+    return ("t", *chosen) if chosen else ()
+
+
 def _collect(
     reader: Any,
     chosen: Mapping[str, _Chosen],

@@ -3,12 +3,69 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from energyplan._columns import UNITS
+from energyplan._tables import read_table
 from energyplan.drivelog import DriveLog
-from energyplan.io.bags import is_bag, read_bag
-from energyplan.io.husky import is_husky, read_husky
-from energyplan.io.topics import TopicMap
+from energyplan.errors import DriveLogError
+from energyplan.io.bags import bag_info, channels_served, is_bag, read_bag
+from energyplan.io.husky import WHEEL_COLUMNS, is_husky, read_husky
+from energyplan.io.topics import TOPIC_MAPS, TopicMap
+
+
+@dataclass(frozen=True)
+class LogEntry:
+    """A column of a table or a topic of a bag.
+
+    Parameters
+    ----------
+    name, type : str
+        Its name; ``"numbers"`` or ``"text"`` of a column, the message type of a topic.
+    count : int
+        Number of readings.
+    rate : float
+        Readings per second [Hz]; 0 where the time is not known.
+    serves : str
+        Channels that it serves for or could serve for; empty where none is known.
+    """
+
+    name: str
+    type: str
+    count: int
+    rate: float
+    serves: str
+
+
+@dataclass(frozen=True)
+class LogInfo:
+    """What a file of a drive holds, and what it could serve for.
+
+    Parameters
+    ----------
+    name : str
+        Name of the file.
+    kind : {"table", "husky", "bag"}
+        How it would be read.
+    duration : float
+        Time from the first to the last reading [s]; 0 where the time is not known.
+    entries : tuple of LogEntry
+        Its columns or topics.
+    channels : mapping of str to tuple of str
+        Channels found by the ready-made topic maps, by map; of a table under ``"columns"``.
+    notes : tuple of str
+        What is missing for a drive log, and what is doubtful about it.
+    """
+
+    name: str
+    kind: str
+    duration: float
+    entries: tuple[LogEntry, ...]
+    channels: Mapping[str, tuple[str, ...]]
+    notes: tuple[str, ...]
 
 
 def read_log(
@@ -49,3 +106,85 @@ def read_log(
     if columns is None and is_husky(path):
         return read_husky(path)
     return DriveLog.read(path, columns)
+
+
+def describe_log(path: str | Path) -> LogInfo:
+    """Tell what a file of a drive holds, and what it could serve for.
+
+    Nothing needs to be complete: a file without power or of foreign column names is described too.
+
+    Parameters
+    ----------
+    path : str or Path
+        A table or a bag, as for `read_log`.
+
+    Returns
+    -------
+    LogInfo
+        Its columns or topics. Of a bag the index alone is read, of a table everything.
+
+    Raises
+    ------
+    DriveLogError
+        If the file is malformed or of an unknown kind.
+    MissingDependencyError
+        If reading such a file takes a package that is not installed.
+    """
+    return _describe_bag(Path(path)) if is_bag(path) else _describe_table(Path(path))
+
+
+def _describe_bag(file: Path) -> LogInfo:
+    bag = bag_info(file)
+    entries = tuple(LogEntry(t.name, t.type, t.count, t.rate, t.serves) for t in bag.topics)
+    names = [entry.name for entry in entries if entry.count]
+    channels = {name: channels_served(mapping, names) for name, mapping in TOPIC_MAPS.items()}
+    fitting = [name for name, found in channels.items() if not _missing(found)]
+    if fitting:
+        notes = [f"the topic map {' or '.join(fitting)} reads it; check the wheel radius"]
+    else:
+        lacks = {name: _missing(found) for name, found in channels.items()}
+        best = min(lacks, key=lambda name: len(lacks[name]))
+        notes = [
+            f"no ready-made topic map finds all it takes; {best} lacks {', '.join(lacks[best])}: "
+            "write a topic map of your own"
+        ]
+    return LogInfo(bag.name, "bag", bag.duration, entries, channels, tuple(notes))
+
+
+def _describe_table(file: Path) -> LogInfo:
+    table = read_table(file, DriveLogError)
+    husky = is_husky(file)
+    times = table.columns.get("time" if husky else "t", np.zeros(0))
+    times = times[np.isfinite(times)]
+    duration = float(np.ptp(times)) if len(times) else 0.0
+    if not np.isfinite(duration):
+        duration = 0.0
+    entries = []
+    for name, values in table.columns.items():
+        count = int(np.count_nonzero(np.isfinite(values)))
+        serves = f"{name} [{next(iter(UNITS[name]))}]" if name in UNITS else ""
+        if husky and name in WHEEL_COLUMNS:
+            serves = "wheel file of a Husky"
+        rate = count / duration if duration > 0 else 0.0
+        entries.append(LogEntry(name, "numbers", count, rate, serves))
+    entries += [LogEntry(name, "text", 0, 0.0, "") for name in table.text]
+    try:
+        log = read_log(file)
+    except DriveLogError as problem:
+        found = tuple(name for name in table.columns if name in UNITS)
+        lacks = ", ".join(_missing(found))
+        remedy = f"it lacks {lacks}; map columns, as in v_left=velL" if lacks else str(problem)
+        notes = (f"it cannot be read as it is: {remedy}",)
+    else:
+        found = tuple(log.channels)
+        notes = (*map(str, log.set_aside), *log.warnings)
+    kind = "husky" if husky else "table"
+    return LogInfo(file.name, kind, duration, tuple(entries), {"columns": found}, notes)
+
+
+def _missing(channels: tuple[str, ...]) -> list[str]:
+    """Name what a drive log takes beyond these channels."""
+    told = set(channels)
+    lacks = [name for name in ("t", "v_left", "v_right") if name not in told]
+    ways = ({"p_left", "p_right"}, {"power"}, {"voltage", "current"})
+    return lacks if any(way <= told for way in ways) else [*lacks, "power"]

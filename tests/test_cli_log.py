@@ -1,0 +1,137 @@
+"""What a log holds: `describe_log` and ``energyplan log info``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from energyplan import cli, simulate
+from energyplan.errors import DriveLogError
+from energyplan.io.logs import describe_log
+from energyplan.io.trajectory import write_log
+from energyplan.power import PowerModel
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return simulate.drive(PowerModel.preset("quadriga:full:marble"), "spiral", rate=10.0, seed=3)
+
+
+@pytest.fixture
+def table(drive, tmp_path: Path) -> Path:
+    return write_log(drive, tmp_path / "drive.csv")
+
+
+def test_a_table_lists_its_columns_and_what_they_serve_for(drive, table: Path) -> None:
+    told = describe_log(table)
+    assert told.kind == "table"
+    assert told.duration == pytest.approx(drive.t[-1] - drive.t[0])
+    entries = {entry.name: entry for entry in told.entries}
+    assert set(entries) == set(drive.channels)
+    assert entries["v_left"].serves == "v_left [m/s]"
+    assert entries["v_left"].count == len(drive)
+    assert entries["v_left"].rate == pytest.approx(10.0, rel=0.01)
+    assert set(told.channels["columns"]) == set(drive.channels)
+
+
+def test_foreign_columns_are_told_with_what_is_missing(tmp_path: Path) -> None:
+    file = tmp_path / "foreign.csv"
+    file.write_text("t,velL,velR,power,note\n0,1,1,50,start\n1,1,1,,go\n2,1,1,50,stop\n")
+    told = describe_log(file)
+    entries = {entry.name: entry for entry in told.entries}
+    assert entries["velL"].serves == ""
+    assert entries["power"].count == 2
+    assert entries["note"].type == "text"
+    (note,) = told.notes
+    assert "v_left, v_right" in note
+    assert "power," not in note
+
+
+def test_a_husky_recording_is_known(tmp_path: Path) -> None:
+    t = np.arange(0.0, 10.0, 0.1)
+    columns = np.column_stack([t, *(np.full_like(t, 1.0) for _ in range(4))])
+    file = tmp_path / "pro_01.csv"
+    np.savetxt(file, columns, delimiter=",", header="time,curL,curR,velL,velR", comments="")
+    told = describe_log(file)
+    assert told.kind == "husky"
+    assert told.duration == pytest.approx(9.9)
+    assert {"p_left", "p_right", "v_left", "v_right"} <= set(told.channels["columns"])
+
+
+@pytest.mark.parametrize("name", ["absent.csv", "absent.bag", "notes.txt"])
+def test_what_is_no_log_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(DriveLogError, match=name):
+        describe_log(tmp_path / name)
+
+
+def bag(folder: Path, topics: dict[str, str]) -> Path:
+    """Write a bag of ten empty messages per topic, a second long."""
+    writer = pytest.importorskip("rosbags.rosbag1").Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    folder.mkdir(exist_ok=True)
+    file = folder / "drive.bag"
+    with writer(file) as made:
+        for topic, kind in topics.items():
+            connection = made.add_connection(topic, kind, typestore=store)
+            for k in range(10):
+                made.write(connection, 10**9 + k * 10**8, b"")
+    return file
+
+
+def test_a_bag_lists_topics_and_the_channels_of_each_map(tmp_path: Path) -> None:
+    battery, joints = "sensor_msgs/msg/BatteryState", "sensor_msgs/msg/JointState"
+    topics = {"/joint_states": joints, "/battery_state": battery, "/rosout": "std_msgs/msg/String"}
+    told = describe_log(bag(tmp_path, topics))
+    assert told.kind == "bag"
+    entries = {entry.name: entry for entry in told.entries}
+    assert set(entries) == set(topics)
+    assert entries["/joint_states"].count == 10
+    assert "v_left" in entries["/joint_states"].serves
+    assert entries["/rosout"].serves == ""
+    assert {"t", "v_left", "v_right", "voltage", "current"} <= set(told.channels["jackal"])
+    assert "husky" in told.notes[0]
+
+
+def test_a_bag_without_power_says_so(tmp_path: Path) -> None:
+    told = describe_log(bag(tmp_path, {"/joint_states": "sensor_msgs/msg/JointState"}))
+    assert "lacks power" in told.notes[0]
+    told = describe_log(bag(tmp_path / "other", {"/rosout": "std_msgs/msg/String"}))
+    assert "t, v_left, v_right, power" in told.notes[0]
+    assert told.channels["husky"] == ()
+
+
+def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    monkeypatch.setattr("sys.argv", ["energyplan", *map(str, arguments)])
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    return int(left.value.code or 0)
+
+
+def test_the_command_prints_what_the_library_tells(
+    table: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command(monkeypatch, "log", "info", table, "--json") == 0
+    document = json.loads(capsys.readouterr().out)
+    told = describe_log(table)
+    assert set(document) == {"name", "kind", "duration", "entries", "channels", "notes"}
+    assert [entry["name"] for entry in document["entries"]] == [e.name for e in told.entries]
+    assert command(monkeypatch, "log", "info", table) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == f"drive.csv: table, {told.duration:.1f} s"
+    assert any("-> v_left [m/s]" in line for line in lines)
+
+
+def test_the_command_shows_an_example_and_refuses_by_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command(monkeypatch, "log", "info", "--help") == 0
+    assert "Example: energyplan log info" in capsys.readouterr().out
+    assert command(monkeypatch, "log", "info", tmp_path / "absent.csv") == 2
+    error = capsys.readouterr().err
+    assert "absent.csv" in error
+    assert len(error.splitlines()) == 1
