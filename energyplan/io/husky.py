@@ -63,7 +63,7 @@ def read_husky(
     imu: str | Path | None = None,
     *,
     drive: HuskyDrive | None = None,
-    blind: Literal["keep", "drop"] = "keep",
+    blind: Literal["keep", "drop"] = "drop",
     largest_offset: float = 2.0,
 ) -> DriveLog:
     """Read a drive of a Husky.
@@ -83,10 +83,10 @@ def read_husky(
         The file ``imu_NN.csv``; the one beside `wheels` where not given and there is one.
     drive : HuskyDrive, optional
         The drive train.
-    blind : {"keep", "drop"}
-        What to do with samples of arcs in which the inner motor reads nothing: ``keep`` takes its
-        power as zero, which is what a drive draws that takes no power back; ``drop`` leaves them
-        out, for a model of what the treads need.
+    blind : {"drop", "keep"}
+        What to do with samples of arcs in which the inner motor reads nothing: ``drop`` leaves them
+        out, so that identified parameters are those of the ground; ``keep`` takes the inner motor's
+        power as zero, for the question what a drive draws that takes no power back.
     largest_offset : float
         Longest clock offset looked for [s].
 
@@ -137,13 +137,22 @@ def read_husky(
     else:
         readings = read_table(file, DriveLogError)
         channels |= _inertial(readings, t, right - left, largest_offset, warnings)
-    rows = np.arange(len(t))
-    if blind == "drop":
-        rows = rows[~lost]
-        channels = {name: values[rows] for name, values in channels.items()}
     label = "/".join(Path(wheels).parts[-2:])
-    log = DriveLog.from_columns(channels, label, lambda k: table.place(int(rows[k])))
+    log = DriveLog.from_columns(channels, label, table.place)
+    if blind == "drop":
+        log = _without(log, t[lost])
     return replace(log, set_aside=(*aside, *log.set_aside), warnings=(*warnings, *log.warnings))
+
+
+def _without(log: DriveLog, times: FloatArray) -> DriveLog:
+    """Return a log without the samples at these times."""
+    kept = ~np.isin(log.t, times)
+    if np.count_nonzero(kept) < 2:
+        raise DriveLogError(
+            f"{log.name}: the inner motor reads nothing in all samples but "
+            f"{np.count_nonzero(kept)}; drive straight and on the spot too, or read with blind='keep'"
+        )
+    return replace(log, channels={name: values[kept] for name, values in log.channels.items()})
 
 
 def _bounded(table: Table, name: str) -> FloatArray:
