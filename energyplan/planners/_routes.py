@@ -210,13 +210,18 @@ class Roadmap:
 
     def _nearest(self, source: Hashable, target: Hashable) -> str:
         """Return how near to the target one gets, in words."""
-        reached = {source, *nx.descendants(self.graph, source)}
+        first = [state for state in self.states if state.source == source]
+        after = nx.multi_source_dijkstra_path_length(self.states, first) if first else {}
         goal = np.array(self._places[target])
-        near = min(reached, key=lambda node: float(np.hypot(*(goal - self._places[node]))))
-        gap = float(np.hypot(*(goal - self._places[near])))
+        gap, near = min(
+            (float(np.hypot(*(goal - self._places[node]))), k, node)
+            for k, node in enumerate([source, *dict.fromkeys(s.target for s in after)])
+        )[::2]
+        (sx, sy), (gx, gy), (x, y) = self._places[source], goal, self._places[near]
         return (
-            f"no route joins {source!r} and {target!r}; the nearest node that {source!r} reaches "
-            f"is {near!r}, {gap:.2f} m from the goal: join the parts of the graph"
+            f"no route leads from {source!r} at ({sx:.2f}, {sy:.2f}) to {target!r} at ({gx:.2f}, "
+            f"{gy:.2f}); the nearest node that is reached is {near!r} at ({x:.2f}, {y:.2f}), "
+            f"{gap:.2f} m from there"
         )
 
     def drive(

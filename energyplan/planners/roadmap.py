@@ -217,7 +217,13 @@ def _free_route(
     states.remove_nodes_from([s for s, good in zip(everything, free, strict=True) if not good])
     closed: set[tuple[str, State]] = set()
     while True:
-        sequence = roadmap.search(*ends, problem.start.yaw, problem.goal.yaw, closed)
+        try:
+            sequence = roadmap.search(*ends, problem.start.yaw, problem.goal.yaw, closed)
+        except NoPathError as error:
+            raise NoPathError(
+                f"{error}, and no other way is free for the footprint; check the map for closed "
+                "doors and unknown cells, add places to the graph, or use the planner 'lattice'"
+            ) from None
         path = roadmap.drive(ends[0], sequence, problem.start.yaw, problem.goal.yaw)
         if query.grid.path_free(path, problem.robot):
             return path
