@@ -150,7 +150,8 @@ def _without(log: DriveLog, times: FloatArray) -> DriveLog:
     if np.count_nonzero(kept) < 2:
         raise DriveLogError(
             f"{log.name}: the inner motor reads nothing in all samples but "
-            f"{np.count_nonzero(kept)}; drive straight and on the spot too, or read with blind='keep'"
+            f"{np.count_nonzero(kept)}; drive straight and on the spot too, or read with "
+            "blind='keep'"
         )
     return replace(log, channels={name: values[kept] for name, values in log.channels.items()})
 
