@@ -114,4 +114,4 @@ def cheapest_rate(
     rate = 0.5 * (low + high)
     for end in (slowest, limit):
         rate = np.where(energy(end) <= energy(rate), end, rate)
-    return rate
+    return np.asarray(rate)

@@ -160,8 +160,8 @@ def _ray(
 ) -> float:
     """Fraction of p at which the dual function is greatest along the ray to p."""
     low, high, f_low, f_high, last = 0.0, 1.0, 0.0, 0.0, 0
-    for _ in range(80):
-        f = between(low, high, f_low, f_high)
+    for i in range(160):
+        f = between(low, high, f_low, f_high) if i % 3 != 2 else 0.5 * (low + high)
         _, rx, ry = dual_value(f * px, f * py, dx, dy, lo, hi, eta, left, right)
         slope = rx * px + ry * py
         if slope > 0.0:
@@ -334,7 +334,9 @@ def maximise(
     if side == 0:
         px, py, _, _ = _boundary(t, stretch, lo, hi, af, ab)
         f = _ray(px, py, dx, dy, lo, hi, eta, left, right, 4e-16)
-        return best, f * px, f * py, 0.0, 0.0
+        px, py = f * px, f * py
+        best, _, _ = dual_value(px, py, dx, dy, lo, hi, eta, left, right)
+        return best, px, py, 0.0, 0.0
     if where == AT_LO:
         return best, px, py, rx * math.cos(lo) + ry * math.sin(lo), 0.0
     if where == AT_HI:

@@ -21,7 +21,7 @@ import math
 
 from energyplan._numba import njit
 
-TINY = 1e-12
+TINY = 1e-12  # slack of conditions on headings; what it gives away is a rounding error
 HALF_PI = 0.5 * math.pi
 
 # Codes of the words. The letter of the group: N, no excursion; E, excursion at one end; B, at both.
@@ -113,7 +113,7 @@ def best_word(
         if sy > 0:
             vx, vy = X - 2.0 * g, Y
             L = math.hypot(vx, vy)
-            if base + L < best and abs(math.atan2(vy, vx)) <= eta:
+            if base + L < best and abs(math.atan2(vy, vx)) <= eta + TINY:
                 best, code, bx, by, q1, q2 = base + L, N_STRAIGHT, sx, sy, math.atan2(vy, vx), L
             if eta > HALF_PI:
                 vx = X + 2.0 * g
@@ -126,7 +126,7 @@ def best_word(
         N = math.hypot(vx, vy)
         if N >= 2.0 and base + N - 2.0 < best:
             psi = math.atan2(vy, vx)
-            if -eta <= psi <= eta - HALF_PI:
+            if -eta - TINY <= psi <= eta - HALF_PI + TINY:
                 best, code, bx, by, q1, q2 = base + N - 2.0, N_INNER, sx, sy, psi, N - 2.0
         wx, wy = X, Y + 2.0 * k
         M2 = wx * wx + wy * wy
@@ -139,7 +139,7 @@ def best_word(
                     L = along - root if j == 0 else along + root
                     if L >= 0.0 and base + L < best:
                         z = math.atan2(-(wx - L * k), wy - L * g)
-                        if abs(z) <= eta:
+                        if abs(z) <= eta + TINY:
                             best, code, bx, by, q1, q2 = base + L, N_END, sx, sy, z, L
             if sx > 0 and g > 0:
                 both, less = (Y - 2.0 + 2.0 * k) / g, X / k
@@ -151,10 +151,10 @@ def best_word(
         if N >= 2.0:
             L = math.sqrt(N * N - 4.0)
             h = math.atan2(vy, vx) + math.atan2(2.0, L)
-            if h < eta:
+            if h < eta - TINY:
                 h += 2.0 * math.pi
-            cost = 2.0 * turn * h + L
-            if h >= eta and cost < best:
+            cost = 2.0 * turn * max(h, eta) + L
+            if h >= eta - TINY and cost < best:
                 best, code, bx, by, q1, q2 = cost, E_PLAIN, sx, sy, h, L
         ax, ay = X + 2.0 * g, Y
         A = math.hypot(ax, ay)
@@ -163,10 +163,10 @@ def best_word(
         L = 2.0 * c * t
         if base + L < best:
             h = math.atan2(ay, ax) - math.atan2(2.0 / w - 2.0, 2.0 * t / w + L)
-            cost = 2.0 * turn * h + L
-            if h >= eta and cost < best:
+            cost = 2.0 * turn * max(h, eta) + L
+            if h >= eta - TINY and cost < best:
                 z = h - math.atan(t)
-                if abs(z) <= eta:
+                if abs(z) <= eta + TINY:
                     best, code, bx, by, q1, q2, q3 = cost, E_ZERO, sx, sy, h, L, z
         M = math.sqrt(M2)
         if M >= 2.0:
@@ -175,9 +175,9 @@ def best_word(
             L = 2.0 * c * t
             if base + L < best:
                 h = math.atan2(wy, wx) - math.atan2(4.0 / w - 2.0, 4.0 * t / w + L)
-                cost = 2.0 * turn * h + L
+                cost = 2.0 * turn * max(h, eta) + L
                 z = h - math.atan(t)
-                if z >= eta and cost < best:
+                if z >= eta - TINY and cost < best:
                     best, code, bx, by, q1, q2, q3 = cost, E_ZERO_OUT, sx, sy, h, L, z
         for out in range(2):
             e = 2.0 if out == 0 else 4.0
@@ -198,8 +198,8 @@ def best_word(
                     continue
                 tau = math.acos(q)
                 h = 2.0 * tau - eta
-                cost = 2.0 * turn * h + L + L0
-                if h < eta or cost >= best:
+                cost = 2.0 * turn * max(h, eta) + L + L0
+                if h < eta - TINY or cost >= best:
                     continue
                 if (tau <= 2.0 * eta) == (out == 0):
                     best, code, bx, by = cost, E_ENDS if out == 0 else E_ENDS_OUT, sx, sy
@@ -218,10 +218,10 @@ def best_word(
                     q = 8.0 * c / (root - 2.0 - value)
                 q = min(q, 1.0)
                 tau, L = math.acos(q), 2.0 * c * math.sqrt(1.0 - q * q) / q
-                cost = turn * (4.0 * tau - 2.0 * eta) + 2.0 * L
+                cost = turn * max(4.0 * tau - 2.0 * eta, 2.0 * eta) + 2.0 * L
                 if cost < best:
                     z = math.atan2(vx, -vy) if j == 0 else math.atan2(-vx, vy)
-                    if abs(z) <= eta and tau >= eta + abs(z):
+                    if abs(z) <= eta + TINY and tau >= eta + abs(z) - TINY:
                         best, code, bx, by, q1, q2, q3 = cost, B_ZERO, sx, sy, z + tau, L, z
         ox, oy = X - 2.0 * g, Y
         value = -math.hypot(ox, oy)
@@ -229,9 +229,9 @@ def best_word(
         q = (4.0 + value + root) / (8.0 * turn) if value > -4.0 else 8.0 * c / (root - 4.0 - value)
         q = min(q, 1.0)
         tau, L = math.acos(q), 2.0 * c * math.sqrt(1.0 - q * q) / q
-        cost = turn * (4.0 * tau - 2.0 * eta) + 2.0 * L
+        cost = turn * max(4.0 * tau - 2.0 * eta, 2.0 * eta) + 2.0 * L
         if cost < best:
             z = math.atan2(-ox, oy)
-            if z >= eta and tau >= eta + z:
+            if z >= eta - TINY and tau >= eta + z - TINY:
                 best, code, bx, by, q1, q2, q3 = cost, B_ZERO_OUT, sx, sy, z + tau, L, z
     return best, code, bx, by, q1, q2, q3

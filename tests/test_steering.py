@@ -249,6 +249,17 @@ def test_aligned_poses_are_a_straight_line() -> None:
         assert route.length == pytest.approx(abs(x))
 
 
+def test_rounding_errors_in_the_poses_cost_no_more_than_rounding_errors() -> None:
+    rng = np.random.default_rng(9)
+    for cost in (unit_cost(0.0), unit_cost(2.0), COSTS["hotel load"]):
+        scale = float(cost.per_metre(0.0))
+        for x, turn in ((5.0, 0.0), (-2.0, 0.0), (0.0, 1.1), (3.0, math.pi)):
+            exact = one((0, 0, 0), (x, 0, turn), cost)
+            for size in (1e-17, 1e-14, 1e-11, 1e-8):
+                goal = np.array([x, 0, turn]) + size * rng.normal(size=3)
+                assert abs(one((0, 0, 0), goal, cost) - exact) < scale * (100 * size + 1e-12)
+
+
 def test_pure_rotation_costs_its_angle() -> None:
     angles = np.linspace(-np.pi, np.pi, 41)
     goals = np.column_stack([np.zeros((41, 2)), angles])

@@ -1,0 +1,111 @@
+"""Iso-energy surfaces around a pose, and the motions that attain the least energy.
+
+Draws the pictures of docs/steering.md:
+
+    python examples/iso_energy.py [FOLDER]
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path as File
+
+import matplotlib as mpl
+import numpy as np
+
+from energyplan import steering
+from energyplan.cost import EnergyCost
+from energyplan.path import Path
+from energyplan.power import PowerModel
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+RATIOS = (0.2, 1.0, 2.7)
+HEADINGS = (0, 45, 90, 180)
+WORDS = (
+    (0.0, 1.0, 0),
+    (2.0, 1.0, 0),
+    (1.0, 0.5, 60),
+    (0.4, 0.3, 90),
+    (-1.0, 1.5, 180),
+    (0.0, 0.15, 0),
+)
+
+
+def surfaces(folder: File) -> File:
+    """Draw the least energy to positions around the origin, for several c and goal headings."""
+    side = np.linspace(-4, 4, 161)
+    x, y = np.meshgrid(side, side)
+    figure, axes = plt.subplots(
+        len(RATIOS), len(HEADINGS), figsize=(12, 9), sharex=True, sharey=True, layout="constrained"
+    )
+    for row, c in zip(axes, RATIOS, strict=True):
+        cost = EnergyCost.from_coefficients(per_metre=1.0, per_radian=c, icr=1.0)
+        for ax, heading in zip(row, HEADINGS, strict=True):
+            goals = np.stack([x, y, np.full_like(x, np.deg2rad(heading))], axis=-1)
+            energy = steering.energy((0, 0, 0), goals, cost)
+            filled = ax.contourf(x, y, energy, levels=np.arange(0, 14.1, 0.5), extend="max")
+            ax.contour(x, y, energy, levels=np.arange(0, 14.1, 1.0), colors="k", linewidths=0.4)
+            ax.annotate("", (0.8, 0), (0, 0), arrowprops={"arrowstyle": "->", "color": "w"})
+            ax.set_aspect("equal")
+            ax.set_title(f"c = {c:g}, goal heading {heading}°", fontsize=9)
+    for ax in axes[-1]:
+        ax.set_xlabel("x / C")
+    for ax in axes[:, 0]:
+        ax.set_ylabel("y / C")
+    figure.colorbar(filled, ax=axes, label="least energy / (a C)", shrink=0.6)
+    target = folder / "iso_energy.png"
+    figure.savefig(target, dpi=110)
+    plt.close(figure)
+    return target
+
+
+def _letters(route: Path) -> str:
+    """Name the segments: S straight, P pivot, T spin; + forwards, - backwards, l and r by turn."""
+    names = []
+    for ds, dtheta in zip(route.ds, route.dtheta, strict=True):
+        way = "+" if ds > 0 else "-"
+        if dtheta == 0:
+            names.append(f"S{way}")
+        else:
+            side = "l" if dtheta > 0 else "r"
+            names.append(f"P{side}{way}" if ds else f"T{side}")
+    return " ".join(names)
+
+
+def words(folder: File) -> File:
+    """Draw example motions of Quadriga on concrete, with what they cost."""
+    cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+    figure, axes = plt.subplots(2, 3, figsize=(12, 7.5), layout="constrained")
+    for ax, (x, y, heading) in zip(axes.flat, WORDS, strict=True):
+        goal = (x, y, np.deg2rad(heading))
+        route = steering.path((0, 0, 0), goal, cost)
+        fine = route.poses(max_ds=0.02, max_dtheta=0.03)
+        ax.plot(fine[:, 0], fine[:, 1], lw=2)
+        corners = route.vertices
+        ax.plot(corners[:, 0], corners[:, 1], "o", ms=4, color="tab:red")
+        for px, py, yaw in corners:
+            ax.plot([px, px + 0.12 * np.cos(yaw)], [py, py + 0.12 * np.sin(yaw)], "k", lw=0.8)
+        ax.set_title(
+            f"to ({x:g} m, {y:g} m, {heading}°): {cost.energy(route):.0f} J\n{_letters(route)}",
+            fontsize=9,
+        )
+        ax.set_aspect("equal", adjustable="datalim")
+        ax.grid(alpha=0.3)
+    target = folder / "steering_words.png"
+    figure.savefig(target, dpi=110)
+    plt.close(figure)
+    return target
+
+
+def main() -> None:
+    """Draw both pictures into the folder given, or the working directory."""
+    folder = File(sys.argv[1] if len(sys.argv) > 1 else ".")
+    folder.mkdir(parents=True, exist_ok=True)
+    for picture in (surfaces(folder), words(folder)):
+        print(picture)
+
+
+if __name__ == "__main__":
+    main()
