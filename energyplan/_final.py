@@ -83,6 +83,14 @@ def _derivatives(
     """Differentiate the power by each searched parameter, on each drive."""
     found = {}
     for part in parts:
+        if part.effect.name == "time_offset":
+            terms = [*PAPER, *(term for other in parts for term in other.terms)]
+            whole = PowerModel(
+                problem.vehicle, tuple(terms), np.array([values[term.name] for term in terms])
+            )
+            found["delay"] = [
+                np.gradient(whole.power(drive.motion), drive.t) for drive in problem.drives
+            ]
         for key, value in part.params:
             if key not in part.effect.grid or not part.terms:
                 continue

@@ -172,6 +172,11 @@ class Problem:
             drives.append(drive.with_channels(changed=np.full(len(drive.t), float(state))))
         return Problem(drives, self.vehicle, self.memory)
 
+    def advanced(self, delay: float) -> Problem:
+        """Return the drives with their power moved ahead in time by `delay` [s]."""
+        drives = [drive.advanced(delay) for drive in self.drives]
+        return Problem(drives, self.vehicle, self.memory)
+
     def tables(
         self, terms: Sequence[Term], values: FloatArray
     ) -> tuple[list[FloatArray], list[FloatArray]]:

@@ -171,9 +171,8 @@ class Selector:
             known = dict(zip((t.name for t in terms), now.values, strict=False))
             full = problem.design(terms, errors, known, rounds=3)
         elif part.effect.name == "time_offset":
-            delay = dict(part.params)["delay"]
-            drives = [drive.advanced(delay) for drive in problem.drives]
-            problem = Problem(drives, problem.vehicle, problem.memory)
+            problem = problem.advanced(dict(part.params)["delay"])
+            drives = problem.drives
             moved = window_means(
                 drives,
                 [
@@ -283,8 +282,7 @@ class Selector:
             rivals = tuple(
                 trial for trial in good if trial is not best and self._rivals(trial, best)
             )
-            self.problem = best.problem
-            part = self._refined(best.part, parts)
+            part, self.problem = self._refined(best, parts)
             chosen.append(Chosen(part, best, rivals))
             chosen = self._without_superfluous(chosen)
         return Selection(self.problem, tuple(chosen), tuple(self.untested))
@@ -323,27 +321,38 @@ class Selector:
             return good
         return [trial for trial in good if trial not in sudden]
 
-    def _refined(self, part: Part, parts: Sequence[Part]) -> Part:
+    def _refined(self, best: Trial, parts: Sequence[Part]) -> tuple[Part, Problem]:
         """Move each parameter between its grid's neighbours to where the loss is least."""
+        part, problem = best.part, best.problem
         for key, start in part.params:
-            if key not in part.effect.grid or key == "delay":
+            if key not in part.effect.grid:
                 continue
             grid = sorted(part.effect.grid[key])
             k = grid.index(start)
-            low, high = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
-            errors = self.problem.reference(self.problem.design(terms_of([*parts, part])))
+            ends = (grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)])
+            base = self.problem if key == "delay" else problem
+            errors = problem.reference(problem.design(terms_of([*parts, part])))
 
             def moved(x: float, key: str = key, now: Part = part) -> Part:
                 return replace(now, params=tuple((n, x if n == key else v) for n, v in now.params))
 
-            def loss(x: float, make: Callable[..., Part] = moved, e: FloatArray = errors) -> float:
-                design = self.problem.design(terms_of([*parts, make(float(np.exp(x)))]), e)
-                return fit(design, e).loss
+            def loss(
+                x: float,
+                make: Callable[[float], Part] = moved,
+                base: Problem = base,
+                errors: FloatArray = errors,
+            ) -> float:
+                made = make(float(x))
+                case = base.advanced(float(x)) if made.effect.name == "time_offset" else base
+                design = case.design(terms_of([*parts, made]), errors)
+                return fit(design, errors).loss
 
-            ends = (float(np.log(low)), float(np.log(high)))
-            best = minimize_scalar(loss, bounds=ends, method="bounded", options={"xatol": 0.02})
-            part = moved(float(np.exp(best.x)))
-        return part
+            found = minimize_scalar(
+                loss, bounds=ends, method="bounded", options={"xatol": 0.01 * (ends[1] - ends[0])}
+            )
+            part = moved(float(found.x))
+            problem = base.advanced(float(found.x)) if key == "delay" else problem
+        return part, problem
 
     def _without_superfluous(self, chosen: list[Chosen]) -> list[Chosen]:
         """Take out effects that the later ones made unnecessary."""
@@ -355,9 +364,12 @@ class Selector:
 
 
 def is_needless(problem: Problem, parts: Sequence[Part], which: Part) -> bool:
-    """Tell whether a model predicts as well without one of its parts."""
+    """Tell whether a model predicts as well without one of its parts, or it makes no sense now."""
     errors = problem.reference(problem.design(terms_of(parts)))
     full = fit(problem.design(terms_of(parts), errors), errors)
+    values = dict(zip((term.name for term in terms_of(parts)), full.values, strict=True))
+    if any(not t.bounds[0] <= values[t.name] <= t.bounds[1] for t in which.terms):
+        return True
     rest = [part for part in parts if part is not which]
     less = fit(problem.design(terms_of(rest), errors), errors)
     gap, error = difference(less.losses, full.losses)

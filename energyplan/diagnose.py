@@ -193,6 +193,11 @@ class _Case:
             parts = (*parts, _smooth_part(left[0]))
         fitted = final_fit(selection.problem, parts)
         after = [predict(fitted.model, parts, drive) for drive in self.held]
+        if score(after).rmse > score(before).rmse:
+            withdrawn += [choice.part.effect.name for choice in chosen]
+            chosen, parts, selection = [], (), replace(selection, problem=self.problem)
+            fitted = final_fit(self.problem, parts)
+            after = [predict(fitted.model, parts, drive) for drive in self.held]
         found = self._found(chosen, fitted.model, fitted.errors, selection, after)
         unexplained = tuple(
             Unexplained(
@@ -274,7 +279,7 @@ class _Case:
                     if one.change is not None:
                         details[f"time in {one.drive.name}"] = one.change
             value = entry.value(model) if entry.terms else params["delay"]
-            error = size_error(entry, model) if entry.terms else 0.5 * _delay_step(entry, value)
+            error = size_error(entry, model) if entry.terms else errors["delay"]
             trial = choice.trial
             found.append(
                 FoundEffect(
@@ -314,11 +319,6 @@ def _change_time(drive: Drive) -> dict[str, float]:
     changed = drive.motion.channels["changed"]
     at = np.flatnonzero(np.diff(changed))
     return {f"time in {drive.name}": float(drive.t[at[0] + 1])} if len(at) else {}
-
-
-def _delay_step(entry: Effect, value: float) -> float:
-    grid = np.array(sorted(entry.grid["delay"]))
-    return float(np.sort(np.abs(grid - value))[1])
 
 
 def _smooth_part(found: Dependence) -> Part:

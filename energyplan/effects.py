@@ -268,8 +268,7 @@ _ENTRIES = (
     Effect(
         "time_offset", (), "delay", "s", "power logged later than speed",
         "start and stop abruptly on level ground", "no", (-2.0, 2.0), acts="log",
-        grid={"delay": (-1.0, -0.7, -0.5, -0.35, -0.25, -0.15, -0.1,
-                        0.1, 0.15, 0.25, 0.35, 0.5, 0.7, 1.0)},
+        grid={"delay": tuple(k / 10 for k in range(-10, 11) if k)},
     ),
     Effect.of(UNSIGNED_POWER, plausible=(0.7, 1.5), manoeuvre=_TURNS, planner="no", acts="log"),
     Effect.of(SIDE_GAIN, plausible=(-0.5, 0.5), manoeuvre="swap the two sensors", planner="no",

@@ -1,0 +1,57 @@
+"""What a real robot does that the model leaves out.
+
+    python examples/diagnose_husky.py FOLDER
+
+FOLDER holds runs of one surface of the BorealTC data set: ``pro_NN.csv`` (motor currents and wheel
+speeds) and ``imu_NN.csv``. Every third run is held out. With a robot of your own, replace the
+reader: anything that makes an ``ep.DriveLog`` with power and tread speeds will do.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import energyplan as ep
+from energyplan.io.husky import read_husky
+
+
+def main(folder: Path) -> None:
+    """Read, split by run, diagnose, report."""
+    logs = [read_husky(file) for file in sorted(folder.glob("pro_*.csv"))]
+    logs = [log for log in logs if log.duration >= 16.0]
+    inertial = [log for log in logs if log.has("accel_x")]
+    # A channel counts only where every run has it.
+    chosen = inertial if len(inertial) >= 6 else logs
+    unseen = chosen[::3]
+    train = [log for log in chosen if log not in unseen]
+    print(f"{folder.name}: {len(train)} runs to learn from, {len(unseen)} to judge by")
+    for log in chosen:
+        for warning in log.warnings[:1]:
+            print(f"  {log.name}: {warning}")
+
+    told = ep.diagnose(train, holdout=unseen, vehicle=ep.Vehicle.preset("husky_a200"))
+    print(f"verdict: {told.verdict.replace('_', ' ')}")
+    for effect in told.effects:
+        rivals = f", or {' or '.join(effect.rivals)}" if effect.rivals else ""
+        print(
+            f"  {effect.name}{rivals}: {effect.symbol} = {effect.value:.4g} +- "
+            f"{effect.std_error:.2g} {effect.unit}; {effect.meaning}"
+        )
+    for name in told.withdrawn:
+        print(f"  taken back, because the held-out runs got worse: {name}")
+    for found in told.unexplained:
+        print(f"  unexplained: {found.shape} ({found.explained_variance:.0%} of the error)")
+    for name, error in (("before", told.before), ("after", told.after)):
+        print(
+            f"  held-out runs {name:6}: rmse {error.rmse:.1f} W, "
+            f"energy {100 * error.energy_error:+.1f} %"
+        )
+    for line in told.advice:
+        print(f"  advice: {line}")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit(__doc__)
+    main(Path(sys.argv[1]))
