@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
+import shapely
 
 from energyplan import steering
 from energyplan._mission_bounds import shortest_ways
@@ -15,7 +18,7 @@ from energyplan._mission_energy import Estimate, Grounds, Regions
 from energyplan._mission_types import Mission
 from energyplan.cost import EnergyCost
 from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitError
-from energyplan.maps import SurfaceMap
+from energyplan.maps import OccupancyGrid, SurfaceMap
 from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
 from energyplan.planners import PlanningProblem, plan
 from energyplan.power import PowerModel
@@ -23,6 +26,9 @@ from energyplan.speed import profile
 
 _PERIOD = 0.1
 """Largest time between two samples of a leg [s]."""
+
+_PLANNING = 20.0
+"""Time for all routes of a mission, where it does not say otherwise [s]."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,15 @@ class _Route:
     detail: str = ""
 
 
+_routes: WeakKeyDictionary[OccupancyGrid, dict[bytes, dict[tuple[Pose, Pose], _Route]]] = (
+    WeakKeyDictionary()
+)
+"""Routes by map, and by everything else that decides them: variants of a mission share them."""
+
+_REMEMBERED = 32
+"""How many sets of routes are kept for a map."""
+
+
 class Legs:
     """All legs of a mission, each planned when it is first asked for.
 
@@ -98,10 +113,10 @@ class Legs:
             self.home = len(self.poses)
             self.poses.append(home)
             self.names.append("home")
-        self._routes: dict[tuple[int, int], _Route] = {}
         self._legs: dict[tuple[int, int, float], Leg] = {}
         self._bounds: dict[float, FloatArray] = {}
         self._costs: dict[float, tuple[EnergyCost, SurfaceMap | None]] = {}
+        self._routes = self._known_routes()
 
     def under(self, mission: Mission) -> Legs:
         """Return these legs for a mission that differs in battery, charge, reserve or speed."""
@@ -172,8 +187,8 @@ class Legs:
 
     def planned(self, start: int, goal: int) -> bool:
         """Tell whether the route from node to node is known."""
-        known = self._routes
-        return (start, goal) in known or (self._symmetric and (goal, start) in known)
+        there, back = (self.poses[start], self.poses[goal]), (self.poses[goal], self.poses[start])
+        return there in self._routes or (self._symmetric and back in self._routes)
 
     # -- legs -------------------------------------------------------------------------------------
 
@@ -186,10 +201,30 @@ class Legs:
 
     def _route(self, start: int, goal: int) -> _Route:
         """Plan from node to node, for the payload at the start of the mission."""
-        key = (start, goal)
+        key = self.poses[start], self.poses[goal]
         if key not in self._routes:
             self._routes[key] = self._planned(start, goal)
         return self._routes[key]
+
+    def _known_routes(self) -> dict[tuple[Pose, Pose], _Route]:
+        """Return the routes that were planned before with the same map, costs and planner."""
+        mission = self.mission
+        cost, surfaces = self.cost(mission.payload)
+        grounds = () if surfaces is None else surfaces.surfaces
+        areas = () if surfaces is None else surfaces.keep_out
+        asked = (
+            _told(cost.model),
+            *((shapely.to_wkb(ground.area), _told(ground.model)) for ground in grounds),
+            *(shapely.to_wkb(area) for area in areas),
+            mission.speed, mission.planner, self._planning_time,
+        )  # fmt: skip
+        known = _routes.setdefault(mission.map, {})
+        key = hashlib.sha256(repr(asked).encode()).digest()
+        routes = known.pop(key, {})
+        known[key] = routes
+        if len(known) > _REMEMBERED:
+            del known[next(iter(known))]
+        return routes
 
     def _planned(self, start: int, goal: int) -> _Route:
         mission = self.mission
@@ -198,7 +233,7 @@ class Legs:
         still = Path(here, np.zeros(0), np.zeros(0), cost.icr.longitudinal)
         if here == there:
             return _Route(still)
-        back = self._routes.get((goal, start))
+        back = self._routes.get((there, here))
         if back is not None and self._symmetric:
             return replace(back, path=still if back.trouble else back.path.reversed())
         if self._progress is not None:
@@ -206,13 +241,22 @@ class Legs:
         problem = PlanningProblem(mission.map, cost, here, there, surfaces=surfaces)
         for patience in (1.0, 10.0):
             try:
-                limit = patience * mission.planning_time
+                limit = patience * self._planning_time
                 return _Route(plan(problem, planner=mission.planner, time_limit=limit).path)
             except TimeLimitError as error:
                 last = str(error)
             except PlanningError as error:
                 return _Route(still, "no_path", str(error))
         return _Route(still, "no_path", last)
+
+    @property
+    def _planning_time(self) -> float:
+        """Time for each route [s]: about four routes a task are planned for a free order."""
+        mission = self.mission
+        if mission.planning_time is not None:
+            return mission.planning_time
+        routes = (4 if mission.order == "free" else 2) * len(mission.tasks)
+        return float(np.clip(_PLANNING / routes, 0.1, 1.0))
 
     @cached_property
     def _symmetric(self) -> bool:
@@ -273,6 +317,14 @@ class Legs:
         heading = np.column_stack([np.cos(trajectory.yaw), np.sin(trajectory.yaw)])
         points = trajectory.poses[:, :2] + longitudinal * heading
         return surfaces.region_at(0.5 * (points[1:] + points[:-1]))
+
+
+def _told(model: PowerModel) -> tuple[object, ...]:
+    """Return everything about a model that decides a route."""
+    values = [getattr(model.vehicle, field.name) for field in fields(model.vehicle)]
+    vehicle = [v.tobytes() if isinstance(v, np.ndarray) else v for v in values]
+    terms = tuple((term.name, tuple(term.params.items())) for term in model.terms)
+    return terms, model.coefficients.tobytes(), tuple(vehicle)
 
 
 def _stuck(path: Path, nothing: Estimate, trouble: str, detail: str) -> Leg:

@@ -184,8 +184,9 @@ class Mission:
         Tread speed to drive at [m/s]; the cheapest where not given.
     planner : str
         Planner of the routes.
-    planning_time : float
-        Time limit for each route [s].
+    planning_time : float, optional
+        Time for each route [s]; where not given, a second where tasks are few and less where they
+        are many.
     name : str
         What to call the mission.
 
@@ -215,7 +216,7 @@ class Mission:
     time: float = 0.0
     speed: float | None = None
     planner: str = "lattice"
-    planning_time: float = 0.3
+    planning_time: float | None = None
     name: str = "mission"
 
     def __post_init__(self) -> None:
@@ -282,10 +283,9 @@ class Mission:
         for key in ("coefficient_spread", "payload", "time"):
             value = getattr(self, key)
             _require(np.isfinite(value) and value >= 0, f"{key} is {value}; give 0 or more", key)
-        _require(self.planning_time > 0, "planning_time must be positive", "planning_time")
-        _require(
-            self.speed is None or self.speed > 0, f"speed is {self.speed}; give m/s > 0", "speed"
-        )
+        for key in ("planning_time", "speed"):
+            value = getattr(self, key)
+            _require(value is None or value > 0, f"{key} is {value}; give more than 0", key)
         _require(
             self.order in ("given", "free"), f"order is {self.order!r}: given or free", "order"
         )

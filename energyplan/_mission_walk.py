@@ -17,6 +17,7 @@ _STEP = 30.0
 _HOURS = 48
 _ROUNDING = 1e-9
 _GRAM = 1e-3
+_INSTANT = 1e-6
 
 
 class Charge(NamedTuple):
@@ -166,7 +167,7 @@ class Walk:
 
     def stay(self, state: Condition, kind: str, duration: float, power: float = 0.0) -> Condition:
         """Stand still for so long [s] with a tool that draws power [W]."""
-        if duration <= 0:
+        if duration <= _INSTANT:
             return state
         idle = self.legs.grounds.idle(self.legs.region(state.node), duration, state.payload)
         energy = replace(idle, mean=idle.mean + power * duration)

@@ -37,7 +37,7 @@ def known(name: str = "quadriga:empty:marble", spread: float = 0.0) -> PowerMode
 def mission(tasks: list[Task], **changes: Any) -> Mission:
     values: dict[str, Any] = {
         "model": known(), "map": hall(), "battery": Battery.preset("quadriga"),
-        "start": Pose(1.0, 5.0, 0.0), "tasks": tuple(tasks),
+        "start": Pose(1.0, 5.0, 0.0), "tasks": tuple(tasks), "planning_time": 0.2,
     }  # fmt: skip
     return Mission(**{**values, **changes})
 
@@ -427,6 +427,19 @@ def test_a_corrected_model_takes_the_place_of_the_old_one():
     worn = old.with_coefficients(old.coefficients * 1.5, old.covariance)
     rest = whole.resume(whole.start, soc=0.9, model=replace(worn, name="learned"))
     assert evaluate(rest).task("far").energy == pytest.approx(1.5 * 2 * 110 * 10, rel=1e-6)
+
+
+def test_variants_of_a_mission_share_its_routes():
+    lines: list[str] = []
+    base = mission(TASKS)
+    first = evaluate(base, progress=lines.append)
+    planned = len(lines)
+    again = evaluate(replace(base, soc=0.8), progress=lines.append)
+    assert planned > 0
+    assert len(lines) == planned
+    assert again.energy == first.energy
+    evaluate(replace(base, model=known("quadriga:empty:concrete")), progress=lines.append)
+    assert len(lines) == 2 * planned
 
 
 def test_missions_travel_to_other_processes():

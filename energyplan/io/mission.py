@@ -133,7 +133,7 @@ class _Mission(_Strict):
     time: Time = 0.0
     speed: Speed | None = None
     planner: str = "lattice"
-    planning_time: Time = 0.3
+    planning_time: Time | None = None
 
 
 def read_mission(path: str | Path) -> Mission:
