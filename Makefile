@@ -30,7 +30,7 @@ bench: $(READY)
 
 lock: $(READY)
 	$(BIN)/uv pip compile --universal --python-version 3.11 --generate-hashes --group dev \
-		--extra parquet --extra orienteering --no-header --quiet --upgrade pyproject.toml -o requirements-dev.lock
+		--all-extras --no-header --quiet --upgrade pyproject.toml -o requirements-dev.lock
 
 $(READY): requirements-dev.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("energyplan needs Python 3.11 or later; set PYTHON=/path/to/python3.11")'
