@@ -107,7 +107,7 @@ def cheapest_rate(
         best, place = np.where(better, value, best), np.where(better, k, place)
     low = slowest * ratio ** np.maximum(place - 1, 0)
     high = slowest * ratio ** np.minimum(place + 1, _SCAN - 1)
-    for _ in range(45):
+    for _ in range(28):
         gap = _INVERSE_GOLDEN * (high - low)
         down = energy(high - gap) < energy(low + gap)
         low, high = np.where(down, low, high - gap), np.where(down, low + gap, high)
