@@ -69,6 +69,9 @@ class FoundEffect:
     def __post_init__(self) -> None:
         object.__setattr__(self, "details", MappingProxyType(dict(self.details)))
 
+    def __getstate__(self) -> dict[str, object]:
+        return {**vars(self), "details": dict(self.details)}
+
 
 @dataclass(frozen=True)
 class Unexplained:

@@ -224,7 +224,7 @@ class _Case:
         return Diagnosis(
             verdict=verdict,
             effects=found,
-            model=_for_planners(fitted.model, used, selection.problem, score(after)),
+            model=_for_planners(fitted.model, used, score(after)),
             before=score(before),
             after=score(after),
             before_interval=interval(before),
@@ -292,20 +292,11 @@ class _Case:
         return tuple(found)
 
 
-def _for_planners(
-    model: PowerModel, used: Sequence[Effect], problem: Problem, residual: Residual
-) -> PowerModel:
-    """Leave out what belongs to the log, and let a change happen when it did."""
+def _for_planners(model: PowerModel, used: Sequence[Effect], residual: Residual) -> PowerModel:
+    """Leave out what belongs to the log; a change happens at time 0, before any plan."""
     logged = {term.name for entry in used if entry.acts == "log" for term in entry.terms}
     keep = [k for k, term in enumerate(model.terms) if term.name not in logged]
-    times = [time for drive in problem.drives for time in _change_time(drive).values()]
     terms = [model.terms[k] for k in keep]
-    if times:
-        terms = [
-            replace(term, params={**term.params, "time": times[-1]})
-            if "time" in term.params else term
-            for term in terms
-        ]  # fmt: skip
     covariance = None if model.covariance is None else model.covariance[np.ix_(keep, keep)]
     name = "extended" if used else "paper"
     return PowerModel(

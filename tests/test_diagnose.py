@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -135,7 +136,7 @@ def test_a_payload_change_is_found_with_its_time_and_its_rival() -> None:
     assert first.details["time in drive 1"] == pytest.approx(55.0, abs=1.0)
     assert any("weigh the robot" in line for line in told.advice)
     # A planner gets the robot as it is now.
-    slip = told.model.breakdown(Motion.from_twist(0.0, 1.0, VEHICLE.icr, t=1e9))
+    slip = told.model.breakdown(Motion.from_twist(0.0, 1.0, VEHICLE.icr, t=0.0))
     now = float(slip["slip_friction"] + slip["slip_change"]) / VEHICLE.slip_moment
     assert now == pytest.approx(0.7 * PAPER.coefficient("slip_friction"), rel=0.03)
 
@@ -249,6 +250,7 @@ def test_progress_rises_and_the_answer_is_reproducible() -> None:
     two = diagnose(train, unseen, VEHICLE)
     assert seen == sorted(seen) and seen[0] == 0.0 and seen[-1] == 1.0
     assert one.effects == two.effects and one.after_interval == two.after_interval
+    assert pickle.loads(pickle.dumps(one.effects)) == one.effects
 
 
 # -- parts, against second algorithms -------------------------------------------------------------
