@@ -232,7 +232,7 @@ _ENTRIES = (
     ),
     Effect.of(DRIVE_LOSS, plausible=(0.0, 5.0), manoeuvre=_TURNS),
     Effect.of(REGENERATION_LOSS, plausible=(0.0, 1.0), manoeuvre=_TURNS),
-    Effect.of(WARM_UP, plausible=(0.0, 1e4), manoeuvre=_REPEAT, planner="with the time; else as warm",
+    Effect.of(WARM_UP, plausible=(0.0, 1e4), manoeuvre=_REPEAT, planner="with the time, else warm",
               grid={"time_constant": (10.0, 20.0, 40.0, 80.0, 160.0, 320.0)}),
     Effect(
         "payload_change", (SLIP_CHANGE, TRACTION_CHANGE), "dm", "kg",
