@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from copy import copy
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from typing import Literal
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -66,9 +67,12 @@ class Leg:
 
 @dataclass(frozen=True)
 class _Route:
+    """A way that was planned, and how it is timed by each model that was asked."""
+
     path: Path
     trouble: str = ""
     detail: str = ""
+    timed: dict[Hashable, Trajectory] = field(default_factory=dict)
 
 
 _routes: WeakKeyDictionary[OccupancyGrid, dict[bytes, dict[tuple[Pose, Pose], _Route]]] = (
@@ -235,7 +239,8 @@ class Legs:
             return _Route(still)
         back = self._routes.get((there, here))
         if back is not None and self._symmetric:
-            return replace(back, path=still if back.trouble else back.path.reversed())
+            way = still if back.trouble else back.path.reversed()
+            return _Route(way, back.trouble, back.detail)
         if self._progress is not None:
             self._progress(f"planning from {self.names[start]} to {self.names[goal]}")
         problem = PlanningProblem(mission.map, cost, here, there, surfaces=surfaces)
@@ -277,12 +282,7 @@ class Legs:
         if not len(path):
             return Leg(path, None, np.zeros(0), nothing)
         try:
-            trajectory = profile(
-                path,
-                self._leading_model(path, payload),
-                objective="energy" if self.mission.speed is None else "time",
-                period=_PERIOD,
-            )
+            trajectory = self._timed(route, payload)
         except InfeasibleMotionError as error:
             return _stuck(path, nothing, "motor", str(error))
         region = self._regions(trajectory, path.longitudinal)
@@ -292,6 +292,15 @@ class Legs:
             grounds.power(trajectory, region, payload),
             grounds.estimate(trajectory, region, payload),
         )
+
+    def _timed(self, route: _Route, payload: float) -> Trajectory:
+        """Return the route's trajectory of least energy, or the quickest at the speed asked."""
+        speed, model = self.mission.speed, self._leading_model(route.path, payload)
+        key = speed, _told(model)
+        if key not in route.timed:
+            objective: Literal["energy", "time"] = "energy" if speed is None else "time"
+            route.timed[key] = profile(route.path, model, objective=objective, period=_PERIOD)
+        return route.timed[key]
 
     def _leading_model(self, path: Path, payload: float) -> PowerModel:
         """Return the model by which a path is timed: that of the most demanding ground on it.
@@ -321,7 +330,7 @@ class Legs:
 
 def _told(model: PowerModel) -> tuple[object, ...]:
     """Return everything about a model that decides a route."""
-    values = [getattr(model.vehicle, field.name) for field in fields(model.vehicle)]
+    values = [getattr(model.vehicle, item.name) for item in fields(model.vehicle)]
     vehicle = [v.tobytes() if isinstance(v, np.ndarray) else v for v in values]
     terms = tuple((term.name, tuple(term.params.items())) for term in model.terms)
     return terms, model.coefficients.tobytes(), tuple(vehicle)
