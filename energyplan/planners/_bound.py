@@ -29,6 +29,12 @@ LABELS = 200_000
 MOST_RUNS = 6000
 """Runs of blocked cells up to which obstacles are grown as polygons, in less than a second."""
 
+EFFORT = 2e7
+"""Steps at which it stops likewise: a fraction of a second."""
+
+MOST_CORNERS = 4000
+"""Corners near the way above which only the bound without obstacles is taken."""
+
 ARC = 4
 """Chords of a quarter circle."""
 
@@ -168,6 +174,8 @@ def _among_obstacles(grid: OccupancyGrid, setting: Setting, free: float, cost: f
     # corners by which the way alone costs more than the path that is known
     way = sum(np.hypot(*(found.point - end).T) for end in ends)
     near = setting.least_metre * way < cost
+    if near.sum() > MOST_CORNERS:
+        return 0.0
     corners = found._replace(
         point=np.concatenate([found.point[near], ends]),
         before=np.concatenate([found.before[near], ends]),
@@ -176,4 +184,4 @@ def _among_obstacles(grid: OccupancyGrid, setting: Setting, free: float, cost: f
     rates = Rates(
         setting.least_metre, setting.least_radian, setting.start_yaw, setting.goal_yaw, free
     )
-    return float(least_over_corners(setting.space, corners, rates, cost, LABELS))
+    return float(least_over_corners(setting.space, corners, rates, cost, LABELS, EFFORT))

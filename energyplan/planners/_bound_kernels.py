@@ -131,7 +131,7 @@ def _side(corners: Corners, k: int, ux: float, uy: float) -> int:
 
 @njit
 def least_over_corners(
-    space: Space, corners: Corners, rates: Rates, limit: float, most: int
+    space: Space, corners: Corners, rates: Rates, limit: float, most: int, effort: float
 ) -> float:
     """Return a lower bound on the cost of going from corner to corner, at most `limit`.
 
@@ -151,6 +151,8 @@ def least_over_corners(
         Costs at or above are of no interest.
     most : int
         Number of labels at which to stop with what is known by then.
+    effort : float
+        Number of steps, of tens of nanoseconds each, at which to stop likewise.
     """
     n = len(corners.point)
     start = n - 2
@@ -176,6 +178,7 @@ def least_over_corners(
     older[0] = -1
     newest[start] = 0
     count = 1
+    work = 0
     first = rates.metre * hypot(gx - corners.point[start, 0], gy - corners.point[start, 1])
     size = push(heap_f, heap_node, 0, first, 0)
     while size > 0:
@@ -185,12 +188,13 @@ def least_over_corners(
         if f >= limit:
             return limit
         u = int(at[label])
-        if u == goal or count >= most:
+        if u == goal or count >= most or work > effort:
             return float(f)
         if cost[label] == inf:
             continue
         g = cost[label]
         h = heading[label]
+        work += n
         for v in range(n):
             if v == start:
                 continue
@@ -215,6 +219,7 @@ def least_over_corners(
                         corners.point[v, 1],
                     )
                 )
+                work += 20 + len(corners.edges) // 8
                 seen[u, v] = 1 if good else 2
                 seen[v, u] = seen[u, v]
                 if not good:

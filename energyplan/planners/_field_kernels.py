@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from energyplan._numba import njit
 
+ROUNDING = 0.01
+"""Distances that differ by less count as equal [cells]; far above single precision's error."""
+
 
 class Field(NamedTuple):
     """Distance to go for a disc, on a grid of its own.
@@ -91,6 +94,8 @@ def distance_field(
     stop_column: int,
     margin: float,
     ahead: float,
+    surface: NDArray[np.uint8],
+    dearness: NDArray[np.float64],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the distance of a disc's centre from one point, over 16 neighbours.
 
@@ -110,6 +115,10 @@ def distance_field(
         See above.
     ahead : float
         How far ahead directions look [cells].
+    surface : ndarray, shape (rows, columns) or (1, 1)
+        Class of the surface in each cell.
+    dearness : ndarray, shape (classes,)
+        Factor by which distances count on each class.
 
     Returns
     -------
@@ -133,13 +142,14 @@ def distance_field(
     out[row, column] = 0.0
     size = push(heap_f, heap_node, 0, 0.0, row * columns + column)
     limit = inf
+    varied = surface.size > 1
     while size > 0:
         d = heap_f[0]
         node = heap_node[0]
         size = pop(heap_f, heap_node, size)
         r = node // columns
         c = node % columns
-        if d > out[r, c] + 1e-3:
+        if d > out[r, c] + ROUNDING:
             continue
         if d > limit:
             break
@@ -153,6 +163,7 @@ def distance_field(
             direction[r, c] = atan2(far // columns - r, far % columns - c)
         if r == stop_row and c == stop_column:
             limit = margin * d + 40.0
+        here = dearness[surface[r * stride, c * stride] if varied else 0]
         for k in range(16):
             rr = r + steps_r[k]
             cc = c + steps_c[k]
@@ -166,8 +177,11 @@ def distance_field(
                 half_c = (c + cc) * stride // 2
                 if clearance[half_r, half_c] < radius:
                     continue
-            dd = d + stride * hypot(steps_r[k], steps_c[k])
-            if dd < out[rr, cc] - 1e-4:
+            factor = here
+            if varied:
+                factor = 0.5 * (here + dearness[surface[rr * stride, cc * stride]])
+            dd = d + factor * stride * hypot(steps_r[k], steps_c[k])
+            if dd < out[rr, cc] - ROUNDING:
                 out[rr, cc] = dd
                 parent[rr * columns + cc] = node
                 if size + 1 >= capacity:

@@ -32,7 +32,7 @@ Optimal paths touch obstacles. The margin keeps them free under another rounding
 pieces, and exceeds what the collision kernels' tolerance can make of that.
 """
 
-TIE_BREAK = 1e-3
+TIE_BREAK = 0.01
 """Weight of the energy, as metres of straight driving, in the length objective."""
 
 

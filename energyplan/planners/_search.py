@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from energyplan._steering_kernels import MAX_SEGMENTS
 from energyplan.planners import _search_kernels as kernels
 from energyplan.planners._field_kernels import Field, distance_field
-from energyplan.planners._motion_kernels import Setting, join
+from energyplan.planners._motion_kernels import DIRECTIONS, Setting, join
 from energyplan.planners._query import Segments
 
 Number = TypeVar("Number", bound=np.generic)
@@ -22,6 +22,12 @@ HEADINGS = 32
 
 AHEAD = 1.5
 """How far ahead the field looks for the direction of the way [m]."""
+
+MOST_POINTS = 1_000_000
+"""Largest number of points of a field; larger maps get a coarser one."""
+
+REACH = 1.2
+"""How much further than the start the field reaches."""
 
 SLICE = 2000
 """Expansions between two looks at the clock."""
@@ -69,14 +75,25 @@ def field_for(setting: Setting) -> Field:
     """Return the distance to go to the goal for the inscribed disc, as far as it is needed."""
     res = setting.space.resolution
     stride = max(int(0.1 / res + 0.5), 1)
+    while setting.space.clearance.size > MOST_POINTS * stride * stride:
+        stride += 1
     # a point stands for all of its square, so the disc shrinks by the square's half diagonal
     radius = max(inscribed(setting) / res - 0.7072 * stride, 0.5)
     goal = cell_of(setting, setting.goal_x, setting.goal_y, stride)
     start = cell_of(setting, setting.start_x, setting.start_y, stride)
     # where it turns for nothing within this distance, reversing can be cheaper
     far = 2.0 * setting.least_radian / setting.least_metre
+    straight = setting.prices[:, [0, DIRECTIONS // 2]].min(axis=1)
     distance, direction = distance_field(
-        setting.space.clearance, stride, radius, *goal, *start, 1.5, AHEAD / res
+        setting.space.clearance,
+        stride,
+        radius,
+        *goal,
+        *start,
+        REACH,
+        AHEAD / res,
+        setting.surface,
+        straight / setting.least_metre,
     )
     return Field(distance * np.float32(res), direction, stride * res, far)
 

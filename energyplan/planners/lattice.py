@@ -9,21 +9,27 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, NoPathError, TimeLimitError
-from energyplan.path import FloatArray, Path
+from energyplan.maps import OccupancyGrid
+from energyplan.path import FloatArray, Path, Pose
 from energyplan.planners import _search_kernels as kernels
 from energyplan.planners._bound import lower_bound
 from energyplan.planners._problem import Plan, PlanningProblem, as_pose
 from energyplan.planners._query import Query, Segments
 from energyplan.planners._search import Search, coarse_lattice, field_for, lattice_for, no_field
 from energyplan.planners.refine import Refiner
+
+logger = logging.getLogger(__name__)
 
 FIRST_WEIGHT = 2.0
 """Weight of the search for the first path."""
@@ -76,9 +82,10 @@ def plan(
     TimeLimitError
         If time was over before a first plan.
     """
-    begun = time.perf_counter()
     if not time_limit > 0:
         raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
+    compiled()
+    begun = time.perf_counter()
     deadline = begun + time_limit
     query = Query(problem)
     work = _Improvement(query, deadline, gap, seed)
@@ -155,6 +162,26 @@ def energies(
                     refiner.shortcut()
                     out[k] = refiner.cost
     return out
+
+
+@cache
+def compiled() -> None:
+    """Compile the kernels, or load them from disk, so that no time limit pays for it.
+
+    The first use ever takes about half a minute and says so in the log; later ones a second.
+    """
+    logger.info("compiling the planning kernels, once; the next process finds them on disk")
+    occupied = np.zeros((24, 48), bool)
+    occupied[:14, 22:26] = True
+    cost = EnergyCost.from_coefficients(200.0, 100.0, 0.2)
+    hall = OccupancyGrid(occupied, 0.1)
+    task = PlanningProblem(hall, cost, Pose(0.8, 0.8, 0.0), Pose(4.0, 0.8, 0.0))
+    work = _Improvement(Query(task), np.inf, 0.0, 1)
+    work.first_plan()
+    work.bound = lower_bound(work.query, work.cost)
+    refiner = Refiner(work.setting, work.best)
+    refiner.shortcut()
+    refiner.polish(np.inf, patience=400)
 
 
 class _Improvement:

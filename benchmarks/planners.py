@@ -1,0 +1,214 @@
+"""Planners measured: time to the first plan, gap to the lower bound, rivals, many goals, map size.
+
+    python benchmarks/planners.py [MAP.yaml ...] [--pairs 100] [--time 1] [--quick]
+    python benchmarks/planners.py --rivals 10 [--rival-time 10] [MAP.yaml ...]
+    python benchmarks/planners.py --many [MAP.yaml ...]
+    python benchmarks/planners.py --sizes [--plot sizes.png]
+
+Without maps, those of the project are used. All times are wall time on this machine, kernels
+compiled beforehand.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import PlanningError
+from energyplan.io.maps import read_map
+from energyplan.maps import OccupancyGrid
+from energyplan.planners import PlanningProblem, plan
+from energyplan.planners.lattice import energies
+from energyplan.power import PowerModel
+
+COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+RIVALS = ("rrtstar", "informed_rrtstar", "bitstar")
+
+
+def problems(grid: OccupancyGrid, count: int, seed: int = 0) -> list[PlanningProblem]:
+    """Return problems between random free poses."""
+    rng = np.random.default_rng(seed)
+    rows, columns = grid.shape
+    poses: list[np.ndarray] = []
+    while len(poses) < 2 * count:
+        cells = rng.uniform((0, 0), (columns, rows), (50, 2))
+        tried = np.column_stack([grid.to_world(cells), rng.uniform(-np.pi, np.pi, 50)])
+        poses.extend(tried[grid.footprint_free(tried, COST.vehicle)])
+    pairs = zip(poses[::2], poses[1::2], strict=False)
+    return [PlanningProblem(grid, COST, a, b) for a, b in list(pairs)[:count]]
+
+
+def warm_up() -> None:
+    """Compile every kernel that is timed."""
+    occupied = np.zeros((100, 100), bool)
+    occupied[40:60, 30:60] = True
+    grid = OccupancyGrid(occupied, 0.1)
+    problem = PlanningProblem(grid, COST, (1, 5, 0), (9, 5, 1))
+    plan(problem, time_limit=0.5, gap=0.0)
+    energies(problem, [(9, 5, 1)])
+
+
+def measure(name: str, grid: OccupancyGrid, count: int, limit: float) -> None:
+    """Print one row: first plan, gap, and energy against the shortest route."""
+    first, gap, excess, failed = [], [], [], 0
+    todo = problems(grid, count)
+    plan(replace(todo[0]), time_limit=limit)  # what is kept with the map
+    for problem in todo:
+        try:
+            found = plan(problem, time_limit=limit)
+            short = plan(replace(problem, objective="length"), time_limit=min(limit, 0.5))
+        except PlanningError as error:
+            failed += type(error).__name__ != "NoPathError"
+            continue
+        first.append(1e3 * found.first_time)
+        gap.append(100 * found.gap)
+        excess.append(found.energy / short.energy - 1)
+    rows, columns = grid.shape
+    print(
+        f"{name:22s} {columns:5d} x {rows:<5d} {len(gap):4d} {failed:3d}  "
+        f"{np.median(first):7.0f} {max(first):7.0f}   {np.median(gap):6.2f} "
+        f"{np.quantile(gap, 0.9):6.2f} {max(gap):6.2f}   {int(np.sum(np.array(excess) > 1e-9)):4d}",
+        flush=True,
+    )
+
+
+def rivals(name: str, grid: OccupancyGrid, count: int, limit: float) -> None:
+    """Print one row: on how many pairs 0.1 s of the lattice beats each rival's full time."""
+    todo = problems(grid, count)
+    plan(todo[0], time_limit=1.0)
+    won = dict.fromkeys(RIVALS, 0)
+    ratio: dict[str, list[float]] = {rival: [] for rival in RIVALS}
+    total = 0
+    for problem in todo:
+        try:
+            ours = plan(problem, time_limit=0.1).energy
+        except PlanningError:
+            ours = np.inf
+        total += 1
+        for rival in RIVALS:
+            try:
+                theirs = plan(problem, rival, limit).energy
+            except PlanningError:
+                theirs = np.inf
+            won[rival] += ours <= theirs * (1 + 1e-9)
+            if np.isfinite(ours) and np.isfinite(theirs):
+                ratio[rival].append(theirs / ours)
+    row = "   ".join(
+        f"{rival} {won[rival]}/{total} (median x{np.median(ratio[rival] or [np.nan]):.3f})"
+        for rival in RIVALS
+    )
+    print(f"{name:22s} 0.1 s against {limit:g} s:  {row}", flush=True)
+
+
+def many(name: str, grid: OccupancyGrid, count: int) -> None:
+    """Print one row: a search for many goals against the farthest goal's single plan."""
+    todo = problems(grid, count)
+    goals = np.array([problem.goal for problem in todo])
+    begun = time.perf_counter()
+    found = energies(todo[0], goals)
+    spent = time.perf_counter() - begun
+    reached = np.where(np.isfinite(found), found, -1)
+    begun = time.perf_counter()
+    plan(replace(todo[0], goal=goals[int(np.argmax(reached))]), time_limit=1.0)
+    single = time.perf_counter() - begun
+    print(
+        f"{name:22s} {np.isfinite(found).sum():4d} goals in {spent:.2f} s; the farthest alone "
+        f"{single:.2f} s; ratio {spent / single:.1f}",
+        flush=True,
+    )
+
+
+def yard(size: int, seed: int = 0) -> OccupancyGrid:
+    """Return a square map of `size` cells of 5 cm, one box in every 4 m by 4 m."""
+    rng = np.random.default_rng(seed)
+    occupied = np.zeros((size, size), bool)
+    for row in range(80, size - 80, 80):
+        for column in range(80, size - 80, 80):
+            height, width = rng.integers(10, 40, 2)
+            occupied[row : row + height, column : column + width] = True
+    return OccupancyGrid(occupied, 0.05)
+
+
+def sizes(plot: str | None) -> None:
+    """Print time and memory against the size of the map, and the slope on log-log axes."""
+    print("cells a side   map kept [s]   first plan [s]   plan [s]    gap [%]   peak memory [MB]")
+    table = []
+    for size in (256, 512, 1024, 2048, 4096):
+        grid = yard(size)
+        far = 0.05 * size - 1.5
+        problem = PlanningProblem(grid, COST, (1.5, 1.5, 0.7), (far, far, 0.7))
+        begun = time.perf_counter()
+        grid.footprint_free([problem.start], COST.vehicle)
+        kept = time.perf_counter() - begun
+        begun = time.perf_counter()
+        found = plan(problem, time_limit=10.0, gap=0.03)
+        spent = time.perf_counter() - begun
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        table.append((size, kept, found.first_time, spent, memory))
+        print(
+            f"{size:12d} {kept:14.3f} {found.first_time:16.3f} {spent:10.3f} "
+            f"{100 * found.gap:10.2f} {memory:18.0f}",
+            flush=True,
+        )
+    rows = np.array(table)
+    area = rows[:, 0] ** 2
+    slope = np.polyfit(np.log(area[1:]), np.log((rows[:, 1] + rows[:, 2])[1:]), 1)[0]
+    print(f"map and first plan grow with the power {slope:.2f} of the area")
+    if plot:
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(6, 4), layout="constrained")
+        axes = figure.subplots()
+        for column, label in ((1, "map"), (2, "first plan"), (3, "plan within 3 % of the bound")):
+            axes.loglog(area, rows[:, column], "o-", label=label)
+        axes.loglog(area, rows[-1, 2] * area / area[-1], "k:", label="linear in the area")
+        axes.set_xlabel("cells of the map")
+        axes.set_ylabel("time [s]")
+        axes.legend()
+        figure.savefig(plot, dpi=120)
+
+
+def main() -> None:
+    """Run what the command line asks for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("maps", nargs="*", type=Path)
+    parser.add_argument("--pairs", type=int, default=100)
+    parser.add_argument("--time", type=float, default=1.0)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--rivals", type=int, default=0, metavar="PAIRS")
+    parser.add_argument("--rival-time", type=float, default=10.0)
+    parser.add_argument("--many", action="store_true")
+    parser.add_argument("--sizes", action="store_true")
+    parser.add_argument("--plot")
+    given = parser.parse_args()
+    if given.quick:
+        given.pairs, given.time = min(given.pairs, 10), 0.5
+    warm_up()
+    if given.sizes:
+        sizes(given.plot)
+        return
+    own = sorted((Path(__file__).parents[1] / "maps").glob("*.yaml"))
+    grids = {path.stem: read_map(path) for path in (given.maps or own)}
+    if not (given.rivals or given.many):
+        print(f"{given.pairs} random pairs, {given.time:g} s each")
+        print(
+            "map                     columns x rows  plans lost   first [ms] med max   "
+            "gap [%] med 90 max   dearer than shortest"
+        )
+    for name, grid in grids.items():
+        if given.rivals:
+            rivals(name, grid, given.rivals, given.rival_time)
+        elif given.many:
+            many(name, grid, given.pairs)
+        else:
+            measure(name, grid, given.pairs, given.time)
+
+
+if __name__ == "__main__":
+    main()

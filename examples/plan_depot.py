@@ -1,0 +1,94 @@
+"""Plan a route of least energy, compare it with the shortest one, and trade energy against time.
+
+    python examples/plan_depot.py [MAP.yaml] [--start X,Y,DEG] [--goal X,Y,DEG] [--out FOLDER]
+
+Without a map the warehouse that comes with the library is used, with its marble and concrete.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from energyplan.compare import compare
+from energyplan.cost import EnergyCost
+from energyplan.io.geojson import read_surfaces
+from energyplan.io.maps import read_map
+from energyplan.planners import Plan, PlanningProblem, plan
+from energyplan.power import PowerModel
+
+WAREHOUSE = Path(__file__).parents[1] / "maps" / "warehouse.yaml"
+
+
+def pose(text: str) -> tuple[float, float, float]:
+    """Read x, y [m] and heading [degrees]."""
+    x, y, degrees = (float(part) for part in text.split(","))
+    return x, y, float(np.radians(degrees))
+
+
+def tell(name: str, found: Plan) -> None:
+    """Print what a plan costs and how good it is known to be."""
+    print(
+        f"{name:14s} {found.energy:8.0f} J  {found.length:6.2f} m  "
+        f"{np.degrees(found.turning):5.0f} deg  {found.duration:6.1f} s  "
+        f"at most {100 * found.gap:.1f} % above the least; first plan after "
+        f"{1e3 * found.first_time:.0f} ms"
+    )
+
+
+def main() -> None:
+    """Run the example."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("map", nargs="?", type=Path, default=WAREHOUSE)
+    parser.add_argument("--start", type=pose, default=pose("2,2,0"))
+    parser.add_argument("--goal", type=pose, default=None)
+    parser.add_argument("--out", type=Path, default=Path("plan_depot"))
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+
+    grid = read_map(given.map)
+    areas = given.map.with_name(given.map.stem + "_surfaces.geojson")
+    surfaces = read_surfaces(areas) if areas.exists() else None
+    width, height = grid.size
+    goal = given.goal or (width - 2.0, height - 2.0, np.pi)
+    cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+    problem = PlanningProblem(grid, cost, given.start, goal, surfaces)
+
+    # the route of least energy against the shortest one, priced by the same models
+    told = compare(problem, time_limit=2.0)
+    tell("least energy", told.energy_optimal)
+    tell("shortest", told.shortest)
+    print(f"saving: {100 * told.saving:.1f} % of the shortest route's energy; by term:")
+    for name, joules in told.by_term.items():
+        print(f"  {name:22s} {joules:8.0f} J")
+
+    # energy against time: each weight is what a second is worth
+    front = []
+    for worth in (0.0, 30.0, 100.0, 300.0, 1000.0):
+        found = plan(replace(problem, objective={"energy": 1.0, "time": worth}), time_limit=2.0)
+        front.append((found.duration, found.energy))
+        print(f"a second worth {worth:5.0f} J: {found.duration:6.1f} s, {found.energy:8.0f} J")
+
+    figure = Figure(figsize=(11, 4.5), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(2, 1))
+    left.imshow(grid.blocked, origin="lower", extent=(0, width, 0, height), cmap="gray_r")
+    for name, found in (("least energy", told.energy_optimal), ("shortest", told.shortest)):
+        x, y = grid.to_cells(found.poses[:, :2]).T * grid.resolution
+        left.plot(x, y, label=f"{name}: {found.energy:.0f} J")
+    left.set_xlabel("x [m]")
+    left.set_ylabel("y [m]")
+    left.legend()
+    right.plot(*np.array(front).T, "o-")
+    right.set_xlabel("time [s]")
+    right.set_ylabel("energy [J]")
+    picture = given.out / "routes.png"
+    figure.savefig(picture, dpi=120)
+    print(f"wrote {picture}")
+
+
+if __name__ == "__main__":
+    main()
