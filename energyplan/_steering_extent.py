@@ -77,7 +77,7 @@ def _extend(
             near, f_near, f_far, last = end, f, f_far * (0.5 if last == 1 else 1.0), 1
         else:
             far, f_far, f_near, last = end, f, f_near * (0.5 if last == -1 else 1.0), -1
-        if (i == 0 and f <= 0.0) or abs(f) < 1e-4 or abs(far - near) < 1e-9:
+        if (i == 0 and f <= 0.0) or abs(f) < 1e-3 or abs(far - near) < 1e-9:
             break
     return (lo, end) if upper else (end, hi)
 

@@ -28,7 +28,7 @@ TWO_PI = 2.0 * math.pi
 HALF_PI = 0.5 * math.pi
 NARROW = 1e-9  # least width of the headings visited; a single one cannot hold a sideways dual
 
-SEARCH, EXACT = 1e-8, 1e-15  # tolerances of `maximise` [rad]
+SEARCH, EXACT = 1e-6, 1e-15  # tolerances of `maximise` [rad]
 COARSE = 1e-3  # of the fraction of a ray; Newton's method refines it
 
 # Where a constraint is active; its side is 1 forwards, -1 backwards, 0 none.

@@ -36,7 +36,7 @@ STEADY |= {"accel_x": 0.0}
 """Channels of steady motion on level ground, long after the start."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EnergyCost:
     """Joules for path elements, from any power model.
 

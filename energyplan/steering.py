@@ -22,7 +22,7 @@ def _poses(value: ArrayLike, name: str) -> FloatArray:
         raise InvalidInputError(
             f"{name} has shape {poses.shape}; give x, y, yaw along its last axis"
         )
-    if not np.all(np.isfinite(poses)):
+    if not np.isfinite(poses).all():
         raise InvalidInputError(f"{name} holds a value that is not finite")
     return poses
 

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog, minimize
 from scipy.sparse import coo_matrix
 
+FEWEST = 8  # cells of each part of the range, so that short excursions are resolved too
+
 
 @dataclass(frozen=True)
 class Corners:
@@ -38,7 +40,8 @@ def _range_optimum(
     pieces = [(-lo, 0.0, 0.0), (0.0, span, 1.0), (span, span + hi, 0.0)]
     edges, net = [-lo], []
     for a, b, flow in pieces:
-        n = int(np.ceil((b - a) / cell - 1e-9)) if b > a else 0
+        # An even number, for switches in the middle of the range are common.
+        n = 2 * max(int(np.ceil((b - a) / (2 * cell))), FEWEST // 2) if b > a else 0
         edges += list(np.linspace(a, b, n + 1)[1:]) if n else []
         net += [flow] * n
     edges_ = np.array(edges)
@@ -73,6 +76,7 @@ def _range_optimum(
         A_ub=passes if n else None,
         b_ub=-width * np.where(flow_ == 0.0, 2.0, 1.0) if n else None,  # out and back again
         method="highs",
+        options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
     )
     return float(found.fun) if found.status == 0 else np.inf
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -172,6 +173,14 @@ def test_zero_elements_cost_nothing() -> None:
     assert float(cost.segment_energy(0.0, 0.0)) == 0.0
     assert float(cost.segment_energy(0.0, 0.0, 0.1)) == 0.0
     assert cost.energy(Path(Pose(0, 0, 0), [0.0], [0.0])) == 0.0
+
+
+def test_costs_travel_between_processes() -> None:
+    cost = EnergyCost(MODEL.with_term(HOTEL, 50.0), battery=True)
+    twin = pickle.loads(pickle.dumps(cost))
+    ds, dtheta = random_elements(20)
+    np.testing.assert_array_equal(twin.segment_energy(ds, dtheta), cost.segment_energy(ds, dtheta))
+    np.testing.assert_array_equal(twin.steering_parameters, cost.steering_parameters)
 
 
 def test_bad_input_is_told() -> None:

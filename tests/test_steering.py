@@ -71,7 +71,7 @@ def random_pairs(n: int, seed: int, reach: tuple[float, float]) -> tuple[np.ndar
 
 def test_closed_form_agrees_with_a_linear_program() -> None:
     rng = np.random.default_rng(11)
-    for _ in range(30):
+    for _ in range(16):
         c = math.exp(rng.uniform(math.log(0.2), math.log(4.0)))
         distance = math.exp(rng.uniform(math.log(0.05), math.log(100.0)))
         bearing, turn = rng.uniform(-np.pi, np.pi, 2)
@@ -89,7 +89,7 @@ def test_hotel_load_agrees_with_a_linear_program() -> None:
     b = a * C + 0.431 * FULL.vehicle.slip_moment
     corners = tuple((m, b + kappa * (C + abs(m))) for m in (-C, 0.0, C))
     rng = np.random.default_rng(12)
-    for _ in range(10):
+    for _ in range(5):
         distance = math.exp(rng.uniform(math.log(0.05), math.log(20.0)))
         bearing, turn = rng.uniform(-np.pi, np.pi, 2)
         d = distance * np.array([math.cos(bearing), math.sin(bearing)])
