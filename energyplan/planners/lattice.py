@@ -34,11 +34,14 @@ logger = logging.getLogger(__name__)
 FIRST_WEIGHT = 2.0
 """Weight of the search for the first path."""
 
-SEARCHES = ((1.0, 1.2), (1.0, 1.0), (0.5, 1.0))
+SEARCHES = ((1.0, 1.5), (1.0, 1.2), (1.0, 1.0), (0.5, 1.0))
 """Scale of the lattice and weight of the searches that follow."""
 
 STRIDE = 30_000
 """Expansions of a search for many goals between two attempts to reach them."""
+
+HOPE = 1.05
+"""Cost, in units of the best one, above which a path is not worth moving its poses."""
 
 SEARCH_SHARE = 0.6
 """Largest part of the time left that one of them may take."""
@@ -288,6 +291,9 @@ class _Improvement:
         """Refine motions, and keep them if they are the best so far."""
         refiner = Refiner(self.setting, segments, seed)
         refiner.shortcut()
+        self.offer(refiner)
+        if refiner.cost > HOPE * self.cost:
+            return
         enough = self.bound * (1.0 + self.gap)
         refiner.polish(deadline, enough=enough)
         refiner.again()
