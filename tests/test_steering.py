@@ -19,7 +19,7 @@ from energyplan.effects import VISCOUS_LOSS
 from energyplan.errors import InvalidInputError
 from energyplan.motion import Motion
 from energyplan.path import Path, Pose
-from energyplan.power import HOTEL, PowerModel
+from energyplan.power import HOTEL, PowerModel, Sides, Term, tread_forces
 from energyplan.vehicle import MotorLimits, TreadICR
 
 FULL = PowerModel.preset("quadriga:full:marble")
@@ -96,6 +96,48 @@ def test_hotel_load_agrees_with_a_linear_program() -> None:
         program = optimum(d, turn, Corners(corners, corners, a + kappa, a + kappa))
         found = float(steering.energy((0, 0, 0), (*d, turn), cost))
         assert (1 - 1e-3) * program <= found <= (1 + 1e-7) * program
+
+
+def left_drag(motion: Motion, vehicle: object) -> Sides:
+    """More resistance on the left tread."""
+    return Sides(np.sign(motion.v_left), np.zeros(motion.shape))
+
+
+def towing(motion: Motion, vehicle: object) -> Sides:
+    """A force against driving forwards, and with driving backwards."""
+    return tread_forces(motion, longitudinal=1.0)
+
+
+def pull_aside(motion: Motion, vehicle: object) -> Sides:
+    """A moment against turning left, and with turning right."""
+    return tread_forces(motion, moment=1.0)
+
+
+LOPSIDED = (
+    LIMITED.with_term(Term("left_drag", "K_l", "N", "force", left_drag), 40.0)
+    .with_term(Term("towing", "F", "N", "force", towing), 60.0)
+    .with_term(Term("pull_aside", "M", "N m", "force", pull_aside), 50.0)
+)
+
+
+@pytest.mark.parametrize("hotel", [0.0, 80.0])
+def test_lopsided_costs_agree_with_a_linear_program(hotel: float) -> None:
+    """Left and right, forwards and backwards all cost different."""
+    cost = EnergyCost(LOPSIDED.with_term(HOTEL, hotel))
+    C = cost.half_track
+    left, right = (
+        tuple((m, float(cost.segment_energy(m, way))) for m in (-C, 0.0, C)) for way in (1.0, -1.0)
+    )
+    ahead, behind = cost.segment_energy([1.0, -1.0], 0.0)
+    rng = np.random.default_rng(14)
+    for _ in range(4):
+        distance = math.exp(rng.uniform(math.log(0.05), math.log(10.0)))
+        bearing, turn = rng.uniform(-np.pi, np.pi, 2)
+        d = distance * np.array([math.cos(bearing), math.sin(bearing)])
+        program = optimum(d, turn, Corners(left, right, float(ahead), float(behind)))
+        found = one((0, 0, 0), (*d, turn), cost)
+        assert (1 - 1e-3) * program <= found <= (1 + 1e-7) * program
+        assert cost.energy(steering.path((0, 0, 0), (*d, turn), cost)) == pytest.approx(found)
 
 
 @pytest.mark.parametrize("c", [0.2, 0.7, 1.5, 4.0])
