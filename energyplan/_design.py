@@ -29,7 +29,8 @@ SCALES = (0.5, 2.0, 8.0)
 BLOCK = 8.0
 """Length of the blocks that cross-validation leaves out [s]."""
 
-_KEPT = 60  # forces of terms kept a drive
+_KEPT = 24  # forces of terms kept a drive
+_MANY = 200_000  # samples that selection works on
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,13 @@ class Drive:
         """Return the drive with its power moved ahead in time by `delay` [s]."""
         return replace(self, power=np.interp(self.t + delay, self.t, self.power))
 
+    def thinned(self, step: int) -> Drive:
+        """Return every `step`-th sample of the drive."""
+        motion = self.motion
+        channels = {name: values[::step] for name, values in motion.channels.items()}
+        few = Motion(motion.v_left[::step], motion.v_right[::step], motion.icr, channels)
+        return replace(self, t=self.t[::step], motion=few, power=self.power[::step], fields={})
+
     @cached_property
     def windows(self) -> tuple[Windows, ...]:
         """Windows of each scale."""
@@ -129,6 +137,18 @@ class Windows:
         """Return means over the windows; the first axis is time."""
         total = np.add.reduceat(values, self.starts, axis=0)
         return np.asarray(total / self.counts.reshape(-1, *[1] * (values.ndim - 1)))
+
+
+def prepared(logs: Sequence[DriveLog], vehicle: Vehicle) -> list[Drive]:
+    """Prepare training drives; very many samples are thinned, to four a shortest window at least.
+
+    Speeds are cleaned before: only the averaging of noise suffers, of which there is plenty left.
+    """
+    drives = [Drive.of(log, vehicle) for log in logs]
+    total = sum(len(drive.t) for drive in drives)
+    period = max(float(np.median(np.diff(drive.t))) for drive in drives)
+    step = min(int(np.ceil(total / _MANY)), int(SCALES[0] / (4 * period)))
+    return [drive.thinned(step) for drive in drives] if step > 1 else drives
 
 
 def field_of(term: Term, drive: Drive, vehicle: Vehicle) -> Any:

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from energyplan import _advice
-from energyplan._design import Drive
+from energyplan._design import Drive, prepared
 from energyplan._diagnosis import Diagnosis, Evidence, FoundEffect, Unexplained, Verdict
 from energyplan._final import final_fit, size_error
 from energyplan._fitting import PAPER, Part, Problem
@@ -146,7 +146,7 @@ class _Case:
         entries: Sequence[Effect],
     ) -> None:
         self.entries = tuple(entries)
-        self.problem = Problem([Drive.of(log, vehicle) for log in train], vehicle)
+        self.problem = Problem(prepared(train, vehicle), vehicle)
         self.paper = final_fit(self.problem, ()).model
         self.before = [predict(self.paper, (), Drive.of(log, vehicle)) for log in holdout]
         self.mass_centre = self._mass_centre(vehicle)
@@ -155,7 +155,7 @@ class _Case:
             vehicle = vehicle.with_mass(vehicle.mass, cog).with_icr(
                 fit_icr(train, vehicle.icr, asymmetric=True).icr
             )
-            self.problem = Problem([Drive.of(log, vehicle) for log in train], vehicle)
+            self.problem = Problem(prepared(train, vehicle), vehicle)
         self.held = [Drive.of(log, vehicle) for log in holdout]
 
     def _mass_centre(self, vehicle: Vehicle) -> MassCentre | None:

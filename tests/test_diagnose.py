@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from energyplan import DriveLog, EnergyCost, diagnose, simulate
+from energyplan import DriveLog, EnergyCost, _design, diagnose, simulate
 from energyplan._design import Design, Drive
 from energyplan._effect_terms import (
     DRAGGING_LEFT,
@@ -295,6 +295,19 @@ def test_windows_keep_the_energy() -> None:
     assert solve(weighted(design, np.ones(3)).sum(axis=0)) == pytest.approx(
         [float(drive.power.mean())], rel=0.05
     )
+
+
+def test_very_many_samples_are_thinned_and_tell_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    truth = PAPER.with_term(HOTEL, 25.0)
+    train = simulate.identification_drive(truth, seed=1, rate=100.0, **NOISE)
+    unseen = simulate.validation_drive(truth, seed=2, **NOISE)
+    whole = diagnose(train, unseen, VEHICLE).effects
+    monkeypatch.setattr(_design, "_MANY", 4000)
+    (few,) = _design.prepared([train], VEHICLE)
+    assert len(few.t) == -(-len(train) // 4)
+    thin = diagnose(train, unseen, VEHICLE).effects
+    assert [effect.name for effect in whole] == [effect.name for effect in thin] == ["hotel_load"]
+    assert thin[0].value == pytest.approx(25.0, abs=3 * thin[0].std_error)
 
 
 def test_losses_linearise_as_the_model_itself_does() -> None:
