@@ -256,12 +256,12 @@ class Legs:
 
     @property
     def _planning_time(self) -> float:
-        """Time for each route [s]: about four routes a task are planned for a free order."""
+        """Time for each route [s]: a free order takes about four routes a task."""
         mission = self.mission
         if mission.planning_time is not None:
             return mission.planning_time
-        routes = (4 if mission.order == "free" else 2) * len(mission.tasks)
-        return float(np.clip(_PLANNING / routes, 0.1, 1.0))
+        routes, most = (4, 0.5) if mission.order == "free" else (2, 1.0)
+        return float(np.clip(_PLANNING / (routes * len(mission.tasks)), 0.1, most))
 
     @cached_property
     def _symmetric(self) -> bool:
