@@ -250,8 +250,8 @@ def _problem(
 
 
 @app.command(
-    epilog="Example: energyplan plan --map office.yaml --model quadriga:empty:concrete "
-    "--start 2,2,0 --goal 28,13,90deg --plot route.png"
+    epilog="Example: energyplan plan --map warehouse.yaml --model quadriga:empty:concrete "
+    "--start 2,2,0 --goal 20,12,90deg --plot route.png"
 )
 def plan(
     map_file: MapFile,
@@ -286,8 +286,8 @@ def plan(
 
 
 @app.command(
-    epilog="Example: energyplan compare --map office.yaml --model quadriga:empty:concrete "
-    "--start 2,2,0 --goal 28,13,90deg --plot routes.png"
+    epilog="Example: energyplan compare --map warehouse.yaml --model quadriga:empty:concrete "
+    "--start 2,2,0 --goal 20,12,90deg --plot routes.png"
 )
 def compare(
     map_file: MapFile,
@@ -385,7 +385,7 @@ def check(
     _verdict(report.feasible, strict)
 
 
-@app.command(epilog="Example: energyplan mission warehouse.yaml --report mission.html")
+@app.command(epilog="Example: energyplan mission mission_warehouse.yaml --report mission.html")
 def mission(
     file: Annotated[Path, typer.Argument(help="Mission YAML file.")],
     report: Report = None,
@@ -425,7 +425,7 @@ log = typer.Typer(no_args_is_help=True, help="Look into drive logs.")
 app.add_typer(log, name="log")
 
 
-@log.command(epilog="Example: energyplan log info drive.bag")
+@log.command(epilog="Example: energyplan log info drive.csv")
 def info(
     file: Annotated[Path, typer.Argument(help="A table or a bag.")], json: Json = False
 ) -> None:

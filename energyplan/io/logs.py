@@ -168,6 +168,8 @@ def _describe_table(file: Path) -> LogInfo:
         rate = count / duration if duration > 0 else 0.0
         entries.append(LogEntry(name, "numbers", count, rate, serves))
     entries += [LogEntry(name, "text", 0, 0.0, "") for name in table.text]
+    found: tuple[str, ...]
+    notes: tuple[str, ...]
     try:
         log = read_log(file)
     except DriveLogError as problem:

@@ -1,0 +1,26 @@
+"""How the documentation is built: ``sphinx-build -W -b html docs docs/_build``."""
+
+from importlib.metadata import version as installed
+
+project = "energyplan"
+author = "the energyplan developers"
+release = version = installed("energyplan")
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "numpydoc",
+    "sphinx.ext.viewcode",
+]
+exclude_patterns = ["_build"]
+html_theme = "furo"
+html_title = f"energyplan {release}"
+
+myst_enable_extensions = ["colon_fence"]
+myst_heading_anchors = 3
+
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_typehints = "none"  # docstrings say it with shapes and units
+autodoc_preserve_defaults = True
+numpydoc_show_class_members = False  # autodoc lists them
+numpydoc_class_members_toctree = False

@@ -1,0 +1,236 @@
+"""Every code block of the documentation runs, and every command line in it is one that exists.
+
+The blocks of a page run one after the other, in a folder with simulated input. Blocks of Python
+are fenced as such, or indented and begin with an import. YAML blocks whose first line is a comment
+with a file's name become that file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import re
+import shlex
+import shutil
+import sys
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+import energyplan as ep
+from energyplan import cli, simulate
+from energyplan.io.trajectory import write_log, write_path, write_trajectory
+from energyplan.power import HOTEL
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+MODEL = ep.PowerModel.preset("quadriga:full:marble")
+
+FENCED = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+class Block(NamedTuple):
+    language: str
+    text: str
+    line: int
+
+
+def blocks(page: Path) -> Iterator[Block]:
+    """Yield the code blocks of a page in order."""
+    text = page.read_text()
+    found = [(m.start(2), m[1] or "text", m[2]) for m in FENCED.finditer(text) if m[1] != "eval"]
+    rest = FENCED.sub(lambda m: re.sub(r"[^\n]", "", m[0]), text)
+    lines = rest.splitlines(keepends=True)
+    start = None
+    for number, line in enumerate([*lines, "end\n"]):
+        inside = line.startswith("    ") or (start is not None and not line.strip())
+        if inside and start is None and (number == 0 or not lines[number - 1].strip()):
+            start = number
+        elif not inside and start is not None:
+            code = textwrap.dedent("".join(lines[start:number]))
+            first = code.split(maxsplit=1)[:1]
+            language = {"from": "python", "import": "python", "energyplan": "sh"}
+            place = text.splitlines(keepends=True)
+            found.append((sum(map(len, place[:start])), language.get("".join(first), "text"), code))
+            start = None
+    for place, language, code in sorted(found):
+        yield Block(language, code, text[:place].count("\n") + 1)
+
+
+@pytest.fixture(scope="module")
+def material(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The input that the pages speak of, simulated."""
+    place = tmp_path_factory.mktemp("docs")
+    truth = MODEL.with_term(HOTEL, 40.0)
+    noise = {"power_noise": 5.0, "speed_noise": 0.003}
+    drives = {
+        "spiral.csv": simulate.drive(MODEL, "spiral", seed=1, **noise),
+        "drive.csv": simulate.identification_drive(truth, seed=2, **noise),
+        "other.csv": simulate.validation_drive(truth, seed=3, **noise),
+        "drive1.csv": simulate.identification_drive(truth, seed=4, **noise),
+        "drive2.csv": simulate.validation_drive(truth, seed=5, **noise),
+        "drive3.csv": simulate.validation_drive(truth, seed=6, **noise),
+    }
+    for name, same in zip(("monday", "tuesday", "wednesday"), list(drives)[1:4], strict=True):
+        drives[f"{name}.csv"] = drives[same]
+    for name, same in zip("abc", list(drives)[3:6], strict=True):
+        drives[f"{name}.csv"] = drives[same]
+    for name, log in drives.items():
+        write_log(log, place / name)
+    log = drives["spiral.csv"]
+    columns = [log.t, *(log.channel(n) for n in ("v_left", "v_right")), log.power,
+               np.degrees(log.channel("yaw"))]  # fmt: skip
+    np.savetxt(place / "foreign.csv", np.column_stack(columns), delimiter=",", comments="",
+               header="t,velL,velR,power,heading")  # fmt: skip
+    rows = zip(*(column.tolist() for column in columns[:4]), strict=True)
+    names = ("stamp", "wl", "wr", "watts")
+    lines = (json.dumps(dict(zip(names, row, strict=True))) for row in rows)
+    (place / "drive.jsonl").write_text("\n".join(lines))
+    route = ep.Path(ep.Pose(0, 0, 0), ds=[2.0, 0.5, 1.0], dtheta=[0.0, 1.0, 0.0])
+    write_path(route, place / "path.csv")
+    write_trajectory(ep.speed.profile(route, MODEL), place / "trajectory.csv")
+    for file in (ROOT / "maps").iterdir():
+        if file.suffix in (".yaml", ".png", ".geojson"):
+            shutil.copy(file, place / file.name)
+    shutil.copytree(ROOT / "examples", place / "examples")
+    shutil.copy(ROOT / "examples" / "mission_warehouse.yaml", place)
+    (place / "mission.yaml").write_text(
+        "model: model.yaml\nmap: office.yaml\nbattery: quadriga\nstart: [1.2, 2.0, 90deg]\n"
+        "tasks: [{name: look, pose: [3.9, 2.0, 90deg]}]\n"
+    )
+    found = ep.identify(drives["drive.csv"], MODEL.vehicle)
+    for name in ("model.yaml", "extended.yaml"):
+        ep.write_model(found.model, place / name)
+    return place
+
+
+def namespace() -> dict[str, Any]:
+    """Names that pages speak of without making them."""
+    model = ep.PowerModel.preset("quadriga:full:concrete")
+    hall = ep.OccupancyGrid(np.zeros((60, 60), bool), resolution=0.1)
+    cost = ep.EnergyCost(model)
+    log = simulate.identification_drive(model, power_noise=5.0)
+    return {
+        "__name__": "page", "ep": ep, "np": np, "model": model, "cost": cost, "grid": hall,
+        "vehicle": model.vehicle, "found": ep.identify(log, model.vehicle),
+        "t": 0.0, "v_left": 0.4, "v_right": 0.5, "power": 120.0, "levels": (0.4, 0.9),
+        "problem": ep.PlanningProblem(hall, cost, (2, 2, 0), (4, 4, 1.57)),
+        "mission": ep.Mission(model=model, map=hall, battery=ep.Battery.preset("quadriga"),
+                              start=(2, 2, 0), tasks=[ep.Task("look", (4, 4, 0))]),
+    }  # fmt: skip
+
+
+def pages(kind: str) -> list[Any]:
+    """The pages that have blocks of a kind, as parameters of a test."""
+    having = [p for p in PAGES if list(command_lines(p) if kind == "sh" else python_blocks(p))]
+    return [pytest.param(page, id=page.stem) for page in having]
+
+
+def python_blocks(page: Path) -> list[Block]:
+    return [block for block in blocks(page) if block.language == "python"]
+
+
+def command_lines(page: Path) -> Iterator[list[str]]:
+    """Yield the arguments of every command line of a page."""
+    for block in blocks(page):
+        if block.language in ("sh", "text", "console", "bash"):
+            for line in block.text.replace("\\\n", " ").splitlines():
+                words = shlex.split(line, comments=True) if "energyplan " in line else []
+                if words[:1] == ["energyplan"]:
+                    yield words[1:]
+
+
+@pytest.mark.parametrize("page", pages("python"))
+def test_python_blocks_run(
+    page: Path, material: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    work = shutil.copytree(material, tmp_path / "work")
+    write_files(page, work)
+    monkeypatch.chdir(work)
+    names = namespace()
+    for block in python_blocks(page):
+        # the file and line of the page stand in a traceback
+        source = "\n" * (block.line - 1) + block.text
+        with contextlib.redirect_stdout(io.StringIO()):
+            exec(compile(source, str(page), "exec"), names)
+
+
+def write_files(page: Path, folder: Path) -> None:
+    """Write the files that a page shows."""
+    for block in blocks(page):
+        name = re.match(r"#\s*([\w-]+\.yaml)\s*\n", block.text)
+        if block.language == "yaml" and name:
+            (folder / name[1]).write_text(block.text)
+
+
+@pytest.mark.parametrize("page", pages("sh"))
+def test_command_lines_run(
+    page: Path,
+    material: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    work = shutil.copytree(material, tmp_path / "work")
+    write_files(page, work)
+    monkeypatch.chdir(work)
+    for arguments in command_lines(page):
+        if arguments[0] == "demo":  # run by the tests of the command line
+            arguments = ["demo", "--help"]
+        monkeypatch.setattr(sys, "argv", ["energyplan", *arguments])
+        with pytest.raises(SystemExit) as left:
+            cli.main()
+        assert not left.value.code, f"{page.name}: {arguments}: {capsys.readouterr().err}"
+
+
+EXAMPLES = [
+    str(command.epilog).removeprefix("Example: ")
+    for command in (*cli.app.registered_commands, *cli.log.registered_commands)
+    if command.callback is not cli.demo  # run by the tests of the command line
+]
+
+
+@pytest.mark.parametrize("example", EXAMPLES)
+def test_examples_of_the_help_run(
+    example: str,
+    material: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(shutil.copytree(material, tmp_path / "work"))
+    monkeypatch.setattr(sys, "argv", shlex.split(example))
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    assert not left.value.code, capsys.readouterr().err
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_links_and_pictures_exist(page: Path) -> None:
+    targets = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text())
+    files = [t for t in targets if not t.startswith(("http:", "https:"))]
+    assert [t for t in files if not (page.parent / t).exists()] == []
+
+
+def test_every_page_is_in_the_table_of_contents() -> None:
+    index = (ROOT / "docs" / "index.md").read_text()
+    listed = re.findall(r"^(\w[\w/]*)$", index, re.MULTILINE)
+    pages = {page.stem for page in PAGES[1:]} - {"index"}
+    assert pages == {name for name in listed if "/" not in name}
+
+
+def test_every_public_module_is_in_the_reference() -> None:
+    reference = "".join(page.read_text() for page in (ROOT / "docs" / "reference").glob("*.md"))
+    documented = set(re.findall(r"automodule:: (energyplan[\w.]*)", reference))
+    package = ROOT / "energyplan"
+    modules = {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        for path in package.rglob("*.py")
+        if not path.name.startswith("_") or path.name == "__init__.py"
+    }
+    assert modules - documented == {"energyplan", "energyplan.io", "energyplan.cli"}

@@ -1,0 +1,249 @@
+"""Numerical traps, and runs that end early."""
+
+from __future__ import annotations
+
+import math
+import signal
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import energyplan as ep
+from energyplan import simulate
+from energyplan.errors import EnergyPlanError, PathError
+from energyplan.io.files import atomic_write
+from energyplan.path import Pose, wrap_angle
+from energyplan.power import HOTEL, PowerModel
+
+MODEL = PowerModel.preset("quadriga:full:concrete")
+COST = ep.EnergyCost(MODEL)
+ICR = MODEL.vehicle.icr
+HALF = ICR.half_track
+
+
+# -- speeds and curvatures ----------------------------------------------------------------------
+
+
+def test_a_robot_at_rest_draws_its_hotel_load_and_nothing_else() -> None:
+    rest = ep.Motion(np.zeros(3), np.zeros(3), ICR)
+    assert_allclose(MODEL.power(rest), 0.0)
+    assert_allclose(MODEL.with_term(HOTEL, 25.0).power(rest), 25.0)
+    sides = MODEL.sides(rest)
+    assert_allclose([sides.left, sides.right], 0.0)
+
+
+@pytest.mark.parametrize("tiny", [0.0, 5e-324, 1e-300, 1e-160, 1e-30])
+def test_power_of_vanishing_speeds_vanishes(tiny: float) -> None:
+    motion = ep.Motion(np.array([tiny, -tiny]), np.array([tiny, tiny]), ICR)
+    power = MODEL.power(motion)
+    assert np.all(np.isfinite(power))
+    assert_allclose(power, 0.0, atol=1e-25)
+
+
+def test_spin_is_the_limit_of_tight_arcs_from_either_side() -> None:
+    """Curvature passes through infinity where the turn radius changes its sign."""
+    radius = np.array([-1e-3, -1e-9, -1e-300, 0.0, 1e-300, 1e-9, 1e-3])
+    turn = np.full(radius.shape, 1.0)
+    energy = COST.segment_energy(radius * turn, turn)
+    spin = COST.segment_energy([0.0], [1.0])[0]
+    assert_allclose(energy, spin, rtol=1e-12)
+
+
+def test_pivot_is_where_wider_arcs_begin_to_cost_more() -> None:
+    below, at, above = COST.segment_energy(
+        [HALF * (1 - 1e-12), HALF, HALF * (1 + 1e-12)], [1.0] * 3
+    )
+    assert_allclose([below, above], at, rtol=1e-9)
+    assert COST.segment_energy([1.01 * HALF], [1.0])[0] > at
+
+
+def test_straight_motion_is_the_limit_of_gentle_arcs() -> None:
+    turn = np.array([-1e-9, -1e-16, -1e-320, 0.0, 1e-320, 1e-16, 1e-9])
+    energy = COST.segment_energy(np.full(turn.shape, 2.0), turn)
+    assert_allclose(energy, COST.segment_energy([2.0], [0.0])[0], rtol=1e-8)
+
+
+def test_arcs_of_vanishing_turn_end_where_straight_lines_do() -> None:
+    for turn in (0.0, 1e-320, 1e-16, 1e-12, -1e-9):
+        end = ep.Path(Pose(1.0, 2.0, 0.3), ds=[3.0], dtheta=[turn]).end
+        assert_allclose(end, [1 + 3 * math.cos(0.3), 2 + 3 * math.sin(0.3), 0.3], atol=1e-8)
+
+
+def test_a_segment_of_nothing_costs_nothing() -> None:
+    assert COST.segment_energy([0.0, -0.0], [0.0, -0.0]).tolist() == [0.0, 0.0]
+    path = ep.Path(Pose(0, 0, 0), ds=[0.0, 1.0, 0.0], dtheta=[0.0, 0.0, 0.0])
+    straight = ep.Path(Pose(0, 0, 0), ds=[1.0], dtheta=[0.0])
+    assert COST.energy(path) == pytest.approx(COST.energy(straight))
+    assert sum(COST.breakdown(path).values()) == pytest.approx(COST.energy(path))
+
+
+def test_profiles_of_spins_and_of_reversals_are_finite_and_come_to_rest() -> None:
+    shapes = {
+        "spin": ([0.0], [math.pi]),
+        "there and back": ([1.0, -1.0], [0.0, 0.0]),
+        "both spins": ([0.0, 0.0], [1.0, -1.0]),
+        "pivots": ([HALF, -HALF], [1.0, 1.0]),
+    }
+    for name, (ds, dtheta) in shapes.items():
+        path = ep.Path(Pose(0, 0, 0), ds=ds, dtheta=dtheta)
+        timed = ep.speed.profile(path, MODEL)
+        for channel in (timed.t, timed.x, timed.y, timed.yaw, timed.v, timed.omega):
+            assert np.all(np.isfinite(channel)), name
+        assert timed.v[-1] == pytest.approx(0.0, abs=1e-9), name
+        assert timed.omega[-1] == pytest.approx(0.0, abs=1e-9), name
+        report = ep.check(timed, MODEL)
+        assert math.isfinite(report.energy), name
+
+
+# -- headings -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("turns", [-3, -1, 1, 2, 1000])
+def test_whole_turns_of_a_heading_do_not_matter(turns: int) -> None:
+    start, goal = (0.0, 0.0, 3.1), (1.0, 0.4, -3.1)
+    plain = ep.steering.energy(start, goal, COST)
+    turned = ep.steering.energy(start, (1.0, 0.4, -3.1 + 2 * math.pi * turns), COST)
+    assert turned == pytest.approx(plain, rel=1e-9)
+
+
+def test_headings_on_either_side_of_pi_are_neighbours() -> None:
+    for gap in (0.0, 1e-12, 1e-3):
+        energy = ep.steering.energy((0, 0, math.pi - gap), (0, 0, -math.pi + gap), COST)
+        per_radian = COST.segment_energy([0.0], [1.0])[0]
+        assert energy == pytest.approx(2 * gap * per_radian, rel=1e-6, abs=1e-6)
+
+
+def test_angles_wrap_into_one_turn_and_keep_their_direction() -> None:
+    angles = np.array([-np.pi, np.pi, 3 * np.pi, -1e-300, 1e6, -1e6, 0.0])
+    wrapped = wrap_angle(angles)
+    assert np.all(np.abs(wrapped) <= np.pi)
+    assert_allclose(np.exp(1j * wrapped), np.exp(1j * angles), atol=1e-9)
+
+
+def test_a_log_whose_heading_jumps_by_whole_turns_is_the_same_log() -> None:
+    log = simulate.drive(MODEL, "spiral", duration=60.0, power_noise=5.0, seed=2)
+    columns = dict(log.channels)
+    wrapped = ep.DriveLog.from_columns({**columns, "yaw": wrap_angle(columns["yaw"])})
+    plain = ep.identify(ep.DriveLog.from_columns(columns), MODEL.vehicle)
+    jumped = ep.identify(wrapped, MODEL.vehicle)
+    assert_allclose(jumped.model.coefficients, plain.model.coefficients, rtol=1e-6)
+    assert_allclose(jumped.icr.left, plain.icr.left, rtol=1e-6)
+
+
+# -- empty and degenerate input -----------------------------------------------------------------
+
+
+def _log(**columns: object) -> ep.DriveLog:
+    return ep.DriveLog.from_columns(columns)
+
+
+EMPTY: dict[str, Callable[[], object]] = {
+    "log without samples": lambda: _log(t=[], v_left=[], v_right=[], power=[]),
+    "log of one sample": lambda: _log(t=[0], v_left=[1], v_right=[1], power=[9]),
+    "log of one instant": lambda: _log(t=[0, 0], v_left=[1, 1], v_right=[1, 1], power=[9, 9]),
+    "log without a reading": lambda: _log(t=[0, 1], v_left=[1, 1], v_right=[1, 1],
+                                          power=[math.nan] * 2),
+    "identification without logs": lambda: ep.identify([], MODEL.vehicle),
+    "path without segments": lambda: ep.speed.profile(
+        ep.Path(Pose(0, 0, 0), ds=[], dtheta=[]), MODEL),
+    "map without cells": lambda: ep.OccupancyGrid(np.zeros((0, 0), bool), resolution=0.1),
+    "segment between two samples": lambda: simulate.drive(MODEL, "spin").segment(0.01, 0.02),
+    "mission without tasks": lambda: ep.Mission(
+        model=MODEL, map=ep.OccupancyGrid(np.zeros((9, 9), bool), resolution=1.0),
+        battery=ep.Battery.preset("quadriga"), start=(4, 4, 0), tasks=[]),
+    "battery without a curve": lambda: ep.Battery("none", 3600.0, [], [], 0.1),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", EMPTY)
+def test_what_is_empty_is_refused_by_name(case: str) -> None:
+    with pytest.raises(EnergyPlanError):
+        EMPTY[case]()
+
+
+def test_start_at_the_goal_takes_nothing() -> None:
+    hall = ep.OccupancyGrid(np.zeros((40, 40), bool), resolution=0.1)
+    plan = ep.plan(ep.PlanningProblem(hall, COST, (2, 2, 1), (2, 2, 1)))
+    assert plan.energy == 0.0
+    assert plan.lower_bound == 0.0
+    assert math.isfinite(plan.gap)
+    told = ep.compare(ep.PlanningProblem(hall, COST, (2, 2, 1), (2, 2, 1)))
+    assert told.saving == 0.0
+
+
+def test_paths_that_are_no_numbers_are_refused() -> None:
+    for ds, dtheta in (([math.nan], [0.0]), ([1.0], [math.inf]), ([1.0, 2.0], [0.0])):
+        with pytest.raises(PathError):
+            ep.Path(Pose(0, 0, 0), ds=ds, dtheta=dtheta)
+
+
+def test_what_is_random_repeats_with_its_seed() -> None:
+    first, again, other = (
+        simulate.drive(MODEL, "spiral", power_noise=9.0, seed=seed).power for seed in (5, 5, 6)
+    )
+    assert first.tolist() == again.tolist()
+    assert first.tolist() != other.tolist()
+
+
+# -- runs that end early ------------------------------------------------------------------------
+
+
+def test_a_run_that_is_killed_while_it_writes_leaves_the_old_file_whole(tmp_path: Path) -> None:
+    """The writer is stopped between its last byte and the moment the file takes its place."""
+    file = tmp_path / "model.yaml"
+    atomic_write(file, "as it was\n")
+    script = textwrap.dedent(
+        f"""
+        import os, signal
+        from energyplan.io.files import atomic_write
+        os.fsync = lambda handle: os.kill(os.getpid(), signal.SIGKILL)
+        atomic_write({str(file)!r}, "half a file" * 1000)
+        """
+    )
+    done = subprocess.run([sys.executable, "-c", script], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert file.read_text() == "as it was\n"
+
+
+def test_a_write_that_fails_leaves_neither_a_change_nor_a_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    file = tmp_path / "model.yaml"
+    atomic_write(file, "as it was\n")
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(EnergyPlanError, match=r"model\.yaml.*No space left"):
+        atomic_write(file, "new")
+    assert file.read_text() == "as it was\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["model.yaml"]
+
+
+def test_ctrl_c_ends_a_command_with_one_line_and_leaves_its_file(tmp_path: Path) -> None:
+    """A real process gets a real signal while it works."""
+    out = tmp_path / "model.yaml"
+    out.write_text("as it was\n")
+    script = textwrap.dedent(
+        f"""
+        import os, signal, sys
+        from energyplan import cli
+        from energyplan.io import logs
+        logs.read_log = lambda *_, **__: os.kill(os.getpid(), signal.SIGINT)
+        sys.argv = "energyplan identify a.csv --vehicle quadriga --out".split() + [{str(out)!r}]
+        cli.main()
+        """
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 130
+    assert done.stdout == ""
+    assert done.stderr == "energyplan: interrupted; files are as they were\n"
+    assert out.read_text() == "as it was\n"
