@@ -140,7 +140,7 @@ def identify(
     from energyplan import _documents
     from energyplan.identify import identify as run
     from energyplan.io.config import read_vehicle, write_model
-    from energyplan.report import number
+    from energyplan._html import number
 
     robot = read_vehicle(vehicle)
     drives = _logs(logs, columns)
@@ -188,7 +188,7 @@ def diagnose(
     from energyplan.diagnose import diagnose as run
     from energyplan.io.config import read_vehicle, write_model
     from energyplan.io.files import atomic_write
-    from energyplan.report import number
+    from energyplan._html import number
 
     robot = read_vehicle(vehicle)
     training, judging = _logs(logs, columns), _logs(holdout, columns)
@@ -331,7 +331,7 @@ def _no_path(error: NoPathError, json: bool, strict: bool) -> NoReturn:
 
 
 def _plan_lines(made: Any) -> list[str]:
-    from energyplan.report import number
+    from energyplan._html import number
 
     parts = ", ".join(f"{k.replace('_', ' ')} {number(v)} J" for k, v in made.breakdown.items())
     return [
@@ -348,7 +348,8 @@ def _draw(problem: PlanningProblem, paths: dict[str, Any], file: Path) -> None:
     from energyplan.io.files import atomic_write
     from energyplan.report import png
 
-    atomic_write(file, png(plots.routes(problem.map, paths)))
+    ground = problem.surfaces.polygons if problem.surfaces else ()
+    atomic_write(file, png(plots.routes(problem.map, paths, surfaces=ground)))
 
 
 @app.command(epilog="Example: energyplan check trajectory.csv --model quadriga:full:concrete")
@@ -366,7 +367,7 @@ def check(
     from energyplan.feasibility import check as run
     from energyplan.io.config import read_model, read_vehicle
     from energyplan.io.trajectory import read_trajectory
-    from energyplan.report import number
+    from energyplan._html import number
 
     law, limits = read_model(model), read_vehicle(vehicle) if vehicle else None
     report = run(read_trajectory(trajectory), law, limits)
@@ -398,7 +399,7 @@ def mission(
     from energyplan.io.files import atomic_write
     from energyplan.io.mission import read_mission
     from energyplan.mission import evaluate
-    from energyplan.report import number
+    from energyplan._html import number
 
     asked = read_mission(file)
     with _progress("evaluating the mission"):
