@@ -94,6 +94,8 @@ def distance_field(
     stop_column: int,
     margin: float,
     ahead: float,
+    room: float,
+    penalty: float,
     surface: NDArray[np.uint8],
     dearness: NDArray[np.float64],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -115,6 +117,10 @@ def distance_field(
         See above.
     ahead : float
         How far ahead directions look [cells].
+    room : float
+        Clearance below which a place counts as tight [cells].
+    penalty : float
+        Factor by which distances count in tight places.
     surface : ndarray, shape (rows, columns) or (1, 1)
         Class of the surface in each cell.
     dearness : ndarray, shape (classes,)
@@ -180,6 +186,8 @@ def distance_field(
             factor = here
             if varied:
                 factor = 0.5 * (here + dearness[surface[rr * stride, cc * stride]])
+            if clearance[rr * stride, cc * stride] < room:
+                factor *= penalty
             dd = d + factor * stride * hypot(steps_r[k], steps_c[k])
             if dd < out[rr, cc] - ROUNDING:
                 out[rr, cc] = dd

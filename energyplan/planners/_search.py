@@ -26,6 +26,9 @@ AHEAD = 1.5
 MOST_POINTS = 1_000_000
 """Largest number of points of a field; larger maps get a coarser one."""
 
+TIGHT = 0.5
+"""Clearance below which a place is tight: 0 the inscribed disc's, 1 the circumscribed one's."""
+
 REACH = 1.2
 """How much further than the start the field reaches."""
 
@@ -71,8 +74,12 @@ def inscribed(setting: Setting) -> float:
     return max(min(-body.x_min, body.x_max, -body.y_min, body.y_max), 0.0)
 
 
-def field_for(setting: Setting) -> Field:
-    """Return the distance to go to the goal for the inscribed disc, as far as it is needed."""
+def field_for(setting: Setting, penalty: float = 1.0) -> Field:
+    """Return the distance to go to the goal for the inscribed disc, as far as it is needed.
+
+    With a `penalty` above 1 it counts as longer where the disc barely passes: the whole body
+    often does not, and the search had better look elsewhere first.
+    """
     res = setting.space.resolution
     stride = max(int(0.1 / res + 0.5), 1)
     while setting.space.clearance.size > MOST_POINTS * stride * stride:
@@ -92,6 +99,8 @@ def field_for(setting: Setting) -> Field:
         *start,
         REACH,
         AHEAD / res,
+        (inscribed(setting) + TIGHT * (setting.reach - inscribed(setting))) / res,
+        penalty,
         setting.surface,
         straight / setting.least_metre,
     )

@@ -34,6 +34,9 @@ logger = logging.getLogger(__name__)
 FIRST_WEIGHT = 2.0
 """Weight of the search for the first path."""
 
+PENALTY = 8.0
+"""How much longer a tight place counts for the searches that need not be exact."""
+
 SEARCHES = ((1.0, 1.5), (1.0, 1.2), (1.0, 1.0), (0.5, 1.0))
 """Scale of the lattice and weight of the searches that follow."""
 
@@ -196,9 +199,10 @@ class _Improvement:
         self.deadline = deadline
         self.gap = gap
         self.seed = seed
-        self.field = field_for(self.setting)
+        self.field = field_for(self.setting, PENALTY)
         self.best = Segments(np.empty(0), np.empty(0))
         self.cost = np.inf
+        self.guided = True
         self.bound = 0.0
 
     @property
@@ -243,7 +247,9 @@ class _Improvement:
             search = Search(
                 self.setting, self.field, lattice_for(self.setting, scale), FIRST_WEIGHT
             )
-            status = search.run(self.deadline, stop_at_first=True)
+            status = kernels.RUNNING
+            if time.perf_counter() < self.deadline:
+                status = search.run(self.deadline, stop_at_first=True)
             if search.found:
                 refiner = Refiner(self.setting, search.segments(), self.seed)
                 refiner.shortcut()
@@ -269,6 +275,8 @@ class _Improvement:
         for scale, weight in SEARCHES:
             if self.done:
                 return
+            if weight == 1.0 and self.guided:
+                self.guided, self.field = False, field_for(self.setting)
             search = Search(self.setting, self.field, lattice_for(self.setting, scale), weight)
             # what is found must be refined before the deadline
             search.run(self._share(SEARCH_SHARE), stop_at_first=False)
