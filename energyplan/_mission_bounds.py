@@ -45,7 +45,7 @@ def shortest_ways(grid: OccupancyGrid, vehicle: Vehicle, points: FloatArray) -> 
     slack = 0.71 * grid.resolution
     padded = np.pad(grid.clearance + slack >= radius, ((0, -rows % stride), (0, -columns % stride)))
     shape = (padded.shape[0] // stride, stride, padded.shape[1] // stride, stride)
-    open_cells = padded.reshape(shape).any(axis=(1, 3))
+    open_cells = np.any(padded.reshape(shape), axis=(1, 3))
     cells = np.floor(grid.to_cells(points) / stride).astype(int)
     index = cells[:, 1] * open_cells.shape[1] + cells[:, 0]
     spacing = stride * grid.resolution

@@ -69,7 +69,7 @@ class _Source:
     @property
     def size(self) -> int:
         """Number of unknowns: covariances, spread of each coefficient, error on the hold-out."""
-        return sum(root.shape[1] for root in self.roots) + len(self.models[0].terms) + 1
+        return sum(len(root.T) for root in self.roots) + len(self.models[0].terms) + 1
 
 
 def _root(model: PowerModel) -> FloatArray:

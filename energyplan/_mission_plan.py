@@ -141,7 +141,8 @@ class _Matrix:
         legs, payload = self._walk.legs, self._walk.mission.payload
         speed = legs.cost(payload)[0].admissible_speed(0.0)
         poses = np.array(legs.poses)[:, :2]
-        times = np.linalg.norm(poses[:, None] - poses[None], axis=-1) / float(speed)
+        apart = np.linalg.norm(poses[:, None] - poses[None], axis=-1)
+        times: FloatArray = np.asarray(apart / float(speed), float)
         for i, j in np.argwhere(np.ones_like(times)):
             if legs.planned(int(i), int(j)):
                 times[i, j] = legs.leg(int(i), int(j), payload).duration

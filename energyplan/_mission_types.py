@@ -239,16 +239,14 @@ class Mission:
 
     def _check_names(self) -> None:
         seen = {"start"}
-        for kind, items in (("tasks", self.tasks), ("chargers", self.chargers)):
-            for k, item in enumerate(items):
-                _require(
-                    item.name not in seen,
-                    f"the name {item.name!r} stands twice; give each place its own",
-                    kind,
-                    k,
-                    "name",
-                )
-                seen.add(item.name)
+        named = [("tasks", k, task.name) for k, task in enumerate(self.tasks)]
+        named += [("chargers", k, charger.name) for k, charger in enumerate(self.chargers)]
+        for kind, k, name in named:
+            _require(
+                name not in seen, f"the name {name!r} stands twice; give each place its own",
+                kind, k, "name",
+            )  # fmt: skip
+            seen.add(name)
 
     def _check_numbers(self) -> None:
         fraction = "give a fraction"

@@ -222,9 +222,9 @@ class Walk:
         low = self._charge(state.worst, charger.power, charger.until)
         high = self._charge(state.expected, charger.power, charger.until)
         count = max(len(low), len(high), 2)
-        t = state.time + _STEP * np.arange(count)
+        t = state.time + _STEP * np.arange(count, dtype=float)
         filled = [np.append(s, np.full(count - len(s), s[-1])) for s in (high, low)]
-        power = np.where(np.arange(count) < len(high) - 1, -charger.power, 0.0)
+        power = -charger.power * (np.arange(count) < len(high) - 1).astype(float)
         piece = Piece("charge", state.node, t, power, filled[0], filled[1])
         low_end, high_end = (Charge(float(s[-1])) for s in (low, high))
         return replace(
