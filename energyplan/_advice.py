@@ -54,12 +54,9 @@ def mimic_advice(
     """Say that what was found may stand for something the catalogue does not have."""
     if not unexplained:
         return []
-    first = unexplained[0]
-    if first.channel == "drive":
-        return [
-            f"{first.shape}: the ground, the load or a temperature differed and is in no channel; "
-            "no model foretells that from other drives: log what differed, or identify on the spot"
-        ]
+    first = next((one for one in unexplained if one.channel != "drive"), None)
+    if first is None:
+        return []
     if effects:
         names = ", ".join(_plain(name) for name in effects)
         return [
@@ -75,6 +72,16 @@ def mimic_advice(
             f"{names} helped only as long as {first.channel} was left out, and was dropped"
         )
     return lines
+
+
+def drive_advice(dependences: Sequence[Dependence], significance: float) -> list[str]:
+    """Say that drives differ as a whole, where they do."""
+    return [
+        f"{one.shape}: the ground, the load or a temperature differed and is in no channel; no "
+        "model foretells that from other drives: log what differed, or identify on the spot"
+        for one in dependences
+        if one.channel == "drive" and one.p_value < significance
+    ]
 
 
 def untested_advice(untested: Sequence[tuple[str, str]], effects: Sequence[str]) -> list[str]:

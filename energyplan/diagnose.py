@@ -210,6 +210,7 @@ class _Case:
         used = [choice.part.effect for choice in chosen]
         advice = [
             *_advice.mimic_advice(left, names, mimics),
+            *_advice.drive_advice(told_after, SIGNIFICANCE),
             *_advice.rival_advice(chosen),
             *_advice.mass_advice(fitted.model, names),
             *_advice.log_advice(used),
