@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from energyplan.diagnose import Diagnosis
     from energyplan.feasibility import FeasibilityReport
     from energyplan.identify import Identification
-    from energyplan.io.logs import LogInfo
     from energyplan.mission import MissionReport
     from energyplan.planners import Plan
     from energyplan.power import PowerModel, Residual
@@ -127,15 +126,3 @@ def mission(report: MissionReport) -> Document:
         "soc_end": plain(report.soc_end),
         "feasible": bool(report.feasible),
     }
-
-
-def log_lines(told: LogInfo) -> list[str]:
-    """Return what ``energyplan log info`` prints: a line for each column or topic, then notes."""
-    wide = max((len(entry.name) for entry in told.entries), default=0)
-    lines = [f"{told.name}: {told.kind}, {told.duration:.1f} s"]
-    for entry in told.entries:
-        rate = f", {entry.rate:.1f} Hz" if entry.rate else ""
-        serves = f"  -> {entry.serves}" if entry.serves else ""
-        lines.append(f"  {entry.name:{wide}}  {entry.type}, {entry.count} readings{rate}{serves}")
-    lines += [f"{name}: {', '.join(found) or 'none'}" for name, found in told.channels.items()]
-    return [*lines, *(f"note: {note}" for note in told.notes)]

@@ -9,10 +9,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from energyplan import plots
-from energyplan._empirical import signal
+from energyplan._html import number
+from energyplan.effects._empirical import signal
 from energyplan.motion import CHANNELS
 from energyplan.path import wrap_angle
-from energyplan.report import Page, number
+from energyplan.report import Page
 
 if TYPE_CHECKING:
     from energyplan.diagnose import Diagnosis

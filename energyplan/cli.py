@@ -53,6 +53,9 @@ Method = Annotated[
 Columns = Annotated[
     str | None, typer.Option(help="Other column names, such as v_left=velL,yaw=heading[deg].")
 ]
+Topics = Annotated[
+    str, typer.Option(help="Topic map of bags: husky, jackal, warthog, or a YAML file.")
+]
 OutModel = Annotated[Path | None, typer.Option("--out", help="Write the model to this YAML file.")]
 Report = Annotated[Path | None, typer.Option("--report", help="Write a report to this HTML file.")]
 
@@ -96,10 +99,11 @@ def _progress(text: str) -> Iterator[Any]:
         )
 
 
-def _logs(paths: list[Path], columns: str | None) -> list[DriveLog]:
+def _logs(paths: list[Path], columns: str | None, topics: str) -> list[DriveLog]:
     from energyplan.io.logs import read_log
 
-    return [read_log(path, columns) for path in paths]
+    with _progress("reading") as update:
+        return [read_log(path, columns, topics=topics, progress=update) for path in paths]
 
 
 def _notes(logs: list[DriveLog]) -> list[str]:
@@ -134,38 +138,21 @@ def identify(
     method: Method = "lad",
     out: OutModel = None,
     columns: Columns = None,
+    topics: Topics = "husky",
     json: Json = False,
 ) -> None:
     """Find a robot's power parameters on some ground from its drive logs."""
-    from energyplan import _documents
+    from energyplan import _documents, _lines
     from energyplan.identify import identify as run
     from energyplan.io.config import read_vehicle, write_model
-    from energyplan._html import number
 
     robot = read_vehicle(vehicle)
-    drives = _logs(logs, columns)
+    drives = _logs(logs, columns, topics)
     found = run(drives, robot, method=method)
     found = replace(found, warnings=(*_notes(drives), *found.warnings))
     if out:
         write_model(found.model, out)
-    lines = []
-    for row in _documents.terms(found.model):
-        low, high = found.interval(row["name"])
-        lines.append(
-            f"{row['name'].replace('_', ' ')}: {row['symbol']} = {number(row['value'])} "
-            f"+- {number(row['std_error'], 2)} {row['unit'].replace('1', '')}".rstrip()
-            + f" (95 %: {number(low)} to {number(high)})"
-        )
-    icr, spread = found.icr, found.icr_std_error
-    error = "kept from the vehicle" if spread is None else f"+- {number(spread['left'], 2)}"
-    lines.append(f"tread ICRs: left {number(icr.left)} m, right {number(icr.right)} m, {error}")
-    misfit = found.residual
-    lines.append(
-        f"residual: rmse {number(misfit.rmse)} W, mae {number(misfit.mae)} W, bias "
-        f"{number(misfit.bias)} W, energy {100 * misfit.energy_error:+.2f} %"
-    )
-    lines += [f"note: {warning}" for warning in found.warnings]
-    _answer(_documents.identification(found), lines, json=json)
+    _answer(_documents.identification(found), _lines.identification(found), json=json)
 
 
 @app.command(
@@ -179,19 +166,19 @@ def diagnose(
     out: OutModel = None,
     report: Report = None,
     columns: Columns = None,
+    topics: Topics = "husky",
     json: Json = False,
     strict: Strict = False,
 ) -> None:
     """Trace the residual of the power model to an effect, add it, and report before and after."""
-    from energyplan import _documents
+    from energyplan import _documents, _lines
     from energyplan._pages import diagnosis_page
     from energyplan.diagnose import diagnose as run
     from energyplan.io.config import read_vehicle, write_model
     from energyplan.io.files import atomic_write
-    from energyplan._html import number
 
     robot = read_vehicle(vehicle)
-    training, judging = _logs(logs, columns), _logs(holdout, columns)
+    training, judging = _logs(logs, columns, topics), _logs(holdout, columns, topics)
     for note in _notes([*training, *judging]):
         _warn(note)
     with _progress("diagnosing") as update:
@@ -200,26 +187,7 @@ def diagnose(
         write_model(told.model, out)
     if report:
         atomic_write(report, diagnosis_page(told, judging).html())
-    lines = [f"verdict: {told.verdict.replace('_', ' ')}"]
-    for effect in told.effects:
-        lines.append(
-            f"effect: {effect.name.replace('_', ' ')}, {effect.symbol} = {number(effect.value)} "
-            f"+- {number(effect.std_error, 2)} {effect.unit}"
-        )
-        if effect.rivals:
-            lines.append(f"  these drives cannot tell it from: {', '.join(effect.rivals)}")
-    for name, misfit in (("before", told.before), ("after", told.after)):
-        lines.append(
-            f"hold-out {name}: rmse {number(misfit.rmse)} W, mae {number(misfit.mae)} W, "
-            f"energy {100 * misfit.energy_error:+.2f} %"
-        )
-    lines += [
-        f"unexplained: {found.channel} ({found.shape}), "
-        f"{100 * found.explained_variance:.0f} % of the residual's variance"
-        for found in told.unexplained
-    ]
-    lines += [f"advice: {advice}" for advice in told.advice]
-    _answer(_documents.diagnosis(told), lines, json=json)
+    _answer(_documents.diagnosis(told), _lines.diagnosis(told), json=json)
     _verdict(told.verdict != "unexplained", strict)
 
 
@@ -268,7 +236,7 @@ def plan(
     strict: Strict = False,
 ) -> None:
     """Plan the route of least energy, and say how far from optimal it can be at most."""
-    from energyplan import _documents
+    from energyplan import _documents, _lines
     from energyplan.io.trajectory import write_path
     from energyplan.planners import plan as run
 
@@ -282,7 +250,7 @@ def plan(
         write_path(made.path, out)
     if plot:
         _draw(problem, {planner: made.path}, plot)
-    _answer(_documents.plan(made), _plan_lines(made), json=json)
+    _answer(_documents.plan(made), _lines.plan(made, objective), json=json)
 
 
 @app.command(
@@ -304,7 +272,7 @@ def compare(
     strict: Strict = False,
 ) -> None:
     """Compare the route of least energy with the shortest one, both priced by the same model."""
-    from energyplan import _documents
+    from energyplan import _documents, _lines
     from energyplan.compare import compare as run
     from energyplan.io.trajectory import write_path
 
@@ -319,28 +287,12 @@ def compare(
     if plot:
         both = {"least energy": made.energy_optimal.path, "shortest": made.shortest.path}
         _draw(problem, both, plot)
-    lines = ["least energy:", *(f"  {line}" for line in _plan_lines(made.energy_optimal))]
-    lines += ["shortest:", *(f"  {line}" for line in _plan_lines(made.shortest))]
-    lines.append(f"saving: {100 * made.saving:.1f} % of the shortest route's energy")
-    _answer(_documents.comparison(made), lines, json=json)
+    _answer(_documents.comparison(made), _lines.comparison(made), json=json)
 
 
 def _no_path(error: NoPathError, json: bool, strict: bool) -> NoReturn:
     _answer({"path": None, "reason": str(error)}, [f"no path: {error}"], json=json)
     raise typer.Exit(NO if strict else 0)
-
-
-def _plan_lines(made: Any) -> list[str]:
-    from energyplan._html import number
-
-    parts = ", ".join(f"{k.replace('_', ' ')} {number(v)} J" for k, v in made.breakdown.items())
-    return [
-        f"energy: {number(made.energy, 5)} J ({parts})",
-        f"at most {100 * made.gap:.1f} % above the least possible "
-        f"(lower bound {number(made.lower_bound, 5)} J)",
-        f"length: {number(made.length)} m, turning: {number(math.degrees(made.turning))} deg",
-        f"planned by {made.planner} in {made.planning_time:.2f} s",
-    ]
 
 
 def _draw(problem: PlanningProblem, paths: dict[str, Any], file: Path) -> None:
@@ -363,26 +315,14 @@ def check(
     strict: Strict = False,
 ) -> None:
     """Tell whether the motors can drive a trajectory; where not, and how fast they could."""
-    from energyplan import _documents
+    from energyplan import _documents, _lines
     from energyplan.feasibility import check as run
     from energyplan.io.config import read_model, read_vehicle
     from energyplan.io.trajectory import read_trajectory
-    from energyplan._html import number
 
     law, limits = read_model(model), read_vehicle(vehicle) if vehicle else None
     report = run(read_trajectory(trajectory), law, limits)
-    lines = ["feasible" if report.feasible else "not feasible"]
-    lines += [
-        f"{found.kind.replace('_', ' ')} {found.side}: {number(found.start)} s to "
-        f"{number(found.end)} s, peak {number(found.peak)}, limit {number(found.limit)}"
-        for found in report.violations
-    ]
-    lines += [
-        f"largest feasible speed: {number(report.max_speed_scale)} of this one",
-        report.reason,
-        f"energy: {number(report.energy)} J",
-    ]
-    _answer(_documents.feasibility(report), lines, json=json)
+    _answer(_documents.feasibility(report), _lines.feasibility(report), json=json)
     _verdict(report.feasible, strict)
 
 
@@ -394,31 +334,18 @@ def mission(
     strict: Strict = False,
 ) -> None:
     """Budget a mission's battery, and flag the tasks that cannot be reached, with the reason."""
-    from energyplan import _documents
+    from energyplan import _documents, _lines
     from energyplan._pages import mission_page
     from energyplan.io.files import atomic_write
     from energyplan.io.mission import read_mission
     from energyplan.mission import evaluate
-    from energyplan._html import number
 
     asked = read_mission(file)
     with _progress("evaluating the mission"):
         told = evaluate(asked)
     if report:
         atomic_write(report, mission_page(told).html())
-    lines = ["mission feasible" if told.feasible else "mission not feasible as asked"]
-    for task in map(told.task, told.table["name"]):
-        line = f"{task.name}: {task.verdict}"
-        if task.verdict == "unreachable":
-            line += f" ({task.reason.replace('_', ' ')}); {task.remedy}"
-        else:
-            line += f", state of charge after it {100 * task.soc_after:.0f} %"
-        lines.append(line)
-    lines.append(
-        f"energy: {number(told.energy / 3600)} Wh, at most {number(told.energy_upper / 3600)} Wh; "
-        f"state of charge at the end {100 * told.soc_end:.0f} %"
-    )
-    _answer(_documents.mission(told), lines, json=json)
+    _answer(_documents.mission(told), _lines.mission(told), json=json)
     _verdict(told.feasible, strict)
 
 
@@ -431,11 +358,11 @@ def info(
     file: Annotated[Path, typer.Argument(help="A table or a bag.")], json: Json = False
 ) -> None:
     """List what a log holds, and what it could serve for."""
-    from energyplan import _documents
+    from energyplan import _documents, _lines
     from energyplan.io.logs import describe_log
 
     told = describe_log(file)
-    _answer(_documents.plain(told), _documents.log_lines(told), json=json)
+    _answer(_documents.plain(told), _lines.log(told), json=json)
 
 
 @app.command(epilog="Example: energyplan demo --out demo")

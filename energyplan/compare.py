@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from energyplan import _html
 from energyplan.planners import Plan, PlanningProblem, plan
 
 
@@ -31,6 +32,18 @@ class Comparison:
     shortest: Plan
     saving: float
     by_term: Mapping[str, float] = field(default_factory=dict)
+
+    def _repr_html_(self) -> str:
+        """Return both plans side by side, for notebooks."""
+        plans = (self.energy_optimal, self.shortest)
+        rows = [
+            (f"{name} [{unit}]", *(getattr(plan, name) for plan in plans))
+            for name, unit in (
+                ("energy", "J"), ("length", "m"), ("turning", "rad"), ("duration", "s")
+            )
+        ]  # fmt: skip
+        title = f"saving: {100 * self.saving:.1f} % of the shortest route's energy"
+        return _html.result(title, ("", "least energy", "shortest"), rows)
 
 
 def compare(

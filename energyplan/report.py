@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 
 from matplotlib.figure import Figure
 
+from energyplan import _html
+
 _CSS = """
 :root { color-scheme: light; }
 body { font: 16px/1.5 system-ui, sans-serif; color: #1b1b1b; max-width: 62rem; margin: 0 auto;
@@ -77,12 +79,7 @@ class Page:
 
     def table(self, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
         """Add a table; numbers are aligned to the right and shown with four digits."""
-        head = "".join(f"<th>{html.escape(name)}</th>" for name in header)
-        body = "".join(f"<tr>{''.join(_cell(value) for value in row)}</tr>" for row in rows)
-        self._parts.append(
-            f'<div class="scroll"><table><thead><tr>{head}</tr></thead>'
-            f"<tbody>{body}</tbody></table></div>"
-        )
+        self._parts.append(f'<div class="scroll">{_html.table(header, rows)}</div>')
 
     def picture(self, figure: Figure, caption: str) -> None:
         """Add a figure with its caption."""
@@ -102,15 +99,3 @@ class Page:
             f"<title>{title}</title><style>{_CSS}</style></head>"
             f"<body><h1>{title}</h1>{''.join(self._parts)}</body></html>\n"
         )
-
-
-def number(value: float, digits: int = 4) -> str:
-    """Return a number as a reader wants it: `digits` significant ones, no exponent if possible."""
-    text = f"{value:.{digits}g}"
-    return f"{value:.0f}" if "e" in text and abs(value) >= 1 and abs(value) < 1e9 else text
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return f"<td>{html.escape(str(value))}</td>"
-    return f'<td class="number">{number(float(value))}</td>'

@@ -135,3 +135,18 @@ def test_the_command_shows_an_example_and_refuses_by_name(
     error = capsys.readouterr().err
     assert "absent.csv" in error
     assert len(error.splitlines()) == 1
+
+
+def test_topic_maps_are_chosen_by_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A map finds the joints' topic or not; either way the answer names the map."""
+    file = bag(tmp_path, {"/rosout": "std_msgs/msg/String"})
+    for topics, words in (("jackal", ("'jackal'", "/rosout")), ("tractor", ("tractor", "warthog"))):
+        code = command(
+            monkeypatch, "identify", file, "--vehicle", "jackal", "--topics", topics
+        )  # fmt: skip
+        assert code == 2
+        error = capsys.readouterr().err
+        for word in words:
+            assert word in error

@@ -5,7 +5,8 @@ from html.parser import HTMLParser
 import pytest
 
 from energyplan import plots
-from energyplan.report import Page, number
+from energyplan._html import number
+from energyplan.report import Page
 
 
 class Collector(HTMLParser):

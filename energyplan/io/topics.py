@@ -104,6 +104,8 @@ class TopicMap(BaseModel):
 
     Parameters
     ----------
+    kind : {"topics"}
+        What a YAML file of a topic map says it is.
     name : str
         What to call it.
     channels : mapping of str to list of TopicSource

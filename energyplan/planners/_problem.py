@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from energyplan import _html
 from energyplan.cost import EnergyCost
 from energyplan.errors import (
     GoalInCollisionError,
@@ -204,6 +205,20 @@ class Plan:
     first_time: float
     planner: str
     breakdown: Mapping[str, float] = field(default_factory=dict)
+
+    def _repr_html_(self) -> str:
+        """Return energy, bound and breakdown as a table, for notebooks."""
+        rows = [
+            ("energy [J]", self.energy),
+            *((f"of it {name.replace('_', ' ')} [J]", joules)
+              for name, joules in self.breakdown.items()),
+            ("at most above the least possible [%]", 100 * self.gap),
+            ("length [m]", self.length),
+            ("turning [deg]", float(np.degrees(self.turning))),
+            ("duration [s]", self.duration),
+            ("planning time [s]", self.planning_time),
+        ]  # fmt: skip
+        return _html.result(f"plan by {self.planner}", ("", ""), rows)
 
     @property
     def poses(self) -> FloatArray:

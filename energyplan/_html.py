@@ -1,0 +1,34 @@
+"""Tables in HTML, for reports and for results shown in notebooks (private)."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable, Sequence
+
+
+def number(value: float, digits: int = 4) -> str:
+    """Return a number as a reader wants it: `digits` significant ones, no exponent if possible."""
+    text = f"{value:.{digits}g}"
+    return f"{value:.0f}" if "e" in text and abs(value) >= 1 and abs(value) < 1e9 else text
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table; numbers are aligned to the right and shown with four digits."""
+    head = "".join(f"<th>{html.escape(name)}</th>" for name in header)
+    body = "".join(f"<tr>{''.join(_cell(value) for value in row)}</tr>" for row in rows)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def result(
+    title: str, header: Sequence[str], rows: Iterable[Sequence[object]], notes: Iterable[str] = ()
+) -> str:
+    """Return what a notebook shows of a result: a title, a table, and what else is to be said."""
+    items = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
+    said = f"<ul>{items}</ul>" if items else ""
+    return f"<div><b>{html.escape(title)}</b>{table(header, rows)}{said}</div>"
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return f"<td>{html.escape(str(value))}</td>"
+    return f'<td class="number" style="text-align:right">{number(float(value))}</td>'

@@ -1,0 +1,115 @@
+"""What results show of themselves in a notebook."""
+
+from __future__ import annotations
+
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import energyplan as ep
+from energyplan import simulate
+from energyplan._html import number, result, table
+from energyplan.power import HOTEL, PowerModel
+
+MODEL = PowerModel.preset("quadriga:full:concrete")
+
+
+class Reader(HTMLParser):
+    """Collects the cells of tables, and refuses tags that are not closed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.cells: list[str] = []
+        self.text = ""
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attributes: object) -> None:
+        self.open.append(tag)
+        if tag in ("td", "th"):
+            self.cells.append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+        if self.open and self.open[-1] in ("td", "th"):
+            self.cells[-1] += data
+
+
+def shown(found: object) -> Reader:
+    return Reader(found._repr_html_())
+
+
+def test_text_is_escaped_and_numbers_are_rounded() -> None:
+    text = "<script>&"
+    page = Reader(result(text, ("a", text), [(text, 1234.5678), (True, 2)], [text]))
+    assert page.cells == ["a", text, text, "1235", "True", "2"]
+    assert "<script>" not in result(text, (text,), [(text,)], [text])
+    assert Reader(table((), [])).cells == []
+
+
+@pytest.fixture(scope="module")
+def drives() -> list[ep.DriveLog]:
+    truth = MODEL.with_term(HOTEL, 40.0)
+    return [
+        simulate.identification_drive(truth, power_noise=5.0, seed=1),
+        simulate.validation_drive(truth, power_noise=5.0, seed=2),
+    ]
+
+
+def test_identification_shows_every_coefficient(drives: list[ep.DriveLog]) -> None:
+    found = ep.identify(drives[0], MODEL.vehicle)
+    cells = shown(found).cells
+    for term in found.model.terms:
+        place = cells.index(term.name)
+        assert cells[place + 2] == number(found.model.coefficient(term.name))
+        assert cells[place + 3] == number(found.std_error[term.name])
+
+
+def test_diagnosis_shows_effects_and_both_errors(drives: list[ep.DriveLog]) -> None:
+    told = ep.diagnose(drives[:1], holdout=drives[1:], vehicle=MODEL.vehicle)
+    page = shown(told)
+    assert "effect found" in page.text
+    assert "hotel_load" in page.cells
+    assert page.cells[page.cells.index("after") + 1] == number(told.after.rmse)
+
+
+@pytest.fixture(scope="module")
+def problem() -> ep.PlanningProblem:
+    hall = ep.OccupancyGrid(np.zeros((60, 60), bool), resolution=0.1)
+    return ep.PlanningProblem(hall, ep.EnergyCost(MODEL), (2, 2, 0), (4, 3, 1.5))
+
+
+def test_plan_and_comparison_show_their_energy(problem: ep.PlanningProblem) -> None:
+    told = ep.compare(problem, time_limit=0.2)
+    plan = shown(told.energy_optimal)
+    assert plan.cells[plan.cells.index("energy [J]") + 1] == number(told.energy_optimal.energy)
+    both = shown(told)
+    place = both.cells.index("energy [J]")
+    energies = [number(p.energy) for p in (told.energy_optimal, told.shortest)]
+    assert both.cells[place + 1 : place + 3] == energies
+    assert f"{100 * told.saving:.1f} %" in both.text
+
+
+def test_feasibility_shows_violations(problem: ep.PlanningProblem) -> None:
+    timed = ep.speed.profile(ep.plan(problem, time_limit=0.2).path, MODEL)
+    assert shown(ep.check(timed, MODEL)).text.startswith("feasible")
+    report = ep.check(timed.scaled(3.0), MODEL)
+    page = shown(report)
+    assert page.text.startswith("not feasible")
+    assert len(page.cells) == 6 * (1 + len(report.violations))
+
+
+def test_mission_shows_every_task(problem: ep.PlanningProblem) -> None:
+    mission = ep.Mission(
+        model=MODEL, map=problem.map, battery=ep.Battery.preset("quadriga"), start=(2, 2, 0),
+        tasks=[ep.Task("near", (4, 4, 0)), ep.Task("too long", (3, 3, 0), dwell=1e6, power=500.0)],
+        coefficient_spread=0.05,
+    )  # fmt: skip
+    cells = shown(ep.evaluate(mission)).cells
+    assert cells[6:8] == ["too long", "unreachable"]
+    assert cells[cells.index("near") + 1] == "reachable"
