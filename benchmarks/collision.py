@@ -16,10 +16,9 @@ import shapely
 from scipy import ndimage
 from shapely import affinity
 
-from energyplan import _collision, _distance
 from energyplan.io.bundled import bundled
 from energyplan.io.maps import read_map
-from energyplan.maps import OccupancyGrid
+from energyplan.maps import OccupancyGrid, _collision, _distance
 from energyplan.path import Path, Pose
 from energyplan.vehicle import Vehicle
 

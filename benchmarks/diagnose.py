@@ -21,7 +21,8 @@ import numpy as np
 
 from energyplan import DriveLog, diagnose, identify, simulate
 from energyplan import effects as catalogue
-from energyplan._effect_terms import (
+from energyplan.diagnose import Diagnosis
+from energyplan.effects._terms import (
     DRAGGING_LEFT,
     MOBILISATION,
     SLIP_SPEED,
@@ -29,7 +30,6 @@ from energyplan._effect_terms import (
     TRACTION_ASYMMETRY,
     TURN_ASYMMETRY,
 )
-from energyplan.diagnose import Diagnosis
 from energyplan.identify import fit_residual
 from energyplan.io.husky import read_husky
 from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TABLE_II, TRACTION, PowerModel

@@ -14,10 +14,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from energyplan import _fit, simulate
+from energyplan import simulate
 from energyplan._identifiability import linearise
 from energyplan.drivelog import DriveLog
-from energyplan.identify import identify
+from energyplan.identify import _fit, identify
 from energyplan.online import OnlineIdentifier
 from energyplan.power import PowerModel
 from energyplan.simulate import Leg

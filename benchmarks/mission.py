@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from energyplan import batch
-from energyplan._battery_kernel import discharge
 from energyplan.battery import Battery
+from energyplan.battery._kernel import discharge
 from energyplan.maps import OccupancyGrid
 from energyplan.mission import Mission, Task, evaluate
 from energyplan.path import Pose

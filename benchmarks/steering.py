@@ -17,10 +17,10 @@ import numpy as np
 from ompl import base
 
 from energyplan import steering
-from energyplan._gauge import _turn_table
-from energyplan._steering_kernels import steer_energies
 from energyplan.cost import EnergyCost
+from energyplan.cost._gauge import _turn_table
 from energyplan.power import HOTEL, PowerModel
+from energyplan.steering._kernels import steer_energies
 
 SAMPLES = 100  # poses along a Reeds-Shepp path, from which its turning is added up
 

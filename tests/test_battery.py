@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from energyplan._battery_kernel import discharge
-from energyplan._battery_tables import CHEMISTRIES
 from energyplan.battery import Battery, BatteryRun
+from energyplan.battery._kernel import discharge
+from energyplan.battery._tables import CHEMISTRIES
 from energyplan.errors import BatteryError, UnknownNameError
 
 

@@ -11,23 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from energyplan import DriveLog, EnergyCost, _design, diagnose, simulate
-from energyplan._design import Design, Drive
-from energyplan._effect_terms import (
-    DRAGGING_LEFT,
-    MOBILISATION,
-    SLIP_SPEED,
-    TOWING_FORCE,
-    TRACTION_ASYMMETRY,
-    TURN_ASYMMETRY,
-)
-from energyplan._fitting import Problem, fit, solve, weighted
+from energyplan import DriveLog, EnergyCost, diagnose, simulate
 from energyplan._identifiability import linearise as reference_linearise
-from energyplan._linear import linearise
-from energyplan._mass_centre import find_mass_centre, twist
-from energyplan._quiet import quiet, speed_noise
-from energyplan._residual import in_words
-from energyplan.diagnose import Diagnosis
+from energyplan.diagnose import Diagnosis, _design
+from energyplan.diagnose._design import Design, Drive
+from energyplan.diagnose._fitting import Problem, fit, solve, weighted
+from energyplan.diagnose._linear import linearise
+from energyplan.diagnose._mass_centre import find_mass_centre, twist
+from energyplan.diagnose._quiet import quiet, speed_noise
+from energyplan.diagnose._residual import in_words
 from energyplan.effects import (
     AIR_DRAG,
     ANGULAR_INERTIA,
@@ -36,6 +28,14 @@ from energyplan.effects import (
     LINEAR_INERTIA,
     VISCOUS_LOSS,
     WARM_UP,
+)
+from energyplan.effects._terms import (
+    DRAGGING_LEFT,
+    MOBILISATION,
+    SLIP_SPEED,
+    TOWING_FORCE,
+    TRACTION_ASYMMETRY,
+    TURN_ASYMMETRY,
 )
 from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.motion import Motion

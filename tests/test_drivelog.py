@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import savgol_filter
 
-from energyplan import _tables
-from energyplan._columns import UNITS, parse_columns
-from energyplan._plausible import find_offset
-from energyplan._smooth import derivative
-from energyplan.drivelog import DriveLog
+from energyplan.drivelog import DriveLog, _tables
+from energyplan.drivelog._columns import UNITS, parse_columns
+from energyplan.drivelog._plausible import find_offset
+from energyplan.drivelog._smooth import derivative
 from energyplan.effects import ANGULAR_INERTIA, LINEAR_INERTIA
 from energyplan.errors import DriveLogError, EnergyPlanError, MissingChannelError
 from energyplan.power import PowerModel

@@ -8,22 +8,6 @@ import numpy as np
 import pytest
 
 from energyplan import EnergyCost, effects
-from energyplan._effect_terms import (
-    DRAGGING_LEFT,
-    DRAGGING_RIGHT,
-    MOBILISATION,
-    SIDE_GAIN,
-    SLIP_BEYOND,
-    SLIP_CHANGE,
-    SLIP_SPEED,
-    TILT_X,
-    TILT_Y,
-    TOWING_FORCE,
-    TRACTION_ASYMMETRY,
-    TRACTION_CHANGE,
-    TURN_ASYMMETRY,
-    UNSIGNED_POWER,
-)
 from energyplan.effects import (
     AIR_DRAG,
     ANGULAR_INERTIA,
@@ -38,6 +22,22 @@ from energyplan.effects import (
     effect,
     empirical_term,
     term,
+)
+from energyplan.effects._terms import (
+    DRAGGING_LEFT,
+    DRAGGING_RIGHT,
+    MOBILISATION,
+    SIDE_GAIN,
+    SLIP_BEYOND,
+    SLIP_CHANGE,
+    SLIP_SPEED,
+    TILT_X,
+    TILT_Y,
+    TOWING_FORCE,
+    TRACTION_ASYMMETRY,
+    TRACTION_CHANGE,
+    TURN_ASYMMETRY,
+    UNSIGNED_POWER,
 )
 from energyplan.errors import MissingChannelError, ModelError, UnknownNameError
 from energyplan.motion import Motion

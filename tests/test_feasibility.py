@@ -4,9 +4,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from energyplan import _limit_check, _limit_kernels
+from energyplan._limits import _kernels as _limit_kernels
 from energyplan.effects import term
 from energyplan.errors import InvalidInputError, MissingChannelError
+from energyplan.feasibility import _check as _limit_check
 from energyplan.feasibility import check, feasible_region
 from energyplan.motion import Motion
 from energyplan.path import Trajectory

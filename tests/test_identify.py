@@ -10,8 +10,7 @@ from scipy.linalg import toeplitz
 from scipy.optimize import linprog
 from scipy.signal import lfilter
 
-from energyplan import _covariance, _fit, effects, simulate
-from energyplan._problem import Problem
+from energyplan import effects, simulate
 from energyplan.drivelog import DriveLog
 from energyplan.errors import (
     InvalidInputError,
@@ -19,7 +18,16 @@ from energyplan.errors import (
     NotIdentifiableError,
     UnknownNameError,
 )
-from energyplan.identify import ICREstimate, fit_icr, fit_residual, icr_from_spin, identify
+from energyplan.identify import (
+    ICREstimate,
+    _covariance,
+    _fit,
+    fit_icr,
+    fit_residual,
+    icr_from_spin,
+    identify,
+)
+from energyplan.identify._problem import Problem
 from energyplan.power import (
     DRIVE_LOSS,
     HOTEL,

@@ -257,7 +257,7 @@ def test_merging_motions_keeps_the_path():
 
 
 def test_margin_exceeds_the_tolerance_of_the_collision_kernels():
-    from energyplan._collision import TOLERANCE
+    from energyplan.maps._collision import TOLERANCE
 
     assert MARGIN > 1.5 * TOLERANCE
 

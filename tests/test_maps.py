@@ -8,9 +8,8 @@ import shapely
 from scipy import ndimage
 from shapely import affinity
 
-from energyplan import _collision, _distance
 from energyplan.errors import MapError
-from energyplan.maps import OccupancyGrid, footprint
+from energyplan.maps import OccupancyGrid, _collision, _distance, footprint
 from energyplan.path import Path, Pose
 from energyplan.vehicle import Vehicle
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import shapely
 
-from energyplan._mission_bounds import shortest_ways
 from energyplan.maps import OccupancyGrid
+from energyplan.mission._bounds import shortest_ways
 from energyplan.path import Pose
 from energyplan.vehicle import Vehicle
 

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from energyplan import _online_kernel as kernel
 from energyplan import effects, simulate
 from energyplan.drivelog import DriveLog
 from energyplan.errors import InvalidInputError, MissingChannelError
 from energyplan.identify import identify
 from energyplan.online import OnlineIdentifier
+from energyplan.online import _kernel as kernel
 from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel
 from energyplan.simulate import Leg
 from energyplan.vehicle import Vehicle

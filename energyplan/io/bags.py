@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from energyplan._logchecks import SetAside
 from energyplan.drivelog import DriveLog
+from energyplan.drivelog._checks import SetAside
 from energyplan.errors import DriveLogError, EnergyPlanError, MissingDependencyError
 from energyplan.io._align import Series, align
 from energyplan.io.topics import TopicMap, TopicSource

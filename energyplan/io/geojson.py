@@ -11,11 +11,11 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from energyplan._surfaces import FARTHEST
 from energyplan.errors import EnergyPlanError, MapError
 from energyplan.io._limited import beside, read_features
 from energyplan.io.files import atomic_write
 from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
+from energyplan.maps._surfaces import FARTHEST
 from energyplan.power import PowerModel
 
 KEEP_OUT = ("keep_out", "keep-out", "keepout")

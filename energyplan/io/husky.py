@@ -15,10 +15,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan._logchecks import find_runs
-from energyplan._plausible import Offset, find_offset
-from energyplan._tables import Table, column_names, read_table
 from energyplan.drivelog import DriveLog, SetAside
+from energyplan.drivelog._checks import find_runs
+from energyplan.drivelog._plausible import Offset, find_offset
+from energyplan.drivelog._tables import Table, column_names, read_table
 from energyplan.errors import DriveLogError
 from energyplan.path import FloatArray
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from energyplan._columns import UNITS
-from energyplan._tables import read_table
 from energyplan.drivelog import DriveLog
+from energyplan.drivelog._columns import UNITS
+from energyplan.drivelog._tables import read_table
 from energyplan.errors import DriveLogError
 from energyplan.io.bags import bag_info, channels_served, is_bag, read_bag
 from energyplan.io.husky import WHEEL_COLUMNS, is_husky, read_husky

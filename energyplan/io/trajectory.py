@@ -9,8 +9,8 @@ from pathlib import Path as File
 
 import numpy as np
 
-from energyplan._tables import Table, read_table
 from energyplan.drivelog import DriveLog
+from energyplan.drivelog._tables import Table, read_table
 from energyplan.errors import InvalidInputError, MissingDependencyError, PathError
 from energyplan.io.files import atomic_write
 from energyplan.path import FloatArray, Path, Trajectory, wrap_angle

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan._collision import Space
 from energyplan._numba import njit
+from energyplan.maps._collision import Space
 from energyplan.planners._field_kernels import angle_between, pop, push
 
 

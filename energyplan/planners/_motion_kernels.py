@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan._collision import Body, Space, motion_free
 from energyplan._numba import njit
-from energyplan._steering_kernels import MAX_SEGMENTS, steer_energy, steer_path
+from energyplan.maps._collision import Body, Space, motion_free
+from energyplan.steering._kernels import MAX_SEGMENTS, steer_energy, steer_path
 
 DIRECTIONS = 128
 """Rays of the price table; a multiple of 8."""

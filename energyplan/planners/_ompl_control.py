@@ -16,7 +16,6 @@ import numpy as np
 from ompl import base, control, util
 from typing_extensions import override
 
-from energyplan._steering_kernels import MAX_SEGMENTS
 from energyplan.errors import InvalidInputError, TimeLimitError, UnsupportedPlannerError
 from energyplan.path import FloatArray, Path
 from energyplan.planners._bound import lower_bound
@@ -30,6 +29,7 @@ from energyplan.planners.ompl import (
     pose_state,
     set_parameters,
 )
+from energyplan.steering._kernels import MAX_SEGMENTS
 
 RAYS = 360
 """Directions for which the speed is tabulated."""

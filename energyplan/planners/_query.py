@@ -14,10 +14,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan._collision import Body, pose_free
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, ModelError, PlanningError
 from energyplan.maps import OccupancyGrid, SurfaceMap
+from energyplan.maps._collision import Body, pose_free
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.planners._motion_kernels import DIRECTIONS, Setting
 from energyplan.planners._problem import Plan, PlanningProblem

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan._numba import njit
-from energyplan._steering_kernels import MAX_SEGMENTS, steer_energy
 from energyplan.planners._motion_kernels import Setting, join, motion_cost
+from energyplan.steering._kernels import MAX_SEGMENTS, steer_energy
 
 SMALLEST, LARGEST = 1e-4, 1.0
 """Range of the distance by which poses are moved [m]."""

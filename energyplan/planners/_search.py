@@ -9,11 +9,11 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan._steering_kernels import MAX_SEGMENTS
 from energyplan.planners import _search_kernels as kernels
 from energyplan.planners._field_kernels import Field, distance_field
 from energyplan.planners._motion_kernels import DIRECTIONS, Setting, join
 from energyplan.planners._query import Segments
+from energyplan.steering._kernels import MAX_SEGMENTS
 
 Number = TypeVar("Number", bound=np.generic)
 

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan._collision import motion_free
 from energyplan._numba import njit
+from energyplan.maps._collision import motion_free
 from energyplan.planners._field_kernels import Field, angle_between, pop, push
 from energyplan.planners._motion_kernels import (
     Setting,

@@ -3,8 +3,9 @@
 1. A weighted search over position and heading, whose motions and whose last leg to the goal are
    exact minimum-energy motions, finds a first path; shortcuts make it a first plan.
 2. A lower bound on every path's cost is computed.
-3. Searches of less weight, then on finer lattices, find further paths, and each is refined until
-   little is gained. Planning ends when time is over or the gap to the bound is closed.
+3. Rounds of searches, each with a guidance of its own, find further paths, and the paths race for
+   the time to be refined. Planning ends when time is over, the gap to the bound is closed, or
+   nothing is gained any more.
 """
 
 from __future__ import annotations
@@ -26,28 +27,45 @@ from energyplan.planners import _search_kernels as kernels
 from energyplan.planners._bound import lower_bound
 from energyplan.planners._problem import Plan, PlanningProblem, as_pose
 from energyplan.planners._query import Query, Segments
+from energyplan.planners._race import Race
 from energyplan.planners._search import Search, coarse_lattice, field_for, lattice_for, no_field
 from energyplan.planners.refine import Refiner
 
 logger = logging.getLogger(__name__)
 
+SHORTEST = 0.0
+"""Stands for a search for the shortest way, in the place of a penalty."""
+
 FIRST_WEIGHT = 2.0
 """Weight of the search for the first path."""
 
 PENALTY = 8.0
-"""How much longer a tight place counts for the searches that need not be exact."""
+"""How much longer a tight place counts for that search."""
 
-SEARCHES = ((1.0, 1.5), (1.0, 1.2), (1.0, 1.0), (0.5, 1.0))
-"""Scale of the lattice and weight of the searches that follow."""
+ROUNDS = (
+    (1.0, 2.0, (4.0, 2.0, 1.0)),
+    (1.0, 1.5, (8.0, 4.0, 2.0, 1.0, SHORTEST)),
+    (1.0, 1.2, (8.0, 4.0, 2.0, 1.0)),
+    (1.0, 1.0, (1.0,)),
+    (0.5, 1.0, (1.0,)),
+)
+"""Searches that follow, round by round: scale of the lattice, weight, and penalties.
+
+No one guidance is best: a penalty that spares one problem its blind alleys hides from another the
+gap it should have taken.
+"""
+
+BUDGET = 8000
+"""Expansions of each search in the first round; twice as many in each round that follows."""
 
 STRIDE = 30_000
 """Expansions of a search for many goals between two attempts to reach them."""
 
-HOPE = 1.05
-"""Cost, in units of the best one, above which a path is not worth moving its poses."""
+PATIENCE = 3
+"""Refinements of the best path, after the last round, that may be in vain."""
 
 SEARCH_SHARE = 0.6
-"""Largest part of the time left that one of them may take."""
+"""Largest part of the time left that the searches of one round may take."""
 
 
 def plan(
@@ -100,7 +118,7 @@ def plan(
     work.first_plan()
     first = time.perf_counter()
     work.improve()
-    return query.plan(query.path(work.best), work.bound, begun, first, "lattice")
+    return query.plan(query.path(work.race.best), work.bound, begun, first, "lattice")
 
 
 def energies(
@@ -185,9 +203,7 @@ def compiled() -> None:
     work = _Improvement(Query(task), np.inf, 0.0, 1)
     work.first_plan()
     work.bound = lower_bound(work.query, work.cost)
-    refiner = Refiner(work.setting, work.best)
-    refiner.shortcut()
-    refiner.polish(np.inf, patience=400)
+    work.race.run(np.inf, 0.0)
 
 
 class _Improvement:
@@ -198,23 +214,25 @@ class _Improvement:
         self.setting = query.setting
         self.deadline = deadline
         self.gap = gap
-        self.seed = seed
-        self.field = field_for(self.setting, PENALTY)
-        self.best = Segments(np.empty(0), np.empty(0))
-        self.cost = np.inf
-        self.guided = True
+        self.race = Race(self.setting, seed)
+        self.fields = {PENALTY: field_for(self.setting, PENALTY)}
+        self.searches: list[tuple[Search, float]] = []
         self.bound = 0.0
+
+    @property
+    def cost(self) -> float:
+        """Cost of the best path so far."""
+        return self.race.cost
 
     @property
     def done(self) -> bool:
         """Whether to stop."""
-        closed = self.cost <= self.bound * (1.0 + self.gap)
-        return closed or time.perf_counter() >= self.deadline
+        return self.cost <= self.enough or time.perf_counter() >= self.deadline
 
-    def offer(self, refiner: Refiner) -> None:
-        """Take a refined path if it is the best so far."""
-        if refiner.cost < self.cost:
-            self.cost, self.best = refiner.cost, refiner.segments
+    @property
+    def enough(self) -> float:
+        """Cost at which the gap is closed."""
+        return self.bound * (1.0 + self.gap)
 
     def offer_path(self, path: Path) -> None:
         """Take a path that somebody else made, if it can be driven from start to goal."""
@@ -230,30 +248,23 @@ class _Improvement:
             path, problem.robot
         ):
             lateral = problem.cost.icr.centre[1]
-            motions = Segments(path.ds - lateral * path.dtheta, path.dtheta)
-            refiner = Refiner(self.setting, motions, self.seed)
-            self.cost, self.best = refiner.cost, motions
-            refiner.shortcut()
-            self.offer(refiner)
+            self.race.enter(Segments(path.ds - lateral * path.dtheta, path.dtheta))
 
     def first_plan(self) -> None:
         """Find a first path, on finer lattices where the first one has none."""
-        start = Search(self.setting, self.field, lattice_for(self.setting), FIRST_WEIGHT)
+        field = self.fields[PENALTY]
+        start = Search(self.setting, field, lattice_for(self.setting), FIRST_WEIGHT)
         if not np.isfinite(start.tree.h[0]):
             raise NoPathError(self._no_path("a disc inside the footprint cannot get through"))
         if np.isfinite(self.cost):
             return
         for scale in (1.0, 0.5, 0.25):
-            search = Search(
-                self.setting, self.field, lattice_for(self.setting, scale), FIRST_WEIGHT
-            )
+            search = Search(self.setting, field, lattice_for(self.setting, scale), FIRST_WEIGHT)
             status = kernels.RUNNING
             if time.perf_counter() < self.deadline:
                 status = search.run(self.deadline, stop_at_first=True)
             if search.found:
-                refiner = Refiner(self.setting, search.segments(), self.seed)
-                refiner.shortcut()
-                self.offer(refiner)
+                self.race.enter(search.segments())
                 return
             if status != kernels.EXHAUSTED:
                 raise TimeLimitError(
@@ -270,40 +281,48 @@ class _Improvement:
         )
 
     def improve(self) -> None:
-        """Make the path cheaper until time is over or the gap is closed."""
+        """Make the path cheaper until time is over, the gap is closed, or nothing is gained."""
         self.bound = lower_bound(self.query, self.cost)
-        for scale, weight in SEARCHES:
+        self.race.run(self._share(1.0 - SEARCH_SHARE), self.enough)
+        budget = BUDGET
+        for scale, weight, penalties in ROUNDS:
+            # what is found must be refined before the deadline
+            until = self._share(SEARCH_SHARE)
+            pending, self.searches = self.searches, []
+            for search, known in pending:
+                self._advance(search, known, until, budget)
+            for penalty in penalties:
+                if time.perf_counter() < until and not self.done:
+                    self._advance(self._search(scale, weight, penalty), np.inf, until, budget)
+            self.race.run(self._share(1.0 - SEARCH_SHARE), self.enough)
             if self.done:
                 return
-            if weight == 1.0 and self.guided:
-                self.guided, self.field = False, field_for(self.setting)
-            search = Search(self.setting, self.field, lattice_for(self.setting, scale), weight)
-            # what is found must be refined before the deadline
-            search.run(self._share(SEARCH_SHARE), stop_at_first=False)
-            if search.found:
-                self._refined(search.segments(), self.seed, self._share(1.0 - SEARCH_SHARE))
-        seed = self.seed
+            budget *= 2
         while not self.done:
-            seed += 1
             before = self.cost
-            self._refined(self.best, seed, self.deadline)
-            if seed > self.seed + 3 and self.cost > before * (1 - 1e-5):
+            self.race.again(self.deadline, self.enough)
+            if self.race.rounds > PATIENCE and self.cost > before * (1 - 1e-5):
                 return
+
+    def _search(self, scale: float, weight: float, penalty: float) -> Search:
+        """Return a search that has yet to begin."""
+        setting, guide = self.setting, penalty
+        if penalty == SHORTEST:
+            setting, guide = Query(replace(self.query.problem, objective="length")).setting, 1.0
+        if guide not in self.fields:
+            self.fields[guide] = field_for(self.setting, guide)
+        return Search(setting, self.fields[guide], lattice_for(setting, scale), weight)
+
+    def _advance(self, search: Search, known: float, until: float, budget: int) -> None:
+        """Run a search for a while; enter what it finds in the race."""
+        status = search.run(until, search.weight >= FIRST_WEIGHT, budget)
+        found = float(search.tree.best[0])
+        if found < known:
+            self.race.enter(search.segments())
+        if status == kernels.RUNNING:
+            self.searches.append((search, found))
 
     def _share(self, fraction: float) -> float:
         """Return the moment at which this fraction of the time left will be over."""
         now = time.perf_counter()
         return now + fraction * max(self.deadline - now, 0.0)
-
-    def _refined(self, segments: Segments, seed: int, deadline: float) -> None:
-        """Refine motions, and keep them if they are the best so far."""
-        refiner = Refiner(self.setting, segments, seed)
-        refiner.shortcut()
-        self.offer(refiner)
-        if refiner.cost > HOPE * self.cost:
-            return
-        enough = self.bound * (1.0 + self.gap)
-        refiner.polish(deadline, enough=enough)
-        refiner.again()
-        refiner.polish(deadline, enough=enough)
-        self.offer(refiner)

@@ -19,8 +19,6 @@ import numpy as np
 from ompl import base, geometric, util
 from typing_extensions import override
 
-from energyplan._collision import pose_free
-from energyplan._steering_kernels import MAX_SEGMENTS, steer_energy, steer_path
 from energyplan.cost import EnergyCost
 from energyplan.errors import (
     InvalidInputError,
@@ -29,12 +27,14 @@ from energyplan.errors import (
     UnsupportedPlannerError,
 )
 from energyplan.maps import OccupancyGrid, SurfaceMap
+from energyplan.maps._collision import pose_free
 from energyplan.path import Path
 from energyplan.planners import lattice
 from energyplan.planners._bound import lower_bound
 from energyplan.planners._motion_kernels import steering_cost, steering_free
 from energyplan.planners._problem import Plan, PlanningProblem
 from energyplan.planners._query import Query, Segments
+from energyplan.steering._kernels import MAX_SEGMENTS, steer_energy, steer_path
 from energyplan.vehicle import Vehicle
 
 SPACING = 0.05

@@ -11,11 +11,11 @@ import time
 
 import numpy as np
 
-from energyplan._steering_kernels import MAX_SEGMENTS
 from energyplan.path import Path, Pose
 from energyplan.planners import _refine_kernels as kernels
 from energyplan.planners._motion_kernels import Setting
 from energyplan.planners._query import Query, Segments, merged
+from energyplan.steering._kernels import MAX_SEGMENTS
 
 POSES = 90
 """Largest number of poses among which shortcuts are sought."""
@@ -96,7 +96,13 @@ class Refiner:
         if self.cost > before[2]:
             self.chain, self.count = before[0], before[1]
 
-    def polish(self, deadline: float, patience: int = 4000, enough: float = 0.0) -> None:
+    def polish(
+        self,
+        deadline: float,
+        patience: int = 4000,
+        enough: float = 0.0,
+        most: int | None = None,
+    ) -> None:
         """Move poses until the deadline, until the cost is `enough`, or until little is gained.
 
         Parameters
@@ -107,14 +113,17 @@ class Refiner:
             Attempts in which the cost must fall by a ten-thousandth.
         enough : float
             Cost at which to stop.
+        most : int, optional
+            Attempts at which to stop.
         """
-        mark, since = self.cost, 0
+        mark, since, spent = self.cost, 0, 0
         while time.perf_counter() < deadline and self.cost > enough:
             self.count = int(
                 kernels.polish(self.chain, self.setting, self.count, TRIALS, self._state)
             )
             since += TRIALS
-            if self.count < 3:
+            spent += TRIALS
+            if self.count < 3 or (most is not None and spent >= most):
                 break
             if self.cost < mark * (1 - 1e-4):
                 mark, since = self.cost, 0

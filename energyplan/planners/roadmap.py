@@ -14,7 +14,6 @@ from itertools import pairwise
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
-from energyplan._collision import first_collision
 from energyplan.cost import EnergyCost
 from energyplan.errors import (
     InvalidInputError,
@@ -23,6 +22,7 @@ from energyplan.errors import (
     UnsupportedPlannerError,
 )
 from energyplan.maps import SurfaceMap
+from energyplan.maps._collision import first_collision
 from energyplan.path import Path, Pose, wrap_angle
 from energyplan.planners._bound import lower_bound
 from energyplan.planners._energy_graph import (

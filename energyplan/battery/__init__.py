@@ -1,0 +1,446 @@
+"""The battery: charge, voltage, what it can still deliver, and when it gives up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from energyplan.battery._kernel import discharge
+from energyplan.battery._tables import CHEMISTRIES, PRESETS
+from energyplan.errors import BatteryError, UnknownNameError
+from energyplan.path import FloatArray
+
+BrownOut = Literal["none", "voltage", "charge", "current"]
+_REASONS: tuple[BrownOut, ...] = ("none", "voltage", "charge", "current")
+_REFERENCE_TEMPERATURE = 25.0
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise BatteryError(message)
+
+
+@dataclass(frozen=True)
+class BatteryRun:
+    """What a power profile does to a battery.
+
+    After a brown-out the battery is off: it delivers and takes back nothing.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Time [s].
+    soc, voltage, current : ndarray, shape (n,)
+        State of charge, terminal voltage [V] and current [A], positive when discharging, at the
+        beginning of each sample.
+    lost, braked : ndarray, shape (n,)
+        Energy that the battery's resistances turned into heat since the start, and returned
+        energy that it could not take and the brake resistors had to [J].
+    brown_out : float
+        Instant at which the battery gave up [s]; infinite if it did not.
+    reason : {"none", "voltage", "charge", "current"}
+        Why: voltage below cut-off under the load, empty, or more current than it may deliver.
+    polarisation : float
+        Voltage of the RC pair at the end [V]; what a next run starts with.
+    """
+
+    t: FloatArray
+    soc: FloatArray
+    voltage: FloatArray
+    current: FloatArray
+    lost: FloatArray
+    braked: FloatArray
+    brown_out: float
+    reason: BrownOut
+    polarisation: float = 0.0
+
+    @property
+    def soc_end(self) -> float:
+        """State of charge at the end."""
+        return float(self.soc[-1])
+
+
+@dataclass(frozen=True)
+class Battery:
+    """A battery pack as an equivalent circuit (Thevenin): source, resistance, one RC pair.
+
+    Parameters
+    ----------
+    name : str
+        What to call it.
+    capacity : float
+        Charge it delivers when new, at 25 degC and up to `rated_current` [C].
+    soc_points : array_like, shape (m,)
+        States of charge, ascending from 0 to 1.
+    ocv_points : array_like, shape (m,)
+        Open-circuit voltage of the pack there [V], not descending.
+    resistance : float
+        Series resistance when new, at 25 degC [ohm].
+    pair_resistance, pair_time : float
+        Resistance [ohm] and time constant [s] of the RC pair; no pair where the resistance is 0.
+    peukert : float
+        Peukert exponent, 1 where the charge delivered does not depend on the current.
+    rated_current : float
+        Current at which `capacity` was measured [A]; Peukert's law acts above it.
+    charge_efficiency : float
+        Charge stored over charge supplied, in (0, 1].
+    cutoff_voltage, cutoff_soc : float
+        Voltage [V] and state of charge at which the battery is switched off.
+    max_voltage : float
+        Voltage up to which it may be charged [V].
+    max_discharge_current, max_charge_current : float
+        Largest currents [A], both positive.
+    temperature : float
+        Temperature of the pack [degC].
+    derating_temperature, derating_factor : array_like, shape (k,)
+        Temperatures [degC], ascending, and the capacity there over that at 25 degC.
+    resistance_coefficient : float
+        Relative rise of the resistances per kelvin below 25 degC [1/K].
+    health : float
+        Ageing factor in (0, 1]: capacity left over capacity when new. The resistances rise by its
+        inverse.
+
+    Raises
+    ------
+    BatteryError
+        If a value is out of its range; the message says which and what would be right.
+
+    References
+    ----------
+    Peukert's law in its running form draws ``I (I/I_rated)^(k - 1)``. It takes no account of the
+    charge that comes back at rest, so it errs on the safe side on varying loads (Doerffel and
+    Sharkh, Journal of Power Sources 155, 2006).
+
+    Examples
+    --------
+    >>> pack = Battery.preset("quadriga")
+    >>> round(float(pack.ocv(1.0)), 2), round(pack.capacity / 3600)
+    (37.95, 36)
+    """
+
+    name: str
+    capacity: float
+    soc_points: FloatArray
+    ocv_points: FloatArray
+    resistance: float
+    pair_resistance: float = 0.0
+    pair_time: float = 60.0
+    peukert: float = 1.0
+    rated_current: float = np.inf
+    charge_efficiency: float = 1.0
+    cutoff_voltage: float = 0.0
+    cutoff_soc: float = 0.0
+    max_voltage: float = np.inf
+    max_discharge_current: float = np.inf
+    max_charge_current: float = np.inf
+    temperature: float = _REFERENCE_TEMPERATURE
+    derating_temperature: FloatArray = field(
+        default_factory=lambda: np.array([_REFERENCE_TEMPERATURE])
+    )
+    derating_factor: FloatArray = field(default_factory=lambda: np.array([1.0]))
+    resistance_coefficient: float = 0.0
+    health: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("soc_points", "ocv_points", "derating_temperature", "derating_factor"):
+            value = np.array(getattr(self, name), float)
+            _require(
+                value.ndim == 1 and len(value) > 0 and bool(np.all(np.isfinite(value))),
+                f"battery {self.name}: {name} must be a list of finite numbers",
+            )
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        self._check_tables()
+        positive = ("capacity", "pair_time", "rated_current", "max_discharge_current")
+        for name in positive:
+            self._check(name, getattr(self, name) > 0, "positive")
+        others = ("resistance", "pair_resistance", "cutoff_voltage", "max_charge_current")
+        for name in (*others, "resistance_coefficient"):
+            self._check(name, getattr(self, name) >= 0, "0 or more")
+        for name in ("capacity", "resistance", "pair_resistance", "temperature"):
+            self._check(name, np.isfinite(getattr(self, name)), "finite")
+        self._check("peukert", 1 <= self.peukert < 2, "in [1, 2)")
+        self._check("charge_efficiency", 0 < self.charge_efficiency <= 1, "in (0, 1]")
+        self._check("cutoff_soc", 0 <= self.cutoff_soc < 1, "a fraction in [0, 1)")
+        self._check("health", 0 < self.health <= 1, "in (0, 1]")
+        self._check(
+            "cutoff_voltage",
+            self.cutoff_voltage < self.ocv_points[-1],
+            f"below the open-circuit voltage of the full battery, {self.ocv_points[-1]:g} V",
+        )
+        self._check(
+            "max_voltage", self.max_voltage > self.cutoff_voltage, "above the cut-off voltage"
+        )
+
+    def _check(self, name: str, condition: object, remedy: str) -> None:
+        value = getattr(self, name)
+        _require(bool(condition), f"battery {self.name}: {name} is {value:g}; it must be {remedy}")
+
+    def _check_tables(self) -> None:
+        soc, ocv = self.soc_points, self.ocv_points
+        _require(
+            len(soc) == len(ocv) >= 2
+            and (soc[0], soc[-1]) == (0, 1)
+            and bool((np.diff(soc) > 0).all()),
+            f"battery {self.name}: soc_points must ascend from 0 to 1, one ocv_point for each",
+        )
+        _require(
+            bool((np.diff(ocv) >= 0).all()) and ocv[0] > 0,
+            f"battery {self.name}: ocv_points must be positive and must not descend",
+        )
+        heat, factor = self.derating_temperature, self.derating_factor
+        _require(
+            len(heat) == len(factor) and bool((np.diff(heat) > 0).all() and (factor > 0).all()),
+            f"battery {self.name}: derating_temperature must ascend, with one positive "
+            "derating_factor for each",
+        )
+
+    # -- state ----------------------------------------------------------------------------------
+
+    @property
+    def available_capacity(self) -> float:
+        """Charge between full and empty at this temperature and age [C]."""
+        warm = np.interp(self.temperature, self.derating_temperature, self.derating_factor)
+        return self.capacity * self.health * float(warm)
+
+    @property
+    def _resistance_factor(self) -> float:
+        cold = max(_REFERENCE_TEMPERATURE - self.temperature, 0.0)
+        return (1.0 + self.resistance_coefficient * cold) / self.health
+
+    def ocv(self, soc: ArrayLike) -> FloatArray:
+        """Open-circuit voltage [V] at a state of charge."""
+        return np.asarray(np.interp(np.asarray(soc, float), self.soc_points, self.ocv_points))
+
+    # -- what it can do -------------------------------------------------------------------------
+
+    def simulate(
+        self, t: ArrayLike, power: ArrayLike, *, soc: float = 1.0, polarisation: float = 0.0
+    ) -> BatteryRun:
+        """Run a power profile through the battery.
+
+        Parameters
+        ----------
+        t : array_like, shape (n,)
+            Strictly increasing times [s].
+        power : array_like, shape (n,)
+            Power at the terminals from each time to the next [W], positive when drawn.
+        soc : float
+            State of charge at the start.
+        polarisation : float
+            Voltage of the RC pair at the start [V]; 0 where the battery has rested.
+
+        Returns
+        -------
+        BatteryRun
+            State of charge, voltage, current, losses, and the brown-out if there is one.
+
+        Raises
+        ------
+        BatteryError
+            If time does not increase, a value is not finite, or `soc` is not in [0, 1].
+
+        Examples
+        --------
+        >>> run = Battery.preset("quadriga").simulate([0.0, 3600.0], [300.0, 0.0])
+        >>> run.brown_out, round(run.soc_end, 2)
+        (inf, 0.74)
+        """
+        times = np.ascontiguousarray(t, float)
+        load = np.ascontiguousarray(power, float)
+        _require(
+            times.ndim == 1 and len(times) >= 1 and times.shape == load.shape,
+            f"time has shape {times.shape}, power {load.shape}; give one power for each time",
+        )
+        for name, values in (("time", times), ("power", load)):
+            bad = np.flatnonzero(~np.isfinite(values))
+            _require(len(bad) == 0, f"{name} is not finite at sample {bad[:1]}; remove it first")
+        back = np.flatnonzero(np.diff(times) <= 0)
+        _require(len(back) == 0, f"time does not increase after sample {back[:1]}; sort it first")
+        _require(0 <= soc <= 1, f"soc is {soc}; give a fraction in [0, 1]")
+        out = np.empty((5, len(times)))
+        start, curve = (float(soc), float(polarisation)), (self.soc_points, self.ocv_points)
+        died, why, left = discharge(times, load, *start, *curve, self._parameters(), out)
+        return BatteryRun(times, out[0], out[1], out[2], out[3], out[4], died, _REASONS[why], left)
+
+    def usable_energy(self, power: ArrayLike, soc: ArrayLike = 1.0) -> FloatArray:
+        """Energy that the battery can deliver at constant power until it gives up.
+
+        The RC pair is taken as settled: the discharge lasts long against its time constant.
+
+        Parameters
+        ----------
+        power : array_like, shape (...)
+            Power [W], positive.
+        soc : array_like, shape (...)
+            State of charge at the start.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Energy [J]; zero where the battery cannot deliver that power at all.
+
+        Raises
+        ------
+        BatteryError
+            If a power is not positive or `soc` is not in [0, 1].
+        """
+        load, start = np.broadcast_arrays(np.asarray(power, float), np.asarray(soc, float))
+        _require(bool(np.all(load > 0)), "usable energy is asked at a power that is not positive")
+        _require(bool(np.all((start >= 0) & (start <= 1))), "soc must be a fraction in [0, 1]")
+        share = np.linspace(1.0, 0.0, 1001)
+        span = np.maximum(start - self.cutoff_soc, 0.0)
+        level = self.cutoff_soc + span[..., None] * share
+        current = self._steady_current(load[..., None], level)
+        drop = self._resistance_factor * (self.resistance + self.pair_resistance) * current
+        alive = (self.ocv(level) - drop >= self.cutoff_voltage) & (
+            current <= self.max_discharge_current
+        )
+        alive = np.logical_and.accumulate(alive, axis=-1)
+        with np.errstate(invalid="ignore"):
+            excess = np.maximum(current / self.rated_current, 1.0) ** (self.peukert - 1.0)
+            seconds = np.where(alive, 1.0 / (current * excess), 0.0)
+        width = span * self.available_capacity / (len(share) - 1)
+        pairs = 0.5 * (seconds[..., 1:] + seconds[..., :-1]) * alive[..., 1:]
+        return np.asarray(load * width * pairs.sum(axis=-1))
+
+    def _steady_current(self, power: FloatArray, soc: FloatArray) -> FloatArray:
+        emf = self.ocv(soc)
+        resistance = self._resistance_factor * (self.resistance + self.pair_resistance)
+        root = emf**2 - 4.0 * resistance * power
+        possible = root >= 0
+        current = 2.0 * power / (emf + np.sqrt(np.where(possible, root, 0.0)))
+        return np.where(possible, current, np.inf)
+
+    def _parameters(self) -> FloatArray:
+        factor = self._resistance_factor
+        return np.array(
+            [
+                self.available_capacity,
+                factor * self.resistance,
+                factor * self.pair_resistance,
+                self.pair_time,
+                self.peukert,
+                self.rated_current,
+                self.charge_efficiency,
+                self.cutoff_voltage,
+                self.cutoff_soc,
+                self.max_voltage,
+                self.max_discharge_current,
+                self.max_charge_current,
+            ]
+        )
+
+    # -- ready-made -----------------------------------------------------------------------------
+
+    @classmethod
+    def from_units(
+        cls,
+        name: str,
+        chemistry: str,
+        *,
+        series: int,
+        parallel: int,
+        unit_capacity: float,
+        unit_resistance: float,
+        rated_time: float = 20 * 3600.0,
+        discharge_rate: float = 5.0,
+        charge_rate: float = 0.3,
+        pair_share: float = 0.5,
+        pair_time: float = 60.0,
+        cutoff_soc: float = 0.0,
+    ) -> Battery:
+        """Build a pack from equal units in series and in parallel.
+
+        Parameters
+        ----------
+        name : str
+            What to call it.
+        chemistry : {"lead_acid", "lithium_ion", "lithium_iron_phosphate"}
+            Chemistry; a unit is a 12 V block of lead-acid, or one lithium cell.
+        series, parallel : int
+            Units in series, and strings in parallel.
+        unit_capacity : float
+            Capacity of one unit [C].
+        unit_resistance : float
+            Series resistance of one unit [ohm].
+        rated_time : float
+            Discharge time at which the capacity was measured [s].
+        discharge_rate, charge_rate : float
+            Largest currents over the current that would empty the pack in an hour.
+        pair_share : float
+            Resistance of the RC pair over the series resistance.
+        pair_time : float
+            Time constant of the pair [s].
+        cutoff_soc : float
+            State of charge at which the pack is switched off.
+
+        Returns
+        -------
+        Battery
+            The pack.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such chemistry.
+        BatteryError
+            If a count or a value is out of its range.
+        """
+        if chemistry not in CHEMISTRIES:
+            raise UnknownNameError("battery chemistry", chemistry, CHEMISTRIES)
+        _require(series >= 1 and parallel >= 1, f"{series} x {parallel} units; give 1 or more")
+        kind = CHEMISTRIES[chemistry]
+        capacity = unit_capacity * parallel
+        resistance = unit_resistance * series / parallel
+        return cls(
+            name=name,
+            capacity=capacity,
+            soc_points=np.array(kind.soc),
+            ocv_points=series * np.array(kind.ocv),
+            resistance=resistance,
+            pair_resistance=pair_share * resistance,
+            pair_time=pair_time,
+            peukert=kind.peukert,
+            rated_current=capacity / rated_time,
+            charge_efficiency=kind.charge_efficiency,
+            cutoff_voltage=series * kind.cutoff_voltage,
+            cutoff_soc=cutoff_soc,
+            max_voltage=series * kind.max_voltage,
+            max_discharge_current=discharge_rate * capacity / 3600.0,
+            max_charge_current=charge_rate * capacity / 3600.0,
+            derating_temperature=np.array(kind.temperature),
+            derating_factor=np.array(kind.capacity_factor),
+            resistance_coefficient=kind.resistance_coefficient,
+        )
+
+    @classmethod
+    def preset(cls, name: str) -> Battery:
+        """Return a ready-made battery: ``quadriga``, ``husky_a200``, ``jackal``.
+
+        Quadriga carries six 12 V lead-acid batteries in series-parallel, 36 V in all (Morales et
+        al. 2010, section IV). The paper gives no capacity: 18 Ah a block is taken here, a size
+        that the robot's weight allows. Husky: 24 V, 20 Ah sealed lead-acid. Jackal: a
+        lithium-ion pack of 270 Wh. Resistances are those usual for blocks and cells of the size.
+
+        Parameters
+        ----------
+        name : str
+            Name of the preset.
+
+        Returns
+        -------
+        Battery
+            The battery, new and at 25 degC.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such preset.
+        """
+        if name not in PRESETS:
+            raise UnknownNameError("battery preset", name, PRESETS)
+        return cls.from_units(name, **PRESETS[name])

@@ -1,0 +1,437 @@
+"""What a motion costs: joules as a function of curvature and speed, for any power model.
+
+Along a path driven at the cheapest admissible speed the energy of an element depends on the arc
+length ``ds`` and the turn ``dtheta`` alone, and is homogeneous in them (docs/theory, section 3).
+`EnergyCost` holds that function for the model it is given, whatever its terms.
+
+**Slopes.** On level ground no element costs less than nothing, which shortest-path searches rely
+on. A slope's weight gives back downhill what it took uphill: without losses its work is the
+difference of a potential, ``m g`` times the height, whatever the route. So a search runs on the
+level cost, which stays positive, and adds the potential's difference between start and goal once,
+at the end. Where returned energy is partly lost, the part that does come back is taken as the
+potential (`EnergyCost.potential`), and what an element costs beyond it is again never negative:
+``segment_energy(ds, dtheta, slope) - potential * rise >= 0``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from energyplan.cost import _speeds
+from energyplan.cost._bounds import LowerBound, lower_bound
+from energyplan.cost._gauge import SPECIAL, Corners, Gauge, steering_parameters, tabulate
+from energyplan.errors import InvalidInputError, ModelError
+from energyplan.motion import Motion
+from energyplan.path import FloatArray, Path
+from energyplan.power import REGENERATION_LOSS, PowerModel
+from energyplan.vehicle import GRAVITY, MotorLimits, TreadICR, Vehicle
+
+STEADY = {"t": 1e9, "x": 0.0, "y": 0.0, "yaw": 0.0, "slope": 0.0, "accel": 0.0, "yaw_accel": 0.0}
+STEADY |= {"accel_x": 0.0}
+"""Channels of steady motion on level ground, long after the start."""
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyCost:
+    """Joules for path elements, from any power model.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The power model with its vehicle. It must not need a channel that steady motion on level
+        ground does not have, unless `channels` gives it.
+    battery : bool
+        Whether energy is counted at the battery, with the vehicle's drive and regeneration
+        efficiencies, rather than at the treads.
+    speed : float, optional
+        Tread speed to drive at [m/s], that of the faster tread; slower where a limit asks for it.
+        Where it is not given, every element is driven at its cheapest admissible speed, and at
+        the fastest of them where several cost the same.
+    channels : mapping of str to float
+        Constant values of further channels that the model's terms read, such as a temperature.
+
+    Raises
+    ------
+    InvalidInputError
+        If `speed` is not positive.
+    ModelError
+        If some motion costs no energy or returns it, or if the cost has no minimum because the
+        vehicle has no speed limit.
+
+    References
+    ----------
+    docs/theory, sections 3 and 5.
+
+    Examples
+    --------
+    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+    >>> float(cost.segment_energy(1.0, 0.0).round(1))  # two sides of 113 N over a metre
+    226.0
+    """
+
+    model: PowerModel
+    battery: bool = False
+    speed: float | None = None
+    channels: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.speed is not None and not self.speed > 0:
+            raise InvalidInputError(f"speed is {self.speed}; give metres per second > 0")
+        lowest = float(self.gauge.values.min())
+        if not lowest > 0:
+            x, y = self.gauge.directions[int(np.argmin(self.gauge.values))]
+            raise ModelError(
+                f"the model {self.model.name!r} gives {lowest:.3g} J to an element of {x:.3g} m "
+                f"and {y / self.half_track:.3g} rad on level ground; motion must cost energy: "
+                "check the signs of its coefficients"
+            )
+
+    @classmethod
+    def from_coefficients(
+        cls, per_metre: float, per_radian: float, icr: float | TreadICR, speed: float = 1.0
+    ) -> EnergyCost:
+        """Return the cost of the static model with these coefficients.
+
+        Parameters
+        ----------
+        per_metre : float
+            Energy of straight driving, ``a = 2 K`` [J/m].
+        per_radian : float
+            Energy of turning beyond that of the treads' travel, ``beta = mu S`` [J/rad].
+        icr : float or TreadICR
+            Tread ICRs, or their lateral offset where both are the same [m].
+        speed : float
+            Largest tread speed [m/s]; it sets durations only.
+
+        Returns
+        -------
+        EnergyCost
+            ``per_metre max(|ds|, C |dtheta|) + per_radian |dtheta|``.
+
+        Raises
+        ------
+        InvalidInputError
+            If `per_metre` is not positive or `per_radian` is negative.
+
+        Examples
+        --------
+        >>> cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
+        >>> [round(float(e), 6) for e in cost.segment_energy([1.0, 0.0, 0.5], [0.0, 1.0, 1.0])]
+        [200.0, 200.0, 200.0]
+        """
+        if not (np.isfinite(per_metre) and per_metre > 0):
+            raise InvalidInputError(f"per_metre is {per_metre}; give joules per metre > 0")
+        if not (np.isfinite(per_radian) and per_radian >= 0):
+            raise InvalidInputError(f"per_radian is {per_radian}; give joules per radian >= 0")
+        treads = icr if isinstance(icr, TreadICR) else TreadICR.symmetric(icr)
+        width = treads.slip_track
+        vehicle = Vehicle.from_geometry(
+            "coefficients",
+            mass=1.0,
+            wheelbase=width,
+            track=width,
+            length=2 * width,
+            width=2 * width,
+            icr=treads,
+            motor=MotorLimits(speed=speed),
+        )
+        mu = per_radian / vehicle.slip_moment
+        return cls(PowerModel.paper(vehicle, K=per_metre / 2, mu=mu, name="coefficients"))
+
+    # -- geometry -----------------------------------------------------------------------------
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The model's vehicle."""
+        return self.model.vehicle
+
+    @property
+    def icr(self) -> TreadICR:
+        """Tread ICRs."""
+        return self.model.vehicle.icr
+
+    @property
+    def half_track(self) -> float:
+        """Half the slip track ``C`` [m]: the turn radius of a pivot."""
+        return self.icr.half_track
+
+    def _element(self, ds: ArrayLike, dtheta: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return the centre's arc length and the turn times the half slip track [m]."""
+        turn = np.asarray(dtheta, float)
+        return np.asarray(ds, float) - self.icr.centre[1] * turn, self.half_track * turn
+
+    # -- speed ----------------------------------------------------------------------------------
+
+    @cached_property
+    def _drawn(self) -> PowerModel:
+        return self.model.battery_side() if self.battery else self.model
+
+    def _motion(
+        self, x: FloatArray, y: FloatArray, rate: ArrayLike, slope: ArrayLike = 0.0
+    ) -> Motion:
+        """Steady motion through elements ``(x, y)`` at `rate` of them per second."""
+        speed = np.asarray(rate, float)
+        steady = {
+            **STEADY,
+            **self.channels,
+            "slope": slope,
+            "yaw_rate": speed * y / self.half_track,
+        }
+        channels = {name: np.asarray(value, float) for name, value in steady.items()}
+        return Motion(speed * (x - y), speed * (x + y), self.icr, channels)
+
+    @cached_property
+    def _static(self) -> bool:
+        """Whether speed makes no difference to the energy."""
+        x, y = np.concatenate([SPECIAL, SPECIAL + np.array([0.3, 0.1])]).T
+        slow, fast = (self._drawn.power(self._motion(x, y, rate)) / rate for rate in (0.1, 0.7))
+        return bool(np.allclose(slow, fast, rtol=1e-9, atol=0.0))
+
+    def _admissible_rate(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        return _speeds.admissible_rate(
+            x, y, self.vehicle, lambda rate: self.model.forces(self._motion(x, y, rate))
+        )
+
+    def _rate(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Rate [1/s] at which elements are driven: the cheapest admissible one."""
+        limit = self._admissible_rate(x, y)
+        if self.speed is not None:
+            return np.minimum(limit, self.speed / (np.abs(x) + np.abs(y)))
+        if self._static:
+            return limit
+        if not np.all(np.isfinite(limit)):
+            raise ModelError(
+                f"the energy of the model {self.model.name!r} depends on speed, but the vehicle "
+                f"{self.vehicle.name!r} has no speed limit; set its motor speed, or give speed="
+            )
+        slowest = _speeds.slowest_rate(x, y, limit, self.vehicle)
+        return _speeds.cheapest_rate(
+            slowest, limit, lambda rate: self._drawn.power(self._motion(x, y, rate)) / rate
+        )
+
+    def admissible_speed(self, curvature: ArrayLike) -> FloatArray:
+        """Return the largest speed that the vehicle's limits allow on arcs of this curvature.
+
+        Parameters
+        ----------
+        curvature : array_like, shape (...)
+            Curvature [1/m], positive to the left.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Speed of the reference point [m/s], from the limits of tread speed, yaw rate, and each
+            side's continuous power and regeneration; infinite where there is no limit.
+        """
+        return self._admissible_rate(*self._element(np.ones(np.shape(curvature)), curvature))
+
+    def cheapest_speed(self, curvature: ArrayLike) -> FloatArray:
+        """Return the admissible speed of least energy per metre on arcs of this curvature.
+
+        Parameters
+        ----------
+        curvature : array_like, shape (...)
+            Curvature [1/m], positive to the left.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Speed of the reference point [m/s]; the fastest where several cost the same, and that
+            of `speed` where it was given. Treads run at a twentieth of the motor's speed limit or
+            faster, else the cheapest speed would be zero where time costs nothing.
+        """
+        return self._rate(*self._element(np.ones(np.shape(curvature)), curvature))
+
+    # -- energy ---------------------------------------------------------------------------------
+
+    def _element_energy(self, x: FloatArray, y: FloatArray, slope: ArrayLike = 0.0) -> FloatArray:
+        """Energy of elements [J], evaluated through the model; they must not vanish."""
+        rate = self._rate(x, y)
+        safe = np.where(np.isfinite(rate), rate, 1.0 / (np.abs(x) + np.abs(y)))
+        return np.asarray(self._drawn.power(self._motion(x, y, safe, slope)) / safe)
+
+    @cached_property
+    def gauge(self) -> Gauge:
+        """Energy over the direction of motion, tabulated, with the error of the table."""
+        return tabulate(self._element_energy)
+
+    def segment_energy(
+        self, ds: ArrayLike, dtheta: ArrayLike, slope: ArrayLike | None = None
+    ) -> FloatArray:
+        """Return the energy of arcs, as they are driven.
+
+        Parameters
+        ----------
+        ds : array_like, shape (...)
+            Signed arc length of the reference point [m], as in `Path`.
+        dtheta : array_like, shape (...)
+            Signed turn [rad].
+        slope : array_like, shape (...), optional
+            Slope of the ground along the heading [rad], positive when climbing along +x; level
+            where not given. A slope is evaluated through the model, which is slower than the
+            table that serves level ground, and at the speeds of level ground.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Energy [J]. On level ground it is never negative, and accurate to `gauge.error`,
+            which is of the order of rounding for piecewise linear energies.
+        """
+        x, y = self._element(ds, dtheta)
+        if slope is None:
+            return self.gauge(x, y)
+        x, y, tilt = np.broadcast_arrays(x, y, np.asarray(slope, float))
+        moves = (x != 0) | (y != 0)
+        out = np.zeros(x.shape)
+        out[moves] = self._element_energy(x[moves], y[moves], tilt[moves])
+        return out
+
+    @property
+    def potential(self) -> float:
+        """Energy per metre of height that comes back downhill [J/m]; zero without a grade term."""
+        if not self.model.has("grade"):
+            return 0.0
+        weight = GRAVITY * self.model.coefficient("grade")
+        drawn = self._drawn
+        lost = drawn.coefficient(REGENERATION_LOSS.name) if drawn.has(REGENERATION_LOSS.name) else 0
+        return weight * (1.0 - lost)
+
+    def _moving(self, path: Path) -> tuple[FloatArray, FloatArray]:
+        """Elements of a path that do not vanish, with pivots rid of rounding."""
+        if path.longitudinal != self.icr.longitudinal:
+            raise InvalidInputError(
+                f"the path's reference point is at x = {path.longitudinal} m, the tread ICRs are "
+                f"at {self.icr.longitudinal} m; build the path with "
+                "longitudinal=cost.icr.longitudinal"
+            )
+        x, y = self._element(path.ds, path.dtheta)
+        pivot = np.abs(np.abs(x) - np.abs(y)) <= 1e-9 * np.abs(y)
+        x = np.where(pivot, np.copysign(y, x), x)
+        moves = (x != 0) | (y != 0)
+        return x[moves], y[moves]
+
+    def energy(self, path: Path) -> float:
+        """Return the energy of a path on level ground [J], evaluated through the model.
+
+        Raises
+        ------
+        InvalidInputError
+            If the path belongs to a vehicle with tread ICRs elsewhere along its x axis.
+        """
+        return float(self._element_energy(*self._moving(path)).sum())
+
+    def breakdown(self, path: Path) -> dict[str, float]:
+        """Return the energy of a path by term [J]; the values add up to `energy`."""
+        x, y = self._moving(path)
+        rate = self._rate(x, y)
+        rate = np.where(np.isfinite(rate), rate, 1.0 / (np.abs(x) + np.abs(y)))
+        parts = self._drawn.breakdown(self._motion(x, y, rate))
+        return {name: float((power / rate).sum()) for name, power in parts.items()}
+
+    def duration(self, path: Path) -> float:
+        """Return the time that a path takes at the speeds of this cost [s].
+
+        Speed changes take no time here; `speed.profile` accounts for accelerations.
+
+        Raises
+        ------
+        InvalidInputError
+            If neither the vehicle nor `speed` limits the speed.
+        """
+        rate = self._rate(*self._moving(path))
+        if not np.all(np.isfinite(rate)):
+            raise InvalidInputError(
+                f"the vehicle {self.vehicle.name!r} has no speed limit, so the path has no "
+                "duration; set its motor speed, or give EnergyCost a speed"
+            )
+        return float(np.sum(1.0 / rate))
+
+    def per_metre(self, curvature: ArrayLike, speed: ArrayLike | None = None) -> FloatArray:
+        """Return the energy per metre on arcs.
+
+        Parameters
+        ----------
+        curvature : array_like, shape (...)
+            Curvature [1/m], positive to the left.
+        speed : array_like, shape (...), optional
+            Speed of the reference point [m/s]; that of this cost where not given. It may exceed
+            `admissible_speed`.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Energy per metre of the reference point's path [J/m].
+        """
+        return self._per_unit(np.ones(np.shape(curvature)), curvature, speed)
+
+    def per_radian(self, radius: ArrayLike = 0.0, rate: ArrayLike | None = None) -> FloatArray:
+        """Return the energy per radian of a turn to the left.
+
+        Parameters
+        ----------
+        radius : array_like, shape (...)
+            Signed distance of the reference point per radian [m]: 0 for a spin, ``+-C`` for
+            pivots of a vehicle with symmetric tread ICRs.
+        rate : array_like, shape (...), optional
+            Yaw rate [rad/s]; that of this cost where not given.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Energy per radian [J/rad].
+        """
+        return self._per_unit(radius, np.ones(np.shape(radius)), rate)
+
+    def _per_unit(self, ds: ArrayLike, dtheta: ArrayLike, rate: ArrayLike | None) -> FloatArray:
+        if rate is None:
+            return self.segment_energy(ds, dtheta)
+        speed = np.asarray(rate, float)
+        if not np.all(speed > 0):
+            raise InvalidInputError("a speed is not positive; give magnitudes, and signs in arcs")
+        x, y = self._element(ds, dtheta)
+        return np.asarray(self._drawn.power(self._motion(x, y, speed)) / speed)
+
+    # -- what searches need -----------------------------------------------------------------------
+
+    def lower_bound(self, point: tuple[float, float] = (0.0, 0.0)) -> LowerBound:
+        """Return coefficients ``(a, beta)`` of ``E >= a length + beta |turn|`` for any motion.
+
+        Parameters
+        ----------
+        point : tuple of float
+            Body coordinates of the point whose path is measured [m]; the body's origin where not
+            given.
+
+        Returns
+        -------
+        LowerBound
+            With the largest ``a``, that of the cheapest straight line unless a turn moves the
+            point for less.
+
+        References
+        ----------
+        docs/theory, section 5.
+        """
+        return lower_bound(self.gauge, self.icr, point)
+
+    @cached_property
+    def _corners(self) -> Corners:
+        return self.gauge.corners()
+
+    @property
+    def steering_error(self) -> float:
+        """Largest fraction by which `steering` may miss the minimum because corners were dropped.
+
+        Zero, or rounding, where the energy is piecewise linear.
+        """
+        return 0.0 if self.gauge.is_static else self._corners.error + self.gauge.error
+
+    @cached_property
+    def steering_parameters(self) -> FloatArray:
+        """What the compiled steering kernels read; laid out in `energyplan.steering._kernels`."""
+        return steering_parameters(self.gauge, self._corners, self.icr)

@@ -1,0 +1,343 @@
+"""Battery budget missions: what can be done, with what certainty, and why not.
+
+A task is reachable only if the robot can do it and still get to where it started or to a charger
+with its reserve, at the confidence asked. Energies carry their uncertainty along (see
+`energyplan.mission._energy`); the battery is run twice, with the energy as expected and with the
+energy at its bound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from energyplan.battery import Battery
+from energyplan.mission._energy import Estimate
+from energyplan.mission._legs import Legs
+from energyplan.mission._plan import best_stops
+from energyplan.mission._report import MissionReport, Reason, TaskReport, Timeline
+from energyplan.mission._types import Charger, Mission, Task
+from energyplan.mission._walk import Attempt, Condition, Walk
+
+__all__ = ["Charger", "Mission", "MissionReport", "Task", "TaskReport", "Timeline", "evaluate"]
+
+_CANDIDATES = 5
+"""How many earlier tasks are tried as the one to drop."""
+
+_MOST = 10.0
+"""Batteries beyond so many times the one on board are not proposed."""
+
+
+def evaluate(mission: Mission, progress: Callable[[str], None] | None = None) -> MissionReport:
+    """Tell which tasks of a mission the battery lasts for, and what it takes.
+
+    Parameters
+    ----------
+    mission : Mission
+        The mission. For one that is under way, `Mission.resume` gives the rest.
+    progress : callable, optional
+        Called with one line of text whenever a route is planned or an order is found.
+
+    Returns
+    -------
+    MissionReport
+        A verdict with its reason and remedy for each task, and the mission as a whole.
+
+    Raises
+    ------
+    MissionError
+        If a bound is asked of models whose uncertainty nothing tells, or a payload leaves the
+        range of its models.
+    MissingDependencyError
+        If a free order of many tasks is asked and OR-Tools is not installed.
+
+    References
+    ----------
+    docs/missions.
+    """
+    return _Evaluation(mission, progress).report()
+
+
+class _Try(NamedTuple):
+    """A task's attempt, the condition before it, and the tasks done until then."""
+
+    before: Condition
+    attempt: Attempt
+    earlier: tuple[int, ...]
+
+
+class _Evaluation:
+    """One mission on its way to a report."""
+
+    def __init__(self, mission: Mission, progress: Callable[[str], None] | None) -> None:
+        self.mission = mission
+        self.legs = Legs(mission, progress)
+        self.walk = Walk(self.legs)
+        self.progress = progress
+        self.attempts: dict[int, _Try] = {}
+        self.done: list[int] = []
+        self.proven = mission.order == "given"
+
+    def report(self) -> MissionReport:
+        """Do the tasks, find the way home, and explain what is left out."""
+        state = self._given() if self.mission.order == "given" else self._free()
+        last = self.walk.finish(state)
+        tasks = tuple(self._task(k) for k in range(len(self.mission.tasks)))
+        missed = [
+            told.name
+            for told, task in zip(tasks, self.mission.tasks, strict=True)
+            if task.required and told.verdict == "unreachable"
+        ]
+        end = state if last is None else last
+        drives = [piece.leg.path for piece in end.pieces if piece.leg is not None]
+        return MissionReport(
+            mission=self.mission,
+            tasks=tasks,
+            order=self._order(end),
+            energy=end.total.mean,
+            energy_upper=end.total.upper(self.walk.quantile),
+            soc_end=end.expected.soc,
+            soc_end_lower=end.worst.soc,
+            feasible=last is not None and not missed,
+            end=self.legs.names[end.node],
+            duration=end.time - self.mission.time,
+            proven=self.proven,
+            timeline=self._timeline(end),
+            paths=tuple(drives),
+        )
+
+    # -- the way ----------------------------------------------------------------------------------
+
+    def _given(self) -> Condition:
+        state = self.walk.start
+        for k in range(len(self.mission.tasks)):
+            state = self._do(state, k)
+        return state
+
+    def _free(self) -> Condition:
+        found = best_stops(self.walk, self.progress)
+        self.proven = found.proven
+        state = self.walk.start
+        for stop in found.stops:
+            if stop in self.legs.chargers:
+                docked = self.walk.drive(state, stop)
+                if docked is not None and self.walk.holds(docked):
+                    state = self.walk.charge(docked)
+            else:
+                state = self._do(state, stop - 1)
+        for k in range(len(self.mission.tasks)):
+            if k not in self.attempts:
+                state = self._do(state, k)
+        return state
+
+    def _do(self, state: Condition, task: int) -> Condition:
+        attempt = self.walk.attempt_charged(state, task)
+        self.attempts[task] = _Try(state, attempt, tuple(self.done))
+        if attempt.reason != "none":
+            return state
+        self.done.append(task)
+        return attempt.after
+
+    def _order(self, end: Condition) -> tuple[str, ...]:
+        stops: list[int] = []
+        places = {*range(1, 1 + len(self.mission.tasks)), *self.legs.chargers}
+        done = {task + 1 for task in self.done}
+        nodes = [piece.goal for piece in end.pieces if piece.kind in ("drive", "work", "charge")]
+        order = [node for node in nodes if node in places]
+        for node in order:
+            if not stops or stops[-1] != node:
+                stops.append(node)
+        still = [node for node in done if node not in stops]
+        return tuple(self.legs.names[node] for node in (*still, *stops))
+
+    def _timeline(self, end: Condition) -> Timeline:
+        columns: list[list[np.ndarray]] = [[] for _ in range(8)]
+        for piece in end.pieces:
+            drive = None if piece.leg is None else piece.leg.trajectory
+            if drive is None:
+                x, y, yaw = (np.full(len(piece.t), value) for value in self.legs.poses[piece.goal])
+            else:
+                x, y, yaw = drive.x, drive.y, drive.yaw
+            mirror = np.minimum(2 * piece.soc - piece.soc_lower, 1.0)
+            parts = (piece.t, x, y, yaw, piece.power, piece.soc, piece.soc_lower, mirror)
+            for column, part in zip(columns, parts, strict=True):
+                column.append(part)
+        return Timeline(*(np.concatenate(c) if c else np.zeros(0) for c in columns))
+
+    # -- verdicts ---------------------------------------------------------------------------------
+
+    def _task(self, k: int) -> TaskReport:
+        task = self.mission.tasks[k]
+        before, attempt, _ = self.attempts[k]
+        if attempt.reason == "none":
+            used = _between(before, attempt.after)
+            return TaskReport(
+                task.name, "reachable", "none", True, used.mean, used.upper(self.walk.quantile),
+                attempt.after.expected.soc, 0.0, "", "", attempt.after.time - task.dwell,
+            )  # fmt: skip
+        alone = attempt if not self.done else self.walk.attempt_charged(self.walk.start, k)
+        blocked = alone.reason == "none"
+        # What a task leaves another one may have to bring; alone it cannot be judged.
+        told = attempt if blocked or alone.reason == "payload" else alone
+        reason: Reason = "blocked_by_earlier" if blocked else _REASONS[told.reason]
+        lacking = told.reason == "battery"
+        used = _between(before if blocked else self.walk.start, told.after)
+        return TaskReport(
+            name=task.name,
+            verdict="unreachable",
+            reason=reason,
+            reachable_alone=blocked,
+            energy=used.mean if lacking else np.nan,
+            energy_upper=used.upper(self.walk.quantile) if lacking else np.nan,
+            soc_after=told.after.expected.soc if lacking else np.nan,
+            shortfall=self.walk.shortfall(told.safe) if lacking else 0.0,
+            remedy=self._remedy(k, reason, told),
+            detail=told.detail,
+        )
+
+    def _remedy(self, k: int, reason: Reason, told: Attempt) -> str:
+        if reason == "no_path":
+            return f"clear the way or move the task: {told.detail}"
+        if told.reason == "late":
+            hints = ["widen its time window"]
+        elif told.reason == "payload":
+            hints = ["put a task before it that takes the payload on board"]
+        elif told.reason == "motor":
+            hints = [f"take another route or a stronger drive: {told.detail}"]
+        elif told.reason == "no_path":
+            hints = [f"clear the way back: {told.detail}"]
+        else:
+            tasks = (*self.attempts[k].earlier, k) if reason == "blocked_by_earlier" else (k,)
+            hints = [
+                *self._slower(tasks, told.safe.worst.failure),
+                *self._charge_first(tasks),
+                *self._larger_battery(tasks, self.walk.shortfall(told.safe)),
+                *self._smaller_reserve(tasks),
+            ] or [told.detail]
+        if reason == "blocked_by_earlier":
+            hints = [*self._drop(k), *hints]
+        if told.reason == "motor" and self.mission.payload > 0:
+            hints.append("leave payload behind")
+        return ", or ".join(hints)
+
+    def _drop(self, k: int) -> list[str]:
+        """Name an earlier task without which this one can be done, the least worth first."""
+        tasks = self.mission.tasks
+        earlier = self.attempts[k].earlier
+        ranked = sorted(earlier, key=lambda d: (tasks[d].required, tasks[d].prize, -d))
+        for dropped in ranked[:_CANDIDATES]:
+            rest = [d for d in earlier if d != dropped]
+            if self._follow(self.walk, [*rest, k]):
+                return [f"drop {tasks[dropped].name!r} before it"]
+        return []
+
+    def _follow(self, walk: Walk, tasks: Sequence[int]) -> bool:
+        state = walk.start
+        for task in tasks:
+            attempt = walk.attempt_charged(state, task)
+            if attempt.reason != "none":
+                return False
+            state = attempt.after
+        return True
+
+    def _charge_first(self, tasks: Sequence[int]) -> list[str]:
+        """Tell the state of charge with which to leave so that the task can be done."""
+        if self.mission.soc >= 1:
+            return []
+        levels = np.arange(np.ceil(100 * self.mission.soc) + 1, 101) / 100
+        low, high = 0, len(levels) - 1
+        if not self._works(tasks, replace(self.mission, soc=float(levels[high]))):
+            return []
+        while low < high:
+            middle = (low + high) // 2
+            if self._works(tasks, replace(self.mission, soc=float(levels[middle]))):
+                high = middle
+            else:
+                low = middle + 1
+        return [f"charge to {100 * levels[high]:.0f} % before leaving"]
+
+    def _larger_battery(self, tasks: Sequence[int], shortfall: float) -> list[str]:
+        """Tell how much more the battery has to hold.
+
+        That is more than is missing: part of it is reserve, and the load draws charge on top of
+        energy.
+        """
+        battery = self.mission.battery
+
+        def works(energy: float) -> bool:
+            return self._works(tasks, replace(self.mission, battery=_larger(battery, energy)))
+
+        low, high = 0.0, max(shortfall, 3600.0)
+        while not works(high):
+            low, high = high, 2 * high
+            if high > _MOST * battery.capacity * float(battery.ocv(1.0)):
+                return []
+        while high - low > max(0.02 * high, 3600.0):
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if works(middle) else (middle, high)
+        return [f"a battery with {np.ceil(high / 3600):.0f} Wh more"]
+
+    def _smaller_reserve(self, tasks: Sequence[int]) -> list[str]:
+        least = self.mission.battery.cutoff_soc
+        for share in (0.75, 0.5, 0.25):
+            reserve = max(round(share * self.mission.reserve, 3), least)
+            if reserve < self.mission.reserve and self._works(
+                tasks, replace(self.mission, reserve=reserve)
+            ):
+                return [f"a reserve of {100 * reserve:.0f} %"]
+        return []
+
+    def _slower(self, tasks: Sequence[int], failure: str) -> list[str]:
+        """Tell whether another speed helps: that of least energy, or one of less power."""
+        given, top = self.mission.speed, self.mission.vehicle.motor.speed
+        speeds: list[float | None] = [] if given is None else [None]
+        if failure in ("voltage", "current") and np.isfinite(top):
+            speeds += [share * min(top, given or top) for share in (0.75, 0.5, 0.25)]
+        for speed in speeds:
+            if self._works(tasks, replace(self.mission, speed=speed)):
+                return [
+                    f"drive at no more than {speed:.3g} m/s"
+                    if speed is not None
+                    else f"drive at the speed of least energy instead of {given:.3g} m/s"
+                ]
+        return []
+
+    def _works(self, tasks: Sequence[int], changed: Mission) -> bool:
+        return self._follow(Walk(self.legs.under(changed)), tasks)
+
+
+_REASONS: dict[str, Reason] = {
+    "no_path": "no_path",
+    "motor": "motor",
+    "battery": "battery",
+    "late": "motor",
+    "payload": "blocked_by_earlier",
+}
+
+
+def _between(before: Condition, after: Condition) -> Estimate:
+    """Return the energy from one condition to a later one."""
+    return Estimate(
+        after.total.mean - before.total.mean,
+        after.total.sensitivity - before.total.sensitivity,
+        after.total.noise - before.total.noise,
+    )
+
+
+def _larger(battery: Battery, energy: float) -> Battery:
+    """Return a battery of the same make that holds so much more energy [J] when full."""
+    grid = np.linspace(0.0, 1.0, 101)
+    whole = battery.available_capacity * float(np.trapezoid(battery.ocv(grid), grid))
+    factor = 1.0 + energy / whole
+    return replace(
+        battery,
+        capacity=battery.capacity * factor,
+        resistance=battery.resistance / factor,
+        pair_resistance=battery.pair_resistance / factor,
+        rated_current=battery.rated_current * factor,
+        max_discharge_current=battery.max_discharge_current * factor,
+        max_charge_current=battery.max_charge_current * factor,
+    )

@@ -1,0 +1,124 @@
+"""The exact minimum-energy motion between two poses in free space.
+
+The minimum is taken over all motions that a skid-steer robot can make: every arc radius, spins,
+pivots about either tread's ICR, straight lines, forwards and backwards. It is attained by straight
+lines, pivots and spins (docs/theory, section 4).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import InvalidInputError
+from energyplan.path import FloatArray, Path, Pose
+from energyplan.steering._kernels import MAX_SEGMENTS, steer_energies, steer_path
+
+
+def _poses(value: ArrayLike, name: str) -> FloatArray:
+    poses = np.asarray(value, float)
+    if poses.ndim == 0 or poses.shape[-1] != 3:
+        raise InvalidInputError(
+            f"{name} has shape {poses.shape}; give x, y, yaw along its last axis"
+        )
+    if not np.isfinite(poses).all():
+        raise InvalidInputError(f"{name} holds a value that is not finite")
+    return poses
+
+
+def energy(start: ArrayLike, goal: ArrayLike, cost: EnergyCost) -> FloatArray:
+    """Return the least energy of any motion from start to goal in free space.
+
+    Parameters
+    ----------
+    start, goal : array_like, shape (..., 3)
+        Poses x, y [m], yaw [rad] of the body frame; they broadcast against each other. Full turns
+        of the yaw make no difference.
+    cost : EnergyCost
+        What motion costs.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Energy [J].
+
+    Raises
+    ------
+    InvalidInputError
+        If the poses have a wrong shape, do not broadcast, or are not finite.
+
+    References
+    ----------
+    docs/theory, section 4; docs/steering.
+
+    Examples
+    --------
+    >>> cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
+    >>> energy((0, 0, 0), [(3, 0, 0), (0, 0, 1), (1, 0.2, 0)], cost).round(2)
+    array([600.  , 200.  , 248.53])
+    """
+    first, last = _poses(start, "start"), _poses(goal, "goal")
+    try:
+        first, last = np.broadcast_arrays(first, last)
+    except ValueError:
+        raise InvalidInputError(
+            f"start of shape {first.shape} and goal of shape {last.shape} do not broadcast"
+        ) from None
+    out = np.empty(first.shape[:-1])
+    steer_energies(
+        np.ascontiguousarray(first).reshape(-1, 3),
+        np.ascontiguousarray(last).reshape(-1, 3),
+        cost.steering_parameters,
+        out.reshape(-1),
+    )
+    return out
+
+
+def path(start: ArrayLike, goal: ArrayLike, cost: EnergyCost) -> Path:
+    """Return a motion from start to goal that takes the least energy.
+
+    Parameters
+    ----------
+    start, goal : array_like, shape (3,)
+        Poses x, y [m], yaw [rad] of the body frame.
+    cost : EnergyCost
+        What motion costs.
+
+    Returns
+    -------
+    Path
+        Straight lines, pivots and spins. The yaw at its end is the goal's up to full turns.
+
+    Raises
+    ------
+    InvalidInputError
+        If a pose has a wrong shape or is not finite.
+
+    References
+    ----------
+    docs/theory, section 4; docs/steering.
+
+    Examples
+    --------
+    >>> cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
+    >>> route = path((0, 0, 0), (1, 0.2, 0), cost)
+    >>> [round(v, 9) for v in route.end], round(cost.energy(route), 2)
+    ([1.0, 0.2, 0.0], 248.53)
+    """
+    first, last = _poses(start, "start"), _poses(goal, "goal")
+    if first.shape != (3,) or last.shape != (3,):
+        raise InvalidInputError(
+            f"start has shape {first.shape} and goal {last.shape}; a path joins one pose to one"
+        )
+    ds, dtheta = np.empty(MAX_SEGMENTS), np.empty(MAX_SEGMENTS)
+    n = steer_path(
+        last[0] - first[0],
+        last[1] - first[1],
+        first[2],
+        last[2],
+        cost.steering_parameters,
+        ds,
+        dtheta,
+    )
+    return Path(Pose(*(float(v) for v in first)), ds[:n], dtheta[:n], cost.icr.longitudinal)
