@@ -99,7 +99,8 @@ def material(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for file in (ROOT / "maps").iterdir():
         if file.suffix in (".yaml", ".png", ".geojson"):
             shutil.copy(file, place / file.name)
-    shutil.copytree(ROOT / "examples", place / "examples")
+    for name in ("examples", "maps"):
+        shutil.copytree(ROOT / name, place / name)
     shutil.copy(ROOT / "examples" / "mission_warehouse.yaml", place)
     (place / "mission.yaml").write_text(
         "model: model.yaml\nmap: office.yaml\nbattery: quadriga\nstart: [1.2, 2.0, 90deg]\n"
