@@ -392,7 +392,8 @@ COUNTS = {"identify": 30, "diagnose": 12, "plan": 25, "compare": 12, "check": 40
 
 @pytest.mark.parametrize("name", COUNTS)
 def test_commands_take_sound_files(name: str) -> None:
-    result = command(name, *commands()[name][0])
+    hasty = commands()[name][0]  # too little time to be sure of a plan on any machine
+    result = command(name, *("2" if word == "0.01" else word for word in hasty))
     assert result[0] in (0, 2), result  # a short log may leave something untold
     assert_answered(result)
 
