@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 OUT ?= demo
 
-.PHONY: demo test lint pictures bench lock clean
+.PHONY: demo test lint docs fuzz pictures bench lock clean
 
 demo: $(READY)
 	$(BIN)/energyplan demo --out $(OUT)
@@ -18,6 +18,14 @@ lint: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+docs: $(READY)
+	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build
+
+# Nightly: new malformed inputs for every reader and command.
+FUZZ ?= 100000
+fuzz: $(READY)
+	ENERGYPLAN_FUZZ=$(FUZZ) $(BIN)/python -m pytest -q tests/test_fuzz.py
 
 # The pictures of the README, drawn by the demo.
 pictures: demo

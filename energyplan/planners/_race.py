@@ -6,8 +6,6 @@ dearer. So all of them are refined a little, the better half twice as long, and 
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from energyplan.planners._motion_kernels import Setting

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from math import remainder
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from energyplan.maps._collision import motion_free
 from energyplan.planners import _search_kernels as kernels
 from energyplan.planners._field_kernels import Field, distance_field
 from energyplan.planners._motion_kernels import DIRECTIONS, Setting, join
@@ -123,6 +125,9 @@ class Search:
         Factor on the estimated cost to go.
     limit : float
         Motions at this cost or above are of no interest.
+    aligned : bool
+        Whether to turn to the nearest heading of the lattice that is counted from the map's axes
+        first, where there is room to: gaps that the body barely passes mostly lie along these.
     """
 
     setting: Setting
@@ -130,8 +135,18 @@ class Search:
     lattice: kernels.Lattice
     weight: float
     limit: float = np.inf
+    aligned: bool = False
 
     def __post_init__(self) -> None:
+        here = self.setting
+        self.spin = 0.0
+        if self.aligned:
+            turn = self.lattice.turn
+            spin = -remainder(here.start_yaw - here.space.yaw, turn)
+            pose = here.start_x, here.start_y, here.start_yaw
+            if motion_free(here.space, here.body, *pose, 0.0, spin, 0.0):
+                self.spin = spin
+                self.setting = here._replace(start_yaw=here.start_yaw + spin)
         nodes = 1 << 14
         self.tree = kernels.Tree(
             x=np.zeros(nodes),
@@ -234,7 +249,7 @@ class Search:
         last = (
             float(tree.x[node]),
             float(tree.y[node]),
-            setting.start_yaw + int(tree.heading[node]) * self.lattice.turn,
+            self.setting.start_yaw + int(tree.heading[node]) * self.lattice.turn,
         )
         chain = []
         while tree.parent[node] >= 0:
@@ -253,6 +268,6 @@ class Search:
             dtheta,
         )
         return Segments(
-            np.concatenate([steps[:, 0], ds[:count]]),
-            np.concatenate([steps[:, 1], dtheta[:count]]),
+            np.concatenate([[0.0], steps[:, 0], ds[:count]]),
+            np.concatenate([[self.spin], steps[:, 1], dtheta[:count]]),
         )

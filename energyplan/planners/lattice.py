@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,23 +34,29 @@ from energyplan.planners.refine import Refiner
 
 logger = logging.getLogger(__name__)
 
-SHORTEST = 0.0
-"""Stands for a search for the shortest way, in the place of a penalty."""
-
 FIRST_WEIGHT = 2.0
 """Weight of the search for the first path."""
 
 PENALTY = 8.0
 """How much longer a tight place counts for that search."""
 
+
+class Guide(NamedTuple):
+    """What leads a search: the objective, the penalty on tight places, and the headings."""
+
+    penalty: float
+    aligned: bool = False
+    shortest: bool = False
+
+
 ROUNDS = (
-    (1.0, 2.0, (4.0, 2.0, 1.0)),
-    (1.0, 1.5, (8.0, 4.0, 2.0, 1.0, SHORTEST)),
-    (1.0, 1.2, (8.0, 4.0, 2.0, 1.0)),
-    (1.0, 1.0, (1.0,)),
-    (0.5, 1.0, (1.0,)),
+    (1.0, 2.0, (Guide(2.0, True), Guide(1.0, True), Guide(4.0), Guide(1.0))),
+    (1.0, 1.5, (Guide(2.0, True), Guide(1.0, True), Guide(4.0), Guide(1.0, shortest=True))),
+    (1.0, 1.2, (Guide(2.0, True), Guide(1.0, True), Guide(8.0), Guide(2.0), Guide(1.0))),
+    (1.0, 1.0, (Guide(1.0, True), Guide(1.0))),
+    (0.5, 1.0, (Guide(1.0, True), Guide(1.0))),
 )
-"""Searches that follow, round by round: scale of the lattice, weight, and penalties.
+"""Searches that follow, round by round: scale of the lattice, weight, and guides.
 
 No one guidance is best: a penalty that spares one problem its blind alleys hides from another the
 gap it should have taken.
@@ -285,15 +292,15 @@ class _Improvement:
         self.bound = lower_bound(self.query, self.cost)
         self.race.run(self._share(1.0 - SEARCH_SHARE), self.enough)
         budget = BUDGET
-        for scale, weight, penalties in ROUNDS:
+        for scale, weight, guides in ROUNDS:
             # what is found must be refined before the deadline
             until = self._share(SEARCH_SHARE)
             pending, self.searches = self.searches, []
             for search, known in pending:
                 self._advance(search, known, until, budget)
-            for penalty in penalties:
+            for guide in guides:
                 if time.perf_counter() < until and not self.done:
-                    self._advance(self._search(scale, weight, penalty), np.inf, until, budget)
+                    self._advance(self._search(scale, weight, guide), np.inf, until, budget)
             self.race.run(self._share(1.0 - SEARCH_SHARE), self.enough)
             if self.done:
                 return
@@ -304,14 +311,15 @@ class _Improvement:
             if self.race.rounds > PATIENCE and self.cost > before * (1 - 1e-5):
                 return
 
-    def _search(self, scale: float, weight: float, penalty: float) -> Search:
+    def _search(self, scale: float, weight: float, guide: Guide) -> Search:
         """Return a search that has yet to begin."""
-        setting, guide = self.setting, penalty
-        if penalty == SHORTEST:
-            setting, guide = Query(replace(self.query.problem, objective="length")).setting, 1.0
-        if guide not in self.fields:
-            self.fields[guide] = field_for(self.setting, guide)
-        return Search(setting, self.fields[guide], lattice_for(setting, scale), weight)
+        if guide.penalty not in self.fields:
+            self.fields[guide.penalty] = field_for(self.setting, guide.penalty)
+        setting = self.setting
+        if guide.shortest:
+            setting = Query(replace(self.query.problem, objective="length")).setting
+        field, lattice = self.fields[guide.penalty], lattice_for(setting, scale)
+        return Search(setting, field, lattice, weight, aligned=guide.aligned)
 
     def _advance(self, search: Search, known: float, until: float, budget: int) -> None:
         """Run a search for a while; enter what it finds in the race."""
