@@ -1,7 +1,7 @@
 """Paths that race for the time to be refined.
 
 How cheap a path becomes shows only when it is refined, and a path that starts cheaper often ends
-dearer. So all of them are refined a little, the better half twice as long, and so on.
+dearer. So all of them are refined a little, the better ones more, and the best few to the end.
 """
 
 from __future__ import annotations
@@ -13,7 +13,16 @@ from energyplan.planners._query import Segments
 from energyplan.planners.refine import Refiner
 
 HEAT = 400
-"""Attempts at each path in the first heat."""
+"""Attempts at a path in one heat."""
+
+KEPT = 4
+"""Paths that stay in the race."""
+
+FAVOURITES = 2
+"""How many of them run another heat."""
+
+HOPE = 1.03
+"""Cost after the heats, in units of the best one, above which a path is given up."""
 
 
 class Race:
@@ -33,7 +42,8 @@ class Race:
         self.cost = np.inf
         self.rounds = 0
         self._seed = seed
-        self._entrants: list[Refiner] = []
+        self._fresh: list[Refiner] = []
+        self._kept: list[Refiner] = []
 
     def enter(self, motions: Segments) -> None:
         """Enter motions from the start to the goal, free of collisions."""
@@ -42,14 +52,14 @@ class Race:
             self.cost, self.best = entrant.cost, motions
         entrant.shortcut()
         self._offer(entrant)
-        self._entrants.append(entrant)
+        self._fresh.append(entrant)
 
     def _offer(self, entrant: Refiner) -> None:
         if entrant.cost < self.cost:
             self.cost, self.best = entrant.cost, entrant.segments
 
     def run(self, deadline: float, enough: float) -> None:
-        """Refine what was entered since the last race, the best of it to the end.
+        """Refine every path entered a little, the better ones more, and keep the best few.
 
         Parameters
         ----------
@@ -58,17 +68,23 @@ class Race:
         enough : float
             Cost at which to stop.
         """
-        heat = HEAT
-        entrants, self._entrants = self._entrants, []
-        while len(entrants) > 1:
-            for entrant in entrants:
-                entrant.polish(deadline, enough=enough, most=heat)
-                self._offer(entrant)
-            entrants = sorted(entrants, key=lambda entrant: entrant.cost)
-            entrants = entrants[: (len(entrants) + 1) // 2]
-            heat *= 2
-        for entrant in entrants:
+        fresh, self._fresh = self._fresh, []
+        for entrant in fresh:
+            entrant.polish(deadline, enough=enough, most=HEAT)
+        self._kept = sorted(self._kept + fresh, key=lambda entrant: entrant.cost)[:KEPT]
+        if fresh:
+            for entrant in self._kept[:FAVOURITES]:
+                entrant.polish(deadline, enough=enough, most=HEAT)
+        for entrant in self._kept:
+            self._offer(entrant)
+
+    def finish(self, deadline: float, enough: float) -> None:
+        """Refine those kept until little is gained, the cheapest first; see `run`."""
+        for entrant in sorted(self._kept, key=lambda entrant: entrant.cost):
+            if entrant.cost > HOPE * self.cost:
+                break
             self._finish(entrant, deadline, enough)
+        self._kept = []
 
     def again(self, deadline: float, enough: float) -> None:
         """Refine the best motions once more, with other random numbers."""

@@ -7,7 +7,7 @@ straight along the heading, a pivot about either tread's ICR, or a spin.
 
 from __future__ import annotations
 
-from math import cos, floor, inf, pi, sin
+from math import atan2, cos, floor, hypot, inf, pi, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -130,6 +130,20 @@ def _estimate(setting: Setting, field: Field, x: float, y: float, yaw: float) ->
             )
         turn = max(turn, through - 2.0 * TOLERANCE)
     round_obstacles = setting.least_metre * far + setting.least_radian * turn
+    # turn, drive, turn is never below the least cost: steering is asked only if it can be greater
+    dx = setting.goal_x - x
+    dy = setting.goal_y - y
+    above = round_obstacles - setting.steering[4] * hypot(dx, dy)
+    if above >= 0.0:
+        straight = atan2(dy, dx)
+        turning = inf
+        for way in range(2):
+            heading = straight + way * pi
+            turning = min(
+                turning, angle_between(yaw, heading) + angle_between(heading, setting.goal_yaw)
+            )
+        if above >= setting.steering[5] * turning:
+            return round_obstacles
     return max(round_obstacles, free_energy(setting, x, y, yaw))
 
 

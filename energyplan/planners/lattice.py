@@ -72,7 +72,7 @@ PATIENCE = 3
 """Refinements of the best path, after the last round, that may be in vain."""
 
 SEARCH_SHARE = 0.6
-"""Largest part of the time left that the searches of one round may take."""
+"""Part of the time left after the first plan that the searches may take."""
 
 
 def plan(
@@ -211,6 +211,7 @@ def compiled() -> None:
     work.first_plan()
     work.bound = lower_bound(work.query, work.cost)
     work.race.run(np.inf, 0.0)
+    work.race.finish(np.inf, 0.0)
 
 
 class _Improvement:
@@ -290,21 +291,22 @@ class _Improvement:
     def improve(self) -> None:
         """Make the path cheaper until time is over, the gap is closed, or nothing is gained."""
         self.bound = lower_bound(self.query, self.cost)
-        self.race.run(self._share(1.0 - SEARCH_SHARE), self.enough)
+        # what is found must be refined before the deadline
+        now = time.perf_counter()
+        until = now + SEARCH_SHARE * max(self.deadline - now, 0.0)
         budget = BUDGET
         for scale, weight, guides in ROUNDS:
-            # what is found must be refined before the deadline
-            until = self._share(SEARCH_SHARE)
+            self.race.run(until, self.enough)
             pending, self.searches = self.searches, []
             for search, known in pending:
-                self._advance(search, known, until, budget)
+                if time.perf_counter() < until and not self.done:
+                    self._advance(search, known, until, budget)
             for guide in guides:
                 if time.perf_counter() < until and not self.done:
                     self._advance(self._search(scale, weight, guide), np.inf, until, budget)
-            self.race.run(self._share(1.0 - SEARCH_SHARE), self.enough)
-            if self.done:
-                return
             budget *= 2
+        self.race.run(self.deadline, self.enough)
+        self.race.finish(self.deadline, self.enough)
         while not self.done:
             before = self.cost
             self.race.again(self.deadline, self.enough)
@@ -329,8 +331,3 @@ class _Improvement:
             self.race.enter(search.segments())
         if status == kernels.RUNNING:
             self.searches.append((search, found))
-
-    def _share(self, fraction: float) -> float:
-        """Return the moment at which this fraction of the time left will be over."""
-        now = time.perf_counter()
-        return now + fraction * max(self.deadline - now, 0.0)
