@@ -126,6 +126,11 @@ def _pose(text: str) -> Pose:
         raise InvalidInputError(
             f"pose {text!r} is not X,Y,YAW; write it like 2.0,3.5,90deg or 2.0,3.5,1.57"
         ) from None
+    if abs(pose.yaw) > 6.3:
+        raise InvalidInputError(
+            f"the yaw of pose {text!r} is more than a full turn in radians; for degrees write "
+            f"{parts[2].strip().removesuffix('deg')}deg, up to 360"
+        )
     return pose
 
 
@@ -178,6 +183,8 @@ def diagnose(
     from energyplan.io.files import atomic_write
 
     robot = read_vehicle(vehicle)
+    for path in {path.resolve() for path in logs} & {path.resolve() for path in holdout}:
+        raise InvalidInputError(f"{path.name} is learned from and held out; give it to one of them")
     training, judging = _logs(logs, columns, topics), _logs(holdout, columns, topics)
     for note in _notes([*training, *judging]):
         _warn(note)

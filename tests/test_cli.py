@@ -76,6 +76,11 @@ def test_diagnose_writes_a_model_that_the_planner_takes(run: Run, tmp_path: Path
     assert planned.json["breakdown"]["hotel_load"] > 0
 
 
+def test_a_drive_is_not_both_learned_from_and_held_out(run: Run, spiral: Path) -> None:
+    result = run("diagnose", spiral, "--holdout", spiral, "--vehicle", "quadriga:full")
+    assert_refused(result, spiral.name, "held out")
+
+
 def test_mission_flags_what_is_out_of_reach(run: Run, tmp_path: Path) -> None:
     report = tmp_path / "mission.html"
     file = bundled("mission_warehouse.yaml")
@@ -199,7 +204,7 @@ def test_plan_and_compare(run: Run, tmp_path: Path) -> None:
     assert both["saving"] >= 0
 
 
-@pytest.mark.parametrize("pose", ["1,2", "1,2,3,4", "1,2,north", "1,nan,0", ""])
+@pytest.mark.parametrize("pose", ["1,2", "1,2,3,4", "1,2,north", "1,nan,0", "", "1,2,90"])
 def test_bad_poses_are_refused(run: Run, pose: str) -> None:
     result = run("plan", "--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
                  "--start", pose, "--goal", "4,2,0")  # fmt: skip
