@@ -1,9 +1,10 @@
 """Planners measured: time to the first plan, gap to the lower bound, rivals, many goals, map size.
 
-    python benchmarks/planners.py [MAP.yaml ...] [--pairs 100] [--time 1] [--quick]
-    python benchmarks/planners.py --rivals 10 [--rival-time 10] [MAP.yaml ...]
-    python benchmarks/planners.py --many [MAP.yaml ...]
-    python benchmarks/planners.py --sizes [--plot sizes.png]
+    python benchmarks/planners.py                       every table, small: less than two minutes
+    python benchmarks/planners.py MAP.yaml --pairs 100  first plan, gap, shortest route
+    python benchmarks/planners.py MAP.yaml --rivals 10  0.1 s of ours against 10 s of OMPL's
+    python benchmarks/planners.py MAP.yaml --many       one search for many goals
+    python benchmarks/planners.py --sizes 4096 [--plot sizes.png]
 
 Without maps, those of the project are used. All times are wall time on this machine, kernels
 compiled beforehand.
@@ -135,11 +136,11 @@ def yard(size: int, seed: int = 0) -> OccupancyGrid:
     return OccupancyGrid(occupied, 0.05)
 
 
-def sizes(plot: str | None) -> None:
+def sizes(largest: int, plot: str | None) -> None:
     """Print time and memory against the size of the map, and the slope on log-log axes."""
     print("cells a side   map kept [s]   first plan [s]   plan [s]    gap [%]   peak memory [MB]")
     table = []
-    for size in (256, 512, 1024, 2048, 4096):
+    for size in (size for size in (256, 512, 1024, 2048, 4096) if size <= largest):
         grid = yard(size)
         far = 0.05 * size - 1.5
         problem = PlanningProblem(grid, COST, (1.5, 1.5, 0.7), (far, far, 0.7))
@@ -175,39 +176,38 @@ def sizes(plot: str | None) -> None:
 
 
 def main() -> None:
-    """Run what the command line asks for."""
+    """Run what the command line asks for; a little of everything where it asks for nothing."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("maps", nargs="*", type=Path)
-    parser.add_argument("--pairs", type=int, default=100)
-    parser.add_argument("--time", type=float, default=1.0)
-    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--pairs", type=int, default=None, help="pairs of poses on each map")
+    parser.add_argument("--time", type=float, default=1.0, help="time for each plan [s]")
     parser.add_argument("--rivals", type=int, default=0, metavar="PAIRS")
     parser.add_argument("--rival-time", type=float, default=10.0)
     parser.add_argument("--many", action="store_true")
-    parser.add_argument("--sizes", action="store_true")
+    parser.add_argument("--sizes", type=int, default=0, metavar="CELLS")
     parser.add_argument("--plot")
     given = parser.parse_args()
-    if given.quick:
-        given.pairs, given.time = min(given.pairs, 10), 0.5
-    warm_up()
-    if given.sizes:
-        sizes(given.plot)
-        return
     own = sorted((Path(__file__).parents[1] / "maps").glob("*.yaml"))
     grids = {path.stem: read_map(path) for path in (given.maps or own)}
-    if not (given.rivals or given.many):
-        print(f"{given.pairs} random pairs, {given.time:g} s each")
+    chosen = given.rivals or given.many or given.sizes or given.pairs
+    warm_up()
+    if (given.pairs and not (given.rivals or given.many)) or not chosen:
+        count = given.pairs or 6
+        print(f"{count} random pairs, {given.time:g} s each")
         print(
             "map                     columns x rows  plans lost   first [ms] med max   "
             "gap [%] med 90 max   dearer than shortest"
         )
-    for name, grid in grids.items():
-        if given.rivals:
-            rivals(name, grid, given.rivals, given.rival_time)
-        elif given.many:
-            many(name, grid, given.pairs)
-        else:
-            measure(name, grid, given.pairs, given.time)
+        for name, grid in grids.items():
+            measure(name, grid, count, given.time)
+    if given.rivals or not chosen:
+        for name, grid in list(grids.items())[: None if chosen else 1]:
+            rivals(name, grid, given.rivals or 3, given.rival_time if chosen else 2.0)
+    if given.many or not chosen:
+        for name, grid in grids.items():
+            many(name, grid, given.pairs or 100)
+    if given.sizes or not chosen:
+        sizes(given.sizes or 1024, given.plot)
 
 
 if __name__ == "__main__":

@@ -71,6 +71,9 @@ STRIDE = 30_000
 PATIENCE = 3
 """Refinements of the best path, after the last round, that may be in vain."""
 
+POLISH = 800
+"""Attempts at each path to one of many goals."""
+
 SEARCH_SHARE = 0.6
 """Part of the time left after the first plan that the searches may take."""
 
@@ -175,7 +178,8 @@ def energies(
         settings.append(
             query.setting._replace(goal_x=centre.x, goal_y=centre.y, goal_yaw=centre.yaw)
         )
-    search = Search(query.setting, no_field(), coarse_lattice(query.setting), 0.0)
+    lattice = coarse_lattice(query.setting)
+    search = Search(query.setting, no_field(), lattice, 0.0, aligned=True)
     deadline = time.perf_counter() + time_limit
     missing = list(range(len(rows)))
     status = kernels.RUNNING
@@ -191,6 +195,7 @@ def energies(
                 if refined:
                     refiner = Refiner(settings[k], search.segments(settings[k], node))
                     refiner.shortcut()
+                    refiner.polish(np.inf, most=POLISH)
                     out[k] = refiner.cost
     return out
 
