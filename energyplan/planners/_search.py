@@ -48,8 +48,8 @@ def lattice_for(setting: Setting, scale: float = 1.0) -> kernels.Lattice:
 def coarse_lattice(setting: Setting) -> kernels.Lattice:
     """Return the lattice of the search for many goals."""
     fine = lattice_for(setting)
-    turns = HEADINGS // 2
-    return kernels.Lattice(2.0 * fine.cell, 2 * np.pi / turns, turns, 2.0 * fine.step)
+    turns = HEADINGS * 3 // 4
+    return kernels.Lattice(1.5 * fine.cell, 2 * np.pi / turns, turns, 1.5 * fine.step)
 
 
 def no_field() -> Field:

@@ -137,7 +137,7 @@ def energies(
     """Return the cost from the problem's start to each of many goals, from a single search.
 
     One search without a goal reaches everything within the cost of the farthest goal, on a lattice
-    twice as coarse. Each goal is joined to it exactly, and the path is shortened. The costs are
+    half as coarse again. Each goal is joined to it exactly, and the path is shortened. The costs are
     those of drivable paths, close to the least and never below it.
 
     Parameters
