@@ -137,8 +137,8 @@ def energies(
     """Return the cost from the problem's start to each of many goals, from a single search.
 
     One search without a goal reaches everything within the cost of the farthest goal, on a lattice
-    half as coarse again. Each goal is joined to it exactly, and the path is shortened. The costs are
-    those of drivable paths, close to the least and never below it.
+    half as coarse again. Each goal is joined to it exactly, and the path is refined a little. The
+    costs are those of drivable paths, close to the least and never below it.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def energies(
     time_limit : float
         Time for the search [s].
     refined : bool
-        Whether to shorten the paths.
+        Whether to refine the paths.
 
     Returns
     -------
