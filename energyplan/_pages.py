@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from energyplan import plots
+from energyplan import _interactive, plots
 from energyplan._html import number
+from energyplan._interactive._parts import Plot
 from energyplan.effects._empirical import signal
-from energyplan.motion import CHANNELS
 from energyplan.path import wrap_angle
 from energyplan.report import Page
 
 if TYPE_CHECKING:
+    from energyplan.compare import Comparison
     from energyplan.diagnose import Diagnosis
     from energyplan.drivelog import DriveLog
     from energyplan.mission import MissionReport
+    from energyplan.planners import PlanningProblem
     from energyplan.power import Residual
 
 
@@ -28,6 +30,23 @@ class Picture(NamedTuple):
     name: str
     figure: Figure
     caption: str
+
+
+def _illustrate(
+    page: Page,
+    pictures: Iterable[Picture],
+    describe: Callable[[], Mapping[str, Plot]],
+) -> None:
+    """Add pictures, with the interactive plots of the same names where they can be had."""
+    described: Mapping[str, Plot] = {}
+    if _interactive.available():
+        described = describe()
+        page.script(_interactive.library())
+    for name, figure, caption in pictures:
+        plot = _interactive.fragment(described[name], name) if name in described else ""
+        page.picture(figure, caption, plot)
+    if not described:
+        page.paragraph(_interactive.ABSENT)
 
 
 def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
@@ -79,8 +98,11 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
             f"{100 * found.explained_variance:.0f} % of its variance.",
             "flag",
         )
-    for _, figure, caption in diagnosis_pictures(told, holdout):
-        page.picture(figure, caption)
+    _illustrate(
+        page,
+        diagnosis_pictures(told, holdout),
+        lambda: _interactive.diagnosis_plots(told, holdout),
+    )
     if told.advice:
         page.heading("What to do next")
         page.bullets(told.advice)
@@ -120,8 +142,71 @@ def _guilty_channel(told: Diagnosis, holdout: Sequence[DriveLog]) -> Picture:
         )
     }
     figure = plots.figure(size=(8.0, 4.5))
-    plots.residual_against(figure.axes[0], values, residuals, f"{channel} [{_unit(channel)}]")
+    plots.residual_against(
+        figure.axes[0], values, residuals, f"{channel} [{_interactive.unit(channel)}]"
+    )
     return Picture("residual", figure, "The residual against the channel that it depends on most.")
+
+
+def comparison_page(made: Comparison, problem: PlanningProblem) -> Page:
+    """Return the report of a comparison; `problem` is what was planned."""
+    page = Page("Least energy against the shortest route")
+    best, shortest = made.energy_optimal, made.shortest
+    page.paragraph(
+        f"The route of least energy takes {number(best.energy)} J, the shortest one "
+        f"{number(shortest.energy)} J: {100 * made.saving:.1f} % saved. No route takes less than "
+        f"{number(best.lower_bound)} J.",
+        "lead",
+    )
+    page.table(
+        ("route", "energy [J]", "length [m]", "turning [deg]", "duration [s]"),
+        [
+            (label, plan.energy, plan.length, float(np.degrees(plan.turning)), plan.duration)
+            for label, plan in (("least energy", best), ("shortest", shortest))
+        ],
+    )
+    page.heading("Where the energy goes")
+    page.table(
+        ("term", "least energy [J]", "shortest [J]", "saved [J]"),
+        [
+            (
+                name.replace("_", " "), best.breakdown.get(name, 0.0),
+                shortest.breakdown.get(name, 0.0), saved,
+            )
+            for name, saved in made.by_term.items()
+        ],
+    )  # fmt: skip
+    _illustrate(
+        page,
+        comparison_pictures(made, problem),
+        lambda: _interactive.comparison_plots(made, problem),
+    )
+    return page
+
+
+def comparison_pictures(made: Comparison, problem: PlanningProblem) -> Iterator[Picture]:
+    """Yield both routes on the map, the energy along them, and their energy by term."""
+    plans = {"least energy": made.energy_optimal, "shortest": made.shortest}
+    paths = {label: plan.path for label, plan in plans.items()}
+    areas = problem.surfaces.polygons if problem.surfaces else ()
+    yield Picture(
+        "map", plots.routes(problem.map, paths, surfaces=areas), "Both routes on the map."
+    )
+    figure = plots.figure(size=(8.0, 4.0))
+    ax = figure.axes[0]
+    for (label, path), (color, dash) in zip(
+        paths.items(), ((plots.BLUE, "-"), (plots.RED, "--")), strict=True
+    ):
+        along = _interactive.energy_along(path, problem)
+        ax.plot(along.metres, along.joules, color=color, ls=dash, label=label)
+    ax.set(xlabel="distance travelled [m]", ylabel="energy since the start [J]")
+    ax.legend(frameon=False)
+    yield Picture(
+        "energy", figure, "Energy along both routes; turns on the spot are upright steps."
+    )
+    figure = plots.figure(size=(8.0, 2.6))
+    plots.breakdown(figure.axes[0], {label: plan.breakdown for label, plan in plans.items()})
+    yield Picture("terms", figure, "Energy of both routes by term of the model.")
 
 
 def mission_page(told: MissionReport) -> Page:
@@ -139,8 +224,7 @@ def mission_page(told: MissionReport) -> Page:
     for task in flagged:
         page.paragraph(f"{task.name} is out of reach: {task.detail} {task.remedy}", "flag")
     page.table(MISSION_HEADER, mission_rows(told))
-    for _, figure, caption in mission_pictures(told):
-        page.picture(figure, caption)
+    _illustrate(page, mission_pictures(told), lambda: _interactive.mission_plots(told))
     return page
 
 
@@ -172,12 +256,6 @@ def mission_pictures(told: MissionReport) -> Iterator[Picture]:
     figure = plots.figure(size=(8.0, 4.0))
     plots.state_of_charge(figure.axes[0], told)
     yield Picture("charge", figure, "State of charge over the mission, with its band.")
-
-
-def _unit(channel: str) -> str:
-    derived = {"v": "m/s", "omega": "rad/s", "curvature": "1/m"}
-    described = CHANNELS.get(channel, "")
-    return derived.get(channel) or described.partition("[")[2].rstrip("]") or "its own unit"
 
 
 def _names(told: Diagnosis) -> str:

@@ -262,7 +262,7 @@ def plan(
 
 @app.command(
     epilog="Example: energyplan compare --map warehouse.yaml --model quadriga:empty:concrete "
-    "--start 2,2,0 --goal 20,12,90deg --plot routes.png"
+    "--start 2,2,0 --goal 20,12,90deg --report routes.html"
 )
 def compare(
     map_file: MapFile,
@@ -275,12 +275,15 @@ def compare(
     time_limit: TimeLimit = 1.0,
     out: OutPath = None,
     plot: Plot = None,
+    report: Report = None,
     json: Json = False,
     strict: Strict = False,
 ) -> None:
     """Compare the route of least energy with the shortest one, both priced by the same model."""
     from energyplan import _documents, _lines
+    from energyplan._pages import comparison_page
     from energyplan.compare import compare as run
+    from energyplan.io.files import atomic_write
     from energyplan.io.trajectory import write_path
 
     problem = _problem(map_file, model, start, goal, surfaces, objective)
@@ -294,6 +297,8 @@ def compare(
     if plot:
         both = {"least energy": made.energy_optimal.path, "shortest": made.shortest.path}
         _draw(problem, both, plot)
+    if report:
+        atomic_write(report, comparison_page(made, problem).html())
     _answer(_documents.comparison(made), _lines.comparison(made), json=json)
 
 

@@ -28,8 +28,13 @@ td.number { text-align: right; }
 figure { margin: 1rem 0; } figure img { max-width: 100%; height: auto; }
 figcaption { color: #555; font-size: .9rem; }
 code { background: #f2f2f2; padding: .1rem .3rem; overflow-wrap: anywhere; }
+.plot { display: none; height: clamp(340px, 62vw, 560px); }
+.plot > div { height: 100%; }
+.plot.tall { height: clamp(480px, 75vw, 680px); }
+@media screen { .live .plot { display: block; } .live .plot + img { display: none; } }
 @media print { h2 { break-after: avoid; } figure, table { break-inside: avoid; } }
 """
+_LIVE = "document.documentElement.classList.add('live')"
 
 
 def png(figure: Figure) -> bytes:
@@ -58,6 +63,7 @@ class Page:
 
     title: str
     _parts: list[str] = field(default_factory=list, repr=False)
+    _scripts: list[str] = field(default_factory=list, repr=False)
 
     def heading(self, text: str) -> None:
         """Start a section."""
@@ -81,21 +87,39 @@ class Page:
         """Add a table; numbers are aligned to the right and shown with four digits."""
         self._parts.append(f'<div class="scroll">{_html.table(header, rows)}</div>')
 
-    def picture(self, figure: Figure, caption: str) -> None:
-        """Add a figure with its caption."""
+    def script(self, library: str) -> None:
+        """Embed the JavaScript that plots need; without it, or in print, pictures stand still."""
+        self._scripts.append(library)
+
+    def picture(self, figure: Figure, caption: str, plot: str = "") -> None:
+        """Add a figure with its caption.
+
+        Parameters
+        ----------
+        figure : Figure
+            The figure.
+        caption : str
+            What it shows.
+        plot : str
+            HTML of an interactive plot of the same, put in as it is; it takes the figure's place
+            on a screen.
+        """
         data = base64.b64encode(png(figure)).decode("ascii")
         text = html.escape(caption)
         self._parts.append(
-            f'<figure><img alt="{text}" src="data:image/png;base64,{data}">'
+            f'<figure>{plot}<img alt="{text}" src="data:image/png;base64,{data}">'
             f"<figcaption>{text}</figcaption></figure>"
         )
 
     def html(self) -> str:
         """Return the page; it loads nothing from elsewhere."""
         title = html.escape(self.title)
+        scripts = "".join(f"<script>{text}</script>" for text in self._scripts)
+        # Reached only by a browser that runs scripts, and that has run the library.
+        live = f"{scripts}<script>{_LIVE}</script>" if scripts else ""
         return (
             '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
             '<meta name="viewport" content="width=device-width, initial-scale=1">'
-            f"<title>{title}</title><style>{_CSS}</style></head>"
+            f"<title>{title}</title><style>{_CSS}</style>{live}</head>"
             f"<body><h1>{title}</h1>{''.join(self._parts)}</body></html>\n"
         )

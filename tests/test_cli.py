@@ -13,6 +13,7 @@ import pytest
 
 import energyplan as ep
 from energyplan import cli, simulate
+from energyplan._html import number
 from energyplan.io.bundled import bundled
 from energyplan.io.trajectory import write_log, write_trajectory
 from energyplan.path import Trajectory
@@ -94,6 +95,21 @@ def test_mission_flags_what_is_out_of_reach(run: Run, tmp_path: Path) -> None:
         assert set(task) == {"name", "verdict", "reason", "reachable_alone", "energy",
                              "energy_upper", "soc_after", "shortfall", "remedy"}  # fmt: skip
     assert "wash the marble hall" in report.read_text()
+
+
+def test_compare_reports_both_routes(run: Run, tmp_path: Path) -> None:
+    report = tmp_path / "routes.html"
+    result = run("compare", "--map", bundled("office.yaml"), "--model", "quadriga:full:marble",
+                 "--start", "1.2,2,90deg", "--goal", "3.9,2,90deg", "--report", report,
+                 "--json")  # fmt: skip
+    assert result.code == 0
+    page = report.read_text()
+    assert page.startswith("<!doctype html>")
+    body = page[page.index("<body>") :]
+    assert f"{100 * result.json['saving']:.1f} % saved" in body
+    for key in ("energy_optimal", "shortest"):
+        assert f">{number(result.json[key]['length'])}</td>" in body
+    assert body.count("<figure>") == 3
 
 
 def test_demo_makes_every_file_it_lists(run: Run, tmp_path: Path) -> None:

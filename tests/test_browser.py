@@ -1,0 +1,169 @@
+"""Reports in a real browser: no error, nothing cut off on a phone, plots drawn, pictures printed.
+
+The browser is Chromium of the distribution's packages, driven by its command line. Its window has
+a least width that is more than a phone's, so the report is shown in a frame of a phone's width.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+
+from energyplan import _interactive, _pages, simulate
+from energyplan.compare import compare
+from energyplan.cost import EnergyCost
+from energyplan.diagnose import diagnose
+from energyplan.io.bundled import bundled
+from energyplan.io.mission import read_mission
+from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
+from energyplan.mission import evaluate
+from energyplan.planners import PlanningProblem
+from energyplan.power import HOTEL, PowerModel
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+PHONE, DESKTOP = 390, 1200
+MODEL = PowerModel.preset("quadriga:full:marble")
+
+pytestmark = pytest.mark.skipif(BROWSER is None, reason="no chromium on the PATH")
+
+PROBE = """<script>
+addEventListener("load", () => setTimeout(() => {
+  const root = document.documentElement;
+  const box = (e) => e.getBoundingClientRect();
+  const kept = (e) => e.closest(".scroll") || e.closest("svg");
+  parent.postMessage({
+    width: innerWidth, scroll: root.scrollWidth, height: root.scrollHeight,
+    cut: [...document.body.querySelectorAll("*")].filter(
+      (e) => !kept(e) && box(e).width > 0 && box(e).right > innerWidth + 1
+    ).map((e) => e.outerHTML.slice(0, 80)),
+    plots: [...document.querySelectorAll(".plot")].map((e) => ({
+      width: box(e).width, height: box(e).height,
+      drawn: e.querySelectorAll("svg .trace, svg image").length,
+      svg: Math.max(0, ...[...e.querySelectorAll("svg.main-svg")].map((s) => box(s).width)),
+      legend: [...e.querySelectorAll(".legend, .infolayer .g-ytitle, .infolayer .g-xtitle")].every(
+        (s) => box(s).right <= box(e).right + 1 && box(s).left >= box(e).left - 1),
+    })),
+    images: [...document.querySelectorAll("img")].filter((e) => box(e).width > 0).length,
+    broken: [...document.querySelectorAll("img")].filter((e) => !e.naturalWidth).length,
+  }, "*");
+}, 300));
+</script>"""
+FRAME = """<!doctype html><html><head><title>-</title></head><body style="margin:0">
+<iframe style="border:0" width="{width}" height="844" src="{source}"></iframe>
+<pre id="told"></pre><script>
+addEventListener("message", (m) => {{
+  document.getElementById("told").textContent = JSON.stringify(m.data);
+}});
+</script></body></html>"""
+
+
+def chromium(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the browser on a profile of its own, without a network."""
+    assert BROWSER is not None
+    return subprocess.run(
+        [
+            BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
+            "--no-first-run", "--disable-background-networking", "--disable-component-update",
+            "--disable-sync", "--host-resolver-rules=MAP * ~NOTFOUND",
+            f"--user-data-dir={folder / 'profile'}", "--enable-logging=stderr", "--v=0",
+            *arguments,
+        ],
+        capture_output=True, text=True, timeout=60, check=True,
+    )  # fmt: skip
+
+
+def shown(page: Path, width: int, folder: Path) -> dict[str, Any]:
+    """Show a page at a width; return what its probe found, and the console's lines."""
+    probed = folder / "probed.html"
+    probed.write_text(page.read_text().replace("</body>", PROBE + "</body>"))
+    frame = folder / "frame.html"
+    frame.write_text(FRAME.format(width=width, source=probed.as_uri()))
+    result = chromium(
+        folder, "--window-size=1400,1000", "--virtual-time-budget=5000", "--dump-dom",
+        frame.as_uri(),
+    )  # fmt: skip
+    told = re.search(r'<pre id="told">(.*?)</pre>', result.stdout, re.DOTALL)
+    assert told is not None and told[1], f"the page told nothing: {result.stderr[-2000:]}"
+    console = [line for line in result.stderr.splitlines() if "CONSOLE" in line]
+    return {**json.loads(html.unescape(told[1])), "console": console}
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Path]]:
+    truth = MODEL.with_term(HOTEL, 40.0)
+    train = simulate.identification_drive(truth, power_noise=5.0, seed=1)
+    judge = [simulate.validation_drive(truth, power_noise=5.0, seed=2)]
+    told = diagnose(train, holdout=judge, vehicle=MODEL.vehicle)
+    wet = PowerModel.preset("quadriga:full:concrete")
+    ground = SurfaceMap([Surface(shapely.box(2.5, 0, 4, 10), wet, "wet concrete")])
+    occupied = np.zeros((100, 100), bool)
+    occupied[30:60, 45:50] = True
+    hall = OccupancyGrid(occupied, resolution=0.1)
+    problem = PlanningProblem(hall, EnergyCost(MODEL), (2, 5, 0), (7, 6, 2.0), surfaces=ground)
+    made = {
+        "diagnosis": _pages.diagnosis_page(told, judge),
+        "comparison": _pages.comparison_page(compare(problem, time_limit=0.2), problem),
+        "mission": _pages.mission_page(evaluate(read_mission(bundled("mission_warehouse.yaml")))),
+    }
+    folder = tmp_path_factory.mktemp("pages")
+    files = {name: folder / f"{name}.html" for name in made}
+    for name, page in made.items():
+        files[name].write_text(page.html())
+    yield files
+
+
+@pytest.mark.parametrize("width", [PHONE, DESKTOP])
+@pytest.mark.parametrize("name", ["diagnosis", "comparison", "mission"])
+def test_a_report_is_sound_in_a_browser(
+    pages: dict[str, Path], name: str, width: int, tmp_path: Path
+) -> None:
+    pytest.importorskip("plotly", reason="plotly draws the plots")
+    told = shown(pages[name], width, tmp_path)
+    assert told["console"] == []
+    assert told["width"] == width
+    assert told["scroll"] <= width, told["cut"]
+    assert told["cut"] == []
+    assert 844 < told["height"] < 6000
+    assert len(told["plots"]) == 2
+    for plot in told["plots"]:
+        assert plot["drawn"] > 0
+        assert plot["svg"] == pytest.approx(plot["width"], abs=2)
+        assert plot["height"] >= 300
+        assert plot["legend"], "a legend or a title is cut off"
+    assert told["broken"] == 0
+    assert told["images"] == (1 if name == "comparison" else 0)  # bars have no interactive twin
+
+
+def test_without_plotly_the_pictures_are_shown(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(_interactive, "available", lambda: False)
+    report = evaluate(read_mission(bundled("mission_warehouse.yaml")))
+    page = tmp_path / "still.html"
+    page.write_text(_pages.mission_page(report).html())
+    told = shown(page, PHONE, tmp_path)
+    assert told["console"] == []
+    assert told["scroll"] <= PHONE, told["cut"]
+    assert (told["images"], told["broken"], told["plots"]) == (2, 0, [])
+
+
+def test_print_takes_the_pictures(pages: dict[str, Path], tmp_path: Path) -> None:
+    pytest.importorskip("plotly", reason="plotly draws the plots")
+    file = tmp_path / "mission.pdf"
+    chromium(
+        tmp_path, "--virtual-time-budget=3000", "--no-pdf-header-footer",
+        f"--print-to-pdf={file}", pages["mission"].as_uri(),
+    )  # fmt: skip
+    data = file.read_bytes()
+    widths = [int(w) for w in re.findall(rb"/Subtype /Image\s+/Width (\d+)", data)]
+    assert len([w for w in widths if w > 1000]) == 2  # the two pictures, not the plots' map
