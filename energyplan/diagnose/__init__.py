@@ -53,6 +53,7 @@ def diagnose(
     vehicle: Vehicle,
     *,
     effects: Sequence[Effect] | None = None,
+    choose: bool = True,
     max_effects: int = 6,
     empirical: bool = False,
     progress: Progress | None = None,
@@ -70,8 +71,11 @@ def diagnose(
         The robot. Its tread ICRs are identified from the training drives where those have yaw.
     effects : sequence of Effect, optional
         The catalogue to choose from; `energyplan.effects.catalogue` where not given.
+    choose : bool
+        Choose from `effects`. False puts all of them into the model, whether they help or not, and
+        takes none back: for the question what a known effect does to the errors.
     max_effects : int
-        Largest number of effects.
+        Largest number of effects that are chosen.
     empirical : bool
         Add a smooth term of the channel that explains most where no effect does.
     progress : callable, optional
@@ -113,11 +117,12 @@ def diagnose(
     vehicle = _with_icr(learned, vehicle)
     case = _Case(learned, held_out, vehicle, entries)
     report(0.1, "choosing effects")
-    selection = Selector(
+    selector = Selector(
         case.problem, entries, lambda share, text: report(0.1 + 0.7 * share, text), max_effects
-    ).run()
+    )
+    selection = selector.run() if choose else selector.take_all()
     report(0.8, "judging on the hold-out drives")
-    return case.conclude(selection, empirical, report)
+    return case.conclude(selection, choose, empirical, report)
 
 
 def _logs(logs: DriveLog | Sequence[DriveLog], name: str) -> list[DriveLog]:
@@ -165,10 +170,14 @@ class _Case:
         found = find_mass_centre(self.problem.drives, vehicle, mu)
         return found if found is not None and found.found else None
 
-    def conclude(self, selection: Selection, empirical: bool, report: Progress) -> Diagnosis:
+    def conclude(
+        self, selection: Selection, choose: bool, empirical: bool, report: Progress
+    ) -> Diagnosis:
         """Judge what was selected on the hold-out drives and put it into words."""
         before = self.before
-        chosen, withdrawn = self._vetted(selection, score(before))
+        chosen, withdrawn = list(selection.chosen), list[str]()
+        if choose:
+            chosen, withdrawn = self._vetted(selection, score(before))
         if "time_offset" in withdrawn:
             selection = replace(selection, problem=self.problem)
         parts = tuple(choice.part for choice in chosen)
@@ -181,19 +190,21 @@ class _Case:
             and one.explained_variance > max(_TELLING, 2 * one.std_error)
         ]  # fmt: skip
         mimics: list[str] = []
-        if left and left[0].knots and left[0].explained_variance > _MOSTLY:
-            smooth = _smooth_part(left[0])
+        # What differs from drive to drive hides no channel that says more within each.
+        first = next((one for one in left if one.channel != "drive"), None)
+        smooth = _smooth_part(first) if first is not None and first.knots else None
+        if choose and first and smooth and first.explained_variance > _MOSTLY:
             for choice in list(chosen):
                 parts = (*(other.part for other in chosen), smooth)
                 if is_needless(selection.problem, parts, choice.part):
                     chosen.remove(choice)
                     mimics.append(choice.part.effect.name)
         parts = tuple(choice.part for choice in chosen)
-        if empirical and left and left[0].knots:
-            parts = (*parts, _smooth_part(left[0]))
+        if empirical and smooth:
+            parts = (*parts, smooth)
         fitted = final_fit(selection.problem, parts)
         after = [predict(fitted.model, parts, drive) for drive in self.held]
-        if score(after).rmse > score(before).rmse:
+        if choose and score(after).rmse > score(before).rmse:
             withdrawn += [choice.part.effect.name for choice in chosen]
             chosen, parts, selection = [], (), replace(selection, problem=self.problem)
             fitted = final_fit(self.problem, parts)
@@ -202,9 +213,9 @@ class _Case:
         unexplained = tuple(
             Unexplained(
                 one.channel, one.shape, one.explained_variance, one.p_value,
-                empirical and k == 0 and bool(one.knots),
+                empirical and smooth is not None and one is first,
             )
-            for k, one in enumerate(left)
+            for one in left
         )  # fmt: skip
         names = [effect.name for effect in found]
         used = [choice.part.effect for choice in chosen]

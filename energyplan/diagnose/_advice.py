@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import pi
 
 from energyplan.diagnose._residual import Dependence
 from energyplan.diagnose._selection import Chosen
 from energyplan.effects import Effect
 from energyplan.power import PowerModel
+
+_MEAN_OF_NORMAL = (2 / pi) ** 0.5
+"""Mean size of a normal variable over its standard deviation."""
 
 _MASSES = ("grade", "linear_inertia", "specific_force")
 
@@ -75,10 +79,13 @@ def mimic_advice(
 
 
 def drive_advice(dependences: Sequence[Dependence], significance: float) -> list[str]:
-    """Say that drives differ as a whole, where they do."""
+    """Say that drives differ as a whole, where they do, and what no model can then reach."""
     return [
-        f"{one.shape}: the ground, the load or a temperature differed and is in no channel; no "
-        "model foretells that from other drives: log what differed, or identify on the spot"
+        f"{one.shape}, beyond their own scatter (p = {one.p_value:.1g}): the ground, the load or a "
+        "temperature differed and is in no channel; a model of these channels that was identified "
+        "on other drives misses the energy of an unseen one by "
+        f"{100 * _MEAN_OF_NORMAL * one.values[0]:.1f} % on average at the least: log what "
+        "differed, or identify on the spot"
         for one in dependences
         if one.channel == "drive" and one.p_value < significance
     ]

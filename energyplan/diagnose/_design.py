@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from energyplan.diagnose._design_kernels import block_grams
 from energyplan.diagnose._quiet import quiet
 from energyplan.drivelog import DriveLog
 from energyplan.errors import DriveLogError
@@ -117,11 +118,14 @@ class Windows:
         Samples in each window.
     blocks : ndarray of int, shape (w,)
         Block that each window lies in.
+    length : float
+        Their length [s].
     """
 
     starts: np.ndarray[tuple[int], np.dtype[np.intp]]
     counts: FloatArray
     blocks: np.ndarray[tuple[int], np.dtype[np.intp]]
+    length: float
 
     @classmethod
     def of(cls, t: FloatArray, length: float) -> Windows:
@@ -132,7 +136,7 @@ class Windows:
         counts = np.diff(np.append(starts, len(t))).astype(float)
         number = max(int(np.floor(t[-1] / BLOCK + 0.5)), 1)
         blocks = np.minimum((t[starts] / BLOCK).astype(np.intp), number - 1)
-        return cls(starts.astype(np.intp), counts, blocks)
+        return cls(starts.astype(np.intp), counts, blocks, length)
 
     def mean(self, values: FloatArray) -> FloatArray:
         """Return means over the windows; the first axis is time."""
@@ -224,16 +228,26 @@ class Design:
         keep = [*columns, -1]
         return replace(self, rows=tuple(table[:, keep] for table in self.rows))
 
+    def of_drives(self, chosen: NDArray[np.intp]) -> Design:
+        """Return the design of some drives only, given in ascending order."""
+        kept = np.isin(self.drives, chosen)
+        number = np.cumsum(kept) - 1
+        masks = [kept[block] for block in self.blocks]
+        return Design(
+            tuple(table[mask] for table, mask in zip(self.rows, masks, strict=True)),
+            tuple(number[block[mask]] for block, mask in zip(self.blocks, masks, strict=True)),
+            np.searchsorted(chosen, self.drives[kept]),
+        )
+
     @cached_property
     def grams(self) -> FloatArray:
         """Gram matrix of each scale and block, power included, shape (scales, b, k+1, k+1)."""
-        width = self.rows[0].shape[1]
-        total = np.zeros((len(self.rows), len(self.drives), width, width))
-        for scale, (table, block) in enumerate(zip(self.rows, self.blocks, strict=True)):
-            edges = np.flatnonzero(np.diff(block, prepend=-1))
-            products = np.einsum("ni,nj->nij", table, table)
-            total[scale, block[edges]] = np.add.reduceat(products, edges, axis=0)
-        return total
+        return np.stack(
+            [
+                block_grams(np.ascontiguousarray(table), block, len(self.drives))
+                for table, block in zip(self.rows, self.blocks, strict=True)
+            ]
+        )
 
     @property
     def counts(self) -> FloatArray:

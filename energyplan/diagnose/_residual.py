@@ -23,6 +23,8 @@ from energyplan.power import Sides, Term
 _KNOTS = 6
 _NOT_SIGNALS = {"changed", "p_left", "p_right", "power", "current", "voltage", "yaw_rate"}
 _PERIODS = (2.0, 60.0)  # of a periodic load [s]
+_WAVES = 12  # drives in which a periodic load is looked for
+_WINDOWS = 4  # longest windows that a drive needs to show how much it scatters
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,8 @@ class Dependence:
     p_value : float
         Adjusted for the number of signals tried.
     knots, values : tuple of float
-        The fitted shape; values in the carrier's unit.
+        The fitted shape; values in the carrier's unit. Of drives that differ as a whole, the
+        standard deviation between them as a fraction of their power.
     """
 
     channel: str
@@ -119,7 +122,8 @@ def dependences(
     Returns
     -------
     tuple of Dependence
-        All that were tried, the largest explained share first; p-values by Holm's method.
+        All that were tried, the largest explained share first; p-values by Holm's method, but for
+        the one question that is asked whatever the channels: whether drives differ as a whole.
     """
     errors = problem.reference(problem.design(terms))
     design = problem.design(terms, errors)
@@ -139,37 +143,52 @@ def dependences(
             shape = np.insert(new.values[width:], skipped, 0.0)
             found.append(_dependence(name, carrier, knots, shape, now, new, width))
     found += _periodic(problem, now, errors, design)
-    found += _between_drives(problem, now, errors, design)
-    return _holm(found)
+    settled = [*_holm(found), *_between_drives(now, design)]
+    return tuple(sorted(settled, key=lambda one: -one.explained_variance))
 
 
-def _between_drives(
-    problem: Problem, now: Fit, errors: FloatArray, design: Design
-) -> list[Dependence]:
-    """Test whether drives differ as a whole: one-way analysis of variance over blocks.
+def _between_drives(now: Fit, design: Design) -> list[Dependence]:
+    """Test whether drives differ as a whole, each by a factor of its power.
 
-    What only differs from drive to drive no other drive can foretell; no term is made of it.
+    Welch's analysis of variance of the drives' relative errors, as drives scatter differently; the
+    part of their variance that the scatter within drives does not explain is DerSimonian's and
+    Laird's. What only differs from drive to drive no other drive can foretell; no term is made of
+    it.
+
+    References
+    ----------
+    Welch (1951), Biometrika 38, 330-336. DerSimonian and Laird (1986), Control. Clin. Trials 7,
+    177-188.
     """
-    count = len(problem.drives)
-    if count < 3:
-        return []
     table, owner = design.rows[-1], design.drives[design.blocks[-1]]
     predicted = table[:, :-1] @ now.values
     residual = table[:, -1] - predicted
-    size = np.bincount(owner, minlength=count).astype(float)
-    means = np.bincount(owner, residual, count) / size
-    between = float(size @ (means - residual.mean()) ** 2)
-    within = float(np.sum((residual - means[owner]) ** 2))
-    free = len(residual) - count
-    if free < count or within == 0.0:
+    factors, variances, sizes = [], [], []
+    for drive in range(int(owner.max()) + 1):
+        mine = owner == drive
+        size, energy = int(np.count_nonzero(mine)), float(predicted[mine].sum())
+        if size < _WINDOWS or energy <= 0.0:
+            continue
+        factor = float(residual[mine].sum()) / energy
+        scatter = residual[mine] - factor * predicted[mine]
+        factors.append(factor)
+        variances.append(size * float(scatter @ scatter) / (size - 1) / energy**2)
+        sizes.append(size)
+    count = len(factors)
+    if count < 3 or min(variances) <= 0.0:
         return []
-    noise = within / free
-    p_value = float(fisher.sf(between / (count - 1) / noise, count - 1, free))
-    share = max(between - (count - 1) * noise, 0.0) / (between + within)
-    scale = float(np.mean(residual**2)) / float(errors[-1])
-    spread = float(np.std(means / (np.bincount(owner, predicted, count) / size), ddof=1))
-    words = f"drives differ as a whole, by {100 * spread:.0f} % of their power (standard deviation)"
-    return [Dependence("drive", "power", words, share * scale, 0.0, p_value)]
+    weight, values = 1.0 / np.array(variances), np.array(factors)
+    whole = float(weight.sum())
+    scattered = float(weight @ (values - weight @ values / whole) ** 2)
+    lack = float(np.sum((1 - weight / whole) ** 2 / (np.array(sizes) - 1.0)))
+    ratio = scattered / (count - 1) / (1 + 2 * (count - 2) / (count**2 - 1) * lack)
+    p_value = float(fisher.sf(ratio, count - 1, (count**2 - 1) / (3 * lack)))
+    excess = (scattered - (count - 1)) / (whole - float(weight @ weight) / whole)
+    spread = float(np.sqrt(max(excess, 0.0)))
+    squares = [float(np.mean((rows[:, :-1] @ now.values) ** 2)) for rows in design.rows]
+    share = float(np.mean(np.minimum(spread**2 * np.array(squares) / now.errors, 1.0)))
+    words = f"drives differ as a whole, by {100 * spread:.1f} % of their power (standard deviation)"
+    return [Dependence("drive", "power", words, share, 0.0, p_value, (), (spread,))]
 
 
 def _dependence(
@@ -186,28 +205,31 @@ def _dependence(
 
 def _periodic(problem: Problem, now: Fit, errors: FloatArray, design: Design) -> list[Dependence]:
     """Test for a load that comes and goes with a fixed period, its phase free in each drive."""
-    longest = max(float(drive.t[-1]) for drive in problem.drives)
-    low, high = 1 / min(_PERIODS[1], longest / 3), 1 / _PERIODS[0]
-    frequencies = np.arange(low, high, 0.5 / longest)
-    table = design.rows[0]
-    residual, first, explained = table[:, -1] - table[:, :-1] @ now.values, 0, 0.0 * frequencies
-    for drive in problem.drives:
-        starts = drive.windows[0].starts
-        part = residual[first : first + len(starts)]
-        first += len(starts)
-        phase = 2 * np.pi * np.outer(frequencies, drive.t[starts])
-        part = part - part.mean()
-        explained += (np.cos(phase) @ part) ** 2 / len(part) + (np.sin(phase) @ part) ** 2 / len(
-            part
-        )
+    length = np.array([float(drive.t[-1]) for drive in problem.drives])
+    # A column for each drive and phase: of very many drives the longest tell.
+    chosen = np.sort(np.argsort(-length, kind="stable")[:_WAVES])
+    drives, design = [problem.drives[k] for k in chosen], design.of_drives(chosen)
+    longest = float(length.max())
+    step = min(drive.windows[0].length for drive in drives)
+    padded = int(np.ceil(2 * longest / step)) + 2
+    frequencies = np.fft.rfftfreq(padded, step)
+    band = (frequencies >= 1 / min(_PERIODS[1], longest / 3)) & (frequencies < 1 / _PERIODS[0])
+    frequencies = frequencies[band]
+    table, owner = design.rows[0], design.drives[design.blocks[0]]
+    residual, explained = table[:, -1] - table[:, :-1] @ now.values, 0.0 * frequencies
+    for k, drive in enumerate(drives):
+        part = residual[owner == k]
+        grid = np.zeros(padded)
+        grid[(drive.t[drive.windows[0].starts] / step).astype(np.intp)] = part - part.mean()
+        explained += np.abs(np.fft.rfft(grid)[band]) ** 2 / len(part)
     frequency = float(frequencies[np.argmax(explained)])
     tables = []
-    for k, drive in enumerate(problem.drives):
-        waves = np.zeros((len(drive.t), 2 * len(problem.drives)))
+    for k, drive in enumerate(drives):
+        waves = np.zeros((len(drive.t), 2 * len(drives)))
         angle = 2 * np.pi * frequency * drive.t
         waves[:, 2 * k], waves[:, 2 * k + 1] = np.cos(angle), np.sin(angle)
         tables.append(waves)
-    joined = design.joined(window_means(problem.drives, tables))
+    joined = design.joined(window_means(drives, tables))
     new = fit(joined, errors, by_block=True)
     gain, error = difference(fit(design, errors, by_block=True).losses, new.losses)
     width = len(now.values)
@@ -216,14 +238,13 @@ def _periodic(problem: Problem, now: Fit, errors: FloatArray, design: Design) ->
     return [Dependence("t", "power", words, gain / len(errors), error / len(errors), p_value)]
 
 
-def _holm(found: Sequence[Dependence]) -> tuple[Dependence, ...]:
+def _holm(found: Sequence[Dependence]) -> list[Dependence]:
     order = np.argsort([one.p_value for one in found])
     adjusted, running = np.zeros(len(found)), 0.0
     for rank, index in enumerate(order):
         running = max(running, min((len(found) - rank) * found[index].p_value, 1.0))
         adjusted[index] = running
-    settled = [replace(one, p_value=float(p)) for one, p in zip(found, adjusted, strict=True)]
-    return tuple(sorted(settled, key=lambda one: -one.explained_variance))
+    return [replace(one, p_value=float(p)) for one, p in zip(found, adjusted, strict=True)]
 
 
 _CARRIED = {"power": "power", "traction": "traction resistance", "slip": "slip moment"}

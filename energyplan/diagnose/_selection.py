@@ -126,6 +126,7 @@ class Selector:
         self.progress = progress
         self.limit = limit
         self.untested: list[tuple[str, str]] = []
+        self.dropped: set[str] = set()
         testable = (effect for effect in effects if self._testable(effect))
         self.effects = tuple(effect for effect in testable if effect.acts != "kinematics")
 
@@ -245,18 +246,25 @@ class Selector:
         taken = {term.name for part in parts for term in part.effect.terms}
         found = []
         for effect in self.effects:
-            if taken & {term.name for term in effect.terms}:
+            if effect.name in self.dropped or taken & {term.name for term in effect.terms}:
                 continue
-            best: Trial | None = None
-            looks = 0
-            for part in self._variants(effect):
-                looks += self._looks(effect)
-                trial = self._trial(part, parts, now, design, errors)
-                if trial is not None and (best is None or trial.fit.loss < best.fit.loss):
-                    best = trial
+            best = self._best(effect, parts, now, design, errors)
             if best is not None and self._plausible(best, parts):
-                found.append(replace(best, looks=looks * len(self.effects)))
+                found.append(replace(best, looks=best.looks * len(self.effects)))
         return found
+
+    def _best(
+        self, effect: Effect, parts: Sequence[Part], now: Fit, design: Design, errors: FloatArray
+    ) -> Trial | None:
+        """Fit all variants of an effect and return the one that fits best."""
+        best: Trial | None = None
+        looks = 0
+        for part in self._variants(effect):
+            looks += self._looks(effect)
+            trial = self._trial(part, parts, now, design, errors)
+            if trial is not None and (best is None or trial.fit.loss < best.fit.loss):
+                best = trial
+        return None if best is None else replace(best, looks=looks)
 
     # -- the loop -------------------------------------------------------------------------------
 
@@ -285,6 +293,21 @@ class Selector:
             part, self.problem = self._refined(best, parts)
             chosen.append(Chosen(part, best, rivals))
             chosen = self._without_superfluous(chosen)
+        return Selection(self.problem, tuple(chosen), tuple(self.untested))
+
+    def take_all(self) -> Selection:
+        """Add every effect whether it helps or not, in the order given."""
+        chosen: list[Chosen] = []
+        for effect in self.effects:
+            parts = [choice.part for choice in chosen]
+            errors = self.problem.reference(self.problem.design(terms_of(parts)))
+            design = self.problem.design(terms_of(parts), errors)
+            best = self._best(effect, parts, fit(design, errors), design, errors)
+            if best is None:
+                self.untested.append((effect.name, "whole drives differ, and not within a drive"))
+                continue
+            part, self.problem = self._refined(best, parts)
+            chosen.append(Chosen(part, best, ()))
         return Selection(self.problem, tuple(chosen), tuple(self.untested))
 
     def _merit(self, trial: Trial) -> float:
@@ -355,10 +378,14 @@ class Selector:
         return part, problem
 
     def _without_superfluous(self, chosen: list[Chosen]) -> list[Chosen]:
-        """Take out effects that the later ones made unnecessary."""
+        """Take out effects that the later ones made unnecessary.
+
+        None comes back: two that stand in for each other would take turns for ever.
+        """
         for choice in chosen[:-1]:
             parts = [other.part for other in chosen]
             if is_needless(self.problem, parts, choice.part):
+                self.dropped.add(choice.part.effect.name)
                 chosen = [other for other in chosen if other is not choice]
         return chosen
 
