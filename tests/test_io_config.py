@@ -39,7 +39,7 @@ name: by hand
 vehicle: quadriga:full
 terms:
 - {name: slip_friction, value: 0.5, std_error: 0.1}
-- {name: traction_resistance, value: 100.0}
+- {name: traction_resistance, value: 100.0, std_error: 2.0}
 """
 
 
@@ -128,9 +128,14 @@ def test_a_model_written_by_hand(tmp_path):
     same_vehicle(model.vehicle, Vehicle.preset("quadriga:full"))
     assert model.coefficient("slip_friction") == 0.5
     assert model.std_error("slip_friction") == pytest.approx(0.1)
-    assert model.std_error("traction_resistance") == 0.0
-    plain = read_model(write(tmp_path, MODEL.replace(", std_error: 0.1", "")))
-    assert plain.covariance is None
+    assert model.std_error("traction_resistance") == pytest.approx(2.0)
+    without = MODEL.replace(", std_error: 0.1", "").replace(", std_error: 2.0", "")
+    assert read_model(write(tmp_path, without)).covariance is None
+
+
+def test_an_error_that_is_left_out_is_not_taken_as_zero(tmp_path):
+    with pytest.raises(ConfigError, match="give every term a std_error"):
+        read_model(write(tmp_path, MODEL.replace(", std_error: 2.0", "")))
 
 
 def test_model_presets(tmp_path):

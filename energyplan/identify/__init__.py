@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 from scipy.stats import t as student
@@ -13,7 +13,7 @@ from scipy.stats import t as student
 from energyplan import _html
 from energyplan._identifiability import check_identifiable, linearise, signal_motion
 from energyplan.drivelog import DriveLog
-from energyplan.errors import InvalidInputError, NotIdentifiableError, UnknownNameError
+from energyplan.errors import InvalidInputError, ModelError, NotIdentifiableError, UnknownNameError
 from energyplan.identify._covariance import autocorrelation, correlation_time
 from energyplan.identify._fit import Bounds
 from energyplan.identify._icr import ICREstimate, fit_icr, icr_from_spin, turned, yaw_channel
@@ -62,6 +62,10 @@ class Identification:
     effective_samples: float
     warnings: tuple[str, ...]
 
+    def __post_init__(self) -> None:
+        if self.model.covariance is None or self.model.residual is None:
+            raise ModelError("an identified model needs its covariance and its residual")
+
     def _repr_html_(self) -> str:
         """Return the coefficients as a table, for notebooks."""
         rows: list[tuple[object, ...]] = [
@@ -80,13 +84,14 @@ class Identification:
     @property
     def residual(self) -> Residual:
         """Measured minus predicted power on the logs that the model was fitted to."""
-        return self.model.residual or Residual(0.0, 0.0, 0.0, 0.0)
+        return cast("Residual", self.model.residual)
 
     @property
     def std_error(self) -> Mapping[str, float]:
         """Standard error of each term's coefficient, by the term's name."""
+        spread = np.sqrt(np.diag(cast("FloatArray", self.model.covariance))).tolist()
         names = [term.name for term in self.model.terms]
-        return MappingProxyType({name: self.model.std_error(name) or 0.0 for name in names})
+        return MappingProxyType(dict(zip(names, spread, strict=True)))
 
     @property
     def icr(self) -> TreadICR:
@@ -125,8 +130,8 @@ class Identification:
         if not 0 < level < 1:
             raise InvalidInputError(f"level is {level}; give a probability such as 0.95")
         freedom = max(self.effective_samples - len(self.model.terms), 1.0)
-        reach = float(student.ppf(0.5 + level / 2, freedom)) * (self.model.std_error(name) or 0.0)
         value = self.model.coefficient(name)
+        reach = float(student.ppf(0.5 + level / 2, freedom)) * self.std_error[name]
         return value - reach, value + reach
 
 

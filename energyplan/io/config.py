@@ -167,9 +167,15 @@ def read_model(source: str | Path) -> PowerModel:
         vehicle = _vehicle(spec.vehicle, document, ("vehicle",))
     terms = tuple(_placed(document, ("terms", k), _term, item) for k, item in enumerate(spec.terms))
     covariance = None if spec.covariance is None else _square(document, spec.covariance)
-    if covariance is None and any(item.std_error is not None for item in spec.terms):
+    errors = [item.std_error for item in spec.terms if item.std_error is not None]
+    if covariance is None and errors:
+        if len(errors) < len(spec.terms):
+            missing = next(k for k, item in enumerate(spec.terms) if item.std_error is None)
+            raise document.fail(
+                ("terms", missing), "give every term a std_error (0 where it is exact), or none"
+            )
         # Standard errors alone, written by hand, say nothing of correlations.
-        covariance = np.diag([(item.std_error or 0.0) ** 2 for item in spec.terms])
+        covariance = np.diag(np.square(errors))
     residual = None if spec.residual is None else Residual(**spec.residual.model_dump())
     values = np.array([item.value for item in spec.terms])
     return _placed(
