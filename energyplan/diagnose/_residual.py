@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.stats import f as fisher
 
 from energyplan.diagnose._design import Design, Drive, channels_of, window_means
@@ -151,14 +152,12 @@ def _between_drives(now: Fit, design: Design) -> list[Dependence]:
     """Test whether drives differ as a whole, each by a factor of its power.
 
     Welch's analysis of variance of the drives' relative errors, as drives scatter differently; the
-    part of their variance that the scatter within drives does not explain is DerSimonian's and
-    Laird's. What only differs from drive to drive no other drive can foretell; no term is made of
-    it.
+    part of their variance that the scatter within drives does not explain is Paule's and Mandel's.
+    What only differs from drive to drive no other drive can foretell; no term is made of it.
 
     References
     ----------
-    Welch (1951), Biometrika 38, 330-336. DerSimonian and Laird (1986), Control. Clin. Trials 7,
-    177-188.
+    Welch (1951), Biometrika 38, 330-336. Paule and Mandel (1982), J. Res. NBS 87, 377-385.
     """
     table, owner = design.rows[-1], design.drives[design.blocks[-1]]
     predicted = table[:, :-1] @ now.values
@@ -177,14 +176,19 @@ def _between_drives(now: Fit, design: Design) -> list[Dependence]:
     count = len(factors)
     if count < 3 or min(variances) <= 0.0:
         return []
-    weight, values = 1.0 / np.array(variances), np.array(factors)
-    whole = float(weight.sum())
-    scattered = float(weight @ (values - weight @ values / whole) ** 2)
-    lack = float(np.sum((1 - weight / whole) ** 2 / (np.array(sizes) - 1.0)))
-    ratio = scattered / (count - 1) / (1 + 2 * (count - 2) / (count**2 - 1) * lack)
+    values, noise = np.array(factors), np.array(variances)
+
+    def scattered(square: float) -> float:
+        weight = 1.0 / (noise + square)
+        return float(weight @ (values - weight @ values / weight.sum()) ** 2)
+
+    lack = float(np.sum((1 - 1 / noise / np.sum(1 / noise)) ** 2 / (np.array(sizes) - 1.0)))
+    ratio = scattered(0.0) / (count - 1) / (1 + 2 * (count - 2) / (count**2 - 1) * lack)
     p_value = float(fisher.sf(ratio, count - 1, (count**2 - 1) / (3 * lack)))
-    excess = (scattered - (count - 1)) / (whole - float(weight @ weight) / whole)
-    spread = float(np.sqrt(max(excess, 0.0)))
+    spread = 0.0
+    if scattered(0.0) > count - 1:
+        most = 2 * float(np.var(values, ddof=1))
+        spread = float(np.sqrt(brentq(lambda square: scattered(square) - (count - 1), 0.0, most)))
     squares = [float(np.mean((rows[:, :-1] @ now.values) ** 2)) for rows in design.rows]
     share = float(np.mean(np.minimum(spread**2 * np.array(squares) / now.errors, 1.0)))
     words = f"drives differ as a whole, by {100 * spread:.1f} % of their power (standard deviation)"
