@@ -26,12 +26,14 @@ th, td { padding: .3rem .7rem; border-bottom: 1px solid #d8d8d8; text-align: lef
 th { border-bottom: 2px solid #888; }
 td.number { text-align: right; }
 figure { margin: 1rem 0; } figure img { max-width: 100%; height: auto; }
-figcaption { color: #555; font-size: .9rem; }
+figcaption { color: #555; font-size: .9rem; margin-top: .5rem; }
 code { background: #f2f2f2; padding: .1rem .3rem; overflow-wrap: anywhere; }
-.plot { display: none; height: clamp(340px, 62vw, 560px); }
+.plot { display: none; height: clamp(430px, 62vw, 600px); }
 .plot > div { height: 100%; }
-.plot.tall { height: clamp(480px, 75vw, 680px); }
+.plot.tall { height: clamp(540px, 75vw, 680px); }
+.plot.low { height: 300px; }
 @media screen { .live .plot { display: block; } .live .plot + img { display: none; } }
+@media (max-width: 40rem) { table { font-size: .9rem; } th, td { padding: .3rem .4rem; } }
 @media print { h2 { break-after: avoid; } figure, table { break-inside: avoid; } }
 """
 _LIVE = "document.documentElement.classList.add('live')"

@@ -28,7 +28,7 @@ from energyplan._interactive._parts import (
 from energyplan.effects._empirical import signal
 from energyplan.motion import CHANNELS
 from energyplan.path import FloatArray, Path, wrap_angle
-from energyplan.plots import BLACK, BLUE, GREEN, RED
+from energyplan.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, SKY, YELLOW
 
 if TYPE_CHECKING:
     from energyplan.compare import Comparison
@@ -41,8 +41,15 @@ if TYPE_CHECKING:
 ABSENT = "The pictures stand still; pip install 'energyplan[reports]' makes them interactive."
 _MOST_DOTS = 1500  # of a cloud
 _BINS = 24
-# A finger that moves over a plot shall scroll the page; zooming is left to the buttons.
-_TOUCH = "if (matchMedia('(pointer: coarse)').matches) Plotly.relayout('{plot_id}', 'dragmode', 0);"
+# A finger that moves over a plot shall scroll the page; zooming is left to the buttons. Where there
+# is little room, long names are shown at a touch only.
+_PHONE = """
+const plot = document.getElementById('{plot_id}');
+if (matchMedia('(pointer: coarse)').matches) Plotly.relayout(plot, 'dragmode', false);
+const long = plot.data.flatMap((t, k) => t.mode == 'markers+text' && t.text[0].length > 8 ? k : []);
+if (innerWidth < 600 && long.length) Plotly.restyle(plot, 'mode', 'markers', long);
+"""
+_BUTTONS = ["zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d", "toImage"]
 
 
 def available() -> bool:
@@ -76,14 +83,14 @@ def fragment(plot: Plot, name: str) -> str:
 
     body = to_html(
         plot, full_html=False, include_plotlyjs=False, validate=False, div_id=f"plot-{name}",
-        default_height="100%", post_script=_TOUCH,
+        default_height="100%", post_script="{" + _PHONE + "}",
         config={
             "displaylogo": False, "responsive": True, "plotlyServerURL": "",
-            "modeBarButtonsToRemove": ["select2d", "lasso2d", "autoScale2d"],
+            "modeBarButtons": [_BUTTONS],
         },
     )  # fmt: skip
-    tall = " tall" if "yaxis2" in plot["layout"] else ""
-    return f'<div class="plot{tall}">{body}</div>'
+    kind = " tall" if "yaxis2" in plot["layout"] else " low" if "barmode" in plot["layout"] else ""
+    return f'<div class="plot{kind}">{body}</div>'
 
 
 def diagnosis_plots(told: Diagnosis, holdout: Sequence[DriveLog]) -> dict[str, Plot]:
@@ -181,7 +188,8 @@ def residual_by_channel(
     layout["updatemenus"] = [
         {"buttons": buttons, "x": 0.0, "xanchor": "left", "y": 1.02, "yanchor": "bottom"}
     ]
-    layout["legend"] |= {"x": 1.0, "xanchor": "right"}
+    layout["legend"] |= {"yref": "container", "y": 0.0, "yanchor": "bottom"}
+    layout["margin"]["b"] = 80
     layout["yaxis"]["zeroline"] = True
     return {"data": data, "layout": layout}
 
@@ -218,7 +226,23 @@ def comparison_plots(made: Comparison, problem: PlanningProblem) -> dict[str, Pl
         )
     ends = (("start", problem.start, "square", BLACK), ("goal", problem.goal, "star", BLACK))
     walls["data"] += [place(*end) for end in ends]
-    return {"map": walls, "energy": along}
+    return {"map": walls, "energy": along, "terms": _terms(made)}
+
+
+def _terms(made: Comparison) -> Plot:
+    """Describe the energy of both routes by term, as stacked bars."""
+    plans = {"shortest": made.shortest, "least energy": made.energy_optimal}
+    colors = (BLUE, ORANGE, GREEN, PURPLE, SKY, RED, YELLOW)
+    data = [
+        {
+            "type": "bar", "orientation": "h", "name": html.escape(name.replace("_", " ")),
+            "x": [plan.breakdown.get(name, 0.0) for plan in plans.values()], "y": list(plans),
+            "marker": {"color": colors[k % len(colors)]}, "hovertemplate": "%{x:.0f} J",
+        }
+        for k, name in enumerate(made.by_term)
+    ]  # fmt: skip
+    layout = layout_of("energy [J]", "") | {"barmode": "relative"}
+    return {"data": data, "layout": layout}
 
 
 class Along(NamedTuple):
@@ -292,7 +316,7 @@ def _mission_charge(told: MissionReport) -> Plot:
     line, mission = told.timeline, told.mission
     kept = thin(line.power)
     minutes = single(line.t / 60)[kept]
-    band = f"{100 * mission.confidence:.0f} % on either side"
+    band = f"{100 * mission.confidence:.0f} % band"
     edge = {"mode": "lines", "line": {"width": 0}, "hoverinfo": "skip", "x": minutes}
     percent = {"x": minutes, "mode": "lines", "hovertemplate": "%{y:.1f} %"}
     data: list[Plot] = [
@@ -332,7 +356,7 @@ def _mission_charge(told: MissionReport) -> Plot:
         {
             "x": task.start / 60, "y": 0.47, "yref": "paper", "text": html.escape(task.name),
             "textangle": -90, "showarrow": False, "xanchor": "right", "yanchor": "bottom",
-            "font": {"size": 11}, "bgcolor": "rgba(255, 255, 255, 0.7)",
+            "font": {"size": 11},
         }
         for task in begun
     ]  # fmt: skip
