@@ -82,10 +82,10 @@ def drive_advice(dependences: Sequence[Dependence], significance: float) -> list
     """Say that drives differ as a whole, where they do, and what no model can then reach."""
     return [
         f"{one.shape}, beyond their own scatter (p = {one.p_value:.1g}): the ground, the load or a "
-        "temperature differed and is in no channel; a model of these channels that was identified "
-        "on other drives misses the energy of an unseen one by "
-        f"{100 * _MEAN_OF_NORMAL * one.values[0]:.1f} % on average at the least: log what "
-        "differed, or identify on the spot"
+        "temperature differed and is in no channel; no model of these channels that was identified "
+        "on other drives can be expected to come closer to an unseen one's energy than "
+        f"{100 * _MEAN_OF_NORMAL * one.values[0]:.1f} % on average: log what differed, or identify "
+        "on the spot"
         for one in dependences
         if one.channel == "drive" and one.p_value < significance
     ]
