@@ -222,7 +222,8 @@ def mission_page(told: MissionReport) -> Page:
         "lead",
     )
     for task in flagged:
-        page.paragraph(f"{task.name} is out of reach: {task.detail} {task.remedy}", "flag")
+        remedy = f"; remedy: {task.remedy}" if task.remedy else ""
+        page.paragraph(f"{task.name} is out of reach: {task.detail}{remedy}", "flag")
     page.table(MISSION_HEADER, mission_rows(told))
     _illustrate(page, mission_pictures(told), lambda: _interactive.mission_plots(told))
     return page

@@ -31,6 +31,7 @@ code { background: #f2f2f2; padding: .1rem .3rem; overflow-wrap: anywhere; }
 .plot { display: none; height: clamp(430px, 62vw, 600px); }
 .plot > div { height: 100%; }
 .plot.tall { height: clamp(540px, 75vw, 680px); }
+.plot .textpoint text { paint-order: stroke; stroke: white; stroke-width: 3px; }
 .plot.low { height: 300px; }
 @media screen { .live .plot { display: block; } .live .plot + img { display: none; } }
 @media (max-width: 40rem) { table { font-size: .9rem; } th, td { padding: .3rem .4rem; } }
