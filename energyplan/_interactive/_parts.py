@@ -29,7 +29,8 @@ def layout_of(x: str, y: str) -> dict[str, Any]:
     """Return the layout that all plots share, with the titles of both axes."""
     return {
         "xaxis": axis(x), "yaxis": axis(y), "plot_bgcolor": "white", "paper_bgcolor": "white",
-        "margin": {"l": 10, "r": 10, "t": 100, "b": 40}, "font": {"family": "system-ui, sans-serif"},
+        "margin": {"l": 10, "r": 10, "t": 100, "b": 40},
+        "font": {"family": "system-ui, sans-serif"},
         "legend": {"orientation": "h", "x": 0.0, "y": 1.02, "yanchor": "bottom"},
     }  # fmt: skip
 
