@@ -76,6 +76,19 @@ def test_every_public_name_can_be_imported() -> None:
         assert getattr(energyplan, name) is not None
 
 
+def test_the_public_names_are_these() -> None:
+    """A name that is added or taken away is a decision: change it here and in the changelog."""
+    assert sorted(energyplan.__all__) == [
+        "Battery", "Charger", "Comparison", "Diagnosis", "DriveLog", "EnergyCost",
+        "FeasibilityReport", "Identification", "Mission", "MissionReport", "Motion", "MotorLimits",
+        "OccupancyGrid", "OnlineIdentifier", "Path", "Plan", "PlanningProblem", "Pose",
+        "PowerModel", "Residual", "Sides", "SurfaceMap", "Task", "Term", "Trajectory", "TreadICR",
+        "Vehicle", "battery", "check", "compare", "diagnose", "errors", "evaluate", "feasibility",
+        "identify", "plan", "plots", "read_map", "read_mission", "read_model", "read_surfaces",
+        "read_vehicle", "simulate", "speed", "steering", "write_model",
+    ]  # fmt: skip
+
+
 def test_functions_are_not_hidden_by_modules_of_the_same_name() -> None:
     code = (
         "import energyplan, energyplan.identify, energyplan.diagnose, energyplan.compare\n"
