@@ -232,10 +232,15 @@ def test_ctrl_c_ends_a_command_with_one_line_and_leaves_its_file(tmp_path: Path)
     out.write_text("as it was\n")
     script = textwrap.dedent(
         f"""
-        import os, signal, sys
+        import os, signal, sys, time
         from energyplan import cli
         from energyplan.io import logs
-        logs.read_log = lambda *_, **__: os.kill(os.getpid(), signal.SIGINT)
+
+        def read_log(*_, **__):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(60)  # another thread may take the signal, so that it arrives a little later
+
+        logs.read_log = read_log
         sys.argv = "energyplan identify a.csv --vehicle quadriga --out".split() + [{str(out)!r}]
         cli.main()
         """
