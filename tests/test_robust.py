@@ -236,9 +236,12 @@ def test_ctrl_c_ends_a_command_with_one_line_and_leaves_its_file(tmp_path: Path)
         from energyplan import cli
         from energyplan.io import logs
 
+        # a background job inherits that the signal is ignored
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
         def read_log(*_, **__):
             os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(60)  # another thread may take the signal, so that it arrives a little later
+            time.sleep(60)
 
         logs.read_log = read_log
         sys.argv = "energyplan identify a.csv --vehicle quadriga --out".split() + [{str(out)!r}]
