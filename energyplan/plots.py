@@ -142,6 +142,32 @@ def prediction(log: DriveLog, predictions: Mapping[str, ArrayLike], title: str =
     return made
 
 
+def bin_means(x: ArrayLike, series: Sequence[ArrayLike], bins: int = 24) -> list[FloatArray]:
+    """Average in bins of `x` that hold equally many samples.
+
+    Parameters
+    ----------
+    x : array_like, shape (n,)
+        What decides on the bin.
+    series : sequence of array_like, shape (n,)
+        What is averaged.
+    bins : int
+        Number of bins; fewer are used where values of `x` repeat.
+
+    Returns
+    -------
+    list of ndarray, shape (m,)
+        The means of `x`, then those of each series, by bin.
+    """
+    known = np.asarray(x, float)
+    edges = np.unique(np.quantile(known, np.linspace(0, 1, bins + 1)))
+    place = np.clip(np.searchsorted(edges, known, side="right") - 1, 0, max(len(edges) - 2, 0))
+    count = np.bincount(place)
+    used = count > 0
+    rows = [known, *(np.asarray(values, float) for values in series)]
+    return [np.bincount(place, row)[used] / count[used] for row in rows]
+
+
 def residual_against(
     ax: Axes,
     channel: ArrayLike,
@@ -170,15 +196,13 @@ def residual_against(
         `ax`.
     """
     x = np.asarray(channel, float)
-    edges = np.unique(np.quantile(x, np.linspace(0, 1, bins + 1)))
-    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
+    centre, *means = bin_means(x, list(residuals.values()), bins)
     thin = slice(None, None, max(1, len(x) // 4000))
-    for (name, residual), (color, dash) in zip(residuals.items(), _LINES, strict=False):
+    for (name, residual), mean, (color, dash) in zip(
+        residuals.items(), means, _LINES, strict=False
+    ):
         r = np.asarray(residual, float)
         ax.plot(x[thin], r[thin], ".", ms=2, color=color, alpha=0.15, rasterized=True)
-        used = np.unique(place)
-        centre = [x[place == k].mean() for k in used]
-        mean = [r[place == k].mean() for k in used]
         ax.plot(centre, mean, color=color, ls=dash, marker="o", ms=3, label=f"{name} (bin mean)")
     ax.axhline(0, color=BLACK, lw=0.8)
     _label(ax, label, "measured - predicted [W]", f"Residual against {label}")

@@ -28,7 +28,7 @@ from energyplan._interactive._parts import (
 from energyplan.effects._empirical import signal
 from energyplan.motion import CHANNELS
 from energyplan.path import FloatArray, Path, wrap_angle
-from energyplan.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, SKY, YELLOW
+from energyplan.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, SKY, YELLOW, bin_means
 
 if TYPE_CHECKING:
     from energyplan.compare import Comparison
@@ -151,13 +151,11 @@ def residual_by_channel(
     data: list[Plot] = []
     for number, (channel, values) in enumerate(channels.items()):
         x = wrap_angle(values) if channel == "yaw" else np.asarray(values, float)
-        edges = np.unique(np.quantile(x, np.linspace(0, 1, _BINS + 1)))
-        place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
-        count = np.bincount(place)
-        used, some = count > 0, slice(None, None, max(1, -(-len(x) // _MOST_DOTS)))
-        centre = np.bincount(place, x)[used] / count[used]
-        for (label, residual), (color, dash) in zip(residuals.items(), LINES, strict=False):
-            mean = np.bincount(place, residual)[used] / count[used]
+        some = slice(None, None, max(1, -(-len(x) // _MOST_DOTS)))
+        centre, *means = bin_means(x, list(residuals.values()), _BINS)
+        for (label, residual), mean, (color, dash) in zip(
+            residuals.items(), means, LINES, strict=False
+        ):
             shared = {"legendgroup": label, "visible": number == 0}
             data += [
                 {
