@@ -38,6 +38,27 @@ def as_pose(value: ArrayLike, name: str) -> Pose:
     return Pose(*(float(v) for v in row))
 
 
+def objective_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
+    """Return an objective as weights of energy [1], length [J/m] and time [J/s].
+
+    Raises
+    ------
+    InvalidInputError
+        If it is malformed.
+    """
+    named = {objective: 1.0} if isinstance(objective, str) else objective
+    weights = {name: float(value) for name, value in named.items()}
+    if not weights or not set(weights) <= set(OBJECTIVES):
+        raise InvalidInputError(
+            f"objective {objective!r} is unknown; choose from {', '.join(OBJECTIVES)} "
+            "or give a mapping of these to weights"
+        )
+    values = list(weights.values())
+    if not (np.all(np.isfinite(values)) and min(values) >= 0 and max(values) > 0):
+        raise InvalidInputError(f"objective weights are {weights}; give numbers >= 0, not all zero")
+    return weights
+
+
 @dataclass(frozen=True)
 class PlanningProblem:
     """From where to where, among which obstacles, at what cost.
@@ -75,18 +96,7 @@ class PlanningProblem:
     def __post_init__(self) -> None:
         object.__setattr__(self, "start", as_pose(self.start, "start"))
         object.__setattr__(self, "goal", as_pose(self.goal, "goal"))
-        weights = self.weights
-        unknown = sorted(set(weights) - set(OBJECTIVES))
-        if unknown or not weights:
-            raise InvalidInputError(
-                f"objective {self.objective!r} is unknown; choose from {', '.join(OBJECTIVES)} "
-                "or give a mapping of these to weights"
-            )
-        values = list(weights.values())
-        if not (np.all(np.isfinite(values)) and min(values) >= 0 and max(values) > 0):
-            raise InvalidInputError(
-                f"objective weights are {dict(weights)}; give numbers >= 0, not all zero"
-            )
+        objective_weights(self.objective)
 
     @property
     def robot(self) -> Vehicle:
@@ -96,9 +106,7 @@ class PlanningProblem:
     @property
     def weights(self) -> dict[str, float]:
         """The objective as weights of energy [1], length [J/m] and time [J/s]."""
-        if isinstance(self.objective, str):
-            return {self.objective: 1.0}
-        return {name: float(value) for name, value in self.objective.items()}
+        return objective_weights(self.objective)
 
     def check_poses(self, grid: OccupancyGrid | None = None) -> None:
         """Check that start and goal are on the map and free.
