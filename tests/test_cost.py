@@ -107,6 +107,7 @@ def test_motor_power_limits_the_speed() -> None:
     spinning = EnergyCost(with_vehicle(MODEL, max_yaw_rate=0.4))
     path = Path(Pose(0, 0, 0), [0.0], [2.0])
     assert spinning.duration(path) == pytest.approx(5.0)
+    assert float(spinning.segment_duration(0.0, 2.0)) == pytest.approx(5.0)
 
 
 @pytest.mark.parametrize("battery", [False, True])
@@ -123,6 +124,8 @@ def test_breakdown_adds_up(battery: bool) -> None:
     assert parts["hotel_load"] == pytest.approx(50.0 * cost.duration(path), rel=1e-12)
     arcs = cost.segment_energy(path.ds, path.dtheta)
     assert arcs.sum() == pytest.approx(cost.energy(path), rel=1e-6)
+    times = cost.segment_duration(path.ds, path.dtheta)
+    assert times.sum() == pytest.approx(cost.duration(path), rel=1e-6)
     assert ("regeneration_efficiency" in parts) == battery
 
 

@@ -343,13 +343,33 @@ class EnergyCost:
         InvalidInputError
             If neither the vehicle nor `speed` limits the speed.
         """
-        rate = self._rate(*self._moving(path))
+        return float(np.sum(self._element_duration(*self._moving(path))))
+
+    def _element_duration(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        rate = self._rate(x, y)
         if not np.all(np.isfinite(rate)):
             raise InvalidInputError(
-                f"the vehicle {self.vehicle.name!r} has no speed limit, so the path has no "
+                f"the vehicle {self.vehicle.name!r} has no speed limit, so a motion has no "
                 "duration; set its motor speed, or give EnergyCost a speed"
             )
-        return float(np.sum(1.0 / rate))
+        return np.asarray(1.0 / rate)
+
+    @cached_property
+    def _clock(self) -> Gauge:
+        """Duration over the direction of motion, tabulated like `gauge`."""
+        return tabulate(self._element_duration)
+
+    def segment_duration(self, ds: ArrayLike, dtheta: ArrayLike) -> FloatArray:
+        """Return the time that arcs take, as they are driven [s]; arguments as in `segment_energy`.
+
+        It comes from a table like that of `gauge`; `duration` asks the model itself.
+
+        Raises
+        ------
+        InvalidInputError
+            If neither the vehicle nor `speed` limits the speed.
+        """
+        return self._clock(*self._element(ds, dtheta))
 
     def per_metre(self, curvature: ArrayLike, speed: ArrayLike | None = None) -> FloatArray:
         """Return the energy per metre on arcs.

@@ -20,6 +20,7 @@ from energyplan.maps import OccupancyGrid, SurfaceMap
 from energyplan.maps._collision import Body, pose_free
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.planners._motion_kernels import DIRECTIONS, Setting
+from energyplan.planners._prices import Prices
 from energyplan.planners._problem import Plan, PlanningProblem
 
 SHORT_TRACK = 1e-3
@@ -31,9 +32,6 @@ MARGIN = 0.04
 Optimal paths touch obstacles. The margin keeps them free under another rounding, or cut into other
 pieces, and exceeds what the collision kernels' tolerance can make of that.
 """
-
-TIE_BREAK = 0.01
-"""Weight of the energy, as metres of straight driving, in the length objective."""
 
 
 class Segments(NamedTuple):
@@ -112,41 +110,26 @@ class Query:
         return np.where(np.abs(rays) < 1e-15, 0.0, rays)
 
     @cached_property
+    def objective(self) -> Prices:
+        """What the objective makes of motions."""
+        return Prices(self.problem.cost, self.problem.surfaces, self.problem.objective)
+
+    @cached_property
     def costs(self) -> tuple[EnergyCost, ...]:
         """Costs of the classes of surface; the problem's own is the first."""
-        cost, surfaces = self.problem.cost, self.problem.surfaces
-        return (cost,) if surfaces is None else surfaces.costs(cost)
+        return self.objective.costs
 
     @cached_property
     def grid(self) -> OccupancyGrid:
         """The map, with what must be kept out of occupied."""
         return _ground(self.problem).grid
 
-    def _prices(self, cost: EnergyCost) -> FloatArray:
-        """Price of the rays on one class of surface."""
-        half = self.problem.cost.half_track
-        ds, dtheta = self.reference(self.rays[:, 0], self.rays[:, 1] / half)
-        weights = self.problem.weights
-        energy = cost.segment_energy(ds, dtheta)
-        total = np.asarray(weights.get("energy", 0.0) * energy)
-        if weights.get("time", 0.0) > 0:
-            start = Pose(0.0, 0.0, 0.0)
-            c_x = cost.icr.longitudinal
-            times = [
-                cost.duration(Path(start, ds[k : k + 1], dtheta[k : k + 1], c_x))
-                for k in range(len(ds))
-            ]
-            total = total + weights["time"] * np.array(times)
-        if weights.get("length", 0.0) > 0:
-            metre = float(cost.segment_energy(1.0, 0.0))
-            length = np.abs(self.rays[:, 0]) + TIE_BREAK * energy / metre
-            total = total + weights["length"] * length
-        return np.asarray(total)
-
     @cached_property
     def prices(self) -> FloatArray:
         """Price of the rays, shape (classes, DIRECTIONS + 1)."""
-        return np.array([self._prices(cost) for cost in self.costs])
+        half = self.problem.cost.half_track
+        ds, dtheta = self.reference(self.rays[:, 0], self.rays[:, 1] / half)
+        return np.array([self.objective.motion(ds, dtheta, k) for k in range(len(self.costs))])
 
     @cached_property
     def steering(self) -> Minorant:
@@ -265,13 +248,7 @@ class Query:
         else:
             energy, breakdown = surfaces.energy(path, cost), surfaces.breakdown(path, cost)
             duration = surfaces.duration(path, cost) if timed else np.nan
-        weights = self.problem.weights
-        metre = float(self.problem.cost.segment_energy(1.0, 0.0))
-        value = (
-            weights.get("energy", 0.0) * energy
-            + (weights["time"] * duration if weights.get("time", 0.0) > 0 else 0.0)
-            + weights.get("length", 0.0) * (path.length + TIE_BREAK * energy / metre)
-        )
+        value = self.objective.value(energy, path.length, duration)
         bound = min(bound, value)
         return Plan(
             path=path,
