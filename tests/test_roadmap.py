@@ -12,21 +12,22 @@ import shapely
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
+from energyplan.effects import VISCOUS_LOSS
 from energyplan.errors import (
     InvalidInputError,
     NoPathError,
     StartInCollisionError,
-    UnsupportedPlannerError,
+    TimeLimitError,
 )
 from energyplan.io.route_graph import read_route_graph
 from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
-from energyplan.path import wrap_angle
-from energyplan.planners import PlanningProblem
+from energyplan.path import Path, Pose, wrap_angle
+from energyplan.planners import PlanningProblem, plan
 from energyplan.planners import roadmap as rm
 from energyplan.planners._energy_graph import round_corner
 from energyplan.planners._visibility import traced
-from energyplan.power import PowerModel
-from energyplan.vehicle import TreadICR
+from energyplan.power import HOTEL, PowerModel
+from energyplan.vehicle import MotorLimits, TreadICR
 
 MODEL = PowerModel.preset("quadriga:empty:concrete")
 COST = EnergyCost(MODEL)
@@ -42,7 +43,7 @@ def grid_graph(rng, side=4, size=2.0):
     return graph
 
 
-def brute_force(graph, source, target, start_yaw, goal_yaw, reverse):
+def brute_force(graph, source, target, start_yaw, goal_yaw, reverse, metre=A, radian=SPIN):
     """Every simple path, every gear on every edge, priced by the closed form."""
     place = nx.get_node_attributes(graph, "pos")
     best = np.inf
@@ -58,7 +59,7 @@ def brute_force(graph, source, target, start_yaw, goal_yaw, reverse):
             if goal_yaw is not None:
                 yaw.append([goal_yaw])
             turning = np.abs(wrap_angle(np.diff(np.concatenate(yaw)))).sum()
-            best = min(best, A * length + SPIN * turning)
+            best = min(best, metre * length + radian * turning)
     return best
 
 
@@ -73,6 +74,35 @@ def test_routes_are_the_best_of_all(reverse, ends):
         )
         expected = brute_force(graph, (0, 0), (2, 2), *ends, reverse)
         assert route.energy == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "objective", ["energy", "length", "time", {"energy": 1.0, "time": 300.0, "length": 20.0}]
+)
+def test_routes_are_the_best_of_all_at_every_objective(objective):
+    """Hotel load and a limit of power: a turn and a metre have prices of their own in each."""
+    vehicle = replace(MODEL.vehicle, motor=MotorLimits(continuous_power=150.0, speed=1.2))
+    cost = EnergyCost(replace(MODEL, vehicle=vehicle).with_term(HOTEL, 90.0))
+    weights = {objective: 1.0} if isinstance(objective, str) else objective
+
+    def price(ds, turn):
+        """By hand: what `Plan.cost` is said to be."""
+        motion = Path(Pose(0, 0, 0), [ds], [turn])
+        energy = cost.energy(motion)
+        tied = abs(ds) + 0.01 * energy / cost.energy(Path(Pose(0, 0, 0), [1.0], [0.0]))
+        total = weights.get("energy", 0) * energy + weights.get("length", 0) * tied
+        return total + weights.get("time", 0) * cost.duration(motion)
+
+    rng = np.random.default_rng(28)
+    for _ in range(4):
+        graph = grid_graph(rng, side=3)
+        roadmap = rm.Roadmap(graph, cost, objective=objective)
+        route = roadmap.route((0, 0), (2, 2), start_yaw=1.5)
+        expected = brute_force(
+            graph, (0, 0), (2, 2), 1.5, None, True, price(1.0, 0.0), price(0.0, 1.0)
+        )
+        assert route.cost == pytest.approx(expected, rel=1e-6)
+        assert route.energy == pytest.approx(cost.energy(route.path), rel=1e-12)
 
 
 def test_a_route_ends_where_it_should():
@@ -102,7 +132,7 @@ def test_the_weights_along_a_route_add_up_to_its_energy():
         roadmap = rm.Roadmap(graph, COST, surfaces=surfaces, radius=radius)
         route = roadmap.route((0, 0), (3, 3))
         arcs = [roadmap.states[a][b]["weight"] for a, b in itertools.pairwise(route.states)]
-        first = roadmap.states.nodes[route.states[0]]["energy"]
+        first = roadmap.states.nodes[route.states[0]]["cost"]
         assert route.energy == pytest.approx(first + sum(arcs), rel=1e-9)
 
 
@@ -159,10 +189,10 @@ def test_malformed_graphs_are_refused():
 def test_without_losses_the_widest_corner_is_best():
     """Per radian a R costs nothing extra up to C, and beyond the shorter way still pays."""
     turn, limit = np.array([0.3, 1.5, 2.5]), np.array([0.3, 0.47, 2.0])
-    corner = round_corner(COST, turn, limit, np.ones(3))
+    corner = round_corner(COST.segment_energy, C, turn, limit, np.ones(3))
     assert np.allclose(corner.radius, limit)
     expected = A * (np.maximum(limit, C) * turn - 2 * limit * np.tan(turn / 2)) + BETA * turn
-    assert np.allclose(corner.energy, expected)
+    assert np.allclose(corner.price, expected)
 
 
 def test_with_losses_the_pivot_beats_wide_arcs():
@@ -170,14 +200,14 @@ def test_with_losses_the_pivot_beats_wide_arcs():
     vehicle = replace(MODEL.vehicle, regen_efficiency=0.0)
     wasteful = EnergyCost(PowerModel.paper(vehicle, 113.0, 0.627), battery=True)
     turn, limit = np.array([0.1, -0.3]), np.array([3.0, 3.0])
-    corner = round_corner(wasteful, turn, limit, np.array([1.0, -1.0]))
+    corner = round_corner(wasteful.segment_energy, C, turn, limit, np.array([1.0, -1.0]))
     radii = np.linspace(0, 3, 3001)
     for k in range(2):
         size = abs(turn[k])
         arcs = wasteful.segment_energy(radii * size, np.full(len(radii), size))
         every = arcs - wasteful.segment_energy(2 * radii * np.tan(size / 2), 0.0)
         assert corner.radius[k] == pytest.approx(C)
-        assert corner.energy[k] == pytest.approx(every.min(), rel=1e-3)
+        assert corner.price[k] == pytest.approx(every.min(), rel=1e-3)
 
 
 def test_rounded_corners_lie_within_the_lines():
@@ -190,6 +220,18 @@ def test_rounded_corners_lie_within_the_lines():
     # a radius that does not fit into half an edge is cut down
     wide = rm.Roadmap(graph, COST, radius=9.0).route(0, 2)
     assert np.allclose(np.abs(wide.path.ds), [1.0, 1.0 * np.pi / 2, 2.0])
+
+
+def test_the_best_radius_is_as_good_as_any():
+    """Where a viscous loss makes slow arcs cheap, no radius of three thousand is much better."""
+    cost = EnergyCost(MODEL.with_term(HOTEL, 60.0).with_term(VISCOUS_LOSS, 300.0))
+    turn, limit = np.array([0.4, 1.2, -2.0]), np.array([2.0, 1.5, 0.9])
+    corner = round_corner(cost.segment_energy, C, turn, limit, np.ones(3))
+    for k in range(3):
+        radii, size = np.linspace(0, limit[k], 3001), abs(turn[k])
+        arcs = cost.segment_energy(radii * size, np.full(len(radii), turn[k]))
+        every = arcs - cost.segment_energy(2 * radii * np.tan(size / 2), 0.0)
+        assert corner.price[k] <= every.min() + 1e-3 * abs(every.min())
 
 
 # -- visibility graphs ------------------------------------------------------------------------
@@ -232,6 +274,31 @@ def test_an_arc_about_a_corner_keeps_the_clearance():
         assert np.abs(path.ds / np.where(path.dtheta == 0, np.inf, path.dtheta)).max() > 0.49
         points = shapely.points(path.poses(0.005, 0.01)[:, :2])
         assert 0.5 - 1e-6 <= shapely.distance(box, points).min() <= largest + 1e-6
+
+
+def test_lines_of_sight_within_reach_are_those_of_the_whole_graph():
+    rng = np.random.default_rng(27)
+    boxes = [shapely.box(x, y, x + 0.7, y + 0.4) for x, y in rng.uniform(1, 19, (60, 2))]
+    ends = np.array([(0.2, 0.3), (9.0, 8.0)])
+    whole = rm.visibility_graph(boxes, 0.2, ends)
+    near = rm.visibility_graph(boxes, 0.2, ends, reach=14.0)
+
+    def lines(graph, reach=np.inf):
+        place = nx.get_node_attributes(graph, "pos")
+        found = set()
+        for a, b in graph.edges:
+            p, q = (np.array(place[n]) for n in (a, b))
+            way = min(
+                np.hypot(*(u - ends[0])) + np.hypot(*(v - ends[1])) for u, v in ((p, q), (q, p))
+            )
+            if way + np.hypot(*(p - q)) <= reach:
+                found.add(frozenset([tuple(p.round(9)), tuple(q.round(9))]))
+        return found
+
+    assert lines(near) == lines(whole, 14.0)
+    assert 0 < len(lines(near)) < 0.5 * len(lines(whole))
+    with pytest.raises(InvalidInputError, match="two points"):
+        rm.visibility_graph(boxes, 0.2, reach=3.0)
 
 
 def test_tracing_covers_the_map_closely():
@@ -290,6 +357,66 @@ def test_plans_are_free_and_end_at_the_goal():
         assert plan.lower_bound <= plan.energy * (1 + 1e-9)
 
 
+@pytest.mark.parametrize("objective", ["energy", "length", "time", {"energy": 1, "time": 200}])
+def test_plans_follow_the_objective(objective):
+    """No dearer than the lattice planner's by more than a little, and above its bound."""
+    boxes = [(x, y, x + 0.8, y + 0.6) for x in (2, 4.5, 7, 9.5) for y in (1.5, 4, 6.5)]
+    problem = PlanningProblem(hall(*boxes), COST, (1, 1, 0.4), (11, 8.5, 1.2), objective=objective)
+    found, other = rm.plan(problem, 20.0), plan(problem, "lattice", 2.0)
+    assert found.cost == pytest.approx(rm.Prices(COST, objective=objective).path(found.path))
+    assert max(found.lower_bound, other.lower_bound) <= found.cost <= 1.02 * other.cost
+    assert problem.map.path_free(found.path, MODEL.vehicle)
+
+
+def test_objectives_differ_in_what_they_make_least():
+    boxes = [(x, y, x + 0.8, y + 0.6) for x in (2, 4.5, 7, 9.5) for y in (1.5, 4, 6.5)]
+    problem = PlanningProblem(hall(*boxes), COST, (1, 1, 0.4), (11, 8.5, -2.0))
+    plans = [
+        rm.plan(replace(problem, objective=name), 20.0, refine=False)
+        for name in ("energy", "length", "time")
+    ]
+    for k, values in enumerate(
+        zip(*((p.energy, p.length, p.duration) for p in plans), strict=True)
+    ):
+        assert values[k] <= min(values) * (1 + 1e-9)
+        assert values[k] < max(values)
+
+
+@pytest.mark.parametrize("objective", ["energy", "length", "time"])
+@pytest.mark.parametrize("first", [0.5, 1.2])
+def test_lines_of_sight_that_are_left_out_make_no_difference(monkeypatch, objective, first):
+    """The ellipse about start and goal grows until nothing outside of it can be better."""
+    rng = np.random.default_rng(29)
+    discs = [shapely.Point(*rng.uniform(1.5, 18.5, 2)).buffer(0.5, 3) for _ in range(45)]
+    grid = OccupancyGrid.from_polygons(discs, (0, 0, 20, 20), 0.1)
+    free = np.array([(x, y, 0.0) for x in range(1, 20) for y in range(1, 20)])
+    free = free[grid.footprint_free(free, MODEL.vehicle)]
+    start, goal = free[np.argmin(free.sum(axis=1))], free[np.argmax(free[:, 0] - 0.3 * free[:, 1])]
+    problem = PlanningProblem(grid, COST, start, goal, objective=objective)
+    whole, near = rm._first_reach, []
+
+    def guess(query):
+        near.append(first * np.hypot(*(goal - start)[:2]))
+        return near[-1]
+
+    monkeypatch.setattr(rm, "_first_reach", lambda query: np.inf)
+    expected = rm.plan(problem, 30.0, refine=False)
+    monkeypatch.setattr(rm, "_first_reach", guess)
+    assert rm.plan(problem, 30.0, refine=False).cost == pytest.approx(expected.cost, rel=1e-9)
+    assert len(near) == 1
+    monkeypatch.setattr(rm, "_first_reach", whole)
+    assert rm.plan(problem, 30.0, refine=False).cost == pytest.approx(expected.cost, rel=1e-9)
+
+
+def test_thousands_of_corners_out_of_reach_cost_nothing():
+    x, y = np.meshgrid(np.arange(6.0, 40.0, 1.0), np.arange(6.0, 40.0, 1.0))
+    posts = shapely.box(x, y, x + 0.3, y + 0.3).ravel()
+    grid = OccupancyGrid.from_polygons(posts, (0, 0, 40, 40), 0.1)
+    problem = PlanningProblem(grid, COST, (1, 1, 0), (5, 9, 1.0))
+    found = rm.plan(problem, 20.0, obstacles=posts, clearance=0.2)
+    assert found.gap < 0.01
+
+
 def test_plan_on_a_given_graph():
     """Its edges through obstacles are not driven."""
     grid = hall((4, 0, 5, 6))
@@ -305,14 +432,52 @@ def test_plan_on_a_given_graph():
         rm.plan(problem, graph=blocked)
 
 
+def test_a_known_route_is_returned_when_time_is_over(monkeypatch):
+    """The second, larger ellipse is not finished; and without a first one there is no route."""
+    grid = hall((4, 0, 5, 6))
+    problem = PlanningProblem(grid, COST, (1, 2, 0), (10, 2, 0))
+    expected = rm.plan(problem, 20.0, refine=False)
+    built = []
+
+    def interrupted(*args, **kwargs):
+        built.append(kwargs["reach"])
+        if len(built) > 1:
+            kwargs["deadline"] = -np.inf
+        return visibility_graph(*args, **kwargs)
+
+    visibility_graph = rm.visibility_graph
+    monkeypatch.setattr(rm, "visibility_graph", interrupted)
+    monkeypatch.setattr(rm, "_first_reach", lambda query: 14.0)
+    assert rm.plan(problem, 20.0, refine=False).energy == pytest.approx(expected.energy)
+    assert len(built) == 2
+    with pytest.raises(TimeLimitError, match="1 obstacles had been grown"):
+        rm.plan(problem, 20.0, refine=False)
+
+
+def test_each_stage_says_how_far_it_got():
+    graph = grid_graph(np.random.default_rng(30))
+    with pytest.raises(TimeLimitError, match=r"0 of \d+ turns were priced"):
+        rm.energy_graph(graph, COST, deadline=-np.inf)
+    ground = SurfaceMap([Surface(shapely.box(3, -5, 20, 20), MODEL)])
+    with pytest.raises(TimeLimitError, match=r"0 of 96 edges were priced"):
+        rm.energy_graph(graph, COST, surfaces=ground, deadline=-np.inf)
+    roadmap = rm.Roadmap(nx.grid_2d_graph(25, 25), COST)
+    nx.set_node_attributes(roadmap.graph, {n: n for n in roadmap.graph}, "pos")
+    late = replace(roadmap, deadline=-np.inf)
+    late.__dict__["states"] = roadmap.states
+    with pytest.raises(TimeLimitError, match=r"4096 of \d+ turns were searched"):
+        late.route((0, 0), (24, 24))
+    problem = PlanningProblem(hall((4, 0, 5, 6)), COST, (1, 2, 0), (10, 2, 0))
+    with pytest.raises(TimeLimitError, match="time_limit"):
+        rm.plan(problem, 1e-6)
+
+
 def test_what_cannot_be_planned_is_refused():
     grid = hall((4, 0, 5, 10))
     with pytest.raises(NoPathError, match=r"\(1.00, 2.00\) to .* at \(10.00, 2.00\).*lattice"):
         rm.plan(PlanningProblem(grid, COST, (1, 2, 0), (10, 2, 0)))
     with pytest.raises(StartInCollisionError):
         rm.plan(PlanningProblem(grid, COST, (4.5, 2, 0), (10, 2, 0)))
-    with pytest.raises(UnsupportedPlannerError, match="lattice"):
-        rm.plan(PlanningProblem(grid, COST, (1, 2, 0), (2, 2, 0), objective="length"))
 
 
 @pytest.mark.shared

@@ -8,24 +8,30 @@ algorithm applies to it.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import networkx as nx
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
 from energyplan.maps import SurfaceMap
 from energyplan.path import FloatArray, wrap_angle
+from energyplan.planners._deadline import in_time
+from energyplan.planners._prices import Prices
 
 Graph = Any
 """A networkx graph of any kind; its nodes carry ``pos`` or ``x`` and ``y``."""
 
 _RADII = np.linspace(0.0, 1.0, 9)
 """Radii at which a rounded corner is priced, as fractions of the largest."""
+
+_CHUNK = 20_000
+"""Turns or edges between two looks at the clock."""
 
 
 class State(NamedTuple):
@@ -78,26 +84,35 @@ class Corner:
     ----------
     radius : ndarray, shape (n,)
         Radius of the arc [m]; 0 for a spin on the spot.
-    energy : ndarray, shape (n,)
-        Energy of the arc, less that of the straight lines that it cuts off [J].
+    price : ndarray, shape (n,)
+        Price of the arc, less that of the straight lines that it cuts off.
     """
 
     radius: FloatArray
-    energy: FloatArray
+    price: FloatArray
 
 
-def round_corner(cost: EnergyCost, turn: FloatArray, limit: FloatArray, gear: FloatArray) -> Corner:
+def round_corner(
+    price: Callable[[ArrayLike, ArrayLike], FloatArray],
+    half_track: float,
+    turn: FloatArray,
+    limit: FloatArray,
+    gear: FloatArray,
+) -> Corner:
     """Return the best way round corners.
 
     Both lines that meet at a corner are left at the same distance before it and joined by an
-    arc. Of all radii up to `limit` that of least energy is chosen. Where every joule of an inner,
-    generating motor comes back, that is the largest one, which cuts off most of the way; where it
-    is lost, it is often the pivot about a tread's ICR.
+    arc. Of all radii up to `limit` the cheapest is chosen. Where energy counts and every joule of
+    an inner, generating motor comes back, that is the largest one, which cuts off most of the way;
+    where it is lost, it is often the pivot about a tread's ICR. So nine radii and the pivot are
+    tried, then nine between the neighbours of the best.
 
     Parameters
     ----------
-    cost : EnergyCost
-        Cost of motions.
+    price : callable
+        Price of arcs ``(ds, dtheta)`` of the reference point.
+    half_track : float
+        Radius of a pivot [m].
     turn : ndarray, shape (n,)
         Turns [rad], in (-pi, pi].
     limit : ndarray, shape (n,)
@@ -108,20 +123,31 @@ def round_corner(cost: EnergyCost, turn: FloatArray, limit: FloatArray, gear: Fl
     Returns
     -------
     Corner
-        Radius and energy of each.
+        Radius and price of each.
     """
-    half = cost.half_track
-    pivot = np.where(limit >= half, half, 0.0)
-    radius = np.concatenate([limit[:, None] * _RADII, pivot[:, None]], axis=1)
     size = np.abs(turn)[:, None]
-    # a half turn cannot be rounded: its lines never meet
-    cut = radius * np.tan(np.minimum(0.5 * size, 1.5))
     way = gear[:, None]
-    arc = cost.segment_energy(way * radius * size, np.broadcast_to(turn[:, None], radius.shape))
-    energy = arc - cost.segment_energy(way * 2 * cut, np.zeros(1))
-    best = np.argmin(energy, axis=1)
+    # a half turn cannot be rounded: its lines never meet
+    tangent = np.tan(np.minimum(0.5 * size, 1.5))
     row = np.arange(len(turn))
-    return Corner(radius[row, best], energy[row, best])
+
+    def extra(radius: FloatArray) -> FloatArray:
+        arc = price(way * radius * size, np.broadcast_to(turn[:, None], radius.shape))
+        return np.asarray(arc - price(way * 2 * radius * tangent, np.zeros(1)))
+
+    pivot = np.where(limit >= half_track, half_track, 0.0)
+    radius = np.concatenate([limit[:, None] * _RADII, pivot[:, None]], axis=1)
+    value = extra(radius)
+    k = np.argmin(value, axis=1)
+    best, least = radius[row, k], value[row, k]
+    near = _RADII[1] * limit
+    low, high = np.maximum(best - near, 0.0), np.minimum(best + near, limit)
+    between = low[:, None] + (high - low)[:, None] * _RADII
+    value = extra(between)
+    k = np.argmin(value, axis=1)
+    # a radius in between must be worth more than rounding
+    better = value[row, k] < least - 1e-9 * np.abs(least)
+    return Corner(np.where(better, between[row, k], best), np.where(better, value[row, k], least))
 
 
 @dataclass(frozen=True)
@@ -177,16 +203,24 @@ def edges_of(graph: Graph, reverse: bool) -> Edges:
     return Edges(tuple(states), table[:, :2], table[:, 2], table[:, 3], table[:, 4])
 
 
-def edge_energies(edges: Edges, cost: EnergyCost, surfaces: SurfaceMap | None) -> FloatArray:
-    """Return the energy of driving each edge straight [J]."""
+def edge_prices(edges: Edges, prices: Prices, deadline: float = np.inf) -> FloatArray:
+    """Return the price of driving each edge straight."""
     ds = edges.gear * edges.length
-    if surfaces is None:
-        return cost.segment_energy(ds, 0.0)
+    if prices.surfaces is None:
+        return prices.motion(ds, 0.0)
     heading = np.column_stack([np.cos(edges.heading), np.sin(edges.heading)])
-    shares = surfaces.line_shares(edges.start, edges.start + edges.length[:, None] * heading)
-    costs = surfaces.costs(cost)
-    parts = [c.segment_energy(ds * share, 0.0) for c, share in zip(costs, shares.T, strict=True)]
-    return np.asarray(np.sum(parts, axis=0))
+    ends = edges.start + edges.length[:, None] * heading
+    total = np.zeros(len(ds))
+    for part in _parts(len(ds)):
+        in_time(deadline, f"{part.start} of {len(ds)} edges were priced")
+        shares = prices.surfaces.line_shares(edges.start[part], ends[part])
+        for region, share in enumerate(shares.T):
+            total[part] += prices.motion(ds[part] * share, 0.0, region)
+    return total
+
+
+def _parts(count: int) -> Iterator[slice]:
+    return (slice(k, min(k + _CHUNK, count)) for k in range(0, count, _CHUNK))
 
 
 def energy_graph(
@@ -196,13 +230,16 @@ def energy_graph(
     surfaces: SurfaceMap | None = None,
     reverse: bool = True,
     radius: float = 0.0,
+    objective: str | Mapping[str, float] = "energy",
+    deadline: float = np.inf,
 ) -> nx.DiGraph[State]:
     """Return the graph of states whose shortest paths are the routes of least energy.
 
-    Its nodes are `State` tuples, with the energy of driving that edge straight as ``energy`` [J].
-    Its arcs join an edge to the next one; their ``weight`` [J] is the energy of the turn at the
+    Its nodes are `State` tuples, with the price of driving that edge straight as ``cost``.
+    Its arcs join an edge to the next one; their ``weight`` is the price of the turn at the
     node between them plus that of the next edge, and ``radius`` [m] says how the turn is made.
-    It may start forwards and go on backwards, in which case it turns on the spot.
+    It may start forwards and go on backwards, in which case it turns on the spot. Prices are
+    joules, or of the objective's unit.
 
     Parameters
     ----------
@@ -220,6 +257,10 @@ def energy_graph(
         Whether the robot may drive backwards.
     radius : float
         Largest radius of rounded corners [m]; 0 to turn on the spot.
+    objective : {"energy", "length", "time"} or mapping of str to float
+        What is to be least, as in `PlanningProblem`.
+    deadline : float
+        Reading of `time.perf_counter` at which to stop.
 
     Returns
     -------
@@ -230,6 +271,8 @@ def energy_graph(
     ------
     InvalidInputError
         If a node has no position, or an edge joins two nodes at one place.
+    TimeLimitError
+        If the deadline passes; the message says how far it got.
 
     Examples
     --------
@@ -241,39 +284,61 @@ def energy_graph(
     >>> round(arc["weight"], 2)  # a quarter turn of 200 J/rad, then 3 m of 200 J/m
     914.16
     """
+    prices = Prices(cost, surfaces, objective)
     edges = edges_of(graph, reverse)
-    energies = edge_energies(edges, cost, surfaces)
+    straight = edge_prices(edges, prices, deadline)
     out: nx.DiGraph[State] = nx.DiGraph()
-    for state, energy in zip(edges.states, energies.tolist(), strict=True):
-        out.add_node(state, energy=energy)
+    for state, price in zip(edges.states, straight.tolist(), strict=True):
+        out.add_node(state, cost=price)
     first, then = _successions(graph, edges)
-    if len(first) == 0:
-        return out
+    region = np.zeros(len(edges.states), int)
+    if surfaces is not None and len(region):
+        region = surfaces.region_at(edges.start)
+    known = {node: float(data.get("radius", radius)) for node, data in graph.nodes(data=True)}
+    widest = np.array([known[state.source] for state in edges.states])
+    for part in _parts(len(first)):
+        in_time(deadline, f"{part.start} of {len(first)} turns were priced")
+        a, b = first[part], then[part]
+        corner = _corners(edges, a, b, widest[b], region[b], prices)
+        out.add_edges_from(
+            (edges.states[i], edges.states[j], {"weight": w, "radius": r})
+            for i, j, w, r in zip(
+                a.tolist(),
+                b.tolist(),
+                (corner.price + straight[b]).tolist(),
+                corner.radius.tolist(),
+                strict=True,
+            )
+        )
+    return out
+
+
+def _corners(
+    edges: Edges,
+    first: NDArray[np.intp],
+    then: NDArray[np.intp],
+    widest: FloatArray,
+    region: NDArray[np.intp],
+    prices: Prices,
+) -> Corner:
+    """Return how to turn from the first edges to those that come then."""
     turn = wrap_angle(edges.yaw[then] - edges.yaw[first])
     # rounding errors must not tell a turn to the left from one to the right
     turn = np.where(np.abs(np.abs(turn) - np.pi) < 1e-9, np.pi, turn)
-    known = {node: float(data.get("radius", radius)) for node, data in graph.nodes(data=True)}
-    widest = np.array([known[state.source] for state in edges.states])[then]
     room = 0.5 * np.minimum(edges.length[first], edges.length[then])
     tangent = np.tan(np.minimum(0.5 * np.abs(turn), 1.5))
     limit = np.minimum(widest, room / np.maximum(tangent, 1e-9))
     same_gear = (edges.gear[first] == edges.gear[then]) & (np.abs(turn) < 3.0)
     limit = np.where(same_gear, limit, 0.0)
-    region = np.zeros(len(turn), int) if surfaces is None else surfaces.region_at(edges.start[then])
-    arc_radius, arc_energy = np.zeros(len(turn)), np.zeros(len(turn))
-    for number, c in enumerate((cost,) if surfaces is None else surfaces.costs(cost)):
+    radius, price = np.zeros(len(turn)), np.zeros(len(turn))
+    for number, cost in enumerate(prices.costs):
         here = region == number
         if np.any(here):
-            corner = round_corner(c, turn[here], limit[here], edges.gear[then][here])
-            arc_radius[here], arc_energy[here] = corner.radius, corner.energy
-    weight = arc_energy + energies[then]
-    out.add_edges_from(
-        (edges.states[i], edges.states[j], {"weight": w, "radius": r})
-        for i, j, w, r in zip(
-            first.tolist(), then.tolist(), weight.tolist(), arc_radius.tolist(), strict=True
-        )
-    )
-    return out
+            charge = partial(prices.motion, region=number)
+            way = edges.gear[then][here]
+            corner = round_corner(charge, cost.half_track, turn[here], limit[here], way)
+            radius[here], price[here] = corner.radius, corner.price
+    return Corner(radius, price)
 
 
 def _successions(graph: Graph, edges: Edges) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

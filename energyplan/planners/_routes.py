@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Hashable, Sequence
+from collections.abc import Container, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,7 +13,12 @@ from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, NoPathError
 from energyplan.maps import SurfaceMap
 from energyplan.path import Path, Pose, wrap_angle
+from energyplan.planners._deadline import in_time
 from energyplan.planners._energy_graph import Graph, State, energy_graph, positions
+from energyplan.planners._prices import Prices
+
+_LOOK = 4096
+"""Turns searched between two looks at the clock."""
 
 
 @dataclass(frozen=True)
@@ -30,12 +35,15 @@ class Route:
         The motions; spins and arcs at the nodes included.
     energy : float
         Its energy, priced by the model itself [J].
+    cost : float
+        The objective's value: `energy` itself where energy is the objective.
     """
 
     nodes: tuple[Hashable, ...]
     states: tuple[State, ...]
     path: Path
     energy: float
+    cost: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +63,10 @@ class Roadmap:
         Whether the robot may drive backwards.
     radius : float
         Largest radius of rounded corners [m], where a node has no ``radius`` of its own.
+    objective : {"energy", "length", "time"} or mapping of str to float
+        What to make least, as in `PlanningProblem`.
+    deadline : float
+        Reading of `time.perf_counter` at which building and searching raise `TimeLimitError`.
 
     Examples
     --------
@@ -73,6 +85,13 @@ class Roadmap:
     surfaces: SurfaceMap | None = None
     reverse: bool = True
     radius: float = 0.0
+    objective: str | Mapping[str, float] = "energy"
+    deadline: float = np.inf
+
+    @cached_property
+    def prices(self) -> Prices:
+        """What the objective makes of motions."""
+        return Prices(self.cost, self.surfaces, self.objective)
 
     @cached_property
     def states(self) -> nx.DiGraph[State]:
@@ -83,6 +102,8 @@ class Roadmap:
             surfaces=self.surfaces,
             reverse=self.reverse,
             radius=self.radius,
+            objective=self.objective,
+            deadline=self.deadline,
         )
 
     @cached_property
@@ -94,18 +115,11 @@ class Roadmap:
         (ax, ay), (bx, by) = self._places[state.source], self._places[state.target]
         return float(np.arctan2(by - ay, bx - ax)) + (0.0 if state.gear > 0 else np.pi)
 
-    @cached_property
-    def _costs(self) -> tuple[EnergyCost, ...]:
-        return (self.cost,) if self.surfaces is None else self.surfaces.costs(self.cost)
-
-    def _turning(self, node: Hashable) -> EnergyCost:
-        """Return the cost of turning at a node."""
-        if self.surfaces is None:
-            return self.cost
-        return self._costs[int(self.surfaces.region_at(self._places[node]))]
-
-    def _spin(self, node: Hashable, turn: float) -> float:
-        return float(self._turning(node).segment_energy(0.0, turn))
+    def _turn(self, node: Hashable, ds: float, turn: float) -> float:
+        """Return the price of a motion on the ground under a node."""
+        ground = self.surfaces
+        region = 0 if ground is None else int(ground.region_at(self._places[node]))
+        return float(self.prices.motion(ds, turn, region))
 
     def route(
         self,
@@ -115,7 +129,7 @@ class Roadmap:
         start_yaw: float | None = None,
         goal_yaw: float | None = None,
     ) -> Route:
-        """Return the route of least energy between two nodes.
+        """Return the route between two nodes whose objective is least.
 
         Parameters
         ----------
@@ -142,13 +156,8 @@ class Roadmap:
         sequence = self.search(source, target, start_yaw, goal_yaw)
         path = self.drive(source, sequence, start_yaw, goal_yaw)
         nodes = (source, *(state.target for state in sequence))
-        return Route(nodes, tuple(sequence), path, self.price(path))
-
-    def price(self, path: Path) -> float:
-        """Return the energy of a path, priced by the models themselves [J]."""
-        if self.surfaces is None:
-            return self.cost.energy(path)
-        return self.surfaces.energy(path, self.cost)
+        prices = self.prices
+        return Route(nodes, tuple(sequence), path, prices.energy(path), prices.path(path))
 
     def length(self, state: State) -> float:
         """Return the length of a state's edge [m]."""
@@ -165,11 +174,11 @@ class Roadmap:
     def retune(self, here: State, ahead: State, radius: float) -> None:
         """Let the turn from one state to the next be driven with another radius [m]."""
         turn = float(wrap_angle(self.yaw(ahead) - self.yaw(here)))
-        cost = self._turning(here.target)
+        node = here.target
         cut = radius * float(np.tan(0.5 * abs(turn))) if radius > 0 else 0.0
-        arc = float(cost.segment_energy(here.gear * radius * abs(turn), turn))
-        saved = float(cost.segment_energy(here.gear * 2 * cut, 0.0))
-        weight = arc - saved + self.states.nodes[ahead]["energy"]
+        arc = self._turn(node, here.gear * radius * abs(turn), turn)
+        saved = self._turn(node, here.gear * 2 * cut, 0.0)
+        weight = arc - saved + self.states.nodes[ahead]["cost"]
         self.states.add_edge(here, ahead, weight=weight, radius=radius)
 
     def search(
@@ -180,7 +189,7 @@ class Roadmap:
         goal_yaw: float | None = None,
         closed: Container[tuple[str, State]] = (),
     ) -> list[State]:
-        """Return the states of the route of least energy; see `route`.
+        """Return the states of the best route; see `route`.
 
         `closed` holds the ends that must not be used: ``("start", state)`` for a state that the
         robot must not start with, ``("goal", state)`` for one that it must not arrive by.
@@ -189,19 +198,29 @@ class Roadmap:
             return []
         # two more states for the ends, taken out again whatever happens
         states = self.states
+        looks, turns = 0, states.number_of_edges()
+
+        def weight(_: State, __: State, arc: Mapping[str, float]) -> float:
+            nonlocal looks
+            looks += 1
+            if looks % _LOOK == 0:
+                in_time(self.deadline, f"{looks} of {turns} turns were searched")
+            return arc["weight"]
+
         begin, end = State(source, source, "start", 0), State(target, target, "goal", 0)
         try:
             for state in list(states):
                 if state.source == source and ("start", state) not in closed:
                     turn = 0.0 if start_yaw is None else self.yaw(state) - start_yaw
-                    spin = self._spin(source, float(wrap_angle(turn)))
-                    states.add_edge(begin, state, weight=spin + states.nodes[state]["energy"])
+                    spin = self._turn(source, 0.0, float(wrap_angle(turn)))
+                    states.add_edge(begin, state, weight=spin + states.nodes[state]["cost"])
                 if state.target == target and ("goal", state) not in closed:
                     turn = 0.0 if goal_yaw is None else goal_yaw - self.yaw(state)
-                    states.add_edge(state, end, weight=self._spin(target, float(wrap_angle(turn))))
+                    spin = self._turn(target, 0.0, float(wrap_angle(turn)))
+                    states.add_edge(state, end, weight=spin)
             if begin not in states or end not in states:
                 raise nx.NetworkXNoPath
-            found = nx.dijkstra_path(states, begin, end, weight="weight")
+            found = nx.dijkstra_path(states, begin, end, weight=weight)
         except nx.NetworkXNoPath:
             raise NoPathError(self._nearest(source, target)) from None
         finally:

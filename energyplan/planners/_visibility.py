@@ -13,9 +13,7 @@ from shapely.geometry.base import BaseGeometry
 from energyplan.errors import InvalidInputError
 from energyplan.maps import OccupancyGrid
 from energyplan.path import FloatArray
-
-MAX_CORNERS = 3000
-"""Most corners of which a visibility graph is built; its size grows with their square."""
+from energyplan.planners._deadline import in_time
 
 _SLACK = 1e-6
 """How far a line may run inside an obstacle's rim, for rounding [m]."""
@@ -51,6 +49,9 @@ def visibility_graph(
     obstacles: BaseGeometry | Iterable[BaseGeometry],
     clearance: float,
     points: Iterable[tuple[float, float]] = (),
+    *,
+    reach: float = np.inf,
+    deadline: float = np.inf,
 ) -> nx.Graph[int]:
     """Return the visibility graph of polygons, for a route whose turns are rounded.
 
@@ -71,6 +72,12 @@ def visibility_graph(
     points : iterable of tuple of float
         Further places (x, y) [m], such as start and goal; they are the nodes 0, 1 and so on. No
         corner is rounded there.
+    reach : float
+        Longest way from the first of the `points` straight to a line of sight, along it, and
+        straight on to the second [m]: what lies farther out, beyond this ellipse, is left out.
+        The time to build the graph grows with the square of the number of corners.
+    deadline : float
+        Reading of `time.perf_counter` at which to stop.
 
     Returns
     -------
@@ -80,7 +87,9 @@ def visibility_graph(
     Raises
     ------
     InvalidInputError
-        If `clearance` is not positive or there are too many corners.
+        If `clearance` is not positive, or `reach` is given without two points.
+    TimeLimitError
+        If the deadline passes; the message says how far it got.
 
     References
     ----------
@@ -89,28 +98,37 @@ def visibility_graph(
     """
     if not clearance > 0:
         raise InvalidInputError(f"clearance is {clearance} m; give a positive number")
-    areas = [obstacles] if isinstance(obstacles, BaseGeometry) else list(obstacles)
-    grown = shapely.union_all(
-        shapely.buffer(np.array(areas, object), clearance, join_style="mitre", mitre_limit=2.0)
-    )
     places = np.array(list(points), float).reshape(-1, 2)
+    if np.isfinite(reach) and len(places) < 2:
+        raise InvalidInputError("reach is given without start and goal; give two points")
+    areas = [obstacles] if isinstance(obstacles, BaseGeometry) else list(obstacles)
+    parts = shapely.get_parts(np.array(areas, object))
+    if np.isfinite(reach):
+        # an obstacle touches what it grows into, at most two clearances away
+        first, last = (shapely.distance(parts, shapely.Point(place)) for place in places[:2])
+        parts = parts[first + last <= reach + 4.0 * clearance]
+    grown = shapely.union_all(shapely.buffer(parts, clearance, join_style="mitre", mitre_limit=2.0))
+    in_time(deadline, f"{len(parts)} obstacles had been grown by {clearance:.3g} m")
     corner, before, after = _corners(grown)
-    if len(corner) > MAX_CORNERS:
-        raise InvalidInputError(
-            f"the obstacles have {len(corner)} corners; at most {MAX_CORNERS} are taken: simplify "
-            "them first"
-        )
+    if np.isfinite(reach):
+        way = sum(np.hypot(*(corner - place).T) for place in places[:2])
+        corner, before, after = (rows[way <= reach] for rows in (corner, before, after))
     place = np.concatenate([places, corner])
     # a point has no neighbours on a rim: any line touches it
     before = np.concatenate([places, before]) - place
     after = np.concatenate([places, after]) - place
-    pairs = [_touching_pairs(k, place, before, after) for k in range(len(place))]
-    i, j = np.concatenate([np.empty((2, 0), int), *pairs], axis=1)
-    length = np.hypot(*(place[j] - place[i]).T)
-    sight = shapely.linestrings(np.stack([place[i], place[j]], axis=1))
     core = shapely.buffer(grown, -_SLACK, join_style="mitre")
     shapely.prepare(core)
-    seen = ~shapely.intersects(core, sight)
+    pairs = [np.empty((2, 0), int)]
+    for k in range(len(place)):
+        in_time(deadline, f"{k} of {len(place)} corners had been looked at from each other")
+        pair = _touching_pairs(k, place, before, after)
+        if np.isfinite(reach):
+            pair = pair[:, _way(place, pair) <= reach]
+        sight = shapely.linestrings(np.stack([place[pair[0]], place[pair[1]]], axis=1))
+        pairs.append(pair[:, ~shapely.intersects(core, sight)])
+    i, j = np.concatenate(pairs, axis=1)
+    length = np.hypot(*(place[j] - place[i]).T)
     graph: nx.Graph[int] = nx.Graph()
     for node, (x, y) in enumerate(place.tolist()):
         if node < len(places):
@@ -120,7 +138,7 @@ def visibility_graph(
             graph.add_node(node, pos=(x, y), radius=clearance, rim=rim)
     graph.add_edges_from(
         (a, b, {"length": d})
-        for a, b, d in zip(i[seen].tolist(), j[seen].tolist(), length[seen].tolist(), strict=True)
+        for a, b, d in zip(i.tolist(), j.tolist(), length.tolist(), strict=True)
     )
     return graph
 
@@ -156,6 +174,15 @@ def _touching_pairs(
     touches &= _touching(line, before[k + 1 :], after[k + 1 :])
     later = k + 1 + np.flatnonzero(touches)
     return np.stack([np.full_like(later, k), later])
+
+
+def _way(place: FloatArray, pair: NDArray[np.intp]) -> FloatArray:
+    """Return the shortest ways from the first place to the second by way of pairs of places."""
+    i, j = place[pair]
+    (start_i, start_j), (goal_i, goal_j) = (
+        [np.hypot(*(here - end).T) for here in (i, j)] for end in place[:2]
+    )
+    return np.asarray(np.minimum(start_i + goal_j, start_j + goal_i) + np.hypot(*(j - i).T))
 
 
 def _touching(line: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray:

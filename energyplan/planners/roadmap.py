@@ -19,24 +19,28 @@ from energyplan.errors import (
     InvalidInputError,
     NoPathError,
     TimeLimitError,
-    UnsupportedPlannerError,
 )
 from energyplan.maps import SurfaceMap
 from energyplan.maps._collision import first_collision
 from energyplan.path import Path, Pose, wrap_angle
 from energyplan.planners._bound import lower_bound
+from energyplan.planners._deadline import in_time
 from energyplan.planners._energy_graph import (
     Graph,
     State,
-    edge_energies,
+    edge_prices,
     edges_of,
     energy_graph,
     positions,
 )
+from energyplan.planners._motion_kernels import DIRECTIONS
+from energyplan.planners._prices import Prices
 from energyplan.planners._problem import Plan, PlanningProblem
 from energyplan.planners._query import Query, Segments
 from energyplan.planners._routes import Roadmap, Route
+from energyplan.planners._search import cell_of, field_for
 from energyplan.planners._visibility import traced, visibility_graph
+from energyplan.planners.lattice import compiled
 from energyplan.planners.refine import refine as refine_motions
 
 __all__ = [
@@ -48,6 +52,9 @@ __all__ = [
     "price_edges",
     "visibility_graph",
 ]
+
+CHUNK = 5000
+"""Edges tested for obstacles between two looks at the clock."""
 
 
 def price_edges(graph: Graph, cost: EnergyCost, surfaces: SurfaceMap | None = None) -> Graph:
@@ -76,7 +83,7 @@ def price_edges(graph: Graph, cost: EnergyCost, surfaces: SurfaceMap | None = No
     for source, target, data in priced.edges(data=True):
         if source != target:
             data["cost"] = 0.0
-    for state, energy in zip(edges.states, edge_energies(edges, cost, surfaces), strict=True):
+    for state, energy in zip(edges.states, edge_prices(edges, Prices(cost, surfaces)), strict=True):
         place = (state.source, state.target)
         data = priced.edges[(*place, state.key) if graph.is_multigraph() else place]
         data["cost"] = max(data["cost"], float(energy))
@@ -103,9 +110,9 @@ def plan(
     Parameters
     ----------
     problem : PlanningProblem
-        The problem; its objective must be the energy.
+        The problem.
     time_limit : float
-        Time to plan [s].
+        Time to plan [s]. The compilation of the kernels at their first use ever comes on top.
     graph : networkx graph, optional
         Places with positions; start and goal are joined to the nearest ones that can be reached
         in a straight line. Without it the visibility graph of the obstacles is used.
@@ -127,8 +134,9 @@ def plan(
     Returns
     -------
     Plan
-        The route of least energy on the graph, refined where wanted. Its lower bound holds for
-        all paths, not only for those on the graph.
+        The best route on the graph, refined where wanted. Its lower bound holds for all paths,
+        not only for those on the graph. Of the visibility graph as much is built as can matter
+        for the objective; if time is over before, the best route by then is returned.
 
     Raises
     ------
@@ -137,36 +145,95 @@ def plan(
     NoPathError
         If the graph holds no free route.
     TimeLimitError
-        If time was over before one was found.
-    UnsupportedPlannerError
-        If the objective is not the energy alone.
+        If time was over before one was found; the message says how far it got.
     """
+    compiled()
     begun = time.perf_counter()
     if not time_limit > 0:
         raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
-    if problem.weights != {"energy": 1.0}:
-        raise UnsupportedPlannerError(
-            f"the planner 'roadmap' makes energy least, not {problem.objective!r}; use 'lattice'"
-        )
     polish = graph is None if refine is None else refine
     query = Query(problem)
+    deadline = begun + time_limit
     places = [_reference(problem, problem.start), _reference(problem, problem.goal)]
     if graph is None:
         if clearance is None:
             half = float(np.abs(problem.robot.footprint[:, 1]).max())
             clearance = half + 0.5 * query.grid.resolution
         shapes = traced(query.grid, query.grid.resolution) if obstacles is None else obstacles
-        graph = visibility_graph(shapes, clearance, places)
-        ends: tuple[Hashable, Hashable] = (0, 1)
+        in_time(deadline, "the outlines of the obstacles had been traced")
+        path = _among(shapes, clearance, places, query, reverse, deadline)
     else:
         graph, ends = _with_ends(graph, places, neighbours)
-    roadmap = Roadmap(graph, problem.cost, problem.surfaces, reverse, radius)
-    path = _free_route(roadmap, ends, query, begun + time_limit)
+        roadmap = _roadmap(graph, query, reverse, radius, deadline)
+        path = _free_route(roadmap, ends, query)
     first = time.perf_counter()
     if polish:
-        path = _refined(roadmap, path, query, begun + time_limit)
-    bound = lower_bound(query, roadmap.price(path))
+        path = _refined(path, query, deadline)
+    bound = lower_bound(query, query.objective.path(path))
     return query.plan(path, bound, begun, first, "roadmap")
+
+
+def _roadmap(graph: Graph, query: Query, reverse: bool, radius: float, deadline: float) -> Roadmap:
+    problem = query.problem
+    return Roadmap(
+        graph, problem.cost, problem.surfaces, reverse, radius, problem.objective, deadline
+    )
+
+
+def _among(
+    shapes: BaseGeometry | Iterable[BaseGeometry],
+    clearance: float,
+    places: list[tuple[float, float]],
+    query: Query,
+    reverse: bool,
+    deadline: float,
+) -> Path:
+    """Return the cheapest free route on the visibility graph of obstacles.
+
+    A route leaves a corner aside by no more than a clearance, where it rounds it, and costs no
+    less than the least price of a metre for each metre. So once a route is known, only lines of
+    sight within an ellipse about start and goal can be on a better one. A first ellipse is guessed
+    from the way of a disc around the obstacles.
+    """
+    # a line of sight has two ends, each passed by at a clearance
+    least, rounding = query.setting.least_metre, 4.0 * clearance
+    reach, whole = _first_reach(query) + rounding, _farthest(query, places)
+    path: Path | None = None
+    while True:
+        try:
+            graph = visibility_graph(shapes, clearance, places, reach=reach, deadline=deadline)
+            roadmap = _roadmap(graph, query, reverse, 0.0, deadline)
+            path = _free_route(roadmap, (0, 1), query)
+        except TimeLimitError:
+            if path is None:
+                raise
+            return path
+        except NoPathError:
+            if reach >= whole:
+                raise
+            reach *= 2.0
+            continue
+        needed = query.objective.path(path) / least + rounding
+        if needed <= reach or reach >= whole:
+            return path
+        reach = needed
+
+
+def _first_reach(query: Query) -> float:
+    """Return how long a good route may be, in metres of the least price, its turns included."""
+    setting = query.setting
+    field = field_for(setting)
+    stride = max(int(field.spacing / setting.space.resolution + 0.5), 1)
+    way = float(field.distance[cell_of(setting, setting.start_x, setting.start_y, stride)])
+    radian = float(setting.prices[0, DIRECTIONS // 4]) * setting.half_track
+    return 1.02 * way + np.pi * radian / setting.least_metre
+
+
+def _farthest(query: Query, places: Sequence[tuple[float, float]]) -> float:
+    """Return the longest way from start to goal by way of any place on the map [m]."""
+    rows, columns = query.grid.shape
+    corners = query.grid.to_world([(0, 0), (columns, 0), (columns, rows), (0, rows)])
+    return float(np.max(sum(np.hypot(*(corners - place).T) for place in places)))
 
 
 def _reference(problem: PlanningProblem, pose: Pose) -> tuple[float, float]:
@@ -198,25 +265,28 @@ def _with_ends(
     return joined, ends
 
 
-def _free_route(
-    roadmap: Roadmap, ends: tuple[Hashable, Hashable], query: Query, deadline: float
-) -> Path:
+def _free_route(roadmap: Roadmap, ends: tuple[Hashable, Hashable], query: Query) -> Path:
     """Return the cheapest route whose footprint is free all along.
 
     Edges are tested at once; turns when a route wants them.
     """
     problem, states = query.problem, roadmap.states
     everything = list(states)
-    free = query.grid.motions_free(
-        [roadmap.pose(state, 0.0) for state in everything],
-        [state.gear * roadmap.length(state) for state in everything],
-        np.zeros(len(everything)),
-        problem.robot,
-        problem.cost.icr.longitudinal,
-    )
-    states.remove_nodes_from([s for s, good in zip(everything, free, strict=True) if not good])
+    for k in range(0, len(everything), CHUNK):
+        in_time(roadmap.deadline, f"{k} of {len(everything)} edges were tested for obstacles")
+        some = everything[k : k + CHUNK]
+        free = query.grid.motions_free(
+            [roadmap.pose(state, 0.0) for state in some],
+            [state.gear * roadmap.length(state) for state in some],
+            np.zeros(len(some)),
+            problem.robot,
+            problem.cost.icr.longitudinal,
+        )
+        states.remove_nodes_from([s for s, good in zip(some, free, strict=True) if not good])
     closed: set[tuple[str, State]] = set()
+    mended = 0
     while True:
+        in_time(roadmap.deadline, f"{mended} routes had been mended whose turns were not free")
         try:
             sequence = roadmap.search(*ends, problem.start.yaw, problem.goal.yaw, closed)
         except NoPathError as error:
@@ -227,15 +297,12 @@ def _free_route(
         path = roadmap.drive(ends[0], sequence, problem.start.yaw, problem.goal.yaw)
         if query.grid.path_free(path, problem.robot):
             return path
-        if time.perf_counter() > deadline:
-            raise TimeLimitError(
-                "time was over before a free route was found; give more time or a larger clearance"
-            )
         if not _mend(roadmap, sequence, query, closed):
             raise NoPathError("the footprint is not free where start and goal are the same place")
+        mended += 1
 
 
-def _refined(roadmap: Roadmap, path: Path, query: Query, deadline: float) -> Path:
+def _refined(path: Path, query: Query, deadline: float) -> Path:
     """Return a route made cheaper with exact steering, or the route itself."""
     lateral = query.problem.cost.icr.centre[1]
     motions = Segments(path.ds - lateral * path.dtheta, path.dtheta)
@@ -245,7 +312,8 @@ def _refined(roadmap: Roadmap, path: Path, query: Query, deadline: float) -> Pat
     if first_collision(setting.space, setting.body, centre.vertices, *motions, 0.0) >= 0:
         return path
     better = query.path(refine_motions(query, motions, deadline))
-    return better if roadmap.price(better) < roadmap.price(path) else path
+    prices = query.objective
+    return better if prices.path(better) < prices.path(path) else path
 
 
 def _mend(
