@@ -22,10 +22,13 @@ lint: $(READY)
 docs: $(READY)
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build
 
-# Nightly: new malformed inputs for every reader and command.
+# Nightly: FUZZ malformed inputs for every reader, by two fuzzers, and for every command.
+# Machines share the work by FUZZ_ONLY="atheris:*.csv command:plan"; FUZZ_ONLY=--list names all.
 FUZZ ?= 100000
+FUZZ_JOBS ?= 2
+FUZZ_ONLY ?= *
 fuzz: $(READY)
-	ENERGYPLAN_FUZZ=$(FUZZ) $(BIN)/python -m pytest -q tests/test_fuzz.py
+	@set -f; $(BIN)/python tests/fuzz/nightly.py --runs $(FUZZ) --jobs $(FUZZ_JOBS) $(FUZZ_ONLY)
 
 # The pictures of the README, drawn by the demo.
 pictures: demo

@@ -153,6 +153,7 @@ def wheel_loads(
     points = np.asarray(contacts, float)
     balance = np.vstack([np.ones(len(points)), points.T])
     weight = mass * GRAVITY
+    _require(bool(np.isfinite(weight)), f"mass is {mass} kg, too much for a number; correct it")
     target = weight * np.array([1.0, *np.asarray(cog, float)])
     loads, *_ = np.linalg.lstsq(balance, target, rcond=None)
     _require(

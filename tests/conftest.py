@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+collect_ignore = ["fuzz"]  # scripts; atheris instruments the package as it is imported
+
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:

@@ -45,6 +45,11 @@ def test_a_wheel_that_would_lift_is_an_error() -> None:
         wheel_loads([(1, 1), (-1, 1), (1, -1), (-1, -1)], 10.0, (1.5, 0.0))
 
 
+def test_a_mass_beyond_all_numbers_is_an_error() -> None:
+    with pytest.raises(VehicleError, match=r"mass is 1e\+308 kg"):
+        wheel_loads([(1, 1), (-1, 1), (1, -1), (-1, -1)], 1e308)
+
+
 def test_contacts_on_a_line_cannot_carry_an_offset() -> None:
     with pytest.raises(VehicleError, match="cannot balance"):
         wheel_loads([(0, 1), (0, -1)], 10.0, (0.1, 0.0))
