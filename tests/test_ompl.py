@@ -12,6 +12,7 @@ from energyplan.power import PowerModel
 
 base = pytest.importorskip("ompl.base")
 geometric = pytest.importorskip("ompl.geometric")
+tools = pytest.importorskip("ompl.tools")
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 
@@ -103,7 +104,8 @@ def test_sst_says_why_it_cannot():
         plan(PROBLEM, "sst", 1.0)
 
 
-def test_lattice_planner_inside_simple_setup():
+def simple_setup():
+    """OMPL's own way to set up a problem, with the footprint tested in OMPL's states."""
     space = base.ReedsSheppStateSpace(COST.half_track)
     bounds = base.RealVectorBounds(2)
     for axis, high in enumerate((10.0, 8.0)):
@@ -111,7 +113,12 @@ def test_lattice_planner_inside_simple_setup():
         bounds.setHigh(axis, high)
     space.setBounds(bounds)
     setup = geometric.SimpleSetup(space)
-    setup.setStateValidityChecker(lambda state: True)
+
+    def is_free(state):
+        pose = state.getX(), state.getY(), state.getYaw()
+        return bool(PROBLEM.map.footprint_free([pose], PROBLEM.robot)[0])
+
+    setup.setStateValidityChecker(is_free)
     ends = []
     for pose in (PROBLEM.start, PROBLEM.goal):
         state = space.allocState()
@@ -119,6 +126,11 @@ def test_lattice_planner_inside_simple_setup():
         state.setYaw(pose.yaw)
         ends.append(state)
     setup.setStartAndGoalStates(*ends)
+    return setup
+
+
+def test_lattice_planner_inside_simple_setup():
+    setup = simple_setup()
     planner = adapter.LatticePlanner(setup.getSpaceInformation(), PROBLEM.map, COST)
     setup.setPlanner(planner)
     status = setup.solve(2.0)
@@ -131,3 +143,32 @@ def test_lattice_planner_inside_simple_setup():
     again = Path.from_poses(poses, tolerance=1e-4)
     assert Pose(*again.end)[:2] == pytest.approx(PROBLEM.goal[:2], abs=1e-3)
     assert COST.energy(again) == pytest.approx(planner.plan.energy, rel=1e-3)
+
+
+def test_lattice_planner_in_ompls_benchmark(tmp_path):
+    """Beside one of OMPL's own; the log holds its runs, found exact and correct by OMPL itself."""
+    plan(PROBLEM, "lattice", 0.2)  # compile first
+    setup = simple_setup()
+    information = setup.getSpaceInformation()
+    benchmark = tools.Benchmark(setup, "pillar")
+    planner = adapter.LatticePlanner(information, PROBLEM.map, COST)
+    benchmark.addPlanner(planner)
+    benchmark.addPlanner(geometric.RRTConnect(information))
+    request = tools.Request(2.0, 4096.0, 2)
+    request.displayProgress = False
+    request.simplify = False
+    benchmark.benchmark(request)
+    log = tmp_path / "pillar.log"
+    assert benchmark.saveResultsToFile(str(log))
+    lines = log.read_text().splitlines()
+    place = lines.index("geometric_EnergyLattice", lines.index("2 planners"))
+    count = next(k for k in range(place, len(lines)) if lines[k].endswith("for each run"))
+    number = int(lines[count].split()[0])
+    names = [line.rsplit(" ", 1)[0] for line in lines[count + 1 : count + 1 + number]]
+    assert lines[count + 1 + number] == "2 runs"
+    assert planner.plan is not None
+    for line in lines[count + 2 + number : count + 4 + number]:
+        run = dict(zip(names, (cell.strip() for cell in line.split(";")), strict=False))
+        assert run["status"] == "6"  # exact solution
+        assert run["solved"] == run["correct solution"] == run["correct solution strict"] == "1"
+        assert float(run["solution length"]) == pytest.approx(planner.plan.length, rel=0.05)

@@ -22,6 +22,7 @@ from energyplan.planners._bound import lower_bound
 from energyplan.planners._motion_kernels import connection, drive, join
 from energyplan.planners._problem import Plan, PlanningProblem
 from energyplan.planners._query import Query, Segments
+from energyplan.planners.lattice import compiled
 from energyplan.planners.ompl import (
     EnergyObjective,
     PoseChecker,
@@ -55,7 +56,7 @@ def driving_rates(query: Query) -> FloatArray:
     cost = query.problem.cost
     if not (np.isfinite(cost.vehicle.motor.speed) or cost.speed):
         raise UnsupportedPlannerError(
-            f"SST plans in time, but the vehicle {cost.vehicle.name!r} has no speed limit; "
+            f"controls are held for a time, but the vehicle {cost.vehicle.name!r} has no speed limit; "
             "set its motor speed, or use 'lattice'"
         )
     angle = np.arange(RAYS) * (2 * np.pi / RAYS)
@@ -145,6 +146,7 @@ def _controlled(
     parameters: Mapping[str, object],
 ) -> Plan:
     """Let one of OMPL's planners over controls solve a problem."""
+    compiled()
     begun = time.perf_counter()
     if not time_limit > 0:
         raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")

@@ -166,6 +166,15 @@ def pose_state(space: Any, x: float, y: float, yaw: float) -> Any:
     return state
 
 
+def _ends(space: Any, query: Query) -> tuple[Any, Any]:
+    """Return states of OMPL's at start and goal."""
+    here = query.setting
+    return (
+        pose_state(space, here.start_x, here.start_y, here.start_yaw),
+        pose_state(space, here.goal_x, here.goal_y, here.goal_yaw),
+    )
+
+
 def _joined(query: Query, states: list[tuple[float, float, float]]) -> Segments:
     """Return the exact motions from one state to the next."""
     ds, dtheta = np.empty(MAX_SEGMENTS), np.empty(MAX_SEGMENTS)
@@ -187,11 +196,11 @@ def _geometric(
     parameters: Mapping[str, object],
 ) -> Plan:
     """Let one of OMPL's geometric planners solve a problem."""
+    lattice.compiled()
     begun = time.perf_counter()
     if not time_limit > 0:
         raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
     query = Query(problem)
-    setting = query.setting
     util.setLogLevel(util.LOG_NONE)
     util.RNG.setSeed(seed)
     space = pose_space(query)
@@ -202,12 +211,13 @@ def _geometric(
     information.setMotionValidator(validator)
     information.setup()
     definition = base.ProblemDefinition(information)
-    definition.setStartAndGoalStates(
-        pose_state(space, setting.start_x, setting.start_y, setting.start_yaw),
-        pose_state(space, setting.goal_x, setting.goal_y, setting.goal_yaw),
-    )
+    definition.setStartAndGoalStates(*_ends(space, query))
     objective = EnergyObjective(information, query)
     definition.setOptimizationObjective(objective)
+    # compiled, or loaded from disk, before the clock runs
+    ends = _ends(space, query)
+    objective.motionCost(*ends)
+    validator.checkMotion(*ends)
     planner = make(information)
     set_parameters(planner, name, parameters)
     planner.setProblemDefinition(definition)
@@ -381,7 +391,7 @@ class LatticePlanner(base.Planner):
 
     @override
     def solve(self, condition: Any) -> Any:
-        """Plan until OMPL's termination condition holds, or the gap is closed.
+        """Plan until OMPL's termination condition holds, or nothing is left to gain.
 
         Parameters
         ----------
@@ -418,7 +428,8 @@ class LatticePlanner(base.Planner):
             except TimeLimitError:
                 continue
             known = [self.plan.path]
-            if self.plan.gap <= self._gap:
+            # it also ends where nothing is gained any more
+            if self.plan.gap <= self._gap or self.plan.planning_time < 0.9 * share:
                 break
         if self.plan is None:
             return base.PlannerStatus(base.PlannerStatus.TIMEOUT)
