@@ -56,7 +56,7 @@ def driving_rates(query: Query) -> FloatArray:
     cost = query.problem.cost
     if not (np.isfinite(cost.vehicle.motor.speed) or cost.speed):
         raise UnsupportedPlannerError(
-            f"controls are held for a time, but the vehicle {cost.vehicle.name!r} has no speed limit; "
+            f"controls take time, but the vehicle {cost.vehicle.name!r} has no speed limit; "
             "set its motor speed, or use 'lattice'"
         )
     angle = np.arange(RAYS) * (2 * np.pi / RAYS)
