@@ -2,14 +2,16 @@
 
 A camera's raw images make up nearly all of the bag; the tread speeds and the power beside them are
 what is wanted. Each bag is read in a process of its own. The last row is the same drive without a
-camera: what memory it takes is the drive's, the rest the file's.
+camera: what memory it takes is the drive's, the rest the file's. Sizes are those of the content;
+compressed, it takes half on the disk, as half of each picture is plain and half is noise.
 
-Run ``python benchmarks/bags.py [--size MEGABYTES] [--kind mcap|sqlite]``.
+Run ``python benchmarks/bags.py [--size MEGABYTES] [--kind KIND]``.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import resource
 import subprocess
 import sys
@@ -23,6 +25,7 @@ import numpy as np
 RATE, FRAMES = 50.0, 10.0  # of the drive, of the camera [Hz]
 SHAPE = (720, 1280, 3)
 START = 1_700_000_000
+KINDS = ("mcap", "mcap-zstd", "mcap-lz4", "sqlite", "sqlite-zstd", "ros1", "ros1-lz4", "ros1-bz2")
 STATUS = """\
 float64 left_driver_current
 float64 right_driver_current
@@ -31,30 +34,61 @@ float64 right_driver_voltage
 """
 
 
-def write(folder: Path, seconds: float, kind: str, camera: bool) -> Path:
-    """Write a bag of so many seconds; with a camera it grows by 28 MB a second."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
+def writer(path: Path, kind: str) -> Any:
+    """Return a writer of bags of a kind."""
+    import lz4.frame
+    from rosbags import rosbag1, rosbag2
+
+    form, _, packing = kind.partition("-")
+    if form == "ros1":
+        first = rosbag1.Writer(path)
+        if packing:
+            first.set_compression(rosbag1.Writer.CompressionFormat[packing.upper()])
+        return first
+    plugin = rosbag2.StoragePlugin.MCAP if form == "mcap" else rosbag2.StoragePlugin.SQLITE3
+    second = rosbag2.Writer(path, version=9, storage_plugin=plugin)
+    if packing:
+        mode = (
+            rosbag2.CompressionMode.STORAGE if form == "mcap" else rosbag2.CompressionMode.MESSAGE
+        )
+        second.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
+    if packing == "lz4":  # which rosbags reads and does not write
+        second.open()
+        second.storage.compression, second.storage.compressor = "lz4", lz4.frame.compress
+        return contextlib.closing(second)
+    return second
+
+
+def write(path: Path, seconds: float, kind: str, camera: bool) -> float:
+    """Write a bag of so many seconds; return the megabytes that it holds, 28 a second of images."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    store = get_typestore(Stores.ROS2_HUMBLE)
+    first = kind.startswith("ros1")
+    store = get_typestore(Stores.ROS1_NOETIC if first else Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(STATUS, "husky_msgs/msg/HuskyStatus"))
     types = store.types
-    plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-    pixels = np.random.default_rng(1).integers(0, 256, np.prod(SHAPE), dtype=np.uint8)
-    none = np.zeros(0)
-    with Writer(folder, version=9, storage_plugin=plugin) as bag:
+    dump = store.serialize_ros1 if first else store.serialize_cdr
+    rng = np.random.default_rng(1)
+    pixels = rng.integers(0, 256, np.prod(SHAPE), dtype=np.uint8)
+    pixels[: len(pixels) // 2] = 200
+    none, held = np.zeros(0), 0
+    with writer(path, kind) as bag:
 
         def send(topic: str, name: str, t: float, message: Any) -> None:
+            nonlocal held
             if topic not in known:
                 known[topic] = bag.add_connection(topic, name, typestore=store)
-            bag.write(known[topic], round((START + t) * 1e9), store.serialize_cdr(message, name))
+            raw = dump(message, name)
+            held += len(raw)
+            bag.write(known[topic], round((START + t) * 1e9), raw)
 
         known: dict[str, Any] = {}
         for k in range(round(seconds * RATE)):
             t = k / RATE
             seconds_, nanoseconds = divmod(round((START + t) * 1e9), 10**9)
             stamp = types["builtin_interfaces/msg/Time"](sec=seconds_, nanosec=nanoseconds)
-            header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="base")
+            more = {"seq": k} if first else {}
+            header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="base", **more)
             speed = 0.5 + 0.3 * np.sin(0.5 * t)
             joints = types["sensor_msgs/msg/JointState"](
                 header=header, name=["left_wheel", "right_wheel"], position=none, effort=none,
@@ -72,7 +106,7 @@ def write(folder: Path, seconds: float, kind: str, camera: bool) -> Path:
                     is_bigendian=0, step=SHAPE[1] * SHAPE[2], data=pixels,
                 )  # fmt: skip
                 send("/camera/image_raw", "sensor_msgs/msg/Image", t, image)
-    return folder
+    return held / 1e6
 
 
 def read(bag: Path) -> None:
@@ -91,28 +125,31 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--size", type=float, default=200.0, help="largest bag [MB]")
-    parser.add_argument("--kind", choices=("mcap", "sqlite"), default="mcap")
+    parser.add_argument("--kind", choices=KINDS, default="mcap")
     parser.add_argument("--read", type=Path, help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.read:
         read(asked.read)
         return
     second = FRAMES * float(np.prod(SHAPE)) / 1e6
-    print("size [MB]  samples   read [s]   peak [MB]   of it reading [MB]")
+    print("size [MB]  on disk  samples   read [s]   peak [MB]   of it reading [MB]")
     for size, camera in (
         (asked.size / 4, True), (asked.size / 2, True), (asked.size, True), (asked.size, False)
     ):  # fmt: skip
         with tempfile.TemporaryDirectory() as folder:
-            bag = write(Path(folder) / "bag", size / second, asked.kind, camera)
-            actual = sum(file.stat().st_size for file in bag.iterdir()) / 1e6
+            bag = Path(folder) / ("drive.bag" if asked.kind.startswith("ros1") else "drive")
+            held = write(bag, size / second, asked.kind, camera)
+            files = bag.iterdir() if bag.is_dir() else [bag]
+            actual = sum(file.stat().st_size for file in files) / 1e6
             child = subprocess.run(
                 [sys.executable, __file__, "--read", str(bag)],
                 capture_output=True, text=True, check=True,
             )  # fmt: skip
             samples, seconds, peak, added = child.stdout.split()
             print(
-                f"{actual:9.0f} {samples:>8} {float(seconds):10.2f} {float(peak):11.0f} "
-                f"{float(added):20.1f}"
+                f"{held:9.0f} {actual:8.0f} {samples:>8} {float(seconds):10.2f} "
+                f"{float(peak):11.0f} {float(added):20.1f}",
+                flush=True,
             )
 
 

@@ -28,6 +28,7 @@ import networkx as nx
 import numpy as np
 import pandas as pd
 from PIL import Image
+from small_bags import TOPICS, record
 
 import energyplan as ep
 from energyplan import simulate
@@ -230,60 +231,25 @@ def folder() -> Path:
         "order: given\nstart: [0.7, 0.7, 0]\ntasks:\n  - name: post\n"
         "    pose: [3.2, 0.7, 90deg]\n    dwell: 2 min\n    power: 15 W\n"
     )
-    (place / "bag").mkdir()
-    _record(place / "bag")
+    for name, kind in BAGS.items():
+        record(place / name, kind)
     return place
 
 
-def _record(place: Path) -> None:
-    """Write a bag of each kind with two joints' speeds."""
-    from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import StoragePlugin
-    from rosbags.rosbag2 import Writer as Writer2
-    from rosbags.typesys import Stores, get_typestore
-
-    kind = "sensor_msgs/msg/JointState"
-    for name in ("one.bag", "two", "three"):
-        first = name.endswith(".bag")
-        store = get_typestore(Stores.ROS1_NOETIC if first else Stores.ROS2_HUMBLE)
-        plugin = StoragePlugin.MCAP if name == "two" else StoragePlugin.SQLITE3
-        with (
-            Writer1(place / name)
-            if first
-            else Writer2(place / name, version=9, storage_plugin=plugin)
-        ) as bag:
-            topic = bag.add_connection("/joint_states", kind, typestore=store)
-            for k in range(20):
-                stamp = store.types["builtin_interfaces/msg/Time"](sec=5, nanosec=k * 10**7)
-                header = store.types["std_msgs/msg/Header"](
-                    stamp=stamp, frame_id="", **({"seq": k} if first else {})
-                )
-                message = store.types[kind](
-                    header=header, name=["left", "right"], position=np.zeros(0),
-                    effort=np.ones(2), velocity=np.array([1.0, 1.0]),
-                )  # fmt: skip
-                dump = store.serialize_ros1 if first else store.serialize_cdr
-                bag.write(topic, 5 * 10**9 + k * 10**7, dump(message, kind))
+BAGS = {
+    "plain.bag": "ros1", "bz2.bag": "ros1-bz2", "lz4.bag": "ros1-lz4", "plain": "mcap",
+    "zstd": "mcap-zstd", "lz4": "mcap-lz4", "file": "sqlite", "messages": "sqlite-message",
+}  # fmt: skip
+"""Small bags, and the kind of each."""
 
 
 def file_of_kind(name: str) -> Path:
-    """A file that bears a suffix for its reader: bags lie in folders of their own."""
-    return next(folder().rglob(name)) if "*" in name else folder() / name
-
-
-BAG_TOPICS = TopicMap.model_validate(
-    {
-        "channels": {
-            "v_left": {"topic": "joint_states", "field": "velocity[left]"},
-            "v_right": {"topic": "joint_states", "field": "velocity[right]"},
-            "power": {"topic": "joint_states", "field": "effort[0]"},
-        }
-    }
-)
+    """Find a sound file; those of ROS 2 bags lie in folders of their own."""
+    return next(folder().rglob(name))
 
 
 def read_bag_file(file: Path) -> Any:
-    return describe_log(file), read_log(file, topics=BAG_TOPICS)
+    return describe_log(file), read_log(file, topics=TOPICS)
 
 
 READERS: dict[str, tuple[Callable[[Path], Any], bool]] = {
@@ -306,9 +272,15 @@ READERS: dict[str, tuple[Callable[[Path], Any], bool]] = {
     "surfaces.geojson": (read_surfaces, True),
     "graph.geojson": (read_route_graph, True),
     "heights.asc": (read_heights, True),
-    "one*.bag": (read_bag_file, False),
-    "*.mcap": (read_bag_file, False),
-    "*.db3": (read_bag_file, False),
+    "plain.bag": (read_bag_file, False),
+    "bz2.bag": (read_bag_file, False),
+    "lz4.bag": (read_bag_file, False),
+    "plain.mcap": (read_bag_file, False),
+    "zstd.mcap": (read_bag_file, False),
+    "lz4.mcap": (read_bag_file, False),
+    "file.db3": (read_bag_file, False),
+    "messages.db3": (lambda file: read_bag_file(file.parent), False),
+    "messages/metadata.yaml": (lambda file: read_bag_file(file.parent), True),
 }
 """Reader of each file, and whether the file is text."""
 

@@ -18,13 +18,14 @@ from energyplan.drivelog import DriveLog
 from energyplan.drivelog._checks import SetAside
 from energyplan.errors import DriveLogError, EnergyPlanError, MissingDependencyError
 from energyplan.io._align import Series, align
+from energyplan.io._unpack import bound_unpacking
 from energyplan.io.topics import TopicMap, TopicSource
 
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 """Kinds of file that are read as bags, beside folders with a ``metadata.yaml``."""
-_LARGEST_SKEW = (
-    5.0  # median difference of stamp and arrival beyond which stamps are not believed [s]
-)
+_LARGEST_SKEW = 5.0  # median difference of stamp and arrival: beyond, stamps are not believed [s]
+_MAGIC = b"#ROSBAG V2.0\n"
+_LARGEST_METADATA = 1 << 23  # bytes; a topic takes a few hundred
 _SERVES = {
     "sensor_msgs/msg/JointState": "v_left, v_right (wheel rates times radius)",
     "sensor_msgs/msg/BatteryState": "voltage, current (its sign is opposite)",
@@ -293,11 +294,13 @@ def _opened(file: Path) -> Iterator[Any]:
         raise MissingDependencyError(
             f"reading {file} needs rosbags; install it with pip install 'energyplan[bags]'"
         ) from None
+    bound_unpacking()
     unsound: tuple[type[Exception], ...] = (
         *_UNSOUND, *_database_errors(), AnyReaderError, SerdeError, TypesysError,
         rosbag1.ReaderError, rosbag2.ReaderError,
     )  # fmt: skip
     try:
+        _check_beginning(file)
         # Bags of ROS 2 before Iron do not carry their message definitions.
         with AnyReader([file], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             yield reader
@@ -306,6 +309,17 @@ def _opened(file: Path) -> Iterator[Any]:
     except unsound as problem:
         first = (str(problem).splitlines() or [""])[0] or type(problem).__name__
         raise DriveLogError(f"{file} is no sound bag: {first}; record or copy it anew") from None
+
+
+def _check_beginning(file: Path) -> None:
+    """Refuse what rosbags would take into memory whole before it finds that it is no bag."""
+    if file.suffix.lower() == ".bag":
+        with file.open("rb") as stream:
+            if stream.read(len(_MAGIC)) != _MAGIC:
+                raise ValueError("it does not begin as a ROS 1 bag does")
+    metadata = file / "metadata.yaml"
+    if metadata.is_file() and metadata.stat().st_size > _LARGEST_METADATA:
+        raise ValueError(f"its metadata.yaml is larger than {_LARGEST_METADATA >> 20} MiB")
 
 
 def _database_errors() -> tuple[type[Exception], ...]:
