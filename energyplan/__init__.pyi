@@ -41,6 +41,9 @@ from .power import PowerModel as PowerModel
 from .power import Residual as Residual
 from .power import Sides as Sides
 from .power import Term as Term
+from .tradeoff import ParetoFront as ParetoFront
+from .tradeoff import ParetoPoint as ParetoPoint
+from .tradeoff import pareto as pareto
 from .vehicle import MotorLimits as MotorLimits
 from .vehicle import TreadICR as TreadICR
 from .vehicle import Vehicle as Vehicle

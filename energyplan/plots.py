@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from energyplan.feasibility import FeasibleRegion
     from energyplan.maps import OccupancyGrid
     from energyplan.mission import MissionReport
+    from energyplan.tradeoff import ParetoFront
 
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PURPLE = (
     "#000000", "#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7",
@@ -394,6 +395,37 @@ def breakdown(ax: Axes, parts: Mapping[str, Mapping[str, float]]) -> Axes:
         below = below + values
     _label(ax, "energy [kJ]", "", "Energy by term")
     _legend(ax, outside=True)
+    return ax
+
+
+def pareto(ax: Axes, front: ParetoFront) -> Axes:
+    """Draw energy against time: the drives known, and below them what no drive can reach.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    front : ParetoFront
+        Result of `energyplan.pareto`.
+
+    Returns
+    -------
+    Axes
+        `ax`.
+    """
+    times, energies = front.duration, front.energy / 1e3
+    span = np.linspace(0.95 * times.min(), 1.05 * times.max(), 200)
+    least = front.least_energy(span) / 1e3
+    ax.fill_between(span, 0, least, color="0.85", lw=0, label="impossible")
+    ax.plot(times, energies, "o-", color=BLUE, lw=1.2, ms=5, label="drives")
+    for point, x, y in zip(front.points, times, energies, strict=True):
+        ax.annotate(
+            f"{point.time_value:.0f} J/s", (x, y), xytext=(4, 5), textcoords="offset points",
+            fontsize="small",
+        )  # fmt: skip
+    ax.set(xlim=(span[0], span[-1]), ylim=(0.97 * least.min(), 1.03 * energies.max()))
+    _label(ax, "time [s]", "energy [kJ]", "Energy against time, by what a second is worth")
+    _legend(ax)
     return ax
 
 

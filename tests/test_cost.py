@@ -110,6 +110,28 @@ def test_motor_power_limits_the_speed() -> None:
     assert float(spinning.segment_duration(0.0, 2.0)) == pytest.approx(5.0)
 
 
+@pytest.mark.parametrize("worth", [0.0, 50.0, 400.0])
+def test_a_second_is_worth_something(worth: float) -> None:
+    """Straight on, ``2 K v + 2 B v^2 + P + w`` over v is least at ``v^2 = (P + w) / (2 B)``."""
+    viscous, hotel = 300.0, 40.0
+    model = with_vehicle(MODEL, motor=MotorLimits(speed=1.2))
+    cost = EnergyCost(
+        model.with_term(VISCOUS_LOSS, viscous).with_term(HOTEL, hotel), time_value=worth
+    )
+    speed = min(np.sqrt((hotel + worth) / (2 * viscous)), 1.2)
+    assert float(cost.cheapest_speed(0.0)) == pytest.approx(speed, rel=1e-4)
+    # and no other energy is counted than the model's
+    expected = 2 * K + 2 * viscous * speed + hotel / speed
+    assert float(cost.segment_energy(1.0, 0.0)) == pytest.approx(expected, rel=1e-4)
+    assert float(cost.segment_duration(1.0, 0.0)) == pytest.approx(1 / speed, rel=1e-4)
+
+
+def test_a_value_of_time_that_is_none_is_refused() -> None:
+    for worth in (-1.0, np.inf, np.nan):
+        with pytest.raises(InvalidInputError, match="time_value"):
+            EnergyCost(MODEL, time_value=worth)
+
+
 @pytest.mark.parametrize("battery", [False, True])
 def test_breakdown_adds_up(battery: bool) -> None:
     icr = TreadICR(0.5, 0.42, 0.05)

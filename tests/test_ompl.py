@@ -155,7 +155,7 @@ def test_lattice_planner_in_ompls_benchmark(tmp_path):
     benchmark.addPlanner(planner)
     benchmark.addPlanner(geometric.RRTConnect(information))
     request = tools.Request(2.0, 4096.0, 2)
-    request.displayProgress = False
+    request.displayProgress = request.saveConsoleOutput = False
     request.simplify = False
     benchmark.benchmark(request)
     log = tmp_path / "pillar.log"

@@ -54,11 +54,14 @@ class EnergyCost:
         the fastest of them where several cost the same.
     channels : mapping of str to float
         Constant values of further channels that the model's terms read, such as a temperature.
+    time_value : float
+        What a second is worth where the cheapest speed is chosen [J/s]. It makes no part of the
+        energy: the robot hurries, and pays for it.
 
     Raises
     ------
     InvalidInputError
-        If `speed` is not positive.
+        If `speed` is not positive, or `time_value` is negative or not finite.
     ModelError
         If some motion costs no energy or returns it, or if the cost has no minimum because the
         vehicle has no speed limit.
@@ -78,8 +81,11 @@ class EnergyCost:
     battery: bool = False
     speed: float | None = None
     channels: Mapping[str, float] = field(default_factory=dict)
+    time_value: float = 0.0
 
     def __post_init__(self) -> None:
+        if not 0 <= self.time_value < np.inf:
+            raise InvalidInputError(f"time_value is {self.time_value}; give joules a second >= 0")
         if self.speed is not None and not self.speed > 0:
             raise InvalidInputError(f"speed is {self.speed}; give metres per second > 0")
         lowest = float(self.gauge.values.min())
@@ -211,7 +217,9 @@ class EnergyCost:
             )
         slowest = _speeds.slowest_rate(x, y, limit, self.vehicle)
         return _speeds.cheapest_rate(
-            slowest, limit, lambda rate: self._drawn.power(self._motion(x, y, rate)) / rate
+            slowest,
+            limit,
+            lambda rate: (self._drawn.power(self._motion(x, y, rate)) + self.time_value) / rate,
         )
 
     def admissible_speed(self, curvature: ArrayLike) -> FloatArray:
@@ -242,8 +250,9 @@ class EnergyCost:
         -------
         ndarray, shape (...)
             Speed of the reference point [m/s]; the fastest where several cost the same, and that
-            of `speed` where it was given. Treads run at a twentieth of the motor's speed limit or
-            faster, else the cheapest speed would be zero where time costs nothing.
+            of `speed` where it was given; `time_value` counts. Treads run at a twentieth of the
+            motor's speed limit or faster, else the cheapest speed would be zero where time costs
+            nothing.
         """
         return self._rate(*self._element(np.ones(np.shape(curvature)), curvature))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -97,6 +97,9 @@ class SurfaceMap:
 
     surfaces: tuple[Surface, ...]
     keep_out: tuple[BaseGeometry, ...] = ()
+    _last: list[tuple[EnergyCost, ...]] = field(
+        default_factory=list, init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "surfaces", tuple(self.surfaces))
@@ -124,7 +127,8 @@ class SurfaceMap:
         Returns
         -------
         tuple of EnergyCost
-            `cost`, then one for each surface.
+            `cost`, then one for each surface. Those of the last `cost` are remembered, because
+            the tables of a model that depends on speed take a while.
 
         Raises
         ------
@@ -132,6 +136,8 @@ class SurfaceMap:
             If a surface's model was identified with another longitudinal ICR, so
             that one path cannot be priced by both.
         """
+        if self._last and self._last[0][0] is cost:
+            return self._last[0]
         for surface in self.surfaces:
             if surface.model.vehicle.icr.longitudinal != cost.icr.longitudinal:
                 raise MapError(
@@ -143,7 +149,9 @@ class SurfaceMap:
         for surface in self.surfaces:
             if id(surface.model) not in known:
                 known[id(surface.model)] = replace(cost, model=surface.model)
-        return (cost, *(known[id(surface.model)] for surface in self.surfaces))
+        found = (cost, *(known[id(surface.model)] for surface in self.surfaces))
+        self._last[:] = [found]
+        return found
 
     def region_at(self, points: ArrayLike) -> NDArray[np.intp]:
         """Return the region of each world point (..., 2) [m].
