@@ -206,6 +206,47 @@ def test_truncated_and_exploding_gzip_are_refused(tmp_path, monkeypatch):
         DriveLog.read(bomb)
 
 
+def test_text_and_lists_in_parquet_are_named_and_left_unread(tmp_path):
+    """A few kilobytes that stand for three gigabytes of text, or of numbers in a list."""
+    pa = pytest.importorskip("pyarrow")
+    pq = pytest.importorskip("pyarrow.parquet")
+    rows, file = 3000, tmp_path / "drive.parquet"
+    one = pa.array(np.ones(rows))
+    word = pa.DictionaryArray.from_arrays(np.zeros(rows, int), pa.array(["x" * 1_000_000]))
+    ends = pa.array(np.arange(rows + 1))
+    columns = {
+        "t": pa.array(np.arange(rows) * 0.1), "v_left": one, "v_right": one, "power": one,
+        "word": word, "list": pa.ListArray.from_arrays(ends, one),
+        "whole": pa.array(range(rows)), "none": pa.nulls(rows),
+        "gear": pa.DictionaryArray.from_arrays(np.zeros(rows, int), pa.array([1.5])),
+    }  # fmt: skip
+    pq.write_table(pa.table(columns), file, compression="zstd", store_schema=False)
+    assert file.stat().st_size < 1 << 17
+    table = _tables.read_table(file, DriveLogError)
+    assert set(table.columns) == set(columns) - {"word", "list"}
+    assert table.columns["whole"][-1] == rows - 1
+    assert np.all(table.columns["gear"] == 1.5)
+    assert np.all(np.isnan(table.columns["none"]))
+    assert len(DriveLog.read(file).t) == rows
+    with pytest.raises(DriveLogError, match=r"row 1: 'word' is of type string, which is no number"):
+        DriveLog.read(file, "power=word")
+    with pytest.raises(DriveLogError, match=r"'list' is of type list"):
+        DriveLog.read(file, "power=list")
+
+
+def test_parquet_of_absurd_size_is_refused(tmp_path, monkeypatch):
+    pa = pytest.importorskip("pyarrow")
+    pq = pytest.importorskip("pyarrow.parquet")
+    file = tmp_path / "drive.parquet"
+    pq.write_table(pa.table({"t": np.random.default_rng(1).normal(size=1000)}), file)
+    monkeypatch.setattr(_tables, "MAX_BYTES", 7000)
+    with pytest.raises(DriveLogError, match=r"holds more than 0 MiB"):
+        DriveLog.read(file)
+    monkeypatch.setattr(_tables, "MAX_CELLS", 999)
+    with pytest.raises(DriveLogError, match="1000 rows of 1 columns"):
+        DriveLog.read(file)
+
+
 def test_absurdly_wide_and_long_tables_are_refused(tmp_path, monkeypatch):
     with pytest.raises(DriveLogError, match="5001 columns"):
         DriveLog.read(write(tmp_path, "a," * 5000 + "\n"))

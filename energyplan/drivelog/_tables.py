@@ -10,7 +10,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -21,6 +21,8 @@ from energyplan.path import FloatArray
 
 if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is read
     import pandas as pd
+    import pyarrow as pa
+    import pyarrow.parquet as pq
     from _typeshed import WriteableBuffer
 
 MAX_COLUMNS = 4096
@@ -285,16 +287,40 @@ def _read_parquet(file: Path, error: type[InvalidInputError]) -> Table:
             shape = parquet.metadata.num_rows, parquet.metadata.num_columns
             if shape[1] > MAX_COLUMNS or shape[0] * shape[1] > MAX_CELLS:
                 raise error(f"{file} has {shape[0]} rows of {shape[1]} columns; split it")
-            frame = parquet.read().to_pandas(ignore_metadata=True)
+            schema = parquet.schema_arrow
+            names = [str(name) for name in schema.names]
+            if len(set(names)) < len(names):
+                raise error(f"{file} names a column twice; rename one")
+            # Text and lists stay unread: a few bytes can stand for gigabytes of them.
+            kinds = {name: schema.field(name).type for name in names}
+            numbers = [name for name, kind in kinds.items() if _holds_numbers(kind)]
+            if _unpacked_size(parquet.metadata, numbers) > MAX_BYTES:
+                raise error(f"{file} holds more than {MAX_BYTES >> 20} MiB; split it")
+            frame = parquet.read(columns=numbers).to_pandas(ignore_metadata=True)
     except (pa.ArrowException, pa.ArrowInvalid, OSError) as problem:
         first = (str(problem).splitlines() or [""])[0]
         raise error(f"{file} is no sound Parquet file: {first}") from None
-    names = [str(name) for name in frame.columns]
-    if len(set(names)) < len(names):
-        raise error(f"{file} names a column twice; rename one")
-    columns = _Columns(names, 1, "row")
+    columns = _Columns(numbers, 1, "row")
     columns.add(frame)
-    return columns.table(file, error)
+    table = columns.table(file, error)
+    text = {n: f"row 1: {n!r} is of type {kind}" for n, kind in kinds.items() if n not in numbers}
+    return replace(table, text={**table.text, **text})
+
+
+def _holds_numbers(kind: pa.DataType) -> bool:
+    """Tell whether cells of a Parquet type are numbers, times, or nothing at all."""
+    from pyarrow import types
+
+    if types.is_dictionary(kind):
+        kind = kind.value_type
+    return bool(types.is_primitive(kind) or types.is_decimal(kind) or types.is_null(kind))
+
+
+def _unpacked_size(metadata: pq.FileMetaData, names: list[str]) -> int:
+    """Sum what a Parquet file says that columns take when unpacked [bytes]."""
+    groups = (metadata.row_group(k) for k in range(metadata.num_row_groups))
+    chunks = (group.column(k) for group in groups for k in range(group.num_columns))
+    return sum(c.total_uncompressed_size for c in chunks if c.path_in_schema in names)
 
 
 class _Columns:

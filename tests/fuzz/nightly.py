@@ -105,7 +105,10 @@ def main() -> int:
     parser.add_argument("--folder", type=Path, default=Path("build/fuzz"))
     parser.add_argument("--list", action="store_true", help="name the targets and stop")
     asked = parser.parse_args()
-    chosen = [t for t in targets() if any(fnmatchcase(t, like) for like in asked.targets)]
+    everything = targets()
+    chosen = list(  # in the order asked for
+        dict.fromkeys(t for like in asked.targets for t in everything if fnmatchcase(t, like))
+    )
     if not chosen:
         parser.error("no such target; --list names them")
     if asked.list:
