@@ -12,14 +12,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
+from energyplan import plots
 from energyplan.compare import compare
 from energyplan.cost import EnergyCost
+from energyplan.effects import VISCOUS_LOSS
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.maps import read_map
+from energyplan.maps import Surface, SurfaceMap
 from energyplan.planners import Plan, PlanningProblem, plan
-from energyplan.power import PowerModel
+from energyplan.power import HOTEL, PowerModel
+from energyplan.tradeoff import ParetoFront, pareto
 
 WAREHOUSE = Path(__file__).parents[1] / "maps" / "warehouse.yaml"
 
@@ -40,6 +43,28 @@ def tell(name: str, found: Plan) -> None:
     )
 
 
+def stiff(model: PowerModel) -> PowerModel:
+    """Return a model that knows of speed: 80 N per m/s on each side, and 40 W of computers."""
+    return model.with_term(VISCOUS_LOSS, 80.0).with_term(HOTEL, 40.0)
+
+
+def trade(problem: PlanningProblem) -> ParetoFront:
+    """Trade energy against time for a robot whose resistance rises with speed."""
+    surfaces = problem.surfaces
+    if surfaces is not None:
+        # surfaces of one model share what is tabulated of it
+        models = {surface.model.name: stiff(surface.model) for surface in surfaces.surfaces}
+        surfaces = SurfaceMap(
+            tuple(Surface(s.area, models[s.model.name], s.name) for s in surfaces.surfaces),
+            surfaces.keep_out,
+        )
+    cost = EnergyCost(stiff(problem.cost.model))
+    problem = replace(problem, cost=cost, surfaces=surfaces)
+    # what one planner overlooks another may find: its route is tried at every speed
+    other = plan(problem, "roadmap", time_limit=3.0)
+    return pareto(problem, time_limit=3.0, initial=[other.path])
+
+
 def main() -> None:
     """Run the example."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -55,7 +80,7 @@ def main() -> None:
     surfaces = read_surfaces(areas) if areas.exists() else None
     width, height = grid.size
     goal = given.goal or (width - 2.0, height - 2.0, np.pi)
-    cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+    cost = EnergyCost(PowerModel.preset("quadriga:full:concrete"))
     problem = PlanningProblem(grid, cost, given.start, goal, surfaces)
 
     # the route of least energy against the shortest one, priced by the same models
@@ -66,28 +91,27 @@ def main() -> None:
     for name, joules in told.by_term.items():
         print(f"  {name:22s} {joules:8.0f} J")
 
-    # energy against time: each weight is what a second is worth
-    front = []
-    for worth in (0.0, 30.0, 100.0, 300.0, 1000.0):
-        found = plan(replace(problem, objective={"energy": 1.0, "time": worth}), time_limit=2.0)
-        front.append((found.duration, found.energy))
-        print(f"a second worth {worth:5.0f} J: {found.duration:6.1f} s, {found.energy:8.0f} J")
+    front = trade(problem)
+    for point in front.points:
+        tell(f"{point.time_value:.0f} J/s", point.plan)
 
-    figure = Figure(figsize=(11, 4.5), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(2, 1))
-    left.imshow(grid.blocked, origin="lower", extent=(0, width, 0, height), cmap="gray_r")
-    for name, found in (("least energy", told.energy_optimal), ("shortest", told.shortest)):
-        x, y = grid.to_cells(found.poses[:, :2]).T * grid.resolution
-        left.plot(x, y, label=f"{name}: {found.energy:.0f} J")
-    left.set_xlabel("x [m]")
-    left.set_ylabel("y [m]")
-    left.legend()
-    right.plot(*np.array(front).T, "o-")
-    right.set_xlabel("time [s]")
-    right.set_ylabel("energy [J]")
-    picture = given.out / "routes.png"
-    figure.savefig(picture, dpi=120)
-    print(f"wrote {picture}")
+    drawn = surfaces.polygons if surfaces else ()
+    both = {
+        f"{name}: {found.energy:.0f} J": found.path
+        for name, found in (("least energy", told.energy_optimal), ("shortest", told.shortest))
+    }
+    figure = plots.figure(1, 2, size=(12.0, 4.5))
+    left, right = figure.axes
+    plots.pareto(left, front)
+    plots.occupancy(right, grid)
+    frugal, hasty = front.points[0], front.points[-1]
+    for point, color, dash in ((frugal, plots.BLUE, "-"), (hasty, plots.RED, "--")):
+        label = f"{point.time_value:.0f} J/s: {point.plan.length:.1f} m"
+        plots.route(right, point.plan.path, label, color, dash)
+    right.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+    for name, picture in (("routes", plots.routes(grid, both, surfaces=drawn)), ("pareto", figure)):
+        picture.savefig(given.out / f"{name}.png", dpi=110)
+        print(f"wrote {given.out / name}.png")
 
 
 if __name__ == "__main__":
