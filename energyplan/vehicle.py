@@ -14,6 +14,10 @@ GRAVITY = 9.81
 """Gravitational acceleration [m/s^2]."""
 
 
+_LARGEST_EXTENT = 1e4  # [m]; with the load, far beyond any vehicle, and far from overflow
+_LARGEST_LOAD = 1e9  # [N]
+
+
 def _require(condition: bool, message: str) -> None:
     if not condition:
         raise VehicleError(message)
@@ -48,7 +52,10 @@ class TreadICR:
     def __post_init__(self) -> None:
         for name in ("left", "right", "longitudinal"):
             value = getattr(self, name)
-            _require(bool(np.isfinite(value)), f"tread ICR {name} is {value}; give metres")
+            _require(
+                bool(np.abs(value) <= _LARGEST_EXTENT),  # not of NaN
+                f"tread ICR {name} is {value}; give metres",
+            )
         _require(
             self.left + self.right > 0,
             f"the slip track left + right is {self.left + self.right} m; it must be positive",
@@ -213,7 +220,7 @@ class Vehicle:
         for name, width in (("contacts", 2), ("footprint", 2)):
             value = np.array(getattr(self, name), float)
             _require(
-                value.ndim == 2 and value.shape[1] == width,
+                value.ndim == 2 and value.shape[1] == width and len(value) > 0,
                 f"{name} has shape {value.shape}; give rows of (x, y) [m]",
             )
             value.setflags(write=False)
@@ -229,9 +236,18 @@ class Vehicle:
             bool(np.all(np.isfinite(self.contacts)) and np.all(np.isfinite(self.footprint))),
             "contacts and footprint must be finite",
         )
+        extent = max(float(np.max(np.abs(value))) for value in (self.contacts, self.footprint))
         _require(
-            bool(np.all(np.isfinite(loads)) and np.all(loads >= 0) and loads.sum() > 0),
+            extent <= _LARGEST_EXTENT,
+            f"contacts or footprint reach {extent:g} m from the centre; give metres",
+        )
+        _require(
+            bool(np.all(np.isfinite(loads)) and np.all(loads >= 0) and loads.max() > 0),
             f"loads are {loads.tolist()}; give newtons >= 0, not all zero",
+        )
+        _require(
+            bool(loads.max() <= _LARGEST_LOAD),
+            f"a wheel carries {loads.max():g} N, which no wheel does; give newtons",
         )
         sides = np.sign(self.contacts[:, 1])
         _require(

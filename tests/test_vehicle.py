@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -48,6 +50,28 @@ def test_a_wheel_that_would_lift_is_an_error() -> None:
 def test_a_mass_beyond_all_numbers_is_an_error() -> None:
     with pytest.raises(VehicleError, match=r"mass is 1e\+308 kg"):
         wheel_loads([(1, 1), (-1, 1), (1, -1), (-1, -1)], 1e308)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"loads": [1e308] * 4}, r"carries 1e\+308 N"),
+        ({"loads": [1.0, 1.0, 1.0, 2e9]}, r"carries 2e\+09 N"),
+        ({"contacts": [(1e5, 1), (-1, 1), (1, -1), (-1, -1)]}, "reach 100000 m"),
+        ({"footprint": [(-1, -1), (1, 1e308)]}, r"reach 1e\+308 m"),
+        ({"contacts": np.zeros((0, 2)), "loads": []}, "give rows"),
+    ],
+)
+def test_what_no_vehicle_has_is_an_error(change: dict[str, list[float]], words: str) -> None:
+    """Such numbers would overflow in the slip moment, or in what is made of it."""
+    with pytest.raises(VehicleError, match=words):
+        replace(Vehicle.preset("jackal"), **change)
+
+
+@pytest.mark.parametrize("value", [1e308, -1e308, np.inf, np.nan, 2e4])
+def test_tread_icrs_beyond_any_vehicle_are_an_error(value: float) -> None:
+    with pytest.raises(VehicleError, match=r"tread ICR .* give metres"):
+        TreadICR(value, 0.4)
 
 
 def test_contacts_on_a_line_cannot_carry_an_offset() -> None:

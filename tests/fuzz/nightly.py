@@ -75,7 +75,8 @@ def attempt(target: str, runs: int, folder: Path) -> Outcome:
         command = [sys.executable, script, name, str(runs), "--artifacts", str(place)]
     else:
         test = f"{TESTS / 'test_fuzz.py'}::{test_of(target)}"
-        command = [sys.executable, "-m", "pytest", "-q", f"--junitxml={report}", test]
+        command = [sys.executable, "-m", "pytest", "-q", "-ojunit_family=xunit1"]
+        command += [f"--junitxml={report}", test]
     one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
     environment = {**os.environ, **one, "ENERGYPLAN_FUZZ": str(runs)}
     start = time.monotonic()
