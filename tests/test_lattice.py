@@ -4,14 +4,11 @@ from scipy.spatial.distance import cdist
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
-from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.maps import OccupancyGrid
 from energyplan.path import Path
 from energyplan.planners import PlanningProblem, plan
 from energyplan.planners import _field_kernels as field_kernels
 from energyplan.planners import _motion_kernels as motion_kernels
-from energyplan.planners._bound import lower_bound, outline
-from energyplan.planners._bound_kernels import line_open
 from energyplan.planners._query import MARGIN, Query, Segments, merged
 from energyplan.planners._search import Search, field_for, inscribed, lattice_for
 from energyplan.planners.lattice import energies
@@ -111,69 +108,6 @@ def test_distance_field_does_not_pass_walls():
     )
     assert np.isinf(distance[10, 45])
     assert np.isfinite(distance[50, 15])
-
-
-# -- bound ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("exact", [True, False])
-def test_outline_lies_within_the_grown_obstacles(exact, monkeypatch):
-    if not exact:
-        monkeypatch.setattr("energyplan.planners._bound.MOST_RUNS", 0)
-    grid = cluttered(2)
-    radius = 0.318
-    corners = outline(grid, radius)
-    assert len(corners.point) > 20
-    ends = corners.edges.reshape(-1, 2, 2)
-    along = np.linspace(0, 1, 9)[:, None, None]
-    points = (ends[:, 0] * (1 - along) + ends[:, 1] * along).reshape(-1, 2)
-    blocked = np.argwhere(grid.blocked)[:, ::-1] * grid.resolution
-    # distance from points to the nearest blocked cell's area
-    low, high = blocked, blocked + grid.resolution
-    worst = 0.0
-    for chunk in np.array_split(points, 40):
-        gap = np.maximum(np.maximum(low - chunk[:, None], chunk[:, None] - high), 0)
-        worst = max(worst, float(np.hypot(gap[..., 0], gap[..., 1]).min(axis=1).max()))
-    edge = np.minimum(points.min(axis=1), (np.array(grid.size) - points).min(axis=1))
-    assert worst <= radius + 1e-9 or np.any(edge < radius)
-    assert worst > corners.inside - 1e-9
-
-
-def test_lines_through_obstacles_are_closed_and_others_open():
-    occupied = np.zeros((100, 100), bool)
-    occupied[40:60, 40:60] = True
-    grid = OccupancyGrid(occupied, 0.05)
-    corners = outline(grid, 0.3)
-    space = grid._space
-    assert not line_open(space, corners, 1.0, 2.5, 4.0, 2.5)
-    assert line_open(space, corners, 1.0, 1.0, 4.0, 1.0)
-    # between two corners of one side, along the outline
-    low = corners.point[np.argsort(corners.point[:, 1])]
-    assert line_open(space, corners, *low[0], *low[1])
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_no_path_beats_the_bound(seed):
-    grid = cluttered(seed)
-    poses = free_poses(grid, 8, seed)
-    for start, goal in zip(poses[::2], poses[1::2], strict=True):
-        try:
-            found = plan(PlanningProblem(grid, COST, start, goal), time_limit=0.4, gap=0.0)
-        except (NoPathError, TimeLimitError):
-            continue
-        assert found.lower_bound <= found.energy
-        # the bound does not depend on what is known: asked afresh it is no higher than the plan
-        query = Query(PlanningProblem(grid, COST, start, goal))
-        assert lower_bound(query, np.inf) <= found.energy * (1 + 1e-9)
-        assert float(steering.energy(start, goal, COST)) <= found.lower_bound * (1 + 1e-9)
-
-
-def test_bound_is_close_around_one_pillar():
-    occupied = np.zeros((200, 300), bool)
-    occupied[60:140, 140:160] = True
-    grid = OccupancyGrid(occupied, 0.05)
-    found = plan(PlanningProblem(grid, COST, (2, 5, 0), (13, 5, 0)), time_limit=2.0)
-    assert found.gap < 0.03
 
 
 # -- search and refinement ------------------------------------------------------------------------

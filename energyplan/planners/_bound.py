@@ -17,32 +17,44 @@ import numpy as np
 import shapely
 
 from energyplan.maps import OccupancyGrid
+from energyplan.maps._collision import Body
 from energyplan.path import FloatArray
 from energyplan.planners._bound_kernels import Corners, Rates, least_over_corners
 from energyplan.planners._motion_kernels import Setting, free_energy
 from energyplan.planners._query import MARGIN, Query
 from energyplan.planners._search import inscribed
 
-LABELS = 200_000
-"""Labels at which the search over corners stops with what is known by then."""
-
 MOST_RUNS = 6000
 """Runs of blocked cells up to which obstacles are grown as polygons, in less than a second."""
 
-EFFORT = 2e7
-"""Steps at which it stops likewise: a fraction of a second."""
+EFFORT = 5e7
+"""Steps of the search over corners after which what is known by then is taken: below 0.1 s."""
 
 MOST_CORNERS = 4000
-"""Corners near the way above which only the bound without obstacles is taken."""
-
-ARC = 4
-"""Chords of a quarter circle."""
-
-SLACK = 0.03
-"""Largest distance by which an outline is simplified, in radii of the disc."""
+"""Corners near the way above which a coarser outline is taken, or only the bound in the open."""
 
 
-_outlines: WeakKeyDictionary[OccupancyGrid, tuple[float, Corners]] = WeakKeyDictionary()
+class Detail(NamedTuple):
+    """How finely obstacles are drawn.
+
+    Attributes
+    ----------
+    arc : int
+        Chords of a quarter circle.
+    slack : float
+        Largest distance by which an outline is simplified, in radii of the disc.
+    """
+
+    arc: int
+    slack: float
+
+
+DETAILS = (Detail(8, 0.01), Detail(4, 0.03))
+"""The finer outline closes gaps that the disc does not pass, the coarser one has fewer corners."""
+
+
+_outlines: WeakKeyDictionary[OccupancyGrid, dict[tuple[float, Detail], Corners]]
+_outlines = WeakKeyDictionary()
 
 
 class _Rings(NamedTuple):
@@ -56,7 +68,7 @@ class _Rings(NamedTuple):
     high: float
 
 
-def _grown(grid: OccupancyGrid, radius: float) -> _Rings | None:
+def _grown(grid: OccupancyGrid, radius: float, arc: int) -> _Rings | None:
     """Return the outlines of the blocked cells grown by `radius`; None where there are too many.
 
     Round corners are drawn as polygons inside them.
@@ -67,13 +79,13 @@ def _grown(grid: OccupancyGrid, radius: float) -> _Rings | None:
     if len(row) > MOST_RUNS:
         return None
     boxes = shapely.box(first, row, last, row + 1)
-    area = shapely.union_all(shapely.buffer(boxes, radius / grid.resolution, quad_segs=ARC))
+    area = shapely.union_all(shapely.buffer(boxes, radius / grid.resolution, quad_segs=arc))
     rings = []
     for polygon in shapely.get_parts(area):
         for k, ring in enumerate(shapely.get_rings(polygon)):
             points = shapely.get_coordinates(ring)
             rings.append(points[::-1] if shapely.is_ccw(ring) == (k == 0) else points)
-    return _Rings(rings, radius * cos(0.25 * pi / ARC), radius)
+    return _Rings(rings, radius * cos(0.25 * pi / arc), radius)
 
 
 def _level_set(grid: OccupancyGrid, radius: float) -> _Rings:
@@ -91,7 +103,7 @@ def _level_set(grid: OccupancyGrid, radius: float) -> _Rings:
     return _Rings([np.asarray(line) for line in lines], radius - 2.0 * error, radius)
 
 
-def outline(grid: OccupancyGrid, radius: float) -> Corners:
+def outline(grid: OccupancyGrid, radius: float, detail: Detail = DETAILS[0]) -> Corners:
     """Return an outline that lies within the obstacles grown by `radius`, and its convex corners.
 
     It is simplified, which moves it by at most a tolerance, so the obstacles grow by that less.
@@ -102,17 +114,19 @@ def outline(grid: OccupancyGrid, radius: float) -> Corners:
         The map.
     radius : float
         Radius of the disc [m].
+    detail : Detail
+        How finely to draw it.
 
     Returns
     -------
     Corners
         The corners and edges, in the world.
     """
-    known = _outlines.get(grid)
-    if known is not None and known[0] == radius:
-        return known[1]
-    tolerance = SLACK * radius
-    drawn = _grown(grid, radius - tolerance) or _level_set(grid, radius - tolerance)
+    known = _outlines.setdefault(grid, {})
+    if (radius, detail) in known:
+        return known[radius, detail]
+    tolerance = detail.slack * radius
+    drawn = _grown(grid, radius - tolerance, detail.arc) or _level_set(grid, radius - tolerance)
     point, before, after = [np.empty((0, 2))], [np.empty((0, 2))], [np.empty((0, 2))]
     first, last = [np.empty((0, 2))], [np.empty((0, 2))]
     for ring in drawn.rings:
@@ -139,11 +153,18 @@ def outline(grid: OccupancyGrid, radius: float) -> Corners:
         max(drawn.low - tolerance, 0.0),
         drawn.high + tolerance,
     )
-    _outlines[grid] = radius, found
+    known[radius, detail] = found
     return found
 
 
-def lower_bound(query: Query, cost: float) -> float:
+class Bound(NamedTuple):
+    """What a path costs at least, and whether more effort or a better path cannot raise it."""
+
+    value: float
+    final: bool
+
+
+def lower_bound(query: Query, cost: float, effort: float = EFFORT) -> Bound:
     """Return a lower bound on the cost of every path from start to goal.
 
     Parameters
@@ -152,30 +173,39 @@ def lower_bound(query: Query, cost: float) -> float:
         The problem.
     cost : float
         Cost of a path that is known: the bound need not be better.
+    effort : float
+        Steps, of about 2 ns each, after which to take what is known by then.
 
     Returns
     -------
-    float
+    Bound
         The bound.
     """
     setting = query.setting
-    free = free_energy(setting, setting.start_x, setting.start_y, setting.start_yaw)
+    free = float(free_energy(setting, setting.start_x, setting.start_y, setting.start_yaw))
     if free >= cost:
-        return float(free)
-    return max(float(free), _among_obstacles(query.grid, setting, float(free), cost))
+        return Bound(free, True)
+    among, final = _among_obstacles(query.grid, setting, free, cost, effort)
+    return Bound(max(free, among), final)
 
 
-def _among_obstacles(grid: OccupancyGrid, setting: Setting, free: float, cost: float) -> float:
-    radius = inscribed(setting) - MARGIN * grid.resolution
+def _among_obstacles(
+    grid: OccupancyGrid, setting: Setting, free: float, cost: float, effort: float
+) -> tuple[float, bool]:
+    margin = MARGIN * grid.resolution
+    radius = inscribed(setting) - margin
     if radius <= 0:
-        return 0.0
-    found = outline(grid, radius)
+        return 0.0, True
     ends = np.array([(setting.start_x, setting.start_y), (setting.goal_x, setting.goal_y)])
-    # corners by which the way alone costs more than the path that is known
-    way = sum(np.hypot(*(found.point - end).T) for end in ends)
-    near = setting.least_metre * way < cost
-    if near.sum() > MOST_CORNERS:
-        return 0.0
+    for detail in DETAILS:
+        found = outline(grid, radius, detail)
+        # corners by which the way alone costs more than the path that is known
+        way = sum(np.hypot(*(found.point - end).T) for end in ends)
+        near = setting.least_metre * way < cost
+        if near.sum() <= MOST_CORNERS:
+            break
+    else:
+        return 0.0, False
     corners = found._replace(
         point=np.concatenate([found.point[near], ends]),
         before=np.concatenate([found.before[near], ends]),
@@ -184,4 +214,9 @@ def _among_obstacles(grid: OccupancyGrid, setting: Setting, free: float, cost: f
     rates = Rates(
         setting.least_metre, setting.least_radian, setting.start_yaw, setting.goal_yaw, free
     )
-    return float(least_over_corners(setting.space, corners, rates, cost, LABELS, EFFORT))
+    body = setting.body
+    true_body = Body(
+        body.x_min + margin, body.y_min + margin, body.x_max - margin, body.y_max - margin
+    )
+    value, final = least_over_corners(setting.space, true_body, corners, rates, cost, effort)
+    return float(value), bool(final)

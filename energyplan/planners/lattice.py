@@ -21,14 +21,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan.cost import EnergyCost
-from energyplan.errors import InvalidInputError, NoPathError, TimeLimitError
+from energyplan.errors import InvalidInputError, TimeLimitError
 from energyplan.maps import OccupancyGrid
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.planners import _search_kernels as kernels
-from energyplan.planners._bound import lower_bound
+from energyplan.planners._bound import EFFORT, Bound, lower_bound
 from energyplan.planners._problem import Plan, PlanningProblem, as_pose
 from energyplan.planners._query import Query, Segments
 from energyplan.planners._race import Race
+from energyplan.planners._reach import check_way, no_path
 from energyplan.planners._search import Search, coarse_lattice, field_for, lattice_for, no_field
 from energyplan.planners.refine import Refiner
 
@@ -76,6 +77,15 @@ POLISH = 800
 
 SEARCH_SHARE = 0.6
 """Part of the time left after the first plan that the searches may take."""
+
+BOUND_SHARE = 0.2
+"""Part of that time kept for the bound, where its first search did not come to its end."""
+
+MOST_LEFT = 60.0
+"""Time of which that part is taken at most [s]."""
+
+PACE = 3e8
+"""Steps of that search in a second."""
 
 
 def plan(
@@ -214,7 +224,7 @@ def compiled() -> None:
     task = PlanningProblem(hall, cost, Pose(0.8, 0.8, 0.0), Pose(4.0, 0.8, 0.0))
     work = _Improvement(Query(task), np.inf, 0.0, 1)
     work.first_plan()
-    work.bound = lower_bound(work.query, work.cost)
+    work.raise_bound()
     work.race.run(np.inf, 0.0)
     work.race.finish(np.inf, 0.0)
 
@@ -230,7 +240,12 @@ class _Improvement:
         self.race = Race(self.setting, seed)
         self.fields = {PENALTY: field_for(self.setting, PENALTY)}
         self.searches: list[tuple[Search, float]] = []
-        self.bound = 0.0
+        self._bound = Bound(0.0, False)
+
+    @property
+    def bound(self) -> float:
+        """Lower bound on the cost of every path."""
+        return self._bound.value
 
     @property
     def cost(self) -> float:
@@ -268,7 +283,7 @@ class _Improvement:
         field = self.fields[PENALTY]
         start = Search(self.setting, field, lattice_for(self.setting), FIRST_WEIGHT)
         if not np.isfinite(start.tree.h[0]):
-            raise NoPathError(self._no_path("a disc inside the footprint cannot get through"))
+            check_way(self.query)
         if np.isfinite(self.cost):
             return
         for scale in (1.0, 0.5, 0.25):
@@ -280,25 +295,24 @@ class _Improvement:
                 self.race.enter(search.segments())
                 return
             if status != kernels.EXHAUSTED:
+                x, y = search.nearest
                 raise TimeLimitError(
                     f"no path was found in time: {int(search.tree.counts[2])} places were "
-                    f"searched in cells of {search.lattice.cell:.3g} m; give more time_limit"
+                    f"searched in cells of {search.lattice.cell:.3g} m, the one nearest to the "
+                    f"goal at ({x:.2f}, {y:.2f}); give more time_limit"
                 )
-        raise NoPathError(self._no_path(f"none was found in cells of {search.lattice.cell:.3g} m"))
-
-    def _no_path(self, why: str) -> str:
-        start, goal = self.query.problem.start, self.query.problem.goal
-        return (
-            f"no path leads from ({start.x:.2f}, {start.y:.2f}) to ({goal.x:.2f}, {goal.y:.2f}): "
-            f"{why}; check the map for closed doors and unknown cells"
-        )
+        why = f"none was found in cells of {search.lattice.cell:.3g} m"
+        raise no_path(self.query, why, search.nearest)
 
     def improve(self) -> None:
         """Make the path cheaper until time is over, the gap is closed, or nothing is gained."""
-        self.bound = lower_bound(self.query, self.cost)
+        self.raise_bound()
         # what is found must be refined before the deadline
         now = time.perf_counter()
-        until = now + SEARCH_SHARE * max(self.deadline - now, 0.0)
+        left = max(self.deadline - now, 0.0)
+        until = now + SEARCH_SHARE * left
+        kept = 0.0 if self._bound.final else BOUND_SHARE * min(left, MOST_LEFT)
+        self.deadline -= kept
         budget = BUDGET
         for scale, weight, guides in ROUNDS:
             self.race.run(until, self.enough)
@@ -312,11 +326,18 @@ class _Improvement:
             budget *= 2
         self.race.run(self.deadline, self.enough)
         self.race.finish(self.deadline, self.enough)
-        while not self.done:
+        gains = True
+        while gains and not self.done:
             before = self.cost
             self.race.again(self.deadline, self.enough)
-            if self.race.rounds > PATIENCE and self.cost > before * (1 - 1e-5):
-                return
+            gains = self.race.rounds <= PATIENCE or self.cost <= before * (1 - 1e-5)
+        if not self._bound.final and self.cost > self.enough:
+            self.raise_bound(PACE * kept)
+
+    def raise_bound(self, effort: float = EFFORT) -> None:
+        """Search for a better lower bound; what is known of the best cost makes that easier."""
+        value, final = lower_bound(self.query, self.cost, effort)
+        self._bound = Bound(max(value, self.bound), final)
 
     def _search(self, scale: float, weight: float, guide: Guide) -> Search:
         """Return a search that has yet to begin."""

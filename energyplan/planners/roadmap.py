@@ -169,7 +169,7 @@ def plan(
     first = time.perf_counter()
     if polish:
         path = _refined(path, query, deadline)
-    bound = lower_bound(query, query.objective.path(path))
+    bound = lower_bound(query, query.objective.path(path)).value
     return query.plan(path, bound, begun, first, "roadmap")
 
 

@@ -1,0 +1,274 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from energyplan import steering
+from energyplan.cost import EnergyCost
+from energyplan.errors import NoPathError, TimeLimitError
+from energyplan.maps import OccupancyGrid
+from energyplan.maps._collision import Body
+from energyplan.path import Path, Pose
+from energyplan.planners import PlanningProblem, plan
+from energyplan.planners import _bound_kernels as kernels
+from energyplan.planners._bound import DETAILS, lower_bound, outline
+from energyplan.planners._bound_kernels import HEADINGS, Rates, line_open
+from energyplan.planners._query import Query
+from energyplan.power import PowerModel
+
+COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+SPACING = 2 * np.pi / HEADINGS
+
+
+def cluttered(seed, count=14):
+    rng = np.random.default_rng(seed)
+    occupied = np.zeros((160, 200), bool)
+    for row, column in zip(rng.integers(5, 145, count), rng.integers(5, 185, count), strict=True):
+        height, width = rng.integers(2, 24, 2)
+        occupied[row : row + height, column : column + width] = True
+    return OccupancyGrid(occupied, 0.05)
+
+
+def free_poses(grid, count, seed, vehicle=COST.vehicle):
+    rng = np.random.default_rng(seed)
+    poses = rng.uniform((0, 0, -np.pi), (*grid.size, np.pi), (400, 3))
+    return poses[grid.footprint_free(poses, vehicle)][:count]
+
+
+def nearly_a_point(metre, radian, half_track=0.01, size=0.05):
+    """A robot for which the relaxed problem of the bound is almost the problem itself."""
+    cost = EnergyCost.from_coefficients(metre, radian, half_track)
+    footprint = [[-size, -size], [size, size]]
+    vehicle = replace(cost.vehicle, footprint=np.array(footprint))
+    return EnergyCost(replace(cost.model, vehicle=vehicle))
+
+
+# -- the outline -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_outline_lies_within_the_grown_obstacles(exact, monkeypatch):
+    if not exact:
+        monkeypatch.setattr("energyplan.planners._bound.MOST_RUNS", 0)
+    grid = cluttered(2)
+    radius = 0.318
+    corners = outline(grid, radius)
+    assert len(corners.point) > 20
+    ends = corners.edges.reshape(-1, 2, 2)
+    along = np.linspace(0, 1, 9)[:, None, None]
+    points = (ends[:, 0] * (1 - along) + ends[:, 1] * along).reshape(-1, 2)
+    blocked = np.argwhere(grid.blocked)[:, ::-1] * grid.resolution
+    # distance from points to the nearest blocked cell's area
+    low, high = blocked, blocked + grid.resolution
+    worst = 0.0
+    for chunk in np.array_split(points, 40):
+        gap = np.maximum(np.maximum(low - chunk[:, None], chunk[:, None] - high), 0)
+        worst = max(worst, float(np.hypot(gap[..., 0], gap[..., 1]).min(axis=1).max()))
+    edge = np.minimum(points.min(axis=1), (np.array(grid.size) - points).min(axis=1))
+    assert worst <= radius + 1e-9 or np.any(edge < radius)
+    assert worst > corners.inside - 1e-9
+
+
+def test_lines_through_obstacles_are_closed_and_others_open():
+    occupied = np.zeros((100, 100), bool)
+    occupied[40:60, 40:60] = True
+    grid = OccupancyGrid(occupied, 0.05)
+    corners = outline(grid, 0.3)
+    space = grid._space
+    assert not line_open(space, corners, 1.0, 2.5, 4.0, 2.5)
+    assert line_open(space, corners, 1.0, 1.0, 4.0, 1.0)
+    # between two corners of one side, along the outline
+    low = corners.point[np.argsort(corners.point[:, 1])]
+    assert line_open(space, corners, *low[0], *low[1])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_path_beats_the_bound(seed):
+    grid = cluttered(seed)
+    poses = free_poses(grid, 8, seed)
+    for start, goal in zip(poses[::2], poses[1::2], strict=True):
+        try:
+            found = plan(PlanningProblem(grid, COST, start, goal), time_limit=0.4, gap=0.0)
+        except (NoPathError, TimeLimitError):
+            continue
+        assert found.lower_bound <= found.energy
+        # the bound does not depend on what is known: asked afresh it is no higher than the plan
+        query = Query(PlanningProblem(grid, COST, start, goal))
+        assert lower_bound(query, 2 * found.energy).value <= found.energy * (1 + 1e-9)
+        assert float(steering.energy(start, goal, COST)) <= found.lower_bound * (1 + 1e-9)
+
+
+def test_bound_is_close_around_one_pillar():
+    occupied = np.zeros((200, 300), bool)
+    occupied[60:140, 140:160] = True
+    grid = OccupancyGrid(occupied, 0.05)
+    found = plan(PlanningProblem(grid, COST, (2, 5, 0), (13, 5, 0)), time_limit=2.0)
+    assert found.gap < 0.03
+
+
+# -- one line --------------------------------------------------------------------------------------
+
+
+def exact_gauge(headings, direction):
+    """Length a way needs for one metre in a direction, with all of the given headings: a polygon.
+
+    The way is made of pieces along the headings, forwards or backwards, so it is the gauge of the
+    hull of their unit vectors, found from its support function.
+    """
+    normals = np.linspace(0, 2 * np.pi, 7200, endpoint=False)
+    support = np.abs(np.cos(headings[:, None] - normals)).max(axis=0)
+    return float((np.cos(direction - normals) / support).max())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_line_costs_no_more_than_any_way_along_it(seed):
+    rng = np.random.default_rng(seed)
+    rates = Rates(200.0, 150.0, 0.0, rng.uniform(-3, 3), 0.0)
+    nodes = rates.goal + SPACING * np.arange(HEADINGS)
+    for _ in range(20):
+        entered = rng.uniform(-np.pi, np.pi)
+        before = rates.radian * np.abs(np.angle(np.exp(1j * (nodes - entered))))
+        direction, length = rng.uniform(-np.pi, np.pi), rng.uniform(0.05, 3.0)
+        after = kernels.along_line(before, direction, length, rates, True, True)
+        # headings that are swept: from the entrance to `first`, then on to `last`, then to the exit
+        first, last = entered + rng.uniform(-2, 2), entered + rng.uniform(-2, 2)
+        swept = np.linspace(min(entered, first, last), max(entered, first, last), 400)
+        turned = abs(first - entered) + abs(last - first)
+        longer = exact_gauge(swept, direction)
+        cost = rates.radian * turned + rates.metre * length * longer
+        nearest = int(np.round((last - rates.goal) / SPACING)) % HEADINGS
+        rounding = abs(np.angle(np.exp(1j * (nodes[nearest] - last))))
+        assert after[nearest] <= cost + rates.radian * rounding + 1e-6
+
+
+def test_a_line_is_charged_its_length_and_the_turn_into_it():
+    rates = Rates(200.0, 150.0, 0.0, 0.0, 0.0)
+    nodes = SPACING * np.arange(HEADINGS)
+    before = rates.radian * np.abs(np.angle(np.exp(1j * nodes)))
+    after = kernels.along_line(before, np.pi / 3, 10.0, rates, True, True)
+    there = int(np.round(np.pi / 3 / SPACING))
+    spare = 2 * rates.radian * SPACING
+    turn = rates.radian * np.pi / 3
+    assert after[there] == pytest.approx(2000 + turn, abs=spare)
+    # back at the first heading: the line has to be turned into, and left again
+    assert after[0] == pytest.approx(2000 + 2 * turn, abs=spare)
+    assert after[0] <= 2000 + 2 * turn
+    # where the way may end up beside the line, some of that turn is saved, at a cost
+    beside = kernels.along_line(before, np.pi / 3, 10.0, rates, False, False)
+    lag = np.linspace(0, np.pi / 3, 1001)
+    exact = (2000 / np.cos(lag) + 2 * rates.radian * (np.pi / 3 - lag)).min()
+    assert exact - spare <= beside[0] <= exact
+
+
+def test_kernels_agree_with_their_plain_twins():
+    rng = np.random.default_rng(5)
+    rates = Rates(226.0, 165.0, 0.3, -1.1, 0.0)
+    before = rng.uniform(0, 500, HEADINGS)
+    kernels.spread(before, rates.radian * SPACING)
+    for strict in ((True, False), (False, False), (True, True)):
+        fast = kernels.along_line(before, 0.7, 1.3, rates, *strict)
+        plain = kernels.along_line.py_func(before, 0.7, 1.3, rates, *strict)
+        np.testing.assert_allclose(fast, plain, rtol=1e-12)
+    once = before.copy()
+    kernels.spread.py_func(once, rates.radian * SPACING)
+    np.testing.assert_allclose(once, before, rtol=1e-12)
+
+
+# -- gates -----------------------------------------------------------------------------------------
+
+
+def test_a_gate_forbids_only_what_cannot_cross_it():
+    occupied = np.zeros((80, 80), bool)
+    occupied[38:42, :33] = True
+    occupied[38:42, 48:] = True  # a door of 0.75 m
+    grid = OccupancyGrid(occupied, 0.05)
+    vehicle = COST.vehicle
+    (x_min, y_min), (x_max, y_max) = vehicle.footprint.tolist()
+    corners = outline(grid, 0.318)
+    corner = corners.point[np.argmin(np.hypot(*(corners.point - (1.968, 2.0)).T))]
+    cost = np.zeros(HEADINGS)
+    body = Body(x_min, y_min, x_max, y_max)
+    kernels.gate(grid._space, body, corners, 0.0, *corner, 1.0, 0.0, cost, 1.0)
+    # brute force over places on the gate and headings in between the nodes
+    across = corner[0] + np.arange(0, 2.18 - corner[0], 0.01)
+    headings = (np.arange(4 * HEADINGS) + 0.5) * SPACING / 4
+    poses = np.array([(x, corner[1], h) for x in across for h in headings])
+    free = grid.footprint_free(poses, vehicle).reshape(len(across), -1).any(axis=0)
+    for node in range(HEADINGS):
+        around = free[(4 * node + np.arange(-4, 4)) % len(free)]
+        assert cost[node] == 0 or not around.any()
+    # along the wall nothing passes, and through it something does
+    assert cost[0] > 0
+    assert cost[HEADINGS // 4] == 0
+
+
+# -- the whole bound -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_path_of_a_small_robot_beats_the_bound(seed):
+    # hardly any half track and a small body: next to nothing is relaxed, so that an unsound
+    # bound shows
+    cost = nearly_a_point(200.0, 400.0 if seed % 2 else 80.0)
+    grid = cluttered(seed, 30)
+    poses = free_poses(grid, 16, seed, cost.vehicle)
+    compared = 0
+    for start, goal in zip(poses[::2], poses[1::2], strict=True):
+        problem = PlanningProblem(grid, cost, start, goal)
+        try:
+            found = plan(problem, time_limit=0.4, gap=0.0)
+        except (NoPathError, TimeLimitError):
+            continue
+        bound = lower_bound(Query(problem), 1.5 * found.energy)
+        assert bound.value <= found.energy * (1 + 1e-9)
+        compared += 1
+    assert compared > 4
+
+
+def test_a_turn_the_other_way_beside_a_corner_is_not_overlooked():
+    """Forward along 0, a turn of 150 degrees to the left, back: less turning than along the string.
+
+    The string bends around a corner that hardly reaches into the chord; whoever drives along it
+    turns by 180 degrees.
+    """
+    leg, turn = 1.5, np.radians(150)
+    cost = nearly_a_point(226.0, 165.0)
+    travel = np.radians(-30)
+    tip = np.array([leg, 0.0])
+    end = tip + leg * np.array([np.cos(travel), np.sin(travel)])
+    occupied = np.zeros((200, 200), bool)
+    grid = OccupancyGrid(occupied, 0.025, (-1.0, -2.5, 0.0))
+    # a pillar just inside the triangle of start, tip and end
+    column, row = grid.to_cells([0.5 * end + (0.02, 0.09)])[0].astype(int)
+    occupied = occupied.copy()
+    occupied[row - 6 : row, column : column + 2] = True
+    grid = OccupancyGrid(occupied, 0.025, (-1.0, -2.5, 0.0))
+    path = Path(Pose(0.0, 0.0, 0.0), [leg, 0.0, -leg], [0.0, turn, 0.0])
+    assert grid.path_free(path, cost.vehicle)
+    problem = PlanningProblem(grid, cost, path.start, path.end)
+    bound = lower_bound(Query(problem), 5000.0)
+    assert bound.value <= cost.energy(path)
+    assert bound.value > 0.97 * cost.energy(path)
+
+
+def test_the_coarser_outline_gives_a_bound_too(monkeypatch):
+    grid = cluttered(3)
+    start, goal = free_poses(grid, 2, 3)
+    query = Query(PlanningProblem(grid, COST, start, goal))
+    fine = lower_bound(query, 1e5).value
+    monkeypatch.setattr("energyplan.planners._bound.DETAILS", DETAILS[1:])
+    coarse = lower_bound(query, 1e5).value
+    assert 0.9 * fine < coarse < 1.05 * fine
+
+
+def test_little_effort_gives_a_lower_bound_and_says_so():
+    grid = cluttered(1)
+    poses = free_poses(grid, 8, 1)
+    unfinished = 0
+    for start, goal in zip(poses[::2], poses[1::2], strict=True):
+        query = Query(PlanningProblem(grid, COST, start, goal))
+        whole, part = lower_bound(query, 1e5, np.inf), lower_bound(query, 1e5, 1e4)
+        assert whole.final
+        assert part.value <= whole.value
+        unfinished += not part.final
+    assert unfinished
