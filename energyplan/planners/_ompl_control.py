@@ -16,16 +16,18 @@ import numpy as np
 from ompl import base, control, util
 from typing_extensions import override
 
-from energyplan.errors import InvalidInputError, TimeLimitError, UnsupportedPlannerError
+from energyplan.errors import InvalidInputError, UnsupportedPlannerError
 from energyplan.path import FloatArray, Path
 from energyplan.planners._bound import lower_bound
 from energyplan.planners._motion_kernels import connection, drive, join
 from energyplan.planners._problem import Plan, PlanningProblem
 from energyplan.planners._query import Query, Segments
+from energyplan.planners._reach import check_way
 from energyplan.planners.lattice import compiled
 from energyplan.planners.ompl import (
     EnergyObjective,
     PoseChecker,
+    out_of_time,
     pose_space,
     pose_state,
     set_parameters,
@@ -129,6 +131,8 @@ def control_rrt(
     ------
     StartInCollisionError, GoalInCollisionError, OutsideMapError
         If start or goal cannot be.
+    NoPathError
+        If a disc inside the footprint cannot get from start to goal.
     TimeLimitError
         If no path was found in time.
     UnsupportedPlannerError
@@ -151,6 +155,7 @@ def _controlled(
     if not time_limit > 0:
         raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
     query = Query(problem)
+    check_way(query)
     setting = query.setting
     rates = driving_rates(query)
     util.setLogLevel(util.LOG_NONE)
@@ -185,6 +190,7 @@ def _controlled(
     information.setMinMaxControlDuration(1, 20)
     information.setup()
     best: tuple[float, Segments] | None = None
+    definition: Any = None
     first = begun
     while (left := begun + time_limit - time.perf_counter()) > 0:
         definition = base.ProblemDefinition(information)
@@ -217,11 +223,14 @@ def _controlled(
         if best is None or found[0] < best[0]:
             best = found
     if best is None:
-        raise TimeLimitError(
-            f"{name} found no path within {time_limit:g} s; give more time_limit, or use the "
-            "planner 'lattice'"
-        )
-    return query.plan(query.path(best[1]), lower_bound(query, np.inf), begun, first, name)
+        raise out_of_time(name, time_limit, query, definition)
+    return query.plan(
+        query.path(best[1]),
+        lower_bound(query, query.objective.path(query.path(best[1]))).value,
+        begun,
+        first,
+        name,
+    )
 
 
 def _completed(

@@ -121,7 +121,7 @@ class PlanningProblem:
         OutsideMapError
             If a pose lies outside the map.
         StartInCollisionError, GoalInCollisionError
-            If the footprint touches an obstacle; the message names the nearest free pose found.
+            If the footprint touches an obstacle. The messages name the nearest free pose found.
         """
         grid = self.map if grid is None else grid
         for name, pose, error in (
@@ -130,24 +130,24 @@ class PlanningProblem:
         ):
             place = f"{name} ({pose.x:.3f}, {pose.y:.3f}, {np.degrees(pose.yaw):.1f} deg)"
             if not grid.inside(pose[:2]):
-                raise OutsideMapError(f"the {place} lies outside the map; {_extent(grid)}")
-            if not bool(grid.footprint_free(np.array([pose]), self.robot)[0]):
-                near = nearest_free(grid, self.robot, pose)
-                where = (
-                    "no free pose lies within 5 m"
-                    if near is None
-                    else f"the nearest free pose found is ({near.x:.2f}, {near.y:.2f}, "
-                    f"{np.degrees(near.yaw):.0f} deg)"
+                rows, columns = grid.shape
+                x, y = grid.to_world(np.clip(grid.to_cells(pose[:2]), 0, (columns, rows)))
+                where = _nearest_free(grid, self.robot, Pose(float(x), float(y), pose.yaw))
+                raise OutsideMapError(
+                    f"the {place} lies outside the map; it covers {grid.describe_extent()}; {where}"
                 )
+            if not bool(grid.footprint_free(np.array([pose]), self.robot)[0]):
+                where = _nearest_free(grid, self.robot, pose)
                 raise error(f"the footprint at the {place} touches an obstacle; {where}")
 
 
-def _extent(grid: OccupancyGrid) -> str:
-    """Say which part of the world a map covers."""
-    rows, columns = grid.shape
-    corners = grid.to_world([(0, 0), (columns, 0), (columns, rows), (0, rows)])
-    (x0, y0), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
-    return f"it covers x from {x0:g} to {x1:g} m and y from {y0:g} to {y1:g} m"
+def _nearest_free(grid: OccupancyGrid, vehicle: Vehicle, pose: Pose) -> str:
+    """Say where the nearest free pose is."""
+    near = nearest_free(grid, vehicle, pose)
+    if near is None:
+        return "no free pose lies within 5 m"
+    yaw = np.degrees(near.yaw)
+    return f"the nearest free pose found is ({near.x:.2f}, {near.y:.2f}, {yaw:.0f} deg)"
 
 
 def nearest_free(

@@ -34,6 +34,7 @@ from energyplan.planners._bound import lower_bound
 from energyplan.planners._motion_kernels import steering_cost, steering_free
 from energyplan.planners._problem import Plan, PlanningProblem
 from energyplan.planners._query import Query, Segments
+from energyplan.planners._reach import check_way
 from energyplan.steering._kernels import MAX_SEGMENTS, steer_energy, steer_path
 from energyplan.vehicle import Vehicle
 
@@ -201,6 +202,7 @@ def _geometric(
     if not time_limit > 0:
         raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
     query = Query(problem)
+    check_way(query)
     util.setLogLevel(util.LOG_NONE)
     util.RNG.setSeed(seed)
     space = pose_space(query)
@@ -224,17 +226,30 @@ def _geometric(
     planner.setup()
     planner.solve(time_limit)
     if not definition.hasExactSolution():
-        raise TimeLimitError(
-            f"{name} found no path within {time_limit:g} s; give more time_limit, or use the "
-            "planner 'lattice'"
-        )
+        raise out_of_time(name, time_limit, query, definition)
     states = [
         (state.getX(), state.getY(), state.getYaw())
         for state in definition.getSolutionPath().getStates()
     ]
     path = query.path(_joined(query, states))
     found = time.perf_counter()
-    return query.plan(path, lower_bound(query, np.inf), begun, found, name)
+    return query.plan(
+        path, lower_bound(query, query.objective.path(path)).value, begun, found, name
+    )
+
+
+def out_of_time(name: str, time_limit: float, query: Query, definition: Any) -> TimeLimitError:
+    """Return the error that says that a planner of OMPL's found nothing in time."""
+    near = ""
+    if definition is not None and definition.hasApproximateSolution():
+        last = definition.getSolutionPath().getStates()[-1]
+        x, y = last.getX(), last.getY()
+        left = float(np.hypot(x - query.setting.goal_x, y - query.setting.goal_y))
+        near = f"; it got as near to the goal as ({x:.2f}, {y:.2f}), {left:.2f} m from it"
+    return TimeLimitError(
+        f"{name} found no path within {time_limit:g} s{near}; give more time_limit, or use the "
+        "planner 'lattice'"
+    )
 
 
 def set_parameters(planner: Any, name: str, parameters: Mapping[str, object]) -> None:
@@ -292,8 +307,10 @@ def rrtstar(
     ------
     StartInCollisionError, GoalInCollisionError, OutsideMapError
         If start or goal cannot be.
+    NoPathError
+        If a disc inside the footprint cannot get from start to goal.
     TimeLimitError
-        If no path was found in time.
+        If no path was found in time; OMPL's planners cannot tell whether there is one.
     """
     return _geometric(geometric.RRTstar, "rrtstar", problem, time_limit, seed, parameters)
 
