@@ -85,7 +85,7 @@ def diagnosis(told: Diagnosis) -> Document:
 def plan(made: Plan) -> Document:
     """Return what ``energyplan plan --json`` prints."""
     keys = ("energy", "length", "turning", "lower_bound", "gap", "planning_time", "planner")
-    document = {key: plain(getattr(made, key)) for key in keys}
+    document = {key: plain(getattr(made, key)) for key in (*keys, "potential")}
     return {**document, "breakdown": plain(made.breakdown), "path": plain(made.path.poses())}
 
 

@@ -68,10 +68,11 @@ def plan(made: Plan, objective: str) -> list[str]:
     """Return what ``energyplan plan`` prints; bound and gap are those of the objective."""
     unit = {"energy": "J", "length": "m", "time": "s"}[objective]
     parts = ", ".join(f"{k.replace('_', ' ')} {number(v)} J" for k, v in made.breakdown.items())
+    height = f", {number(made.potential, 5)} {unit} of it for the height" if made.potential else ""
     return [
         f"energy: {number(made.energy, 5)} J ({parts})",
         f"{objective} at most {100 * made.gap:.1f} % above the least possible "
-        f"(lower bound {number(made.lower_bound, 5)} {unit})",
+        f"(lower bound {number(made.lower_bound, 5)} {unit}{height})",
         f"length: {number(made.length)} m, turning: {number(math.degrees(made.turning))} deg",
         f"planned by {made.planner} in {made.planning_time:.2f} s",
     ]

@@ -189,9 +189,10 @@ def comparison_pictures(made: Comparison, problem: PlanningProblem) -> Iterator[
     plans = {"least energy": made.energy_optimal, "shortest": made.shortest}
     paths = {label: plan.path for label, plan in plans.items()}
     areas = problem.surfaces.polygons if problem.surfaces else ()
-    yield Picture(
-        "map", plots.routes(problem.map, paths, surfaces=areas), "Both routes on the map."
-    )
+    walls = plots.routes(problem.map, paths, surfaces=areas)
+    if problem.heights is not None:
+        problem.heights.contours(walls.axes[0])
+    yield Picture("map", walls, "Both routes on the map.")
     figure = plots.figure(size=(8.0, 4.0))
     ax = figure.axes[0]
     for (label, path), (color, dash) in zip(

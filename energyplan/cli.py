@@ -201,6 +201,8 @@ def diagnose(
 MapFile = Annotated[Path, typer.Option("--map", help="map_server YAML file.")]
 Start = Annotated[str, typer.Option(help="X,Y,YAW; YAW in radians, or like 90deg.")]
 Surfaces = Annotated[Path | None, typer.Option(help="GeoJSON polygons that name a model each.")]
+Heights = Annotated[Path | None, typer.Option(help="Heights of the ground: ESRI ASCII grid.")]
+Battery = Annotated[bool, typer.Option("--battery", help="Count energy at the battery.")]
 Planner = Annotated[str, typer.Option(help="lattice, roadmap, or another planner's name.")]
 Objective = Annotated[str, typer.Option(help="energy, length or time.")]
 TimeLimit = Annotated[float, typer.Option(help="Time for improving the plan [s].")]
@@ -209,19 +211,35 @@ Plot = Annotated[Path | None, typer.Option(help="Draw the map and the route to t
 
 
 def _problem(
-    map_file: Path, model: str, start: str, goal: str, surfaces: Path | None, objective: str
+    map_file: Path,
+    model: str,
+    start: str,
+    goal: str,
+    surfaces: Path | None,
+    heights: Path | None,
+    battery: bool,
+    objective: str,
 ) -> PlanningProblem:
     from energyplan.cost import EnergyCost
+    from energyplan.effects import reads_slope, with_weight
     from energyplan.io.config import read_model
     from energyplan.io.geojson import read_surfaces
+    from energyplan.io.heights import read_heights
     from energyplan.io.maps import read_map
+    from energyplan.maps import with_weights
     from energyplan.planners import PlanningProblem
 
-    cost = EnergyCost(read_model(model))
+    power = read_model(model)
     ground = read_surfaces(surfaces) if surfaces else None
+    hills = read_heights(heights) if heights else None
+    if hills is not None:
+        if not reads_slope(power):
+            _warn(f"no term of {power.name} reads slopes: {power.vehicle.mass:.4g} kg are added")
+        power, ground = with_weight(power), with_weights(ground) if ground else None
     return PlanningProblem(
-        read_map(map_file), cost, _pose(start), _pose(goal), surfaces=ground, objective=objective
-    )
+        read_map(map_file), EnergyCost(power, battery=battery), _pose(start), _pose(goal),
+        surfaces=ground, objective=objective, heights=hills,
+    )  # fmt: skip
 
 
 @app.command(
@@ -234,6 +252,8 @@ def plan(
     start: Start,
     goal: Start,
     surfaces: Surfaces = None,
+    heights: Heights = None,
+    battery: Battery = False,
     planner: Planner = "lattice",
     objective: Objective = "energy",
     time_limit: TimeLimit = 1.0,
@@ -247,7 +267,7 @@ def plan(
     from energyplan.io.trajectory import write_path
     from energyplan.planners import plan as run
 
-    problem = _problem(map_file, model, start, goal, surfaces, objective)
+    problem = _problem(map_file, model, start, goal, surfaces, heights, battery, objective)
     try:
         with _progress("planning"):
             made = run(problem, planner=planner, time_limit=time_limit)
@@ -270,6 +290,8 @@ def compare(
     start: Start,
     goal: Start,
     surfaces: Surfaces = None,
+    heights: Heights = None,
+    battery: Battery = False,
     planner: Planner = "lattice",
     objective: Objective = "energy",
     time_limit: TimeLimit = 1.0,
@@ -286,7 +308,7 @@ def compare(
     from energyplan.io.files import atomic_write
     from energyplan.io.trajectory import write_path
 
-    problem = _problem(map_file, model, start, goal, surfaces, objective)
+    problem = _problem(map_file, model, start, goal, surfaces, heights, battery, objective)
     try:
         with _progress("planning"):
             made = run(problem, planner=planner, time_limit=time_limit)
@@ -313,7 +335,10 @@ def _draw(problem: PlanningProblem, paths: dict[str, Any], file: Path) -> None:
     from energyplan.report import png
 
     ground = problem.surfaces.polygons if problem.surfaces else ()
-    atomic_write(file, png(plots.routes(problem.map, paths, surfaces=ground)))
+    made = plots.routes(problem.map, paths, surfaces=ground)
+    if problem.heights is not None:
+        problem.heights.contours(made.axes[0])
+    atomic_write(file, png(made))
 
 
 @app.command(epilog="Example: energyplan check trajectory.csv --model quadriga:full:concrete")

@@ -22,7 +22,9 @@ class Comparison:
         The shortest plan found, driven as cheaply as its way allows. Its lower bound and gap are
         those of its length [m].
     saving : float
-        Energy saved, as a fraction of the shortest route's; never negative.
+        Energy saved, as a fraction of the shortest route's; never negative. Where the goal lies
+        below the start, a fraction of what the shortest route takes beyond the energy that the
+        descent is worth.
     by_term : mapping of str to float
         Joules saved by term of the power model; negative where the route of least energy spends
         more. They add up to the energy saved.
@@ -94,19 +96,21 @@ def compare(
     best = plan(replace(problem, objective="energy"), planner, time_limit, **options)
     if best.energy > shortest.energy:
         # a planner that cannot be told of the shortest route has found a worse one
-        bound = best.lower_bound
+        bound, potential = best.lower_bound, best.potential
         best = replace(
             shortest,
             lower_bound=bound,
-            gap=shortest.energy / bound - 1.0,
+            gap=(shortest.energy - potential) / (bound - potential) - 1.0,
             cost=shortest.energy,
+            potential=potential,
             planner=best.planner,
         )
+    spent = max(shortest.energy, shortest.energy - best.potential)
     terms = {**shortest.breakdown, **best.breakdown}
     return Comparison(
         energy_optimal=best,
         shortest=shortest,
-        saving=1.0 - best.energy / shortest.energy if shortest.energy > 0 else 0.0,
+        saving=(shortest.energy - best.energy) / spent if spent > 0 else 0.0,
         by_term={
             name: shortest.breakdown.get(name, 0.0) - best.breakdown.get(name, 0.0)
             for name in terms

@@ -185,15 +185,16 @@ GRADE = CONCRETE.with_term(effects.term("grade"), 83.1)
 
 
 def test_energy_on_a_ramp():
-    """Level cost plus the weight times the rise, up and down."""
+    """Level cost of the length on the slope plus the weight times the rise, up and down."""
     cost = EnergyCost(GRADE)
     i = np.arange(11.0)
     ramp = HeightMap(np.tile(0.05 * i, (4, 1)), 1.0)
     up = Path(Pose(1, 1.5, 0), [6.0], [0.0])
-    expected = cost.energy(up) + 83.1 * 9.81 * 6.0 * np.sin(np.arctan(0.05))
+    level = cost.energy(up) * np.hypot(1.0, 0.05)
+    expected = level + 83.1 * 9.81 * 6.0 * 0.05
     assert ramp.energy(up, cost) == pytest.approx(expected, rel=1e-9)
     there_and_back = ramp.energy(up, cost) + ramp.energy(up.reversed(), cost)
-    assert there_and_back == pytest.approx(2 * cost.energy(up), rel=1e-9)
+    assert there_and_back == pytest.approx(2 * level, rel=1e-9)
 
 
 def test_energy_over_hills_is_the_potential():
@@ -203,8 +204,10 @@ def test_energy_over_hills_is_the_potential():
     i, j = np.indices((60, 60)) * 0.2
     hills = HeightMap(0.2 * np.sin(0.5 * i) * np.cos(0.4 * j), 0.2)
     path = Path(Pose(4, 4, 0.3), rng.uniform(-1, 1.5, 6), rng.uniform(-1, 1, 6))
-    work = hills.energy(path, cost) - cost.energy(path)
-    assert work == pytest.approx(83.1 * 9.81 * hills.rise(path), rel=0.02, abs=2.0)
+    without = EnergyCost(CONCRETE)
+    work = hills.energy(path, cost) - hills.energy(path, without)
+    assert work == pytest.approx(83.1 * 9.81 * hills.rise(path), rel=1e-9, abs=1e-9)
+    assert 1.0 < hills.energy(path, without) / without.energy(path) < 1.02
 
 
 ASC = "ncols 3\nnrows 2\nxllcorner 10\nyllcorner 20\ncellsize 2\nNODATA_value -9999\n1 2 3\n4 5 6\n"

@@ -252,7 +252,12 @@ class Along(NamedTuple):
 
 
 def energy_along(path: Path, problem: PlanningProblem) -> Along:
-    """Return the energy along a path, over the problem's surfaces; it ends with the path's own."""
+    """Return the energy along a path, on the problem's ground; it ends with the path's own."""
+    if problem.heights is not None:
+        fine = problem.heights.cut(path)
+        pieces = problem.heights.pieces(path, problem.cost, problem.surfaces)
+        each = sum(p.cost.segment_energy(p.path.ds, p.path.dtheta, p.slope) for p in pieces)
+        return _along(fine, np.asarray(each))
     fine = path.subdivide(0.1, 0.1)
     costs: tuple[EnergyCost, ...] = (problem.cost,)
     shares = np.ones((len(fine), 1))
@@ -261,6 +266,10 @@ def energy_along(path: Path, problem: PlanningProblem) -> Along:
     each = np.zeros(len(fine))
     for cost, share in zip(costs, shares.T, strict=True):
         each += cost.segment_energy(fine.ds * share, fine.dtheta * share)
+    return _along(fine, each)
+
+
+def _along(fine: Path, each: FloatArray) -> Along:
     joules = np.concatenate([[0.0], np.cumsum(each)])
     metres = np.concatenate([[0.0], np.cumsum(np.abs(fine.ds))])
     return Along(metres, joules, fine.vertices)

@@ -8,9 +8,8 @@ length ``ds`` and the turn ``dtheta`` alone, and is homogeneous in them (docs/th
 on. A slope's weight gives back downhill what it took uphill: without losses its work is the
 difference of a potential, ``m g`` times the height, whatever the route. So a search runs on the
 level cost, which stays positive, and adds the potential's difference between start and goal once,
-at the end. Where returned energy is partly lost, the part that does come back is taken as the
-potential (`EnergyCost.potential`), and what an element costs beyond it is again never negative:
-``segment_energy(ds, dtheta, slope) - potential * rise >= 0``.
+at the end. Where returned energy is partly lost, a part of it is taken as the potential, and what
+an element costs beyond it is again never negative (docs/planning, "Slopes").
 """
 
 from __future__ import annotations
@@ -28,8 +27,8 @@ from energyplan.cost._gauge import SPECIAL, Corners, Gauge, steering_parameters,
 from energyplan.errors import InvalidInputError, ModelError
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Path
-from energyplan.power import REGENERATION_LOSS, PowerModel
-from energyplan.vehicle import GRAVITY, MotorLimits, TreadICR, Vehicle
+from energyplan.power import PowerModel
+from energyplan.vehicle import MotorLimits, TreadICR, Vehicle
 
 STEADY = {"t": 1e9, "x": 0.0, "y": 0.0, "yaw": 0.0, "slope": 0.0, "accel": 0.0, "yaw_accel": 0.0}
 STEADY |= {"accel_x": 0.0}
@@ -300,18 +299,8 @@ class EnergyCost:
         out[moves] = self._element_energy(x[moves], y[moves], tilt[moves])
         return out
 
-    @property
-    def potential(self) -> float:
-        """Energy per metre of height that comes back downhill [J/m]; zero without a grade term."""
-        if not self.model.has("grade"):
-            return 0.0
-        weight = GRAVITY * self.model.coefficient("grade")
-        drawn = self._drawn
-        lost = drawn.coefficient(REGENERATION_LOSS.name) if drawn.has(REGENERATION_LOSS.name) else 0
-        return weight * (1.0 - lost)
-
-    def _moving(self, path: Path) -> tuple[FloatArray, FloatArray]:
-        """Elements of a path that do not vanish, with pivots rid of rounding."""
+    def _moving(self, path: Path, slope: ArrayLike = 0.0) -> list[FloatArray]:
+        """Elements of a path that do not vanish, rid of rounding in pivots, and their slopes."""
         if path.longitudinal != self.icr.longitudinal:
             raise InvalidInputError(
                 f"the path's reference point is at x = {path.longitudinal} m, the tread ICRs are "
@@ -322,24 +311,26 @@ class EnergyCost:
         pivot = np.abs(np.abs(x) - np.abs(y)) <= 1e-9 * np.abs(y)
         x = np.where(pivot, np.copysign(y, x), x)
         moves = (x != 0) | (y != 0)
-        return x[moves], y[moves]
+        return [v[moves] for v in (x, y, np.broadcast_to(np.asarray(slope, float), x.shape))]
 
-    def energy(self, path: Path) -> float:
-        """Return the energy of a path on level ground [J], evaluated through the model.
+    def energy(self, path: Path, slope: ArrayLike = 0.0) -> float:
+        """Return the energy of a path [J], evaluated through the model.
+
+        The slope along the heading of each segment may be given [rad].
 
         Raises
         ------
         InvalidInputError
             If the path belongs to a vehicle with tread ICRs elsewhere along its x axis.
         """
-        return float(self._element_energy(*self._moving(path)).sum())
+        return float(self._element_energy(*self._moving(path, slope)).sum())
 
-    def breakdown(self, path: Path) -> dict[str, float]:
+    def breakdown(self, path: Path, slope: ArrayLike = 0.0) -> dict[str, float]:
         """Return the energy of a path by term [J]; the values add up to `energy`."""
-        x, y = self._moving(path)
+        x, y, tilt = self._moving(path, slope)
         rate = self._rate(x, y)
         rate = np.where(np.isfinite(rate), rate, 1.0 / (np.abs(x) + np.abs(y)))
-        parts = self._drawn.breakdown(self._motion(x, y, rate))
+        parts = self._drawn.breakdown(self._motion(x, y, rate, tilt))
         return {name: float((power / rate).sum()) for name, power in parts.items()}
 
     def duration(self, path: Path) -> float:
@@ -352,7 +343,7 @@ class EnergyCost:
         InvalidInputError
             If neither the vehicle nor `speed` limits the speed.
         """
-        return float(np.sum(self._element_duration(*self._moving(path))))
+        return float(np.sum(self._element_duration(*self._moving(path)[:2])))
 
     def _element_duration(self, x: FloatArray, y: FloatArray) -> FloatArray:
         rate = self._rate(x, y)

@@ -43,11 +43,13 @@ from energyplan.effects._terms import (
     WARM_UP,
 )
 from energyplan.errors import ModelError, UnknownNameError
+from energyplan.motion import Motion
 from energyplan.power import DRIVE_LOSS, HOTEL, REGENERATION_LOSS, SLIP, TRACTION, PowerModel, Term
 
 __all__ = [
     "AIR_DRAG", "ANGULAR_INERTIA", "COPPER_LOSS", "GRADE", "LINEAR_INERTIA", "SPECIFIC_FORCE",
-    "VISCOUS_LOSS", "WARM_UP", "Effect", "catalogue", "effect", "empirical_term", "term",
+    "VISCOUS_LOSS", "WARM_UP", "Effect", "catalogue", "effect", "empirical_term", "reads_slope",
+    "term", "with_weight",
 ]  # fmt: skip
 
 Acts = Literal["motion", "change", "place", "kinematics", "log"]
@@ -333,3 +335,32 @@ def term(name: str) -> Term:
     if name.startswith("empirical_"):
         return empirical_term(name)
     raise UnknownNameError("power term", name, known)
+
+
+def reads_slope(model: PowerModel) -> bool:
+    """Tell whether the power of steady motion depends on the slope of the ground."""
+    steady = dict.fromkeys((name for term in model.terms for name in term.channels), 0.0)
+    ahead = np.array([0.5, -0.5])
+    level, tilted = (
+        model.power(Motion.from_twist(ahead, 0.0, model.vehicle.icr, **{**steady, "slope": slope}))
+        for slope in (0.0, 0.1)
+    )
+    return not np.allclose(level, tilted, rtol=1e-12, atol=0.0)
+
+
+def with_weight(model: PowerModel) -> PowerModel:
+    """Return the model with the vehicle's weight as its grade term, for use on slopes.
+
+    A model identified on level ground says nothing about slopes, but the wheel loads tell the mass.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The model.
+
+    Returns
+    -------
+    PowerModel
+        The model itself where a term of it reads the slope already.
+    """
+    return model if reads_slope(model) else model.with_term(GRADE, model.vehicle.mass)

@@ -14,13 +14,15 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from energyplan.battery import Battery
+from energyplan.effects import with_weight
 from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
 from energyplan.io._yaml import Document, Loc, load
 from energyplan.io.bundled import bundled
 from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.geojson import read_surfaces
+from energyplan.io.heights import read_heights
 from energyplan.io.maps import read_map
-from energyplan.maps import OccupancyGrid, SurfaceMap
+from energyplan.maps import HeightMap, OccupancyGrid, SurfaceMap, with_weights
 from energyplan.mission import Charger, Mission, Task
 from energyplan.path import Pose
 from energyplan.power import PowerModel
@@ -117,6 +119,7 @@ class _Mission(_Strict):
     payload_models: dict[str, dict[float, str]] = {}
     map: str
     surfaces: str | None = None
+    heights: str | None = None
     battery: str | _Battery
     soc: Fraction = 1.0
     start: PoseText
@@ -195,6 +198,16 @@ class _Reader:
         surfaces = None
         if spec.surfaces is not None:
             surfaces = self._placed(("surfaces",), self._surfaces, spec.surfaces)
+        heights = None
+        if spec.heights is not None:
+            heights = self._placed(("heights",), self._heights, spec.heights)
+            # models from level ground say nothing about slopes; the wheel loads tell the weight
+            model = with_weight(model)
+            surfaces = None if surfaces is None else with_weights(surfaces)
+            loaded = {
+                name: {payload: with_weight(heavy) for payload, heavy in models.items()}
+                for name, models in loaded.items()
+            }
         names = {model.name, *(s.model.name for s in (surfaces.surfaces if surfaces else ()))}
         for name in loaded:
             if name not in names:
@@ -225,6 +238,7 @@ class _Reader:
             planner=spec.planner,
             planning_time=spec.planning_time,
             name=spec.name,
+            heights=heights,
         )  # fmt: skip
 
     def _placed(self, loc: Loc, build: Callable[..., T], *args: Any, **values: Any) -> T:
@@ -262,6 +276,9 @@ class _Reader:
 
     def _surfaces(self, name: str) -> SurfaceMap:
         return read_surfaces(self._file(name))
+
+    def _heights(self, name: str) -> HeightMap:
+        return read_heights(self._file(name))
 
     def _model(self, name: str) -> PowerModel:
         return read_model(self._source(name))

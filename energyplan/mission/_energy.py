@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from energyplan.effects import GRADE
 from energyplan.errors import MissionError
 from energyplan.mission._types import Mission
 from energyplan.motion import Motion
@@ -184,6 +185,7 @@ class Grounds:
             base = source.models[0]
             if len(source.models) == 1:
                 vehicle = _loaded(base.vehicle, payload)
+                values = values + payload * np.array([t.name == GRADE.name for t in base.terms])
             else:
                 vehicle = _between([m.vehicle for m in source.models], weights)
             self._known[key] = replace(base, vehicle=vehicle, coefficients=values, covariance=None)
@@ -224,7 +226,7 @@ class Grounds:
         for k in np.unique(region):
             width = np.where(region == k, np.diff(trajectory.t), 0.0)
             icr = self.model(int(k), payload).vehicle.icr
-            motion = Motion.from_trajectory(trajectory, icr)
+            motion = self._motion(trajectory, icr)
             total = total + self._one(int(k), motion, width, payload)
         return total
 
@@ -233,9 +235,22 @@ class Grounds:
         out = np.zeros(len(region))
         for k in np.unique(region):
             model = self.model(int(k), payload).battery_side()
-            power = model.power(Motion.from_trajectory(trajectory, model.vehicle.icr))
+            power = model.power(self._motion(trajectory, model.vehicle.icr))
             out = np.where(region == k, 0.5 * (power[1:] + power[:-1]), out)
         return out
+
+    def _motion(self, trajectory: Trajectory, icr: TreadICR) -> Motion:
+        """Return the motion along a trajectory; on slopes it is faster than in plan view."""
+        heights = self._mission.heights
+        if heights is None:
+            return Motion.from_trajectory(trajectory, icr)
+        poses = trajectory.poses.copy()
+        heading = np.column_stack([np.cos(trajectory.yaw), np.sin(trajectory.yaw)])
+        poses[:, :2] += icr.longitudinal * heading
+        slope = heights.slope(poses)
+        flat = Motion.from_trajectory(trajectory, icr, slope=slope)
+        more = trajectory.v * (1.0 / np.cos(slope) - 1.0)
+        return Motion(flat.v_left + more, flat.v_right + more, icr, flat.channels)
 
     def idle(self, region: int, duration: float, payload: float) -> Estimate:
         """Return the energy of standing still for so long [s]."""

@@ -16,17 +16,21 @@ import shapely
 from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitError
-from energyplan.maps import OccupancyGrid, SurfaceMap
+from energyplan.maps import HeightMap, OccupancyGrid, SurfaceMap
 from energyplan.mission._bounds import shortest_ways
 from energyplan.mission._energy import Estimate, Grounds, Regions
 from energyplan.mission._types import Mission
 from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
 from energyplan.planners import PlanningProblem, plan
+from energyplan.planners._query import Query
 from energyplan.power import PowerModel
 from energyplan.speed import profile
 
 _PERIOD = 0.1
 """Largest time between two samples of a leg [s]."""
+
+_PIECE = 0.5
+"""Length of the pieces in which the slope counts as constant while timing [m]."""
 
 _PLANNING = 20.0
 """Time for all routes of a mission, where it does not say otherwise [s]."""
@@ -169,6 +173,9 @@ class Legs:
         infinite where there is no way.
         """
         if payload not in self._bounds:
+            if self.mission.heights is not None:
+                self._bounds[payload] = self._bounds_on_slopes(payload)
+                return self._bounds[payload]
             cost, surfaces = self.cost(payload)
             costs = (cost,) if surfaces is None else surfaces.costs(cost)
             poses = np.array(self.poses)
@@ -182,6 +189,23 @@ class Legs:
             ]
             self._bounds[payload] = np.asarray(np.min(bounds, axis=0))
         return self._bounds[payload]
+
+    def _bounds_on_slopes(self, payload: float) -> FloatArray:
+        """Bound energies by the least prices on any slope, and by what the height is worth."""
+        mission, (cost, surfaces) = self.mission, self.cost(payload)
+        here = self.poses[0]
+        problem = PlanningProblem(
+            mission.map, cost, here, here, surfaces=surfaces, heights=mission.heights
+        )
+        query = Query(problem)
+        poses = np.array(self.poses)
+        turn = np.abs(wrap_angle(poses[:, None, 2] - poses[None, :, 2]))
+        # the prices hold for the centre of the tread ICRs, the ways for the vehicle's origin
+        ways = np.maximum(self._ways - 2.0 * np.hypot(*cost.icr.centre), 0.0)
+        height = np.array([query.worth(pose) for pose in self.poses])
+        return np.asarray(
+            query.least.metre * ways + query.least.radian * turn + height[None, :] - height[:, None]
+        )
 
     @cached_property
     def _ways(self) -> FloatArray:
@@ -220,6 +244,7 @@ class Legs:
             _told(cost.model),
             *((shapely.to_wkb(ground.area), _told(ground.model)) for ground in grounds),
             *(shapely.to_wkb(area) for area in areas),
+            _shaped(mission.heights),
             mission.speed, mission.planner, self._planning_time,
         )  # fmt: skip
         known = _routes.setdefault(mission.map, {})
@@ -243,7 +268,9 @@ class Legs:
             return _Route(way, back.trouble, back.detail)
         if self._progress is not None:
             self._progress(f"planning from {self.names[start]} to {self.names[goal]}")
-        problem = PlanningProblem(mission.map, cost, here, there, surfaces=surfaces)
+        problem = PlanningProblem(
+            mission.map, cost, here, there, surfaces=surfaces, heights=mission.heights
+        )
         for patience in (1.0, 10.0):
             try:
                 limit = patience * self._planning_time
@@ -266,6 +293,8 @@ class Legs:
     @cached_property
     def _symmetric(self) -> bool:
         """Whether a way costs the same driven backwards, so that one plan serves both."""
+        if self.mission.heights is not None:
+            return False
         cost, surfaces = self.cost(self.mission.payload)
         angle = np.linspace(0.0, np.pi, 65)
         ds, turn = np.cos(angle), np.sin(angle)
@@ -298,8 +327,14 @@ class Legs:
         speed, model = self.mission.speed, self._leading_model(route.path, payload)
         key = speed, _told(model)
         if key not in route.timed:
+            path, channels = route.path, {}
+            if self.mission.heights is not None:
+                path = path.subdivide(max(_PIECE, 0.5 * self.mission.heights.resolution), 0.2)
+                channels = {"slope": self.mission.heights.slopes(path)}
             objective: Literal["energy", "time"] = "energy" if speed is None else "time"
-            route.timed[key] = profile(route.path, model, objective=objective, period=_PERIOD)
+            route.timed[key] = profile(
+                path, model, objective=objective, period=_PERIOD, channels=channels
+            )
         return route.timed[key]
 
     def _leading_model(self, path: Path, payload: float) -> PowerModel:
@@ -326,6 +361,13 @@ class Legs:
         heading = np.column_stack([np.cos(trajectory.yaw), np.sin(trajectory.yaw)])
         points = trajectory.poses[:, :2] + longitudinal * heading
         return surfaces.region_at(0.5 * (points[1:] + points[:-1]))
+
+
+def _shaped(heights: HeightMap | None) -> object:
+    """Return what decides a route of a height map."""
+    if heights is None:
+        return None
+    return hashlib.sha256(heights.heights.tobytes()).digest(), heights.resolution, heights.origin
 
 
 def _told(model: PowerModel) -> tuple[object, ...]:

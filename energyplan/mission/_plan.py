@@ -121,6 +121,11 @@ class _Matrix:
 
     def _energy(self, payload: float) -> FloatArray:
         """Energies with any payload, interpolated between the levels."""
+        known = self._interpolated(payload)
+        # the search beyond knows no energy that comes back
+        return np.maximum(known, 0.0) if len(self._walk.mission.tasks) > EXACT else known
+
+    def _interpolated(self, payload: float) -> FloatArray:
         levels = self._levels
         if len(levels) == 1:
             return self._known(float(levels[0]))

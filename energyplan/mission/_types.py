@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from energyplan.battery import Battery
+from energyplan.effects import reads_slope
 from energyplan.errors import MissionError
 from energyplan.maps import OccupancyGrid
 from energyplan.path import Pose
@@ -19,7 +20,7 @@ from energyplan.power import PowerModel
 from energyplan.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from energyplan.maps import SurfaceMap
+    from energyplan.maps import HeightMap, SurfaceMap
 
 OrderRule = Literal["given", "free"]
 ReturnRule = Literal["start", "charger", "any"]
@@ -189,6 +190,9 @@ class Mission:
         are many.
     name : str
         What to call the mission.
+    heights : HeightMap, optional
+        Heights of the ground where it slopes. All models need a term that reads the slope
+        (`energyplan.effects.with_weight`); payload adds to the mass of the term grade.
 
     Raises
     ------
@@ -218,6 +222,7 @@ class Mission:
     planner: str = "lattice"
     planning_time: float | None = None
     name: str = "mission"
+    heights: HeightMap | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tasks", tuple(self.tasks))
@@ -230,6 +235,7 @@ class Mission:
         _require(self.tasks, "the mission has no task; list at least one", "tasks")
         self._check_names()
         self._check_numbers()
+        self._check_models()
         self._check_poses()
 
     def __getstate__(self) -> dict[str, object]:
@@ -297,6 +303,18 @@ class Mission:
             "the mission must end at a charger but has none; list one, or return to the start",
             "return_to",
         )
+
+    def _check_models(self) -> None:
+        if self.heights is None:
+            return
+        grounds = self.surfaces.surfaces if self.surfaces is not None else ()
+        for model in (self.model, *(surface.model for surface in grounds)):
+            _require(
+                reads_slope(model),
+                f"no term of the model {model.name!r} reads the slope; add the weight with "
+                "energyplan.effects.with_weight(model)",
+                "heights",
+            )
 
     def _check_poses(self) -> None:
         places: list[tuple[str, Pose, tuple[str | int, ...]]] = [("start", self.start, ("start",))]

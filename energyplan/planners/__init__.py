@@ -12,7 +12,7 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any, cast
 
-from energyplan.errors import PlanningError, UnknownNameError
+from energyplan.errors import PlanningError, UnknownNameError, UnsupportedPlannerError
 from energyplan.planners._problem import Plan, PlanningProblem
 
 __all__ = ["PLANNERS", "Plan", "PlanningProblem", "plan", "planners"]
@@ -33,6 +33,9 @@ PLANNERS = {
     "aorrtc": "energyplan.planners.ompl:aorrtc",
 }
 """Where the library's own planners are; they are imported when they are used."""
+
+LEVEL_ONLY = ("roadmap", "control_rrt")
+"""Those that know level ground only."""
 
 
 def planners() -> tuple[str, ...]:
@@ -81,6 +84,8 @@ def plan(
     ------
     UnknownNameError
         If there is no such planner.
+    UnsupportedPlannerError
+        If the planner cannot be used with this problem; the message says which can.
     StartInCollisionError, GoalInCollisionError, OutsideMapError
         If start or goal cannot be.
     NoPathError
@@ -100,4 +105,9 @@ def plan(
     >>> round(found.energy), round(found.gap, 6)
     (1808, 0.0)
     """
+    if problem.heights is not None and planner in LEVEL_ONLY:
+        raise UnsupportedPlannerError(
+            f"the planner {planner!r} knows level ground only; use 'lattice', or leave the heights "
+            "out"
+        )
     return _planner(planner)(problem, time_limit, **options)

@@ -98,6 +98,8 @@ def distance_field(
     penalty: float,
     surface: NDArray[np.uint8],
     dearness: NDArray[np.float64],
+    height: NDArray[np.float64],
+    steepest: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the distance of a disc's centre from one point, over 16 neighbours.
 
@@ -123,8 +125,13 @@ def distance_field(
         Factor by which distances count in tight places.
     surface : ndarray, shape (rows, columns) or (1, 1)
         Class of the surface in each cell.
-    dearness : ndarray, shape (classes,)
-        Factor by which distances count on each class.
+    dearness : ndarray, shape (classes, slopes)
+        Factor by which distances count on each class, along slopes from ``-steepest`` to
+        ``steepest`` on the way to the goal.
+    height : ndarray, shape of the field or (1, 1)
+        Height of its points [cells]; a single one on level ground.
+    steepest : float
+        See above.
 
     Returns
     -------
@@ -149,6 +156,7 @@ def distance_field(
     size = push(heap_f, heap_node, 0, 0.0, row * columns + column)
     limit = inf
     varied = surface.size > 1
+    slopes = dearness.shape[1]
     while size > 0:
         d = heap_f[0]
         node = heap_node[0]
@@ -169,7 +177,7 @@ def distance_field(
             direction[r, c] = atan2(far // columns - r, far % columns - c)
         if r == stop_row and c == stop_column:
             limit = margin * d + 40.0
-        here = dearness[surface[r * stride, c * stride] if varied else 0]
+        here = surface[r * stride, c * stride] if varied else 0
         for k in range(16):
             rr = r + steps_r[k]
             cc = c + steps_c[k]
@@ -183,12 +191,17 @@ def distance_field(
                 half_c = (c + cc) * stride // 2
                 if clearance[half_r, half_c] < radius:
                     continue
-            factor = here
+            far_apart = stride * hypot(steps_r[k], steps_c[k])
+            at = 0
+            if slopes > 1:
+                steep = (height[r, c] - height[rr, cc]) / (far_apart * steepest)
+                at = int((min(max(steep, -1.0), 1.0) + 1.0) * 0.5 * (slopes - 1) + 0.5)
+            factor = dearness[here, at]
             if varied:
-                factor = 0.5 * (here + dearness[surface[rr * stride, cc * stride]])
+                factor = 0.5 * (factor + dearness[surface[rr * stride, cc * stride], at])
             if clearance[rr * stride, cc * stride] < room:
                 factor *= penalty
-            dd = d + factor * stride * hypot(steps_r[k], steps_c[k])
+            dd = d + factor * far_apart
             if dd < out[rr, cc] - ROUNDING:
                 out[rr, cc] = dd
                 parent[rr * columns + cc] = node

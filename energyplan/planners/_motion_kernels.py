@@ -6,6 +6,9 @@ symmetric: `Setting.body` is the footprint seen from there.
 A price is a positively homogeneous function of (ds, dtheta). It is held as its values on
 `DIRECTIONS` rays of the plane ``(ds, C dtheta)`` and is linear between them. The kinks of the
 static model, at straight motion, spin and pivot, lie on rays, so its price is exact.
+
+On slopes there is such a row for each of `Hills.bins` slopes, less the energy that height is worth,
+so that no price is negative; between two slopes the price is linear.
 """
 
 from __future__ import annotations
@@ -23,6 +26,52 @@ from energyplan.steering._kernels import MAX_SEGMENTS, steer_energy, steer_path
 DIRECTIONS = 128
 """Rays of the price table; a multiple of 8."""
 
+STILL = 1e-6
+"""Arc lengths below this count as turning on the spot [m]."""
+
+TURN = 0.1
+"""Turn by which the slope along the heading is looked up anew [rad]."""
+
+
+class Hills(NamedTuple):
+    """Heights of the ground, as the kernels see them.
+
+    Attributes
+    ----------
+    heights : ndarray, shape (rows, columns)
+        Heights at the nodes [m]; a single one where the ground is level.
+    x, y, cos, sin : float
+        Position of node (0, 0), and cosine and sine of the raster's yaw.
+    resolution : float
+        Distance between nodes [m].
+    lateral : float
+        How far to the left of the path's reference point, which is what climbs, the centre of the
+        tread ICRs lies [m].
+    steepest : float
+        Steepest slope, as rise over run.
+    bins : int
+        Slopes in the price table, from ``-steepest`` to ``steepest``; 1 on level ground.
+    piece : float
+        Length of the pieces that motions are priced in [m].
+    """
+
+    heights: NDArray[np.float64]
+    x: float
+    y: float
+    cos: float
+    sin: float
+    resolution: float
+    lateral: float
+    steepest: float
+    bins: int
+    piece: float
+
+
+_FLAT = np.zeros((1, 1))
+_FLAT.setflags(write=False)  # as those of a `HeightMap`: the kernels are compiled for one kind
+LEVEL = Hills(_FLAT, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 1, 1.0)
+"""Level ground."""
+
 
 class Setting(NamedTuple):
     """What a search needs to know about its problem.
@@ -33,10 +82,12 @@ class Setting(NamedTuple):
         Obstacles.
     body : Body
         Footprint, seen from the centre of the tread ICRs [m].
-    prices : ndarray, shape (classes, DIRECTIONS + 1)
-        Price of a unit vector along each ray, for each class of surface.
+    prices : ndarray, shape (classes * slopes, DIRECTIONS + 1)
+        Price of a unit vector along each ray, for each class of surface and each slope.
     surface : ndarray of uint8, shape (rows, columns) or (1, 1)
-        Class of the surface in each cell; a single one where all are alike.
+        Class of the surface in each cell; a single one where all are alike and level.
+    hills : Hills
+        Heights of the ground.
     steering : ndarray
         Parameters of the steering kernels.
     half_track : float
@@ -53,6 +104,7 @@ class Setting(NamedTuple):
     body: Body
     prices: NDArray[np.float64]
     surface: NDArray[np.uint8]
+    hills: Hills
     steering: NDArray[np.float64]
     half_track: float
     reach: float
@@ -99,6 +151,104 @@ def surface_at(setting: Setting, x: float, y: float) -> int:
 
 
 @njit
+def height_at(hills: Hills, x: float, y: float) -> float:
+    """Height of a point, bilinear between the nodes; that of the raster's edge beyond it."""
+    dx = x - hills.x
+    dy = y - hills.y
+    rows, columns = hills.heights.shape
+    along = (hills.cos * dx + hills.sin * dy) / hills.resolution
+    across = (-hills.sin * dx + hills.cos * dy) / hills.resolution
+    along = min(max(along, 0.0), columns - 1.0)
+    across = min(max(across, 0.0), rows - 1.0)
+    j = min(int(along), columns - 2)
+    i = min(int(across), rows - 2)
+    u = along - j
+    v = across - i
+    low = hills.heights[i, j] * (1.0 - u) + hills.heights[i, j + 1] * u
+    high = hills.heights[i + 1, j] * (1.0 - u) + hills.heights[i + 1, j + 1] * u
+    return float(low * (1.0 - v) + high * v)
+
+
+@njit
+def heights_of_points(hills: Hills, space: Space, stride: int) -> NDArray[np.float64]:
+    """Heights at every `stride`-th cell of a map [m]; a single one on level ground."""
+    if hills.bins == 1:
+        return np.zeros((1, 1))
+    rows = (space.clearance.shape[0] + stride - 1) // stride
+    columns = (space.clearance.shape[1] + stride - 1) // stride
+    out = np.empty((rows, columns))
+    for row in range(rows):
+        for column in range(columns):
+            along = (column * stride + 0.5) * space.resolution
+            across = (row * stride + 0.5) * space.resolution
+            x = space.x + space.cos * along - space.sin * across
+            y = space.y + space.sin * along + space.cos * across
+            out[row, column] = height_at(hills, x, y)
+    return out
+
+
+@njit
+def sloping_cost(
+    setting: Setting, x: float, y: float, yaw: float, ds: float, dtheta: float
+) -> float:
+    """Price of a motion on slopes, less what the rise of its reference point is worth.
+
+    Each piece pays for the mean slope along it, and for the surface under its middle.
+    """
+    hills = setting.hills
+    turned = setting.half_track * dtheta
+    size = hypot(ds, turned)
+    if size == 0.0:
+        return 0.0
+    pieces = max(ceil(max(abs(ds) / hills.piece, abs(dtheta) / TURN)), 1)
+    # place among the rays, the same for every piece
+    spread = 2.0 * pi / DIRECTIONS
+    place = (atan2(turned, ds) % (2.0 * pi)) / spread
+    ray = min(int(place), DIRECTIONS - 1)
+    into = (place - ray) * spread
+    before = size / pieces * sin(spread - into) / sin(spread)
+    after = size / pieces * sin(into) / sin(spread)
+
+    several = len(setting.prices) > hills.bins
+    travel = (ds + hills.lateral * dtheta) / pieces
+    turn = dtheta / pieces
+    chord = ds / pieces * (sin(0.5 * turn) / (0.5 * turn) if turn != 0.0 else 1.0)
+    px = x + hills.lateral * sin(yaw)
+    py = y - hills.lateral * cos(yaw)
+    height = height_at(hills, px, py)
+    total = 0.0
+    for k in range(pieces):
+        mid = yaw + (k + 0.5) * turn
+        row = 0
+        if several:
+            mx = x + 0.5 * chord * cos(mid)
+            my = y + 0.5 * chord * sin(mid)
+            row = hills.bins * surface_at(setting, mx, my)
+        x += chord * cos(mid)
+        y += chord * sin(mid)
+        if abs(travel) > STILL:
+            px = x + hills.lateral * sin(mid + 0.5 * turn)
+            py = y - hills.lateral * cos(mid + 0.5 * turn)
+            next_height = height_at(hills, px, py)
+            steep = (next_height - height) / travel
+            height = next_height
+        else:
+            nearby = 1e-4 * hills.resolution
+            dx = nearby * cos(mid)
+            dy = nearby * sin(mid)
+            rise = height_at(hills, px + dx, py + dy) - height_at(hills, px - dx, py - dy)
+            steep = 0.5 * rise / nearby
+        at = (min(max(steep / hills.steepest, -1.0), 1.0) + 1.0) * 0.5 * (hills.bins - 1)
+        low = min(int(at), hills.bins - 2)
+        part = at - low
+        row += low
+        prices = setting.prices
+        total += (1.0 - part) * (before * prices[row, ray] + after * prices[row, ray + 1])
+        total += part * (before * prices[row + 1, ray] + after * prices[row + 1, ray + 1])
+    return total
+
+
+@njit
 def motion_cost(
     setting: Setting, x: float, y: float, yaw: float, ds: float, dtheta: float
 ) -> float:
@@ -108,6 +258,8 @@ def motion_cost(
     """
     if setting.surface.size == 1:
         return price(setting.prices, 0, setting.half_track, ds, dtheta)
+    if setting.hills.bins > 1:
+        return sloping_cost(setting, x, y, yaw, ds, dtheta)
     pieces = max(ceil(2.0 * abs(ds) / setting.space.resolution), 1)
     piece_ds = ds / pieces
     piece_turn = dtheta / pieces

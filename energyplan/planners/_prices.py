@@ -52,17 +52,25 @@ class Prices:
         tie = TIE_BREAK / float(self.cost.segment_energy(1.0, 0.0))
         return given.get("energy", 0.0) + tie * length, length, given.get("time", 0.0)
 
-    def motion(self, ds: ArrayLike, dtheta: ArrayLike, region: int = 0) -> FloatArray:
+    def motion(
+        self,
+        ds: ArrayLike,
+        dtheta: ArrayLike,
+        region: int = 0,
+        steep: ArrayLike | None = None,
+    ) -> FloatArray:
         """Return the price of arcs within one region.
 
         Parameters
         ----------
         ds : array_like, shape (...)
-            Signed arc length of the reference point [m].
+            Signed arc length of the reference point in plan view [m].
         dtheta : array_like, shape (...)
             Signed turn [rad].
         region : int
             Number of the region.
+        steep : array_like, shape (...), optional
+            Slope along the heading, as rise over run; level where not given.
 
         Returns
         -------
@@ -71,9 +79,12 @@ class Prices:
         """
         cost = self.costs[region]
         energy, length, time = self._weights
-        total = energy * cost.segment_energy(ds, dtheta) + length * np.abs(ds)
+        slope, along = None, np.asarray(ds, float)
+        if steep is not None:
+            slope, along = np.arctan(steep), along * np.hypot(1.0, steep)
+        total = energy * cost.segment_energy(along, dtheta, slope) + length * np.abs(ds)
         # without need a vehicle without a speed limit is not asked for its time
-        return np.asarray(total + time * cost.segment_duration(ds, dtheta) if time else total)
+        return np.asarray(total + time * cost.segment_duration(along, dtheta) if time else total)
 
     def value(self, energy: float, length: float, duration: float) -> float:
         """Return the price of a whole path, given its energy [J], length [m] and duration [s]."""

@@ -16,7 +16,7 @@ from energyplan.errors import (
     OutsideMapError,
     StartInCollisionError,
 )
-from energyplan.maps import OccupancyGrid, SurfaceMap
+from energyplan.maps import HeightMap, OccupancyGrid, SurfaceMap
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.vehicle import Vehicle
 
@@ -78,6 +78,9 @@ class PlanningProblem:
         second saved. Of the shortest routes ``"length"`` asks for the one of least energy.
     vehicle : Vehicle, optional
         Whose footprint to use; that of the cost's model if left out.
+    heights : HeightMap, optional
+        Heights of the ground where it slopes. All power models need a term that reads the slope,
+        such as the grade (`energyplan.effects.with_weight`).
 
     Raises
     ------
@@ -92,6 +95,7 @@ class PlanningProblem:
     surfaces: SurfaceMap | None = None
     objective: str | Mapping[str, float] = "energy"
     vehicle: Vehicle | None = None
+    heights: HeightMap | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "start", as_pose(self.start, "start"))
@@ -180,11 +184,12 @@ class Plan:
     path : Path
         The path; free of collisions from the start to the goal.
     energy : float
-        Its energy, priced by the model itself after planning [J].
+        Its energy, priced by the model itself after planning [J]. Downhill it can be negative.
     lower_bound : float
         What no path can cost less than, in the unit of the objective (for energy [J]).
     gap : float
         Cost over lower bound, minus 1: the plan costs at most this fraction more than the optimum.
+        On slopes, both less the `potential`.
     cost : float
         The objective's value: `energy` itself where energy is the objective.
     length, turning : float
@@ -199,6 +204,9 @@ class Plan:
         Name of the planner.
     breakdown : mapping of str to float
         Energy by term of the power model [J].
+    potential : float
+        What the difference in height between start and goal makes of the cost and its lower
+        bound, whichever way is taken; zero on level ground.
     """
 
     path: Path
@@ -213,6 +221,7 @@ class Plan:
     first_time: float
     planner: str
     breakdown: Mapping[str, float] = field(default_factory=dict)
+    potential: float = 0.0
 
     def _repr_html_(self) -> str:
         """Return energy, bound and breakdown as a table, for notebooks."""

@@ -6,6 +6,7 @@ The kernels work in the frame of the point midway between the tread ICRs; `Query
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -19,7 +20,8 @@ from energyplan.errors import InvalidInputError, ModelError, PlanningError
 from energyplan.maps import OccupancyGrid, SurfaceMap
 from energyplan.maps._collision import Body, pose_free
 from energyplan.path import FloatArray, Path, Pose
-from energyplan.planners._motion_kernels import DIRECTIONS, Setting
+from energyplan.planners import _slopes
+from energyplan.planners._motion_kernels import DIRECTIONS, LEVEL, Hills, Setting
 from energyplan.planners._prices import Prices
 from energyplan.planners._problem import Plan, PlanningProblem
 
@@ -120,30 +122,88 @@ class Query:
         return self.objective.costs
 
     @cached_property
+    def steepest(self) -> float:
+        """Steepest slope that the robot can be on, as rise over run; zero on level ground."""
+        problem = self.problem
+        if problem.heights is None:
+            return 0.0
+        _slopes.check_models(self.costs, problem.surfaces)
+        (x_min, y_min), (x_max, y_max) = problem.robot.footprint.tolist()
+        ahead = problem.cost.icr.longitudinal
+        radius = max(min(ahead - x_min, x_max - ahead, -y_min, y_max), 0.0)
+        return _slopes.steepest(self.grid, problem.heights, radius)
+
+    @cached_property
     def grid(self) -> OccupancyGrid:
         """The map, with what must be kept out of occupied."""
         return _ground(self.problem).grid
 
     @cached_property
-    def prices(self) -> FloatArray:
-        """Price of the rays, shape (classes, DIRECTIONS + 1)."""
+    def _priced(self) -> _slopes.Priced:
+        """Prices of the rays for all classes of surface and all slopes."""
         half = self.problem.cost.half_track
         ds, dtheta = self.reference(self.rays[:, 0], self.rays[:, 1] / half)
-        return np.array([self.objective.motion(ds, dtheta, k) for k in range(len(self.costs))])
+        if self.steepest > _slopes.FLAT:
+            travel = np.abs(self.rays[:, 0])
+            return _slopes.priced(self.objective, ds, dtheta, travel, self.steepest)
+        prices = [self.objective.motion(ds, dtheta, k) for k in range(len(self.costs))]
+        return _slopes.Priced(np.array(prices), np.array(prices), 0.0)
+
+    @property
+    def prices(self) -> FloatArray:
+        """Price of the rays, shape (classes * slopes, DIRECTIONS + 1)."""
+        return self._priced.kept
+
+    def worth(self, pose: Pose) -> float:
+        """Return what the height at a pose is worth; only differences mean something."""
+        heights, ahead = self.problem.heights, self.problem.cost.icr.longitudinal
+        if heights is None:
+            return 0.0
+        point = pose.x + ahead * np.cos(pose.yaw), pose.y + ahead * np.sin(pose.yaw)
+        return self._priced.worth * float(heights.height(point))
+
+    def potential(self, goal: Pose) -> float:
+        """Return what the height of a goal above the start adds to the cost of every path."""
+        return self.worth(goal) - self.worth(self.problem.start)
+
+    @cached_property
+    def least(self) -> Minorant:
+        """What motions cost at least, metres and radians apart, less what the rise is worth."""
+        return minorant(self._priced.fine, self.rays, self.problem.cost.half_track, 0.0)
 
     @cached_property
     def steering(self) -> Minorant:
         """The static cost that steering solves exactly: the greatest one below all prices."""
         half = self.problem.cost.half_track
         eighth, quarter = DIRECTIONS // 8, DIRECTIONS // 4
-        pivot, spin = self.prices[0, eighth] * np.sqrt(2), self.prices[0, quarter]
-        straight = self.prices[0, 0]
+        level = self.prices[self.hills.bins // 2]
+        pivot, spin, straight = level[eighth] * np.sqrt(2), level[quarter], level[0]
         # where a pivot costs clearly more than a spin, turning and driving are paid apart
         track = half if pivot - spin < 0.5 * straight else SHORT_TRACK
-        found = minorant(self.prices, self.rays, half, track)
+        found = minorant(self._priced.fine, self.rays, half, track)
         if not found.metre > 0:
             raise ModelError("the objective makes some motion free; give energy or time a weight")
         return found
+
+    @cached_property
+    def hills(self) -> Hills:
+        """The heights as the kernels see them."""
+        heights = self.problem.heights
+        if heights is None or not self.steepest > _slopes.FLAT:
+            return LEVEL
+        cells, several = 0.5 * self.grid.resolution, len(self.costs) > 1
+        return Hills(
+            heights=heights.heights,
+            x=heights.origin.x,
+            y=heights.origin.y,
+            cos=float(np.cos(heights.origin.yaw)),
+            sin=float(np.sin(heights.origin.yaw)),
+            resolution=float(heights.resolution),
+            lateral=float(self.problem.cost.icr.centre[1]),
+            steepest=self.steepest,
+            bins=_slopes.BINS,
+            piece=cells if several else max(cells, 0.5 * heights.resolution),
+        )
 
     @cached_property
     def setting(self) -> Setting:
@@ -158,14 +218,17 @@ class Query:
             for pose in (problem.start, problem.goal)
         ):
             body = Body(x_min - c_x, y_min - c_y, x_max - c_x, y_max - c_y)
+        surface = _ground(problem).surface
+        if self.hills.bins > 1 and surface.size == 1:
+            surface = np.zeros(self.grid.shape, np.uint8)
         static = self.steering
-        rest = minorant(self.prices, self.rays, problem.cost.half_track, 0.0)
         start, goal = self.centre(problem.start), self.centre(problem.goal)
         return Setting(
             space=self.grid._space,
             body=body,
             prices=self.prices,
-            surface=_ground(problem).surface,
+            surface=surface,
+            hills=self.hills,
             steering=np.array(
                 [
                     0.0,
@@ -178,8 +241,8 @@ class Query:
             ),
             half_track=problem.cost.half_track,
             reach=float(np.hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max))),
-            least_metre=rest.metre,
-            least_radian=rest.radian,
+            least_metre=self.least.metre,
+            least_radian=self.least.radian,
             start_x=start.x,
             start_y=start.y,
             start_yaw=start.yaw,
@@ -229,7 +292,7 @@ class Query:
         path : Path
             The path.
         bound : float
-            Lower bound on the objective.
+            Lower bound on the objective, less what the height of the goal adds to it.
         begun, first : float
             Readings of `time.perf_counter` when planning began and when a first plan was known.
         planner : str
@@ -240,21 +303,30 @@ class Query:
         Plan
             The plan.
         """
-        cost, surfaces = self.problem.cost, self.problem.surfaces
+        cost, surfaces, heights = (
+            self.problem.cost, self.problem.surfaces, self.problem.heights
+        )  # fmt: skip
         timed = all(c.speed is not None or np.isfinite(c.vehicle.motor.speed) for c in self.costs)
-        if surfaces is None:
+        if heights is not None:
+            pieces = heights.pieces(path, cost, surfaces)
+            breakdown = total_by_term(p.cost.breakdown(p.path, p.slope) for p in pieces)
+            energy = sum(breakdown.values())
+            duration = sum(p.cost.duration(p.path) for p in pieces) if timed else np.nan
+        elif surfaces is None:
             energy, breakdown = cost.energy(path), cost.breakdown(path)
             duration = cost.duration(path) if timed else np.nan
         else:
             energy, breakdown = surfaces.energy(path, cost), surfaces.breakdown(path, cost)
             duration = surfaces.duration(path, cost) if timed else np.nan
         value = self.objective.value(energy, path.length, duration)
-        bound = min(bound, value)
+        potential = self.potential(self.problem.goal)
+        excess = value - potential
+        bound = min(bound, excess)
         return Plan(
             path=path,
             energy=energy,
-            lower_bound=bound,
-            gap=value / bound - 1.0 if bound > 0 else 0.0,
+            lower_bound=potential + bound,
+            gap=excess / bound - 1.0 if bound > 0 else 0.0,
             cost=value,
             length=path.length,
             turning=path.turning,
@@ -263,7 +335,17 @@ class Query:
             first_time=first - begun,
             planner=planner,
             breakdown=breakdown,
+            potential=potential,
         )
+
+
+def total_by_term(parts: Iterable[Mapping[str, float]]) -> dict[str, float]:
+    """Add up breakdowns."""
+    total: dict[str, float] = {}
+    for part in parts:
+        for name, joules in part.items():
+            total[name] = total.get(name, 0.0) + joules
+    return total
 
 
 def merged(segments: Segments) -> Segments:

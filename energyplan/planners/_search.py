@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from energyplan.maps._collision import motion_free
 from energyplan.planners import _search_kernels as kernels
 from energyplan.planners._field_kernels import Field, distance_field
-from energyplan.planners._motion_kernels import DIRECTIONS, Setting, join
+from energyplan.planners._motion_kernels import (
+    DIRECTIONS,
+    Setting,
+    drive,
+    heights_of_points,
+    join,
+    spin_drive_spin,
+)
 from energyplan.planners._query import Segments
 from energyplan.steering._kernels import MAX_SEGMENTS
 
@@ -92,7 +99,10 @@ def field_for(setting: Setting, penalty: float = 1.0) -> Field:
     start = cell_of(setting, setting.start_x, setting.start_y, stride)
     # where it turns for nothing within this distance, reversing can be cheaper
     far = 2.0 * setting.least_radian / setting.least_metre
-    straight = setting.prices[:, [0, DIRECTIONS // 2]].min(axis=1)
+    hills = setting.hills
+    straight = setting.prices.reshape(-1, hills.bins, DIRECTIONS + 1)
+    # what is uphill forwards is downhill for one who faces the other way
+    cheapest = np.minimum(straight[..., 0], straight[:, ::-1, DIRECTIONS // 2])
     distance, direction = distance_field(
         setting.space.clearance,
         stride,
@@ -104,9 +114,57 @@ def field_for(setting: Setting, penalty: float = 1.0) -> Field:
         (inscribed(setting) + TIGHT * (setting.reach - inscribed(setting))) / res,
         penalty,
         setting.surface,
-        straight / setting.least_metre,
+        cheapest / setting.least_metre,
+        heights_of_points(hills, setting.space, stride) / res,
+        hills.steepest,
     )
     return Field(distance * np.float32(res), direction, stride * res, far)
+
+
+def way_along(setting: Setting, field: Field, stride: float = 1.0) -> Segments | None:
+    """Return the motions that follow a field to the goal in straight lines, if they are free.
+
+    Parameters
+    ----------
+    setting : Setting
+        The problem.
+    field : Field
+        Distance to go.
+    stride : float
+        Length of the lines [m].
+
+    Returns
+    -------
+    Segments or None
+        Straight lines with turns on the spot; None where the body does not pass, or nothing leads
+        to the goal.
+    """
+    space = setting.space
+    x, y, yaw = setting.start_x, setting.start_y, setting.start_yaw
+    ds: list[float] = []
+    dtheta: list[float] = []
+    rows, columns = field.distance.shape
+    left = np.inf
+    while np.hypot(setting.goal_x - x, setting.goal_y - y) > 1.5 * stride:
+        row, column = (int(n * space.resolution / field.spacing) for n in cell_of(setting, x, y, 1))
+        row, column = min(row, rows - 1), min(column, columns - 1)
+        if not field.distance[row, column] < left:
+            return None
+        left = float(field.distance[row, column])
+        turn = remainder(float(field.direction[row, column]) + space.yaw - yaw, 2 * np.pi)
+        ds += [0.0, stride]
+        dtheta += [turn, 0.0]
+        yaw += turn
+        x += stride * np.cos(yaw)
+        y += stride * np.sin(yaw)
+    last_ds, last_turn = np.empty(3), np.empty(3)
+    spin_drive_spin(
+        setting.goal_x - x, setting.goal_y - y, yaw, setting.goal_yaw, False, last_ds, last_turn
+    )
+    found = Segments(np.append(ds, last_ds), np.append(dtheta, last_turn))
+    start = setting.start_x, setting.start_y, setting.start_yaw
+    free = drive(setting, *start, found.ds, found.dtheta, len(found.ds), np.inf) < np.inf
+    return found if free else None
 
 
 @dataclass

@@ -26,11 +26,19 @@ from energyplan.maps import OccupancyGrid
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.planners import _search_kernels as kernels
 from energyplan.planners._bound import EFFORT, Bound, lower_bound
+from energyplan.planners._field_kernels import Field
 from energyplan.planners._problem import Plan, PlanningProblem, as_pose
 from energyplan.planners._query import Query, Segments
 from energyplan.planners._race import Race
 from energyplan.planners._reach import check_way, no_path
-from energyplan.planners._search import Search, coarse_lattice, field_for, lattice_for, no_field
+from energyplan.planners._search import (
+    Search,
+    coarse_lattice,
+    field_for,
+    lattice_for,
+    no_field,
+    way_along,
+)
 from energyplan.planners.refine import Refiner
 
 logger = logging.getLogger(__name__)
@@ -137,6 +145,7 @@ def plan(
         work.offer_path(path)
     work.first_plan()
     first = time.perf_counter()
+    work.round_hills()
     work.improve()
     return query.plan(query.path(work.race.best), work.bound, begun, first, "lattice")
 
@@ -207,6 +216,7 @@ def energies(
                     refiner.shortcut()
                     refiner.polish(np.inf, most=POLISH)
                     out[k] = refiner.cost
+                out[k] += query.potential(as_pose(rows[k], "a goal"))
     return out
 
 
@@ -227,6 +237,7 @@ def compiled() -> None:
     work.raise_bound()
     work.race.run(np.inf, 0.0)
     work.race.finish(np.inf, 0.0)
+    way_along(work.setting, work.fields[PENALTY])
 
 
 class _Improvement:
@@ -339,14 +350,28 @@ class _Improvement:
         value, final = lower_bound(self.query, self.cost, effort)
         self._bound = Bound(max(value, self.bound), final)
 
+    def round_hills(self) -> None:
+        """Enter the ways that the fields know: a search is slow to leave the straight way."""
+        if self.setting.hills.bins == 1:
+            return
+        for penalty in (1.0, PENALTY):
+            way = way_along(self.setting, self._field(penalty))
+            if way is not None:
+                self.race.enter(way)
+
+    def _field(self, penalty: float) -> Field:
+        """Return the distance to go, with tight places counted longer."""
+        if penalty not in self.fields:
+            self.fields[penalty] = field_for(self.setting, penalty)
+        return self.fields[penalty]
+
     def _search(self, scale: float, weight: float, guide: Guide) -> Search:
         """Return a search that has yet to begin."""
-        if guide.penalty not in self.fields:
-            self.fields[guide.penalty] = field_for(self.setting, guide.penalty)
+        field = self._field(guide.penalty)
         setting = self.setting
         if guide.shortest:
             setting = Query(replace(self.query.problem, objective="length")).setting
-        field, lattice = self.fields[guide.penalty], lattice_for(setting, scale)
+        lattice = lattice_for(setting, scale)
         return Search(setting, field, lattice, weight, aligned=guide.aligned)
 
     def _advance(self, search: Search, known: float, until: float, budget: int) -> None:
