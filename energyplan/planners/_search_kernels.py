@@ -21,6 +21,7 @@ from energyplan.planners._motion_kernels import (
     connection,
     free_energy,
     motion_cost,
+    price,
 )
 
 RUNNING, FOUND, EXHAUSTED, FULL = 0, 1, 2, 3
@@ -225,6 +226,7 @@ def grow(
     space = setting.space
     counts = tree.counts
     half = setting.half_track
+    even = setting.surface.size == 1
     capacity = len(tree.x)
     for _ in range(expansions):
         if counts[1] == 0:
@@ -290,8 +292,10 @@ def grow(
             chord = ds * (2.0 * sin(0.5 * dtheta) / dtheta if step != 0 else 1.0)
             xx = x + chord * cos(mid)
             yy = y + chord * sin(mid)
-            cost = motion_cost(setting, x, y, yaw, ds, dtheta)
-            gg = g + cost
+            if even:
+                gg = g + price(setting.prices, 0, half, ds, dtheta)
+            else:
+                gg = g + motion_cost(setting, x, y, yaw, ds, dtheta)
             key = _key(space.x, space.y, lattice, xx, yy, heading)
             slot = _find(tree, key)
             other = int(tree.table[slot])
