@@ -36,6 +36,8 @@ MAX_BYTES = 1 << 31
 MAX_CELLS = 100_000_000
 """Most cells that are read."""
 _CHUNK = 200_000  # rows parsed at once
+_INTERRUPTED = "Calling read(nbytes) on source failed"
+"""What the parser makes of Ctrl-C at the moment when it asks for bytes; errors it passes on."""
 
 
 @dataclass(frozen=True)
@@ -260,6 +262,8 @@ def _read_csv(stream: BinaryIO, file: Path, error: type[InvalidInputError]) -> T
             f"{file}: rows have more cells than the {len(names)} names of line 1; name every column"
         ) from None
     except pd.errors.ParserError as problem:
+        if _INTERRUPTED in str(problem):
+            raise KeyboardInterrupt from None
         raise error(f"{file} is no table: {_with_line(str(problem))}") from None
     except UnicodeDecodeError as problem:
         raise error(f"{file} is no UTF-8 text ({problem.reason}); save it as such") from None
