@@ -20,11 +20,7 @@ from energyplan.errors import InvalidInputError, UnsupportedPlannerError
 from energyplan.path import FloatArray, Path
 from energyplan.planners._bound import lower_bound
 from energyplan.planners._motion_kernels import connection, drive, join
-from energyplan.planners._problem import Plan, PlanningProblem
-from energyplan.planners._query import Query, Segments
-from energyplan.planners._reach import check_way
-from energyplan.planners.lattice import compiled
-from energyplan.planners.ompl import (
+from energyplan.planners._ompl_parts import (
     EnergyObjective,
     PoseChecker,
     out_of_time,
@@ -32,6 +28,10 @@ from energyplan.planners.ompl import (
     pose_state,
     set_parameters,
 )
+from energyplan.planners._problem import Plan, PlanningProblem
+from energyplan.planners._query import Query, Segments
+from energyplan.planners._reach import check_way
+from energyplan.planners.lattice import compiled
 from energyplan.steering._kernels import MAX_SEGMENTS
 
 RAYS = 360
