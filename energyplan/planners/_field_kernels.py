@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import atan2, hypot, inf, pi
+from math import atan2, inf, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -142,82 +142,114 @@ def distance_field(
     """
     rows = (clearance.shape[0] + stride - 1) // stride
     columns = (clearance.shape[1] + stride - 1) // stride
-    out = np.full((rows, columns), np.float32(inf))
+    # Points in one row after another, with a rim that is closed, as is what a disc cannot reach.
+    across = columns + 4
+    out = np.full((rows + 4) * across, np.float32(inf))
     direction = np.zeros((rows, columns), np.float32)
-    parent = np.full(rows * columns, -1, np.int32)
-    target = np.full(rows * columns, -1, np.int32)
-    target[row * columns + column] = row * columns + column
+    closed = np.ones((rows + 4) * across, np.bool_)
+    tight = np.zeros((rows + 4) * across, np.bool_)
+    for r in range(rows):
+        for c in range(columns):
+            near = clearance[r * stride, c * stride]
+            closed[(r + 2) * across + c + 2] = near < radius
+            tight[(r + 2) * across + c + 2] = near < room
+    reachable = ~closed
+    parent = np.full((rows + 4) * across, -1, np.int32)
+    target = np.full((rows + 4) * across, -1, np.int32)
     steps_r = np.array([0, 1, 0, -1, 1, 1, -1, -1, 1, 2, 2, 1, -1, -2, -2, -1])
     steps_c = np.array([1, 0, -1, 0, 1, -1, 1, -1, 2, 1, -1, -2, -2, -1, 1, 2])
-    capacity = 1 << 16
-    heap_f = np.empty(capacity)
-    heap_node = np.empty(capacity, np.int32)
-    out[row, column] = 0.0
-    size = push(heap_f, heap_node, 0, 0.0, row * columns + column)
-    limit = inf
+    steps = steps_r * across + steps_c
+    lengths = stride * np.hypot(steps_r, steps_c)
     varied = surface.size > 1
     slopes = dearness.shape[1]
-    while size > 0:
-        d = heap_f[0]
-        node = heap_node[0]
-        size = pop(heap_f, heap_node, size)
-        r = node // columns
-        c = node % columns
-        if d > out[r, c] + ROUNDING:
+    even = not varied and slopes == 1
+    # Buckets as wide as the shortest step: no node can lower another one of its own bucket, so that
+    # their order within it does not matter. They are lists in `nodes`, linked by `older`.
+    width = stride * dearness.min()
+    ring = int(lengths.max() * dearness.max() * max(penalty, 1.0) / width) + 2
+    bucket = np.full(ring, -1, np.int32)
+    capacity = 1 << 14
+    nodes = np.empty(capacity, np.int32)
+    older = np.empty(capacity, np.int32)
+    goal = (row + 2) * across + column + 2
+    stop = (stop_row + 2) * across + stop_column + 2
+    nodes[0] = goal
+    older[0] = -1
+    bucket[0] = 0
+    count = 1
+    waiting = 1
+    turn = 0
+    closed[goal] = False
+    reachable[goal] = True
+    out[goal] = 0.0
+    target[goal] = goal
+    limit = inf
+    while waiting > 0 and turn * width <= limit:
+        entry = int(bucket[turn % ring])
+        if entry < 0:
+            turn += 1
             continue
-        if d > limit:
-            break
+        bucket[turn % ring] = older[entry]
+        node = int(nodes[entry])
+        waiting -= 1
+        if closed[node]:
+            continue
+        closed[node] = True
+        r = node // across - 2
+        c = node % across - 2
+        d = float(out[node])
         if target[node] < 0:
             far = target[parent[node]]
-            if d - out[far // columns, far % columns] > 1.25 * ahead:
+            if d - out[far] > 1.25 * ahead:
                 far = node
-                while parent[far] >= 0 and d - out[far // columns, far % columns] < 0.8 * ahead:
+                while parent[far] >= 0 and d - out[far] < 0.8 * ahead:
                     far = parent[far]
             target[node] = far
-            direction[r, c] = atan2(far // columns - r, far % columns - c)
-        if r == stop_row and c == stop_column:
+            direction[r, c] = atan2(far // across - 2 - r, far % across - 2 - c)
+        if node == stop:
             limit = margin * d + 40.0
         here = surface[r * stride, c * stride] if varied else 0
+        factor = dearness[here, 0]
         for k in range(16):
-            rr = r + steps_r[k]
-            cc = c + steps_c[k]
-            if rr < 0 or cc < 0 or rr >= rows or cc >= columns:
+            there = node + steps[k]
+            if closed[there]:
                 continue
-            if clearance[rr * stride, cc * stride] < radius:
-                continue
-            if k >= 8:
-                # a knight's move must not jump over an obstacle
-                half_r = (r + rr) * stride // 2
-                half_c = (c + cc) * stride // 2
-                if clearance[half_r, half_c] < radius:
-                    continue
-            far_apart = stride * hypot(steps_r[k], steps_c[k])
-            at = 0
-            if slopes > 1:
-                steep = (height[r, c] - height[rr, cc]) / (far_apart * steepest)
-                at = int((min(max(steep, -1.0), 1.0) + 1.0) * 0.5 * (slopes - 1) + 0.5)
-            factor = dearness[here, at]
-            if varied:
-                factor = 0.5 * (factor + dearness[surface[rr * stride, cc * stride], at])
-            if clearance[rr * stride, cc * stride] < room:
-                factor *= penalty
-            dd = d + factor * far_apart
-            if dd < out[rr, cc] - ROUNDING:
-                out[rr, cc] = dd
-                parent[rr * columns + cc] = node
-                if size + 1 >= capacity:
+            if not even:
+                rr = r + steps_r[k]
+                cc = c + steps_c[k]
+                at = 0
+                if slopes > 1:
+                    steep = (height[r, c] - height[rr, cc]) / (lengths[k] * steepest)
+                    at = int((min(max(steep, -1.0), 1.0) + 1.0) * 0.5 * (slopes - 1) + 0.5)
+                factor = dearness[here, at]
+                if varied:
+                    factor = 0.5 * (factor + dearness[surface[rr * stride, cc * stride], at])
+            dd = d + factor * lengths[k] * (penalty if tight[there] else 1.0)
+            if dd < out[there] - ROUNDING:
+                if k >= 8:
+                    # a knight's move must not jump over an obstacle
+                    half_r = (2 * r + steps_r[k]) * stride // 2
+                    half_c = (2 * c + steps_c[k]) * stride // 2
+                    if clearance[half_r, half_c] < radius:
+                        continue
+                out[there] = dd
+                parent[there] = node
+                if count == capacity:
                     capacity *= 2
-                    larger_f = np.empty(capacity)
-                    larger_node = np.empty(capacity, np.int32)
-                    larger_f[:size] = heap_f[:size]
-                    larger_node[:size] = heap_node[:size]
-                    heap_f = larger_f
-                    heap_node = larger_node
-                size = push(heap_f, heap_node, size, dd, rr * columns + cc)
-    if size > 0:
-        # ended early: what was not reached is further than the last distance that was
-        for r in range(rows):
-            for c in range(columns):
-                if out[r, c] > limit and clearance[r * stride, c * stride] >= radius:
-                    out[r, c] = limit
-    return out, direction
+                    nodes = np.concatenate((nodes, nodes))
+                    older = np.concatenate((older, older))
+                place = int(float(out[there]) / width) % ring
+                nodes[count] = there
+                older[count] = bucket[place]
+                bucket[place] = count
+                count += 1
+                waiting += 1
+    distance = np.empty((rows, columns), np.float32)
+    for r in range(rows):
+        for c in range(columns):
+            node = (r + 2) * across + c + 2
+            distance[r, c] = out[node]
+            if waiting > 0 and out[node] > limit and reachable[node]:
+                # ended early: what was not reached is further than the last distance that was
+                distance[r, c] = limit
+    return distance, direction

@@ -86,8 +86,8 @@ POLISH = 800
 SEARCH_SHARE = 0.6
 """Part of the time left after the first plan that the searches may take."""
 
-BOUND_SHARE = 0.2
-"""Part of that time kept for the bound, where its first search did not come to its end."""
+BOUND_SHARE = 0.1
+"""Part of that time for the bound, and once more where that did not bring it to its end."""
 
 MOST_LEFT = 60.0
 """Time of which that part is taken at most [s]."""
@@ -317,13 +317,14 @@ class _Improvement:
 
     def improve(self) -> None:
         """Make the path cheaper until time is over, the gap is closed, or nothing is gained."""
-        self.raise_bound()
-        # what is found must be refined before the deadline
         now = time.perf_counter()
         left = max(self.deadline - now, 0.0)
+        # what is found must be refined before the deadline
         until = now + SEARCH_SHARE * left
-        kept = 0.0 if self._bound.final else BOUND_SHARE * min(left, MOST_LEFT)
-        self.deadline -= kept
+        kept = BOUND_SHARE * min(left, MOST_LEFT)
+        self.raise_bound(PACE * kept)
+        if not self._bound.final:
+            self.deadline -= kept
         budget = BUDGET
         for scale, weight, guides in ROUNDS:
             self.race.run(until, self.enough)
