@@ -255,3 +255,34 @@ def test_ctrl_c_ends_a_command_with_one_line_and_leaves_its_file(tmp_path: Path)
     assert done.stdout == ""
     assert done.stderr == "energyplan: interrupted; files are as they were\n"
     assert out.read_text() == "as it was\n"
+
+
+def test_ctrl_c_while_the_program_still_starts_is_clean() -> None:
+    script = textwrap.dedent(
+        """
+        import signal, sys
+
+        class Interrupting:
+            def find_spec(self, name, path, target=None):
+                if name == "energyplan.cli":
+                    signal.raise_signal(signal.SIGINT)
+
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        sys.meta_path.insert(0, Interrupting())
+        from energyplan.__main__ import main
+        main()
+        """
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 130
+    assert done.stderr == "energyplan: interrupted; files are as they were\n"
+
+
+def test_the_package_runs_as_a_program() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "energyplan", "--help"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done
+    assert "energyplan [OPTIONS] COMMAND" in done.stdout
