@@ -55,10 +55,11 @@ def test_a_mass_beyond_all_numbers_is_an_error() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"loads": [1e308] * 4}, r"carries 1e\+308 N"),
-        ({"loads": [1.0, 1.0, 1.0, 2e9]}, r"carries 2e\+09 N"),
+        ({"loads": [1e308] * 4}, r"loads are \[1e\+308"),
+        ({"loads": [1.0, 1.0, 1.0, 2e9]}, "from 0 to 1e\\+09"),
         ({"contacts": [(1e5, 1), (-1, 1), (1, -1), (-1, -1)]}, "reach 100000 m"),
         ({"footprint": [(-1, -1), (1, 1e308)]}, r"reach 1e\+308 m"),
+        ({"footprint": [(-1, -1), (1, np.nan)]}, "reach nan m"),
         ({"contacts": np.zeros((0, 2)), "loads": []}, "give rows"),
     ],
 )
