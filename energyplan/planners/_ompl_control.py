@@ -4,6 +4,11 @@ A control is a direction in the plane of arc length and turn, from straight ahea
 spins to straight back. It is driven at the fastest speed that the vehicle's limits of tread speed,
 yaw rate and power per side allow for it, so that every motion of the tree is one the motors can
 hold.
+
+A state is a pose with what was spent to get there. So OMPL's RRT, which knows of no cost, is made
+to find ever cheaper paths: once a path is known, states that cannot be on one cheaper by `GAIN`
+are invalid, and the tree grows anew, in the space of poses and costs (Hauser and Zhou 2016,
+Asymptotically optimal planning by feasible kinodynamic planning in a state-cost space).
 """
 
 from __future__ import annotations
@@ -19,13 +24,11 @@ from typing_extensions import override
 from energyplan.errors import InvalidInputError, UnsupportedPlannerError
 from energyplan.path import FloatArray, Path
 from energyplan.planners._bound import lower_bound
-from energyplan.planners._motion_kernels import connection, drive, join
+from energyplan.planners._motion_kernels import connection, drive, free_energy, join
 from energyplan.planners._ompl_parts import (
-    EnergyObjective,
-    PoseChecker,
     out_of_time,
+    place,
     pose_space,
-    pose_state,
     set_parameters,
 )
 from energyplan.planners._problem import Plan, PlanningProblem
@@ -72,22 +75,61 @@ def driving_rates(query: Query) -> FloatArray:
     )
 
 
-class _Goal(base.Goal):
-    """The neighbourhood of the goal from which exact steering reaches it freely."""
+GAIN = 0.01
+"""By how much less than the path known the next one must cost, as a fraction."""
 
-    def __init__(self, information: Any, query: Query) -> None:
+
+class _Spent(base.OptimizationObjective):
+    """Cost of a motion: the difference of what the states have spent."""
+
+    @override
+    def isSymmetric(self) -> bool:
+        """Tell OMPL that the cost is directed."""
+        return False
+
+    @override
+    def stateCost(self, state: Any) -> Any:
+        """Return the cost of being in a state: none."""
+        return base.Cost(0.0)
+
+    @override
+    def motionCost(self, first: Any, second: Any) -> Any:
+        """Return the cost of the motion from one state to another."""
+        return base.Cost(second[1][0] - first[1][0])
+
+
+class _Checker(base.StateValidityChecker):
+    """Tells whether a state was reached freely and can be on a cheaper path than the one known."""
+
+    def __init__(self, information: Any, query: Query, ceiling: float) -> None:
         super().__init__(information)
         self._setting = query.setting
+        self._ceiling = ceiling
+
+    @override
+    def isValid(self, state: Any) -> bool:
+        """Tell whether a state is of use."""
+        x, y, yaw = state[0].getX(), state[0].getY(), state[0].getYaw()
+        return bool(state[1][0] + free_energy(self._setting, x, y, yaw) < self._ceiling)
+
+
+class _Goal(base.Goal):
+    """The neighbourhood of the goal from which exact steering reaches it cheaply enough."""
+
+    def __init__(self, information: Any, query: Query, ceiling: float) -> None:
+        super().__init__(information)
+        self._setting = query.setting
+        self._ceiling = ceiling
 
     @override
     def isSatisfied(self, state: Any) -> bool:
         """Tell whether the goal can be joined from a state."""
         setting = self._setting
-        x, y, yaw = state.getX(), state.getY(), state.getYaw()
+        x, y, yaw = state[0].getX(), state[0].getY(), state[0].getYaw()
         turn = abs(np.remainder(yaw - setting.goal_yaw + np.pi, 2 * np.pi) - np.pi)
         if np.hypot(setting.goal_x - x, setting.goal_y - y) + 0.3 * turn > REACH:
             return False
-        return bool(np.isfinite(connection(setting, x, y, yaw, np.inf)))
+        return bool(state[1][0] + connection(setting, x, y, yaw, np.inf) < self._ceiling)
 
 
 def sst(
@@ -108,15 +150,15 @@ def control_rrt(
 ) -> Plan:
     """Plan with OMPL's RRT over controls that the motors can hold.
 
-    It is started again until the time is over, and the best of its paths counts. The last stretch
-    to the goal, less than `REACH`, is the exact steering motion.
+    It is started again until the time is over, each time for a path that costs less by `GAIN` than
+    the one known. The last stretch to the goal, less than `REACH`, is the exact steering motion.
 
     Parameters
     ----------
     problem : PlanningProblem
         The problem.
     time_limit : float
-        Time to plan, all of which is used [s].
+        Time to plan [s]. All of it is used, unless no cheaper path can exist.
     seed : int
         Seed of OMPL's random numbers, which are those of the whole process.
     **parameters : object
@@ -160,12 +202,6 @@ def _controlled(
     rates = driving_rates(query)
     util.setLogLevel(util.LOG_NONE)
     util.RNG.setSeed(seed)
-    space = pose_space(query)
-    controls = control.RealVectorControlSpace(space, 1)
-    bounds = base.RealVectorBounds(1)
-    bounds.setLow(0.0)
-    bounds.setHigh(2 * np.pi)
-    controls.setBounds(bounds)
 
     def motion(action: Any, duration: float) -> tuple[float, float]:
         """Return the arc length and turn of a control that is held for some time."""
@@ -177,28 +213,30 @@ def _controlled(
         ds, turn = motion(action, duration)
         half = 0.5 * turn
         chord = ds * np.sinc(half / np.pi)
-        yaw = state.getYaw()
-        result.setX(float(state.getX() + chord * np.cos(yaw + half)))
-        result.setY(float(state.getY() + chord * np.sin(yaw + half)))
-        result.setYaw(float(np.remainder(yaw + turn + np.pi, 2 * np.pi) - np.pi))
+        pose = state[0].getX(), state[0].getY(), state[0].getYaw()
+        spent = drive(setting, *pose, np.array([ds]), np.array([turn]), 1, np.inf)
+        x = float(pose[0] + chord * np.cos(pose[2] + half))
+        y = float(pose[1] + chord * np.sin(pose[2] + half))
+        place(result[0], x, y, pose[2] + turn)
+        # infinite where the footprint is not free
+        result[1][0] = float(state[1][0] + spent)
 
-    information = control.SpaceInformation(space, controls)
-    checker = PoseChecker(information, query)
-    information.setStateValidityChecker(checker)
-    information.setStatePropagator(propagate)
-    information.setPropagationStepSize(STEP)
-    information.setMinMaxControlDuration(1, 20)
-    information.setup()
-    best: tuple[float, Segments] | None = None
-    definition: Any = None
+    best, ceiling = Segments(np.empty(0), np.empty(0)), np.inf
+    last: Any = None
     first = begun
     while (left := begun + time_limit - time.perf_counter()) > 0:
+        space = _space(query, ceiling)
+        information = _information(space, propagate)
+        checker = _Checker(information, query, ceiling)
+        information.setStateValidityChecker(checker)
+        information.setup()
         definition = base.ProblemDefinition(information)
-        definition.addStartState(
-            pose_state(space, setting.start_x, setting.start_y, setting.start_yaw)
-        )
-        definition.setGoal(_Goal(information, query))
-        definition.setOptimizationObjective(EnergyObjective(information, query))
+        start = space.allocState()
+        place(start[0], setting.start_x, setting.start_y, setting.start_yaw)
+        start[1][0] = 0.0
+        definition.addStartState(start)
+        definition.setGoal(_Goal(information, query, ceiling))
+        definition.setOptimizationObjective(_Spent(information))
         try:
             planner = kind(information)
         except TypeError as error:
@@ -210,27 +248,55 @@ def _controlled(
         planner.setup()
         planner.solve(base.timedPlannerTerminationCondition(left))
         if not definition.hasExactSolution():
+            if definition.hasApproximateSolution():
+                last = definition.getSolutionPath().getStates()[-1][0]
             break
         way = definition.getSolutionPath()
         motions = [
             motion(action, duration)
             for action, duration in zip(way.getControls(), way.getControlDurations(), strict=True)
         ]
-        state = way.getStates()[-1]
-        found = _completed(query, motions, (state.getX(), state.getY(), state.getYaw()))
-        if best is None:
-            first = time.perf_counter()
-        if best is None or found[0] < best[0]:
-            best = found
-    if best is None:
-        raise out_of_time(name, time_limit, query, definition)
-    return query.plan(
-        query.path(best[1]),
-        lower_bound(query, query.objective.path(query.path(best[1]))).value,
-        begun,
-        first,
-        name,
-    )
+        state = way.getStates()[-1][0]
+        cost, found = _completed(query, motions, (state.getX(), state.getY(), state.getYaw()))
+        if cost < ceiling:
+            if not np.isfinite(ceiling):
+                first = time.perf_counter()
+            best, ceiling = found, cost * (1.0 - GAIN)
+    if not np.isfinite(ceiling):
+        raise out_of_time(name, time_limit, query, last)
+    path = query.path(best)
+    bound = lower_bound(query, query.objective.path(path)).value
+    return query.plan(path, bound, begun, first, name)
+
+
+def _space(query: Query, ceiling: float) -> Any:
+    """Return OMPL's space of poses and of what was spent to get there."""
+    spent = base.RealVectorStateSpace(1)
+    bounds = base.RealVectorBounds(1)
+    bounds.setLow(0.0)
+    # before a path is known nothing is said of cost
+    bounds.setHigh(ceiling if np.isfinite(ceiling) else 1.0)
+    spent.setBounds(bounds)
+    space = base.CompoundStateSpace()
+    space.addSubspace(pose_space(query), 1.0)
+    weight = 1.0 / query.setting.least_metre if np.isfinite(ceiling) else 0.0
+    space.addSubspace(spent, weight)
+    space.lock()
+    return space
+
+
+def _information(space: Any, propagate: Any) -> Any:
+    """Return OMPL's information on controls: one angle, held for 1 to 20 steps."""
+    controls = control.RealVectorControlSpace(space, 1)
+    bounds = base.RealVectorBounds(1)
+    bounds.setLow(0.0)
+    bounds.setHigh(2 * np.pi)
+    controls.setBounds(bounds)
+    information = control.SpaceInformation(space, controls)
+    information.setStatePropagator(propagate)
+    information.setPropagationStepSize(STEP)
+    information.setMinMaxControlDuration(1, 20)
+    return information
 
 
 def _completed(

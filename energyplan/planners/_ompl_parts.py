@@ -142,10 +142,15 @@ def pose_space(query: Query) -> Any:
 def pose_state(space: Any, x: float, y: float, yaw: float) -> Any:
     """Return a state of OMPL's at a pose; Python owns it."""
     state = space.allocState()
+    place(state, x, y, yaw)
+    return state
+
+
+def place(state: Any, x: float, y: float, yaw: float) -> None:
+    """Put a state of OMPL's to a pose."""
     state.setX(x)
     state.setY(y)
     state.setYaw(float(np.remainder(yaw + np.pi, 2 * np.pi) - np.pi))
-    return state
 
 
 def end_states(space: Any, query: Query) -> tuple[Any, Any]:
@@ -173,11 +178,13 @@ def set_parameters(planner: Any, name: str, parameters: Mapping[str, object]) ->
         getattr(planner, setter)(value)
 
 
-def out_of_time(name: str, time_limit: float, query: Query, definition: Any) -> TimeLimitError:
-    """Return the error that says that a planner of OMPL's found nothing in time."""
+def out_of_time(name: str, time_limit: float, query: Query, last: Any) -> TimeLimitError:
+    """Return the error that says that a planner of OMPL's found nothing in time.
+
+    `last` is the pose nearest to the goal that it reached; None where there is none.
+    """
     near = ""
-    if definition is not None and definition.hasApproximateSolution():
-        last = definition.getSolutionPath().getStates()[-1]
+    if last is not None:
         x, y = last.getX(), last.getY()
         left = float(np.hypot(x - query.setting.goal_x, y - query.setting.goal_y))
         near = f"; it got as near to the goal as ({x:.2f}, {y:.2f}), {left:.2f} m from it"

@@ -119,7 +119,9 @@ def _geometric(
     planner.setup()
     planner.solve(time_limit)
     if not definition.hasExactSolution():
-        raise out_of_time(name, time_limit, query, definition)
+        known = definition.hasApproximateSolution()
+        last = definition.getSolutionPath().getStates()[-1] if known else None
+        raise out_of_time(name, time_limit, query, last)
     states = [
         (state.getX(), state.getY(), state.getYaw())
         for state in definition.getSolutionPath().getStates()
