@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from energyplan.battery import Battery
-from energyplan.errors import MissionError
+from energyplan.errors import EnergyPlanError, MissionError
+from energyplan.io.config import read_model, read_vehicle
+from energyplan.io.logs import describe_log, read_log
 from energyplan.io.mission import read_mission
 from energyplan.mission import evaluate
 from energyplan.power import PowerModel
@@ -169,3 +172,32 @@ def test_payload_models_of_a_model_that_is_not_there(tmp_path):
     text = GOOD + "payload_models:\n  quadriga:empty:mud: {64: quadriga:full:concrete}\n"
     with pytest.raises(MissionError, match="line 28, payload_models"):
         read_mission(written(tmp_path, text))
+
+
+@pytest.mark.parametrize("key", ["map", "surfaces", "heights", "model", "vehicle"])
+@pytest.mark.parametrize("name", ["../other.yaml", "/etc/other.yaml", "a/../../other.yml"])
+def test_files_outside_the_mission_s_folder_are_refused(tmp_path, key, name):
+    text = (EXAMPLES / "mission_warehouse.yaml").read_text()
+    changed = re.sub(rf"^{key}: .*\n", "", text, flags=re.MULTILINE) + f"\n{key}: {name}\n"
+    file = tmp_path / "mission.yaml"
+    file.write_text(changed)
+    with pytest.raises(MissionError, match=rf"mission\.yaml, line \d+, {key}: .*leaves the file's"):
+        read_mission(file)
+
+
+def test_a_model_without_a_suffix_is_a_preset_not_a_file(tmp_path, monkeypatch):
+    """A mission must not open files by names that are no file's beside it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "secret").write_text("kind: model\n")
+    text = (EXAMPLES / "mission_warehouse.yaml").read_text()
+    file = tmp_path / "mission.yaml"
+    file.write_text(re.sub(r"^model: .*$", "model: secret", text, flags=re.MULTILINE))
+    with pytest.raises(MissionError, match=r"line \d+, model: .*'secret'"):
+        read_mission(file)
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "é" * 200 + ".yaml", "a\0b", "x" * 300 + ".bag"])
+def test_names_that_no_file_can_bear_are_refused_by_name(name):
+    for read in (read_mission, read_vehicle, read_model, read_log, describe_log):
+        with pytest.raises(EnergyPlanError):
+            read(name)

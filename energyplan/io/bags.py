@@ -19,6 +19,7 @@ from energyplan.drivelog._checks import SetAside
 from energyplan.errors import DriveLogError, EnergyPlanError, MissingDependencyError
 from energyplan.io._align import Series, align
 from energyplan.io._unpack import bound_unpacking
+from energyplan.io.files import is_file
 from energyplan.io.topics import TopicMap, TopicSource
 
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
@@ -87,7 +88,7 @@ class BagInfo:
 def is_bag(path: str | Path) -> bool:
     """Tell whether a path is a bag, by its suffix or its metadata."""
     file = Path(path)
-    return file.suffix.lower() in BAG_SUFFIXES or (file / "metadata.yaml").is_file()
+    return file.suffix.lower() in BAG_SUFFIXES or is_file(file / "metadata.yaml")
 
 
 def bag_info(path: str | Path) -> BagInfo:
@@ -318,7 +319,7 @@ def _check_beginning(file: Path) -> None:
             if stream.read(len(_MAGIC)) != _MAGIC:
                 raise ValueError("it does not begin as a ROS 1 bag does")
     metadata = file / "metadata.yaml"
-    if metadata.is_file() and metadata.stat().st_size > _LARGEST_METADATA:
+    if is_file(metadata) and metadata.stat().st_size > _LARGEST_METADATA:
         raise ValueError(f"its metadata.yaml is larger than {_LARGEST_METADATA >> 20} MiB")
 
 

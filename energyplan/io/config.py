@@ -15,7 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from energyplan.effects import term
 from energyplan.errors import ConfigError, InvalidInputError, ModelError, UnknownNameError
 from energyplan.io._yaml import Document, load
-from energyplan.io.files import atomic_write
+from energyplan.io.files import atomic_write, is_file
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual, Term
 from energyplan.vehicle import MotorLimits, TreadICR, Vehicle, predict_icr, wheel_loads
@@ -258,7 +258,7 @@ def write_model(model: PowerModel, path: str | Path) -> Path:
 
 def _is_file(source: str | Path) -> bool:
     """Whether a file is meant, rather than a preset."""
-    return isinstance(source, Path) or source.endswith((".yaml", ".yml")) or Path(source).is_file()
+    return isinstance(source, Path) or source.endswith((".yaml", ".yml")) or is_file(source)
 
 
 def _expect(document: Document, kind: str) -> None:

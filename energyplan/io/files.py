@@ -56,6 +56,25 @@ def atomic_write(path: str | Path, content: bytes | str) -> Path:
     return file
 
 
+def is_file(path: str | Path) -> bool:
+    """Tell whether there is a file of that name; one that no file can bear is none.
+
+    Parameters
+    ----------
+    path : str or Path
+        The name.
+
+    Returns
+    -------
+    bool
+        Whether there is.
+    """
+    try:
+        return Path(path).is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def _umask() -> int:
     """Permissions that new files do not get; the system tells them only when they are set."""
     mask = os.umask(0o077)

@@ -20,6 +20,7 @@ from energyplan.drivelog._checks import find_runs
 from energyplan.drivelog._plausible import Offset, find_offset
 from energyplan.drivelog._tables import Table, column_names, read_table
 from energyplan.errors import DriveLogError
+from energyplan.io.files import is_file
 from energyplan.path import FloatArray
 
 WHEEL_COLUMNS = ("time", "curL", "curR", "velL", "velR")
@@ -200,7 +201,7 @@ def _beside(wheels: Path, imu: str | Path | None) -> Path | None:
     if imu is not None:
         return Path(imu)
     file = wheels.with_name(wheels.name.replace("pro_", "imu_", 1))
-    return file if file != wheels and file.is_file() else None
+    return file if file != wheels and is_file(file) else None
 
 
 def _inertial(

@@ -16,9 +16,11 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from energyplan.battery import Battery
 from energyplan.effects import with_weight
 from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
+from energyplan.io._limited import beside
 from energyplan.io._yaml import Document, Loc, load
 from energyplan.io.bundled import bundled
 from energyplan.io.config import read_model, read_vehicle
+from energyplan.io.files import is_file
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.heights import read_heights
 from energyplan.io.maps import read_map
@@ -63,6 +65,11 @@ Mass = Annotated[float, BeforeValidator(partial(_amount, "mass"))]
 Speed = Annotated[float, BeforeValidator(partial(_amount, "speed"))]
 Fraction = Annotated[float, BeforeValidator(partial(_amount, "fraction"))]
 PoseText = str | list[float | str]
+
+
+def _is_yaml(name: str) -> bool:
+    """Whether a file is meant, rather than a preset."""
+    return name.endswith((".yaml", ".yml"))
 
 
 class _Strict(BaseModel):
@@ -254,9 +261,9 @@ class _Reader:
     # -- parts ------------------------------------------------------------------------------------
 
     def _file(self, name: str) -> Path:
-        beside = self._folder / name
-        if beside.exists():
-            return beside
+        file = beside(self._folder / self._document.source, "name of a file", name)
+        if is_file(file):
+            return file
         try:
             return bundled(name)
         except UnknownNameError:
@@ -264,12 +271,8 @@ class _Reader:
                 f"there is no file {name!r} beside the mission, nor does the library bring one"
             ) from None
 
-    def _source(self, name: str) -> str | Path:
-        """Return the file beside the mission where a file is meant, else the preset's name."""
-        return self._file(name) if name.endswith((".yaml", ".yml")) else name
-
     def _vehicle(self, name: str) -> Vehicle:
-        return read_vehicle(self._source(name))
+        return read_vehicle(self._file(name)) if _is_yaml(name) else Vehicle.preset(name)
 
     def _map(self, name: str) -> OccupancyGrid:
         return read_map(self._file(name))
@@ -281,7 +284,7 @@ class _Reader:
         return read_heights(self._file(name))
 
     def _model(self, name: str) -> PowerModel:
-        return read_model(self._source(name))
+        return read_model(self._file(name)) if _is_yaml(name) else PowerModel.preset(name)
 
     def _task(self, k: int, spec: _Task) -> Task:
         values = spec.model_dump()
