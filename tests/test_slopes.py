@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,8 @@ import pytest
 import shapely
 from numpy.testing import assert_allclose
 
+from energyplan import cli
+from energyplan._interactive import energy_along
 from energyplan.battery import Battery
 from energyplan.compare import compare
 from energyplan.cost import EnergyCost
@@ -21,6 +24,7 @@ from energyplan.errors import (
     ModelError,
     UnsupportedPlannerError,
 )
+from energyplan.io.mission import read_mission
 from energyplan.maps import HeightMap, OccupancyGrid, Surface, SurfaceMap, with_weights
 from energyplan.mission import Mission, Task, evaluate
 from energyplan.path import Path, Pose
@@ -454,6 +458,96 @@ def test_the_best_order_knows_the_hill():
     told = evaluate(mission(tasks=tasks, order="free", heights=plane(0.4, 0.0)))
     assert set(told.order) == {"top", "middle"}
     assert told.energy == pytest.approx(2 * 226 * 11 * np.hypot(1, 0.4), rel=1e-3)
+
+
+# -- files -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A yard of 16 m by 12 m on a slope that climbs 5 cm per metre in x."""
+    (tmp_path / "yard.pgm").write_bytes(b"P5 80 60 255\n" + b"\xfe" * 4800)
+    (tmp_path / "yard.yaml").write_text(
+        "image: yard.pgm\nresolution: 0.2\norigin: [0, 0, 0]\nnegate: 0\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.25\n"
+    )
+    row = " ".join(f"{0.05 * (0.5 * k + 0.25):.4f}" for k in range(32))
+    (tmp_path / "yard.asc").write_text(
+        "ncols 32\nnrows 24\nxllcorner 0\nyllcorner 0\ncellsize 0.5\n" + (row + "\n") * 24
+    )
+    return tmp_path
+
+
+def run(capsys, monkeypatch, *arguments):
+    monkeypatch.setattr("sys.argv", ["energyplan", *(str(a) for a in arguments)])
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    printed = capsys.readouterr()
+    return left.value.code or 0, printed.out, printed.err
+
+
+def test_the_command_line_plans_on_slopes(folder, capsys, monkeypatch):
+    asked = [
+        "--map", folder / "yard.yaml", "--model", "quadriga:empty:concrete",
+        "--start", "2,6,0", "--goal", "13,6,0", "--heights", folder / "yard.asc",
+    ]  # fmt: skip
+    code, out, err = run(
+        capsys, monkeypatch, "plan", *asked, "--json", "--plot", folder / "route.png"
+    )
+    told = json.loads(out)
+    assert code == 0
+    assert "83.1 kg" in err
+    assert told["energy"] == pytest.approx(226 * 11 * np.hypot(1, 0.05) + WEIGHT * 0.55, rel=1e-3)
+    assert told["potential"] == pytest.approx(WEIGHT * 0.55, rel=1e-3)
+    assert told["breakdown"]["grade"] == pytest.approx(WEIGHT * 0.55, rel=1e-3)
+    assert (folder / "route.png").stat().st_size > 10_000
+    code, out, _ = run(
+        capsys, monkeypatch, "compare", *asked, "--battery", "--report", folder / "told.html"
+    )
+    assert code == 0
+    assert "J of it for the height" in out
+    assert (folder / "told.html").stat().st_size > 10_000
+
+
+def test_the_command_line_names_what_is_wrong_with_heights(folder, capsys, monkeypatch):
+    (folder / "yard.asc").write_text("ncols 3\nnrows two\n")
+    code, _, err = run(
+        capsys, monkeypatch, "plan", "--map", folder / "yard.yaml",
+        "--model", "quadriga:empty:concrete", "--start", "2,6,0", "--goal", "13,6,0",
+        "--heights", folder / "yard.asc",
+    )  # fmt: skip
+    assert code != 0
+    assert "line 2: nrows needs a number" in err
+
+
+MISSION = """\
+model: quadriga:empty:concrete
+map: yard.yaml
+heights: yard.asc
+battery: {preset: quadriga}
+confidence: 0.5
+start: [2, 6, 0]
+tasks:
+  - {name: top, pose: [13, 6, 0]}
+"""
+
+
+def test_missions_name_a_file_of_heights(folder):
+    file = folder / "round.yaml"
+    file.write_text(MISSION)
+    task = evaluate(read_mission(file)).task("top")
+    assert task.energy == pytest.approx(226 * 11 * np.hypot(1, 0.05) + WEIGHT * 0.55, rel=1e-3)
+    file.write_text(MISSION.replace("yard.asc", "hill.asc"))
+    with pytest.raises(MissionError, match=r"line 3.*hill\.asc"):
+        read_mission(file)
+
+
+def test_the_energy_along_a_path_ends_with_its_own():
+    problem = PlanningProblem(HALL, at_battery(), (2, 2, 0), (12, 9, 0), heights=hills(2, 0.5))
+    found = plan(problem)
+    along = energy_along(found.path, problem)
+    assert along.joules[-1] == pytest.approx(found.energy)
+    assert along.metres[-1] == pytest.approx(found.length)
 
 
 # -- constants -------------------------------------------------------------------------------------
