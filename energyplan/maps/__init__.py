@@ -13,12 +13,20 @@ from shapely.geometry.base import BaseGeometry
 
 from energyplan.errors import MapError
 from energyplan.maps import _collision, _distance
-from energyplan.maps._heights import ORIGIN, HeightMap, with_weights
+from energyplan.maps._heights import ORIGIN, HeightMap, Piece, with_weights
 from energyplan.maps._surfaces import FARTHEST, Surface, SurfaceMap
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.vehicle import Vehicle
 
-__all__ = ["HeightMap", "OccupancyGrid", "Surface", "SurfaceMap", "footprint", "with_weights"]
+__all__ = [
+    "HeightMap",
+    "OccupancyGrid",
+    "Piece",
+    "Surface",
+    "SurfaceMap",
+    "footprint",
+    "with_weights",
+]
 
 BoolArray = NDArray[np.bool_]
 
