@@ -18,11 +18,12 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, TimeLimitError
-from energyplan.maps import OccupancyGrid
+from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.planners import _search_kernels as kernels
 from energyplan.planners._bound import EFFORT, Bound, lower_bound
@@ -231,7 +232,8 @@ def compiled() -> None:
     occupied[:14, 22:26] = True
     cost = EnergyCost.from_coefficients(200.0, 100.0, 0.2)
     hall = OccupancyGrid(occupied, 0.1)
-    task = PlanningProblem(hall, cost, Pose(0.8, 0.8, 0.0), Pose(4.0, 0.8, 0.0))
+    ground = SurfaceMap((Surface(shapely.box(1.0, 1.0, 2.0, 2.0), cost.model),))
+    task = PlanningProblem(hall, cost, Pose(0.8, 0.8, 0.0), Pose(4.0, 0.8, 0.0), ground)
     work = _Improvement(Query(task), np.inf, 0.0, 1)
     work.first_plan()
     work.raise_bound()
