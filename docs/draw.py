@@ -1,0 +1,39 @@
+"""Draw the pictures of the examples in the gallery: ``python docs/draw.py``."""
+
+from __future__ import annotations
+
+import runpy
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+from energyplan import plots
+from energyplan.io.mission import read_mission
+from energyplan.mission import evaluate
+
+HERE = Path(__file__).resolve().parent
+IMAGES, EXAMPLES = HERE / "images", HERE.parent / "examples"
+
+
+def example(name: str, folder: Path, *options: str) -> None:
+    """Run an example as its first lines say."""
+    sys.argv = [name, *options, str(folder)]
+    runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+
+
+def main() -> None:
+    """Draw all of them."""
+    example("iso_energy.py", IMAGES)
+    example("motor_limits.py", IMAGES)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        example("diagnose_simulated.py", folder)
+        shutil.copy(folder / "energy.png", IMAGES / "diagnose_simulated.png")
+    example("plan_hill.py", IMAGES, "--out")
+    orchard = evaluate(read_mission(EXAMPLES / "mission_orchard.yaml"))
+    plots.mission_map(orchard).savefig(IMAGES / "mission_orchard.png", dpi=110)
+
+
+if __name__ == "__main__":
+    main()
