@@ -1,18 +1,21 @@
 from dataclasses import replace
 
+import networkx as nx
 import numpy as np
 import pytest
+import shapely
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.errors import NoPathError, TimeLimitError
-from energyplan.maps import OccupancyGrid
+from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
 from energyplan.maps._collision import Body
 from energyplan.path import Path, Pose
 from energyplan.planners import PlanningProblem, plan
 from energyplan.planners import _bound_kernels as kernels
 from energyplan.planners._bound import DETAILS, lower_bound, outline
 from energyplan.planners._bound_kernels import HEADINGS, Rates, line_open
+from energyplan.planners._excess import least_excess, least_steps, metre_excess
 from energyplan.planners._query import Query
 from energyplan.power import PowerModel
 
@@ -200,6 +203,93 @@ def test_a_gate_forbids_only_what_cannot_cross_it():
     # along the wall nothing passes, and through it something does
     assert cost[0] > 0
     assert cost[HEADINGS // 4] == 0
+
+
+# -- dear surfaces ---------------------------------------------------------------------------------
+
+
+def two_grounds(area, cheap="quadriga:empty:marble", grid=None):
+    """A hall of concrete with marble in `area`, and the problem of crossing it."""
+    grid = OccupancyGrid(np.zeros((100, 200), bool), 0.1) if grid is None else grid
+    surfaces = SurfaceMap((Surface(area, PowerModel.preset(cheap)),))
+    return PlanningProblem(grid, COST, (2.0, 5.0, 0.0), (18.0, 5.0, 0.0), surfaces)
+
+
+def test_a_dear_strip_that_must_be_crossed_is_charged():
+    strip = shapely.difference(shapely.box(-1, -1, 21, 11), shapely.box(8, -2, 12, 12))
+    problem = two_grounds(strip)
+    query = Query(problem)
+    per_metre = float(metre_excess(query)[0])
+    marble = EnergyCost(PowerModel.preset("quadriga:empty:marble"))
+    assert per_metre == pytest.approx(
+        float(COST.segment_energy(1.0, 0.0) - marble.segment_energy(1.0, 0.0))
+    )
+    excess = least_excess(query, 0.3, 1e6)
+    # up to two cells at each edge are not sure to be dear, one more neighbours these
+    assert (4.0 - 6 * 0.1) * per_metre <= excess <= 4.0 * per_metre
+    assert excess == least_excess(query, 0.3, 1e6)  # what is kept with the map
+    assert least_excess(query, 0.3, 0.5 * excess) == pytest.approx(0.5 * excess)
+
+
+def test_a_dear_strip_with_a_way_around_it_is_not_charged():
+    around = shapely.difference(shapely.box(-1, -1, 21, 11), shapely.box(8, -2, 12, 7))
+    assert least_excess(Query(two_grounds(around)), 0.3, 1e6) == 0.0
+    # unless the way around is blocked
+    occupied = np.zeros((100, 200), bool)
+    occupied[70:, 80:120] = True
+    problem = two_grounds(around, grid=OccupancyGrid(occupied, 0.1))
+    assert least_excess(Query(problem), 0.3, 1e6) > 100
+
+
+def test_cells_are_joined_on_large_maps(monkeypatch):
+    strip = shapely.difference(shapely.box(-1, -1, 21, 11), shapely.box(8, -2, 12, 12))
+    query = Query(two_grounds(strip))
+    fine = least_excess(query, 0.3, 1e6)
+    monkeypatch.setattr("energyplan.planners._excess.MOST_CELLS", 5000)
+    coarse = least_excess(query, 0.3, 1e6)
+    assert 0.7 * fine < coarse <= 4.0 * float(metre_excess(query)[0])
+
+
+def test_least_steps_agree_with_networkx():
+    rng = np.random.default_rng(7)
+    step = rng.choice([0.0, 1.0, 2.5], (12, 15))
+    passable = rng.random((12, 15)) < 0.8
+    graph = nx.DiGraph()
+    for r, c in np.ndindex(step.shape):
+        for rr, cc in np.ndindex(step.shape):
+            if passable[rr, cc] and max(abs(r - rr), abs(c - cc)) == 1:
+                graph.add_edge((r, c), (rr, cc), weight=step[r, c])
+    lengths = nx.single_source_dijkstra_path_length(graph, (1, 1))
+    for goal in ((10, 13), (2, 12), (11, 1)):
+        near = [
+            length
+            for (r, c), length in lengths.items()
+            if max(abs(r - goal[0]), abs(c - goal[1])) <= 1
+        ]
+        given = (step, passable, 1, 1, *goal, 1e9)
+        assert least_steps(*given) == pytest.approx(min(near))
+        assert least_steps.py_func(*given) == pytest.approx(min(near))
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_no_path_over_surfaces_beats_the_bound(seed):
+    grid = cluttered(seed)
+    rng = np.random.default_rng(seed)
+    boxes = [shapely.box(x, y, x + 3, y + 2) for x, y in rng.uniform((0, 0), (7, 6), (4, 2))]
+    marble = PowerModel.preset("quadriga:empty:marble")
+    surfaces = SurfaceMap(tuple(Surface(box, marble) for box in boxes))
+    poses = free_poses(grid, 8, seed)
+    raised = 0
+    for start, goal in zip(poses[::2], poses[1::2], strict=True):
+        problem = PlanningProblem(grid, COST, start, goal, surfaces)
+        try:
+            found = plan(problem, time_limit=0.5, gap=0.0)
+        except (NoPathError, TimeLimitError):
+            continue
+        query = Query(problem)
+        assert lower_bound(query, 1.5 * found.energy).value <= found.energy * (1 + 1e-9)
+        raised += least_excess(query, 0.3, found.energy) > 0
+    assert raised
 
 
 # -- the whole bound -------------------------------------------------------------------------------

@@ -190,6 +190,12 @@ class SurfaceMap:
             np.concatenate([nothing, *(e for _, e in rims)]),
         )
 
+    def edge_points(self, spacing: float) -> Iterable[FloatArray]:
+        """Yield points along each edge of the surfaces, at most `spacing` [m] apart, (n, 2)."""
+        for a, e in zip(*self._edges, strict=True):
+            count = int(np.hypot(*e) / spacing) + 2
+            yield a + np.linspace(0.0, 1.0, count)[:, None] * e
+
     def shares(self, path: Path) -> FloatArray:
         """Return how each segment of a path divides over the regions.
 

@@ -20,6 +20,7 @@ from energyplan.maps import OccupancyGrid
 from energyplan.maps._collision import Body
 from energyplan.path import FloatArray
 from energyplan.planners._bound_kernels import Corners, Rates, least_over_corners
+from energyplan.planners._excess import least_excess
 from energyplan.planners._motion_kernels import Setting, free_energy
 from energyplan.planners._query import MARGIN, Query
 from energyplan.planners._search import inscribed
@@ -183,19 +184,20 @@ def lower_bound(query: Query, cost: float, effort: float = EFFORT) -> Bound:
     """
     setting = query.setting
     free = float(free_energy(setting, setting.start_x, setting.start_y, setting.start_yaw))
-    if free >= cost:
+    radius = inscribed(setting) - MARGIN * query.grid.resolution
+    if free >= cost or radius <= 0:
         return Bound(free, True)
-    among, final = _among_obstacles(query.grid, setting, free, cost, effort)
-    return Bound(max(free, among), final)
+    excess = least_excess(query, radius, cost)
+    among, final = _among_obstacles(query.grid, setting, radius, cost - excess, effort)
+    return Bound(max(free, among + excess), final)
 
 
 def _among_obstacles(
-    grid: OccupancyGrid, setting: Setting, free: float, cost: float, effort: float
-) -> tuple[float, bool]:
-    margin = MARGIN * grid.resolution
-    radius = inscribed(setting) - margin
-    if radius <= 0:
-        return 0.0, True
+    grid: OccupancyGrid, setting: Setting, radius: float, cost: float, effort: float
+) -> Bound:
+    free = float(free_energy(setting, setting.start_x, setting.start_y, setting.start_yaw))
+    if free >= cost:
+        return Bound(max(cost, 0.0), True)
     ends = np.array([(setting.start_x, setting.start_y), (setting.goal_x, setting.goal_y)])
     for detail in DETAILS:
         found = outline(grid, radius, detail)
@@ -205,7 +207,7 @@ def _among_obstacles(
         if near.sum() <= MOST_CORNERS:
             break
     else:
-        return 0.0, False
+        return Bound(free, False)
     corners = found._replace(
         point=np.concatenate([found.point[near], ends]),
         before=np.concatenate([found.before[near], ends]),
@@ -214,9 +216,9 @@ def _among_obstacles(
     rates = Rates(
         setting.least_metre, setting.least_radian, setting.start_yaw, setting.goal_yaw, free
     )
-    body = setting.body
+    body, margin = setting.body, MARGIN * grid.resolution
     true_body = Body(
         body.x_min + margin, body.y_min + margin, body.x_max - margin, body.y_max - margin
     )
     value, final = least_over_corners(setting.space, true_body, corners, rates, cost, effort)
-    return float(value), bool(final)
+    return Bound(float(value), bool(final))

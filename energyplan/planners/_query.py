@@ -154,6 +154,11 @@ class Query:
         """Price of the rays, shape (classes * slopes, DIRECTIONS + 1)."""
         return self._priced.kept
 
+    @property
+    def fine_prices(self) -> FloatArray:
+        """Price of the rays at more slopes, class by class, shape (m, DIRECTIONS + 1)."""
+        return self._priced.fine
+
     def worth(self, pose: Pose) -> float:
         """Return what the height at a pose is worth; only differences mean something."""
         heights, ahead = self.problem.heights, self.problem.cost.icr.longitudinal
