@@ -167,7 +167,8 @@ def pareto(
                 f"the vehicle {problem.cost.vehicle.name!r} has no speed limit, so drives take no "
                 "time; set its motor speed"
             )
-        values = [share * first.energy / first.duration for share in SHARES[1:]]
+        spent = max(first.energy, first.energy - first.potential)
+        values = [share * spent / first.duration for share in SHARES[1:]]
     else:
         values = sorted({float(value) for value in time_values})
         if not values:
@@ -180,7 +181,9 @@ def pareto(
         drives = [own, *(_driven(task, drive) for _, drive in found if drive is not own)]
         best = min(drives, key=lambda drive: drive.cost)
         bound = min(own.lower_bound, best.cost)
-        best = replace(best, lower_bound=bound, gap=best.cost / bound - 1.0 if bound > 0 else 0.0)
+        least = bound - best.potential
+        gap = (best.cost - bound) / least if least > 0 else 0.0
+        best = replace(best, lower_bound=bound, gap=gap)
         points.append(ParetoPoint(task.cost.time_value, best))
     bounds = np.array([(point.time_value, point.plan.lower_bound) for point in points])
     return ParetoFront(_undominated(points), bounds)

@@ -16,7 +16,7 @@ from energyplan._interactive import energy_along
 from energyplan.battery import Battery
 from energyplan.compare import compare
 from energyplan.cost import EnergyCost
-from energyplan.effects import GRADE, reads_slope, term, with_weight
+from energyplan.effects import GRADE, VISCOUS_LOSS, reads_slope, term, with_weight
 from energyplan.errors import (
     InvalidInputError,
     MapError,
@@ -33,6 +33,7 @@ from energyplan.planners import _motion_kernels as kernels
 from energyplan.planners._query import Query
 from energyplan.planners.lattice import energies
 from energyplan.power import HOTEL, PowerModel
+from energyplan.tradeoff import pareto
 from energyplan.vehicle import GRAVITY, TreadICR
 
 LEVEL = PowerModel.preset("quadriga:empty:concrete")
@@ -300,6 +301,21 @@ def test_other_objectives_know_slopes():
     assert found.gap < 0.3
     shortest = plan(replace(problem, objective="length"))
     assert shortest.length == pytest.approx(np.hypot(10, 7), rel=1e-3)
+
+
+def test_energy_against_time_where_the_way_down_pays_for_itself():
+    problem = PlanningProblem(
+        HALL, EnergyCost(MODEL.with_term(VISCOUS_LOSS, 80.0)), (2, 6, 0), (14, 6, 0),
+        heights=plane(-0.4, 0.0),
+    )  # fmt: skip
+    front = pareto(problem, time_limit=0.3)
+    assert len(front.points) > 2
+    assert np.all(np.diff(front.energy) > 0)
+    assert front.energy[0] < 0
+    for point in front.points:
+        assert 0 <= point.plan.gap < 0.2
+        assert point.plan.lower_bound <= point.plan.cost
+    assert np.all(front.least_energy(front.duration) <= front.energy + 1e-6)
 
 
 # -- surfaces --------------------------------------------------------------------------------------
