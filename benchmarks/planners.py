@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import resource
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -86,6 +87,13 @@ def rivals(name: str, grid: OccupancyGrid, count: int, limit: float) -> None:
     won = dict.fromkeys(RIVALS, 0)
     ratio: dict[str, list[float]] = {rival: [] for rival in RIVALS}
     total = 0
+
+    def row() -> str:
+        return f"{name:22s} 0.1 s against {limit:g} s:  " + "   ".join(
+            f"{rival} {won[rival]}/{total} (median x{np.median(ratio[rival] or [np.nan]):.3f})"
+            for rival in RIVALS
+        )
+
     for problem in todo:
         try:
             ours = plan(problem, time_limit=0.1).energy
@@ -100,11 +108,9 @@ def rivals(name: str, grid: OccupancyGrid, count: int, limit: float) -> None:
             won[rival] += ours <= theirs * (1 + 1e-9)
             if np.isfinite(ours) and np.isfinite(theirs):
                 ratio[rival].append(theirs / ours)
-    row = "   ".join(
-        f"{rival} {won[rival]}/{total} (median x{np.median(ratio[rival] or [np.nan]):.3f})"
-        for rival in RIVALS
-    )
-    print(f"{name:22s} 0.1 s against {limit:g} s:  {row}", flush=True)
+        if total % 10 == 0:
+            print(row(), file=sys.stderr, flush=True)
+    print(row(), flush=True)
 
 
 def many(name: str, grid: OccupancyGrid, count: int) -> None:

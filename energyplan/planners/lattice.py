@@ -60,7 +60,9 @@ class Guide(NamedTuple):
 
 
 ROUNDS = (
-    (1.0, 2.0, (Guide(2.0, True), Guide(1.0, True), Guide(4.0), Guide(1.0))),
+    (1.0, 2.0, (Guide(2.0, True),)),
+    (1.0, 1.2, (Guide(2.0), Guide(1.0, shortest=True))),
+    (1.0, 2.0, (Guide(1.0, True), Guide(4.0), Guide(1.0))),
     (1.0, 1.5, (Guide(2.0, True), Guide(1.0, True), Guide(4.0), Guide(1.0, shortest=True))),
     (1.0, 1.2, (Guide(2.0, True), Guide(1.0, True), Guide(8.0), Guide(2.0), Guide(1.0))),
     (1.0, 1.0, (Guide(1.0, True), Guide(1.0))),
@@ -72,7 +74,10 @@ No one guidance is best: a penalty that spares one problem its blind alleys hide
 gap it should have taken.
 """
 
-BUDGET = 8000
+HASTE = 0.25
+"""Time below which the first round is left out [s]."""
+
+BUDGET = 2000
 """Expansions of each search in the first round; twice as many in each round that follows."""
 
 STRIDE = 30_000
@@ -327,8 +332,10 @@ class _Improvement:
         self.raise_bound(PACE * kept)
         if not self._bound.final:
             self.deadline -= kept
-        budget = BUDGET
-        for scale, weight, guides in ROUNDS:
+        for number, (scale, weight, guides) in enumerate(ROUNDS):
+            if number == 0 and left < HASTE:
+                continue
+            budget = BUDGET << number
             self.race.run(until, self.enough)
             pending, self.searches = self.searches, []
             for search, known in pending:
@@ -337,7 +344,6 @@ class _Improvement:
             for guide in guides:
                 if time.perf_counter() < until and not self.done:
                     self._advance(self._search(scale, weight, guide), np.inf, until, budget)
-            budget *= 2
         self.race.run(self.deadline, self.enough)
         self.race.finish(self.deadline, self.enough)
         gains = True
