@@ -213,8 +213,9 @@ def test_images_outside_the_folder_are_refused(tmp_path, name):
         ({"occupied_thresh": 7}, "occupied_thresh"),
         ({"image": "missing.png"}, r"missing\.png"),
         ({"image": "m.yaml"}, "not a PGM"),
-        ({"image": "[1"}, "not valid YAML"),
-        ({"image": "!!python/object/apply:os.getcwd []"}, "not valid YAML"),
+        ({"image": "[1"}, r"line \d+ is no valid YAML"),
+        ({"image": "!!python/object/apply:os.getcwd []"}, r"line 1: leave the tag"),
+        ({"image": "!!python/name:os.getcwd"}, r"line 1: .*cannot be read"),
     ],
 )
 def test_malformed_headers_name_the_place(tmp_path, change, place):
@@ -222,6 +223,18 @@ def test_malformed_headers_name_the_place(tmp_path, change, place):
     file = tmp_path / "m.yaml"
     file.write_text("\n".join(f"{k}: {v}" for k, v in {**HEADER, **change}.items()))
     with pytest.raises(MapError, match=place):
+        read_map(file)
+
+
+def test_a_header_that_repeats_itself_without_end_is_refused(tmp_path):
+    """Half a kilobyte of YAML that merges a mapping 9^9 times."""
+    lines = ["a: &a {x: 1, y: 2}"]
+    for this, before in zip("bcdefghij", "abcdefghi", strict=True):
+        lines.append(f"{this}: &{this} {{<<: [{','.join([f'*{before}'] * 9)}]}}")
+    lines += [f"{key}: {value}" for key, value in HEADER.items()]
+    file = tmp_path / "m.yaml"
+    file.write_text("\n".join(lines))
+    with pytest.raises(MapError, match=r"m\.yaml, line \d+: too many values"):
         read_map(file)
 
 
@@ -253,7 +266,7 @@ def test_missing_and_strange_files(tmp_path):
     with pytest.raises(MapError, match="cannot be read"):
         (tmp_path / "folder.yaml").mkdir()
         read_map(tmp_path / "folder.yaml")
-    with pytest.raises(MapError, match="file name"):
+    with pytest.raises(MapError, match="cannot be read: embedded null"):
         read_map("a\0.yaml")
 
 

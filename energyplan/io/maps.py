@@ -12,10 +12,11 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from energyplan.errors import MapError
 from energyplan.io._limited import beside, read_bytes
+from energyplan.io._yaml import load
 from energyplan.io.files import atomic_write
 from energyplan.io.geojson import read_obstacles
 from energyplan.maps import MAX_CELLS, OccupancyGrid
@@ -23,9 +24,6 @@ from energyplan.path import Pose
 
 MAX_FILE = 2**28
 """Largest map image that is read [bytes]."""
-
-MAX_HEADER = 2**16
-"""Largest map YAML that is read [bytes]."""
 
 MOVINGAI_FREE = b".GS"
 """Characters of passable cells in a MovingAI map: ground, ground too, swamp."""
@@ -89,7 +87,7 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
             f"{file}: unknown kind of map {file.suffix!r}; give a map_server .yaml, a MovingAI "
             ".map or a .geojson"
         )
-    header = _header(file)
+    header = load(file, MapError).check(_MapHeader)
     values, alpha = _pixels(beside(file, "image", header.image))
     occupied, free = _interpret(values, alpha, header)
     try:
@@ -103,23 +101,6 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
         )
     except MapError as error:
         raise MapError(f"{file}: {error}") from None
-
-
-def _header(file: Path) -> _MapHeader:
-    content = read_bytes(file, MAX_HEADER)
-    try:
-        data = yaml.safe_load(content)
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        place = " ".join(str(error).split())[:200]
-        raise MapError(f"{file}: not valid YAML: {place}") from None
-    if not isinstance(data, dict):
-        raise MapError(f"{file}: a map_server YAML holds keys such as image and resolution")
-    try:
-        return _MapHeader.model_validate(data)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the whole"
-        raise MapError(f"{file}: {key}: {first['msg']}") from None
 
 
 def _pixels(file: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
