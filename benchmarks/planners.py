@@ -196,6 +196,8 @@ def main() -> None:
     own = sorted((Path(__file__).parents[1] / "maps").glob("*.yaml"))
     grids = {path.stem: read_map(path) for path in (given.maps or own)}
     chosen = given.rivals or given.many or given.sizes or given.pairs
+    if given.pairs and not given.maps:
+        grids["yard"] = yard(2000)
     warm_up()
     if (given.pairs and not (given.rivals or given.many)) or not chosen:
         count = given.pairs or 6

@@ -80,13 +80,13 @@ def test_the_public_names_are_these() -> None:
     """A name that is added or taken away is a decision: change it here and in the changelog."""
     assert sorted(energyplan.__all__) == [
         "Battery", "Charger", "Comparison", "Diagnosis", "DriveLog", "EnergyCost",
-        "FeasibilityReport", "Identification", "Mission", "MissionReport", "Motion", "MotorLimits",
-        "OccupancyGrid", "OnlineIdentifier", "ParetoFront", "ParetoPoint", "Path", "Plan",
-        "PlanningProblem", "Pose", "PowerModel", "Residual", "Sides", "SurfaceMap", "Task", "Term",
-        "Trajectory", "TreadICR", "Vehicle", "battery", "check", "compare", "diagnose", "errors",
-        "evaluate", "feasibility", "identify", "pareto", "plan", "plots", "read_map",
-        "read_mission", "read_model", "read_surfaces", "read_vehicle", "simulate", "speed",
-        "steering", "write_model",
+        "FeasibilityReport", "HeightMap", "Identification", "Mission", "MissionReport", "Motion",
+        "MotorLimits", "OccupancyGrid", "OnlineIdentifier", "ParetoFront", "ParetoPoint", "Path",
+        "Plan", "PlanningProblem", "Pose", "PowerModel", "Residual", "Sides", "SurfaceMap", "Task",
+        "Term", "Trajectory", "TreadICR", "Vehicle", "battery", "check", "compare", "diagnose",
+        "errors", "evaluate", "feasibility", "identify", "pareto", "plan", "plots", "read_heights",
+        "read_map", "read_mission", "read_model", "read_surfaces", "read_vehicle", "simulate",
+        "speed", "steering", "write_model",
     ]  # fmt: skip
 
 
