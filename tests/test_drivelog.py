@@ -6,6 +6,8 @@ import gzip
 import pickle
 import re
 import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -255,6 +257,36 @@ def test_text_and_lists_in_parquet_are_named_and_left_unread(tmp_path):
         DriveLog.read(file, "power=word")
     with pytest.raises(DriveLogError, match=r"'list' is of type list"):
         DriveLog.read(file, "power=list")
+
+
+DAMAGE = """
+import sys, pyarrow as pa, pyarrow.parquet as pq
+from pathlib import Path
+from energyplan.drivelog._tables import read_table
+from energyplan.errors import DriveLogError
+file = Path(sys.argv[1])
+pq.write_table(pa.table({"t": [0.0, 1.0], "x": [2.0, None]}), file)
+sound, refused = file.read_bytes(), 0
+for place in range(len(sound) - 900, len(sound)):
+    for bits in (1, 255):
+        damaged = bytearray(sound)
+        damaged[place] ^= bits
+        file.write_bytes(damaged)
+        try:
+            read_table(file, DriveLogError)
+        except DriveLogError:
+            refused += 1
+print(refused)
+"""
+
+
+def test_damage_to_what_parquet_says_of_itself_never_ends_the_process(tmp_path):
+    """Some of pyarrow's functions end it; that is only seen from outside."""
+    pytest.importorskip("pyarrow")
+    command = [sys.executable, "-c", DAMAGE, str(tmp_path / "damaged.parquet")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 500
 
 
 def test_parquet_of_absurd_size_is_refused(tmp_path, monkeypatch):

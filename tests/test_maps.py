@@ -205,3 +205,13 @@ def test_malformed_maps_are_refused(kwargs, message):
 def test_absurd_bounds_are_refused():
     with pytest.raises(MapError, match="coarser"):
         OccupancyGrid.from_polygons([], (0, 0, 1e6, 1e6), 0.05)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("far", [1e308, -1e308, np.inf, np.nan])
+def test_what_lies_beyond_all_numbers_lies_on_no_map(far):
+    grid = OccupancyGrid(np.zeros((9, 9), bool), resolution=0.1, origin=Pose(1.0, 2.0, 0.4))
+    assert not grid.contains(far, far)
+    assert not grid.contains(far, -far)
+    assert not grid.contains(1.1, far)
+    assert grid.contains(1.1, 2.3)

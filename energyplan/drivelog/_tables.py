@@ -22,7 +22,6 @@ from energyplan.path import FloatArray
 if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is read
     import pandas as pd
     import pyarrow as pa
-    import pyarrow.parquet as pq
     from _typeshed import WriteableBuffer
 
 MAX_COLUMNS = 4096
@@ -298,10 +297,12 @@ def _read_parquet(file: Path, error: type[InvalidInputError]) -> Table:
             # Text and lists stay unread: a few bytes can stand for gigabytes of them.
             kinds = {name: schema.field(name).type for name in names}
             numbers = [name for name, kind in kinds.items() if _holds_numbers(kind)]
-            if _unpacked_size(parquet.metadata, numbers) > MAX_BYTES:
+            # Of groups, not of columns: what a column says, pyarrow ends the process over.
+            groups = map(parquet.metadata.row_group, range(parquet.metadata.num_row_groups))
+            if sum(group.total_byte_size for group in groups) > MAX_BYTES:
                 raise error(f"{file} holds more than {MAX_BYTES >> 20} MiB; split it")
             frame = parquet.read(columns=numbers).to_pandas(ignore_metadata=True)
-    except (pa.ArrowException, pa.ArrowInvalid, OSError) as problem:
+    except (pa.ArrowException, OSError, RuntimeError) as problem:
         first = (str(problem).splitlines() or [""])[0]
         raise error(f"{file} is no sound Parquet file: {first}") from None
     columns = _Columns(numbers, 1, "row")
@@ -318,13 +319,6 @@ def _holds_numbers(kind: pa.DataType) -> bool:
     if types.is_dictionary(kind):
         kind = kind.value_type
     return bool(types.is_primitive(kind) or types.is_decimal(kind) or types.is_null(kind))
-
-
-def _unpacked_size(metadata: pq.FileMetaData, names: list[str]) -> int:
-    """Sum what a Parquet file says that columns take when unpacked [bytes]."""
-    groups = (metadata.row_group(k) for k in range(metadata.num_row_groups))
-    chunks = (group.column(k) for group in groups for k in range(group.num_columns))
-    return sum(c.total_uncompressed_size for c in chunks if c.path_in_schema in names)
 
 
 class _Columns:

@@ -210,7 +210,8 @@ class OccupancyGrid:
 
     def inside(self, points: ArrayLike) -> BoolArray:
         """Tell which world points (..., 2) [m] lie on the map."""
-        cells = self.to_cells(points)
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows lies on no map
+            cells = self.to_cells(points)
         rows, columns = self.shape
         return np.asarray(np.all((cells >= 0) & (cells <= np.array([columns, rows])), axis=-1))
 
