@@ -297,7 +297,7 @@ def _read_parquet(file: Path, error: type[InvalidInputError]) -> Table:
             # Text and lists stay unread: a few bytes can stand for gigabytes of them.
             kinds = {name: schema.field(name).type for name in names}
             numbers = [name for name, kind in kinds.items() if _holds_numbers(kind)]
-            # Of groups, not of columns: what a column says, pyarrow ends the process over.
+            # Of groups: where what a column says is damaged, pyarrow ends the process.
             groups = map(parquet.metadata.row_group, range(parquet.metadata.num_row_groups))
             if sum(group.total_byte_size for group in groups) > MAX_BYTES:
                 raise error(f"{file} holds more than {MAX_BYTES >> 20} MiB; split it")
