@@ -17,7 +17,7 @@ from energyplan.planners._motion_kernels import Setting
 from energyplan.planners._query import Query, Segments, merged
 from energyplan.steering._kernels import MAX_SEGMENTS
 
-POSES = 90
+POSES = 60
 """Largest number of poses among which shortcuts are sought."""
 
 TRIALS = 400
