@@ -4,6 +4,7 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
+from worlds import cluttered, free_poses
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
@@ -21,21 +22,6 @@ from energyplan.power import PowerModel
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 SPACING = 2 * np.pi / HEADINGS
-
-
-def cluttered(seed, count=14):
-    rng = np.random.default_rng(seed)
-    occupied = np.zeros((160, 200), bool)
-    for row, column in zip(rng.integers(5, 145, count), rng.integers(5, 185, count), strict=True):
-        height, width = rng.integers(2, 24, 2)
-        occupied[row : row + height, column : column + width] = True
-    return OccupancyGrid(occupied, 0.05)
-
-
-def free_poses(grid, count, seed, vehicle=COST.vehicle):
-    rng = np.random.default_rng(seed)
-    poses = rng.uniform((0, 0, -np.pi), (*grid.size, np.pi), (400, 3))
-    return poses[grid.footprint_free(poses, vehicle)][:count]
 
 
 def nearly_a_point(metre, radian, half_track=0.01, size=0.05):
@@ -88,7 +74,7 @@ def test_lines_through_obstacles_are_closed_and_others_open():
 @pytest.mark.parametrize("seed", range(6))
 def test_no_path_beats_the_bound(seed):
     grid = cluttered(seed)
-    poses = free_poses(grid, 8, seed)
+    poses = free_poses(grid, 8, seed, COST.vehicle)
     for start, goal in zip(poses[::2], poses[1::2], strict=True):
         try:
             found = plan(PlanningProblem(grid, COST, start, goal), time_limit=0.4, gap=0.0)
@@ -278,7 +264,7 @@ def test_no_path_over_surfaces_beats_the_bound(seed):
     boxes = [shapely.box(x, y, x + 3, y + 2) for x, y in rng.uniform((0, 0), (7, 6), (4, 2))]
     marble = PowerModel.preset("quadriga:empty:marble")
     surfaces = SurfaceMap(tuple(Surface(box, marble) for box in boxes))
-    poses = free_poses(grid, 8, seed)
+    poses = free_poses(grid, 8, seed, COST.vehicle)
     raised = 0
     for start, goal in zip(poses[::2], poses[1::2], strict=True):
         problem = PlanningProblem(grid, COST, start, goal, surfaces)
@@ -343,7 +329,7 @@ def test_a_turn_the_other_way_beside_a_corner_is_not_overlooked():
 
 def test_the_coarser_outline_gives_a_bound_too(monkeypatch):
     grid = cluttered(3)
-    start, goal = free_poses(grid, 2, 3)
+    start, goal = free_poses(grid, 2, 3, COST.vehicle)
     query = Query(PlanningProblem(grid, COST, start, goal))
     fine = lower_bound(query, 1e5).value
     monkeypatch.setattr("energyplan.planners._bound.DETAILS", DETAILS[1:])
@@ -353,7 +339,7 @@ def test_the_coarser_outline_gives_a_bound_too(monkeypatch):
 
 def test_little_effort_gives_a_lower_bound_and_says_so():
     grid = cluttered(1)
-    poses = free_poses(grid, 8, 1)
+    poses = free_poses(grid, 8, 1, COST.vehicle)
     unfinished = 0
     for start, goal in zip(poses[::2], poses[1::2], strict=True):
         query = Query(PlanningProblem(grid, COST, start, goal))

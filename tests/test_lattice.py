@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
+from worlds import cluttered, free_poses
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
@@ -24,21 +25,6 @@ def room(width=10.0, height=10.0, resolution=0.1):
     return OccupancyGrid(
         np.zeros((round(height / resolution), round(width / resolution)), bool), resolution
     )
-
-
-def cluttered(seed, count=14):
-    rng = np.random.default_rng(seed)
-    occupied = np.zeros((160, 200), bool)
-    for row, column in zip(rng.integers(5, 145, count), rng.integers(5, 185, count), strict=True):
-        height, width = rng.integers(2, 24, 2)
-        occupied[row : row + height, column : column + width] = True
-    return OccupancyGrid(occupied, 0.05)
-
-
-def free_poses(grid, count, seed):
-    rng = np.random.default_rng(seed)
-    poses = rng.uniform((0, 0, -np.pi), (*grid.size, np.pi), (400, 3))
-    return poses[grid.footprint_free(poses, COST.vehicle)][:count]
 
 
 # -- kernels -------------------------------------------------------------------------------------
@@ -131,7 +117,7 @@ def test_free_space_plan_is_the_exact_steering_motion():
 @pytest.mark.parametrize("weight", [2.0, 1.0])
 def test_search_returns_free_motions_of_the_cost_it_reports(weight):
     grid = cluttered(4)
-    poses = free_poses(grid, 6, 11)
+    poses = free_poses(grid, 6, 11, COST.vehicle)
     for start, goal in zip(poses[::2], poses[1::2], strict=True):
         query = Query(PlanningProblem(grid, COST, start, goal))
         search = Search(query.setting, field_for(query.setting), lattice_for(query.setting), weight)
@@ -146,7 +132,7 @@ def test_search_returns_free_motions_of_the_cost_it_reports(weight):
 def test_search_survives_growing_its_arrays():
     # an island that cannot be left keeps the search busy until everything is searched
     grid = cluttered(4)
-    start, goal = free_poses(grid, 2, 11)
+    start, goal = free_poses(grid, 2, 11, COST.vehicle)
     query = Query(PlanningProblem(grid, COST, start, goal))
     search = Search(query.setting, field_for(query.setting), lattice_for(query.setting, 0.5), 1.0)
     search.tree.best[0] = np.inf
@@ -163,7 +149,7 @@ def test_search_survives_growing_its_arrays():
 @pytest.mark.parametrize("seed", range(3))
 def test_refinement_only_ever_improves(seed):
     grid = cluttered(seed)
-    start, goal = free_poses(grid, 4, seed + 20)[:2]
+    start, goal = free_poses(grid, 4, seed + 20, COST.vehicle)[:2]
     query = Query(PlanningProblem(grid, COST, start, goal))
     search = Search(query.setting, field_for(query.setting), lattice_for(query.setting), 2.0)
     search.run(np.inf, stop_at_first=True, expansions=200_000)
@@ -223,7 +209,7 @@ def test_narrow_corridor_is_driven_although_a_spin_does_not_fit():
 
 def test_one_to_many_energies_match_single_plans():
     grid = cluttered(1)
-    start, *goals = free_poses(grid, 7, 5)
+    start, *goals = free_poses(grid, 7, 5, COST.vehicle)
     problem = PlanningProblem(grid, COST, start, start)
     many = energies(problem, goals)
     assert many.shape == (len(goals),)

@@ -1,0 +1,22 @@
+"""Maps with boxes at random, and free poses on them."""
+
+import numpy as np
+
+from energyplan.maps import OccupancyGrid
+
+
+def cluttered(seed, count=14):
+    """Return a map of 10 m by 8 m with boxes."""
+    rng = np.random.default_rng(seed)
+    occupied = np.zeros((160, 200), bool)
+    for row, column in zip(rng.integers(5, 145, count), rng.integers(5, 185, count), strict=True):
+        height, width = rng.integers(2, 24, 2)
+        occupied[row : row + height, column : column + width] = True
+    return OccupancyGrid(occupied, 0.05)
+
+
+def free_poses(grid, count, seed, vehicle):
+    """Return poses at which a vehicle is free."""
+    rng = np.random.default_rng(seed)
+    poses = rng.uniform((0, 0, -np.pi), (*grid.size, np.pi), (400, 3))
+    return poses[grid.footprint_free(poses, vehicle)][:count]
