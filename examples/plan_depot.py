@@ -17,6 +17,7 @@ from energyplan import plots
 from energyplan.compare import compare
 from energyplan.cost import EnergyCost
 from energyplan.effects import VISCOUS_LOSS
+from energyplan.errors import PlanningError
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.maps import read_map
 from energyplan.maps import Surface, SurfaceMap
@@ -61,8 +62,12 @@ def trade(problem: PlanningProblem) -> ParetoFront:
     cost = EnergyCost(stiff(problem.cost.model))
     problem = replace(problem, cost=cost, surfaces=surfaces)
     # what one planner overlooks another may find: its route is tried at every speed
-    other = plan(problem, "roadmap", time_limit=3.0)
-    return pareto(problem, time_limit=3.0, initial=[other.path])
+    known = []
+    try:
+        known.append(plan(problem, "roadmap", time_limit=3.0).path)
+    except PlanningError as error:
+        print(f"no route from the visibility graph: {error}")
+    return pareto(problem, time_limit=3.0, initial=known)
 
 
 def main() -> None:
