@@ -30,12 +30,13 @@ FUZZ_ONLY ?= *
 fuzz: $(READY)
 	@set -f; $(BIN)/python tests/fuzz/nightly.py --runs $(FUZZ) --jobs $(FUZZ_JOBS) $(FUZZ_ONLY)
 
-# The pictures of the README and of the planning page, drawn by the demo and an example.
+# The pictures of the README and the documentation, drawn by the demo and the examples.
 pictures: demo
 	mkdir -p docs/pictures
 	cp $(OUT)/*.png docs/pictures/
 	$(BIN)/python examples/plan_depot.py --goal 20,12,90 --out $(OUT)/plan_depot
 	cp $(OUT)/plan_depot/pareto.png docs/pictures/
+	$(BIN)/python docs/draw.py
 
 # Every figure of the benchmark pages, measured on this machine. Takes a while.
 bench: $(READY)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
@@ -10,6 +12,7 @@ from energyplan.path import Path
 from energyplan.planners import PlanningProblem, plan
 from energyplan.planners import _field_kernels as field_kernels
 from energyplan.planners import _motion_kernels as motion_kernels
+from energyplan.planners._ease import ease
 from energyplan.planners._query import MARGIN, Query, Segments, merged
 from energyplan.planners._search import Search, field_for, inscribed, lattice_for
 from energyplan.planners.lattice import energies
@@ -233,3 +236,33 @@ def test_depot_reference_query(shared_data):
     assert found.energy == pytest.approx(COST.energy(found.path), rel=1e-12)
     # RRT* with a disc of 0.4 m is known to reach 6868 J in 30 s
     assert found.lower_bound <= found.energy < 6750
+
+
+@pytest.mark.parametrize("spare", [0.0003, 0.001])
+def test_ends_that_almost_touch_are_left_with_room(spare):
+    # start and goal alongside shelves, with less room than planning keeps elsewhere
+    occupied = np.zeros((120, 200), bool)
+    occupied[:20, 30:50] = occupied[:20, 150:170] = True
+    occupied[20:40, 90:110] = True
+    grid = OccupancyGrid(occupied, 0.05)
+    y = 1.0 + 0.32 + spare
+    for yaw in (0.0, np.pi):
+        problem = PlanningProblem(grid, COST, (2.0, y, 0.0), (8.0, y, yaw))
+        query = Query(problem)
+        assert not query.roomy(problem.start)
+        found = plan(problem, time_limit=0.5)
+        assert grid.path_free(found.path, problem.robot)
+        eased = ease(query)
+        inner = plan(eased.problem, time_limit=0.5)
+        whole = eased.whole(inner.path)
+        assert grid.path_free(whole, problem.robot)
+        np.testing.assert_allclose(whole.end[:2], problem.goal[:2], atol=1e-9)
+        assert found.lower_bound <= min(found.energy, COST.energy(whole))
+        # little is lost by it
+        above = replace(problem, start=(2.0, y + 0.01, 0.0), goal=(8.0, y + 0.01, yaw))
+        spacious = plan(above, time_limit=0.5).energy
+        assert found.energy < 1.1 * spacious
+        assert COST.energy(whole) < 1.1 * spacious
+        # a path that is known and cheaper is kept
+        again = plan(problem, time_limit=0.05, initial=[found.path])
+        assert again.energy <= found.energy * (1 + 1e-12)

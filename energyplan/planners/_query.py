@@ -210,19 +210,27 @@ class Query:
             piece=cells if several else max(cells, 0.5 * heights.resolution),
         )
 
+    @property
+    def grown(self) -> Body:
+        """The footprint with the margin of planning, seen from the centre of the tread ICRs."""
+        c_x, c_y = self.problem.cost.icr.centre
+        (x_min, y_min), (x_max, y_max) = self.problem.robot.footprint.tolist()
+        grow = MARGIN * self.grid.resolution
+        return Body(x_min - c_x - grow, y_min - c_y - grow, x_max - c_x + grow, y_max - c_y + grow)
+
+    def roomy(self, pose: Pose) -> bool:
+        """Tell whether a pose is free with the margin of planning."""
+        return bool(pose_free(self.grid._space, self.grown, *self.centre(pose)))
+
     @cached_property
     def setting(self) -> Setting:
         """The problem as the kernels see it."""
         problem = self.problem
         c_x, c_y = problem.cost.icr.centre
         (x_min, y_min), (x_max, y_max) = problem.robot.footprint.tolist()
-        grow = MARGIN * self.grid.resolution
-        body = Body(x_min - c_x - grow, y_min - c_y - grow, x_max - c_x + grow, y_max - c_y + grow)
-        if not all(
-            pose_free(self.grid._space, body, *self.centre(pose))
-            for pose in (problem.start, problem.goal)
-        ):
-            body = Body(x_min - c_x, y_min - c_y, x_max - c_x, y_max - c_y)
+        body = Body(x_min - c_x, y_min - c_y, x_max - c_x, y_max - c_y)
+        if all(self.roomy(pose) for pose in (problem.start, problem.goal)):
+            body = self.grown
         surface = _ground(problem).surface
         if self.hills.bins > 1 and surface.size == 1:
             surface = np.zeros(self.grid.shape, np.uint8)
@@ -286,6 +294,19 @@ class Query:
         raise PlanningError(
             f"the planned path is not free near {where.round(3).tolist()}; please report this map"
         )
+
+    def drivable(self, paths: Iterable[Path]) -> list[Path]:
+        """Return those of some paths that can be driven from start to goal."""
+        problem = self.problem
+        wanted = np.array([problem.start, problem.goal])
+        kept = []
+        for path in paths:
+            miss = np.array([path.start, path.end]) - wanted
+            miss[:, 2] = np.remainder(miss[:, 2] + np.pi, 2 * np.pi) - np.pi
+            fits = np.abs(miss).max() <= 1e-6 and path.longitudinal == problem.cost.icr.longitudinal
+            if fits and self.grid.path_free(path, problem.robot):
+                kept.append(path)
+        return kept
 
     # -- result ---------------------------------------------------------------------------------
 

@@ -22,11 +22,12 @@ import shapely
 from numpy.typing import ArrayLike
 
 from energyplan.cost import EnergyCost
-from energyplan.errors import InvalidInputError, TimeLimitError
+from energyplan.errors import InvalidInputError, PlanningError, TimeLimitError
 from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.planners import _search_kernels as kernels
 from energyplan.planners._bound import EFFORT, Bound, lower_bound
+from energyplan.planners._ease import ease
 from energyplan.planners._field_kernels import Field
 from energyplan.planners._problem import Plan, PlanningProblem, as_pose
 from energyplan.planners._query import Query, Segments
@@ -147,13 +148,22 @@ def plan(
     deadline = begun + time_limit
     query = Query(problem)
     work = _Improvement(query, deadline, gap, seed)
-    for path in initial:
+    known = query.drivable(initial)
+    for path in known:
         work.offer_path(path)
     work.first_plan()
     first = time.perf_counter()
     work.round_hills()
     work.improve()
-    return query.plan(query.path(work.race.best), work.bound, begun, first, "lattice")
+    try:
+        path = query.path(work.race.best)
+    except PlanningError:
+        eased = ease(query)
+        if eased is None:
+            raise
+        inner = plan(eased.problem, time_limit, gap=gap, seed=seed)
+        path = min([eased.whole(inner.path), *known], key=query.objective.path)
+    return query.plan(path, work.bound, begun, first, "lattice")
 
 
 def energies(
@@ -281,20 +291,9 @@ class _Improvement:
         return self.bound * (1.0 + self.gap)
 
     def offer_path(self, path: Path) -> None:
-        """Take a path that somebody else made, if it can be driven from start to goal."""
-        problem = self.query.problem
-        ends = np.array(path.start), np.array(path.end)
-        wanted = np.array(problem.start), np.array(problem.goal)
-        for have, want in zip(ends, wanted, strict=True):
-            miss = have - want
-            miss[2] = np.remainder(miss[2] + np.pi, 2 * np.pi) - np.pi
-            if np.abs(miss).max() > 1e-6:
-                return
-        if path.longitudinal == problem.cost.icr.longitudinal and problem.map.path_free(
-            path, problem.robot
-        ):
-            lateral = problem.cost.icr.centre[1]
-            self.race.enter(Segments(path.ds - lateral * path.dtheta, path.dtheta))
+        """Take a path that somebody else made, and that can be driven from start to goal."""
+        lateral = self.query.problem.cost.icr.centre[1]
+        self.race.enter(Segments(path.ds - lateral * path.dtheta, path.dtheta))
 
     def first_plan(self) -> None:
         """Find a first path, on finer lattices where the first one has none."""
