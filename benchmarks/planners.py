@@ -170,14 +170,18 @@ def sizes(largest: int, plot: str | None) -> None:
     if plot:
         from matplotlib.figure import Figure
 
-        figure = Figure(figsize=(6, 4), layout="constrained")
-        axes = figure.subplots()
+        figure = Figure(figsize=(10, 4), layout="constrained")
+        times, memory = figure.subplots(1, 2)
         for column, label in ((1, "map"), (2, "first plan"), (3, "plan within 3 % of the bound")):
-            axes.loglog(area, rows[:, column], "o-", label=label)
-        axes.loglog(area, rows[-1, 2] * area / area[-1], "k:", label="linear in the area")
-        axes.set_xlabel("cells of the map")
-        axes.set_ylabel("time [s]")
-        axes.legend()
+            times.loglog(area, rows[:, column], "o-", label=label)
+        times.loglog(area, rows[-1, 2] * area / area[-1], "k:", label="linear in the area")
+        times.set_ylabel("time [s]")
+        memory.loglog(area, rows[:, 4], "o-", color="tab:red", label="peak of the process")
+        memory.loglog(area, rows[-1, 4] * area / area[-1], "k:", label="linear in the area")
+        memory.set_ylabel("memory [MB]")
+        for axes in (times, memory):
+            axes.set_xlabel("cells of the map")
+            axes.legend()
         figure.savefig(plot, dpi=120)
 
 
