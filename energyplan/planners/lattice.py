@@ -99,7 +99,7 @@ BOUND_SHARE = 0.1
 MOST_LEFT = 60.0
 """Time of which that part is taken at most [s]."""
 
-PACE = 3e8
+PACE = 6e8
 """Steps of that search in a second."""
 
 
