@@ -118,7 +118,8 @@ def plan(
     problem : PlanningProblem
         The problem.
     time_limit : float
-        Time to plan [s]. The compilation of the kernels at their first use ever comes on top.
+        Time to plan [s]. What is done once comes on top: the compilation of the kernels at their
+        first use ever, and up to half a second for the prices of a cost that depends on speed.
     gap : float
         Planning ends early when the plan costs at most this fraction more than the lower bound.
     seed : int
@@ -145,9 +146,8 @@ def plan(
         raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
     compiled()
     begun = time.perf_counter()
-    deadline = begun + time_limit
     query = Query(problem)
-    work = _Improvement(query, deadline, gap, seed)
+    work = _Improvement(query, time_limit, gap, seed)
     known = query.drivable(initial)
     for path in known:
         work.offer_path(path)
@@ -260,10 +260,10 @@ def compiled() -> None:
 class _Improvement:
     """The best motions so far, and how to better them."""
 
-    def __init__(self, query: Query, deadline: float, gap: float, seed: int) -> None:
+    def __init__(self, query: Query, time_limit: float, gap: float, seed: int) -> None:
         self.query = query
         self.setting = query.setting
-        self.deadline = deadline
+        self.deadline = time.perf_counter() + time_limit
         self.gap = gap
         self.race = Race(self.setting, seed)
         self.fields = {PENALTY: field_for(self.setting, PENALTY)}
