@@ -188,16 +188,20 @@ def lower_bound(query: Query, cost: float, effort: float = EFFORT) -> Bound:
     if free >= cost or radius <= 0:
         return Bound(free, True)
     excess = least_excess(query, radius, cost)
-    among, final = _among_obstacles(query.grid, setting, radius, cost - excess, effort)
+    if free >= cost - excess:
+        return Bound(max(free, cost), True)
+    among, final = _among_obstacles(query.grid, setting, radius, free, cost - excess, effort)
     return Bound(max(free, among + excess), final)
 
 
 def _among_obstacles(
-    grid: OccupancyGrid, setting: Setting, radius: float, cost: float, effort: float
+    grid: OccupancyGrid,
+    setting: Setting,
+    radius: float,
+    free: float,
+    cost: float,
+    effort: float,
 ) -> Bound:
-    free = float(free_energy(setting, setting.start_x, setting.start_y, setting.start_yaw))
-    if free >= cost:
-        return Bound(max(cost, 0.0), True)
     ends = np.array([(setting.start_x, setting.start_y), (setting.goal_x, setting.goal_y)])
     for detail in DETAILS:
         found = outline(grid, radius, detail)

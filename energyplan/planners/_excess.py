@@ -66,7 +66,7 @@ def least_excess(query: Query, radius: float, limit: float) -> float:
     grid = query.grid
     known = _cells.get(grid)
     if known is None or known[0] is not surfaces:
-        known = surfaces, _certain_regions(surfaces, grid)
+        known = surfaces, _certain_regions(surfaces, grid, query.setting.surface)
         _cells[grid] = known
     per_metre = np.append(dear, 0.0)[known[1]]
     clear = grid._space.clearance * grid.resolution >= radius - sqrt(0.5) * grid.resolution
@@ -93,9 +93,10 @@ def _blocks(cells: NDArray[np.generic], factor: int, fill: float) -> NDArray[np.
     return padded.reshape(rows, factor, columns, factor)
 
 
-def _certain_regions(surfaces: SurfaceMap, grid: OccupancyGrid) -> NDArray[np.intp]:
+def _certain_regions(
+    surfaces: SurfaceMap, grid: OccupancyGrid, region: NDArray[np.uint8]
+) -> NDArray[np.intp]:
     """Return the region of each cell that lies in one as a whole, -1 for those near an edge."""
-    region = surfaces.raster(grid)
     crossed = np.zeros(grid.shape, bool)
     for points in surfaces.edge_points(0.4 * grid.resolution):
         column, row = np.floor(grid.to_cells(points)).astype(int).T
@@ -103,7 +104,7 @@ def _certain_regions(surfaces: SurfaceMap, grid: OccupancyGrid) -> NDArray[np.in
         crossed[row[inside], column[inside]] = True
     # between two points an edge may cut the corner of a cell beside theirs
     crossed = ndimage.binary_dilation(crossed, np.ones((3, 3), bool))
-    return np.where(crossed, -1, region)
+    return np.where(crossed, -1, region.astype(np.intp))
 
 
 @njit

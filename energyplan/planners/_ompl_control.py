@@ -26,6 +26,7 @@ from energyplan.path import FloatArray, Path
 from energyplan.planners._bound import lower_bound
 from energyplan.planners._motion_kernels import connection, drive, free_energy, join
 from energyplan.planners._ompl_parts import (
+    DirectedObjective,
     out_of_time,
     place,
     pose_space,
@@ -79,18 +80,8 @@ GAIN = 0.01
 """By how much less than the path known the next one must cost, as a fraction."""
 
 
-class _Spent(base.OptimizationObjective):
+class _Spent(DirectedObjective):
     """Cost of a motion: the difference of what the states have spent."""
-
-    @override
-    def isSymmetric(self) -> bool:
-        """Tell OMPL that the cost is directed."""
-        return False
-
-    @override
-    def stateCost(self, state: Any) -> Any:
-        """Return the cost of being in a state: none."""
-        return base.Cost(0.0)
 
     @override
     def motionCost(self, first: Any, second: Any) -> Any:

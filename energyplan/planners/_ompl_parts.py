@@ -18,7 +18,21 @@ from energyplan.steering._kernels import steer_energy
 _NO_PARAMETER = ("setName", "setProblemDefinition", "setup")
 
 
-class EnergyObjective(base.OptimizationObjective):
+class DirectedObjective(base.OptimizationObjective):
+    """An objective in which motions alone cost, and the way back need not cost the same."""
+
+    @override
+    def isSymmetric(self) -> bool:
+        """Tell OMPL that the cost is directed."""
+        return False
+
+    @override
+    def stateCost(self, state: Any) -> Any:
+        """Return the cost of being in a state: none."""
+        return base.Cost(0.0)
+
+
+class EnergyObjective(DirectedObjective):
     """Cost of the exact minimum-energy motion between two states.
 
     The cost is directed: driving back the way one came costs the same on level ground, but not on
@@ -36,16 +50,6 @@ class EnergyObjective(base.OptimizationObjective):
         super().__init__(information)
         self._setting = query.setting
         self.setCostThreshold(base.Cost(0.0))
-
-    @override
-    def isSymmetric(self) -> bool:
-        """Tell OMPL that the cost is directed."""
-        return False
-
-    @override
-    def stateCost(self, state: Any) -> Any:
-        """Return the cost of being in a state: none."""
-        return base.Cost(0.0)
 
     @override
     def motionCost(self, first: Any, second: Any) -> Any:
