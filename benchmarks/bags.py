@@ -11,7 +11,6 @@ Run ``python benchmarks/bags.py [--size MEGABYTES] [--kind KIND]``.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import resource
 import subprocess
 import sys
@@ -21,6 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from small_bags import writer
 
 RATE, FRAMES = 50.0, 10.0  # of the drive, of the camera [Hz]
 SHAPE = (720, 1280, 3)
@@ -32,31 +34,6 @@ float64 right_driver_current
 float64 left_driver_voltage
 float64 right_driver_voltage
 """
-
-
-def writer(path: Path, kind: str) -> Any:
-    """Return a writer of bags of a kind."""
-    import lz4.frame
-    from rosbags import rosbag1, rosbag2
-
-    form, _, packing = kind.partition("-")
-    if form == "ros1":
-        first = rosbag1.Writer(path)
-        if packing:
-            first.set_compression(rosbag1.Writer.CompressionFormat[packing.upper()])
-        return first
-    plugin = rosbag2.StoragePlugin.MCAP if form == "mcap" else rosbag2.StoragePlugin.SQLITE3
-    second = rosbag2.Writer(path, version=9, storage_plugin=plugin)
-    if packing:
-        mode = (
-            rosbag2.CompressionMode.STORAGE if form == "mcap" else rosbag2.CompressionMode.MESSAGE
-        )
-        second.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
-    if packing == "lz4":  # which rosbags reads and does not write
-        second.open()
-        second.storage.compression, second.storage.compressor = "lz4", lz4.frame.compress
-        return contextlib.closing(second)
-    return second
 
 
 def write(path: Path, seconds: float, kind: str, camera: bool) -> float:

@@ -36,7 +36,7 @@ def record(path: Path, kind: str, padding: int = 0) -> Path:
     first = kind.startswith("ros1")
     store = get_typestore(Stores.ROS1_NOETIC if first else Stores.ROS2_HUMBLE)
     dump = store.serialize_ros1 if first else store.serialize_cdr
-    with _writer(path, kind) as bag:
+    with writer(path, kind) as bag:
         topic = bag.add_connection("/joint_states", _MESSAGE, typestore=store)
         for k in range(COUNT):
             stamp = store.types["builtin_interfaces/msg/Time"](sec=5, nanosec=k * 10**7)
@@ -50,7 +50,8 @@ def record(path: Path, kind: str, padding: int = 0) -> Path:
     return path
 
 
-def _writer(path: Path, kind: str) -> Any:
+def writer(path: Path, kind: str) -> Any:
+    """Return a writer of bags of a kind; see `record`. ``sqlite-zstd`` packs each message."""
     from rosbags import rosbag1, rosbag2
 
     form, _, packing = kind.partition("-")
@@ -62,7 +63,8 @@ def _writer(path: Path, kind: str) -> Any:
     plugin = rosbag2.StoragePlugin.MCAP if form == "mcap" else rosbag2.StoragePlugin.SQLITE3
     second = rosbag2.Writer(path, version=9, storage_plugin=plugin)
     if packing:
-        mode = rosbag2.CompressionMode["STORAGE" if form == "mcap" else packing.upper()]
+        modes = {"sqlite-message": "MESSAGE", "sqlite-zstd": "MESSAGE", "sqlite-file": "FILE"}
+        mode = rosbag2.CompressionMode[modes.get(kind, "STORAGE")]
         second.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
     if packing == "lz4":  # which rosbags reads and does not write
         import lz4.frame
