@@ -18,8 +18,9 @@ from shapely import affinity
 
 from energyplan.io.bundled import bundled
 from energyplan.io.maps import read_map
-from energyplan.maps import OccupancyGrid, _collision, _distance
 from energyplan.path import Path, Pose
+from energyplan.terrain import OccupancyGrid, _distance
+from energyplan.terrain import collision as _collision
 from energyplan.vehicle import Vehicle
 
 

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from energyplan.cost import EnergyCost
-from energyplan.effects import VISCOUS_LOSS
 from energyplan.power import HOTEL, PowerModel
+from energyplan.power.effects import VISCOUS_LOSS
 
 ELEMENTS = 2_000_000
 

@@ -23,9 +23,12 @@ from typing import Any, Literal
 import numpy as np
 
 from energyplan import DriveLog, diagnose, identify, simulate
-from energyplan import effects as catalogue
-from energyplan.diagnose import Diagnosis
-from energyplan.effects._terms import (
+from energyplan.diagnosis import Diagnosis
+from energyplan.fit import fit_residual
+from energyplan.io.husky import read_husky
+from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TABLE_II, TRACTION, PowerModel
+from energyplan.power import effects as catalogue
+from energyplan.power.effect_terms import (
     DRAGGING_LEFT,
     MOBILISATION,
     SLIP_SPEED,
@@ -33,9 +36,6 @@ from energyplan.effects._terms import (
     TRACTION_ASYMMETRY,
     TURN_ASYMMETRY,
 )
-from energyplan.identify import fit_residual
-from energyplan.io.husky import read_husky
-from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TABLE_II, TRACTION, PowerModel
 from energyplan.vehicle import Vehicle
 
 TRUE = {

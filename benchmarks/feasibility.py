@@ -12,11 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from energyplan.effects import term
-from energyplan.feasibility import check, feasible_region
+from energyplan.limits.feasibility import check, feasible_region
 from energyplan.motion import Motion
 from energyplan.path import Trajectory
 from energyplan.power import PowerModel
+from energyplan.power.effects import term
 
 
 def winding(count: int, level: float) -> Trajectory:

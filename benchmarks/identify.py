@@ -15,10 +15,10 @@ from collections.abc import Callable
 import numpy as np
 
 from energyplan import simulate
-from energyplan._identifiability import linearise
-from energyplan.drivelog import DriveLog
-from energyplan.identify import _fit, identify
-from energyplan.online import OnlineIdentifier
+from energyplan.fit import identify, solvers
+from energyplan.fit.identifiability import linearise
+from energyplan.fit.online import OnlineIdentifier
+from energyplan.logs import DriveLog
 from energyplan.power import PowerModel
 from energyplan.simulate import Leg
 
@@ -52,7 +52,7 @@ def best_of(work: Callable[[], object], repeats: int = 3) -> float:
 def fits(log: DriveLog) -> None:
     """Time the fits of Eq. 7 on one log, and the whole identification."""
     design = linearise(CONCRETE, log.motion(CONCRETE.vehicle.icr)).jacobian
-    power, bounds = log.power, _fit.Bounds(np.zeros(2), np.array([2.0, np.inf]))
+    power, bounds = log.power, solvers.Bounds(np.zeros(2), np.array([2.0, np.inf]))
 
     def eq7(c: np.ndarray) -> float:
         return float(np.abs(power - design @ c).sum())
@@ -62,15 +62,15 @@ def fits(log: DriveLog) -> None:
 
     motion = log.motion(CONCRETE.vehicle.icr)
     far = np.array([1.0, 50.0])
-    exact = best_of(lambda: _fit.lad(design, power, bounds))
+    exact = best_of(lambda: solvers.lad(design, power, bounds))
     rows = [
-        ("exact linear program", exact, _fit.lad(design, power, bounds)),
-        ("Nelder-Mead, columns at hand", best_of(lambda: _fit.simplex(eq7, far, bounds), 1),
-         _fit.simplex(eq7, far, bounds)),
-        ("Nelder-Mead, model evaluated", best_of(lambda: _fit.simplex(paper, far, bounds), 1),
-         _fit.simplex(paper, far, bounds)),
-        ("Huber", best_of(lambda: _fit.huber(design, power, bounds)),
-         _fit.huber(design, power, bounds)),
+        ("exact linear program", exact, solvers.lad(design, power, bounds)),
+        ("Nelder-Mead, columns at hand", best_of(lambda: solvers.simplex(eq7, far, bounds), 1),
+         solvers.simplex(eq7, far, bounds)),
+        ("Nelder-Mead, model evaluated", best_of(lambda: solvers.simplex(paper, far, bounds), 1),
+         solvers.simplex(paper, far, bounds)),
+        ("Huber", best_of(lambda: solvers.huber(design, power, bounds)),
+         solvers.huber(design, power, bounds)),
     ]  # fmt: skip
     print(
         f"{len(log)} samples\n{'fit alone':32}{'time [s]':>10}{'ratio':>8}  sum of Eq. 7 less best"

@@ -15,8 +15,8 @@ from typing import Any
 import pandas as pd
 
 from energyplan import simulate
-from energyplan.drivelog import DriveLog
 from energyplan.io.trajectory import write_log
+from energyplan.logs import DriveLog
 from energyplan.power import PowerModel
 
 RATE = 20.0

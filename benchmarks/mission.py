@@ -14,10 +14,10 @@ import numpy as np
 from energyplan import batch
 from energyplan.battery import Battery
 from energyplan.battery._kernel import discharge
-from energyplan.maps import OccupancyGrid
 from energyplan.mission import Mission, Task, evaluate
 from energyplan.path import Pose
 from energyplan.power import PowerModel
+from energyplan.terrain import OccupancyGrid
 
 DAY = 86_400
 

@@ -24,10 +24,10 @@ import numpy as np
 from energyplan.cost import EnergyCost
 from energyplan.errors import PlanningError
 from energyplan.io.maps import read_map
-from energyplan.maps import OccupancyGrid
-from energyplan.planners import PlanningProblem, plan
-from energyplan.planners.lattice import energies
+from energyplan.planning import PlanningProblem, plan
+from energyplan.planning.lattice import energies
 from energyplan.power import PowerModel
+from energyplan.terrain import OccupancyGrid
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 RIVALS = ("rrtstar", "informed_rrtstar", "bitstar")

@@ -20,8 +20,8 @@ from energyplan.cost import EnergyCost
 from energyplan.io.bundled import bundled
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.maps import read_map
-from energyplan.planners import PlanningProblem, plan
-from energyplan.planners.roadmap import Roadmap, price_edges
+from energyplan.planning import PlanningProblem, plan
+from energyplan.planning.roadmap import Roadmap, price_edges
 from energyplan.power import PowerModel
 
 CASES = {

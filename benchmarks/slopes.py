@@ -16,10 +16,10 @@ import numpy as np
 import shapely
 
 from energyplan.cost import EnergyCost
-from energyplan.effects import with_weight
-from energyplan.maps import HeightMap, OccupancyGrid
-from energyplan.planners import PlanningProblem, plan
+from energyplan.planning import PlanningProblem, plan
 from energyplan.power import PowerModel
+from energyplan.power.effects import with_weight
+from energyplan.terrain import HeightMap, OccupancyGrid
 
 SIZE = (40.0, 30.0)
 

@@ -15,9 +15,9 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from energyplan.feasibility import check
+from energyplan.limits.feasibility import check
+from energyplan.limits.speed import profile
 from energyplan.path import Path
-from energyplan.speed import profile
 
 REFERENCE = runpy.run_path(str(FilePath(__file__).parents[1] / "tests" / "test_speed.py"))
 PAPER, LOSSY = REFERENCE["PAPER"], REFERENCE["LOSSY"]

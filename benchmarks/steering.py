@@ -18,9 +18,9 @@ from ompl import base
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
-from energyplan.cost._gauge import _turn_table
+from energyplan.cost.direction_table import _turn_table
 from energyplan.power import HOTEL, PowerModel
-from energyplan.steering._kernels import steer_energies
+from energyplan.steering.kernels import steer_energies
 
 SAMPLES = 100  # poses along a Reeds-Shepp path, from which its turning is added up
 

@@ -8,9 +8,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-from energyplan import plots
 from energyplan.io.mission import read_mission
 from energyplan.mission import evaluate
+from energyplan.output import plots
 
 HERE = Path(__file__).resolve().parent
 IMAGES, EXAMPLES = HERE / "images", HERE.parent / "examples"

@@ -22,9 +22,9 @@ from energyplan.errors import (
 )
 
 if TYPE_CHECKING:
-    from energyplan.drivelog import DriveLog
+    from energyplan.logs import DriveLog
     from energyplan.path import Pose
-    from energyplan.planners import PlanningProblem
+    from energyplan.planning import PlanningProblem
 
 app = typer.Typer(
     add_completion=False,
@@ -147,9 +147,10 @@ def identify(
     json: Json = False,
 ) -> None:
     """Find a robot's power parameters on some ground from its drive logs."""
-    from energyplan import _documents, _lines
-    from energyplan.identify import identify as run
+    from energyplan.fit import identify as run
     from energyplan.io.config import read_vehicle, write_model
+    from energyplan.output import documents
+    from energyplan.output import text as _lines
 
     robot = read_vehicle(vehicle)
     drives = _logs(logs, columns, topics)
@@ -157,7 +158,7 @@ def identify(
     found = replace(found, warnings=(*_notes(drives), *found.warnings))
     if out:
         write_model(found.model, out)
-    _answer(_documents.identification(found), _lines.identification(found), json=json)
+    _answer(documents.identification(found), _lines.identification(found), json=json)
 
 
 @app.command(
@@ -176,11 +177,12 @@ def diagnose(
     strict: Strict = False,
 ) -> None:
     """Trace the residual of the power model to an effect, add it, and report before and after."""
-    from energyplan import _documents, _lines
-    from energyplan._pages import diagnosis_page
-    from energyplan.diagnose import diagnose as run
+    from energyplan.diagnosis import diagnose as run
     from energyplan.io.config import read_vehicle, write_model
     from energyplan.io.files import atomic_write
+    from energyplan.output import documents
+    from energyplan.output import text as _lines
+    from energyplan.output.pages import diagnosis_page
 
     robot = read_vehicle(vehicle)
     for path in {path.resolve() for path in logs} & {path.resolve() for path in holdout}:
@@ -194,7 +196,7 @@ def diagnose(
         write_model(told.model, out)
     if report:
         atomic_write(report, diagnosis_page(told, judging).html())
-    _answer(_documents.diagnosis(told), _lines.diagnosis(told), json=json)
+    _answer(documents.diagnosis(told), _lines.diagnosis(told), json=json)
     _verdict(told.verdict != "unexplained", strict)
 
 
@@ -221,13 +223,13 @@ def _problem(
     objective: str,
 ) -> PlanningProblem:
     from energyplan.cost import EnergyCost
-    from energyplan.effects import reads_slope, with_weight
     from energyplan.io.config import read_model
     from energyplan.io.geojson import read_surfaces
     from energyplan.io.heights import read_heights
     from energyplan.io.maps import read_map
-    from energyplan.maps import with_weights
-    from energyplan.planners import PlanningProblem
+    from energyplan.planning import PlanningProblem
+    from energyplan.power.effects import reads_slope, with_weight
+    from energyplan.terrain import with_weights
 
     power = read_model(model)
     ground = read_surfaces(surfaces) if surfaces else None
@@ -263,9 +265,10 @@ def plan(
     strict: Strict = False,
 ) -> None:
     """Plan the route of least energy, and say how far from optimal it can be at most."""
-    from energyplan import _documents, _lines
     from energyplan.io.trajectory import write_path
-    from energyplan.planners import plan as run
+    from energyplan.output import documents
+    from energyplan.output import text as _lines
+    from energyplan.planning import plan as run
 
     problem = _problem(map_file, model, start, goal, surfaces, heights, battery, objective)
     try:
@@ -277,7 +280,7 @@ def plan(
         write_path(made.path, out)
     if plot:
         _draw(problem, {planner: made.path}, plot)
-    _answer(_documents.plan(made), _lines.plan(made, objective), json=json)
+    _answer(documents.plan(made), _lines.plan(made, objective), json=json)
 
 
 @app.command(
@@ -302,11 +305,12 @@ def compare(
     strict: Strict = False,
 ) -> None:
     """Compare the route of least energy with the shortest one, both priced by the same model."""
-    from energyplan import _documents, _lines
-    from energyplan._pages import comparison_page
-    from energyplan.compare import compare as run
     from energyplan.io.files import atomic_write
     from energyplan.io.trajectory import write_path
+    from energyplan.output import documents
+    from energyplan.output import text as _lines
+    from energyplan.output.pages import comparison_page
+    from energyplan.studies.comparison import compare as run
 
     problem = _problem(map_file, model, start, goal, surfaces, heights, battery, objective)
     try:
@@ -321,7 +325,7 @@ def compare(
         _draw(problem, both, plot)
     if report:
         atomic_write(report, comparison_page(made, problem).html())
-    _answer(_documents.comparison(made), _lines.comparison(made), json=json)
+    _answer(documents.comparison(made), _lines.comparison(made), json=json)
 
 
 def _no_path(error: NoPathError, json: bool, strict: bool) -> NoReturn:
@@ -330,9 +334,9 @@ def _no_path(error: NoPathError, json: bool, strict: bool) -> NoReturn:
 
 
 def _draw(problem: PlanningProblem, paths: dict[str, Any], file: Path) -> None:
-    from energyplan import plots
     from energyplan.io.files import atomic_write
-    from energyplan.report import png
+    from energyplan.output import plots
+    from energyplan.output.report import png
 
     ground = problem.surfaces.polygons if problem.surfaces else ()
     made = plots.routes(problem.map, paths, surfaces=ground)
@@ -352,14 +356,15 @@ def check(
     strict: Strict = False,
 ) -> None:
     """Tell whether the motors can drive a trajectory; where not, and how fast they could."""
-    from energyplan import _documents, _lines
-    from energyplan.feasibility import check as run
     from energyplan.io.config import read_model, read_vehicle
     from energyplan.io.trajectory import read_trajectory
+    from energyplan.limits.feasibility import check as run
+    from energyplan.output import documents
+    from energyplan.output import text as _lines
 
     law, limits = read_model(model), read_vehicle(vehicle) if vehicle else None
     report = run(read_trajectory(trajectory), law, limits)
-    _answer(_documents.feasibility(report), _lines.feasibility(report), json=json)
+    _answer(documents.feasibility(report), _lines.feasibility(report), json=json)
     _verdict(report.feasible, strict)
 
 
@@ -371,18 +376,19 @@ def mission(
     strict: Strict = False,
 ) -> None:
     """Budget a mission's battery, and flag the tasks that cannot be reached, with the reason."""
-    from energyplan import _documents, _lines
-    from energyplan._pages import mission_page
     from energyplan.io.files import atomic_write
     from energyplan.io.mission import read_mission
     from energyplan.mission import evaluate
+    from energyplan.output import documents
+    from energyplan.output import text as _lines
+    from energyplan.output.pages import mission_page
 
     asked = read_mission(file)
     with _progress("evaluating the mission"):
         told = evaluate(asked)
     if report:
         atomic_write(report, mission_page(told).html())
-    _answer(_documents.mission(told), _lines.mission(told), json=json)
+    _answer(documents.mission(told), _lines.mission(told), json=json)
     _verdict(told.feasible, strict)
 
 
@@ -395,11 +401,12 @@ def info(
     file: Annotated[Path, typer.Argument(help="A table or a bag.")], json: Json = False
 ) -> None:
     """List what a log holds, and what it could serve for."""
-    from energyplan import _documents, _lines
     from energyplan.io.logs import describe_log
+    from energyplan.output import documents
+    from energyplan.output import text as _lines
 
     told = describe_log(file)
-    _answer(_documents.plain(told), _lines.log(told), json=json)
+    _answer(documents.plain(told), _lines.log(told), json=json)
 
 
 @app.command(epilog="Example: energyplan demo --out demo")

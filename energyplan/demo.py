@@ -11,19 +11,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from energyplan import effects, plots, simulate
-from energyplan._pages import (
-    MISSION_HEADER,
-    diagnosis_pictures,
-    mission_pictures,
-    mission_rows,
-)
-from energyplan.compare import Comparison, compare
+from energyplan import simulate
 from energyplan.cost import EnergyCost
-from energyplan.diagnose import diagnose
-from energyplan.drivelog import DriveLog
-from energyplan.feasibility import check, feasible_region
-from energyplan.identify import identify
+from energyplan.diagnosis import diagnose
+from energyplan.fit import identify
 from energyplan.io.bundled import bundled
 from energyplan.io.config import write_model
 from energyplan.io.files import atomic_write
@@ -31,12 +22,22 @@ from energyplan.io.geojson import read_surfaces
 from energyplan.io.maps import read_map
 from energyplan.io.mission import read_mission
 from energyplan.io.trajectory import write_log, write_path, write_trajectory
+from energyplan.limits.feasibility import check, feasible_region
+from energyplan.limits.speed import profile
+from energyplan.logs import DriveLog
 from energyplan.mission import evaluate
+from energyplan.output import plots
+from energyplan.output.pages import (
+    MISSION_HEADER,
+    diagnosis_pictures,
+    mission_pictures,
+    mission_rows,
+)
+from energyplan.output.report import Page, png
 from energyplan.path import Pose
-from energyplan.planners import PlanningProblem
-from energyplan.power import HOTEL, TABLE_II, PowerModel
-from energyplan.report import Page, png
-from energyplan.speed import profile
+from energyplan.planning import PlanningProblem
+from energyplan.power import HOTEL, TABLE_II, PowerModel, effects
+from energyplan.studies.comparison import Comparison, compare
 from energyplan.vehicle import Vehicle
 
 

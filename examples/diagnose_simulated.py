@@ -15,10 +15,11 @@ from pathlib import Path
 import numpy as np
 
 import energyplan as ep
-from energyplan import plots, simulate
-from energyplan.diagnose import Diagnosis
-from energyplan.effects import GRADE
+from energyplan import simulate
+from energyplan.diagnosis import Diagnosis
+from energyplan.output import plots
 from energyplan.power import HOTEL
+from energyplan.power.effects import GRADE
 
 
 def report(told: Diagnosis) -> None:

@@ -25,12 +25,12 @@ from matplotlib.colors import ListedColormap
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from energyplan.effects import term
-from energyplan.feasibility import check, feasible_region
+from energyplan.limits.feasibility import check, feasible_region
+from energyplan.limits.speed import profile
 from energyplan.motion import Motion
 from energyplan.path import Path, Pose
 from energyplan.power import PowerModel
-from energyplan.speed import profile
+from energyplan.power.effects import term
 from energyplan.vehicle import MotorLimits
 
 DRIVE = MotorLimits(

@@ -13,17 +13,17 @@ from pathlib import Path
 
 import numpy as np
 
-from energyplan import plots
-from energyplan.compare import compare
 from energyplan.cost import EnergyCost
-from energyplan.effects import VISCOUS_LOSS
 from energyplan.errors import PlanningError
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.maps import read_map
-from energyplan.maps import Surface, SurfaceMap
-from energyplan.planners import Plan, PlanningProblem, plan
+from energyplan.output import plots
+from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.power import HOTEL, PowerModel
-from energyplan.tradeoff import ParetoFront, pareto
+from energyplan.power.effects import VISCOUS_LOSS
+from energyplan.studies.comparison import compare
+from energyplan.studies.pareto import ParetoFront, pareto
+from energyplan.terrain import Surface, SurfaceMap
 
 WAREHOUSE = Path(__file__).parents[1] / "maps" / "warehouse.yaml"
 

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from energyplan import plots
-from energyplan.compare import compare
 from energyplan.cost import EnergyCost
-from energyplan.effects import with_weight
-from energyplan.maps import HeightMap, OccupancyGrid
-from energyplan.planners import Plan, PlanningProblem, plan
+from energyplan.output import plots
+from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.power import PowerModel
+from energyplan.power.effects import with_weight
+from energyplan.studies.comparison import compare
+from energyplan.terrain import HeightMap, OccupancyGrid
 
 SIZE = (32.0, 20.0)
 START, GOAL = (2.0, 9.0, 0.0), (30.0, 9.0, 0.0)

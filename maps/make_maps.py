@@ -17,9 +17,9 @@ from shapely.geometry.base import BaseGeometry
 
 from energyplan.io.geojson import write_surfaces
 from energyplan.io.maps import write_map
-from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
 from energyplan.path import Pose
 from energyplan.power import PowerModel
+from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 
 RESOLUTION = 0.05
 WALL = 0.15

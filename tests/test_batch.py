@@ -14,10 +14,10 @@ import pytest
 
 from energyplan import batch
 from energyplan.battery import Battery
-from energyplan.maps import OccupancyGrid
 from energyplan.mission import Mission, Task
 from energyplan.path import Pose
 from energyplan.power import PowerModel
+from energyplan.terrain import OccupancyGrid
 
 
 def square(x: int) -> int:

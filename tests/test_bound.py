@@ -9,16 +9,16 @@ from worlds import cluttered, free_poses
 from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.errors import NoPathError, TimeLimitError
-from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
-from energyplan.maps._collision import Body
 from energyplan.path import Path, Pose
-from energyplan.planners import PlanningProblem, plan
-from energyplan.planners import _bound_kernels as kernels
-from energyplan.planners._bound import DETAILS, lower_bound, outline
-from energyplan.planners._bound_kernels import HEADINGS, Rates, line_open
-from energyplan.planners._excess import least_excess, least_steps, metre_excess
-from energyplan.planners._query import Query
+from energyplan.planning import PlanningProblem, plan
+from energyplan.planning.bound import DETAILS, lower_bound, outline
+from energyplan.planning.bound import corners as kernels
+from energyplan.planning.bound.corners import HEADINGS, Rates, line_open
+from energyplan.planning.bound.surface_excess import least_excess, least_steps, metre_excess
+from energyplan.planning.scene.compiled import Query
 from energyplan.power import PowerModel
+from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
+from energyplan.terrain.collision import Body
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 SPACING = 2 * np.pi / HEADINGS
@@ -38,7 +38,7 @@ def nearly_a_point(metre, radian, half_track=0.01, size=0.05):
 @pytest.mark.parametrize("exact", [True, False])
 def test_outline_lies_within_the_grown_obstacles(exact, monkeypatch):
     if not exact:
-        monkeypatch.setattr("energyplan.planners._bound.MOST_RUNS", 0)
+        monkeypatch.setattr("energyplan.planning.bound.MOST_RUNS", 0)
     grid = cluttered(2)
     radius = 0.318
     corners = outline(grid, radius)
@@ -231,7 +231,7 @@ def test_cells_are_joined_on_large_maps(monkeypatch):
     strip = shapely.difference(shapely.box(-1, -1, 21, 11), shapely.box(8, -2, 12, 12))
     query = Query(two_grounds(strip))
     fine = least_excess(query, 0.3, 1e6)
-    monkeypatch.setattr("energyplan.planners._excess.MOST_CELLS", 5000)
+    monkeypatch.setattr("energyplan.planning.bound.surface_excess.MOST_CELLS", 5000)
     coarse = least_excess(query, 0.3, 1e6)
     assert 0.7 * fine < coarse <= 4.0 * float(metre_excess(query)[0])
 
@@ -332,7 +332,7 @@ def test_the_coarser_outline_gives_a_bound_too(monkeypatch):
     start, goal = free_poses(grid, 2, 3, COST.vehicle)
     query = Query(PlanningProblem(grid, COST, start, goal))
     fine = lower_bound(query, 1e5).value
-    monkeypatch.setattr("energyplan.planners._bound.DETAILS", DETAILS[1:])
+    monkeypatch.setattr("energyplan.planning.bound.DETAILS", DETAILS[1:])
     coarse = lower_bound(query, 1e5).value
     assert 0.9 * fine < coarse < 1.05 * fine
 

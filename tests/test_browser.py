@@ -19,16 +19,18 @@ import numpy as np
 import pytest
 import shapely
 
-from energyplan import _interactive, _pages, simulate
+from energyplan import simulate
 from energyplan.battery import Battery
-from energyplan.compare import compare
 from energyplan.cost import EnergyCost
-from energyplan.diagnose import diagnose
-from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
+from energyplan.diagnosis import diagnose
 from energyplan.mission import Mission, MissionReport, Task, evaluate
+from energyplan.output import interactive
+from energyplan.output import pages as _pages
 from energyplan.path import Pose
-from energyplan.planners import PlanningProblem
+from energyplan.planning import PlanningProblem
 from energyplan.power import HOTEL, PowerModel
+from energyplan.studies.comparison import compare
+from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 PHONE, DESKTOP = 390, 1200
@@ -166,7 +168,7 @@ def test_a_report_is_sound_in_a_browser(
 def test_without_plotly_the_pictures_are_shown(
     mission: MissionReport, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(_interactive, "available", lambda: False)
+    monkeypatch.setattr(interactive, "available", lambda: False)
     page = tmp_path / "still.html"
     page.write_text(_pages.mission_page(mission).html())
     told = shown(page, PHONE, tmp_path)

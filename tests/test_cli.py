@@ -13,7 +13,7 @@ import pytest
 
 import energyplan as ep
 from energyplan import cli, simulate
-from energyplan._html import number
+from energyplan.html import number
 from energyplan.io.bundled import bundled
 from energyplan.io.trajectory import write_log, write_trajectory
 from energyplan.path import Trajectory

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from energyplan.compare import compare
 from energyplan.cost import EnergyCost
-from energyplan.maps import OccupancyGrid
-from energyplan.planners import PlanningProblem
+from energyplan.planning import PlanningProblem
 from energyplan.power import PowerModel
+from energyplan.studies.comparison import compare
+from energyplan.terrain import OccupancyGrid
 
 COST = EnergyCost(PowerModel.preset("quadriga:full:concrete"))
 

@@ -92,8 +92,8 @@ def test_the_public_names_are_these() -> None:
 
 def test_functions_are_not_hidden_by_modules_of_the_same_name() -> None:
     code = (
-        "import energyplan, energyplan.identify, energyplan.diagnose, energyplan.compare\n"
-        "from energyplan.identify import fit_residual\n"
+        "import energyplan, energyplan.fit, energyplan.diagnosis, energyplan.studies.comparison\n"
+        "from energyplan.fit import fit_residual\n"
         "print(all(callable(getattr(energyplan, n)) for n in ('identify', 'diagnose', 'compare')))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from energyplan.cost import EnergyCost
-from energyplan.effects import GRADE, VISCOUS_LOSS
 from energyplan.errors import InvalidInputError, MissingChannelError, ModelError
 from energyplan.motion import Motion
 from energyplan.path import Path, Pose
 from energyplan.power import HOTEL, TRACTION, PowerModel, Term
+from energyplan.power.effects import GRADE, VISCOUS_LOSS
 from energyplan.vehicle import MotorLimits, TreadICR
 
 MODEL = PowerModel.preset("quadriga:full:marble")

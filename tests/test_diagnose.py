@@ -12,16 +12,28 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog, EnergyCost, diagnose, simulate
-from energyplan._identifiability import linearise as reference_linearise
-from energyplan.diagnose import Dependence, Diagnosis, _design, _residual, _selection
-from energyplan.diagnose._design import Design, Drive
-from energyplan.diagnose._design_kernels import block_grams, block_grams_reference
-from energyplan.diagnose._fitting import Problem, fit, solve, weighted
-from energyplan.diagnose._linear import linearise
-from energyplan.diagnose._mass_centre import find_mass_centre, twist
-from energyplan.diagnose._quiet import quiet, speed_noise
-from energyplan.diagnose._residual import dependences, in_words
-from energyplan.effects import (
+from energyplan.diagnosis import Dependence, Diagnosis, residual, selection
+from energyplan.diagnosis import windows as _design
+from energyplan.diagnosis.denoise import quiet, speed_noise
+from energyplan.diagnosis.fitting import Problem, fit, solve, weighted
+from energyplan.diagnosis.linear import linearise
+from energyplan.diagnosis.mass_centre import find_mass_centre, twist
+from energyplan.diagnosis.residual import dependences, in_words
+from energyplan.diagnosis.window_kernels import block_grams, block_grams_reference
+from energyplan.diagnosis.windows import Design, Drive
+from energyplan.errors import DriveLogError, InvalidInputError
+from energyplan.fit.identifiability import linearise as reference_linearise
+from energyplan.motion import Motion
+from energyplan.power import HOTEL, SLIP, TABLE_II, TRACTION, PowerModel, Sides, Term
+from energyplan.power.effect_terms import (
+    DRAGGING_LEFT,
+    MOBILISATION,
+    SLIP_SPEED,
+    TOWING_FORCE,
+    TRACTION_ASYMMETRY,
+    TURN_ASYMMETRY,
+)
+from energyplan.power.effects import (
     AIR_DRAG,
     ANGULAR_INERTIA,
     COPPER_LOSS,
@@ -31,17 +43,6 @@ from energyplan.effects import (
     WARM_UP,
     catalogue,
 )
-from energyplan.effects._terms import (
-    DRAGGING_LEFT,
-    MOBILISATION,
-    SLIP_SPEED,
-    TOWING_FORCE,
-    TRACTION_ASYMMETRY,
-    TURN_ASYMMETRY,
-)
-from energyplan.errors import DriveLogError, InvalidInputError
-from energyplan.motion import Motion
-from energyplan.power import HOTEL, SLIP, TABLE_II, TRACTION, PowerModel, Sides, Term
 from energyplan.vehicle import GRAVITY, Vehicle, wheel_loads
 
 NOISE: dict[str, Any] = {"power_noise": 5.0, "speed_noise": 0.005}
@@ -272,8 +273,8 @@ def test_effects_that_are_told_go_in_whether_they_help_or_not() -> None:
 def test_the_search_ends_even_where_effects_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
     truth = PAPER.with_term(HOTEL, 30.0).with_term(VISCOUS_LOSS, 40.0).with_term(COPPER_LOSS, 4e-4)
     problem = Problem([Drive.of(simulate.identification_drive(truth, **NOISE), VEHICLE)], VEHICLE)
-    monkeypatch.setattr(_selection, "is_needless", lambda problem, parts, which: True)
-    selector = _selection.Selector(problem, tuple(catalogue().values()), lambda *_: None, 6)
+    monkeypatch.setattr(selection, "is_needless", lambda problem, parts, which: True)
+    selector = selection.Selector(problem, tuple(catalogue().values()), lambda *_: None, 6)
     chosen = [choice.part.effect.name for choice in selector.run().chosen]
     assert selector.dropped and not selector.dropped & set(chosen)
 
@@ -324,7 +325,7 @@ def test_a_periodic_load_is_found_where_only_the_longest_drives_are_searched(
     model = PAPER.with_term(Term("pump", "P", "W", "power", _pump), 25.0)
     logs = [simulate.identification_drive(model, seed=k, **NOISE) for k in range(3)]
     problem = Problem([Drive.of(log, VEHICLE) for log in logs], VEHICLE)
-    monkeypatch.setattr(_residual, "_WAVES", 2)
+    monkeypatch.setattr(residual, "_WAVES", 2)
     found = dependences(problem, (SLIP, TRACTION), ("power",))[0]
     assert found.shape == "periodic load, period 7.3 s"
     assert found.explained_variance > 0.5

@@ -16,13 +16,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import savgol_filter
 
-from energyplan.drivelog import DriveLog, _tables
-from energyplan.drivelog._columns import UNITS, parse_columns
-from energyplan.drivelog._plausible import find_offset
-from energyplan.drivelog._smooth import derivative
-from energyplan.effects import ANGULAR_INERTIA, LINEAR_INERTIA
 from energyplan.errors import DriveLogError, EnergyPlanError, MissingChannelError
+from energyplan.logs import DriveLog, tables
+from energyplan.logs._smooth import derivative
+from energyplan.logs.columns import UNITS, parse_columns
+from energyplan.logs.plausible import find_offset
 from energyplan.power import PowerModel
+from energyplan.power.effects import ANGULAR_INERTIA, LINEAR_INERTIA
 from energyplan.simulate import Leg, drive, identification_drive
 from energyplan.vehicle import TreadICR
 
@@ -82,7 +82,7 @@ def test_parquet_holds_what_was_written(tmp_path, noisy):
 
 
 def test_lines_are_counted_across_pieces(tmp_path, monkeypatch):
-    monkeypatch.setattr(_tables, "_CHUNK", 7)
+    monkeypatch.setattr(tables, "_CHUNK", 7)
     rows = [f"{k},1,1,5,{'word' if k == 33 else k}" for k in range(40)]
     file = write(tmp_path, "\n".join([HEAD.strip() + ",mine", *rows]) + "\n")
     log = DriveLog.read(file)
@@ -201,7 +201,7 @@ def test_truncated_and_exploding_gzip_are_refused(tmp_path, monkeypatch):
     cut.write_bytes(gzip.compress(text)[:-40])
     with pytest.raises(DriveLogError, match="sound gzip"):
         DriveLog.read(cut)
-    monkeypatch.setattr(_tables, "MAX_BYTES", 1 << 20)
+    monkeypatch.setattr(tables, "MAX_BYTES", 1 << 20)
     bomb = tmp_path / "bomb.csv.gz"
     bomb.write_bytes(gzip.compress(HEAD.encode() + b"0" * (1 << 24)))
     assert bomb.stat().st_size < 1 << 15
@@ -213,7 +213,7 @@ def test_ctrl_c_while_the_parser_asks_for_bytes_is_no_complaint_about_the_file(
     tmp_path, monkeypatch
 ):
     file = write(tmp_path, HEAD + "".join(f"{k},1,1,5\n" for k in range(20000)))
-    before = _tables._Guarded.readinto
+    before = tables._Guarded.readinto
     handler = signal.signal(signal.SIGINT, signal.default_int_handler)
     calls = []
 
@@ -223,7 +223,7 @@ def test_ctrl_c_while_the_parser_asks_for_bytes_is_no_complaint_about_the_file(
             signal.raise_signal(signal.SIGINT)
         return before(self, buffer)
 
-    monkeypatch.setattr(_tables._Guarded, "readinto", readinto)
+    monkeypatch.setattr(tables._Guarded, "readinto", readinto)
     try:
         with pytest.raises(KeyboardInterrupt):
             DriveLog.read(file)
@@ -247,7 +247,7 @@ def test_text_and_lists_in_parquet_are_named_and_left_unread(tmp_path):
     }  # fmt: skip
     pq.write_table(pa.table(columns), file, compression="zstd", store_schema=False)
     assert file.stat().st_size < 1 << 17
-    table = _tables.read_table(file, DriveLogError)
+    table = tables.read_table(file, DriveLogError)
     assert set(table.columns) == set(columns) - {"word", "list"}
     assert table.columns["whole"][-1] == rows - 1
     assert np.all(table.columns["gear"] == 1.5)
@@ -262,7 +262,7 @@ def test_text_and_lists_in_parquet_are_named_and_left_unread(tmp_path):
 DAMAGE = """
 import sys, pyarrow as pa, pyarrow.parquet as pq
 from pathlib import Path
-from energyplan.drivelog._tables import read_table
+from energyplan.logs.tables import read_table
 from energyplan.errors import DriveLogError
 file = Path(sys.argv[1])
 pq.write_table(pa.table({"t": [0.0, 1.0], "x": [2.0, None]}), file)
@@ -294,10 +294,10 @@ def test_parquet_of_absurd_size_is_refused(tmp_path, monkeypatch):
     pq = pytest.importorskip("pyarrow.parquet")
     file = tmp_path / "drive.parquet"
     pq.write_table(pa.table({"t": np.random.default_rng(1).normal(size=1000)}), file)
-    monkeypatch.setattr(_tables, "MAX_BYTES", 7000)
+    monkeypatch.setattr(tables, "MAX_BYTES", 7000)
     with pytest.raises(DriveLogError, match=r"holds more than 0 MiB"):
         DriveLog.read(file)
-    monkeypatch.setattr(_tables, "MAX_CELLS", 999)
+    monkeypatch.setattr(tables, "MAX_CELLS", 999)
     with pytest.raises(DriveLogError, match="1000 rows of 1 columns"):
         DriveLog.read(file)
 
@@ -309,7 +309,7 @@ def test_absurdly_wide_and_long_tables_are_refused(tmp_path, monkeypatch):
         DriveLog.read(write(tmp_path, "column," * 1_000_000))
     with pytest.raises(DriveLogError, match="line longer than 1024 KiB"):
         DriveLog.read(write(tmp_path, HEAD + "1," * 1_000_000))
-    monkeypatch.setattr(_tables, "MAX_CELLS", 40)
+    monkeypatch.setattr(tables, "MAX_CELLS", 40)
     with pytest.raises(DriveLogError, match="more than 10 rows"):
         DriveLog.read(write(tmp_path, HEAD + "".join(f"{k},1,1,5\n" for k in range(11))))
 
@@ -482,7 +482,7 @@ def test_one_side_with_the_wrong_sign_is_named(model, pattern, side):
 
 
 def test_descending_with_regeneration_is_no_wrong_sign(model):
-    from energyplan.effects import GRADE
+    from energyplan.power.effects import GRADE
 
     heavy = model.with_term(GRADE, 147.0)
     log = drive(

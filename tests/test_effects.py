@@ -7,23 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from energyplan import EnergyCost, effects
-from energyplan.effects import (
-    AIR_DRAG,
-    ANGULAR_INERTIA,
-    COPPER_LOSS,
-    GRADE,
-    LINEAR_INERTIA,
-    SPECIFIC_FORCE,
-    VISCOUS_LOSS,
-    WARM_UP,
-    Effect,
-    catalogue,
-    effect,
-    empirical_term,
-    term,
-)
-from energyplan.effects._terms import (
+from energyplan import EnergyCost
+from energyplan.errors import MissingChannelError, ModelError, UnknownNameError
+from energyplan.motion import Motion
+from energyplan.power import PowerModel, Term, effects, tread_forces
+from energyplan.power.effect_terms import (
     DRAGGING_LEFT,
     DRAGGING_RIGHT,
     MOBILISATION,
@@ -39,9 +27,21 @@ from energyplan.effects._terms import (
     TURN_ASYMMETRY,
     UNSIGNED_POWER,
 )
-from energyplan.errors import MissingChannelError, ModelError, UnknownNameError
-from energyplan.motion import Motion
-from energyplan.power import PowerModel, Term, tread_forces
+from energyplan.power.effects import (
+    AIR_DRAG,
+    ANGULAR_INERTIA,
+    COPPER_LOSS,
+    GRADE,
+    LINEAR_INERTIA,
+    SPECIFIC_FORCE,
+    VISCOUS_LOSS,
+    WARM_UP,
+    Effect,
+    catalogue,
+    effect,
+    empirical_term,
+    term,
+)
 from energyplan.vehicle import GRAVITY, TreadICR, Vehicle
 
 VEHICLE = Vehicle.preset("quadriga:full")

@@ -4,14 +4,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from energyplan._limits import _kernels as _limit_kernels
-from energyplan.effects import term
 from energyplan.errors import InvalidInputError, MissingChannelError
-from energyplan.feasibility import _check as _limit_check
-from energyplan.feasibility import check, feasible_region
+from energyplan.limits import _check as _limit_check
+from energyplan.limits import motor_kernels
+from energyplan.limits.feasibility import check, feasible_region
 from energyplan.motion import Motion
 from energyplan.path import Trajectory
 from energyplan.power import PowerModel, Sides, Term
+from energyplan.power.effects import term
 from energyplan.vehicle import MotorLimits
 
 PAPER = PowerModel.preset("quadriga:empty:concrete")
@@ -49,7 +49,7 @@ def test_tread_motion_is_that_of_the_scaled_trajectory():
     for scale in (1.0, 0.6, 1.7):
         expected = Motion.from_trajectory(path.scaled(scale), icr)
         for first, last in ((0, 50), (0, 20), (19, 40), (39, 50)):
-            for kernel in (_limit_kernels.tread_motion, _limit_kernels.tread_motion.py_func):
+            for kernel in (motor_kernels.tread_motion, motor_kernels.tread_motion.py_func):
                 found = kernel(path.t, path.v, path.omega, icr.left, icr.right, first, last, scale)
                 twin = (
                     expected.v_left,
@@ -63,7 +63,7 @@ def test_tread_motion_is_that_of_the_scaled_trajectory():
 
 @pytest.mark.parametrize("kernel", ["compiled", "plain"])
 def test_intervals_are_those_of_the_interpolated_value(kernel):
-    run = _limit_kernels.intervals
+    run = motor_kernels.intervals
     run = run if kernel == "compiled" else run.py_func
     rng = np.random.default_rng(3)
     for _ in range(20):
@@ -91,7 +91,7 @@ def brute_window_mean(t, power, window):
 @pytest.mark.parametrize("kernel", ["compiled", "plain"])
 @pytest.mark.parametrize("window", [0.03, 2.0, 7.3, 1e3])
 def test_window_mean_agrees_with_brute_force(kernel, window):
-    run = _limit_kernels.window_mean
+    run = motor_kernels.window_mean
     run = run if kernel == "compiled" else run.py_func
     rng = np.random.default_rng(5)
     t = np.cumsum(rng.uniform(0.05, 0.6, 80))
@@ -108,11 +108,11 @@ def test_shortest_window_is_where_the_window_mean_meets_the_budget():
         t = np.cumsum(rng.uniform(0.05, 0.6, 60))
         power = np.maximum(rng.normal(100, 100, 60), 0)
         budget = float(rng.uniform(50, 1500))
-        window = _limit_kernels.shortest_window(t, power, budget)
-        assert window == _limit_kernels.shortest_window.py_func(t, power, budget)
-        top = _limit_kernels.window_mean(t, power, window).max() * window
+        window = motor_kernels.shortest_window(t, power, budget)
+        assert window == motor_kernels.shortest_window.py_func(t, power, budget)
+        top = motor_kernels.window_mean(t, power, window).max() * window
         assert top == pytest.approx(budget, rel=1e-9)
-    assert _limit_kernels.shortest_window(t, power, 1e9) == np.inf
+    assert motor_kernels.shortest_window(t, power, 1e9) == np.inf
 
 
 def test_blocks_do_not_show(monkeypatch):

@@ -9,7 +9,7 @@ import pytest
 
 import energyplan as ep
 from energyplan import simulate
-from energyplan._html import number, result, table
+from energyplan.html import number, result, table
 from energyplan.power import HOTEL, PowerModel
 
 MODEL = PowerModel.preset("quadriga:full:concrete")

@@ -10,24 +10,17 @@ from scipy.linalg import toeplitz
 from scipy.optimize import linprog
 from scipy.signal import lfilter
 
-from energyplan import effects, simulate
-from energyplan.drivelog import DriveLog
+from energyplan import simulate
 from energyplan.errors import (
     InvalidInputError,
     MissingChannelError,
     NotIdentifiableError,
     UnknownNameError,
 )
-from energyplan.identify import (
-    ICREstimate,
-    _covariance,
-    _fit,
-    fit_icr,
-    fit_residual,
-    icr_from_spin,
-    identify,
-)
-from energyplan.identify._problem import Problem
+from energyplan.fit import ICREstimate, fit_icr, fit_residual, icr_from_spin, identify, solvers
+from energyplan.fit import covariance as _covariance
+from energyplan.fit.regression import Problem
+from energyplan.logs import DriveLog
 from energyplan.power import (
     DRIVE_LOSS,
     HOTEL,
@@ -36,6 +29,7 @@ from energyplan.power import (
     TABLE_II,
     TRACTION,
     PowerModel,
+    effects,
 )
 from energyplan.simulate import Leg
 from energyplan.vehicle import TreadICR, Vehicle
@@ -56,7 +50,7 @@ def spiral(truth: PowerModel) -> DriveLog:
 # -- the fits -----------------------------------------------------------------------------------
 
 
-def _linear_program(X: np.ndarray, y: np.ndarray, bounds: _fit.Bounds) -> np.ndarray:
+def _linear_program(X: np.ndarray, y: np.ndarray, bounds: solvers.Bounds) -> np.ndarray:
     """Eq. 7 in its textbook form: residuals split into positive and negative parts."""
     n, p = X.shape
     cost = np.concatenate([np.zeros(p), np.ones(2 * n)])
@@ -75,10 +69,10 @@ def _regression(n: int, p: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize(("n", "p", "seed"), [(60, 1, 0), (200, 2, 1), (400, 4, 2)])
 def test_lad_is_the_textbook_linear_program(n: int, p: int, seed: int) -> None:
     X, y = _regression(n, p, seed)
-    free = _fit.Bounds(np.full(p, -np.inf), np.full(p, np.inf))
-    np.testing.assert_allclose(_fit.lad(X, y, free), _linear_program(X, y, free), rtol=1e-6)
-    tight = _fit.Bounds(np.zeros(p), np.full(p, 1.5))
-    bounded = _fit.lad(X, y, tight)
+    free = solvers.Bounds(np.full(p, -np.inf), np.full(p, np.inf))
+    np.testing.assert_allclose(solvers.lad(X, y, free), _linear_program(X, y, free), rtol=1e-6)
+    tight = solvers.Bounds(np.zeros(p), np.full(p, 1.5))
+    bounded = solvers.lad(X, y, tight)
     other = _linear_program(X, y, tight)
     assert np.abs(y - X @ bounded).sum() == pytest.approx(np.abs(y - X @ other).sum(), rel=1e-9)
     assert np.all(bounded <= 1.5)
@@ -89,7 +83,7 @@ def test_lad_of_many_rows_is_certified_optimal(seed: int) -> None:
     """A vertex is optimal where its rows' multipliers balance all other rows with |d| <= 1."""
     n, p = 30_000, 3
     X, y = _regression(n, p, seed)
-    c = _fit.lad(X, y, _fit.Bounds(np.full(p, -np.inf), np.full(p, np.inf)))
+    c = solvers.lad(X, y, solvers.Bounds(np.full(p, -np.inf), np.full(p, np.inf)))
     residual = y - X @ c
     basis = np.argsort(np.abs(residual))[:p]
     assert np.all(np.abs(residual[basis]) < 1e-9 * np.abs(y).max())
@@ -102,8 +96,8 @@ def test_lad_of_quantised_speeds_has_ties() -> None:
     rng = np.random.default_rng(0)
     X = rng.integers(0, 6, (20_000, 2)) / 5.0
     y = np.round(X @ [3.0, 7.0] + rng.normal(size=len(X)), 0)
-    free = _fit.Bounds(np.full(2, -np.inf), np.full(2, np.inf))
-    found = _fit.lad(X, y, free)
+    free = solvers.Bounds(np.full(2, -np.inf), np.full(2, np.inf))
+    found = solvers.lad(X, y, free)
     rows, counts = np.unique(np.column_stack([X, y]), axis=0, return_counts=True)
     weighted = _linear_program(rows[:, :2] * counts[:, None], rows[:, 2] * counts, free)
     best = np.abs(y - X @ weighted).sum()
@@ -112,12 +106,12 @@ def test_lad_of_quantised_speeds_has_ties() -> None:
 
 def test_huber_between_mean_and_median() -> None:
     rng = np.random.default_rng(3)
-    X, free = np.ones((4000, 1)), _fit.Bounds(np.array([-np.inf]), np.array([np.inf]))
+    X, free = np.ones((4000, 1)), solvers.Bounds(np.array([-np.inf]), np.array([np.inf]))
     y = rng.normal(10.0, 1.0, 4000)
-    clean = _fit.huber(X, y, free)[0]
+    clean = solvers.huber(X, y, free)[0]
     assert clean == pytest.approx(y.mean(), abs=0.02)
     y[:400] = 1000.0
-    assert _fit.huber(X, y, free)[0] == pytest.approx(10.0, abs=0.3)
+    assert solvers.huber(X, y, free)[0] == pytest.approx(10.0, abs=0.3)
     assert y.mean() > 100.0
 
 

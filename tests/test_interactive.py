@@ -13,20 +13,21 @@ import pytest
 import shapely
 from PIL import Image
 
-from energyplan import _interactive, _pages, simulate
-from energyplan._interactive._map import map_plot
-from energyplan._interactive._parts import MOST_POINTS, Plot, thin
+from energyplan import simulate
 from energyplan.battery import Battery
-from energyplan.compare import Comparison, compare
 from energyplan.cost import EnergyCost
-from energyplan.diagnose import Diagnosis, diagnose
-from energyplan.drivelog import DriveLog
-from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
+from energyplan.diagnosis import Diagnosis, diagnose
+from energyplan.logs import DriveLog
 from energyplan.mission import Mission, MissionReport, Task, evaluate
+from energyplan.output import interactive, pages
+from energyplan.output.interactive.map import map_plot
+from energyplan.output.interactive.parts import MOST_POINTS, Plot, thin
+from energyplan.output.report import Page
 from energyplan.path import Pose
-from energyplan.planners import PlanningProblem
+from energyplan.planning import PlanningProblem
 from energyplan.power import HOTEL, PowerModel
-from energyplan.report import Page
+from energyplan.studies.comparison import Comparison, compare
+from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 
 MODEL = PowerModel.preset("quadriga:full:marble")
 EVIL = "</script><b>x"
@@ -70,9 +71,9 @@ def plots(
     mission: MissionReport,
 ) -> dict[str, Plot]:
     made = {
-        "diagnosis": _interactive.diagnosis_plots(*diagnosis),
-        "comparison": _interactive.comparison_plots(*comparison),
-        "mission": _interactive.mission_plots(mission),
+        "diagnosis": interactive.diagnosis_plots(*diagnosis),
+        "comparison": interactive.comparison_plots(*comparison),
+        "mission": interactive.mission_plots(mission),
     }
     return {f"{page} {name}": plot for page, all_ in made.items() for name, plot in all_.items()}
 
@@ -91,7 +92,7 @@ def test_plotly_finds_every_plot_sound(plots: dict[str, Plot]) -> None:
 def test_text_from_files_cannot_become_markup(
     comparison: tuple[Comparison, PlanningProblem], mission: MissionReport
 ) -> None:
-    for page in (_pages.comparison_page(*comparison), _pages.mission_page(mission)):
+    for page in (pages.comparison_page(*comparison), pages.mission_page(mission)):
         made = page.html()
         assert EVIL not in made
         tail = made[made.index("<body>") :]
@@ -99,9 +100,9 @@ def test_text_from_files_cannot_become_markup(
 
 
 def test_the_library_comes_once_and_nothing_from_elsewhere(mission: MissionReport) -> None:
-    page = _pages.mission_page(mission).html()
+    page = pages.mission_page(mission).html()
     head, _, body = page.partition("<body>")
-    assert head.count(_interactive.library()) == 1
+    assert head.count(interactive.library()) == 1
     assert "src=" not in re.sub(r'src="data:[^"]+"', "", body)
     assert len(re.findall(r'class="plot( tall| low)?"', body)) == body.count("<img") == 2
     assert "stand still" not in body
@@ -112,9 +113,9 @@ def test_without_plotly_the_pictures_stand_still_and_the_page_says_so(
 ) -> None:
     found = importlib.util.find_spec
     monkeypatch.setattr(
-        _interactive, "find_spec", lambda name: None if name == "plotly" else found(name)
+        interactive, "find_spec", lambda name: None if name == "plotly" else found(name)
     )
-    page = _pages.mission_page(mission).html()
+    page = pages.mission_page(mission).html()
     assert "<script" not in page
     assert page.count("<img") == 2
     assert page.count("energyplan[reports]") == 1
@@ -125,20 +126,20 @@ def test_energy_along_a_route_ends_with_its_plan(
 ) -> None:
     made, problem = comparison
     for plan in (made.energy_optimal, made.shortest):
-        metres, joules, places = _interactive.energy_along(plan.path, problem)
+        metres, joules, places = interactive.energy_along(plan.path, problem)
         assert joules[-1] == pytest.approx(plan.energy, rel=1e-6)
         assert metres[-1] == pytest.approx(plan.length)
         assert np.all(np.diff(joules) >= 0)
         assert places[-1, :2] == pytest.approx(problem.goal[:2], abs=1e-6)
     marble = replace(problem, surfaces=None)
-    bare = _interactive.energy_along(made.shortest.path, marble).joules[-1]
+    bare = interactive.energy_along(made.shortest.path, marble).joules[-1]
     assert bare == pytest.approx(marble.cost.energy(made.shortest.path), rel=1e-6)
     assert bare != pytest.approx(made.shortest.energy, rel=1e-3)
 
 
 def test_each_channel_has_its_button(diagnosis: tuple[Diagnosis, list[DriveLog]]) -> None:
     told, judge = diagnosis
-    plot = _interactive.diagnosis_plots(told, judge)["residual"]
+    plot = interactive.diagnosis_plots(told, judge)["residual"]
     buttons = plot["layout"]["updatemenus"][0]["buttons"]
     assert buttons[0]["label"].split()[0] == told.dependences_before[0].channel
     shown = np.array([button["args"][0]["visible"] for button in buttons])
@@ -150,7 +151,7 @@ def test_each_channel_has_its_button(diagnosis: tuple[Diagnosis, list[DriveLog]]
 def test_bin_means_are_those_of_the_samples() -> None:
     x = np.repeat([1.0, 2.0, 3.0], 40)
     residual = np.where(x == 2, 6.0, np.tile([1.0, -1.0], 60))
-    plot = _interactive.residual_by_channel({"v": x}, {"before": residual})
+    plot = interactive.residual_by_channel({"v": x}, {"before": residual})
     _, means = plot["data"]
     assert np.interp([1.0, 2.0, 3.0], means["x"], means["y"])[:2] == pytest.approx([0.0, 6.0], 1e-9)
 

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from energyplan import simulate
-from energyplan.effects import HOTEL, WARM_UP, empirical_term
 from energyplan.errors import ConfigError, EnergyPlanError, InvalidInputError, UnknownNameError
 from energyplan.io.config import read_model, read_vehicle, write_model, write_vehicle
 from energyplan.io.files import atomic_write
 from energyplan.power import PowerModel, Residual
+from energyplan.power.effects import HOTEL, WARM_UP, empirical_term
 from energyplan.vehicle import GRAVITY, MotorLimits, TreadICR, Vehicle
 
 PRESETS = ("quadriga", "quadriga:full", "husky_a200", "jackal")

@@ -13,10 +13,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from energyplan.drivelog import DriveLog
 from energyplan.errors import DriveLogError, EnergyPlanError
-from energyplan.identify import identify
+from energyplan.fit import identify
 from energyplan.io.husky import HuskyDrive, is_husky, read_husky
+from energyplan.logs import DriveLog
 from energyplan.power import PowerModel
 from energyplan.simulate import drive, identification_drive
 from energyplan.vehicle import TreadICR, Vehicle

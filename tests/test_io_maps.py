@@ -16,9 +16,9 @@ from PIL import Image
 from energyplan.errors import EnergyPlanError, MapError
 from energyplan.io.geojson import read_surfaces, write_surfaces
 from energyplan.io.maps import read_map, write_map
-from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
 from energyplan.path import Pose
 from energyplan.power import PowerModel
+from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 
 HEADER = {
     "image": "m.png",

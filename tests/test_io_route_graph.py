@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from energyplan.cost import EnergyCost
 from energyplan.errors import EnergyPlanError, MapError
 from energyplan.io.route_graph import read_route_graph, write_route_graph
-from energyplan.maps import Surface, SurfaceMap
-from energyplan.planners.roadmap import Roadmap, price_edges
+from energyplan.planning.roadmap import Roadmap, price_edges
 from energyplan.power import PowerModel
+from energyplan.terrain import Surface, SurfaceMap
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 

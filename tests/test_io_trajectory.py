@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from energyplan import simulate
-from energyplan.drivelog import DriveLog
 from energyplan.errors import EnergyPlanError, InvalidInputError, PathError
 from energyplan.io.trajectory import (
     read_path,
@@ -18,6 +17,7 @@ from energyplan.io.trajectory import (
     write_path,
     write_trajectory,
 )
+from energyplan.logs import DriveLog
 from energyplan.path import Path, Pose, Trajectory
 from energyplan.power import PowerModel
 

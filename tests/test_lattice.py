@@ -7,17 +7,17 @@ from worlds import cluttered, free_poses
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
-from energyplan.maps import OccupancyGrid
 from energyplan.path import Path
-from energyplan.planners import PlanningProblem, plan
-from energyplan.planners import _field_kernels as field_kernels
-from energyplan.planners import _motion_kernels as motion_kernels
-from energyplan.planners._ease import ease
-from energyplan.planners._query import MARGIN, Query, Segments, merged
-from energyplan.planners._search import Search, field_for, inscribed, lattice_for
-from energyplan.planners.lattice import energies
-from energyplan.planners.refine import Refiner
+from energyplan.planning import PlanningProblem, plan
+from energyplan.planning.lattice import energies
+from energyplan.planning.lattice.refine import Refiner
+from energyplan.planning.lattice.search import Search, field_for, inscribed, lattice_for
+from energyplan.planning.lattice.tight_ends import ease
+from energyplan.planning.scene import field as field_kernels
+from energyplan.planning.scene import motions as motion_kernels
+from energyplan.planning.scene.compiled import MARGIN, Query, Segments, merged
 from energyplan.power import HOTEL, PowerModel
+from energyplan.terrain import OccupancyGrid
 
 MODEL = PowerModel.preset("quadriga:empty:concrete")
 COST = EnergyCost(MODEL)
@@ -182,7 +182,7 @@ def test_merging_motions_keeps_the_path():
 
 
 def test_margin_exceeds_the_tolerance_of_the_collision_kernels():
-    from energyplan.maps._collision import TOLERANCE
+    from energyplan.terrain.collision import TOLERANCE
 
     assert MARGIN > 1.5 * TOLERANCE
 

@@ -9,8 +9,9 @@ from scipy import ndimage
 from shapely import affinity
 
 from energyplan.errors import MapError
-from energyplan.maps import OccupancyGrid, _collision, _distance, footprint
 from energyplan.path import Path, Pose
+from energyplan.terrain import OccupancyGrid, _distance, footprint
+from energyplan.terrain import collision as _collision
 from energyplan.vehicle import Vehicle
 
 VEHICLE = Vehicle.preset("quadriga")

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 from energyplan.battery import Battery
 from energyplan.errors import MissionError
-from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
 from energyplan.mission import Charger, Mission, MissionReport, Task, evaluate
 from energyplan.path import Pose
 from energyplan.power import HOTEL, PowerModel, Residual
+from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 from energyplan.vehicle import Vehicle
 
 WH = 3600.0

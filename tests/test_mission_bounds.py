@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import shapely
 
-from energyplan.maps import OccupancyGrid
-from energyplan.mission._bounds import shortest_ways
+from energyplan.mission.bounds import shortest_ways
 from energyplan.path import Pose
+from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
 
 ROBOT = Vehicle.preset("quadriga")

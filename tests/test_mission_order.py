@@ -7,7 +7,7 @@ from itertools import permutations, product
 import numpy as np
 import pytest
 
-from energyplan.mission._order import OrderProblem, solve, solve_exactly
+from energyplan.mission.order import OrderProblem, solve, solve_exactly
 
 
 def problem(
@@ -188,7 +188,7 @@ def test_required_tasks_come_before_any_prize():
 @pytest.mark.parametrize("seed", range(3))
 def test_search_comes_close_to_the_exact_order(seed):
     pytest.importorskip("ortools")
-    from energyplan.mission._routing import solve_by_search
+    from energyplan.mission.routing import solve_by_search
 
     p = problem(seed, 8, budget=7.0, chargers=1)
     # Whole joules: bring the energies to a size at which rounding does not matter.

@@ -3,12 +3,12 @@ import pytest
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import TimeLimitError, UnknownNameError, UnsupportedPlannerError
-from energyplan.maps import OccupancyGrid
 from energyplan.path import Path, Pose
-from energyplan.planners import PlanningProblem, plan
-from energyplan.planners import ompl as adapter
-from energyplan.planners._query import Query
+from energyplan.planning import PlanningProblem, plan
+from energyplan.planning import ompl as adapter
+from energyplan.planning.scene.compiled import Query
 from energyplan.power import PowerModel
+from energyplan.terrain import OccupancyGrid
 
 base = pytest.importorskip("ompl.base")
 geometric = pytest.importorskip("ompl.geometric")
@@ -87,8 +87,8 @@ def test_unknown_parameter_names_those_there_are():
 
 
 def test_control_space_planner_keeps_within_the_motor_limits():
-    from energyplan.feasibility import check
-    from energyplan.speed import profile
+    from energyplan.limits.feasibility import check
+    from energyplan.limits.speed import profile
 
     room = OccupancyGrid(np.zeros((60, 60), bool), 0.1)
     problem = PlanningProblem(room, COST, (2, 3, 0), (4, 3, 0))

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from energyplan import effects, simulate
-from energyplan.drivelog import DriveLog
+from energyplan import simulate
 from energyplan.errors import InvalidInputError, MissingChannelError
-from energyplan.identify import identify
-from energyplan.online import OnlineIdentifier
-from energyplan.online import _kernel as kernel
-from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel
+from energyplan.fit import _online_kernel as kernel
+from energyplan.fit import identify
+from energyplan.fit.online import OnlineIdentifier
+from energyplan.logs import DriveLog
+from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel, effects
 from energyplan.simulate import Leg
 from energyplan.vehicle import Vehicle
 

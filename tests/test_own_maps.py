@@ -12,7 +12,7 @@ import shapely
 from energyplan.cost import EnergyCost
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.maps import read_map
-from energyplan.planners import PlanningProblem, plan
+from energyplan.planning import PlanningProblem, plan
 from energyplan.power import PowerModel
 
 FOLDER = Path(__file__).resolve().parents[1] / "maps"

@@ -18,9 +18,9 @@ from energyplan.errors import (
     TimeLimitError,
     UnsupportedPlannerError,
 )
-from energyplan.maps import OccupancyGrid, SurfaceMap
-from energyplan.planners import PLANNERS, PlanningProblem, plan
+from energyplan.planning import PLANNERS, PlanningProblem, plan
 from energyplan.power import PowerModel
+from energyplan.terrain import OccupancyGrid, SurfaceMap
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 REFUSED = {"sst", "prm", "prmstar", "aorrtc"}

@@ -14,10 +14,10 @@ from energyplan.errors import (
     TimeLimitError,
     UnknownNameError,
 )
-from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
-from energyplan.planners import PlanningProblem, plan, planners
-from energyplan.planners._problem import nearest_free
+from energyplan.planning import PlanningProblem, plan, planners
+from energyplan.planning.problem import nearest_free
 from energyplan.power import PowerModel
+from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 from energyplan.vehicle import TreadICR
 
 MODEL = PowerModel.preset("quadriga:empty:concrete")
@@ -97,7 +97,7 @@ def test_unknown_planner_names_those_there_are():
 def test_plugin_planner(tmp_path, monkeypatch):
     package = tmp_path / "crow_flies.py"
     package.write_text(
-        "from energyplan.planners import plan as other\n"
+        "from energyplan.planning import plan as other\n"
         "def plan(problem, time_limit=1.0, *, twice=False):\n"
         "    found = other(problem, 'lattice', time_limit)\n"
         "    from dataclasses import replace\n"
@@ -106,7 +106,7 @@ def test_plugin_planner(tmp_path, monkeypatch):
     info = tmp_path / "crow_flies-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: crow-flies\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[energyplan.planners]\ncrow = crow_flies:plan\n")
+    (info / "entry_points.txt").write_text("[energyplan.planning]\ncrow = crow_flies:plan\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     assert "crow" in planners()
     assert plan(problem(), "crow", 0.5, twice=True).planner == "crow2"

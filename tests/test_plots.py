@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from energyplan import plots, simulate
+from energyplan import simulate
+from energyplan.output import plots
 from energyplan.path import Path, Pose
 from energyplan.power import PowerModel
 

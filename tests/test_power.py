@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from energyplan import effects
 from energyplan.errors import MissingChannelError, ModelError, UnknownNameError
 from energyplan.motion import Motion
 from energyplan.power import (
@@ -19,6 +18,7 @@ from energyplan.power import (
     TRACTION,
     PowerModel,
     Term,
+    effects,
     tread_forces,
 )
 from energyplan.vehicle import TreadICR, Vehicle

@@ -10,12 +10,12 @@ import shapely
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
-from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
 from energyplan.path import Path, Pose
-from energyplan.planners import PlanningProblem
-from energyplan.planners._prices import TIE_BREAK, Prices
-from energyplan.planners._query import Query
+from energyplan.planning import PlanningProblem
+from energyplan.planning.scene.compiled import Query
+from energyplan.planning.scene.prices import TIE_BREAK, Prices
 from energyplan.power import HOTEL, PowerModel
+from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 from energyplan.vehicle import MotorLimits, TreadICR
 
 MODEL = PowerModel.preset("quadriga:empty:concrete")

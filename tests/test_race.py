@@ -2,15 +2,15 @@ import numpy as np
 import pytest
 
 from energyplan.cost import EnergyCost
-from energyplan.maps import OccupancyGrid
 from energyplan.path import Path, wrap_angle
-from energyplan.planners import PlanningProblem, plan
-from energyplan.planners import _search_kernels as kernels
-from energyplan.planners._motion_kernels import free_energy
-from energyplan.planners._query import Query, Segments
-from energyplan.planners._race import Race
-from energyplan.planners._search import Search, field_for, lattice_for
+from energyplan.planning import PlanningProblem, plan
+from energyplan.planning.lattice import search_kernels as kernels
+from energyplan.planning.lattice.portfolio import Race
+from energyplan.planning.lattice.search import Search, field_for, lattice_for
+from energyplan.planning.scene.compiled import Query, Segments
+from energyplan.planning.scene.motions import free_energy
 from energyplan.power import PowerModel
+from energyplan.terrain import OccupancyGrid
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 

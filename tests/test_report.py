@@ -4,9 +4,9 @@ from html.parser import HTMLParser
 
 import pytest
 
-from energyplan import plots
-from energyplan._html import number
-from energyplan.report import Page
+from energyplan.html import number
+from energyplan.output import plots
+from energyplan.output.report import Page
 
 
 class Collector(HTMLParser):

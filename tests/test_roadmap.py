@@ -12,21 +12,16 @@ import shapely
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
-from energyplan.effects import VISCOUS_LOSS
-from energyplan.errors import (
-    InvalidInputError,
-    NoPathError,
-    StartInCollisionError,
-    TimeLimitError,
-)
+from energyplan.errors import InvalidInputError, NoPathError, StartInCollisionError, TimeLimitError
 from energyplan.io.route_graph import read_route_graph
-from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
 from energyplan.path import Path, Pose, wrap_angle
-from energyplan.planners import PlanningProblem, plan
-from energyplan.planners import roadmap as rm
-from energyplan.planners._energy_graph import round_corner
-from energyplan.planners._visibility import traced
+from energyplan.planning import PlanningProblem, plan
+from energyplan.planning import roadmap as rm
+from energyplan.planning.roadmap.energy_graph import round_corner
+from energyplan.planning.roadmap.visibility import traced
 from energyplan.power import HOTEL, PowerModel
+from energyplan.power.effects import VISCOUS_LOSS
+from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 from energyplan.vehicle import MotorLimits, TreadICR
 
 MODEL = PowerModel.preset("quadriga:empty:concrete")

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from energyplan.effects import GRADE, LINEAR_INERTIA
 from energyplan.errors import InvalidInputError, MissingChannelError, UnknownNameError
 from energyplan.motion import Motion
 from energyplan.path import Path, Pose, Trajectory
 from energyplan.power import HOTEL, SLIP, PowerModel
+from energyplan.power.effects import GRADE, LINEAR_INERTIA
 from energyplan.simulate import PATTERNS, Leg, drive, identification_drive, validation_drive
 from energyplan.vehicle import GRAVITY, TreadICR
 

@@ -12,11 +12,8 @@ import shapely
 from numpy.testing import assert_allclose
 
 from energyplan import cli
-from energyplan._interactive import energy_along
 from energyplan.battery import Battery
-from energyplan.compare import compare
 from energyplan.cost import EnergyCost
-from energyplan.effects import GRADE, VISCOUS_LOSS, reads_slope, term, with_weight
 from energyplan.errors import (
     InvalidInputError,
     MapError,
@@ -25,15 +22,19 @@ from energyplan.errors import (
     UnsupportedPlannerError,
 )
 from energyplan.io.mission import read_mission
-from energyplan.maps import HeightMap, OccupancyGrid, Surface, SurfaceMap, with_weights
 from energyplan.mission import Mission, Task, evaluate
+from energyplan.output.interactive import energy_along
 from energyplan.path import Path, Pose
-from energyplan.planners import PlanningProblem, _slopes, plan
-from energyplan.planners import _motion_kernels as kernels
-from energyplan.planners._query import Query
-from energyplan.planners.lattice import energies
+from energyplan.planning import PlanningProblem, plan
+from energyplan.planning.lattice import energies
+from energyplan.planning.scene import motions as kernels
+from energyplan.planning.scene import slopes as _slopes
+from energyplan.planning.scene.compiled import Query
 from energyplan.power import HOTEL, PowerModel
-from energyplan.tradeoff import pareto
+from energyplan.power.effects import GRADE, VISCOUS_LOSS, reads_slope, term, with_weight
+from energyplan.studies.comparison import compare
+from energyplan.studies.pareto import pareto
+from energyplan.terrain import HeightMap, OccupancyGrid, Surface, SurfaceMap, with_weights
 from energyplan.vehicle import GRAVITY, TreadICR
 
 LEVEL = PowerModel.preset("quadriga:empty:concrete")
@@ -450,7 +451,7 @@ def test_payload_is_lifted_too():
 
 
 def test_bounds_of_a_mission_hold_on_slopes():
-    from energyplan.mission._legs import Legs
+    from energyplan.mission.legs import Legs
 
     poses = [Pose(4, 3, 0.0), Pose(12, 9, 2.0), Pose(7, 9, -1.0)]
     tasks = tuple(Task(f"t{k}", pose) for k, pose in enumerate(poses))

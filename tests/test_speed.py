@@ -6,14 +6,15 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import linprog
 from scipy.sparse import diags_array, vstack
 
-from energyplan.effects import term
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
-from energyplan.feasibility import check
+from energyplan.limits import _timing_kernels
+from energyplan.limits.economy import cheapest
+from energyplan.limits.feasibility import check
+from energyplan.limits.speed import profile
 from energyplan.motion import Motion
 from energyplan.path import Path, Pose
 from energyplan.power import PowerModel
-from energyplan.speed import _timing_kernels, profile
-from energyplan.speed._economy import cheapest
+from energyplan.power.effects import term
 from energyplan.vehicle import MotorLimits, TreadICR, Vehicle
 
 PAPER = PowerModel.preset("quadriga:empty:concrete")

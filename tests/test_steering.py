@@ -13,13 +13,13 @@ from steering_optimum import Corners, optimum
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
-from energyplan.cost._gauge import _turn_table
-from energyplan.effects import VISCOUS_LOSS
+from energyplan.cost.direction_table import _turn_table
 from energyplan.errors import InvalidInputError
 from energyplan.motion import Motion
 from energyplan.path import Path, Pose
 from energyplan.power import HOTEL, PowerModel, Sides, Term, tread_forces
-from energyplan.steering._kernels import steer_energies, steer_energy, steer_paths_end
+from energyplan.power.effects import VISCOUS_LOSS
+from energyplan.steering.kernels import steer_energies, steer_energy, steer_paths_end
 from energyplan.vehicle import MotorLimits, TreadICR
 
 FULL = PowerModel.preset("quadriga:full:marble")

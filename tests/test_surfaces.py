@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 import shapely
 
-from energyplan import effects
 from energyplan.cost import EnergyCost
 from energyplan.errors import MapError
 from energyplan.io.heights import read_heights
-from energyplan.maps import HeightMap, OccupancyGrid, Surface, SurfaceMap
 from energyplan.path import Path, Pose
-from energyplan.power import PowerModel
+from energyplan.power import PowerModel, effects
+from energyplan.terrain import HeightMap, OccupancyGrid, Surface, SurfaceMap
 from energyplan.vehicle import TreadICR
 
 MARBLE = PowerModel.preset("quadriga:empty:marble")

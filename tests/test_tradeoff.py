@@ -10,14 +10,14 @@ import shapely
 from matplotlib.axes import Axes
 
 import energyplan
-from energyplan import plots
 from energyplan.cost import EnergyCost
-from energyplan.effects import VISCOUS_LOSS
 from energyplan.errors import InvalidInputError
-from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
-from energyplan.planners import PlanningProblem, plan
+from energyplan.output import plots
+from energyplan.planning import PlanningProblem, plan
 from energyplan.power import HOTEL, PowerModel
-from energyplan.tradeoff import pareto
+from energyplan.power.effects import VISCOUS_LOSS
+from energyplan.studies.pareto import pareto
+from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 from energyplan.vehicle import MotorLimits
 
 MODEL = PowerModel.preset("quadriga:empty:concrete")

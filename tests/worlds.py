@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from energyplan.maps import OccupancyGrid
+from energyplan.terrain import OccupancyGrid
 
 
 def cluttered(seed, count=14):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from energyplan._numba import njit
+from energyplan.compilation import njit
 from energyplan.path import FloatArray
 
 _MAX_STEP = 1e-3

@@ -21,9 +21,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from energyplan.cost import _speeds
-from energyplan.cost._bounds import LowerBound, lower_bound
-from energyplan.cost._gauge import SPECIAL, Corners, Gauge, steering_parameters, tabulate
+from energyplan.cost import speeds
+from energyplan.cost.bounds import LowerBound, lower_bound
+from energyplan.cost.direction_table import SPECIAL, Corners, Gauge, steering_parameters, tabulate
 from energyplan.errors import InvalidInputError, ModelError
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Path
@@ -198,7 +198,7 @@ class EnergyCost:
         return bool(np.allclose(slow, fast, rtol=1e-9, atol=0.0))
 
     def _admissible_rate(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        return _speeds.admissible_rate(
+        return speeds.admissible_rate(
             x, y, self.vehicle, lambda rate: self.model.forces(self._motion(x, y, rate))
         )
 
@@ -214,8 +214,8 @@ class EnergyCost:
                 f"the energy of the model {self.model.name!r} depends on speed, but the vehicle "
                 f"{self.vehicle.name!r} has no speed limit; set its motor speed, or give speed="
             )
-        slowest = _speeds.slowest_rate(x, y, limit, self.vehicle)
-        return _speeds.cheapest_rate(
+        slowest = speeds.slowest_rate(x, y, limit, self.vehicle)
+        return speeds.cheapest_rate(
             slowest,
             limit,
             lambda rate: (self._drawn.power(self._motion(x, y, rate)) + self.time_value) / rate,
@@ -453,5 +453,5 @@ class EnergyCost:
 
     @cached_property
     def steering_parameters(self) -> FloatArray:
-        """What the compiled steering kernels read; laid out in `energyplan.steering._kernels`."""
+        """What the compiled steering kernels read; laid out in `energyplan.steering.kernels`."""
         return steering_parameters(self.gauge, self._corners, self.icr)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.drivelog._checks import gap_limit
+from energyplan.logs.checks import gap_limit
 from energyplan.path import FloatArray
 
 LONGEST_BRIDGE = 1.0

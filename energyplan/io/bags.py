@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from energyplan.drivelog import DriveLog
-from energyplan.drivelog._checks import SetAside
 from energyplan.errors import DriveLogError, EnergyPlanError, MissingDependencyError
 from energyplan.io._align import Series, align
 from energyplan.io._unpack import bound_unpacking
 from energyplan.io.files import is_file
 from energyplan.io.topics import TopicMap, TopicSource
+from energyplan.logs import DriveLog
+from energyplan.logs.checks import SetAside
 
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 """Kinds of file that are read as bags, beside folders with a ``metadata.yaml``."""

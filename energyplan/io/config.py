@@ -12,12 +12,12 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from energyplan.effects import term
 from energyplan.errors import ConfigError, InvalidInputError, ModelError, UnknownNameError
 from energyplan.io._yaml import Document, load
 from energyplan.io.files import atomic_write, is_file
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual, Term
+from energyplan.power.effects import term
 from energyplan.vehicle import MotorLimits, TreadICR, Vehicle, predict_icr, wheel_loads
 
 T = TypeVar("T")
@@ -235,7 +235,7 @@ def write_model(model: PowerModel, path: str | Path) -> Path:
         except UnknownNameError as problem:
             raise ConfigError(
                 f"the model {model.name!r} cannot be written: {problem}; publish the term through "
-                "the entry-point group energyplan.effects"
+                "the entry-point group energyplan.power.effects"
             ) from None
         entry: dict[str, Any] = {"name": item.name, "value": float(value)}
         error = model.std_error(item.name)

@@ -14,9 +14,9 @@ from shapely.geometry.base import BaseGeometry
 from energyplan.errors import EnergyPlanError, MapError
 from energyplan.io._limited import beside, read_features
 from energyplan.io.files import atomic_write
-from energyplan.maps import OccupancyGrid, Surface, SurfaceMap
-from energyplan.maps._surfaces import FARTHEST
 from energyplan.power import PowerModel
+from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
+from energyplan.terrain.surfaces import FARTHEST
 
 KEEP_OUT = ("keep_out", "keep-out", "keepout")
 """Names of a surface that the robot must not enter."""

@@ -8,8 +8,8 @@ import numpy as np
 
 from energyplan.errors import MapError
 from energyplan.io._limited import read_bytes
-from energyplan.maps import MAX_CELLS, HeightMap
 from energyplan.path import Pose
+from energyplan.terrain.grid import MAX_CELLS, HeightMap
 
 MAX_FILE = 2**28
 """Largest file that is read [bytes]."""

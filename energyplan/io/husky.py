@@ -15,12 +15,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.drivelog import DriveLog, SetAside
-from energyplan.drivelog._checks import find_runs
-from energyplan.drivelog._plausible import Offset, find_offset
-from energyplan.drivelog._tables import Table, column_names, read_table
 from energyplan.errors import DriveLogError
 from energyplan.io.files import is_file
+from energyplan.logs import DriveLog, SetAside
+from energyplan.logs.checks import find_runs
+from energyplan.logs.plausible import Offset, find_offset
+from energyplan.logs.tables import Table, column_names, read_table
 from energyplan.path import FloatArray
 
 WHEEL_COLUMNS = ("time", "curL", "curR", "velL", "velR")

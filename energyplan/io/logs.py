@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from energyplan.drivelog import DriveLog
-from energyplan.drivelog._columns import UNITS
-from energyplan.drivelog._tables import read_table
 from energyplan.errors import DriveLogError
 from energyplan.io.bags import bag_info, channels_served, is_bag, read_bag
 from energyplan.io.husky import WHEEL_COLUMNS, is_husky, read_husky
 from energyplan.io.topics import TOPIC_MAPS, TopicMap
+from energyplan.logs import DriveLog
+from energyplan.logs.columns import UNITS
+from energyplan.logs.tables import read_table
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from energyplan.io._limited import beside, read_bytes
 from energyplan.io._yaml import load
 from energyplan.io.files import atomic_write
 from energyplan.io.geojson import read_obstacles
-from energyplan.maps import MAX_CELLS, OccupancyGrid
 from energyplan.path import Pose
+from energyplan.terrain.grid import MAX_CELLS, OccupancyGrid
 
 MAX_FILE = 2**28
 """Largest map image that is read [bytes]."""

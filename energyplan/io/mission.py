@@ -14,7 +14,6 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from energyplan.battery import Battery
-from energyplan.effects import with_weight
 from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
 from energyplan.io._limited import beside
 from energyplan.io._yaml import Document, Loc, load
@@ -24,10 +23,11 @@ from energyplan.io.files import is_file
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.heights import read_heights
 from energyplan.io.maps import read_map
-from energyplan.maps import HeightMap, OccupancyGrid, SurfaceMap, with_weights
 from energyplan.mission import Charger, Mission, Task
 from energyplan.path import Pose
 from energyplan.power import PowerModel
+from energyplan.power.effects import with_weight
+from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap, with_weights
 from energyplan.vehicle import Vehicle
 
 T = TypeVar("T")

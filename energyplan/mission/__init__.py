@@ -2,7 +2,7 @@
 
 A task is reachable only if the robot can do it and still get to where it started or to a charger
 with its reserve, at the confidence asked. Energies carry their uncertainty along (see
-`energyplan.mission._energy`); the battery is run twice, with the energy as expected and with the
+`energyplan.mission.energy`); the battery is run twice, with the energy as expected and with the
 energy at its bound.
 """
 
@@ -15,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from energyplan.battery import Battery
-from energyplan.mission._energy import Estimate
-from energyplan.mission._legs import Legs
-from energyplan.mission._plan import best_stops
-from energyplan.mission._report import MissionReport, Reason, TaskReport, Timeline
-from energyplan.mission._types import Charger, Mission, Task
-from energyplan.mission._walk import Attempt, Condition, Walk
+from energyplan.mission.energy import Estimate
+from energyplan.mission.legs import Legs
+from energyplan.mission.order_refinement import best_stops
+from energyplan.mission.report import MissionReport, Reason, TaskReport, Timeline
+from energyplan.mission.simulation import Attempt, Condition, Walk
+from energyplan.mission.types import Charger, Mission, Task
 
 __all__ = ["Charger", "Mission", "MissionReport", "Task", "TaskReport", "Timeline", "evaluate"]
 

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from energyplan.errors import ModelError, UnknownNameError
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
-from energyplan.power._terms import (
+from energyplan.power.terms import (
     DRIVE_LOSS,
     HOTEL,
     REGENERATION_LOSS,

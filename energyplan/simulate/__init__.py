@@ -12,8 +12,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from energyplan.drivelog import DriveLog
 from energyplan.errors import InvalidInputError, UnknownNameError
+from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Pose, Trajectory
 from energyplan.power import PowerModel

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
 from energyplan.path import FloatArray, Path, Pose
-from energyplan.steering._kernels import MAX_SEGMENTS, steer_energies, steer_path
+from energyplan.steering.kernels import MAX_SEGMENTS, steer_energies, steer_path
 
 
 def _poses(value: ArrayLike, name: str) -> FloatArray:

@@ -1,0 +1,114 @@
+"""What to do next, in sentences (private)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import pi
+
+from energyplan.diagnosis.residual import Dependence
+from energyplan.diagnosis.selection import Chosen
+from energyplan.power import PowerModel
+from energyplan.power.effects import Effect
+
+_MEAN_OF_NORMAL = (2 / pi) ** 0.5
+"""Mean size of a normal variable over its standard deviation."""
+
+_MASSES = ("grade", "linear_inertia", "specific_force")
+
+
+def rival_advice(chosen: Sequence[Chosen]) -> list[str]:
+    """Name the manoeuvre that separates each effect from its rivals."""
+    lines = []
+    for choice in chosen:
+        if not choice.rivals:
+            continue
+        names = " or ".join(_plain(trial.part.effect.name) for trial in choice.rivals)
+        ways = [choice.part.effect.manoeuvre]
+        ways += [trial.part.effect.manoeuvre for trial in choice.rivals]
+        told = "; ".join(dict.fromkeys(way for way in ways if way))
+        lines.append(
+            f"these drives cannot tell {_plain(choice.part.effect.name)} from {names}; "
+            f"to tell them apart: {told}"
+        )
+    return lines
+
+
+def mass_advice(model: PowerModel, effects: Sequence[str]) -> list[str]:
+    """Compare a mass that was found with the vehicle's own."""
+    lines = []
+    for name in effects:
+        if name not in _MASSES:
+            continue
+        value, error = model.coefficient(name), model.std_error(name) or 0.0
+        own = model.vehicle.mass
+        # Wheels and gears turn as well: the mass that speeds up is larger than what scales show.
+        most = 1.0 if name == "grade" else 1.25
+        if value > most * own + max(3 * error, 0.1 * own) or value < 0.9 * own - 3 * error:
+            lines.append(
+                f"{_plain(name)} gives {value:.0f} +- {error:.0f} kg, the vehicle has "
+                f"{own:.0f} kg: weigh it, or check the gain of the power sensor, which is off by "
+                "the same factor"
+            )
+    return lines
+
+
+def mimic_advice(
+    unexplained: Sequence[Dependence], effects: Sequence[str], mimics: Sequence[str] = ()
+) -> list[str]:
+    """Say that what was found may stand for something the catalogue does not have."""
+    if not unexplained:
+        return []
+    first = next((one for one in unexplained if one.channel != "drive"), None)
+    if first is None:
+        return []
+    if effects:
+        names = ", ".join(_plain(name) for name in effects)
+        return [
+            f"the residual still depends on {first.channel} ({first.shape}): {names} may stand in "
+            "for something that the catalogue does not have"
+        ]
+    lines = [
+        f"no effect of the catalogue fits; look at what changes with {first.channel}: {first.shape}"
+    ]
+    if mimics:
+        names = ", ".join(_plain(name) for name in mimics)
+        lines.append(
+            f"{names} helped only as long as {first.channel} was left out, and was dropped"
+        )
+    return lines
+
+
+def drive_advice(dependences: Sequence[Dependence], significance: float) -> list[str]:
+    """Say that drives differ as a whole, where they do, and what no model can then reach."""
+    return [
+        f"{one.shape}, beyond their own scatter (p = {one.p_value:.1g}): the ground, the load or a "
+        "temperature differed and is in no channel; no model of these channels that was identified "
+        "on other drives can be expected to come closer to an unseen one's energy than "
+        f"{100 * _MEAN_OF_NORMAL * one.values[0]:.1f} % on average: log what differed, or identify "
+        "on the spot"
+        for one in dependences
+        if one.channel == "drive" and one.p_value < significance
+    ]
+
+
+def untested_advice(untested: Sequence[tuple[str, str]], effects: Sequence[str]) -> list[str]:
+    """Say which effects could not be tested for want of a channel."""
+    by_reason: dict[str, list[str]] = {}
+    for name, reason in untested:
+        if name not in effects:
+            by_reason.setdefault(reason, []).append(_plain(name))
+    return [f"not tested, as {reason}: {', '.join(names)}" for reason, names in by_reason.items()]
+
+
+def log_advice(effects: Sequence[Effect]) -> list[str]:
+    """Ask to mend the log where the effect is the log's."""
+    return [
+        f"{_plain(effect.name)} belongs to the log, not to the robot: mend the sensor or its "
+        "driver; a planner must not use it"
+        for effect in effects
+        if effect.acts == "log"
+    ]
+
+
+def _plain(name: str) -> str:
+    return name.replace("_", " ")

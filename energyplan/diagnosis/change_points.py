@@ -1,0 +1,171 @@
+"""When or where a payload or a surface changed (private).
+
+Every drive is in one of two states, or passes once from one to the other. The state of all drives
+together is found by taking one drive after the other to its best time, from sums over windows that
+are computed once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from energyplan.diagnosis.fitting import PAPER, Part, Problem, solve
+from energyplan.diagnosis.windows import Drive, column
+from energyplan.path import FloatArray
+from energyplan.power import Term
+from energyplan.power.effects import Effect
+from energyplan.vehicle import Vehicle
+
+_SWEEPS = 3
+_MARGIN = 6  # windows before the first and after the last time that is tried
+
+
+def _window_grams(problem: Problem, terms: Sequence[Term], values: FloatArray) -> list[FloatArray]:
+    """Cumulative Gram matrices over half-second windows of [columns, paper's columns, power]."""
+    sums = []
+    for drive, table, target in zip(problem.drives, *problem.tables(terms, values), strict=True):
+        windows = drive.windows[0]
+        paper = [column(term, drive, problem.vehicle) for term in PAPER]
+        rows = windows.mean(np.column_stack([table, *paper, target]))
+        products = np.einsum("ni,nj->nij", rows, rows)
+        sums.append(np.concatenate([np.zeros((1, *products.shape[1:])), np.cumsum(products, 0)]))
+    return sums
+
+
+def _masked(total: FloatArray, after: FloatArray, count: int) -> FloatArray:
+    """Gram matrix in which the last two columns count only in the windows `after`."""
+    gram = np.broadcast_to(total, after.shape).copy()
+    late = slice(count, count + 2)
+    gram[..., late, :] = after[..., late, :]
+    gram[..., :, late] = after[..., :, late]
+    return gram
+
+
+def _loss(gram: FloatArray) -> FloatArray:
+    found = solve(gram)
+    signed = np.concatenate([found, -np.ones((*found.shape[:-1], 1))], axis=-1)
+    return np.asarray(np.einsum("...i,...ij,...j->...", signed, gram, signed))
+
+
+def mark_changes(problem: Problem, terms: Sequence[Term], errors: FloatArray) -> Problem:
+    """Find when each drive changed state, and give the drives the channel ``changed``.
+
+    Parameters
+    ----------
+    problem : Problem
+        The drives.
+    terms : sequence of Term
+        Terms of the present model.
+    errors : ndarray, shape (scales,)
+        Reference mean square errors [W^2].
+
+    Returns
+    -------
+    Problem
+        The same problem where no change improves the fit.
+    """
+    design = problem.design(terms, errors)
+    values = solve(design.grams.sum(axis=(0, 1)))
+    sums = _window_grams(problem, terms, values)
+    count = len(terms)
+    totals = [part[-1] for part in sums]
+    afters = [np.zeros_like(total) for total in totals]
+    splits: list[tuple[int, bool]] = [(len(part) - 1, True) for part in sums]
+    for _ in range(_SWEEPS):
+        settled = list(splits)
+        for k, part in enumerate(sums):
+            others_total = sum((totals[j] for j in range(len(sums)) if j != k), 0.0 * totals[k])
+            others_after = sum((afters[j] for j in range(len(sums)) if j != k), 0.0 * totals[k])
+            times = np.arange(_MARGIN, len(part) - _MARGIN)
+            late = part[-1] - part[times]
+            options = [late] if k == 0 else [late, part[times], part[-1:], 0.0 * part[-1:]]
+            best = (np.inf, splits[k], afters[k])
+            for number, after in enumerate(options):
+                grams = _masked(others_total + totals[k], others_after + after, count)
+                losses = _loss(grams)
+                place = int(np.argmin(losses))
+                if losses[place] < best[0] * (1 - 1e-9):
+                    time = (int(times[place]), int(times[place]), 0, len(part) - 1)[number]
+                    best = (float(losses[place]), (time, number != 1), after[place])
+            splits[k], afters[k] = best[1], best[2]
+        if settled == splits:
+            break
+    return Problem(
+        [_marked(drive, *split) for drive, split in zip(problem.drives, splits, strict=True)],
+        problem.vehicle,
+        problem.memory,
+    )
+
+
+def _marked(drive: Drive, window: int, rising: bool) -> Drive:
+    starts = np.append(drive.windows[0].starts, len(drive.t))
+    after = np.arange(len(drive.t)) >= starts[window]
+    return drive.with_channels(changed=np.asarray(after if rising else ~after, float))
+
+
+def lines(effect: Effect, drives: Sequence[Drive]) -> Iterator[Part]:
+    """Return variants of an effect for lines that cross the ground driven on.
+
+    Parameters
+    ----------
+    effect : Effect
+        An effect with the parameters ``direction`` and ``offset``.
+    drives : sequence of Drive
+        Drives with ``x`` and ``y``.
+
+    Yields
+    ------
+    Part
+        Eight directions, five offsets each, so that both sides hold a fifth of the samples.
+    """
+    x = np.concatenate([drive.motion.channels["x"] for drive in drives])
+    y = np.concatenate([drive.motion.channels["y"] for drive in drives])
+    for direction in np.arange(8) * np.pi / 8:
+        along = x * np.cos(direction) + y * np.sin(direction)
+        for offset in np.quantile(along, [0.2, 0.35, 0.5, 0.65, 0.8]):
+            yield Part(effect, (("direction", float(direction)), ("offset", float(offset))))
+
+
+def settle_change(
+    drive: Drive, base: FloatArray, terms: Sequence[Term], values: FloatArray, vehicle: Vehicle
+) -> Drive:
+    """Find when a drive changed state, its coefficients known.
+
+    Parameters
+    ----------
+    drive : Drive
+        A drive that was not fitted.
+    base : ndarray, shape (n,)
+        Power predicted without the change [W].
+    terms : sequence of Term
+        The terms of the change.
+    values : ndarray
+        Their coefficients.
+    vehicle : Vehicle
+        The vehicle.
+
+    Returns
+    -------
+    Drive
+        The drive with the channel ``changed``: in the state that fits it best, with one change
+        where that fits better.
+    """
+    whole = drive.with_channels(changed=np.ones(len(drive.t)))
+    step = sum(
+        (column(term, whole, vehicle) * float(v)
+         for term, v in zip(terms, values, strict=True)),
+        np.zeros(len(drive.t)),
+    )  # fmt: skip
+    windows = drive.windows[0]
+    residual = windows.mean(drive.power - base)
+    shift = windows.mean(np.asarray(step))
+    before, after = residual**2, (residual - shift) ** 2
+    early = np.concatenate([[0.0], np.cumsum(before - after)])
+    rising, falling = early, -early + early[-1]
+    # Sum of squares of changing at window k, less that of having changed all along.
+    k_up, k_down = int(np.argmin(rising)), int(np.argmin(falling))
+    if rising[k_up] <= falling[k_down]:
+        return _marked(drive, k_up, True)
+    return _marked(drive, k_down, False)

@@ -1,0 +1,289 @@
+"""Fits of a sum of terms to drives, with cross-validation and jackknife (private).
+
+Least squares on the window means of `energyplan.diagnosis.windows`: every scale counts by its error
+relative to the error of a reference model, so that each has one vote. Leaving out one block after
+the other is a small linear solve each, because the design is kept as one Gram matrix per block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import f as fisher
+
+from energyplan.diagnosis.linear import is_lossy, linearise
+from energyplan.diagnosis.windows import Design, Drive, column, window_means
+from energyplan.path import FloatArray
+from energyplan.power import SLIP, TRACTION, Term
+from energyplan.power.effects import Effect
+from energyplan.vehicle import Vehicle
+
+PAPER = (SLIP, TRACTION)
+FLOOR = 0.01
+"""Error that is not worth an effect, as a fraction of the root mean square power."""
+
+_LOSS_ROUNDS = 12
+
+
+@dataclass(frozen=True)
+class Part:
+    """An effect with the values of the parameters in which it is not linear."""
+
+    effect: Effect
+    params: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The effect's terms, with these parameters where they have them."""
+        chosen = dict(self.params)
+        return tuple(
+            replace(term, params={key: chosen.get(key, v) for key, v in term.params.items()})
+            for term in self.effect.terms
+        )
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Coefficients of a design, with what leaving out blocks or drives does to them.
+
+    Parameters
+    ----------
+    values : ndarray, shape (k,)
+        Coefficients.
+    losses : ndarray, shape (b,)
+        Cross-validated loss of each block; they sum to the number of scales for the reference.
+    covariance : ndarray, shape (k, k)
+        Jackknife over the blocks.
+    errors : ndarray, shape (scales,)
+        Cross-validated mean square error at each scale [W^2].
+    """
+
+    values: FloatArray
+    losses: FloatArray
+    covariance: FloatArray
+    errors: FloatArray
+
+    @property
+    def loss(self) -> float:
+        """Cross-validated loss."""
+        return float(self.losses.sum())
+
+    def p_value(self, which: Sequence[int]) -> float:
+        """Probability of coefficients this far from zero by chance (Hotelling's T^2)."""
+        count, width = len(self.losses), len(which)
+        value = self.values[list(which)]
+        block = self.covariance[np.ix_(list(which), list(which))]
+        squared = float(value @ np.linalg.pinv(block, hermitian=True) @ value)
+        freedom = max(count - width, 1)
+        return float(fisher.sf(squared * freedom / ((count - 1) * width), width, freedom))
+
+
+def solve(gram: FloatArray, weight: FloatArray | None = None) -> FloatArray:
+    """Least-squares coefficients from Gram matrices, shape (..., k+1, k+1)."""
+    scale = np.sqrt(np.maximum(np.diagonal(gram, axis1=-2, axis2=-1), 1e-300))[..., :-1]
+    normal = gram[..., :-1, :-1] / (scale[..., :, None] * scale[..., None, :])
+    moment = gram[..., :-1, -1] / scale
+    ridge = 1e-9 * np.eye(normal.shape[-1])
+    return np.asarray(np.linalg.solve(normal + ridge, moment[..., None])[..., 0] / scale)
+
+
+def _left_out(total: FloatArray, grams: FloatArray, fold: np.ndarray) -> FloatArray:
+    """Coefficients fitted without each fold, shape (folds, k)."""
+    count = int(fold.max()) + 1
+    sums = np.zeros((count, *total.shape))
+    np.add.at(sums, fold, grams)
+    return solve(total - sums)
+
+
+def weighted(design: Design, errors: FloatArray) -> FloatArray:
+    """Gram matrices of the blocks, summed over scales, each divided by its reference error."""
+    return np.asarray(np.einsum("sbij,s->bij", design.grams, 1.0 / (errors * design.counts)))
+
+
+def fit(design: Design, errors: FloatArray, by_block: bool = False) -> Fit:
+    """Fit a design and cross-validate it.
+
+    Parameters
+    ----------
+    design : Design
+        Columns and power.
+    errors : ndarray, shape (scales,)
+        Reference mean square error of each scale [W^2].
+    by_block : bool
+        Leave out blocks also where there are many drives: for what differs from drive to drive.
+
+    Returns
+    -------
+    Fit
+        Drives are left out where there are four or more, else blocks; the covariance always comes
+        from blocks.
+    """
+    grams = weighted(design, errors)
+    total = grams.sum(axis=0)
+    values = solve(total)
+    blocks = np.arange(len(grams))
+    jack = _left_out(total, grams, blocks)
+    centred = jack - jack.mean(axis=0)
+    covariance = (len(grams) - 1) / len(grams) * centred.T @ centred
+    by_drive = int(design.drives.max()) >= 3 and not by_block
+    held = _left_out(total, grams, design.drives)[design.drives] if by_drive else jack
+    signed = np.column_stack([held, -np.ones(len(held))])
+    losses = np.einsum("bi,bij,bj->b", signed, grams, signed)
+    squares = np.einsum("bi,sbij,bj->s", signed, design.grams, signed)
+    return Fit(values, np.maximum(losses, 0.0), covariance, squares / design.counts)
+
+
+def difference(one: FloatArray, other: FloatArray) -> tuple[float, float]:
+    """Sum of the paired differences of block losses, and its standard error."""
+    gap = one - other
+    return float(gap.sum()), float(np.sqrt(len(gap)) * gap.std(ddof=1))
+
+
+class Problem:
+    """Drives, vehicle, and the columns of terms on them.
+
+    Parameters
+    ----------
+    drives : sequence of Drive
+        Training drives.
+    vehicle : Vehicle
+        With the tread ICRs of the drives' motions.
+    memory : mapping of str to float, optional
+        Coefficients found before, by name of their term, for fits that are not linear to start
+        from.
+    """
+
+    def __init__(
+        self, drives: Sequence[Drive], vehicle: Vehicle, memory: Mapping[str, float] | None = None
+    ) -> None:
+        self.drives = tuple(drives)
+        self.vehicle = vehicle
+        self.memory = dict(memory or {})
+        mean_square = np.mean(np.concatenate([drive.power**2 for drive in self.drives]))
+        self.floor = FLOOR**2 * float(mean_square)
+
+    def without_transitions(self) -> Problem:
+        """Return the drives, each throughout in the state that it was in for longer."""
+        drives = []
+        for drive in self.drives:
+            state = round(float(np.mean(drive.motion.channels["changed"])))
+            drives.append(drive.with_channels(changed=np.full(len(drive.t), float(state))))
+        return Problem(drives, self.vehicle, self.memory)
+
+    def advanced(self, delay: float) -> Problem:
+        """Return the drives with their power moved ahead in time by `delay` [s]."""
+        drives = [drive.advanced(delay) for drive in self.drives]
+        return Problem(drives, self.vehicle, self.memory)
+
+    def tables(
+        self, terms: Sequence[Term], values: FloatArray
+    ) -> tuple[list[FloatArray], list[FloatArray]]:
+        """Return, for each drive, the columns of the terms and the power they are to explain.
+
+        Where a loss depends on the forces, and so on the other coefficients, both are linearised
+        about `values`.
+        """
+        columns, targets = [], []
+        for drive in self.drives:
+            if is_lossy(drive, terms):
+                about = linearise(drive, self.vehicle, terms, values)
+                columns.append(about.columns)
+                targets.append(drive.power - about.power + about.columns @ values)
+            else:
+                columns.append(
+                    np.column_stack([column(term, drive, self.vehicle) for term in terms])
+                )
+                targets.append(drive.power)
+        return columns, targets
+
+    def design(
+        self,
+        terms: Sequence[Term],
+        errors: FloatArray | None = None,
+        start: Mapping[str, float] | None = None,
+        rounds: int = _LOSS_ROUNDS,
+    ) -> Design:
+        """Return the design of some terms: Gauss-Newton where they are not linear.
+
+        Parameters
+        ----------
+        terms : sequence of Term
+            The terms.
+        errors : ndarray, shape (scales,), optional
+            Reference mean square errors [W^2].
+        start : mapping of str to float, optional
+            Coefficients to start from, by name of their term.
+        rounds : int
+            Largest number of steps.
+
+        Returns
+        -------
+        Design
+            Columns, and the power that they are to explain.
+        """
+        if start is None:
+            names = {term.name for term in terms}
+            start = self.memory if names <= set(self.memory) else self._start(terms, errors)
+        values = np.array([start.get(term.name, 0.0) for term in terms])
+        lossy = any(is_lossy(drive, terms) for drive in self.drives)
+        for _ in range(rounds):
+            design = Design.of(self.drives, *self.tables(terms, values))
+            if not lossy:
+                break
+            scale = np.ones(len(design.rows)) if errors is None else errors
+            before, values = values, solve(weighted(design, scale).sum(axis=0))
+            if np.allclose(values, before, rtol=1e-4):
+                break
+        if lossy:
+            self.memory |= {term.name: float(v) for term, v in zip(terms, values, strict=True)}
+        return design
+
+    def _start(self, terms: Sequence[Term], errors: FloatArray | None) -> dict[str, float]:
+        linear = [term for term in terms if term.kind != "loss"]
+        if len(linear) == len(terms):
+            return {}
+        design = self.design(linear, errors, {})
+        scale = np.ones(len(design.rows)) if errors is None else errors
+        values = solve(weighted(design, scale).sum(axis=0))
+        return {term.name: float(v) for term, v in zip(linear, values, strict=True)}
+
+    def means(
+        self, extra: Sequence[Term], terms: Sequence[Term] = (), values: FloatArray | None = None
+    ) -> list[FloatArray]:
+        """Return window means of the columns of further terms beside a model's.
+
+        Parameters
+        ----------
+        extra : sequence of Term
+            The further terms, none of them a loss.
+        terms : sequence of Term
+            Terms of the model; where one is a loss, a further force changes it too.
+        values : ndarray, optional
+            Their coefficients.
+
+        Returns
+        -------
+        list of ndarray
+            Means at each scale.
+        """
+        columns = []
+        for drive in self.drives:
+            if values is not None and is_lossy(drive, terms):
+                whole = np.append(values, np.zeros(len(extra)))
+                wanted = range(len(terms), len(whole))
+                about = linearise(drive, self.vehicle, [*terms, *extra], whole, wanted)
+                columns.append(about.columns)
+            else:
+                columns.append(
+                    np.column_stack([column(term, drive, self.vehicle) for term in extra])
+                )
+        return window_means(self.drives, columns)
+
+    def reference(self, design: Design) -> FloatArray:
+        """Return the cross-validated error of a design, plus the floor, at each scale [W^2]."""
+        errors = np.full(len(design.rows), 1.0)
+        for _ in range(2):
+            errors = fit(design, errors).errors + self.floor
+        return errors

@@ -1,0 +1,150 @@
+"""Errors on drives that were held out, with intervals (private)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from energyplan.diagnosis.change_points import settle_change
+from energyplan.diagnosis.fitting import Part
+from energyplan.diagnosis.windows import BLOCK, Drive
+from energyplan.fit.covariance import correlation_time
+from energyplan.path import FloatArray
+from energyplan.power import PowerModel, Residual
+
+_RESAMPLES = 400
+
+
+@dataclass(frozen=True)
+class ErrorInterval:
+    """95 % intervals of an error on the hold-out drives, from resampled blocks.
+
+    Parameters
+    ----------
+    rmse, mae, bias : tuple of float
+        Lower and upper end [W].
+    energy_error : tuple of float
+        Lower and upper end of predicted over measured energy, minus 1.
+    """
+
+    rmse: tuple[float, float]
+    mae: tuple[float, float]
+    bias: tuple[float, float]
+    energy_error: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Predicted power of a drive.
+
+    Parameters
+    ----------
+    drive : Drive
+        The drive, its power freed of delay.
+    power : ndarray, shape (n,)
+        Predicted power [W].
+    change : float or None
+        When it changed state [s]; None where it did not.
+    """
+
+    drive: Drive
+    power: FloatArray
+    change: float | None = None
+
+
+def predict(model: PowerModel, parts: Sequence[Part], drive: Drive) -> Prediction:
+    """Predict a drive; when it changed state is found on the drive itself.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The model.
+    parts : sequence of Part
+        Effects in it.
+    drive : Drive
+        A drive that it was not fitted to.
+
+    Returns
+    -------
+    Prediction
+        Prediction by the model, its coefficients as they are.
+    """
+    for part in parts:
+        if part.effect.name == "time_offset":
+            drive = drive.advanced(dict(part.params)["delay"])
+    whole = model.battery_side() if drive.battery else model
+    steps = [
+        k for k, term in enumerate(whole.terms) if term.name in ("slip_change", "traction_change")
+    ]
+    if not steps:
+        return Prediction(drive, whole.power(drive.motion))
+    still = drive.with_channels(changed=np.zeros(len(drive.t)))
+    settled = settle_change(
+        drive,
+        whole.power(still.motion),
+        [whole.terms[k] for k in steps],
+        whole.coefficients[steps],
+        whole.vehicle,
+    )
+    changed = settled.motion.channels["changed"]
+    at = np.flatnonzero(np.diff(changed))
+    time = float(drive.t[at[0] + 1]) if len(at) else None
+    return Prediction(drive, whole.power(settled.motion), time)
+
+
+def score(predictions: Sequence[Prediction]) -> Residual:
+    """Return the statistics of measured minus predicted power."""
+    parts = [one.drive.power - one.power for one in predictions]
+    residual = np.concatenate(parts)
+    duration = sum(float(one.drive.t[-1]) for one in predictions)
+    measured = sum(float(np.trapezoid(one.drive.power, one.drive.t)) for one in predictions)
+    predicted = sum(float(np.trapezoid(one.power, one.drive.t)) for one in predictions)
+    period = duration / max(len(residual) - len(parts), 1)
+    stops = np.cumsum([len(part) for part in parts]).tolist()
+    pieces = [slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
+    return Residual(
+        rmse=float(np.sqrt(np.mean(residual**2))),
+        mae=float(np.mean(np.abs(residual))),
+        bias=float(np.mean(residual)),
+        energy_error=predicted / measured - 1.0 if measured else 0.0,
+        correlation_time=correlation_time(residual, period, pieces),
+        duration=duration,
+    )
+
+
+def interval(predictions: Sequence[Prediction], seed: int = 0) -> ErrorInterval:
+    """Return 95 % intervals of the statistics by resampling blocks of driving.
+
+    Parameters
+    ----------
+    predictions : sequence of Prediction
+        Predictions of the hold-out drives.
+    seed : int
+        Seed of the resampling.
+
+    Returns
+    -------
+    ErrorInterval
+        Percentiles over resampled blocks.
+    """
+    rows = []
+    for one in predictions:
+        t = one.drive.t
+        block = np.minimum((t / BLOCK).astype(int), max(int(t[-1] / BLOCK + 0.5), 1) - 1)
+        r = one.drive.power - one.power
+        dt = np.gradient(t)
+        values = np.column_stack(
+            [np.ones(len(r)), r**2, np.abs(r), r, one.drive.power * dt, one.power * dt]
+        )
+        sums = np.zeros((int(block.max()) + 1, values.shape[1]))
+        np.add.at(sums, block, values)
+        rows.append(sums)
+    table = np.concatenate(rows)
+    draws = np.random.default_rng(seed).integers(0, len(table), (_RESAMPLES, len(table)))
+    n, square, absolute, plain, measured, predicted = table[draws].sum(axis=1).T
+    with_energy = np.where(measured != 0, measured, 1.0)
+    samples = (np.sqrt(square / n), absolute / n, plain / n, predicted / with_energy - 1.0)
+    ends = [np.quantile(values, [0.025, 0.975]) for values in samples]
+    return ErrorInterval(*((float(low), float(high)) for low, high in ends))

@@ -1,0 +1,124 @@
+"""All parameters of an extended model fitted together, with their covariance (private)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from energyplan.diagnosis.fitting import PAPER, Part, Problem, fit
+from energyplan.diagnosis.windows import window_means
+from energyplan.path import FloatArray
+from energyplan.power import PowerModel, Term
+from energyplan.power.effects import Effect
+
+_STEP = 0.02  # relative step of a parameter's derivative
+
+
+@dataclass(frozen=True)
+class FinalFit:
+    """A fitted model.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The model with its covariance.
+    errors : mapping of str to float
+        Standard errors of the parameters in which the terms are not linear, by name.
+    """
+
+    model: PowerModel
+    errors: Mapping[str, float]
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Terms of the model."""
+        return self.model.terms
+
+
+def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
+    """Fit the paper's terms and those of the parts together.
+
+    The covariance is the jackknife's over blocks. Where a part has a parameter that was searched,
+    such as a time constant, the derivative of its power by it joins the columns, so that the
+    standard errors allow for the search.
+
+    Parameters
+    ----------
+    problem : Problem
+        The drives.
+    parts : sequence of Part
+        The effects.
+
+    Returns
+    -------
+    FinalFit
+        The model with its covariance.
+    """
+    terms = [*PAPER, *(term for part in parts for term in part.terms)]
+    errors = problem.reference(problem.design(terms))
+    design = problem.design(terms, errors)
+    found = fit(design, errors)
+    covariance, searched = found.covariance, {}
+    moved = _derivatives(
+        problem, parts, dict(zip((t.name for t in terms), found.values, strict=True))
+    )
+    if moved:
+        columns = [np.column_stack(column) for column in zip(*moved.values(), strict=True)]
+        wide = fit(design.joined(window_means(problem.drives, columns)), errors)
+        count = len(terms)
+        covariance = wide.covariance[:count, :count]
+        deviation = np.sqrt(np.diag(wide.covariance)[count:])
+        searched = dict(zip(moved, (float(d) for d in deviation), strict=True))
+    model = PowerModel(
+        problem.vehicle, tuple(terms), found.values, 0.5 * (covariance + covariance.T)
+    )
+    return FinalFit(model, searched)
+
+
+def _derivatives(
+    problem: Problem, parts: Sequence[Part], values: Mapping[str, float]
+) -> dict[str, list[FloatArray]]:
+    """Differentiate the power by each searched parameter, on each drive."""
+    found = {}
+    for part in parts:
+        if part.effect.name == "time_offset":
+            terms = [*PAPER, *(term for other in parts for term in other.terms)]
+            whole = PowerModel(
+                problem.vehicle, tuple(terms), np.array([values[term.name] for term in terms])
+            )
+            found["delay"] = [
+                np.gradient(whole.power(drive.motion), drive.t) for drive in problem.drives
+            ]
+        for key, value in part.params:
+            if key not in part.effect.grid or not part.terms:
+                continue
+            step = _STEP * abs(value)
+            ends = []
+            for x in (value + step, value - step):
+                moved = replace(
+                    part, params=tuple((k, x if k == key else v) for k, v in part.params)
+                )
+                coefficients = np.array([values[term.name] for term in moved.terms])
+                model = PowerModel(problem.vehicle, moved.terms, coefficients)
+                ends.append([model.power(drive.motion) for drive in problem.drives])
+            found[key] = [(a - b) / (2 * step) for a, b in zip(*ends, strict=True)]
+    return found
+
+
+def size_error(effect: Effect, model: PowerModel) -> float:
+    """Return the standard error of an effect's size, from the covariance of the coefficients."""
+    if model.covariance is None:
+        return 0.0
+    values = np.array(model.coefficients)
+    gradient = np.zeros(len(values))
+    for k, value in enumerate(values):
+        step = 1e-5 * max(abs(float(value)), 1e-6)
+        ends = []
+        for x in (value + step, value - step):
+            moved = values.copy()
+            moved[k] = x
+            ends.append(effect.value(replace(model, coefficients=moved)))
+        gradient[k] = (ends[0] - ends[1]) / (2 * step)
+    return float(np.sqrt(max(float(gradient @ model.covariance @ gradient), 0.0)))

@@ -1,0 +1,285 @@
+"""What a residual depends on: every channel and derived signal, tested honestly (private).
+
+A dependence is a smooth function of one signal, as a power or as a force that scales with the
+traction resistance or the slip moment. It is fitted beside the model's own terms, so that what the
+model could have absorbed does not count, and its p-value allows for autocorrelation (by blocks)
+and for the number of signals tried (Holm).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import f as fisher
+
+from energyplan.diagnosis.fitting import Fit, Problem, difference, fit
+from energyplan.diagnosis.windows import Design, Drive, channels_of, window_means
+from energyplan.path import FloatArray
+from energyplan.power import Sides, Term
+from energyplan.power.empirical import CARRIERS, DERIVED, carry, signal
+
+_KNOTS = 6
+_NOT_SIGNALS = {"changed", "p_left", "p_right", "power", "current", "voltage", "yaw_rate"}
+_PERIODS = (2.0, 60.0)  # of a periodic load [s]
+_WAVES = 12  # drives in which a periodic load is looked for
+_WINDOWS = 4  # longest windows that a drive needs to show how much it scatters
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """How a residual depends on one signal.
+
+    Parameters
+    ----------
+    channel : str
+        The signal.
+    carrier : {"power", "traction", "slip"}
+        Whether it acts as a power, on the traction resistance or on the slip friction.
+    shape : str
+        In words.
+    explained_variance : float
+        Share of the cross-validated error that it explains, mean over the time scales.
+    std_error : float
+        Standard error of that share.
+    p_value : float
+        Adjusted for the number of signals tried.
+    knots, values : tuple of float
+        The fitted shape; values in the carrier's unit. Of drives that differ as a whole, the
+        standard deviation between them as a fraction of their power.
+    """
+
+    channel: str
+    carrier: str
+    shape: str
+    explained_variance: float
+    std_error: float
+    p_value: float
+    knots: tuple[float, ...] = ()
+    values: tuple[float, ...] = ()
+
+
+def signals(drives: Sequence[Drive]) -> list[str]:
+    """Names of the signals that every drive has and that vary."""
+    names = [*DERIVED, *sorted(channels_of(drives) - _NOT_SIGNALS)]
+    kept = []
+    for name in names:
+        spread = np.ptp(np.concatenate([signal(drive.motion, name) for drive in drives]))
+        if spread > 1e-6:
+            kept.append(name)
+    return kept
+
+
+def _knots(drives: Sequence[Drive], name: str) -> FloatArray:
+    values = np.concatenate([signal(drive.motion, name) for drive in drives])
+    low, high = np.quantile(values, [0.01, 0.99])
+    inner = np.quantile(values, np.linspace(0, 1, _KNOTS)[1:-1])
+    even = np.linspace(low, high, _KNOTS)[1:-1]
+    places = np.unique(np.round(np.concatenate([[low], 0.5 * (inner + even), [high]]), 9))
+    gap = (high - low) / (3 * _KNOTS)
+    kept = [places[0]]
+    for place in places[1:]:
+        if place - kept[-1] > gap:
+            kept.append(place)
+    return np.array(kept)
+
+
+def _shape_columns(
+    problem: Problem, name: str, carrier: str, knots: FloatArray, skipped: int
+) -> list[FloatArray]:
+    """Columns of hat functions over the knots, at each sample of each drive."""
+    tables = []
+    for drive in problem.drives:
+        values = signal(drive.motion, name)
+        columns = []
+        for k in range(len(knots)):
+            if k == skipped:
+                continue
+            hat = np.interp(values, knots, np.eye(len(knots))[k])
+            part = carry(drive.motion, problem.vehicle, carrier, hat)
+            if isinstance(part, Sides):
+                part = part.left * drive.motion.v_left + part.right * drive.motion.v_right
+            columns.append(part)
+        tables.append(np.column_stack(columns))
+    return tables
+
+
+def dependences(
+    problem: Problem, terms: Sequence[Term], carriers: Sequence[str] = tuple(CARRIERS)
+) -> tuple[Dependence, ...]:
+    """Test the residual of a model against every signal.
+
+    Parameters
+    ----------
+    problem : Problem
+        The drives.
+    terms : sequence of Term
+        Terms of the model.
+    carriers : sequence of str
+        Carriers to try.
+
+    Returns
+    -------
+    tuple of Dependence
+        All that were tried, the largest explained share first; p-values by Holm's method, but for
+        the one question that is asked whatever the channels: whether drives differ as a whole.
+    """
+    errors = problem.reference(problem.design(terms))
+    design = problem.design(terms, errors)
+    now = fit(design, errors)
+    width = len(terms)
+    found = []
+    for name in signals(problem.drives):
+        knots = _knots(problem.drives, name)
+        if len(knots) < 3:
+            continue
+        values = np.concatenate([signal(drive.motion, name) for drive in problem.drives])
+        skipped = int(np.argmin(np.abs(knots - np.median(values))))
+        for carrier in carriers:
+            columns = _shape_columns(problem, name, carrier, knots, skipped)
+            full = design.joined(window_means(problem.drives, columns))
+            new = fit(full, errors)
+            shape = np.insert(new.values[width:], skipped, 0.0)
+            found.append(_dependence(name, carrier, knots, shape, now, new, width))
+    found += _periodic(problem, now, errors, design)
+    settled = [*_holm(found), *_between_drives(now, design)]
+    return tuple(sorted(settled, key=lambda one: -one.explained_variance))
+
+
+def _between_drives(now: Fit, design: Design) -> list[Dependence]:
+    """Test whether drives differ as a whole, each by a factor of its power.
+
+    Welch's analysis of variance of the drives' relative errors, as drives scatter differently; the
+    part of their variance that the scatter within drives does not explain is Paule's and Mandel's.
+    What only differs from drive to drive no other drive can foretell; no term is made of it.
+
+    References
+    ----------
+    Welch (1951), Biometrika 38, 330-336. Paule and Mandel (1982), J. Res. NBS 87, 377-385.
+    """
+    table, owner = design.rows[-1], design.drives[design.blocks[-1]]
+    predicted = table[:, :-1] @ now.values
+    residual = table[:, -1] - predicted
+    factors, variances, sizes = [], [], []
+    for drive in range(int(owner.max()) + 1):
+        mine = owner == drive
+        size, energy = int(np.count_nonzero(mine)), float(predicted[mine].sum())
+        if size < _WINDOWS or energy <= 0.0:
+            continue
+        factor = float(residual[mine].sum()) / energy
+        scatter = residual[mine] - factor * predicted[mine]
+        factors.append(factor)
+        variances.append(size * float(scatter @ scatter) / (size - 1) / energy**2)
+        sizes.append(size)
+    count = len(factors)
+    if count < 3 or min(variances) <= 0.0:
+        return []
+    values, noise = np.array(factors), np.array(variances)
+
+    def scattered(square: float) -> float:
+        weight = 1.0 / (noise + square)
+        return float(weight @ (values - weight @ values / weight.sum()) ** 2)
+
+    lack = float(np.sum((1 - 1 / noise / np.sum(1 / noise)) ** 2 / (np.array(sizes) - 1.0)))
+    ratio = scattered(0.0) / (count - 1) / (1 + 2 * (count - 2) / (count**2 - 1) * lack)
+    p_value = float(fisher.sf(ratio, count - 1, (count**2 - 1) / (3 * lack)))
+    spread = 0.0
+    if scattered(0.0) > count - 1:
+        most = 2 * float(np.var(values, ddof=1))
+        spread = float(np.sqrt(brentq(lambda square: scattered(square) - (count - 1), 0.0, most)))
+    squares = [float(np.mean((rows[:, :-1] @ now.values) ** 2)) for rows in design.rows]
+    share = float(np.mean(np.minimum(spread**2 * np.array(squares) / now.errors, 1.0)))
+    words = f"drives differ as a whole, by {100 * spread:.1f} % of their power (standard deviation)"
+    return [Dependence("drive", "power", words, share, 0.0, p_value, (), (spread,))]
+
+
+def _dependence(
+    name: str, carrier: str, knots: FloatArray, shape: FloatArray, now: Fit, new: Fit, width: int
+) -> Dependence:
+    gain, error = difference(now.losses, new.losses)
+    p_value = new.p_value(range(width, len(new.values)))
+    scale = len(now.errors)
+    return Dependence(
+        name, carrier, in_words(name, carrier, knots, shape), gain / scale, error / scale,
+        p_value, tuple(knots.tolist()), tuple(shape.tolist()),
+    )  # fmt: skip
+
+
+def _periodic(problem: Problem, now: Fit, errors: FloatArray, design: Design) -> list[Dependence]:
+    """Test for a load that comes and goes with a fixed period, its phase free in each drive."""
+    length = np.array([float(drive.t[-1]) for drive in problem.drives])
+    # A column for each drive and phase: of very many drives the longest tell.
+    chosen = np.sort(np.argsort(-length, kind="stable")[:_WAVES])
+    drives, design = [problem.drives[k] for k in chosen], design.of_drives(chosen)
+    longest = float(length.max())
+    step = min(drive.windows[0].length for drive in drives)
+    padded = int(np.ceil(2 * longest / step)) + 2
+    frequencies = np.fft.rfftfreq(padded, step)
+    band = (frequencies >= 1 / min(_PERIODS[1], longest / 3)) & (frequencies < 1 / _PERIODS[0])
+    frequencies = frequencies[band]
+    table, owner = design.rows[0], design.drives[design.blocks[0]]
+    residual, explained = table[:, -1] - table[:, :-1] @ now.values, 0.0 * frequencies
+    for k, drive in enumerate(drives):
+        part = residual[owner == k]
+        grid = np.zeros(padded)
+        grid[(drive.t[drive.windows[0].starts] / step).astype(np.intp)] = part - part.mean()
+        explained += np.abs(np.fft.rfft(grid)[band]) ** 2 / len(part)
+    frequency = float(frequencies[np.argmax(explained)])
+    tables = []
+    for k, drive in enumerate(drives):
+        waves = np.zeros((len(drive.t), 2 * len(drives)))
+        angle = 2 * np.pi * frequency * drive.t
+        waves[:, 2 * k], waves[:, 2 * k + 1] = np.cos(angle), np.sin(angle)
+        tables.append(waves)
+    joined = design.joined(window_means(drives, tables))
+    new = fit(joined, errors, by_block=True)
+    gain, error = difference(fit(design, errors, by_block=True).losses, new.losses)
+    width = len(now.values)
+    p_value = min(new.p_value(range(width, len(new.values))) * len(frequencies), 1.0)
+    words = f"periodic load, period {1 / frequency:.2g} s"
+    return [Dependence("t", "power", words, gain / len(errors), error / len(errors), p_value)]
+
+
+def _holm(found: Sequence[Dependence]) -> list[Dependence]:
+    order = np.argsort([one.p_value for one in found])
+    adjusted, running = np.zeros(len(found)), 0.0
+    for rank, index in enumerate(order):
+        running = max(running, min((len(found) - rank) * found[index].p_value, 1.0))
+        adjusted[index] = running
+    return [replace(one, p_value=float(p)) for one, p in zip(found, adjusted, strict=True)]
+
+
+_CARRIED = {"power": "power", "traction": "traction resistance", "slip": "slip moment"}
+
+
+def in_words(name: str, carrier: str, knots: FloatArray, shape: FloatArray) -> str:
+    """Describe a shape: rises, falls, step, only on one side, a valley or a hump."""
+    what = _CARRIED[carrier]
+    spread = float(np.ptp(shape))
+    steps = np.diff(shape)
+    if spread == 0.0:
+        return f"{what} does not depend on {name}"
+    sides = [
+        shape[knots > 0.05 * np.max(np.abs(knots))],
+        shape[knots < -0.05 * np.max(np.abs(knots))],
+    ]
+    if all(len(side) for side in sides):
+        ends = [float(np.mean(side)) for side in sides]
+        flat = [float(np.ptp(side)) < 0.5 * spread for side in sides]
+        if all(flat) and abs(ends[0] - ends[1]) > 0.5 * spread:
+            more = "positive" if ends[0] > ends[1] else "negative"
+            return f"more {what} where {name} is {more}"
+    largest = int(np.argmax(np.abs(steps)))
+    if abs(steps[largest]) > 0.75 * spread and len(steps) > 2:
+        place = 0.5 * (knots[largest] + knots[largest + 1])
+        way = "up" if steps[largest] > 0 else "down"
+        return f"{what} steps {way} at {name} = {place:.3g}"
+    if np.sum(np.maximum(-steps, 0)) < 0.2 * spread:
+        return f"{what} rises with {name}"
+    if np.sum(np.maximum(steps, 0)) < 0.2 * spread:
+        return f"{what} falls with {name}"
+    middle = float(np.mean(shape[1:-1]))
+    edge = 0.5 * (shape[0] + shape[-1])
+    return f"{what} has a {'valley' if middle < edge else 'hump'} over {name}"

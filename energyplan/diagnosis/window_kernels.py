@@ -1,0 +1,37 @@
+"""Sums of products over blocks of windows, compiled (private).
+
+With a million samples the products of all columns at each window would take gigabytes; here they
+go straight into the sum of their block.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from energyplan.compilation import njit
+from energyplan.path import FloatArray
+
+
+@njit
+def block_grams(table: FloatArray, block: NDArray[np.intp], count: int) -> FloatArray:
+    """Gram matrix of the rows of each block, shape (count, k, k)."""
+    rows, width = table.shape
+    total = np.zeros((count, width, width))
+    for n in range(rows):
+        into = total[block[n]]
+        for i in range(width):
+            for j in range(i + 1):
+                into[i, j] += table[n, i] * table[n, j]
+    for b in range(count):
+        for i in range(width):
+            for j in range(i):
+                total[b, j, i] = total[b, i, j]
+    return total
+
+
+def block_grams_reference(table: FloatArray, block: NDArray[np.intp], count: int) -> FloatArray:
+    """Return the same in NumPy: what tests hold `block_grams` against."""
+    total = np.zeros((count, table.shape[1], table.shape[1]))
+    np.add.at(total, block, np.einsum("ni,nj->nij", table, table))
+    return total

@@ -1,0 +1,274 @@
+"""Drives as regression data: columns averaged over windows of several lengths (private).
+
+A residual has causes on several time scales: inertia lives in the ramps, a hotel load or a slope
+in whole manoeuvres. Least squares on single samples sees mostly noise and ramps. Here every drive
+is averaged over windows of half a second, two and eight seconds, and an error counts relative to
+the present error on its own scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from energyplan.diagnosis.denoise import quiet
+from energyplan.diagnosis.window_kernels import block_grams
+from energyplan.errors import DriveLogError
+from energyplan.logs import DriveLog
+from energyplan.motion import Motion
+from energyplan.path import FloatArray
+from energyplan.power import Sides, Term
+from energyplan.vehicle import Vehicle
+
+SCALES = (0.5, 2.0, 8.0)
+"""Window lengths [s]; each divides the next."""
+
+BLOCK = 8.0
+"""Length of the blocks that cross-validation leaves out [s]."""
+
+_KEPT = 24  # forces of terms kept a drive
+_MANY = 200_000  # samples that selection works on
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A log ready for regression.
+
+    Parameters
+    ----------
+    name : str
+        Name of the log.
+    t : ndarray, shape (n,)
+        Time since the start [s].
+    motion : Motion, shape (n,)
+        The motion, with the channels ``accel``, ``yaw_accel`` and ``distance``.
+    power : ndarray, shape (n,)
+        Measured total power [W].
+    battery : bool
+        Whether it was measured at the battery.
+    fields : dict
+        Forces of terms, kept for `field_of`.
+    """
+
+    name: str
+    t: FloatArray
+    motion: Motion
+    power: FloatArray
+    battery: bool = False
+    fields: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    @classmethod
+    def of(cls, log: DriveLog, vehicle: Vehicle) -> Drive:
+        """Prepare a log.
+
+        Raises
+        ------
+        DriveLogError
+            If it is shorter than two blocks.
+        """
+        t = np.asarray(log.t - log.t[0])
+        if t[-1] < 2 * BLOCK:
+            raise DriveLogError(
+                f"{log.name}: {t[-1]:.1f} s are too short to learn from; give {2 * BLOCK:.0f} s "
+                "or more"
+            )
+        motion = quiet(log.motion(vehicle.icr), t)
+        steps = 0.5 * np.diff(t) * (np.abs(motion.v[1:]) + np.abs(motion.v[:-1]))
+        distance = np.concatenate([[0.0], np.cumsum(steps)])
+        return cls(
+            log.name, t, motion.with_channels(t=t, distance=distance), log.power, log.battery_side
+        )
+
+    def with_channels(self, **channels: FloatArray) -> Drive:
+        """Return the drive with channels added to its motion."""
+        return replace(self, motion=self.motion.with_channels(**channels), fields={})
+
+    def advanced(self, delay: float) -> Drive:
+        """Return the drive with its power moved ahead in time by `delay` [s]."""
+        return replace(self, power=np.interp(self.t + delay, self.t, self.power))
+
+    def thinned(self, step: int) -> Drive:
+        """Return every `step`-th sample of the drive."""
+        motion = self.motion
+        channels = {name: values[::step] for name, values in motion.channels.items()}
+        few = Motion(motion.v_left[::step], motion.v_right[::step], motion.icr, channels)
+        return replace(self, t=self.t[::step], motion=few, power=self.power[::step], fields={})
+
+    @cached_property
+    def windows(self) -> tuple[Windows, ...]:
+        """Windows of each scale."""
+        period = float(np.median(np.diff(self.t)))
+        return tuple(Windows.of(self.t, max(scale, 3 * period)) for scale in SCALES)
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Consecutive windows of one length over a drive.
+
+    Parameters
+    ----------
+    starts : ndarray of int, shape (w,)
+        First sample of each window.
+    counts : ndarray, shape (w,)
+        Samples in each window.
+    blocks : ndarray of int, shape (w,)
+        Block that each window lies in.
+    length : float
+        Their length [s].
+    """
+
+    starts: np.ndarray[tuple[int], np.dtype[np.intp]]
+    counts: FloatArray
+    blocks: np.ndarray[tuple[int], np.dtype[np.intp]]
+    length: float
+
+    @classmethod
+    def of(cls, t: FloatArray, length: float) -> Windows:
+        """Cut times into windows; a last one shorter than half its length joins its neighbour."""
+        count = max(int(np.floor(t[-1] / length + 0.5)), 1)
+        index = np.minimum((t / length).astype(np.intp), count - 1)
+        _, starts = np.unique(index, return_index=True)
+        counts = np.diff(np.append(starts, len(t))).astype(float)
+        number = max(int(np.floor(t[-1] / BLOCK + 0.5)), 1)
+        blocks = np.minimum((t[starts] / BLOCK).astype(np.intp), number - 1)
+        return cls(starts.astype(np.intp), counts, blocks, length)
+
+    def mean(self, values: FloatArray) -> FloatArray:
+        """Return means over the windows; the first axis is time."""
+        total = np.add.reduceat(values, self.starts, axis=0)
+        return np.asarray(total / self.counts.reshape(-1, *[1] * (values.ndim - 1)))
+
+
+def prepared(logs: Sequence[DriveLog], vehicle: Vehicle) -> list[Drive]:
+    """Prepare training drives; very many samples are thinned, to four a shortest window at least.
+
+    Speeds are cleaned before: only the averaging of noise suffers, of which there is plenty left.
+    """
+    drives = [Drive.of(log, vehicle) for log in logs]
+    total = sum(len(drive.t) for drive in drives)
+    period = max(float(np.median(np.diff(drive.t))) for drive in drives)
+    step = min(int(np.ceil(total / _MANY)), int(SCALES[0] / (4 * period)))
+    return [drive.thinned(step) for drive in drives] if step > 1 else drives
+
+
+def field_of(term: Term, drive: Drive, vehicle: Vehicle) -> Any:
+    """Return force or power per unit of a term that is no loss, computed once a drive."""
+    key = (term.name, tuple(term.params.items()), vehicle.slip_moment)
+    if key not in drive.fields:
+        if len(drive.fields) > _KEPT:
+            drive.fields.clear()
+        drive.fields[key] = term.function(drive.motion, vehicle, **term.params)
+    return drive.fields[key]
+
+
+def column(term: Term, drive: Drive, vehicle: Vehicle) -> FloatArray:
+    """Total power per unit of a linear term's coefficient at each sample [W per unit]."""
+    value = field_of(term, drive, vehicle)
+    if term.kind == "force":
+        motion = drive.motion
+        return np.asarray(value.left * motion.v_left + value.right * motion.v_right)
+    return np.asarray(value.total if isinstance(value, Sides) else value)
+
+
+@dataclass(frozen=True)
+class Design:
+    """Window means of columns and power, block by block, at every scale.
+
+    Parameters
+    ----------
+    rows : tuple of ndarray, shape (w, k + 1)
+        At each scale, window means of the k columns and, last, of the power.
+    blocks : tuple of ndarray of int, shape (w,)
+        At each scale, the block of each window, counted over all drives.
+    drives : ndarray of int, shape (b,)
+        Drive that each block belongs to.
+    """
+
+    rows: tuple[FloatArray, ...]
+    blocks: tuple[np.ndarray[tuple[int], np.dtype[np.intp]], ...]
+    drives: np.ndarray[tuple[int], np.dtype[np.intp]]
+
+    @classmethod
+    def of(
+        cls, drives: Sequence[Drive], columns: Sequence[FloatArray], targets: Sequence[FloatArray]
+    ) -> Design:
+        """Average columns, shape (n, k), and target power of each drive over its windows."""
+        first, owner = 0, []
+        rows: list[list[FloatArray]] = [[] for _ in SCALES]
+        blocks: list[list[NDArray[np.intp]]] = [[] for _ in SCALES]
+        for k, (drive, values, target) in enumerate(zip(drives, columns, targets, strict=True)):
+            table = np.column_stack([values, target])
+            for scale, windows in enumerate(drive.windows):
+                rows[scale].append(windows.mean(table))
+                blocks[scale].append(windows.blocks + first)
+            count = int(drive.windows[0].blocks[-1]) + 1
+            owner += [k] * count
+            first += count
+        return cls(
+            tuple(np.concatenate(part) for part in rows),
+            tuple(np.concatenate(part) for part in blocks),
+            np.array(owner),
+        )
+
+    def joined(self, extra: Sequence[FloatArray]) -> Design:
+        """Return the design with further columns, window means at each scale, before the power."""
+        rows = tuple(
+            np.column_stack([table[:, :-1], more, table[:, -1]])
+            for table, more in zip(self.rows, extra, strict=True)
+        )
+        return replace(self, rows=rows)
+
+    def picked(self, columns: Sequence[int]) -> Design:
+        """Return the design with some of its columns."""
+        keep = [*columns, -1]
+        return replace(self, rows=tuple(table[:, keep] for table in self.rows))
+
+    def of_drives(self, chosen: NDArray[np.intp]) -> Design:
+        """Return the design of some drives only, given in ascending order."""
+        kept = np.isin(self.drives, chosen)
+        number = np.cumsum(kept) - 1
+        masks = [kept[block] for block in self.blocks]
+        return Design(
+            tuple(table[mask] for table, mask in zip(self.rows, masks, strict=True)),
+            tuple(number[block[mask]] for block, mask in zip(self.blocks, masks, strict=True)),
+            np.searchsorted(chosen, self.drives[kept]),
+        )
+
+    @cached_property
+    def grams(self) -> FloatArray:
+        """Gram matrix of each scale and block, power included, shape (scales, b, k+1, k+1)."""
+        return np.stack(
+            [
+                block_grams(np.ascontiguousarray(table), block, len(self.drives))
+                for table, block in zip(self.rows, self.blocks, strict=True)
+            ]
+        )
+
+    @property
+    def counts(self) -> FloatArray:
+        """Number of windows at each scale."""
+        return np.array([len(table) for table in self.rows], float)
+
+
+def window_means(drives: Sequence[Drive], columns: Sequence[FloatArray]) -> list[FloatArray]:
+    """Window means of the columns of all drives, at each scale."""
+    return [
+        np.concatenate(
+            [drive.windows[k].mean(values) for drive, values in zip(drives, columns, strict=True)]
+        )
+        for k in range(len(SCALES))
+    ]
+
+
+def channels_of(drives: Sequence[Drive]) -> frozenset[str]:
+    """Return the channels that every drive carries."""
+    common: Mapping[str, object] = drives[0].motion.channels
+    names = set(common)
+    for drive in drives[1:]:
+        names &= set(drive.motion.channels)
+    return frozenset(names)

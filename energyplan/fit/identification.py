@@ -1,0 +1,394 @@
+"""From drive logs to a power model: coefficients, tread ICRs, and how well both are known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Literal, cast
+
+import numpy as np
+from scipy.stats import t as student
+
+from energyplan import html
+from energyplan.errors import InvalidInputError, ModelError, NotIdentifiableError, UnknownNameError
+from energyplan.fit.covariance import autocorrelation, correlation_time
+from energyplan.fit.icr import ICREstimate, fit_icr, icr_from_spin, turned, yaw_channel
+from energyplan.fit.identifiability import check_identifiable, linearise, signal_motion
+from energyplan.fit.regression import Method, Problem, pieces_of
+from energyplan.fit.solvers import Bounds
+from energyplan.logs import DriveLog
+from energyplan.motion import Motion
+from energyplan.path import FloatArray
+from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Term
+from energyplan.vehicle import TreadICR, Vehicle
+
+__all__ = ["ICREstimate", "Identification", "fit_icr", "fit_residual", "icr_from_spin", "identify"]
+
+ICRChoice = Literal["auto", "symmetric", "asymmetric", "vehicle"]
+
+_SHORTEST = 1.0
+"""Shortest drive worth a look [s]."""
+
+_LARGEST_ICR_ERROR = 0.1
+"""Error of an ICR, over half the slip track, beyond which symmetry is the better guess."""
+
+_LEAST_INDEPENDENT = 20.0
+"""Effectively independent samples below which a standard error is doubtful."""
+
+
+@dataclass(frozen=True)
+class Identification:
+    """A power model identified from logs.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The model, with covariance, residual, and a vehicle that has the identified tread ICRs.
+    method : str
+        How the coefficients were found.
+    icr_covariance : ndarray, shape (3, 3), optional
+        Covariance of the left, right and longitudinal tread ICR [m^2]; None where the vehicle's
+        own were kept.
+    effective_samples : float
+        How many independent samples the autocorrelated residual is worth.
+    warnings : tuple of str
+        What the logs cannot tell, or hardly.
+    """
+
+    model: PowerModel
+    method: str
+    icr_covariance: FloatArray | None
+    effective_samples: float
+    warnings: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        if self.model.covariance is None or self.model.residual is None:
+            raise ModelError("an identified model needs its covariance and its residual")
+
+    def _repr_html_(self) -> str:
+        """Return the coefficients as a table, for notebooks."""
+        rows: list[tuple[object, ...]] = [
+            (term.name, term.symbol, float(value), self.std_error[term.name], term.unit)
+            for term, value in zip(self.model.terms, self.model.coefficients, strict=True)
+        ]
+        spread = self.icr_std_error or {}
+        rows += [
+            (f"tread ICR {side}", "C", getattr(self.icr, side), spread.get(side, "kept"), "m")
+            for side in ("left", "right")
+        ]
+        title = f"{self.model.name}: residual {html.number(self.residual.rmse)} W rms"
+        header = ("term", "symbol", "value", "standard error", "unit")
+        return html.result(title, header, rows, self.warnings)
+
+    @property
+    def residual(self) -> Residual:
+        """Measured minus predicted power on the logs that the model was fitted to."""
+        return cast("Residual", self.model.residual)
+
+    @property
+    def std_error(self) -> Mapping[str, float]:
+        """Standard error of each term's coefficient, by the term's name."""
+        spread = np.sqrt(np.diag(cast("FloatArray", self.model.covariance))).tolist()
+        names = [term.name for term in self.model.terms]
+        return MappingProxyType(dict(zip(names, spread, strict=True)))
+
+    @property
+    def icr(self) -> TreadICR:
+        """Tread ICRs: identified, or the vehicle's where the logs cannot tell them."""
+        return self.model.vehicle.icr
+
+    @property
+    def icr_std_error(self) -> Mapping[str, float] | None:
+        """Standard errors of left, right and longitudinal [m]; None where nothing was measured."""
+        if self.icr_covariance is None:
+            return None
+        return ICREstimate(self.icr, self.icr_covariance, 0.0, "").std_error
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Confidence interval of a term's coefficient.
+
+        Parameters
+        ----------
+        name : str
+            Name of the term.
+        level : float
+            Probability in (0, 1) that such intervals hold the truth.
+
+        Returns
+        -------
+        tuple of float
+            Lower and upper end, by Student's distribution at `effective_samples`.
+
+        Raises
+        ------
+        UnknownNameError
+            If the model has no such term.
+        InvalidInputError
+            If the level is no probability.
+        """
+        if not 0 < level < 1:
+            raise InvalidInputError(f"level is {level}; give a probability such as 0.95")
+        freedom = max(self.effective_samples - len(self.model.terms), 1.0)
+        value = self.model.coefficient(name)
+        reach = float(student.ppf(0.5 + level / 2, freedom)) * self.std_error[name]
+        return value - reach, value + reach
+
+
+def identify(
+    logs: DriveLog | Sequence[DriveLog],
+    vehicle: Vehicle,
+    *,
+    terms: Sequence[Term] = (SLIP, TRACTION),
+    method: Method = "lad",
+    icr: ICRChoice | TreadICR = "auto",
+    name: str = "identified",
+) -> Identification:
+    """Identify a power model from drive logs.
+
+    Parameters
+    ----------
+    logs : DriveLog or sequence of DriveLog
+        The drives. A log of battery power is compared with what the battery delivers at the
+        vehicle's drive and regeneration efficiency.
+    vehicle : Vehicle
+        The robot: contacts and loads, and the tread ICRs to fall back to.
+    terms : sequence of Term
+        What the robot may draw power for; any terms, also ones that are not linear in the
+        coefficients.
+    method : {"lad", "simplex", "huber"}
+        ``lad``: least sum of absolute residuals, exact (Eq. 7 as a linear program). ``simplex``:
+        the same sum by the paper's Nelder-Mead search. ``huber``: squares near zero, absolute
+        values beyond, for Gaussian noise with outliers.
+    icr : {"auto", "symmetric", "asymmetric", "vehicle"} or TreadICR
+        ``auto``: all that the logs tell about the tread ICRs, the vehicle's for the rest.
+        ``symmetric`` and ``asymmetric`` raise where they cannot be told. ``vehicle`` or given
+        values: not identified.
+    name : str
+        Name of the model.
+
+    Returns
+    -------
+    Identification
+        The model with its covariance, which allows for autocorrelated residuals and for the error
+        of the tread ICRs.
+
+    Raises
+    ------
+    NotIdentifiableError
+        If the logs cannot tell a coefficient, or two apart; the message says what to drive.
+    MissingChannelError
+        If a term needs a channel that a log lacks.
+    InvalidInputError
+        If there are no logs or no terms.
+
+    References
+    ----------
+    Morales et al. (2010), section III-B; docs/theory, section 6.
+
+    Examples
+    --------
+    >>> from energyplan import simulate
+    >>> truth = PowerModel.preset("quadriga:empty:marble")
+    >>> log = simulate.drive(truth, "spiral", power_noise=5.0, seed=1)
+    >>> found = identify(log, Vehicle.preset("quadriga:empty"))
+    >>> abs(found.model.coefficient("traction_resistance") / 90.0 - 1) < 0.02
+    True
+    """
+    drives = _drives(logs)
+    if not terms:
+        raise InvalidInputError("no terms to identify; give at least one")
+    if sum(log.duration for log in drives) < _SHORTEST:
+        raise InvalidInputError(
+            f"{drives[0].name}: less than {_SHORTEST:g} s of samples; record a drive"
+        )
+    if not any(np.any(log.power) for log in drives):
+        raise NotIdentifiableError(
+            f"{drives[0].name}: the measured power is zero throughout; check its channel"
+        )
+    warnings: list[str] = []
+    estimate = _find_icr(drives, vehicle, icr, warnings)
+    settled = icr if isinstance(icr, TreadICR) else estimate.icr if estimate else vehicle.icr
+    vehicle = vehicle.with_icr(settled)
+    bounds = Bounds(*np.array([term.bounds for term in terms], float).T)
+    start = bounds.clip(np.zeros(len(terms)))
+    model = PowerModel(vehicle, tuple(terms), start, name=name)
+
+    turning = turned(drives, settled)
+    clean = [signal_motion(log, settled, turning) for log in drives]
+    linear = [term for term in terms if term.kind != "loss"]
+    if linear:
+        first = PowerModel(vehicle, tuple(linear), np.zeros(len(linear)))
+        doubts = check_identifiable(first, _stacked(first, clean, drives))
+    problem = Problem(drives, model)
+    model = problem.solve(method, bounds)
+    if len(linear) < len(terms):
+        doubts = check_identifiable(model, _stacked(model, clean, drives))
+    warnings += doubts
+
+    covariance = problem.covariance(model, method)
+    if estimate is not None:
+        covariance = covariance + problem.inherited(model, estimate)
+    residual = _statistics(problem.residual(model), drives)
+    independent = residual.duration / max(2 * residual.correlation_time, 1e-300)
+    model = replace(model, covariance=covariance, residual=residual)
+    icr_covariance = None if estimate is None else estimate.covariance
+    warnings += _doubts(model, bounds, independent)
+    warnings += _draw_at_rest(model, clean, drives)
+    return Identification(model, method, icr_covariance, independent, tuple(warnings))
+
+
+def fit_residual(model: PowerModel, logs: DriveLog | Sequence[DriveLog]) -> Residual:
+    """Compare a model's power with what logs measured.
+
+    Where speeds are zero but for their noise, or equal, they count as zero, or as equal.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The model.
+    logs : DriveLog or sequence of DriveLog
+        Drives, best ones that the model was not fitted to.
+
+    Returns
+    -------
+    Residual
+        Statistics of measured minus predicted power.
+
+    Raises
+    ------
+    MissingChannelError
+        If a term needs a channel that a log lacks.
+    InvalidInputError
+        If there are no logs.
+    """
+    drives = _drives(logs)
+    return _statistics(Problem(drives, model).residual(model), drives)
+
+
+# -- parts --------------------------------------------------------------------------------------
+
+
+def _statistics(residual: FloatArray, drives: Sequence[DriveLog]) -> Residual:
+    weights = np.concatenate([log.weights for log in drives])
+    measured, missing = sum(log.energy for log in drives), float(weights @ residual)
+    if measured == 0.0:
+        energy_error = 0.0 if missing == 0.0 else -float(np.copysign(np.inf, missing))
+    else:
+        energy_error = -missing / measured
+    duration, pieces = sum(log.duration for log in drives), pieces_of(drives)
+    period = duration / max(len(residual) - len(pieces), 1)
+    return Residual(
+        rmse=float(np.sqrt(np.mean(residual**2))),
+        mae=float(np.mean(np.abs(residual))),
+        bias=float(np.mean(residual)),
+        energy_error=energy_error,
+        correlation_time=correlation_time(residual, period, pieces),
+        duration=duration,
+    )
+
+
+def _draw_at_rest(
+    model: PowerModel, clean: Sequence[Motion], drives: Sequence[DriveLog]
+) -> list[str]:
+    """Warn of power that the robot draws standing still and no term explains."""
+    residual = np.concatenate(
+        [
+            (log.power - (model.battery_side() if log.battery_side else model).power(motion))[
+                (motion.v_left == 0) & (motion.v_right == 0)
+            ]
+            for motion, log in zip(clean, drives, strict=True)
+        ]
+    )
+    if len(residual) < _LEAST_INDEPENDENT:
+        return []
+    mean, error = float(residual.mean()), float(residual.std())
+    repeats = autocorrelation(residual, [slice(0, len(residual))]).repeats
+    if abs(mean) < 5 * max(error * np.sqrt(repeats / len(residual)), 0.1):
+        return []
+    return [
+        f"at rest the robot draws {mean:.1f} W that no term explains: a constant load, or a "
+        "sensor offset; the other coefficients take it up where they can"
+    ]
+
+
+def _drives(logs: DriveLog | Sequence[DriveLog]) -> list[DriveLog]:
+    drives = [logs] if isinstance(logs, DriveLog) else list(logs)
+    if not drives:
+        raise InvalidInputError("no logs; give at least one drive")
+    return drives
+
+
+def _stacked(
+    model: PowerModel, motions: Sequence[Motion], drives: Sequence[DriveLog]
+) -> FloatArray:
+    """Regressors of all logs, one below the other."""
+    return np.concatenate(
+        [
+            linearise(model, motion, log.battery_side).jacobian
+            for motion, log in zip(motions, drives, strict=True)
+        ]
+    )
+
+
+def _find_icr(
+    drives: Sequence[DriveLog], vehicle: Vehicle, icr: ICRChoice | TreadICR, warnings: list[str]
+) -> ICREstimate | None:
+    """Identify tread ICRs as asked; None, with a warning, where they are kept."""
+    if isinstance(icr, TreadICR) or icr == "vehicle":
+        return None
+    if icr not in ("auto", "symmetric", "asymmetric"):
+        raise UnknownNameError(
+            "choice of icr", str(icr), ("auto", "symmetric", "asymmetric", "vehicle")
+        )
+    if icr != "auto":
+        return fit_icr(drives, vehicle.icr, asymmetric=icr == "asymmetric")
+    kept = (
+        f"the vehicle's tread ICRs were kept (left {vehicle.icr.left:.3f} m, "
+        f"right {vehicle.icr.right:.3f} m)"
+    )
+    if yaw_channel(drives) is None:
+        warnings.append(
+            f"{kept}: the logs have no yaw or yaw_rate. Coefficients of terms that act on turning "
+            "hold for these tread ICRs only"
+        )
+        return None
+    try:
+        estimate = fit_icr(drives, vehicle.icr)
+    except NotIdentifiableError as reason:
+        warnings.append(f"{kept}: {reason}")
+        return None
+    worst = max(estimate.std_error.values())
+    if estimate.source == "pose" and worst > _LARGEST_ICR_ERROR * estimate.icr.half_track:
+        warnings.append(
+            "the pose is too coarse to tell left, right and longitudinal tread ICR apart "
+            f"(standard error {worst:.2g} m): only their distance was identified"
+        )
+        return fit_icr(drives, vehicle.icr, asymmetric=False)
+    return estimate
+
+
+def _doubts(model: PowerModel, bounds: Bounds, independent: float) -> list[str]:
+    """Warnings about what was found."""
+    found = []
+    for term, value, low, high in zip(
+        model.terms, model.coefficients, bounds.lower, bounds.upper, strict=True
+    ):
+        error = model.std_error(term.name) or 0.0
+        if value <= low or value >= high:
+            found.append(
+                f"{term.name} ({term.symbol}) is at the end {value:g} of its possible range: "
+                "nothing of it shows in these logs, a sign is wrong, or a term is missing"
+            )
+        elif error > 0.5 * abs(value):
+            found.append(
+                f"{term.name} ({term.symbol}) is hardly known: {value:.4g} with a standard error "
+                f"of {error:.2g}{'' if term.unit == '1' else ' ' + term.unit}; drive more of what "
+                "it acts on"
+            )
+    if independent < _LEAST_INDEPENDENT:
+        found.append(
+            f"the residual is so correlated that the logs hold about {independent:.0f} independent "
+            "samples; the standard errors are rough. Record longer, or look for a missing effect"
+        )
+    return found

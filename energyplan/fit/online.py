@@ -1,0 +1,375 @@
+"""Recursive identification while driving, and detection of a change of ground.
+
+The paper's future work: "an automatic on-line implementation of the identification procedure would
+be valuable to recalculate model parameters in missions where terrain type is unknown".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from energyplan.errors import InvalidInputError, MissingChannelError
+from energyplan.fit import _online_kernel as kernel
+from energyplan.fit.identifiability import is_linear, linearise
+from energyplan.logs import DriveLog
+from energyplan.motion import Motion
+from energyplan.path import FloatArray
+from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Sides, Term
+from energyplan.vehicle import Vehicle
+
+_TYPICAL = {"N": 100.0, "1": 0.5, "W": 20.0, "kg": 100.0}
+"""Order of magnitude of coefficients by unit, to start from where nothing is known."""
+
+_NOISE_MEMORY = 120.0
+_CORRELATION_TIME = 0.5
+"""Of the residual, until the drive shows its own [s]."""
+
+_RAMP_TIME = 0.15
+"""Time constant of the filter that accelerations of single samples come from [s]."""
+
+
+@dataclass(frozen=True)
+class SurfaceChange:
+    """A change of the coefficients that came too fast for forgetting.
+
+    Parameters
+    ----------
+    t : float
+        When it was detected [s].
+    onset : float
+        About when it happened [s]: the start of the window that shows it best.
+    statistic : float
+        How clear it is: chi-squared, with one degree of freedom a coefficient, where nothing
+        changed.
+    before : PowerModel
+        The model up to then.
+    """
+
+    t: float
+    onset: float
+    statistic: float
+    before: PowerModel
+
+
+class OnlineIdentifier:
+    """Identifies a power model sample by sample.
+
+    Recursive least squares in information form with three precautions. Information fades into the
+    prior's, so that a coefficient that the drive does not excite becomes uncertain and no more.
+    A residual pulls no harder than four standard deviations. And a sample counts only as much
+    as the correlation of the residual allows, so that the covariance holds.
+
+    Four times a second the residuals of the last 1, 2, 4 and 8 s of driving are tested for a change
+    of the coefficients, with the variance of correlated noise and of the coefficients themselves.
+    After a change the coefficients start afresh from a wide prior about what the test found.
+
+    Parameters
+    ----------
+    prior : PowerModel or Vehicle
+        Where to start: a model, with the covariance that it has, or a vehicle of which nothing is
+        known.
+    terms : sequence of Term
+        The terms, where only a vehicle is given.
+    memory : float
+        Time over which old samples are forgotten on one surface [s].
+    false_alarms : float
+        Changes per hour of driving that may be reported where there is none.
+    material : float
+        Least relative change of power that counts as a change of surface.
+    spread : float
+        Standard deviation of a coefficient on an unknown surface, as a fraction of its value.
+    battery : bool
+        Whether the power that will be given was measured at the battery.
+
+    Raises
+    ------
+    InvalidInputError
+        If a setting is out of range.
+
+    References
+    ----------
+    Morales et al. (2010), section V; Kulhavy and Zarrop (1993), "On a general concept of
+    forgetting", Int. J. Control 58; Basseville and Nikiforov (1993), Detection of Abrupt Changes.
+
+    Examples
+    --------
+    >>> from energyplan import simulate
+    >>> marble = PowerModel.preset("quadriga:full:marble")
+    >>> concrete = PowerModel.preset("quadriga:full:concrete")
+    >>> log = simulate.drive(marble, "survey", changes=[(30.0, concrete)], power_noise=3.0)
+    >>> online = OnlineIdentifier(marble)
+    >>> [change] = online.run(log)
+    >>> 30.0 < change.t < 40.0
+    True
+    """
+
+    def __init__(
+        self,
+        prior: PowerModel | Vehicle,
+        *,
+        terms: Sequence[Term] = (SLIP, TRACTION),
+        memory: float = 300.0,
+        false_alarms: float = 1e-3,
+        material: float = 0.05,
+        spread: float = 0.5,
+        battery: bool = False,
+    ) -> None:
+        settings = {"memory": memory, "false_alarms": false_alarms, "spread": spread}
+        for label, value in settings.items():
+            if not (np.isfinite(value) and value > 0):
+                raise InvalidInputError(f"{label} is {value}; give a positive number")
+        if not 0 <= material < 1:
+            raise InvalidInputError(f"material is {material}; give a fraction in [0, 1)")
+        if isinstance(prior, PowerModel):
+            self._model = prior
+        else:
+            values = [np.clip(_TYPICAL.get(term.unit, 1.0), *term.bounds) for term in terms]
+            self._model = PowerModel(prior, tuple(terms), np.array(values), name="online")
+        self._battery, self._spread = battery, spread
+        self._linear = is_linear(self._model.battery_side() if battery else self._model)
+        self._filtered = np.full(2, np.nan)
+        self._needed = {name for term in self._model.terms for name in term.channels}
+        p = len(self._model.terms)
+        self._ramps = bool(self._needed & {"accel", "yaw_accel"})
+        # Looks are not independent, so that this bounds the rate of false alarms.
+        threshold = float(chi2.isf(false_alarms * kernel.TICK / 3600.0, p))
+        self._settings = np.array([memory, _NOISE_MEMORY, threshold, material])
+        self._matrices, self._vectors = np.zeros((2, p, p)), np.zeros((2, p))
+        self._ring = np.zeros((kernel.LONGEST + 1, p + p * p + 1))
+        self._scalars = np.zeros(kernel.SCALARS)
+        self._t, self._changes = np.nan, list[SurfaceChange]()
+        self._period = np.nan
+        self._start()
+
+    def _start(self) -> None:
+        """Set the state from the prior model."""
+        model = self._model
+        self._unit = self._units(model.coefficients)
+        kernel.restart(self._matrices, self._vectors, self._ring, self._scalars)
+        self._vectors[kernel.COEFFICIENTS] = model.coefficients / self._unit
+        if model.covariance is not None:
+            scaled = model.covariance / np.outer(self._unit, self._unit)
+            # A prior surer than any log could make it would never learn.
+            scaled = scaled + 1e-8 * np.eye(len(self._unit))
+            self._matrices[kernel.INFORMATION] = np.linalg.inv(scaled)
+            self._matrices[kernel.COVARIANCE] = scaled
+        noise = model.residual.rmse if model.residual and model.residual.rmse > 0 else 10.0
+        self._scalars[kernel.VARIANCE] = noise**2
+        self._scalars[kernel.SAMPLES] = 40.0
+
+    def _units(self, coefficients: FloatArray) -> FloatArray:
+        """Prior standard deviations."""
+        typical = [_TYPICAL.get(term.unit, 1.0) for term in self._model.terms]
+        size = np.maximum(np.abs(coefficients), 0.2 * np.array(typical))
+        return np.asarray(self._spread * size)
+
+    def _begin(self, t: float, period: float) -> None:
+        """Learn the sample period, which the correlation of the noise is counted in."""
+        self._t, self._period = t - period, period
+        residual = self._model.residual
+        time = residual.correlation_time if residual else 0.0
+        repeats = max(2.0 * (time if time > 0 else _CORRELATION_TIME) / period, 1.0)
+        self._scalars[kernel.REPEATS] = repeats
+        count = kernel.BLOCK / period
+        self._scalars[kernel.BLOCKS] = 4.0
+        self._scalars[kernel.MEAN_SIZE] = np.sqrt(2.0 / np.pi * repeats * count)
+        self._scalars[kernel.MEAN_SQUARES] = count
+
+    # -- samples --------------------------------------------------------------------------------
+
+    def update(
+        self, t: float, v_left: float, v_right: float, power: float, **channels: float
+    ) -> bool:
+        """Take in one sample.
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        v_left, v_right : float
+            Tread speeds [m/s].
+        power : float
+            Measured power [W].
+        **channels : float
+            Further channels that the model's terms need, such as ``slope``. ``accel`` and
+            ``yaw_accel`` follow from the speeds where they are not given.
+
+        Returns
+        -------
+        bool
+            Whether the sample reveals a change of surface; `changes` tells more.
+
+        Raises
+        ------
+        InvalidInputError
+            If time does not increase or a value is not finite.
+        MissingChannelError
+            If a term needs a channel that is not given.
+        """
+        if not np.isfinite(v_left + v_right + power + t) or t <= self._t:
+            raise InvalidInputError(
+                f"sample at {t} s after {self._t} s: v_left {v_left}, v_right {v_right}, power "
+                f"{power}; time must increase and every value be finite"
+            )
+        if np.isnan(self._period):
+            if np.isnan(self._t):  # the first sample only sets the clock
+                self._t = t
+                return False
+            self._begin(t, t - self._t)
+        if self._ramps:
+            channels = {**self._accelerations(v_left, v_right, t - self._t), **channels}
+        phi, target = self._sample(v_left, v_right, power, channels)
+        changed = kernel.advance(
+            phi, target, t - self._t, self._matrices, self._vectors, self._ring, self._scalars,
+            self._settings,
+        )  # fmt: skip
+        self._t = t
+        if changed:
+            self._change()
+        return bool(changed)
+
+    def _accelerations(self, v_left: float, v_right: float, dt: float) -> dict[str, float]:
+        """Rates of change of the speeds, by the lag of a first-order filter behind them."""
+        speeds, icr = np.array([v_left, v_right]), self._model.vehicle.icr
+        if np.isnan(self._filtered[0]):
+            self._filtered = speeds
+        self._filtered = speeds + (self._filtered - speeds) * np.exp(-dt / _RAMP_TIME)
+        # In a steady ramp the filter lags by this much for each unit of acceleration.
+        left, right = (speeds - self._filtered) * np.expm1(dt / _RAMP_TIME) / dt
+        return {
+            "accel": float((icr.right * left + icr.left * right) / icr.slip_track),
+            "yaw_accel": float((right - left) / icr.slip_track),
+        }
+
+    def _sample(
+        self, v_left: float, v_right: float, power: float, channels: dict[str, float]
+    ) -> tuple[FloatArray, float]:
+        """Regressors in prior units, and the power that they are to explain."""
+        missing = self._needed - channels.keys()
+        if missing:
+            raise MissingChannelError(f"a term needs {', '.join(sorted(missing))} in each sample")
+        if not self._linear:
+            motion = Motion(
+                np.array([v_left]), np.array([v_right]), self._model.vehicle.icr,
+                {name: np.array([value]) for name, value in channels.items()},
+            )  # fmt: skip
+            design, target = self._linearised(motion, np.array([power]))
+            return design[0], float(target[0])
+        left, right = np.float64(v_left), np.float64(v_right)
+        # A checked construction of the motion would take longer than all the rest.
+        motion = object.__new__(Motion)
+        known = {name: np.float64(value) for name, value in channels.items()}
+        vars(motion).update(v_left=left, v_right=right, icr=self._model.vehicle.icr, channels=known)
+        phi = np.empty(len(self._unit))
+        for k, term in enumerate(self._model.terms):
+            value = term.function(motion, self._model.vehicle, **term.params)
+            if isinstance(value, Sides):
+                value = value.left * left + value.right * right
+            phi[k] = value * self._unit[k]
+        return phi, power
+
+    def _linearised(self, motion: Motion, power: FloatArray) -> tuple[FloatArray, FloatArray]:
+        coefficients = self._vectors[kernel.COEFFICIENTS] * self._unit
+        model = self._model.with_coefficients(coefficients)
+        known = linearise(model, motion, self._battery)
+        target = power - known.power + known.jacobian @ coefficients
+        return known.jacobian * self._unit, target
+
+    def run(self, log: DriveLog) -> tuple[SurfaceChange, ...]:
+        """Take in a log, sample by sample, as it would have come in while driving.
+
+        Parameters
+        ----------
+        log : DriveLog
+            The drive; it follows what came before, whatever its clock says.
+
+        Returns
+        -------
+        tuple of SurfaceChange
+            Changes in this log, in the log's time.
+
+        Raises
+        ------
+        MissingChannelError
+            If a term needs a channel that the log lacks.
+        """
+        motion = log.motion(self._model.vehicle.icr)
+        period = float(np.median(np.diff(log.t)))
+        if np.isnan(self._period):
+            self._begin(float(log.t[0]), period)
+        dt = np.minimum(np.diff(log.t, prepend=log.t[0] - period), 4.0 * period)
+        known, first = len(self._changes), 0
+        # Where the model is not linear it is linearised anew every second.
+        step = len(log) if self._linear else max(1, round(1.0 / period))
+        while first < len(log):
+            last = min(first + step, len(log))
+            part = Motion(
+                motion.v_left[first:last], motion.v_right[first:last], motion.icr,
+                {name: values[first:last] for name, values in motion.channels.items()},
+            )  # fmt: skip
+            design, target = self._linearised(part, log.power[first:last])
+            found = kernel.advance_all(
+                design, target, dt[first:last], self._matrices, self._vectors, self._ring,
+                self._scalars, self._settings,
+            )  # fmt: skip
+            if found < last - first:
+                self._t = float(log.t[first + found])
+                self._change()
+                last = first + found + 1
+            first = last
+        self._t = float(log.t[-1])
+        return tuple(self._changes[known:])
+
+    def _change(self) -> None:
+        """Note a change and start afresh from a wide prior about the last coefficients."""
+        before, scalars = self.model, self._scalars
+        onset = self._t - float(scalars[kernel.STRETCH])
+        statistic = float(scalars[kernel.STATISTIC])
+        self._changes.append(SurfaceChange(self._t, onset, statistic, before))
+        found = self._bounded(self._vectors.sum(axis=0) * self._unit)
+        self._unit = self._units(np.maximum(np.abs(found), np.abs(before.coefficients)))
+        kernel.restart(self._matrices, self._vectors, self._ring, scalars)
+        self._vectors[kernel.COEFFICIENTS] = found / self._unit
+
+    def _bounded(self, coefficients: FloatArray) -> FloatArray:
+        bounds = np.array([term.bounds for term in self._model.terms])
+        return np.asarray(np.clip(coefficients, *bounds.T))
+
+    # -- what is known --------------------------------------------------------------------------
+
+    @property
+    def changes(self) -> tuple[SurfaceChange, ...]:
+        """Changes of surface so far."""
+        return tuple(self._changes)
+
+    @property
+    def model(self) -> PowerModel:
+        """The model as it is known now, with covariance; a coefficient stays within its bounds.
+
+        Its residual is that of one-step-ahead predictions since the last change.
+        """
+        values = self._bounded(self._vectors[kernel.COEFFICIENTS] * self._unit)
+        covariance = self._matrices[kernel.COVARIANCE] * np.outer(self._unit, self._unit)
+        covariance = 0.5 * (covariance + covariance.T)
+        model = self._model.with_coefficients(values, covariance)
+        time = self._scalars[kernel.TOTAL_TIME]
+        if not time > 0:
+            return model
+        missing, measured = (
+            self._scalars[k] for k in (kernel.TOTAL_RESIDUAL, kernel.TOTAL_MEASURED)
+        )
+        residual = Residual(
+            rmse=float(np.sqrt(self._scalars[kernel.TOTAL_SQUARES] / time)),
+            mae=float(self._scalars[kernel.TOTAL_ABSOLUTE] / time),
+            bias=float(missing / time),
+            energy_error=float(-missing / measured) if measured else 0.0,
+            correlation_time=float(0.5 * self._scalars[kernel.REPEATS] * self._period),
+            duration=float(time),
+        )
+        return PowerModel(
+            model.vehicle, model.terms, values, covariance, residual, self._model.name
+        )

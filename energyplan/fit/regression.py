@@ -1,0 +1,211 @@
+"""The fit itself: measured power of all logs against a model that may not be linear (private)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from energyplan.errors import UnknownNameError
+from energyplan.fit import solvers
+from energyplan.fit.covariance import (
+    autocorrelation,
+    local_scale,
+    normal_scores,
+    sandwich,
+    sum_covariance,
+)
+from energyplan.fit.icr import ICREstimate
+from energyplan.fit.identifiability import is_linear, linearise, settled_motion
+from energyplan.fit.solvers import Bounds
+from energyplan.logs import DriveLog
+from energyplan.path import FloatArray
+from energyplan.power import PowerModel
+
+Method = Literal["lad", "simplex", "huber"]
+Loss = Callable[[FloatArray], float]
+
+
+def pieces_of(drives: Sequence[DriveLog]) -> list[slice]:
+    """Stretches without a gap, all logs one below the other."""
+    starts = np.concatenate([[0], np.cumsum([len(log) for log in drives])[:-1]])
+    return [
+        slice(int(start) + run.start, int(start) + run.stop)
+        for start, log in zip(starts, drives, strict=True)
+        for run in log.runs
+    ]
+
+
+class Problem:
+    """Measured power and the predictions to fit to it, all logs one below the other."""
+
+    def __init__(self, drives: Sequence[DriveLog], model: PowerModel) -> None:
+        self._start = model
+        self._motions = [settled_motion(log, model.vehicle.icr) for log in drives]
+        self._battery = [log.battery_side for log in drives]
+        self._measured = np.concatenate([log.power for log in drives])
+        self.pieces = pieces_of(drives)
+        self._linear = is_linear(model) and not (
+            any(self._battery) and not is_linear(model.battery_side())
+        )
+
+    def _power(self, model: PowerModel) -> FloatArray:
+        parts = [
+            (model.battery_side() if battery else model).power(motion)
+            for motion, battery in zip(self._motions, self._battery, strict=True)
+        ]
+        return np.concatenate(parts)
+
+    def residual(self, model: PowerModel) -> FloatArray:
+        """Measured minus predicted power [W]."""
+        return np.asarray(self._measured - self._power(model))
+
+    def _linearise(self, model: PowerModel) -> tuple[FloatArray, FloatArray]:
+        """Target and design of the linear problem at a model's coefficients."""
+        parts = [
+            linearise(model, motion, battery)
+            for motion, battery in zip(self._motions, self._battery, strict=True)
+        ]
+        jacobian = np.concatenate([part.jacobian for part in parts])
+        power = np.concatenate([part.power for part in parts])
+        return self._measured - power + jacobian @ model.coefficients, jacobian
+
+    def solve(self, method: Method, bounds: Bounds) -> PowerModel:
+        """Return the model with the coefficients that minimise the method's sum."""
+        if method not in ("lad", "simplex", "huber"):
+            raise UnknownNameError("method", str(method), ("lad", "simplex", "huber"))
+        if method == "simplex":
+            rough = self._iterate(solvers.weighted_least_squares, lambda _: _squares, bounds)
+            found = self._simplex(rough, bounds)
+        elif method == "lad":
+            found = self._iterate(solvers.lad, lambda _: _absolute, bounds)
+        else:
+            found = self._iterate(solvers.huber, _huber_loss, bounds)
+        return self._start.with_coefficients(self._snapped(found, bounds))
+
+    def _snapped(self, c: FloatArray, bounds: Bounds) -> FloatArray:
+        """Put coefficients that are at a bound but for rounding at the bound."""
+        _, design = self._linearise(self._start.with_coefficients(c))
+        watt = 1e-9 * float(np.max(np.abs(self._measured), initial=0.0))
+        for bound in (bounds.lower, bounds.upper):
+            c = np.where(np.abs(c - bound) * solvers.column_scale(design) < watt, bound, c)
+        return c
+
+    def _simplex(self, start: FloatArray, bounds: Bounds) -> FloatArray:
+        target, design = self._linearise(self._start)
+
+        def linear(c: FloatArray) -> float:
+            return float(np.abs(target - design @ c).sum())
+
+        def general(c: FloatArray) -> float:
+            return _absolute(self.residual(self._start.with_coefficients(c)))
+
+        return solvers.simplex(linear if self._linear else general, start, bounds)
+
+    def _iterate(
+        self,
+        fit: Callable[[FloatArray, FloatArray, Bounds], FloatArray],
+        merit: Callable[[FloatArray], Loss],
+        bounds: Bounds,
+    ) -> FloatArray:
+        """Solve a sequence of linear problems, each about the solution of the one before it."""
+        target, design = self._linearise(self._start)
+        if self._linear:
+            return fit(design, target, bounds)
+        # The losses act on forces: find those first, without losses.
+        lossy = np.array([term.kind == "loss" for term in self._start.terms])
+        c = np.array(self._start.coefficients)
+        free = np.flatnonzero(~lossy)
+        c[free] = fit(
+            design[:, free],
+            target - design[:, lossy] @ c[lossy],
+            Bounds(bounds.lower[free], bounds.upper[free]),
+        )
+        for _ in range(50):
+            residual = self.residual(self._start.with_coefficients(c))
+            loss = merit(residual)
+            value = loss(residual)
+            target, design = self._linearise(self._start.with_coefficients(c))
+            step = fit(design, target, bounds) - c
+            for _ in range(30):
+                trial = loss(self.residual(self._start.with_coefficients(c + step)))
+                if trial < value:
+                    break
+                step *= 0.5
+            else:
+                break
+            c = c + step
+            if value - trial <= 1e-12 * value:
+                break
+        return bounds.clip(c)
+
+    def covariance(self, model: PowerModel, method: Method) -> FloatArray:
+        """Covariance of the coefficients under autocorrelated, heteroscedastic residuals."""
+        target, design = self._linearise(model)
+        residual = target - design @ model.coefficients
+        noise = autocorrelation(normal_scores(residual), self.pieces, design)
+        sigma = solvers.robust_scale(residual)
+        sigma = max(sigma, 1e-9 * float(np.max(np.abs(self._measured), initial=1e-300)))
+        if method == "huber":
+            edge = solvers.HUBER_TUNING * sigma
+            scale = local_scale(np.clip(residual, -edge, edge), noise.repeats)
+            rho = noise.rho
+            slope = (np.abs(residual) < edge).astype(float)
+        else:
+            scale = np.ones(len(residual))
+            # Signs of jointly normal values are correlated by the arcsine law.
+            rho = 2 / np.pi * np.arcsin(np.clip(noise.rho, -1.0, 1.0))
+            slope = 2.0 * _density_at_zero(residual, sigma, len(residual) / noise.repeats)
+        bread = (design * slope[:, None]).T @ design
+        meat = sum_covariance(design, scale, rho, self.pieces)
+        return np.asarray(sandwich(bread, meat) / noise.kept)
+
+    def inherited(self, model: PowerModel, estimate: ICREstimate) -> FloatArray:
+        """Covariance that the coefficients take over from the tread ICRs."""
+        _, design = self._linearise(model)
+        icr = model.vehicle.icr
+        shifts = []
+        for which in ("left", "right", "longitudinal"):
+            step = max(estimate.std_error[which], 1e-6)
+            moved = replace(icr, **{which: getattr(icr, which) + step})
+            other = replace(model, vehicle=model.vehicle.with_icr(moved))
+            shifts.append((self._power(other) - self._power(model)) / step)
+        free = Bounds(np.full(len(model.terms), -np.inf), np.full(len(model.terms), np.inf))
+        change = [solvers.weighted_least_squares(design, -shift, free) for shift in shifts]
+        sensitivity = np.column_stack(change)
+        return np.asarray(sensitivity @ estimate.covariance @ sensitivity.T)
+
+
+def _squares(residual: FloatArray) -> float:
+    return float(residual @ residual)
+
+
+def _absolute(residual: FloatArray) -> float:
+    return float(np.abs(residual).sum())
+
+
+def _huber_loss(present: FloatArray) -> Loss:
+    """Huber's loss at the scale of the present residual."""
+    size = np.abs(present)
+    edge = solvers.HUBER_TUNING * max(
+        solvers.robust_scale(present), 1e-9 * float(size.max()), 1e-100
+    )
+
+    def loss(residual: FloatArray) -> float:
+        inner = np.minimum(np.abs(residual), edge)
+        return float((inner * (np.abs(residual) - 0.5 * inner)).sum())
+
+    return loss
+
+
+def _density_at_zero(residual: FloatArray, sigma: float, independent: float) -> FloatArray:
+    """Each residual's share in the kernel estimate of the density at zero (Powell 1991).
+
+    The normal kernel's width is Silverman's for the number of independent samples: correlated ones
+    cluster, and a narrow kernel would count the accidents of a cluster.
+    """
+    width = 1.06 * sigma * max(independent, 2.0) ** -0.2
+    z = residual / width
+    return np.asarray(np.exp(-0.5 * z * z) / (width * np.sqrt(2 * np.pi)))

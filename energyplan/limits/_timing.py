@@ -1,0 +1,175 @@
+"""From ladders to a timed path: rates at the corners, phases of constant acceleration, samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from energyplan.limits._timing_kernels import lay_phases, limit_corners
+from energyplan.limits.acceleration_table import Ladder
+from energyplan.path import FloatArray, Path, Trajectory
+
+
+class Phases(NamedTuple):
+    """Phases of constant acceleration in order of time, arrays of one shape.
+
+    Parameters
+    ----------
+    run : ndarray of int
+        The run that the phase belongs to.
+    at : ndarray
+        Distance from the run's start along its faster tread [m].
+    rate, gain : ndarray
+        Rate at the start [m/s] and its acceleration [m/s^2].
+    time : ndarray
+        Duration [s], positive.
+    """
+
+    run: NDArray[np.int_]
+    at: FloatArray
+    rate: FloatArray
+    gain: FloatArray
+    time: FloatArray
+
+    @property
+    def duration(self) -> float:
+        """Duration of all phases [s]."""
+        return float(self.time.sum())
+
+
+class Sampled(NamedTuple):
+    """A trajectory and the run that each of its samples lies on."""
+
+    trajectory: Trajectory
+    run: NDArray[np.int_]
+
+
+@dataclass(frozen=True)
+class Course:
+    """A path as runs that meet at corners.
+
+    Parameters
+    ----------
+    path : Path
+        The path, one segment per run, none of them empty.
+    length : ndarray, shape (n,)
+        Length of each run along its faster tread [m].
+    corner : ndarray, shape (n + 1,)
+        Largest rate at the start, at each corner and at the end [m/s].
+    through : ndarray of bool, shape (n - 1,)
+        Corners that are part of a smooth curve and driven through although the shares of the
+        treads jump.
+    """
+
+    path: Path
+    length: FloatArray
+    corner: FloatArray
+    through: NDArray[np.bool_]
+
+    def phases(self, ladder: Ladder, cruise: FloatArray) -> Phases:
+        """Drive every run as fast as its ladder and cruising rate allow.
+
+        Parameters
+        ----------
+        ladder : Ladder
+            One ladder per run.
+        cruise : ndarray, shape (n,)
+            Largest rate on each run [m/s].
+        """
+        top = ladder.rate[-1]
+        # The rates at start and end are given; cruising begins after and ends before them.
+        cap = np.concatenate([top[:1], np.minimum(cruise[:-1], cruise[1:]), top[-1:]])
+        nodes = np.minimum(self.corner, cap) ** 2
+        square, climb, descent = ladder.square, ladder.climb, ladder.descent
+        limit_corners(square, climb, descent, self.length, nodes)
+        run, rows = lay_phases(
+            square, ladder.up, ladder.down, climb, descent, self.length, nodes, cruise**2
+        )
+        return Phases(run, *rows)
+
+    def sample(self, phases: Phases, period: float) -> Sampled:
+        """Sample the motion at the ends of the phases and at least every `period` [s].
+
+        Around a corner that is driven through there is no sample for half the shorter run on
+        either side: straight interpolation between the samples is the smooth curve there.
+        """
+        phases = self._cut(phases)
+        pieces = np.maximum(np.ceil(phases.time / period - 1e-9).astype(int), 1)
+        k = np.repeat(np.arange(len(pieces)), pieces)
+        within = np.arange(len(k)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+        since = phases.time[k] * within / pieces[k]
+        start = np.cumsum(phases.time) - phases.time
+        run = np.append(phases.run[k], len(self.length) - 1)
+        t = np.append(start[k] + since, phases.duration)
+        at = phases.at[k] + since * (phases.rate[k] + 0.5 * phases.gain[k] * since)
+        at = np.append(at, self.length[-1])
+        rate = phases.rate[k] + phases.gain[k] * since
+        rate = np.append(rate, phases.rate[-1] + phases.gain[-1] * phases.time[-1])
+        rate[np.abs(rate) < 1e-9] = 0.0
+        for unwanted in (self._hidden, _crowded):
+            keep = ~unwanted(t, run, at)
+            t, run, at, rate = t[keep], run[keep], at[keep], rate[keep]
+        poses = self._poses(run, np.clip(at / self.length[run], 0.0, 1.0))
+        unit = rate / self.length[run]
+        v, omega = self.path.ds[run] * unit, self.path.dtheta[run] * unit
+        return Sampled(Trajectory(t, poses[:, 0], poses[:, 1], poses[:, 2], v, omega), run)
+
+    def _windows(self) -> tuple[FloatArray, FloatArray]:
+        """Distances from the start and from the end of each run without samples [m]."""
+        reach = 0.5 * np.minimum(self.length[:-1], self.length[1:]) * self.through
+        return np.append(0.0, reach), np.append(reach, 0.0)
+
+    def _hidden(self, t: FloatArray, run: NDArray[np.int_], at: FloatArray) -> NDArray[np.bool_]:
+        head, tail = self._windows()
+        slack = 1e-9 * self.length[run]
+        left = self.length[run] - at
+        return np.asarray((at < head[run] - slack) | (left < tail[run] - slack))
+
+    def _cut(self, phases: Phases) -> Phases:
+        """Split the phases where the windows without samples begin and end."""
+        head, tail = self._windows()
+        for place in (head, self.length - tail):
+            goal = place[phases.run]
+            into = goal - phases.at
+            final = phases.rate + phases.gain * phases.time
+            whole = 0.5 * (phases.rate + final) * phases.time
+            split = (into > 1e-9 * whole) & (into < whole * (1 - 1e-9)) & (goal > 0)
+            if not split.any():
+                continue
+            k = np.flatnonzero(split)
+            rate = np.sqrt(phases.rate[k] ** 2 + 2 * phases.gain[k] * into[k])
+            first = 2 * into[k] / (phases.rate[k] + rate)
+            time = phases.time.copy()
+            time[k] = first
+            rest = phases.time[k] - first
+            columns = zip(
+                (phases.run, phases.at, phases.rate, phases.gain, time),
+                (phases.run[k], goal[k], rate, phases.gain[k], rest),
+                strict=True,
+            )
+            phases = Phases(*(np.insert(old, k + 1, new) for old, new in columns))
+        return phases
+
+    def _poses(self, run: NDArray[np.int_], part: FloatArray) -> FloatArray:
+        """Exact poses on the arcs, a fraction `part` of the way through each."""
+        path, lever = self.path, self.path.longitudinal
+        begin = path.vertices[run]
+        turn = part * path.dtheta[run]
+        yaw = begin[:, 2] + turn
+        chord = part * path.ds[run] * np.sinc(turn / (2 * np.pi))
+        mid = begin[:, 2] + 0.5 * turn
+        x = begin[:, 0] + lever * (np.cos(begin[:, 2]) - np.cos(yaw)) + chord * np.cos(mid)
+        y = begin[:, 1] + lever * (np.sin(begin[:, 2]) - np.sin(yaw)) + chord * np.sin(mid)
+        return np.column_stack([x, y, yaw])
+
+
+def _crowded(t: FloatArray, run: NDArray[np.int_], at: FloatArray) -> NDArray[np.bool_]:
+    """Mark samples too close to a neighbour for a meaningful acceleration; never corners."""
+    close = np.diff(t) < max(1e-5, 1e-6 * float(t[-1]))
+    corner = at <= 0.0
+    corner[-1] = True
+    near = np.append(close, False) | np.append(False, close)
+    return np.asarray(near & ~corner)

@@ -1,0 +1,339 @@
+"""Speed profiles: a `Path` timed into a `Trajectory` within the limits of motors and battery.
+
+The tread speeds have to be continuous where the acceleration of the treads is limited. Where the
+curvature jumps, at a corner between two arcs, before a spin or at a reversal, they can only be so
+at a standstill: the robot stops there. Small jumps may be declared part of a smooth curve
+(`smooth`).
+
+Inertia counts towards power and force exactly if the model has inertia terms; the acceleration
+limit of the motors holds in any case.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
+
+from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
+from energyplan.limits._timing import Course, Phases, Sampled
+from energyplan.limits.acceleration_table import Ladder, Runs
+from energyplan.limits.economy import Choice, Economy
+from energyplan.limits.motor import ROUNDING, Limits, relative
+from energyplan.limits.motor_kernels import window_mean
+from energyplan.motion import Motion
+from energyplan.path import FloatArray, Path, Trajectory
+from energyplan.power import PowerModel
+from energyplan.vehicle import MotorLimits, Vehicle
+
+RUNGS = 96
+"""Rungs of the speed ladders; matters only where power or force limit the acceleration."""
+
+SAME = 1e-9
+"""Difference of the treads' shares in the speed below which two curvatures are one."""
+
+DEAREST = 1e6
+"""Highest price of time that the search for a duration tries [W]."""
+
+
+def profile(
+    path: Path,
+    model: PowerModel,
+    *,
+    objective: Literal["time", "energy"] = "time",
+    duration: float | None = None,
+    vehicle: Vehicle | None = None,
+    battery_power: float = np.inf,
+    battery_return: float = np.inf,
+    lateral_acceleration: float = np.inf,
+    start_speed: float = 0.0,
+    end_speed: float = 0.0,
+    smooth: float = 0.0,
+    channels: Mapping[str, ArrayLike] | None = None,
+    period: float = 0.05,
+) -> Trajectory:
+    """Time a path: in the least time, with the least energy, or in a given duration.
+
+    Parameters
+    ----------
+    path : Path
+        The path: arcs, straights, spins on the spot, forwards and backwards.
+    model : PowerModel
+        The power model. What counts as energy is its power: hand in `PowerModel.battery_side`
+        for what the battery delivers.
+    objective : {"time", "energy"}
+        What to minimise. With a hotel load the least energy lies between the fastest and the
+        slowest; where the model is static, speed cancels and the fastest of the cheapest is
+        taken.
+    duration : float, optional
+        Time to take [s]: the profile of least energy that takes it, whatever the `objective`.
+    vehicle : Vehicle, optional
+        Whose limits apply; the model's own where not given.
+    battery_power, battery_return : float
+        Largest power that the battery delivers, and takes back [W].
+    lateral_acceleration : float
+        Largest ``|v omega|`` [m/s^2].
+    start_speed, end_speed : float
+        Speed of the faster tread at the start and at the end [m/s].
+    smooth : float
+        Corners at which the share of either tread in the speed of the faster one changes by no
+        more than this count as part of a smooth curve and are driven through [1]. For paths
+        fitted to poses; 0.1 is a good value. With 0 every change of curvature is a corner.
+    channels : mapping of str to array_like, shape () or (n,), optional
+        Further channels that the model's terms read, one value per segment of the path or one
+        for all, such as the ``slope`` along each segment [rad].
+    period : float
+        Largest time between two samples [s].
+
+    Returns
+    -------
+    Trajectory
+        The motion, sampled where its acceleration changes and at least every `period`; poses lie
+        on the path exactly.
+
+    Raises
+    ------
+    InfeasibleMotionError
+        If no speed is feasible on some segment, the start or end speed is too high, or the
+        duration is too short; the message says what would do.
+    InvalidInputError
+        If an option is out of range or nothing limits the speed.
+
+    Notes
+    -----
+    On a stretch of constant curvature the least time is a closed form: full acceleration, top
+    speed, full deceleration. Where inertia meets a power or force limit the acceleration follows
+    that limit in 96 steps, always from the safe side. The least energy follows from the maximum
+    principle at the same steps (docs/limits). The continuous power limit is kept by lowering the
+    peak power until the mean over every thermal window is within it, which is safe but not
+    always the fastest way.
+
+    Examples
+    --------
+    >>> from energyplan.path import Pose
+    >>> model = PowerModel.preset("quadriga:empty:concrete")
+    >>> path = Path(Pose(0, 0, 0), ds=[2.4, 0.0], dtheta=[0.0, np.pi / 2])
+    >>> round(profile(path, model).duration, 3)
+    4.918
+
+    References
+    ----------
+    Pham and Pham (2018), "A new approach to time-optimal path parameterization based on
+    reachability analysis"; docs/theory, sections 2 and 3.
+    """
+    for name, value in (("start_speed", start_speed), ("end_speed", end_speed), ("smooth", smooth)):
+        if not (np.isfinite(value) and value >= 0):
+            raise InvalidInputError(f"{name} is {value}; give a number >= 0")
+    if objective not in ("time", "energy"):
+        raise InvalidInputError(f"objective is {objective!r}; give 'time' or 'energy'")
+    for name, value in (("period", period), ("duration", 1.0 if duration is None else duration)):
+        if not (np.isfinite(value) and value > 0):
+            raise InvalidInputError(f"{name} is {value} s; give a positive number")
+    limits = Limits.of(
+        vehicle or model.vehicle,
+        lateral_acceleration=lateral_acceleration,
+        battery_power=battery_power,
+        battery_return=battery_return,
+    )
+    task = _Task.build(path, model, limits, channels or {}, smooth, (start_speed, end_speed))
+
+    def solve(within: Limits) -> Sampled:
+        return task.course.sample(task.phases(within, objective, duration), period)
+
+    sampled = solve(limits)
+    if np.isfinite(limits.motor.continuous_power) and task.is_hot(sampled, limits.motor):
+        sampled = _cooled(solve, task, limits, task.strongest(sampled))
+    return sampled.trajectory
+
+
+def _cooled(
+    solve: Callable[[Limits], Sampled], task: _Task, limits: Limits, strongest: float
+) -> Sampled:
+    """Lower the peak power until every thermal window is within the continuous power."""
+    motor = limits.motor
+    low, high = motor.continuous_power, strongest
+    cool: list[Sampled] = []
+    for k in range(11):
+        power = low if k == 0 else 0.5 * (low + high)
+        try:
+            tried = solve(replace(limits, motor=replace(motor, peak_power=power)))
+        except InfeasibleMotionError:
+            # With so little power a given duration is too short.
+            low = power
+            continue
+        if task.is_hot(tried, motor):
+            high = power
+        else:
+            low = power
+            cool.append(tried)
+    if not cool:
+        raise InfeasibleMotionError(
+            f"the motors' continuous power of {motor.continuous_power:g} W does not suffice in "
+            "any profile that was tried; allow more time or take a longer way round"
+        )
+    return cool[-1]
+
+
+@dataclass(frozen=True)
+class _Task:
+    """A path cut into runs, the kinds of runs, and the limits."""
+
+    course: Course
+    runs: Runs
+    kinds: NDArray[np.int_]
+
+    @classmethod
+    def build(
+        cls,
+        path: Path,
+        model: PowerModel,
+        limits: Limits,
+        channels: Mapping[str, ArrayLike],
+        smooth: float,
+        ends: tuple[float, float],
+    ) -> _Task:
+        icr, count = model.vehicle.icr, len(path)
+        columns = {}
+        for name, value in channels.items():
+            if np.shape(value) not in ((), (count,)):
+                raise InvalidInputError(
+                    f"channel {name!r} has shape {np.shape(value)}; give one value, or one for "
+                    f"each of the path's {count} segments"
+                )
+            columns[name] = np.broadcast_to(np.asarray(value, float), (count,))
+        left, right = path.ds - icr.left * path.dtheta, path.ds + icr.right * path.dtheta
+        length = np.maximum(np.abs(left), np.abs(right))
+        if not length.any():
+            raise PathError("the path has no length; a speed profile needs a segment that moves")
+        moves = length > 1e-12 * length.max()
+        share = np.column_stack([left[moves], right[moves]]) / length[moves, None]
+        given = np.column_stack([np.zeros(count), *columns.values()])[moves]
+        # Neighbours of one curvature and one set of channels are one run.
+        fresh = np.any(np.abs(np.diff(share, axis=0)) > SAME, axis=1)
+        fresh |= np.any(np.diff(given, axis=0) != 0, axis=1)
+        begin = np.flatnonzero(np.append(True, fresh))
+        joined = Path(
+            path.start,
+            np.add.reduceat(path.ds[moves], begin),
+            np.add.reduceat(path.dtheta[moves], begin),
+            path.longitudinal,
+        )
+        length = np.add.reduceat(length[moves], begin)
+        share, given = share[begin], given[begin]
+        jump = np.max(np.abs(np.diff(share, axis=0)), axis=1, initial=0.0)
+        through = (jump > SAME) & (jump <= smooth)
+        corner = np.concatenate(
+            [ends[:1], np.where(jump <= max(SAME, smooth), np.inf, 0), ends[1:]]
+        )
+        shape = np.column_stack([joined.ds / length, joined.dtheta / length])
+        drift = _drift(length, shape, jump * through)
+        features = np.column_stack([shape, given, drift])
+        _, first, kinds = np.unique(
+            features.round(9), axis=0, return_index=True, return_inverse=True
+        )
+        kind = features[first]
+        names = dict(zip(columns, kind.T[3:-4], strict=True))
+        runs = Runs(kind[:, 0], kind[:, 1], kind[:, -4:].T, model, names)
+        course = Course(joined, length, corner, through)
+        return cls(course, runs, kinds.reshape(-1))
+
+    def phases(self, limits: Limits, objective: str, duration: float | None) -> Phases:
+        """Return the phases that meet the objective, or take the duration."""
+        fastest = Ladder.fastest(self.runs, limits, RUNGS)
+        quick = Choice(fastest.take(self.kinds), fastest.rate[-1, self.kinds])
+        best = self._drive(quick)
+        self._check_ends(best)
+        if objective == "time" and duration is None:
+            return best
+        if duration is not None and duration < best.duration * (1 - ROUNDING):
+            raise InfeasibleMotionError(
+                f"the path takes {best.duration:.6g} s at least; {duration:g} s is too short"
+            )
+        economy = Economy(self.runs, fastest)
+        if duration is None:
+            return self._drive(self._choice(economy, 0.0))
+        return self._lasting(economy, quick, duration)
+
+    def _choice(self, economy: Economy, price: float) -> Choice:
+        still = (self.course.corner[:-1] == 0) & (self.course.corner[1:] == 0)
+        return economy.choose(price, self.kinds, np.where(still, self.course.length, np.inf))
+
+    def _drive(self, choice: Choice, cap: float = np.inf) -> Phases:
+        return self.course.phases(choice.ladder, np.minimum(choice.cruise, cap))
+
+    def _check_ends(self, phases: Phases) -> None:
+        final = phases.rate[-1] + phases.gain[-1] * phases.time[-1]
+        for name, wanted, found in (
+            ("start_speed", self.course.corner[0], phases.rate[0]),
+            ("end_speed", self.course.corner[-1], final),
+        ):
+            if found < wanted * (1 - 1e-6) - 1e-9:
+                raise InfeasibleMotionError(
+                    f"{name} {wanted:g} m/s is too high for this path and its limits; "
+                    f"{found:.4g} m/s is the most"
+                )
+
+    def _lasting(self, economy: Economy, quick: Choice, duration: float) -> Phases:
+        """Search the price of time, then a cap on the speed, until the duration fits."""
+        best, longest = quick, 0.0
+
+        def excess(logprice: float) -> float:
+            nonlocal best, longest
+            tried = self._choice(economy, float(np.sinh(logprice)))
+            taken = self._drive(tried).duration
+            if longest < taken <= duration:
+                best, longest = tried, taken
+            return float(np.log(taken / duration))
+
+        top = float(np.arcsinh(DEAREST))
+        if excess(top) < 0 < excess(-top):
+            brentq(excess, -top, top, xtol=1e-3)
+
+        # What remains is a jump between two choices: slow the faster one down evenly.
+        def late(cap: float) -> float:
+            return float(np.log(self._drive(best, cap).duration / duration))
+
+        fast = float(best.cruise.max())
+        slow = 0.5 * fast
+        while late(slow) < 0:
+            slow *= 0.5
+        if late(fast) >= 0:
+            return self._drive(best)
+        return self._drive(best, brentq(late, slow, fast, xtol=1e-15, rtol=1e-13))
+
+    def drawn(self, sampled: Sampled) -> list[FloatArray]:
+        """Shaft power that each side draws [W]."""
+        model, kind = self.runs.model, self.kinds[sampled.run]
+        known = {name: value[kind] for name, value in self.runs.channels.items()}
+        motion = Motion.from_trajectory(sampled.trajectory, model.vehicle.icr, **known)
+        loads = Limits().loads(model, motion)
+        return [np.maximum(power, 0.0) for power in (loads.left, loads.right)]
+
+    def strongest(self, sampled: Sampled) -> float:
+        """Largest shaft power that a side draws [W]."""
+        return max(float(power.max()) for power in self.drawn(sampled))
+
+    def is_hot(self, sampled: Sampled, motor: MotorLimits) -> bool:
+        """Tell whether the mean drawn power of a thermal window is above the continuous power."""
+        means = self.drawn(sampled)
+        if motor.thermal_time > 0:
+            t = sampled.trajectory.t
+            means = [window_mean(t, power, motor.thermal_time) for power in means]
+        uses = [relative(mean, motor.continuous_power) for mean in means]
+        return bool(np.max(uses) > 1 + ROUNDING)
+
+
+def _drift(length: FloatArray, shape: FloatArray, jump: FloatArray) -> FloatArray:
+    """How fast the shape of the motion changes about both ends of each run of a smooth curve.
+
+    A jump between two runs is spread over half the shorter one on either side. The factor
+    ``1 + 2 jump`` covers what straight interpolation across it leaves out.
+    """
+    reach = np.minimum(length[:-1], length[1:])
+    rate = np.diff(shape, axis=0) * ((jump > 0) * (1 + 2 * jump) / reach)[:, None]
+    none = np.zeros((1, 2))
+    return np.hstack([np.vstack([none, rate]), np.vstack([rate, none])])

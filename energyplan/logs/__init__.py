@@ -1,0 +1,440 @@
+"""Drive logs: named channels over time, checked where they are built."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from energyplan.errors import DriveLogError, MissingChannelError
+from energyplan.logs._resample import interval_means, shift
+from energyplan.logs._smooth import derivative
+from energyplan.logs.checks import Place, SetAside, clean, find_runs, needed_channels
+from energyplan.logs.columns import choose_columns, parse_columns
+from energyplan.logs.plausible import find_doubts
+from energyplan.logs.tables import read_table
+from energyplan.motion import Motion
+from energyplan.path import FloatArray
+from energyplan.power import Sides
+from energyplan.vehicle import TreadICR
+
+__all__ = ["DriveLog", "SetAside", "parse_columns"]
+
+_MOST_INTERVALS = 50_000_000
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DriveLog:
+    """One drive: named channels over time.
+
+    Built directly, the channels must be sound; `from_columns` and `read` mend what can be mended
+    and keep count of it.
+
+    Parameters
+    ----------
+    channels : mapping of str to array_like, shape (n,)
+        ``t`` [s], increasing; ``v_left`` and ``v_right`` [m/s]; and power as ``p_left`` and
+        ``p_right`` [W], or ``power`` [W], or ``voltage`` [V] with ``current`` [A]; further
+        channels as in `energyplan.motion.CHANNELS`, or of one's own.
+    name : str
+        What to call the log in messages.
+    set_aside : tuple of SetAside
+        Samples that were left out or mended, and why.
+    warnings : tuple of str
+        What is doubtful about the log.
+
+    Raises
+    ------
+    DriveLogError
+        If a channel is missing, differs in length or is not finite, or time does not increase.
+
+    Examples
+    --------
+    >>> log = DriveLog({"t": [0.0, 1.0, 2.0], "v_left": [0.5] * 3, "v_right": [0.5] * 3,
+    ...                 "power": [120.0] * 3})
+    >>> log.duration, log.energy
+    (2.0, 240.0)
+    """
+
+    channels: Mapping[str, FloatArray]
+    name: str = "log"
+    set_aside: tuple[SetAside, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        needed_channels(self.channels, self.name)
+        arrays = {key: np.array(value, float) for key, value in self.channels.items()}
+        t = arrays["t"]
+        if t.ndim != 1 or len(t) < 2:
+            raise DriveLogError(f"{self.name}: t has shape {t.shape}; give two samples or more")
+        for key, value in arrays.items():
+            if value.shape != t.shape:
+                raise DriveLogError(
+                    f"{self.name}: {key} has shape {value.shape}, t has {t.shape}; give one value "
+                    "of each per sample"
+                )
+            lost = np.flatnonzero(~np.isfinite(value))
+            if len(lost):
+                raise DriveLogError(
+                    f"{self.name}: {key} is not finite at sample {lost[0]}; "
+                    "DriveLog.from_columns sets such samples aside"
+                )
+            value.setflags(write=False)
+        back = np.flatnonzero(np.diff(t) <= 0)
+        if len(back):
+            raise DriveLogError(
+                f"{self.name}: t does not increase at sample {int(back[0]) + 1}: "
+                f"{t[back[0] + 1]:g} s follows {t[back[0]]:g} s; sort the samples"
+            )
+        object.__setattr__(self, "channels", MappingProxyType(arrays))
+        object.__setattr__(self, "set_aside", tuple(self.set_aside))
+        object.__setattr__(self, "warnings", tuple(self.warnings))
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**vars(self), "channels": dict(self.channels)}
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def __repr__(self) -> str:
+        return (
+            f"<DriveLog {self.name!r}: {len(self)} samples over {self.duration:.1f} s, "
+            f"{self.energy / 1e3:.2f} kJ; {', '.join(self.channels)}>"
+        )
+
+    # -- building -------------------------------------------------------------------------------
+
+    @classmethod
+    def read(cls, path: str | Path, columns: str | Mapping[str, str] | None = None) -> DriveLog:
+        """Read a log from a file.
+
+        Parameters
+        ----------
+        path : str or Path
+            A ``.csv``, ``.csv.gz`` or ``.parquet`` file with one row of column names.
+        columns : str or mapping of str to str, optional
+            Which column serves as which channel, and its unit where it is not the library's:
+            ``"v_left=velL,yaw=heading[deg]"``, or the same as a mapping. Columns that bear a
+            channel's name need no mention.
+
+        Returns
+        -------
+        DriveLog
+            The log. `set_aside` counts the rows that were left out or mended, `warnings` says what
+            is doubtful.
+
+        Raises
+        ------
+        DriveLogError
+            If the file is malformed, a channel is missing or makes no sense; the message names
+            the file, the line and the channel.
+        MissingDependencyError
+            If a Parquet file is read without pyarrow.
+        """
+        table = read_table(path, DriveLogError)
+        chosen = choose_columns(table, columns)
+        log = cls.from_columns(chosen.channels, table.source, table.place)
+        if chosen.unread:
+            note = f"columns of text are left out: {', '.join(chosen.unread[:10])}"
+            log = replace(log, warnings=(*log.warnings, note))
+        return log
+
+    @classmethod
+    def from_columns(
+        cls, columns: Mapping[str, ArrayLike], name: str = "log", place: Place | None = None
+    ) -> DriveLog:
+        """Build a log from raw columns, setting aside what cannot be used.
+
+        Rows without time, speeds or power, and rows that repeat the one before, are left out; holes
+        of up to a second in another channel are interpolated.
+
+        Parameters
+        ----------
+        columns : mapping of str to array_like, shape (n,)
+            Channels in the library's units; NaN where there is no reading.
+        name : str
+            What to call the log.
+        place : callable, optional
+            Names the place of a row for messages; ``"sample k"`` where not given.
+
+        Returns
+        -------
+        DriveLog
+            The log, with `set_aside` and `warnings`.
+
+        Raises
+        ------
+        DriveLogError
+            If a channel is missing, mostly out of range, or contradicts the others: time that does
+            not increase, left and right swapped, power of the wrong sign.
+        """
+        cleaned = clean(columns, name, place or "sample {}".format)
+        raw = cls(cleaned.channels, name)
+        doubts = find_doubts(raw.channels, raw.power, raw.runs, name)
+        return replace(
+            raw, set_aside=tuple(cleaned.set_aside), warnings=(*cleaned.warnings, *doubts)
+        )
+
+    # -- channels -------------------------------------------------------------------------------
+
+    def has(self, channel: str) -> bool:
+        """Tell whether the log carries a channel."""
+        return channel in self.channels
+
+    def channel(self, name: str) -> FloatArray:
+        """Return a channel.
+
+        Raises
+        ------
+        MissingChannelError
+            If the log does not carry it.
+        """
+        if name not in self.channels:
+            raise MissingChannelError(
+                f"{self.name}: there is no channel {name!r}; the log has "
+                f"{', '.join(sorted(self.channels))}"
+            )
+        return self.channels[name]
+
+    @property
+    def t(self) -> FloatArray:
+        """Time [s]."""
+        return self.channels["t"]
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample, gaps left out [s]."""
+        return float(sum(self.t[run][-1] - self.t[run][0] for run in self.runs))
+
+    @property
+    def sides(self) -> Sides | None:
+        """Measured power of each side [W], or None where only the total was logged."""
+        if self.has("p_left") and self.has("p_right"):
+            return Sides(self.channels["p_left"], self.channels["p_right"])
+        return None
+
+    @property
+    def battery_side(self) -> bool:
+        """Whether power was measured at the battery, so that it holds drive losses and hotel load.
+
+        So it is where it comes from voltage and current.
+        """
+        return self.sides is None and not self.has("power")
+
+    @cached_property
+    def power(self) -> FloatArray:
+        """Measured total power [W], positive when drawn."""
+        sides = self.sides
+        if sides is not None:
+            return sides.total
+        if self.has("power"):
+            return self.channels["power"]
+        return np.asarray(self.channels["voltage"] * self.channels["current"])
+
+    @cached_property
+    def runs(self) -> tuple[slice, ...]:
+        """Stretches without a gap: a gap is four times the usual time step, 0.2 s at least."""
+        return tuple(find_runs(self.t))
+
+    @cached_property
+    def weights(self) -> FloatArray:
+        """Time that each sample stands for [s]: the trapezoidal rule, gaps left out."""
+        weights = np.zeros(len(self))
+        for run in self.runs:
+            half = 0.5 * np.diff(self.t[run])
+            weights[run][:-1] += half
+            weights[run][1:] += half
+        return weights
+
+    @property
+    def energy(self) -> float:
+        """Measured energy [J], gaps left out."""
+        return float(self.weights @ self.power)
+
+    def motion(self, icr: TreadICR, smoothing: float = 0.4) -> Motion:
+        """Return the log as a motion, with accelerations derived from the tread speeds.
+
+        Parameters
+        ----------
+        icr : TreadICR
+            Tread ICRs.
+        smoothing : float
+            Window of the local quadratic fit that the channels ``accel`` and ``yaw_accel`` come
+            from [s]; three samples at least. A channel of that name in the log is kept.
+
+        Returns
+        -------
+        Motion
+            The motion, with the log's further channels.
+        """
+        speeds = ("v_left", "v_right")
+        others = {key: value for key, value in self.channels.items() if key not in speeds}
+        motion = Motion(self.channels["v_left"], self.channels["v_right"], icr, others)
+        derived = {
+            "accel": derivative(self.t, motion.v, self.runs, smoothing),
+            "yaw_accel": derivative(self.t, motion.omega, self.runs, smoothing),
+        }
+        return motion.with_channels(**{k: v for k, v in derived.items() if not self.has(k)})
+
+    # -- parts ----------------------------------------------------------------------------------
+
+    def _part(self, samples: slice, name: str) -> DriveLog:
+        return replace(self, channels={k: v[samples] for k, v in self.channels.items()}, name=name)
+
+    def segment(self, t0: float, t1: float) -> DriveLog:
+        """Return the samples with ``t0 <= t < t1`` [s].
+
+        Raises
+        ------
+        DriveLogError
+            If fewer than two samples lie there.
+        """
+        first, last = np.searchsorted(self.t, [t0, t1])
+        if last - first < 2:
+            raise DriveLogError(
+                f"{self.name}: {max(0, int(last - first))} samples lie in {t0:g} <= t < {t1:g} s, "
+                f"two are needed; the log covers {self.t[0]:g} to {self.t[-1]:g} s"
+            )
+        return self._part(slice(int(first), int(last)), f"{self.name} from {t0:g} to {t1:g} s")
+
+    def blocks(self, duration: float) -> list[DriveLog]:
+        """Cut the log into blocks of about equal length that hold every sample once.
+
+        Parameters
+        ----------
+        duration : float
+            Length of a block [s]; the blocks of a run without a gap share its length evenly.
+
+        Returns
+        -------
+        list of DriveLog
+            The blocks. None crosses a gap, unless a sample alone between two gaps had to join the
+            block before it.
+
+        Raises
+        ------
+        DriveLogError
+            If `duration` is not positive.
+        """
+        if not duration > 0:
+            raise DriveLogError(f"{self.name}: blocks of {duration} s; give a positive duration")
+        bounds = [0]
+        for run in self.runs:
+            if run.stop - run.start < 2:
+                continue
+            if len(bounds) > 1:
+                bounds[-1] = run.start
+            time = self.t[run]
+            count = max(1, round(float(time[-1] - time[0]) / duration))
+            edges = np.linspace(time[0], time[-1], count + 1)[1:-1]
+            for cut in run.start + np.searchsorted(time, edges):
+                if cut - bounds[-1] >= 2 and run.stop - cut >= 2:
+                    bounds.append(int(cut))
+            bounds.append(run.stop)
+        bounds = [*bounds[: max(1, len(bounds) - 1)], len(self)]
+        return [
+            self._part(slice(a, b), f"{self.name}, block {k + 1} of {len(bounds) - 1}")
+            for k, (a, b) in enumerate(pairwise(bounds))
+        ]
+
+    def resample(self, period: float) -> DriveLog:
+        """Return the log as means over successive intervals, which keeps integrals such as energy.
+
+        Parameters
+        ----------
+        period : float
+            Length of an interval [s].
+
+        Returns
+        -------
+        DriveLog
+            The log; ``t`` holds the intervals' centres. What is left at the end of a run is set
+            aside. Power is averaged as such: of voltage and current, the current is then the one
+            that gives the mean power at the mean voltage.
+
+        Raises
+        ------
+        DriveLogError
+            If `period` is not positive, or fewer than two intervals fit.
+        """
+        if not (np.isfinite(period) and period > 0):
+            raise DriveLogError(f"{self.name}: resampling every {period} s; give a positive period")
+        if self.duration > period * _MOST_INTERVALS:
+            raise DriveLogError(f"{self.name}: every {period:g} s is absurd; give a longer period")
+        raw = {**self.channels}
+        if "yaw" in raw:
+            raw["yaw"] = np.unwrap(raw["yaw"])
+        if self.battery_side:
+            raw["current"] = self.power
+        means, unused = interval_means(self.t, raw, self.runs, period)
+        if len(means["t"]) < 2:
+            raise DriveLogError(
+                f"{self.name}: {len(means['t'])} intervals of {period:g} s fit into "
+                f"{self.duration:.3g} s; two are needed"
+            )
+        if self.battery_side:
+            voltage = means["voltage"]
+            means["current"] = means["current"] / np.where(voltage != 0, voltage, 1.0)
+        aside = self.set_aside
+        if unused:
+            reason = f"ends of runs that do not fill {period:g} s; left out"
+            aside = (*aside, SetAside(reason, unused, "ends of runs"))
+        return replace(self, channels=means, set_aside=aside)
+
+    def shifted(self, **seconds: float) -> DriveLog:
+        """Return the log with channels moved in time, to mend a clock offset.
+
+        Parameters
+        ----------
+        **seconds : float
+            By how much to move each channel [s]: negative for one that lags behind. ``power``
+            moves whatever channels tell the power.
+
+        Returns
+        -------
+        DriveLog
+            The log; samples that a moved channel no longer reaches are set aside.
+
+        Raises
+        ------
+        MissingChannelError
+            If there is no such channel.
+        DriveLogError
+            If fewer than two samples are left.
+        """
+        moves = dict(seconds)
+        if "power" in moves and not self.has("power"):
+            by = moves.pop("power")
+            moves |= dict.fromkeys(needed_channels(self.channels, self.name)[3:], by)
+        channels = {**self.channels}
+        reached = np.ones(len(self), bool)
+        for name, by in moves.items():
+            values = self.channel(name)
+            values = np.unwrap(values) if name == "yaw" else values
+            channels[name], known = shift(self.t, values, self.runs, by)
+            reached &= known
+        lost = int(np.count_nonzero(~reached))
+        if len(self) - lost < 2:
+            raise DriveLogError(
+                f"{self.name}: shifting {', '.join(moves)} leaves {len(self) - lost} samples; "
+                "shift by less than the log's length"
+            )
+        moved = ", ".join(f"{name} by {by:+.3f} s" for name, by in moves.items())
+        aside = self.set_aside
+        if lost:
+            reason = f"out of reach of the channels moved ({moved}); left out"
+            aside = (*aside, SetAside(reason, lost, "ends of runs"))
+        # What was said of these channels' clocks no longer holds.
+        stale = tuple(f"{name} l" for name in {*seconds, *moves})
+        return replace(
+            self,
+            channels={name: values[reached] for name, values in channels.items()},
+            set_aside=aside,
+            warnings=tuple(w for w in self.warnings if not w.startswith(stale)),
+        )

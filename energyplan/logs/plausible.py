@@ -1,0 +1,413 @@
+"""Does a drive log make sense? Swapped sides, wrong signs and units, channels offset in time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+
+from energyplan.errors import DriveLogError
+from energyplan.logs._smooth import derivative
+from energyplan.logs.checks import gap_limit
+from energyplan.path import FloatArray
+
+LARGEST_OFFSET = 2.0
+"""Longest time offset between channels that is looked for [s]."""
+_SUFFICIENT = 200_000  # samples that tell a time offset as well as more would
+_ENOUGH = 20  # samples below which nothing is concluded
+_TURNING = 0.05  # difference of the tread speeds from which the robot surely turns [m/s]
+_MOVING = 0.03  # tread speed from which it surely moves [m/s]
+
+
+@dataclass(frozen=True)
+class Offset:
+    """Time offset of a channel against the tread speeds.
+
+    Parameters
+    ----------
+    channel : str
+        The channel.
+    seconds : float
+        By how much it lags behind [s]; negative where it leads.
+    explained : float
+        Share of its variance that the tread speeds explain once it is shifted.
+    before : float
+        The same as logged.
+    sign : int
+        Sign of the relation at that offset.
+    duration : float
+        Length of the stretches compared [s].
+    """
+
+    channel: str
+    seconds: float
+    explained: float
+    before: float
+    sign: int
+    duration: float
+
+    @property
+    def certain(self) -> bool:
+        """Whether the shift explains clearly more, over a long enough time."""
+        return (
+            self.duration >= 30.0
+            and self.explained > 0.3
+            and 1 - self.before > 1.15 * (1 - self.explained)
+        )
+
+
+def find_offset(
+    channel: str,
+    t: FloatArray,
+    values: FloatArray,
+    regressors: Sequence[FloatArray],
+    runs: Sequence[slice],
+    *,
+    largest: float = LARGEST_OFFSET,
+    centred: bool = True,
+) -> Offset | None:
+    """Find the time offset at which regressors explain a channel best.
+
+    For each lag the explained variance of the least-squares fit follows from cross-correlations
+    and running sums, so that all lags together cost a few Fourier transforms; a parabola through
+    the best lag and its neighbours refines it.
+
+    Parameters
+    ----------
+    channel : str
+        Name of the channel.
+    t, values : ndarray, shape (n,)
+        Time [s] and the channel.
+    regressors : sequence of ndarray, shape (n,)
+        What explains it.
+    runs : sequence of slice
+        Stretches without a gap.
+    largest : float
+        Longest offset looked for [s].
+    centred : bool
+        Take means away, as for a channel with an unknown constant part.
+
+    Returns
+    -------
+    Offset or None
+        The offset; None where the log is too short or does not move.
+    """
+    long = [run for run in runs if t[run][-1] - t[run][0] >= 4 * largest]
+    if not long:
+        return None
+    # Where most samples crowd together the grid must not grow without bound.
+    spread = sum(float(t[run][-1] - t[run][0]) for run in long) / (4 * len(t))
+    step = max(float(np.median(np.diff(t))), spread)
+    lags = round(largest / step)
+    if lags < 1:
+        return None
+    columns = [*regressors, np.ones(len(t))] if centred else list(regressors)
+    size = len(columns)
+    cross, gram = np.zeros((2 * lags + 1, size)), np.zeros((2 * lags + 1, size, size))
+    square = total = count = 0.0
+    for run in long:
+        grid = t[run][0] + step * np.arange(int((t[run][-1] - t[run][0]) / step) + 1)
+        # The channel's samples that every lag can reach; the regressors move past them.
+        y = np.interp(grid, t[run], values[run])[lags:-lags]
+        X = np.stack([np.interp(grid, t[run], column[run]) for column in columns])
+        square, total, count = square + float(y @ y), total + float(y.sum()), count + len(y)
+        length = next_fast_len(X.shape[1], real=True)
+        spectrum = np.conj(rfft(y, length))
+        for j in range(size):
+            # Correlation at every lag at once; it wraps round only beyond the lags wanted.
+            cross[:, j] += irfft(rfft(X[j], length) * spectrum, length)[2 * lags :: -1]
+            for k in range(size):
+                sums = np.concatenate([[0.0], np.cumsum(X[j] * X[k])])
+                gram[:, j, k] += (sums[len(y) :] - sums[: 2 * lags + 1])[::-1]
+    if square - centred * total**2 / max(count, 1.0) <= 1e-12 * square:
+        return None
+    scale = np.sqrt(np.einsum("ijj->ij", gram))
+    if np.any(scale <= 0):
+        return None
+    # A trace of ridge keeps collinear regressors, of a robot that never turns, solvable.
+    unit = gram / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(size)
+    weights = np.linalg.solve(unit, (cross / scale)[..., None])[..., 0] / scale
+    mean = total**2 / count if centred else 0.0
+    explained = (np.einsum("ij,ij->i", cross, weights) - mean) / (square - mean)
+    best = int(np.argmax(explained))
+    shift = 0.0
+    if 0 < best < 2 * lags:
+        a, b, c = explained[best - 1 : best + 2]
+        shift = 0.5 * float(a - c) / float(a - 2 * b + c) if a - 2 * b + c < 0 else 0.0
+    return Offset(
+        channel,
+        (best - lags + shift) * step,
+        float(explained[best]),
+        float(explained[lags]),
+        int(np.sign(weights[best, 0])),
+        count * step,
+    )
+
+
+def _enough(runs: Sequence[slice]) -> list[slice]:
+    """Stretches that suffice to find a time offset: the first hours of a long log."""
+    some: list[slice] = []
+    left = _SUFFICIENT
+    for run in runs:
+        if left <= 0:
+            break
+        some.append(slice(run.start, min(run.stop, run.start + left)))
+        left -= run.stop - run.start
+    return some
+
+
+def power_regressors(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> list[FloatArray]:
+    """Shapes that the power of any skid-steer robot is made of: rolling, sliding, speeding up."""
+    t, left, right = channels["t"], channels["v_left"], channels["v_right"]
+    mean, difference = left + right, right - left
+    return [
+        np.abs(left) + np.abs(right),
+        np.abs(difference),
+        mean * derivative(t, mean, runs, 0.5),
+        difference * derivative(t, difference, runs, 0.5),
+    ]
+
+
+def find_doubts(
+    channels: Mapping[str, FloatArray], power: FloatArray, runs: Sequence[slice], label: str
+) -> list[str]:
+    """Compare the channels with each other.
+
+    Parameters
+    ----------
+    channels : mapping of str to ndarray, shape (n,)
+        Sound channels.
+    power : ndarray, shape (n,)
+        Total power [W].
+    runs : sequence of slice
+        Stretches without a gap.
+    label : str
+        Name of the log.
+
+    Returns
+    -------
+    list of str
+        What is doubtful.
+
+    Raises
+    ------
+    DriveLogError
+        If channels contradict each other.
+    """
+    return [
+        *_check_time(channels["t"], runs, label),
+        *_check_turning(channels, runs, label),
+        *_check_power(channels, power, runs, label),
+        *_check_speed(channels, runs),
+    ]
+
+
+def _check_time(t: FloatArray, runs: Sequence[slice], label: str) -> list[str]:
+    """Refuse time in another unit; report gaps.
+
+    Raises
+    ------
+    DriveLogError
+        If the time step is out of range.
+    """
+    step = float(np.median(np.diff(t)))
+    if not 1e-4 <= step <= 20.0:
+        unit = "ms" if step > 20 else "min"
+        raise DriveLogError(
+            f"{label}: the time step of t is {step:g} s; between 0.1 ms and 20 s is possible; name "
+            f"its unit, as in t=NAME[{unit}]"
+        )
+    if len(runs) < 2:
+        return []
+    starts = [t[run][-1] for run in runs[:-1]]
+    lost = sum(float(t[b][0] - t[a][-1]) for a, b in pairwise(runs))
+    named = ", ".join(f"{start:.2f} s" for start in starts[:3])
+    gaps = "1 gap" if len(starts) == 1 else f"{len(starts)} gaps"
+    return [
+        f"t has {gaps} longer than {gap_limit(t):.2g} s, {lost:.1f} s in all, after "
+        f"t = {named}{', ...' if len(starts) > 3 else ''}; nothing is interpolated across them"
+    ]
+
+
+def _check_turning(
+    channels: Mapping[str, FloatArray], runs: Sequence[slice], label: str
+) -> list[str]:
+    """Compare measured turning with the tread speeds.
+
+    Raises
+    ------
+    DriveLogError
+        If the log turns against its tread speeds, or turns in degrees.
+    """
+    t, difference = channels["t"], channels["v_right"] - channels["v_left"]
+    turning = np.abs(difference) > _TURNING
+    told: list[str] = []
+    for name in ("yaw_rate", "yaw"):
+        if name not in channels or np.count_nonzero(turning) < _ENOUGH:
+            continue
+        rate = channels[name]
+        if name == "yaw":
+            rate = derivative(t, np.unwrap(rate), runs, 0.5)
+            if abs(_alike(rate, difference)) < 0.5:
+                degrees = derivative(t, np.unwrap(channels[name], period=360.0), runs, 0.5)
+                rate = degrees if abs(_alike(degrees, difference)) > 0.5 else rate
+        if not np.any(rate):
+            told.append(f"{name} never changes, though the tread speeds say that the robot turns")
+            continue
+        product = float(rate @ difference)
+        alike = _alike(rate, difference)
+        offset = find_offset(name, t, rate, [difference], _enough(runs), centred=False)
+        shifted = offset is not None and offset.certain
+        sign = (
+            offset.sign if offset is not None and shifted and abs(alike) < 0.5 else np.sign(alike)
+        )
+        if sign < 0 and (shifted or alike < -0.3):
+            raise DriveLogError(
+                f"{label}: {name} falls while v_right exceeds v_left (correlation {alike:.2f}): "
+                f"left and right are swapped, or {name} counts clockwise; swap them in the column "
+                f"mapping, or map {name}=NAME[-{'rad' if name == 'yaw' else 'rad/s'}]"
+            )
+        if offset is not None and shifted:
+            told.append(_offset_warning(offset))
+        track = float(difference @ difference) / product if product > 0 else np.inf
+        if alike > 0.5 and track < 0.05:
+            raise DriveLogError(
+                f"{label}: {name} changes as if the slip track were {track * 1e3:.1f} mm; it seems "
+                f"to be in degrees; map {name}=NAME[{'deg' if name == 'yaw' else 'deg/s'}]"
+            )
+        if not shifted and abs(alike) < 0.3:
+            told.append(
+                f"{name} hardly follows v_right - v_left (correlation {alike:.2f}); the tread ICRs "
+                "cannot be trusted"
+            )
+    return told
+
+
+def _alike(one: FloatArray, other: FloatArray) -> float:
+    """Correlation through the origin."""
+    norm = float(np.sqrt((one @ one) * (other @ other)))
+    return float(one @ other) / norm if norm > 0 else 0.0
+
+
+def _offset_warning(offset: Offset) -> str:
+    way = "lags behind" if offset.seconds > 0 else "leads"
+    return (
+        f"{offset.channel} {way} the tread speeds by {abs(offset.seconds):.3f} s (explained "
+        f"variance {offset.before:.3f} as logged, {offset.explained:.3f} once shifted); "
+        f"DriveLog.shifted({offset.channel}={-offset.seconds:.3f}) puts it right"
+    )
+
+
+def _check_power(
+    channels: Mapping[str, FloatArray], power: FloatArray, runs: Sequence[slice], label: str
+) -> list[str]:
+    """Compare power with the tread speeds: its sign, its side, its time.
+
+    Raises
+    ------
+    DriveLogError
+        If power or one side of it has the wrong sign.
+    """
+    t, left, right = channels["t"], channels["v_left"], channels["v_right"]
+    effort = np.abs(left) + np.abs(right)
+    moving = effort > 2 * _MOVING
+    told: list[str] = []
+    if np.count_nonzero(moving) < _ENOUGH:
+        return ["the robot hardly moves; nothing can be told about its power parameters"]
+    if not np.any(power):
+        return ["power is zero all along"]
+    sides = [name for name in ("p_left", "p_right") if {"p_left", "p_right"} <= set(channels)]
+    flipped = [name for name in sides if _dragging(channels, name)]
+    if len(flipped) != 1:
+        wrong = _wrong_sign(power[moving]) and not _descends(channels)
+        source = ["current"] if "current" in channels and "power" not in channels else ["power"]
+        flipped = (sides or source) if wrong else []
+    if flipped:
+        unit = "A" if flipped == ["current"] else "W"
+        raise DriveLogError(
+            f"{label}: {' and '.join(flipped)} has the wrong sign: power drawn counts positive, and"
+            f" so does the current of a discharge; map it with a minus in its unit, as in "
+            f"{flipped[0]}=NAME[-{unit}]"
+        )
+    if sides:
+        lean = np.abs(right) ** 2 - np.abs(left) ** 2
+        excess = channels["p_right"] - channels["p_left"]
+        norm = np.sqrt(float(lean @ lean) * float(excess @ excess))
+        if norm > 0 and lean @ excess < -0.3 * norm:
+            told.append(
+                "p_left and p_right seem to be swapped: in arcs the outer, faster tread must draw "
+                "the more"
+            )
+    some = _enough(runs)
+    offset = find_offset("power", t, power, power_regressors(channels, some), some)
+    if offset is not None and offset.certain and offset.explained > 0.75:
+        told.append(_offset_warning(offset))
+    return told
+
+
+def _dragging(channels: Mapping[str, FloatArray], side: str) -> bool:
+    """Whether a side's power falls as its tread drives, whichever way the robot turns.
+
+    The inner side of an arc generates: its power is that of the slip force, which changes sign with
+    the turn, and of a resistance, which does not. Only the latter tells a wrong sign.
+    """
+    speed = channels["v_right" if side == "p_right" else "v_left"]
+    outwards = 1.0 if side == "p_right" else -1.0
+    turn = outwards * np.clip((channels["v_right"] - channels["v_left"]) / _TURNING, -1.0, 1.0)
+    X, y = np.stack([turn * speed, np.abs(speed)]), channels[side]
+    gram, cross = X @ X.T, X @ y
+    alike = _alike(X[0], X[1])
+    if abs(alike) > 0.97:
+        # Not to be told apart. In spins and on the outer side both draw; on the inner side, who
+        # knows.
+        return alike > 0 and _wrong_sign(y[X[1] > _MOVING])
+    slip, resistance = np.linalg.solve(gram + 1e-12 * np.trace(gram) * np.eye(2), cross)
+    explained = (slip * cross[0] + resistance * cross[1]) / float(y @ y)
+    return bool(explained > 0.5 and gram[1, 1] > 0 and resistance < -0.1 * abs(slip))
+
+
+def _wrong_sign(power: FloatArray) -> bool:
+    """Whether power is negative on the whole, beyond chance."""
+    return bool(len(power) and power.mean() < -0.3 * np.abs(power).mean() and np.median(power) < 0)
+
+
+def _descends(channels: Mapping[str, FloatArray]) -> bool:
+    """Whether the drive goes downhill on the whole, as far as the log tells."""
+    if "slope" not in channels:
+        return False
+    forward = channels["v_left"] + channels["v_right"]
+    return float(np.sin(channels["slope"]) @ forward) < -0.02 * float(np.abs(forward).sum())
+
+
+def _check_speed(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> list[str]:
+    """Compare tread speeds with the distance travelled."""
+    if not {"x", "y"} <= set(channels):
+        return []
+    t = channels["t"]
+    wheel = gone = 0.0
+    for run in runs:
+        edges = np.arange(t[run][0], t[run][-1], 1.0)
+        if len(edges) < 2:
+            continue
+        x, y = (np.interp(edges, t[run], channels[name][run]) for name in ("x", "y"))
+        left, right = (
+            np.diff(np.interp(edges, t[run], _integral(t[run], channels[name][run])))
+            for name in ("v_left", "v_right")
+        )
+        way = 0.5 * np.abs(left + right)
+        straight = (way > 0.1) & (np.abs(right - left) < 0.2 * way)
+        wheel += float(way[straight].sum())
+        gone += float(np.hypot(np.diff(x), np.diff(y))[straight].sum())
+    if wheel < 2.0 or 0.5 < gone / wheel < 1.5:
+        return []
+    return [
+        f"the treads say {wheel:.1f} m of straight driving, x and y say {gone:.1f} m; check the "
+        "units and the wheel radius, as in v_left=NAME[*0.165], or the wheels slip"
+    ]
+
+
+def _integral(t: FloatArray, values: FloatArray) -> FloatArray:
+    return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (values[1:] + values[:-1]))])

@@ -1,0 +1,306 @@
+"""Energy with its uncertainty, and the power models that a mission meets on its way.
+
+Every unknown of a mission is written as a standard normal coordinate: the principal directions of
+each model's covariance, the spread of its coefficients from day to day, and the error that it made
+on drives held out from its identification. An energy carries its sensitivity to each of them. Legs
+that share a model share its unknowns, so that their errors add up instead of averaging out; only
+the noise of the drive itself is each leg's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from energyplan.errors import MissionError
+from energyplan.mission.types import Mission
+from energyplan.motion import Motion
+from energyplan.path import FloatArray, Trajectory
+from energyplan.power import PowerModel
+from energyplan.power.effects import GRADE
+from energyplan.vehicle import TreadICR, Vehicle, wheel_loads
+
+Regions = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """An energy that is not known exactly.
+
+    Parameters
+    ----------
+    mean : float
+        Expected energy [J].
+    sensitivity : ndarray, shape (n,)
+        Change of the energy per standard deviation of each shared unknown [J].
+    noise : float
+        Variance of its own, independent of everything else [J^2].
+    """
+
+    mean: float
+    sensitivity: FloatArray
+    noise: float = 0.0
+
+    def __add__(self, other: Estimate) -> Estimate:
+        return Estimate(
+            self.mean + other.mean, self.sensitivity + other.sensitivity, self.noise + other.noise
+        )
+
+    @property
+    def std(self) -> float:
+        """Standard deviation [J]."""
+        return float(np.sqrt(self.sensitivity @ self.sensitivity + self.noise))
+
+    def upper(self, quantile: float) -> float:
+        """Return the mean plus so many standard deviations [J]."""
+        return self.mean + quantile * self.std
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A model and its loaded relatives, with the place of their unknowns among the coordinates."""
+
+    payloads: FloatArray
+    models: tuple[PowerModel, ...]
+    first: int
+    roots: tuple[FloatArray, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns: covariances, spread of each coefficient, error on the hold-out."""
+        return sum(len(root.T) for root in self.roots) + len(self.models[0].terms) + 1
+
+
+def _root(model: PowerModel) -> FloatArray:
+    """Return principal directions of the covariance, one standard deviation each."""
+    n = len(model.terms)
+    if model.covariance is None:
+        return np.empty((n, 0))
+    value, vector = np.linalg.eigh(model.covariance)
+    keep = value > 1e-12 * max(float(value.max()), 1e-300)
+    return np.asarray(vector[:, keep] * np.sqrt(value[keep]))
+
+
+class Grounds:
+    """The power models of a mission, by surface and payload, with their unknowns.
+
+    Parameters
+    ----------
+    mission : Mission
+        The mission.
+
+    Raises
+    ------
+    MissionError
+        If models with payload do not fit together, or a bound is asked of models whose
+        uncertainty nothing tells.
+    """
+
+    def __init__(self, mission: Mission) -> None:
+        self._mission = mission
+        surfaces = mission.surfaces
+        bare = [mission.model, *(s.model for s in (surfaces.surfaces if surfaces else ()))]
+        self._sources: list[_Source] = []
+        self._source_of: list[int] = []
+        seen: dict[tuple[str, bytes], int] = {}
+        for model in bare:
+            key = (model.name, model.coefficients.tobytes())
+            if key not in seen:
+                seen[key] = len(self._sources)
+                self._sources.append(self._source(model))
+            self._source_of.append(seen[key])
+        self._known: dict[tuple[int, float], PowerModel] = {}
+        self._directions: dict[tuple[int, float], FloatArray] = {}
+        self._refuse_unfounded_bounds()
+
+    @property
+    def size(self) -> int:
+        """Number of shared unknowns."""
+        return sum(source.size for source in self._sources)
+
+    @property
+    def nothing(self) -> Estimate:
+        """No energy at all."""
+        return Estimate(0.0, np.zeros(self.size))
+
+    def _source(self, model: PowerModel) -> _Source:
+        heavier = self._mission.payload_models.get(model.name, {})
+        nodes = sorted({0.0: model, **heavier}.items())
+        terms = [term.name for term in model.terms]
+        for payload, other in nodes:
+            if [term.name for term in other.terms] != terms:
+                raise MissionError(
+                    f"with {payload:g} kg the model {model.name!r} has the terms "
+                    f"{[term.name for term in other.terms]}, without payload {terms}; identify "
+                    "both with the same terms",
+                    ("payload_models",),
+                )
+        return _Source(
+            np.array([payload for payload, _ in nodes]),
+            tuple(other for _, other in nodes),
+            self.size,
+            tuple(_root(other) for _, other in nodes),
+        )
+
+    def _refuse_unfounded_bounds(self) -> None:
+        mission = self._mission
+        if mission.confidence == 0.5 or mission.coefficient_spread > 0:
+            return
+        for source in self._sources:
+            for model in source.models:
+                if model.covariance is None and model.residual is None:
+                    raise MissionError(
+                        f"the model {model.name!r} has neither a covariance nor a hold-out error, "
+                        f"so no bound holds with confidence {mission.confidence:g}; identify it "
+                        "from a log, state a coefficient_spread, or ask for confidence 0.5",
+                        ("model",),
+                    )
+
+    def _weights(self, source: _Source, payload: float) -> FloatArray:
+        nodes = source.payloads
+        if len(nodes) == 1:
+            return np.ones(1)
+        if not nodes[0] - 1e-9 <= payload <= nodes[-1] + 1e-9:
+            raise MissionError(
+                f"the payload reaches {payload:g} kg, but the models of "
+                f"{source.models[0].name!r} cover {nodes[0]:g} to {nodes[-1]:g} kg; identify one "
+                "at that payload",
+                ("payload_models",),
+            )
+        upper = int(np.clip(np.searchsorted(nodes, payload), 1, len(nodes) - 1))
+        share = float(np.clip((payload - nodes[upper - 1]) / np.diff(nodes)[upper - 1], 0.0, 1.0))
+        weights = np.zeros(len(nodes))
+        weights[upper - 1], weights[upper] = 1.0 - share, share
+        return weights
+
+    def model(self, region: int, payload: float) -> PowerModel:
+        """Return the model of a region (0 outside all surfaces) with a payload [kg]."""
+        key = (self._source_of[region], payload)
+        if key not in self._known:
+            source = self._sources[key[0]]
+            weights = self._weights(source, payload)
+            values = weights @ np.array([model.coefficients for model in source.models])
+            base = source.models[0]
+            if len(source.models) == 1:
+                vehicle = _loaded(base.vehicle, payload)
+                values = values + payload * np.array([t.name == GRADE.name for t in base.terms])
+            else:
+                vehicle = _between([m.vehicle for m in source.models], weights)
+            self._known[key] = replace(base, vehicle=vehicle, coefficients=values, covariance=None)
+        return self._known[key]
+
+    def directions(self, region: int, payload: float) -> FloatArray:
+        """Return the change of a model's coefficients per unknown, shape (terms, source size - 1).
+
+        The last unknown of a source, the hold-out error, acts on the energy and has no column.
+        """
+        key = (self._source_of[region], payload)
+        if key not in self._directions:
+            source = self._sources[key[0]]
+            weights = self._weights(source, payload)
+            columns = [w * root for w, root in zip(weights, source.roots, strict=True)]
+            spread = self._mission.coefficient_spread * self.model(region, payload).coefficients
+            self._directions[key] = np.column_stack([*columns, np.diag(spread)])
+        return self._directions[key]
+
+    def estimate(self, trajectory: Trajectory, region: Regions, payload: float) -> Estimate:
+        """Return the energy of a trajectory over the grounds, at the battery.
+
+        Parameters
+        ----------
+        trajectory : Trajectory
+            The trajectory, n samples.
+        region : ndarray of int, shape (n - 1,)
+            Region of each interval between samples.
+        payload : float
+            Payload [kg].
+
+        Returns
+        -------
+        Estimate
+            The energy.
+        """
+        total = self.nothing
+        for k in np.unique(region):
+            width = np.where(region == k, np.diff(trajectory.t), 0.0)
+            icr = self.model(int(k), payload).vehicle.icr
+            motion = self._motion(trajectory, icr)
+            total = total + self._one(int(k), motion, width, payload)
+        return total
+
+    def power(self, trajectory: Trajectory, region: Regions, payload: float) -> FloatArray:
+        """Return the mean power of each interval of a trajectory [W], shape (n - 1,)."""
+        out = np.zeros(len(region))
+        for k in np.unique(region):
+            model = self.model(int(k), payload).battery_side()
+            power = model.power(self._motion(trajectory, model.vehicle.icr))
+            out = np.where(region == k, 0.5 * (power[1:] + power[:-1]), out)
+        return out
+
+    def _motion(self, trajectory: Trajectory, icr: TreadICR) -> Motion:
+        """Return the motion along a trajectory; on slopes it is faster than in plan view."""
+        heights = self._mission.heights
+        if heights is None:
+            return Motion.from_trajectory(trajectory, icr)
+        poses = trajectory.poses.copy()
+        heading = np.column_stack([np.cos(trajectory.yaw), np.sin(trajectory.yaw)])
+        poses[:, :2] += icr.longitudinal * heading
+        slope = heights.slope(poses)
+        flat = Motion.from_trajectory(trajectory, icr, slope=slope)
+        more = trajectory.v * (1.0 / np.cos(slope) - 1.0)
+        return Motion(flat.v_left + more, flat.v_right + more, icr, flat.channels)
+
+    def idle(self, region: int, duration: float, payload: float) -> Estimate:
+        """Return the energy of standing still for so long [s]."""
+        model = self.model(region, payload)
+        steady = dict.fromkeys((c for term in model.terms for c in term.channels), 0.0)
+        motion = Motion.from_twist(np.zeros(2), np.zeros(2), model.vehicle.icr, **steady)
+        # The residual is what the model misses while driving.
+        return replace(self._one(region, motion, np.array([duration]), payload), noise=0.0)
+
+    def _one(self, region: int, motion: Motion, width: FloatArray, payload: float) -> Estimate:
+        model = self.model(region, payload)
+        source = self._sources[self._source_of[region]]
+
+        def energy(coefficients: FloatArray) -> float:
+            power = model.with_coefficients(coefficients).battery_side().power(motion)
+            return float(0.5 * (power[1:] + power[:-1]) @ width)
+
+        values = model.coefficients
+        mean = energy(values)
+        sensitivity = np.zeros(self.size)
+        for j, step in enumerate(self.directions(region, payload).T):
+            if step.any():
+                change = 0.5 * (energy(values + step) - energy(values - step))
+                sensitivity[source.first + j] = change
+        noise = 0.0
+        residuals = [m.residual for m in source.models if m.residual is not None]
+        if residuals:
+            weights = self._weights(source, payload)[
+                [m.residual is not None for m in source.models]
+            ]
+            weights = weights / weights.sum() if weights.sum() > 0 else weights + 1 / len(weights)
+            error = weights @ [abs(r.energy_error) for r in residuals]
+            sensitivity[source.first + source.size - 1] = error * mean
+            strength = weights @ [2 * r.rmse**2 * r.correlation_time for r in residuals]
+            noise = float(strength * width.sum())
+        return Estimate(mean, sensitivity, noise)
+
+
+def _loaded(vehicle: Vehicle, payload: float) -> Vehicle:
+    """Return a vehicle with a payload above its origin."""
+    if payload == 0:
+        return vehicle
+    return replace(vehicle, loads=vehicle.loads + wheel_loads(vehicle.contacts, payload))
+
+
+def _between(vehicles: list[Vehicle], weights: FloatArray) -> Vehicle:
+    """Interpolate wheel loads and tread ICRs."""
+    icr = weights @ np.array([(v.icr.left, v.icr.right, v.icr.longitudinal) for v in vehicles])
+    return replace(
+        vehicles[0],
+        loads=weights @ np.array([v.loads for v in vehicles]),
+        icr=TreadICR(*(float(value) for value in icr)),
+    )

@@ -1,0 +1,382 @@
+"""From place to place: planned once, timed within the limits, priced for the payload on board."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Hashable
+from copy import copy
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import Literal
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import shapely
+
+from energyplan import steering
+from energyplan.cost import EnergyCost
+from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitError
+from energyplan.limits.speed import profile
+from energyplan.mission.bounds import shortest_ways
+from energyplan.mission.energy import Estimate, Grounds, Regions
+from energyplan.mission.types import Mission
+from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
+from energyplan.planning import PlanningProblem, plan
+from energyplan.planning.scene.compiled import Query
+from energyplan.power import PowerModel
+from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
+
+_PERIOD = 0.1
+"""Largest time between two samples of a leg [s]."""
+
+_PIECE = 0.5
+"""Length of the pieces in which the slope counts as constant while timing [m]."""
+
+_PLANNING = 20.0
+"""Time for all routes of a mission, where it does not say otherwise [s]."""
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A drive from one place to another.
+
+    Parameters
+    ----------
+    path : Path
+        Where it leads; empty where there is none.
+    trajectory : Trajectory or None
+        When the robot is where; None where it does not move, or cannot.
+    power : ndarray, shape (n,)
+        Mean power of each interval of the trajectory [W].
+    energy : Estimate
+        Its energy; infinite where it cannot be driven.
+    trouble : str
+        ``""``, ``"no_path"`` or ``"motor"``.
+    detail : str
+        What the trouble is.
+    """
+
+    path: Path
+    trajectory: Trajectory | None
+    power: FloatArray
+    energy: Estimate
+    trouble: str = ""
+    detail: str = ""
+
+    @property
+    def duration(self) -> float:
+        """Time that it takes [s]."""
+        return 0.0 if self.trajectory is None else self.trajectory.duration
+
+
+@dataclass(frozen=True)
+class _Route:
+    """A way that was planned, and how it is timed by each model that was asked."""
+
+    path: Path
+    trouble: str = ""
+    detail: str = ""
+    timed: dict[Hashable, Trajectory] = field(default_factory=dict)
+
+
+_routes: WeakKeyDictionary[OccupancyGrid, dict[bytes, dict[tuple[Pose, Pose], _Route]]] = (
+    WeakKeyDictionary()
+)
+"""Routes by map, and by everything else that decides them: variants of a mission share them."""
+
+_REMEMBERED = 32
+"""How many sets of routes are kept for a map."""
+
+
+class Legs:
+    """All legs of a mission, each planned when it is first asked for.
+
+    Node 0 is the start; tasks, chargers and home follow.
+
+    Parameters
+    ----------
+    mission : Mission
+        The mission.
+    progress : callable, optional
+        Called with a line of text before each route is planned.
+    """
+
+    def __init__(self, mission: Mission, progress: Callable[[str], None] | None = None) -> None:
+        self.mission = mission
+        self.grounds = Grounds(mission)
+        self._progress = progress
+        home = mission.start if mission.home is None else mission.home
+        self.poses: list[Pose] = [
+            mission.start,
+            *(task.pose for task in mission.tasks),
+            *(charger.pose for charger in mission.chargers),
+        ]
+        self.names = [
+            "start",
+            *(t.name for t in mission.tasks),
+            *(c.name for c in mission.chargers),
+        ]
+        self.home = 0
+        if home != mission.start:
+            self.home = len(self.poses)
+            self.poses.append(home)
+            self.names.append("home")
+        self._legs: dict[tuple[int, int, float], Leg] = {}
+        self._bounds: dict[float, FloatArray] = {}
+        self._costs: dict[float, tuple[EnergyCost, SurfaceMap | None]] = {}
+        self._routes = self._known_routes()
+
+    def under(self, mission: Mission) -> Legs:
+        """Return these legs for a mission that differs in battery, charge, reserve or speed."""
+        other = copy(self)
+        other.mission = mission
+        if mission.speed != self.mission.speed:
+            # The routes stay; times and energies change.
+            other._legs, other._costs = {}, {}
+        return other
+
+    # -- places -----------------------------------------------------------------------------------
+
+    @property
+    def chargers(self) -> range:
+        """Nodes of the chargers."""
+        first = 1 + len(self.mission.tasks)
+        return range(first, first + len(self.mission.chargers))
+
+    def region(self, node: int) -> int:
+        """Return the surface under a place."""
+        surfaces = self.mission.surfaces
+        return 0 if surfaces is None else int(surfaces.region_at(self.poses[node][:2]))
+
+    # -- bounds -----------------------------------------------------------------------------------
+
+    def cost(self, payload: float) -> tuple[EnergyCost, SurfaceMap | None]:
+        """Return the cost and the surfaces with a payload [kg] on board."""
+        if payload not in self._costs:
+            mission, grounds = self.mission, self.grounds
+            surfaces = mission.surfaces
+            if surfaces is not None:
+                laden = [
+                    replace(surface, model=grounds.model(k, payload))
+                    for k, surface in enumerate(surfaces.surfaces, start=1)
+                ]
+                surfaces = replace(surfaces, surfaces=tuple(laden))
+            model = grounds.model(0, payload)
+            cost = EnergyCost(model, battery=True, speed=mission.speed)
+            self._costs[payload] = cost, surfaces
+        return self._costs[payload]
+
+    def lower_bounds(self, payload: float) -> FloatArray:
+        """Return what it takes at least from node to node [J], shape (n, n).
+
+        The greater of the least energy without obstacles and that of the shortest way round them;
+        infinite where there is no way.
+        """
+        if payload not in self._bounds:
+            if self.mission.heights is not None:
+                self._bounds[payload] = self._bounds_on_slopes(payload)
+                return self._bounds[payload]
+            cost, surfaces = self.cost(payload)
+            costs = (cost,) if surfaces is None else surfaces.costs(cost)
+            poses = np.array(self.poses)
+            turn = wrap_angle(poses[:, None, 2] - poses[None, :, 2])
+            bounds = [
+                np.maximum(
+                    steering.energy(poses[:, None], poses[None, :], c),
+                    c.lower_bound().energy(self._ways, turn),
+                )
+                for c in costs
+            ]
+            self._bounds[payload] = np.asarray(np.min(bounds, axis=0))
+        return self._bounds[payload]
+
+    def _bounds_on_slopes(self, payload: float) -> FloatArray:
+        """Bound energies by the least prices on any slope, and by what the height is worth."""
+        mission, (cost, surfaces) = self.mission, self.cost(payload)
+        here = self.poses[0]
+        problem = PlanningProblem(
+            mission.map, cost, here, here, surfaces=surfaces, heights=mission.heights
+        )
+        query = Query(problem)
+        poses = np.array(self.poses)
+        turn = np.abs(wrap_angle(poses[:, None, 2] - poses[None, :, 2]))
+        # the prices hold for the centre of the tread ICRs, the ways for the vehicle's origin
+        ways = np.maximum(self._ways - 2.0 * np.hypot(*cost.icr.centre), 0.0)
+        height = np.array([query.worth(pose) for pose in self.poses])
+        return np.asarray(
+            query.least.metre * ways + query.least.radian * turn + height[None, :] - height[:, None]
+        )
+
+    @cached_property
+    def _ways(self) -> FloatArray:
+        mission = self.mission
+        points = np.array(self.poses)[:, :2]
+        return shortest_ways(mission.free_map, mission.vehicle, points)
+
+    def planned(self, start: int, goal: int) -> bool:
+        """Tell whether the route from node to node is known."""
+        there, back = (self.poses[start], self.poses[goal]), (self.poses[goal], self.poses[start])
+        return there in self._routes or (self._symmetric and back in self._routes)
+
+    # -- legs -------------------------------------------------------------------------------------
+
+    def leg(self, start: int, goal: int, payload: float) -> Leg:
+        """Return the leg from node to node with a payload [kg] on board."""
+        key = (start, goal, payload)
+        if key not in self._legs:
+            self._legs[key] = self._priced(self._route(start, goal), payload)
+        return self._legs[key]
+
+    def _route(self, start: int, goal: int) -> _Route:
+        """Plan from node to node, for the payload at the start of the mission."""
+        key = self.poses[start], self.poses[goal]
+        if key not in self._routes:
+            self._routes[key] = self._planned(start, goal)
+        return self._routes[key]
+
+    def _known_routes(self) -> dict[tuple[Pose, Pose], _Route]:
+        """Return the routes that were planned before with the same map, costs and planner."""
+        mission = self.mission
+        cost, surfaces = self.cost(mission.payload)
+        grounds = () if surfaces is None else surfaces.surfaces
+        areas = () if surfaces is None else surfaces.keep_out
+        asked = (
+            _told(cost.model),
+            *((shapely.to_wkb(ground.area), _told(ground.model)) for ground in grounds),
+            *(shapely.to_wkb(area) for area in areas),
+            _shaped(mission.heights),
+            mission.speed, mission.planner, self._planning_time,
+        )  # fmt: skip
+        known = _routes.setdefault(mission.map, {})
+        key = hashlib.sha256(repr(asked).encode()).digest()
+        routes = known.pop(key, {})
+        known[key] = routes
+        if len(known) > _REMEMBERED:
+            del known[next(iter(known))]
+        return routes
+
+    def _planned(self, start: int, goal: int) -> _Route:
+        mission = self.mission
+        here, there = self.poses[start], self.poses[goal]
+        cost, surfaces = self.cost(mission.payload)
+        still = Path(here, np.zeros(0), np.zeros(0), cost.icr.longitudinal)
+        if here == there:
+            return _Route(still)
+        back = self._routes.get((there, here))
+        if back is not None and self._symmetric:
+            way = still if back.trouble else back.path.reversed()
+            return _Route(way, back.trouble, back.detail)
+        if self._progress is not None:
+            self._progress(f"planning from {self.names[start]} to {self.names[goal]}")
+        problem = PlanningProblem(
+            mission.map, cost, here, there, surfaces=surfaces, heights=mission.heights
+        )
+        for patience in (1.0, 10.0):
+            try:
+                limit = patience * self._planning_time
+                return _Route(plan(problem, planner=mission.planner, time_limit=limit).path)
+            except TimeLimitError as error:
+                last = str(error)
+            except PlanningError as error:
+                return _Route(still, "no_path", str(error))
+        return _Route(still, "no_path", last)
+
+    @property
+    def _planning_time(self) -> float:
+        """Time for each route [s]: a free order takes about four routes a task."""
+        mission = self.mission
+        if mission.planning_time is not None:
+            return mission.planning_time
+        routes, most = (4, 0.5) if mission.order == "free" else (2, 1.0)
+        return float(np.clip(_PLANNING / (routes * len(mission.tasks)), 0.1, most))
+
+    @cached_property
+    def _symmetric(self) -> bool:
+        """Whether a way costs the same driven backwards, so that one plan serves both."""
+        if self.mission.heights is not None:
+            return False
+        cost, surfaces = self.cost(self.mission.payload)
+        angle = np.linspace(0.0, np.pi, 65)
+        ds, turn = np.cos(angle), np.sin(angle)
+        return all(
+            np.allclose(c.segment_energy(ds, turn), c.segment_energy(-ds, -turn), rtol=1e-6)
+            for c in ((cost,) if surfaces is None else surfaces.costs(cost))
+        )
+
+    def _priced(self, route: _Route, payload: float) -> Leg:
+        grounds, path = self.grounds, route.path
+        nothing = grounds.nothing
+        if route.trouble:
+            return _stuck(path, nothing, route.trouble, route.detail)
+        if not len(path):
+            return Leg(path, None, np.zeros(0), nothing)
+        try:
+            trajectory = self._timed(route, payload)
+        except InfeasibleMotionError as error:
+            return _stuck(path, nothing, "motor", str(error))
+        region = self._regions(trajectory, path.longitudinal)
+        return Leg(
+            path,
+            trajectory,
+            grounds.power(trajectory, region, payload),
+            grounds.estimate(trajectory, region, payload),
+        )
+
+    def _timed(self, route: _Route, payload: float) -> Trajectory:
+        """Return the route's trajectory of least energy, or the quickest at the speed asked."""
+        speed, model = self.mission.speed, self._leading_model(route.path, payload)
+        key = speed, _told(model)
+        if key not in route.timed:
+            path, channels = route.path, {}
+            if self.mission.heights is not None:
+                path = path.subdivide(max(_PIECE, 0.5 * self.mission.heights.resolution), 0.2)
+                channels = {"slope": self.mission.heights.slopes(path)}
+            objective: Literal["energy", "time"] = "energy" if speed is None else "time"
+            route.timed[key] = profile(
+                path, model, objective=objective, period=_PERIOD, channels=channels
+            )
+        return route.timed[key]
+
+    def _leading_model(self, path: Path, payload: float) -> PowerModel:
+        """Return the model by which a path is timed: that of the most demanding ground on it.
+
+        Times that the motors can keep there, they can keep on all of the path.
+        """
+        cost, surfaces = self.cost(payload)
+        model = cost.model
+        if surfaces is not None:
+            met = np.flatnonzero(surfaces.shares(path).max(axis=0) > 0)
+            costs = surfaces.costs(cost)
+            model = max((costs[int(k)] for k in met), key=lambda c: c.energy(path)).model
+        speed = self.mission.speed
+        if speed is not None:
+            motor = replace(model.vehicle.motor, speed=min(speed, model.vehicle.motor.speed))
+            model = replace(model, vehicle=replace(model.vehicle, motor=motor))
+        return model.battery_side()
+
+    def _regions(self, trajectory: Trajectory, longitudinal: float) -> Regions:
+        surfaces = self.mission.surfaces
+        if surfaces is None:
+            return np.zeros(len(trajectory) - 1, np.intp)
+        heading = np.column_stack([np.cos(trajectory.yaw), np.sin(trajectory.yaw)])
+        points = trajectory.poses[:, :2] + longitudinal * heading
+        return surfaces.region_at(0.5 * (points[1:] + points[:-1]))
+
+
+def _shaped(heights: HeightMap | None) -> object:
+    """Return what decides a route of a height map."""
+    if heights is None:
+        return None
+    return hashlib.sha256(heights.heights.tobytes()).digest(), heights.resolution, heights.origin
+
+
+def _told(model: PowerModel) -> tuple[object, ...]:
+    """Return everything about a model that decides a route."""
+    values = [getattr(model.vehicle, item.name) for item in fields(model.vehicle)]
+    vehicle = [v.tobytes() if isinstance(v, np.ndarray) else v for v in values]
+    terms = tuple((term.name, tuple(term.params.items())) for term in model.terms)
+    return terms, model.coefficients.tobytes(), tuple(vehicle)
+
+
+def _stuck(path: Path, nothing: Estimate, trouble: str, detail: str) -> Leg:
+    return Leg(path, None, np.zeros(0), replace(nothing, mean=np.inf), trouble, detail)

@@ -1,0 +1,162 @@
+"""What the evaluation of a mission tells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from energyplan import html
+from energyplan.mission.types import Mission
+from energyplan.path import FloatArray, Path
+
+Verdict = Literal["reachable", "unreachable"]
+Reason = Literal["none", "no_path", "motor", "battery", "blocked_by_earlier"]
+
+
+@dataclass(frozen=True)
+class TaskReport:
+    """What comes of one task.
+
+    Parameters
+    ----------
+    name : str
+        The task.
+    verdict : {"reachable", "unreachable"}
+        Whether the robot can do it and still get to a safe place with its reserve, at the
+        confidence asked.
+    reason : {"none", "no_path", "motor", "battery", "blocked_by_earlier"}
+        Why not.
+    reachable_alone : bool
+        Whether it would be reachable as the mission's only task.
+    energy, energy_upper : float
+        Energy to get there from the stop before and do it, expected and at the bound [J]; nan
+        where there is no way.
+    soc_after : float
+        Expected state of charge when it is done; nan where it cannot be.
+    shortfall : float
+        Energy that is missing, the way to a safe place and the reserve included [J].
+    remedy : str
+        What would change the verdict; empty where it is good.
+    detail : str
+        Why not, in one sentence with figures.
+    start : float
+        When it begins [s]; nan where it does not.
+    """
+
+    name: str
+    verdict: Verdict
+    reason: Reason
+    reachable_alone: bool
+    energy: float
+    energy_upper: float
+    soc_after: float
+    shortfall: float
+    remedy: str
+    detail: str = ""
+    start: float = np.nan
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """The mission over time; arrays of one shape.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Time [s].
+    x, y, yaw : ndarray, shape (n,)
+        Pose [m], [rad].
+    power : ndarray, shape (n,)
+        Power at the battery from each time to the next [W]; negative while charging.
+    soc, soc_lower, soc_upper : ndarray, shape (n,)
+        State of charge: expected, and the band that holds it with the confidence asked on
+        either side. The upper edge mirrors the lower one.
+    """
+
+    t: FloatArray
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+    power: FloatArray
+    soc: FloatArray
+    soc_lower: FloatArray
+    soc_upper: FloatArray
+
+
+@dataclass(frozen=True)
+class MissionReport:
+    """Which tasks can be done, in which order, with what energy.
+
+    Parameters
+    ----------
+    mission : Mission
+        The mission.
+    tasks : tuple of TaskReport
+        One for each task, in the order of the mission.
+    order : tuple of str
+        Names of the stops in the order of their visits, chargers included.
+    energy, energy_upper : float
+        Energy of the whole mission, expected and at the bound [J].
+    soc_end, soc_end_lower : float
+        State of charge at the end, expected and at the bound.
+    feasible : bool
+        Whether every required task is reachable and the mission ends where it must.
+    end : str
+        Where it ends.
+    duration : float
+        How long it takes [s].
+    proven : bool
+        Whether, for a free order, no better one exists on the energies known.
+    timeline : Timeline
+        The mission over time.
+    paths : tuple of Path
+        The drives.
+    """
+
+    mission: Mission
+    tasks: tuple[TaskReport, ...]
+    order: tuple[str, ...]
+    energy: float
+    energy_upper: float
+    soc_end: float
+    soc_end_lower: float
+    feasible: bool
+    end: str
+    duration: float
+    proven: bool
+    timeline: Timeline
+    paths: tuple[Path, ...]
+
+    def _repr_html_(self) -> str:
+        """Return the tasks as a table, flagged ones first, for notebooks."""
+        rows = [
+            (task.name, task.verdict, task.reason.replace("_", " "), task.energy / 3600,
+             100 * task.soc_after, task.remedy)
+            for task in map(self.task, self.table["name"])
+        ]  # fmt: skip
+        title = (
+            f"{self.mission.name}: {'feasible' if self.feasible else 'not feasible as asked'}, "
+            f"{html.number(self.energy / 3600)} Wh, ends with {100 * self.soc_end:.0f} % of charge"
+        )
+        header = ("task", "verdict", "reason", "energy [Wh]", "charge after [%]", "remedy")
+        return html.result(title, header, rows)
+
+    def task(self, name: str) -> TaskReport:
+        """Return the report of the named task."""
+        return {task.name: task for task in self.tasks}[name]
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """One row for each task, the flagged ones first, then in the order of their visits."""
+        rank = {name: k for k, name in enumerate(self.order)}
+        rows = sorted(
+            self.tasks, key=lambda t: (t.verdict == "reachable", rank.get(t.name, len(rank)))
+        )
+        columns = (
+            "name", "verdict", "reason", "reachable_alone", "energy", "energy_upper", "soc_after",
+            "shortfall", "remedy",
+        )  # fmt: skip
+        return pd.DataFrame([[getattr(t, c) for c in columns] for t in rows], columns=list(columns))

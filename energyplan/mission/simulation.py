@@ -1,0 +1,375 @@
+"""The robot on its way: charge, time and payload after each stop, expected and at the bound."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+from typing import NamedTuple
+
+import numpy as np
+
+from energyplan.mission.energy import Estimate
+from energyplan.mission.legs import Leg, Legs
+from energyplan.mission.types import Mission
+from energyplan.path import FloatArray
+
+_STEP = 30.0
+_HOURS = 48
+_ROUNDING = 1e-9
+_GRAM = 1e-3
+_INSTANT = 1e-6
+
+
+class Charge(NamedTuple):
+    """The battery at one instant.
+
+    Parameters
+    ----------
+    soc : float
+        State of charge.
+    polarisation : float
+        Voltage of its RC pair [V].
+    failure : str
+        Why it gave up on the way; ``"none"`` if it did not.
+    instant, load : float
+        When it gave up [s], and under which power [W].
+    """
+
+    soc: float
+    polarisation: float = 0.0
+    failure: str = "none"
+    instant: float = np.inf
+    load: float = 0.0
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A stretch of the mission: a drive, a stay or a charge.
+
+    Parameters
+    ----------
+    kind : {"drive", "work", "wait", "charge"}
+        What the robot does.
+    goal : int
+        Node at its end.
+    t : ndarray, shape (n,)
+        Time [s].
+    power : ndarray, shape (n,)
+        Power from each time to the next [W]; the last value repeats.
+    soc, soc_lower : ndarray, shape (n,)
+        State of charge, expected and at the bound.
+    leg : Leg or None
+        The drive.
+    """
+
+    kind: str
+    goal: int
+    t: FloatArray
+    power: FloatArray
+    soc: FloatArray
+    soc_lower: FloatArray
+    leg: Leg | None = None
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Where the robot stands.
+
+    Parameters
+    ----------
+    node : int
+        Place.
+    payload : float
+        Payload [kg].
+    time : float
+        Time [s].
+    spent, total : Estimate
+        Energy since the last charge, and in all.
+    origin : tuple of float
+        State of charge and time after the last charge.
+    expected, worst : Charge
+        The battery as expected, and where the energy is at its bound.
+    pieces : tuple of Piece
+        What it did so far.
+    """
+
+    node: int
+    payload: float
+    time: float
+    spent: Estimate
+    total: Estimate
+    origin: tuple[float, float]
+    expected: Charge
+    worst: Charge
+    pieces: tuple[Piece, ...] = ()
+
+
+class Attempt(NamedTuple):
+    """What comes of a task.
+
+    Parameters
+    ----------
+    reason : str
+        ``"none"`` if it can be done, else ``"no_path"``, ``"motor"``, ``"battery"``, ``"late"``
+        or ``"payload"``.
+    after : Condition
+        When it is done; where the attempt ended if it cannot be.
+    safe : Condition
+        At the nearest safe place after it.
+    detail : str
+        Why not, in one sentence.
+    """
+
+    reason: str
+    after: Condition
+    safe: Condition
+    detail: str = ""
+
+
+class Walk:
+    """Steps from condition to condition.
+
+    Parameters
+    ----------
+    legs : Legs
+        The legs of the mission.
+    """
+
+    def __init__(self, legs: Legs) -> None:
+        self.legs = legs
+        self.mission: Mission = legs.mission
+        self.quantile = NormalDist().inv_cdf(self.mission.confidence)
+
+    @property
+    def start(self) -> Condition:
+        """The condition at the start."""
+        mission, nothing = self.mission, self.legs.grounds.nothing
+        full = Charge(mission.soc)
+        origin = (mission.soc, mission.time)
+        return Condition(0, mission.payload, mission.time, nothing, nothing, origin, full, full)
+
+    def holds(self, state: Condition) -> bool:
+        """Tell whether the reserve is left at the bound."""
+        enough = state.worst.soc >= self.mission.reserve - _ROUNDING
+        return enough and state.worst.failure == "none"
+
+    # -- steps ------------------------------------------------------------------------------------
+
+    def drive(self, state: Condition, goal: int) -> Condition | None:
+        """Drive to a place; None where the leg cannot be driven."""
+        leg = self.legs.leg(state.node, goal, state.payload)
+        if leg.trouble:
+            return None
+        if leg.trajectory is None:
+            return replace(state, node=goal)
+        moved = self._draw(state, "drive", goal, leg.trajectory.t, leg.power, leg.energy, leg)
+        return replace(moved, node=goal)
+
+    def stay(self, state: Condition, kind: str, duration: float, power: float = 0.0) -> Condition:
+        """Stand still for so long [s] with a tool that draws power [W]."""
+        if duration <= _INSTANT:
+            return state
+        idle = self.legs.grounds.idle(self.legs.region(state.node), duration, state.payload)
+        energy = replace(idle, mean=idle.mean + power * duration)
+        t = np.linspace(0.0, duration, max(int(duration / _STEP), 1) + 1)
+        flat = np.full(len(t) - 1, energy.mean / duration)
+        return self._draw(state, kind, state.node, t, flat, energy)
+
+    def _draw(
+        self,
+        state: Condition,
+        kind: str,
+        goal: int,
+        t: FloatArray,
+        power: FloatArray,
+        energy: Estimate,
+        leg: Leg | None = None,
+    ) -> Condition:
+        spent = state.spent + energy
+        more = spent.upper(self.quantile) - state.spent.upper(self.quantile)
+        span = float(t[-1] - t[0])
+        if energy.mean > 0:
+            raised = power * (more / energy.mean)
+        else:
+            raised = power + (more - energy.mean) / span
+        clock = state.time + t - t[0]
+        expected, soc = self._run(state.expected, clock, power)
+        worst, soc_lower = self._run(state.worst, clock, raised)
+        piece = Piece(kind, goal, clock, np.append(power, power[-1]), soc, soc_lower, leg)
+        return replace(
+            state,
+            time=float(clock[-1]),
+            spent=spent,
+            total=state.total + energy,
+            expected=expected,
+            worst=worst,
+            pieces=(*state.pieces, piece),
+        )
+
+    def _run(self, charge: Charge, t: FloatArray, power: FloatArray) -> tuple[Charge, FloatArray]:
+        run = self.mission.battery.simulate(
+            t, np.append(power, 0.0), soc=charge.soc, polarisation=charge.polarisation
+        )
+        after = charge._replace(soc=run.soc_end, polarisation=run.polarisation)
+        if charge.failure == "none" and run.reason != "none":
+            load = power[min(int(np.searchsorted(t, run.brown_out, "right")), len(power)) - 1]
+            after = after._replace(failure=run.reason, instant=run.brown_out, load=float(load))
+        return after, run.soc
+
+    def charge(self, state: Condition) -> Condition:
+        """Charge at the charger at hand."""
+        charger = self.mission.chargers[state.node - self.legs.chargers[0]]
+        low = self._charge(state.worst, charger.power, charger.until)
+        high = self._charge(state.expected, charger.power, charger.until)
+        count = max(len(low), len(high), 2)
+        t = state.time + _STEP * np.arange(count, dtype=float)
+        filled = [np.append(s, np.full(count - len(s), s[-1])) for s in (high, low)]
+        power = -charger.power * (np.arange(count) < len(high) - 1).astype(float)
+        piece = Piece("charge", state.node, t, power, filled[0], filled[1])
+        low_end, high_end = (Charge(float(s[-1])) for s in (low, high))
+        return replace(
+            state,
+            time=float(t[-1]),
+            spent=self.legs.grounds.nothing,
+            origin=(low_end.soc, float(t[-1])),
+            expected=high_end,
+            worst=low_end,
+            pieces=(*state.pieces, piece),
+        )
+
+    def _charge(self, charge: Charge, power: float, until: float) -> FloatArray:
+        """State of charge every `_STEP` until it suffices or rises no more."""
+        soc = [np.array([charge.soc])]
+        t = _STEP * np.arange(int(3600 / _STEP) + 1)
+        for _ in range(_HOURS):
+            last = float(soc[-1][-1])
+            if last >= until:
+                break
+            run = self.mission.battery.simulate(t, np.full(len(t), -power), soc=last)
+            reached = np.flatnonzero(run.soc >= until)
+            stop = int(reached[0]) + 1 if len(reached) else len(t)
+            soc.append(np.minimum(run.soc[1:stop], until))
+            if run.soc_end - last < 1e-3:
+                break
+        return np.concatenate(soc)
+
+    # -- tasks ------------------------------------------------------------------------------------
+
+    def attempt(self, state: Condition, task: int) -> Attempt:
+        """Try a task without charging before it."""
+        asked, node = self.mission.tasks[task], task + 1
+        there = self.drive(state, node)
+        if there is None:
+            leg = self.legs.leg(state.node, node, state.payload)
+            return Attempt(leg.trouble, state, state, leg.detail)
+        if there.time > asked.window[1]:
+            return Attempt(
+                "late",
+                there,
+                there,
+                f"it must begin by {asked.window[1]:.0f} s, and the robot is there at "
+                f"{there.time:.0f} s",
+            )
+        begun = self.stay(there, "wait", asked.window[0] - there.time)
+        done = self.stay(begun, "work", asked.dwell, asked.power)
+        carried = done.payload + asked.payload
+        if carried < -_GRAM:
+            return Attempt(
+                "payload",
+                done,
+                done,
+                f"it leaves {-asked.payload:g} kg, and {done.payload:g} kg are on board",
+            )
+        done = replace(done, payload=max(carried, 0.0))
+        safe, trouble = self.refuge(done)
+        if safe is None:
+            return Attempt(trouble.trouble, done, done, f"no way back: {trouble.detail}")
+        if not self.holds(safe):
+            return Attempt("battery", done, safe, self._why_not(safe))
+        return Attempt("none", done, safe)
+
+    def attempt_charged(self, state: Condition, task: int) -> Attempt:
+        """Try a task, charging before it where it cannot be done otherwise."""
+        best = self.attempt(state, task)
+        if best.reason != "battery":
+            return best
+        for charger in self.legs.chargers:
+            docked = self.drive(state, charger) if charger != state.node else state
+            if docked is None or not self.holds(docked):
+                continue
+            tried = self.attempt(self.charge(docked), task)
+            if self._rank(tried) < self._rank(best):
+                best = tried
+        return best
+
+    def _rank(self, attempt: Attempt) -> tuple[bool, float]:
+        """Sort what works by energy before what does not by what is missing."""
+        if attempt.reason == "none":
+            return False, attempt.after.total.mean
+        return True, self.shortfall(attempt.safe) if attempt.reason == "battery" else np.inf
+
+    def refuge(self, state: Condition) -> tuple[Condition | None, Leg]:
+        """Drive to the nearest safe place: home or a charger."""
+        return self._nearest(state, (self.legs.home, *self.legs.chargers))
+
+    def finish(self, state: Condition) -> Condition | None:
+        """Drive to where the mission may end, charging on the way if need be; None if it cannot."""
+        rule = self.mission.return_to
+        ends = () if rule == "charger" else (self.legs.home,)
+        ends = ends if rule == "start" else (*ends, *self.legs.chargers)
+        direct, _ = self._nearest(state, ends)
+        if direct is not None and self.holds(direct):
+            return direct
+        for charger in self.legs.chargers:
+            docked = self.drive(state, charger)
+            if docked is not None and self.holds(docked):
+                last, _ = self._nearest(self.charge(docked), ends)
+                if last is not None and self.holds(last):
+                    return last
+        return None
+
+    def _nearest(self, state: Condition, places: tuple[int, ...]) -> tuple[Condition | None, Leg]:
+        """Drive to the place of least energy; routes that cannot be the least are not planned."""
+        bounds = self.legs.lower_bounds(state.payload)[state.node]
+        first, *others = sorted(places, key=lambda place: float(bounds[place]))
+        goal, best = first, self.legs.leg(state.node, first, state.payload)
+        for place in others:
+            if best.energy.mean <= bounds[place]:
+                break
+            leg = self.legs.leg(state.node, place, state.payload)
+            if leg.energy.mean < best.energy.mean:
+                goal, best = place, leg
+        return self.drive(state, goal), best
+
+    # -- shortfall --------------------------------------------------------------------------------
+
+    def shortfall(self, safe: Condition) -> float:
+        """Energy that is missing at a safe place to keep the reserve [J].
+
+        Nothing is missing where the battery holds the energy but not the power.
+        """
+        soc, since = safe.origin
+        need = safe.spent.upper(self.quantile)
+        mean = max(need / max(safe.time - since, 1.0), 1.0)
+        levels = [soc, self.mission.reserve, safe.worst.soc]
+        stored = self.mission.battery.usable_energy(mean, levels)
+        if stored[0] == 0 and safe.worst.failure in _SAGS:
+            return 0.0
+        by_soc = stored[1] - stored[2] if safe.worst.failure == "none" else 0.0
+        return float(max(need - (stored[0] - stored[1]), by_soc, 0.0))
+
+    def _why_not(self, safe: Condition) -> str:
+        need, missing = safe.spent.upper(self.quantile), self.shortfall(safe)
+        worst = safe.worst
+        if missing == 0 and worst.failure in _SAGS:
+            return f"{_SAGS[worst.failure]} at {worst.instant:.0f} s under {worst.load:.0f} W"
+        return (
+            f"with the way back to {self.legs.names[safe.node]} it may take "
+            f"{need / 3600:.0f} Wh, {missing / 3600:.0f} Wh more than there is above the reserve"
+        )
+
+
+_SAGS = {
+    "voltage": "the voltage sags below cut-off",
+    "current": "the battery would have to deliver more current than it may",
+}

@@ -1,0 +1,432 @@
+"""What a mission consists of, checked where it is built."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from energyplan.battery import Battery
+from energyplan.errors import MissionError
+from energyplan.path import Pose
+from energyplan.planning.problem import nearest_free
+from energyplan.power import PowerModel
+from energyplan.power.effects import reads_slope
+from energyplan.terrain import OccupancyGrid
+from energyplan.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from energyplan.terrain import HeightMap, SurfaceMap
+
+OrderRule = Literal["given", "free"]
+ReturnRule = Literal["start", "charger", "any"]
+
+
+def _require(condition: object, message: str, *place: str | int) -> None:
+    if not condition:
+        raise MissionError(message, place)
+
+
+def _pose(value: Iterable[float], whose: str, *place: str | int) -> Pose:
+    row = np.asarray(list(value), float)
+    _require(
+        row.shape == (3,) and bool(np.all(np.isfinite(row))),
+        f"{whose}: the pose is {row.tolist()}; give x, y [m] and yaw [rad], all finite",
+        *place,
+    )
+    return Pose(*(float(v) for v in row))
+
+
+@dataclass(frozen=True)
+class Task:
+    """Something to be done at a place.
+
+    Parameters
+    ----------
+    name : str
+        Name, unique in the mission.
+    pose : Pose
+        Where it is done.
+    dwell : float
+        How long it takes there [s].
+    power : float
+        Power of the tool meanwhile [W].
+    payload : float
+        What is taken on board (positive) or left behind (negative) when it is done [kg].
+    prize : float
+        What it is worth, where not all tasks fit.
+    required : bool
+        Whether the mission fails without it.
+    window : tuple of float
+        Earliest and latest time at which it may begin [s].
+
+    Raises
+    ------
+    MissionError
+        If a value is not finite or out of its range.
+    """
+
+    name: str
+    pose: Pose
+    dwell: float = 0.0
+    power: float = 0.0
+    payload: float = 0.0
+    prize: float = 1.0
+    required: bool = True
+    window: tuple[float, float] = (0.0, np.inf)
+
+    def __post_init__(self) -> None:
+        label = f"task {self.name!r}"
+        _require(self.name, "a task has no name; give each its own", "name")
+        object.__setattr__(self, "pose", _pose(self.pose, label, "pose"))
+        for key in ("dwell", "power", "prize"):
+            value = getattr(self, key)
+            _require(
+                np.isfinite(value) and value >= 0, f"{label}: {key} is {value}; give 0 or more", key
+            )
+        _require(np.isfinite(self.payload), f"{label}: payload is {self.payload}", "payload")
+        _require(
+            len(self.window) == 2 and 0 <= self.window[0] <= self.window[1],
+            f"{label}: the window {self.window} is empty; give earliest and latest start [s]",
+            "window",
+        )
+
+
+@dataclass(frozen=True)
+class Charger:
+    """A place where the battery is charged.
+
+    Parameters
+    ----------
+    name : str
+        Name, unique in the mission.
+    pose : Pose
+        Where the robot docks.
+    power : float
+        Power at the battery's terminals [W].
+    until : float
+        State of charge at which the robot leaves.
+
+    Raises
+    ------
+    MissionError
+        If a value is not finite or out of its range.
+    """
+
+    name: str
+    pose: Pose
+    power: float
+    until: float = 0.95
+
+    def __post_init__(self) -> None:
+        label = f"charger {self.name!r}"
+        _require(self.name, "a charger has no name; give each its own", "name")
+        object.__setattr__(self, "pose", _pose(self.pose, label, "pose"))
+        _require(
+            np.isfinite(self.power) and self.power > 0,
+            f"{label}: power is {self.power}; give watts > 0",
+            "power",
+        )
+        _require(
+            0 < self.until <= 1,
+            f"{label}: until is {self.until}; give a state of charge in (0, 1]",
+            "until",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Mission:
+    """Tasks to do with one battery.
+
+    Parameters
+    ----------
+    model : PowerModel
+        Power model, with the vehicle, where no surface says otherwise.
+    map : OccupancyGrid
+        Obstacles.
+    battery : Battery
+        The battery.
+    start : Pose
+        Where the robot is.
+    tasks : sequence of Task
+        What to do.
+    chargers : sequence of Charger
+        Where it can charge.
+    surfaces : SurfaceMap, optional
+        Grounds with power models of their own.
+    payload : float
+        Payload at the start [kg].
+    payload_models : mapping
+        Models with a payload on board: name of the model without payload, then payload [kg],
+        then model. In between they are interpolated. A model that is not named keeps its
+        coefficients; its wheel loads grow in any case.
+    soc : float
+        State of charge at the start.
+    reserve : float
+        State of charge that must be left at every safe place.
+    confidence : float
+        Probability with which every promise must hold, in [0.5, 1).
+    coefficient_spread : float
+        Relative standard deviation of the models' coefficients from place to place and day to
+        day, beyond their covariance.
+    order : {"given", "free"}
+        Whether the tasks are done in the order given.
+    return_to : {"start", "charger", "any"}
+        Where the mission may end: where it started, at a charger, or at the nearest of these.
+    home : Pose, optional
+        Where ``"start"`` is, if not at `start`: for missions that are under way.
+    time : float
+        Time at the start, on the clock of the tasks' windows [s].
+    speed : float, optional
+        Tread speed to drive at [m/s]; the cheapest where not given.
+    planner : str
+        Planner of the routes.
+    planning_time : float, optional
+        Time for each route [s]; where not given, a second where tasks are few and less where they
+        are many.
+    name : str
+        What to call the mission.
+    heights : HeightMap, optional
+        Heights of the ground where it slopes. All models need a term that reads the slope
+        (`energyplan.power.effects.with_weight`); payload adds to the mass of the term grade.
+
+    Raises
+    ------
+    MissionError
+        If a value is out of its range, names are not unique, there is no task, or the robot
+        collides at a pose. ``error.place`` leads to the value.
+    """
+
+    model: PowerModel
+    map: OccupancyGrid
+    battery: Battery
+    start: Pose
+    tasks: tuple[Task, ...]
+    chargers: tuple[Charger, ...] = ()
+    surfaces: SurfaceMap | None = None
+    payload: float = 0.0
+    payload_models: Mapping[str, Mapping[float, PowerModel]] = field(default_factory=dict)
+    soc: float = 1.0
+    reserve: float = 0.2
+    confidence: float = 0.95
+    coefficient_spread: float = 0.0
+    order: OrderRule = "given"
+    return_to: ReturnRule = "any"
+    home: Pose | None = None
+    time: float = 0.0
+    speed: float | None = None
+    planner: str = "lattice"
+    planning_time: float | None = None
+    name: str = "mission"
+    heights: HeightMap | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tasks", tuple(self.tasks))
+        object.__setattr__(self, "chargers", tuple(self.chargers))
+        object.__setattr__(self, "start", _pose(self.start, "start", "start"))
+        home = self.start if self.home is None else _pose(self.home, "home", "home")
+        object.__setattr__(self, "home", home)
+        models = {key: MappingProxyType(dict(v)) for key, v in self.payload_models.items()}
+        object.__setattr__(self, "payload_models", MappingProxyType(models))
+        _require(self.tasks, "the mission has no task; list at least one", "tasks")
+        self._check_names()
+        self._check_numbers()
+        self._check_models()
+        self._check_poses()
+
+    def __getstate__(self) -> dict[str, object]:
+        plain = {key: dict(value) for key, value in self.payload_models.items()}
+        kept = {key: value for key, value in vars(self).items() if key != "free_map"}
+        return {**kept, "payload_models": plain}
+
+    def _check_names(self) -> None:
+        seen = {"start"}
+        named = [("tasks", k, task.name) for k, task in enumerate(self.tasks)]
+        named += [("chargers", k, charger.name) for k, charger in enumerate(self.chargers)]
+        for kind, k, name in named:
+            _require(
+                name not in seen, f"the name {name!r} stands twice; give each place its own",
+                kind, k, "name",
+            )  # fmt: skip
+            seen.add(name)
+
+    def _check_numbers(self) -> None:
+        fraction = "give a fraction"
+        _require(0 <= self.soc <= 1, f"soc is {self.soc}; {fraction} in [0, 1]", "soc")
+        _require(
+            0 <= self.reserve < 1, f"reserve is {self.reserve}; {fraction} in [0, 1)", "reserve"
+        )
+        _require(
+            self.reserve < self.soc,
+            f"the reserve {self.reserve:g} is not below the state of charge {self.soc:g}; charge "
+            "first, or lower the reserve",
+            "reserve",
+        )
+        _require(
+            self.reserve >= self.battery.cutoff_soc,
+            f"the reserve {self.reserve:g} is below {self.battery.cutoff_soc:g}, at which the "
+            "battery is cut off",
+            "reserve",
+        )
+        _require(
+            0.5 <= self.confidence < 1,
+            f"confidence is {self.confidence}; {fraction} in [0.5, 1)",
+            "confidence",
+        )
+        for k, charger in enumerate(self.chargers):
+            _require(
+                charger.until > self.reserve,
+                f"charger {charger.name!r} stops at {charger.until:g}, not above the reserve "
+                f"{self.reserve:g}",
+                "chargers", k, "until",
+            )  # fmt: skip
+        for key in ("coefficient_spread", "payload", "time"):
+            value = getattr(self, key)
+            _require(np.isfinite(value) and value >= 0, f"{key} is {value}; give 0 or more", key)
+        for key in ("planning_time", "speed"):
+            value = getattr(self, key)
+            _require(value is None or value > 0, f"{key} is {value}; give more than 0", key)
+        _require(
+            self.order in ("given", "free"), f"order is {self.order!r}: given or free", "order"
+        )
+        _require(
+            self.return_to in ("start", "charger", "any"),
+            f"return_to is {self.return_to!r}; choose start, charger or any",
+            "return_to",
+        )
+        _require(
+            self.return_to != "charger" or self.chargers,
+            "the mission must end at a charger but has none; list one, or return to the start",
+            "return_to",
+        )
+
+    def _check_models(self) -> None:
+        if self.heights is None:
+            return
+        grounds = self.surfaces.surfaces if self.surfaces is not None else ()
+        for model in (self.model, *(surface.model for surface in grounds)):
+            _require(
+                reads_slope(model),
+                f"no term of the model {model.name!r} reads the slope; add the weight with "
+                "energyplan.power.effects.with_weight(model)",
+                "heights",
+            )
+
+    def _check_poses(self) -> None:
+        places: list[tuple[str, Pose, tuple[str | int, ...]]] = [("start", self.start, ("start",))]
+        if self.home is not None and self.home != self.start:
+            places.append(("home", self.home, ("home",)))
+        places += [
+            (f"task {t.name!r}", t.pose, ("tasks", k, "pose")) for k, t in enumerate(self.tasks)
+        ]
+        places += [
+            (f"charger {c.name!r}", c.pose, ("chargers", k, "pose"))
+            for k, c in enumerate(self.chargers)
+        ]
+        free = self.free_map.footprint_free([pose for _, pose, _ in places], self.vehicle)
+        for (label, pose, place), good in zip(places, free, strict=True):
+            if good:
+                continue
+            where = f"({pose.x:g}, {pose.y:g}, {np.degrees(pose.yaw):.0f} deg)"
+            if not self.map.inside(pose[:2]):
+                raise MissionError(f"{label}: {where} lies outside the map", place)
+            near = nearest_free(self.free_map, self.vehicle, pose)
+            hint = "" if near is None else (
+                f"; the nearest free pose found is ({near.x:.2f}, {near.y:.2f}, "
+                f"{np.degrees(near.yaw):.0f} deg)"
+            )  # fmt: skip
+            raise MissionError(f"{label}: the robot at {where} touches an obstacle{hint}", place)
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle, without payload."""
+        return self.model.vehicle
+
+    @cached_property
+    def free_map(self) -> OccupancyGrid:
+        """The map with the areas to keep out of occupied."""
+        kept = self.surfaces.keep_out if self.surfaces is not None else ()
+        return self.map.with_blocked(kept) if kept else self.map
+
+    def resume(
+        self,
+        pose: Iterable[float],
+        soc: float,
+        done: Iterable[str] = (),
+        *,
+        time: float | None = None,
+        payload: float | None = None,
+        model: PowerModel | None = None,
+    ) -> Mission:
+        """Return what is left of the mission when it is under way.
+
+        Parameters
+        ----------
+        pose : sequence of float
+            Where the robot is now: x, y [m], yaw [rad].
+        soc : float
+            State of charge now.
+        done : iterable of str
+            Names of the tasks that are done or given up.
+        time : float, optional
+            Time now [s]; that of the start where not given.
+        payload : float, optional
+            Payload now [kg]; worked out from the tasks done where not given.
+        model : PowerModel, optional
+            The model as corrected since the start (by `OnlineIdentifier`, for one). It takes the
+            place of the mission's own, and the models with payload are scaled alike.
+
+        Returns
+        -------
+        Mission
+            The rest, with `home` where this mission began.
+
+        Raises
+        ------
+        MissionError
+            If a task is unknown, or all are done.
+        """
+        names = set(done)
+        unknown = names - {task.name for task in self.tasks}
+        _require(not unknown, f"no task is called {', '.join(sorted(unknown))}")
+        left = tuple(task for task in self.tasks if task.name not in names)
+        carried = self.payload + sum(t.payload for t in self.tasks if t.name in names)
+        mission = replace(
+            self,
+            start=Pose(*pose),
+            soc=soc,
+            tasks=left,
+            payload=carried if payload is None else payload,
+            time=self.time if time is None else time,
+        )
+        return mission if model is None else _corrected(mission, model)
+
+
+def _corrected(mission: Mission, model: PowerModel) -> Mission:
+    """Put a corrected model in the place of the mission's, and scale its loaded ones alike."""
+    old = mission.model
+    same = [t.name for t in old.terms] == [t.name for t in model.terms]
+    loaded = dict(mission.payload_models.get(old.name, {}))
+    if loaded and not same:
+        raise MissionError(
+            f"the corrected model has the terms {[t.name for t in model.terms]}, the models with "
+            f"payload {[t.name for t in old.terms]}; correct with the same terms"
+        )
+    base = np.where(old.coefficients == 0, 1.0, old.coefficients)
+    ratio = np.where(old.coefficients == 0, 1.0, model.coefficients / base)
+    scaled = {
+        load: heavy.with_coefficients(
+            heavy.coefficients * ratio,
+            None if model.covariance is None else model.covariance * np.outer(
+                heavy.coefficients / base, heavy.coefficients / base
+            ),
+        )
+        for load, heavy in loaded.items()
+    }  # fmt: skip
+    models = {key: value for key, value in mission.payload_models.items() if key != old.name}
+    renamed = replace(model, name=old.name, residual=model.residual or old.residual)
+    return replace(mission, model=renamed, payload_models={**models, old.name: scaled})

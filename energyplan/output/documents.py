@@ -1,0 +1,128 @@
+"""What the commands print with ``--json``: results as plain dictionaries with fixed keys."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from energyplan.diagnosis import Diagnosis
+    from energyplan.fit import Identification
+    from energyplan.limits.feasibility import FeasibilityReport
+    from energyplan.mission import MissionReport
+    from energyplan.planning import Plan
+    from energyplan.power import PowerModel, Residual
+    from energyplan.studies.comparison import Comparison
+
+Document = dict[str, Any]
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON knows it; numbers that JSON lacks (NaN, infinity) become null."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if is_dataclass(value) and not isinstance(value, type):
+        return {item.name: plain(getattr(value, item.name)) for item in fields(value)}
+    return value
+
+
+def residual(found: Residual) -> Document:
+    """Return the errors of a prediction [W], and of its energy [fraction]."""
+    keys = ("rmse", "mae", "bias", "energy_error")
+    return {key: plain(getattr(found, key)) for key in keys}
+
+
+def terms(model: PowerModel) -> list[Document]:
+    """Return the terms of a model with their coefficients and standard errors."""
+    return [
+        {
+            "name": term.name,
+            "symbol": term.symbol,
+            "value": plain(float(value)),
+            "unit": term.unit,
+            "std_error": plain(model.std_error(term.name)),
+        }
+        for term, value in zip(model.terms, model.coefficients, strict=True)
+    ]
+
+
+def identification(found: Identification) -> Document:
+    """Return what ``energyplan identify --json`` prints."""
+    icr = {key: getattr(found.icr, key) for key in ("left", "right", "longitudinal")}
+    return {
+        "terms": terms(found.model),
+        "icr": {**icr, "std_error": plain(found.icr_std_error)},
+        "residual": residual(found.residual),
+        "warnings": list(found.warnings),
+    }
+
+
+def diagnosis(told: Diagnosis) -> Document:
+    """Return what ``energyplan diagnose --json`` prints."""
+    return {
+        "verdict": told.verdict,
+        "effects": [plain(effect) for effect in told.effects],
+        "before": residual(told.before),
+        "after": residual(told.after),
+        "unexplained": [plain(found) for found in told.unexplained],
+        "advice": list(told.advice),
+        "terms": terms(told.model),
+    }
+
+
+def plan(made: Plan) -> Document:
+    """Return what ``energyplan plan --json`` prints."""
+    keys = ("energy", "length", "turning", "lower_bound", "gap", "planning_time", "planner")
+    document = {key: plain(getattr(made, key)) for key in (*keys, "potential")}
+    return {**document, "breakdown": plain(made.breakdown), "path": plain(made.path.poses())}
+
+
+def comparison(made: Comparison) -> Document:
+    """Return what ``energyplan compare --json`` prints."""
+    return {
+        "energy_optimal": plan(made.energy_optimal),
+        "shortest": plan(made.shortest),
+        "saving": plain(made.saving),
+    }
+
+
+def feasibility(report: FeasibilityReport) -> Document:
+    """Return what ``energyplan check --json`` prints."""
+    keys = ("kind", "side", "start", "end", "peak", "limit")
+    return {
+        "feasible": report.feasible,
+        "violations": [
+            {key: plain(getattr(violation, key)) for key in keys} for violation in report.violations
+        ],
+        "max_speed_scale": plain(report.max_speed_scale),
+        "energy": plain(report.energy),
+        "reason": report.reason,
+    }
+
+
+def mission(report: MissionReport) -> Document:
+    """Return what ``energyplan mission --json`` prints."""
+    keys = (
+        "name", "verdict", "reason", "reachable_alone", "energy", "energy_upper", "soc_after",
+        "shortfall", "remedy",
+    )  # fmt: skip
+    return {
+        "tasks": [{key: plain(getattr(task, key)) for key in keys} for task in report.tasks],
+        "order": list(report.order),
+        "energy": plain(report.energy),
+        "energy_upper": plain(report.energy_upper),
+        "soc_end": plain(report.soc_end),
+        "feasible": bool(report.feasible),
+    }

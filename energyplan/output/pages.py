@@ -1,0 +1,270 @@
+"""The reports of the commands: which tables and pictures, in which order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from energyplan.html import number
+from energyplan.output import interactive, plots
+from energyplan.output.interactive.parts import Plot
+from energyplan.output.report import Page
+from energyplan.path import wrap_angle
+from energyplan.power.empirical import signal
+
+if TYPE_CHECKING:
+    from energyplan.diagnosis import Diagnosis
+    from energyplan.logs import DriveLog
+    from energyplan.mission import MissionReport
+    from energyplan.planning import PlanningProblem
+    from energyplan.power import Residual
+    from energyplan.studies.comparison import Comparison
+
+
+class Picture(NamedTuple):
+    """A figure with a short name for files and a caption for readers."""
+
+    name: str
+    figure: Figure
+    caption: str
+
+
+def _illustrate(
+    page: Page,
+    pictures: Iterable[Picture],
+    describe: Callable[[], Mapping[str, Plot]],
+) -> None:
+    """Add pictures, with the interactive plots of the same names where they can be had."""
+    described: Mapping[str, Plot] = {}
+    if interactive.available():
+        described = describe()
+        page.script(interactive.library())
+    for name, figure, caption in pictures:
+        plot = interactive.fragment(described[name], name) if name in described else ""
+        page.picture(figure, caption, plot)
+    if not described:
+        page.paragraph(interactive.ABSENT)
+
+
+def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
+    """Return the report of a diagnosis; `holdout` are the drives that it was judged on."""
+    page = Page("Diagnosis of a power model")
+    saved = 1 - told.after.rmse / told.before.rmse if told.before.rmse > 0 else 0.0
+    page.paragraph(
+        {
+            "effect_found": f"The residual has a cause: {_names(told)}. With it, the error on "
+            f"drives that were not fitted to falls by {100 * saved:.0f} %.",
+            "no_effect": "No effect of the catalogue predicts these drives better than the paper's "
+            "model alone.",
+            "unexplained": "Part of the residual depends on a channel in a way that no effect of "
+            "the catalogue explains.",
+        }[told.verdict],
+        "lead",
+    )
+    if told.effects:
+        page.heading("Effects, in the order in which they were added")
+        page.table(
+            ("effect", "symbol", "value", "std. error", "unit", "p", "cannot be told from"),
+            [
+                (
+                    effect.name.replace("_", " "), effect.symbol, effect.value, effect.std_error,
+                    effect.unit, effect.evidence.p_value, ", ".join(effect.rivals) or "-",
+                )
+                for effect in told.effects
+            ],
+        )  # fmt: skip
+    page.heading("Error on the hold-out drives")
+    rows = (
+        ("before", told.before, told.before_interval),
+        ("after", told.after, told.after_interval),
+    )
+    page.table(
+        ("", "rmse [W]", "mae [W]", "bias [W]", "energy error [%]"),
+        [
+            (
+                name, *(_with_interval(residual, interval, key) for key in ("rmse", "mae", "bias")),
+                _with_interval(residual, interval, "energy_error", 100.0),
+            )
+            for name, residual, interval in rows
+        ],
+    )  # fmt: skip
+    page.paragraph("In brackets: 95 % intervals from resampled blocks of the drives.")
+    for found in told.unexplained:
+        page.paragraph(
+            f"Unexplained: the residual depends on {found.channel} ({found.shape}); "
+            f"{100 * found.explained_variance:.0f} % of its variance.",
+            "flag",
+        )
+    _illustrate(
+        page,
+        diagnosis_pictures(told, holdout),
+        lambda: interactive.diagnosis_plots(told, holdout),
+    )
+    if told.advice:
+        page.heading("What to do next")
+        page.bullets(told.advice)
+    return page
+
+
+def diagnosis_pictures(told: Diagnosis, holdout: Sequence[DriveLog]) -> Iterator[Picture]:
+    """Yield the residual against the guilty channel, and power and energy, before and after."""
+    if told.dependences_before:
+        yield _guilty_channel(told, holdout)
+    longest = int(np.argmax([log.duration for log in holdout]))
+    log = holdout[longest]
+    both = {
+        "before": told.predictions_before[longest],
+        "after": told.predictions_after[longest],
+    }
+    yield Picture(
+        "power",
+        plots.prediction(log, both, f"Hold-out drive {log.name}"),
+        "Power and energy of a drive that was not fitted to, before and after.",
+    )
+
+
+def _guilty_channel(told: Diagnosis, holdout: Sequence[DriveLog]) -> Picture:
+    channel = told.dependences_before[0].channel
+    icr = told.model.vehicle.icr
+    values = np.concatenate([signal(log.motion(icr), channel) for log in holdout])
+    if channel == "yaw":
+        values = wrap_angle(values)
+    residuals = {
+        label: np.concatenate(
+            [log.power - power for log, power in zip(holdout, predicted, strict=True)]
+        )
+        for label, predicted in (
+            ("before", told.predictions_before),
+            ("after", told.predictions_after),
+        )
+    }
+    figure = plots.figure(size=(8.0, 4.5))
+    plots.residual_against(
+        figure.axes[0], values, residuals, f"{channel} [{interactive.unit(channel)}]"
+    )
+    return Picture("residual", figure, "The residual against the channel that it depends on most.")
+
+
+def comparison_page(made: Comparison, problem: PlanningProblem) -> Page:
+    """Return the report of a comparison; `problem` is what was planned."""
+    page = Page("Least energy against the shortest route")
+    best, shortest = made.energy_optimal, made.shortest
+    page.paragraph(
+        f"The route of least energy takes {number(best.energy)} J, the shortest one "
+        f"{number(shortest.energy)} J: {100 * made.saving:.1f} % saved. No route takes less than "
+        f"{number(best.lower_bound)} J.",
+        "lead",
+    )
+    page.table(
+        ("route", "energy [J]", "length [m]", "turning [deg]", "duration [s]"),
+        [
+            (label, plan.energy, plan.length, float(np.degrees(plan.turning)), plan.duration)
+            for label, plan in (("least energy", best), ("shortest", shortest))
+        ],
+    )
+    page.heading("Where the energy goes")
+    page.table(
+        ("term", "least energy [J]", "shortest [J]", "saved [J]"),
+        [
+            (
+                name.replace("_", " "), best.breakdown.get(name, 0.0),
+                shortest.breakdown.get(name, 0.0), saved,
+            )
+            for name, saved in made.by_term.items()
+        ],
+    )  # fmt: skip
+    _illustrate(
+        page,
+        comparison_pictures(made, problem),
+        lambda: interactive.comparison_plots(made, problem),
+    )
+    return page
+
+
+def comparison_pictures(made: Comparison, problem: PlanningProblem) -> Iterator[Picture]:
+    """Yield both routes on the map, the energy along them, and their energy by term."""
+    plans = {"least energy": made.energy_optimal, "shortest": made.shortest}
+    paths = {label: plan.path for label, plan in plans.items()}
+    areas = problem.surfaces.polygons if problem.surfaces else ()
+    walls = plots.routes(problem.map, paths, surfaces=areas)
+    if problem.heights is not None:
+        problem.heights.contours(walls.axes[0])
+    yield Picture("map", walls, "Both routes on the map.")
+    figure = plots.figure(size=(8.0, 4.0))
+    ax = figure.axes[0]
+    for (label, path), (color, dash) in zip(
+        paths.items(), ((plots.BLUE, "-"), (plots.RED, "--")), strict=True
+    ):
+        along = interactive.energy_along(path, problem)
+        ax.plot(along.metres, along.joules, color=color, ls=dash, label=label)
+    ax.set(xlabel="distance travelled [m]", ylabel="energy since the start [J]")
+    ax.legend(frameon=False)
+    yield Picture(
+        "energy", figure, "Energy along both routes; turns on the spot are upright steps."
+    )
+    figure = plots.figure(size=(8.0, 2.6))
+    plots.breakdown(figure.axes[0], {label: plan.breakdown for label, plan in plans.items()})
+    yield Picture("terms", figure, "Energy of both routes by term of the model.")
+
+
+def mission_page(told: MissionReport) -> Page:
+    """Return the report of a mission, flagged tasks first."""
+    page = Page(f"Mission {told.mission.name}")
+    flagged = [task for task in told.tasks if task.verdict == "unreachable"]
+    page.paragraph(
+        f"{len(told.tasks) - len(flagged)} of {len(told.tasks)} tasks can be done. It takes "
+        f"{told.duration / 60:.0f} minutes and {number(told.energy / 3600)} Wh, at "
+        f"{100 * told.mission.confidence:.0f} % confidence no more than "
+        f"{number(told.energy_upper / 3600)} Wh, and ends at {told.end} with "
+        f"{100 * told.soc_end:.0f} % of the battery's charge.",
+        "lead",
+    )
+    for task in flagged:
+        remedy = f"; remedy: {task.remedy}" if task.remedy else ""
+        page.paragraph(f"{task.name} is out of reach: {task.detail}{remedy}", "flag")
+    page.table(MISSION_HEADER, mission_rows(told))
+    _illustrate(page, mission_pictures(told), lambda: interactive.mission_plots(told))
+    return page
+
+
+MISSION_HEADER = (
+    "task", "verdict", "reason", "alone", "energy [Wh]", "at most [Wh]", "charge after", "remedy",
+)  # fmt: skip
+"""Header of `mission_rows`."""
+
+
+def mission_rows(told: MissionReport) -> Iterator[Sequence[object]]:
+    """Yield a row for each task, flagged ones first."""
+    for task in map(told.task, told.table["name"]):
+        yield (
+            task.name, task.verdict, str(task.reason).replace("_", " "),
+            "yes" if task.reachable_alone else "no", *(
+                number(joules / 3600) if np.isfinite(joules) else "-"
+                for joules in (task.energy, task.energy_upper)
+            ),
+            f"{100 * task.soc_after:.0f} %" if np.isfinite(task.soc_after) else "-",
+            task.remedy or "-",
+        )  # fmt: skip
+
+
+def mission_pictures(told: MissionReport) -> Iterator[Picture]:
+    """Yield the route on the map, coloured by power, and the state of charge over time."""
+    yield Picture(
+        "map", plots.mission_map(told), "The route, coloured by the power at the battery."
+    )
+    figure = plots.figure(size=(8.0, 4.0))
+    plots.state_of_charge(figure.axes[0], told)
+    yield Picture("charge", figure, "State of charge over the mission, with its band.")
+
+
+def _names(told: Diagnosis) -> str:
+    return " and ".join(effect.name.replace("_", " ") for effect in told.effects)
+
+
+def _with_interval(residual: Residual, interval: object, key: str, scale: float = 1.0) -> str:
+    low, high = getattr(interval, key)
+    value = getattr(residual, key)
+    return f"{number(scale * value, 3)} ({number(scale * low, 3)} to {number(scale * high, 3)})"

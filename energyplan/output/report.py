@@ -1,0 +1,128 @@
+"""Reports: one self-contained HTML page each, readable on a phone and printable."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+from matplotlib.figure import Figure
+
+from energyplan import html as _html
+
+_CSS = """
+:root { color-scheme: light; }
+body { font: 16px/1.5 system-ui, sans-serif; color: #1b1b1b; max-width: 62rem; margin: 0 auto;
+       padding: 1rem; }
+h1 { font-size: 1.6rem; } h2 { font-size: 1.25rem; margin-top: 2.2rem; }
+p.lead { font-size: 1.1rem; }
+.flag { border-left: 4px solid #d55e00; background: #fdf2ea; padding: .5rem .8rem; }
+.scroll { overflow-x: auto; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .8rem 0; }
+th, td { padding: .3rem .7rem; border-bottom: 1px solid #d8d8d8; text-align: left;
+         vertical-align: top; }
+th { border-bottom: 2px solid #888; }
+td.number { text-align: right; }
+figure { margin: 1rem 0; } figure img { max-width: 100%; height: auto; }
+figcaption { color: #555; font-size: .9rem; margin-top: .5rem; }
+code { background: #f2f2f2; padding: .1rem .3rem; overflow-wrap: anywhere; }
+.plot { display: none; height: clamp(430px, 62vw, 600px); }
+.plot > div { height: 100%; }
+.plot.tall { height: clamp(540px, 75vw, 680px); }
+.plot .textpoint text { paint-order: stroke; stroke: white; stroke-width: 3px; }
+.plot.low { height: 300px; }
+@media screen { .live .plot { display: block; } .live .plot + img { display: none; } }
+@media (max-width: 40rem) { table { font-size: .9rem; } th, td { padding: .3rem .4rem; } }
+@media print { h2 { break-after: avoid; } figure, table { break-inside: avoid; } }
+"""
+_LIVE = "document.documentElement.classList.add('live')"
+
+
+def png(figure: Figure) -> bytes:
+    """Return a figure as a PNG image."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=150, metadata={"Software": None})
+    return stream.getvalue()
+
+
+@dataclass
+class Page:
+    """An HTML page that is built from top to bottom; all text is escaped.
+
+    Parameters
+    ----------
+    title : str
+        Title of the page.
+
+    Examples
+    --------
+    >>> page = Page("Energy of a route")
+    >>> page.paragraph("Within 2 % of the measurement.")
+    >>> "<h1>Energy of a route</h1>" in page.html()
+    True
+    """
+
+    title: str
+    _parts: list[str] = field(default_factory=list, repr=False)
+    _scripts: list[str] = field(default_factory=list, repr=False)
+
+    def heading(self, text: str) -> None:
+        """Start a section."""
+        self._parts.append(f"<h2>{html.escape(text)}</h2>")
+
+    def paragraph(self, text: str, kind: str = "") -> None:
+        """Add a paragraph; `kind` is ``""``, ``"lead"`` or ``"flag"`` (a warning)."""
+        self._parts.append(f'<p class="{html.escape(kind)}">{html.escape(text)}</p>')
+
+    def bullets(self, lines: Iterable[str]) -> None:
+        """Add a list."""
+        items = "".join(f"<li>{html.escape(line)}</li>" for line in lines)
+        if items:
+            self._parts.append(f"<ul>{items}</ul>")
+
+    def command(self, text: str) -> None:
+        """Add a command line."""
+        self._parts.append(f"<p><code>{html.escape(text)}</code></p>")
+
+    def table(self, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+        """Add a table; numbers are aligned to the right and shown with four digits."""
+        self._parts.append(f'<div class="scroll">{_html.table(header, rows)}</div>')
+
+    def script(self, library: str) -> None:
+        """Embed the JavaScript that plots need; without it, or in print, pictures stand still."""
+        self._scripts.append(library)
+
+    def picture(self, figure: Figure, caption: str, plot: str = "") -> None:
+        """Add a figure with its caption.
+
+        Parameters
+        ----------
+        figure : Figure
+            The figure.
+        caption : str
+            What it shows.
+        plot : str
+            HTML of an interactive plot of the same, put in as it is; it takes the figure's place
+            on a screen.
+        """
+        data = base64.b64encode(png(figure)).decode("ascii")
+        text = html.escape(caption)
+        self._parts.append(
+            f'<figure>{plot}<img alt="{text}" src="data:image/png;base64,{data}">'
+            f"<figcaption>{text}</figcaption></figure>"
+        )
+
+    def html(self) -> str:
+        """Return the page; it loads nothing from elsewhere."""
+        title = html.escape(self.title)
+        scripts = "".join(f"<script>{text}</script>" for text in self._scripts)
+        # Reached only by a browser that runs scripts, and that has run the library.
+        live = f"{scripts}<script>{_LIVE}</script>" if scripts else ""
+        return (
+            '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">'
+            f"<title>{title}</title><style>{_CSS}</style>{live}</head>"
+            f"<body><h1>{title}</h1>{''.join(self._parts)}</body></html>\n"
+        )

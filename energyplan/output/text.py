@@ -1,0 +1,131 @@
+"""What the commands print for people: results as lines of text."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from energyplan.html import number
+from energyplan.output.documents import terms
+
+if TYPE_CHECKING:
+    from energyplan.diagnosis import Diagnosis
+    from energyplan.fit import Identification
+    from energyplan.io.logs import LogInfo
+    from energyplan.limits.feasibility import FeasibilityReport
+    from energyplan.mission import MissionReport
+    from energyplan.planning import Plan
+    from energyplan.studies.comparison import Comparison
+
+
+def identification(found: Identification) -> list[str]:
+    """Return what ``energyplan identify`` prints."""
+    lines = []
+    for row in terms(found.model):
+        low, high = found.interval(row["name"])
+        lines.append(
+            f"{row['name'].replace('_', ' ')}: {row['symbol']} = {number(row['value'])} "
+            f"+- {number(row['std_error'], 2)} {row['unit'].replace('1', '')}".rstrip()
+            + f" (95 %: {number(low)} to {number(high)})"
+        )
+    icr, spread = found.icr, found.icr_std_error
+    error = "kept from the vehicle" if spread is None else f"+- {number(spread['left'], 2)}"
+    lines.append(f"tread ICRs: left {number(icr.left)} m, right {number(icr.right)} m, {error}")
+    misfit = found.residual
+    lines.append(
+        f"residual: rmse {number(misfit.rmse)} W, mae {number(misfit.mae)} W, bias "
+        f"{number(misfit.bias)} W, energy {100 * misfit.energy_error:+.2f} %"
+    )
+    lines += [f"note: {warning}" for warning in found.warnings]
+    return lines
+
+
+def diagnosis(told: Diagnosis) -> list[str]:
+    """Return what ``energyplan diagnose`` prints."""
+    lines = [f"verdict: {told.verdict.replace('_', ' ')}"]
+    for effect in told.effects:
+        lines.append(
+            f"effect: {effect.name.replace('_', ' ')}, {effect.symbol} = {number(effect.value)} "
+            f"+- {number(effect.std_error, 2)} {effect.unit}"
+        )
+        if effect.rivals:
+            lines.append(f"  these drives cannot tell it from: {', '.join(effect.rivals)}")
+    for name, misfit in (("before", told.before), ("after", told.after)):
+        lines.append(
+            f"hold-out {name}: rmse {number(misfit.rmse)} W, mae {number(misfit.mae)} W, "
+            f"energy {100 * misfit.energy_error:+.2f} %"
+        )
+    lines += [
+        f"unexplained: {found.channel} ({found.shape}), "
+        f"{100 * found.explained_variance:.0f} % of the residual's variance"
+        for found in told.unexplained
+    ]
+    lines += [f"advice: {advice}" for advice in told.advice]
+    return lines
+
+
+def plan(made: Plan, objective: str) -> list[str]:
+    """Return what ``energyplan plan`` prints; bound and gap are those of the objective."""
+    unit = {"energy": "J", "length": "m", "time": "s"}[objective]
+    parts = ", ".join(f"{k.replace('_', ' ')} {number(v)} J" for k, v in made.breakdown.items())
+    height = f", {number(made.potential, 5)} {unit} of it for the height" if made.potential else ""
+    return [
+        f"energy: {number(made.energy, 5)} J ({parts})",
+        f"{objective} at most {100 * made.gap:.1f} % above the least possible "
+        f"(lower bound {number(made.lower_bound, 5)} {unit}{height})",
+        f"length: {number(made.length)} m, turning: {number(math.degrees(made.turning))} deg",
+        f"planned by {made.planner} in {made.planning_time:.2f} s",
+    ]
+
+
+def comparison(made: Comparison) -> list[str]:
+    """Return what ``energyplan compare`` prints."""
+    lines = ["least energy:", *(f"  {line}" for line in plan(made.energy_optimal, "energy"))]
+    lines += ["shortest:", *(f"  {line}" for line in plan(made.shortest, "length"))]
+    lines.append(f"saving: {100 * made.saving:.1f} % of the shortest route's energy")
+    return lines
+
+
+def feasibility(report: FeasibilityReport) -> list[str]:
+    """Return what ``energyplan check`` prints."""
+    lines = ["feasible" if report.feasible else "not feasible"]
+    lines += [
+        f"{found.kind.replace('_', ' ')} {found.side}: {number(found.start)} s to "
+        f"{number(found.end)} s, peak {number(found.peak)}, limit {number(found.limit)}"
+        for found in report.violations
+    ]
+    lines += [
+        f"largest feasible speed: {number(report.max_speed_scale)} of this one",
+        report.reason,
+        f"energy: {number(report.energy)} J",
+    ]
+    return lines
+
+
+def mission(told: MissionReport) -> list[str]:
+    """Return what ``energyplan mission`` prints."""
+    lines = ["mission feasible" if told.feasible else "mission not feasible as asked"]
+    for task in map(told.task, told.table["name"]):
+        line = f"{task.name}: {task.verdict}"
+        if task.verdict == "unreachable":
+            line += f" ({task.reason.replace('_', ' ')}); {task.remedy}"
+        else:
+            line += f", state of charge after it {100 * task.soc_after:.0f} %"
+        lines.append(line)
+    lines.append(
+        f"energy: {number(told.energy / 3600)} Wh, at most {number(told.energy_upper / 3600)} Wh; "
+        f"state of charge at the end {100 * told.soc_end:.0f} %"
+    )
+    return lines
+
+
+def log(told: LogInfo) -> list[str]:
+    """Return what ``energyplan log info`` prints: a line for each column or topic, then notes."""
+    wide = max((len(entry.name) for entry in told.entries), default=0)
+    lines = [f"{told.name}: {told.kind}, {told.duration:.1f} s"]
+    for entry in told.entries:
+        rate = f", {entry.rate:.1f} Hz" if entry.rate else ""
+        serves = f"  -> {entry.serves}" if entry.serves else ""
+        lines.append(f"  {entry.name:{wide}}  {entry.type}, {entry.count} readings{rate}{serves}")
+    lines += [f"{name}: {', '.join(found) or 'none'}" for name, found in told.channels.items()]
+    return [*lines, *(f"note: {note}" for note in told.notes)]

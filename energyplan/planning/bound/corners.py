@@ -1,0 +1,458 @@
+"""Kernels of the lower bound: a search over the corners of the obstacles (docs/planning.md).
+
+The robot is a disc that drives along its heading, forwards or backwards, and pays for metres and
+radians apart. What is kept for each line between two corners is a function of the heading, at
+`HEADINGS` nodes around the circle: the least cost at which any way of the disc that is drawn
+taut along this line can have got there.
+"""
+
+from __future__ import annotations
+
+from math import atan2, cos, floor, hypot, inf, pi, sin
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from energyplan.compilation import njit
+from energyplan.planning.scene.field import angle_between, pop, push
+from energyplan.terrain.collision import Body, Space, pose_free
+
+HEADINGS = 256
+"""Nodes of the heading."""
+
+SWEEPS = (0.0, pi / 6, pi / 3, pi / 2, 2 * pi / 3, pi)
+"""Limits of the classes of ways along a line, by how far their headings spread [rad]."""
+
+STEP = 0.02
+"""Distance between the places tried on a gate [m]."""
+
+LONG = 3.0
+"""Length from which a gate forbids no heading [m]."""
+
+UNKNOWN, CLOSED, OPEN = -1, -2, -3
+"""What is known of a line that is not in use."""
+
+
+class Corners(NamedTuple):
+    """Convex corners of the obstacles, grown by less than the inscribed disc.
+
+    Attributes
+    ----------
+    point : ndarray, shape (n, 2)
+        The corners; the last two are start and goal.
+    before, after : ndarray, shape (n, 2)
+        Neighbouring corners along the outline; for start and goal their own place.
+    edges : ndarray, shape (m, 4)
+        All edges of the outline: both ends.
+    inside, outside : float
+        Nearer to an obstacle than `inside` a point lies within the outline for certain, further
+        than `outside` it lies outside for certain [m].
+    """
+
+    point: NDArray[np.float64]
+    before: NDArray[np.float64]
+    after: NDArray[np.float64]
+    edges: NDArray[np.float64]
+    inside: float
+    outside: float
+
+
+class Rates(NamedTuple):
+    """Costs of the relaxed problem.
+
+    Attributes
+    ----------
+    metre, radian : float
+        Cost per metre driven and per radian turned.
+    start, goal : float
+        Headings.
+    direct : float
+        Least cost from start to goal without obstacles.
+    """
+
+    metre: float
+    radian: float
+    start: float
+    goal: float
+    direct: float
+
+
+@njit
+def line_open(space: Space, corners: Corners, ax: float, ay: float, bx: float, by: float) -> bool:
+    """Tell whether a line between corners crosses no edge of the outline.
+
+    Clearance decides most lines; the others are tested against the edges. Touching is no crossing.
+    """
+    rows, columns = space.clearance.shape
+    length = hypot(bx - ax, by - ay)
+    res = space.resolution
+    if length == 0.0:
+        return True
+    ux = (bx - ax) / length
+    uy = (by - ay) / length
+    at = 0.0
+    sure = True
+    while at < length:
+        dx = ax + at * ux - space.x
+        dy = ay + at * uy - space.y
+        across = (space.cos * dx + space.sin * dy) / res
+        along = (-space.sin * dx + space.cos * dy) / res
+        column = floor(across)
+        row = floor(along)
+        if row < 0 or column < 0 or row >= rows or column >= columns:
+            sure = False
+            at += 0.5 * res
+            continue
+        off = hypot(across - column - 0.5, along - row - 0.5) * res
+        near = float(space.clearance[row, column]) * res
+        if near + off < corners.inside:
+            return False
+        if near - off <= corners.outside:
+            sure = False
+        at += max(near - off - corners.outside, 0.5 * res)
+    if sure:
+        return True
+    left = min(ax, bx)
+    right = max(ax, bx)
+    low = min(ay, by)
+    high = max(ay, by)
+    for k in range(len(corners.edges)):
+        px = corners.edges[k, 0]
+        py = corners.edges[k, 1]
+        qx = corners.edges[k, 2]
+        qy = corners.edges[k, 3]
+        if max(px, qx) < left or min(px, qx) > right or max(py, qy) < low or min(py, qy) > high:
+            continue
+        p_side = ux * (py - ay) - uy * (px - ax)
+        q_side = ux * (qy - ay) - uy * (qx - ax)
+        if not (p_side * q_side < 0.0 and min(abs(p_side), abs(q_side)) > 1e-9):
+            continue
+        a_side = (qx - px) * (ay - py) - (qy - py) * (ax - px)
+        b_side = (qx - px) * (by - py) - (qy - py) * (bx - px)
+        if a_side * b_side < 0.0 and min(abs(a_side), abs(b_side)) > 1e-9:
+            return False
+    return True
+
+
+@njit
+def _side(corners: Corners, k: int, ux: float, uy: float) -> int:
+    """Side of a line through a corner on which the obstacle lies: 1 left, -1 right, 0 both."""
+    x = corners.point[k, 0]
+    y = corners.point[k, 1]
+    one = ux * (corners.before[k, 1] - y) - uy * (corners.before[k, 0] - x)
+    two = ux * (corners.after[k, 1] - y) - uy * (corners.after[k, 0] - x)
+    tiny = 1e-9
+    if one >= -tiny and two >= -tiny:
+        return 1
+    if one <= tiny and two <= tiny:
+        return -1
+    return 0
+
+
+@njit
+def spread(cost: NDArray[np.float64], turn: float) -> None:
+    """Lower each node's cost to that of turning there from another node, at `turn` a node."""
+    n = len(cost)
+    best = inf
+    for k in range(2 * n):
+        j = k % n
+        best = min(best + turn, cost[j])
+        cost[j] = best
+    best = inf
+    for k in range(2 * n - 1, -1, -1):
+        j = k % n
+        best = min(best + turn, cost[j])
+        cost[j] = best
+
+
+@njit
+def along_line(
+    cost: NDArray[np.float64],
+    direction: float,
+    length: float,
+    rates: Rates,
+    strict_left: bool,
+    strict_right: bool,
+) -> NDArray[np.float64]:
+    """Return the least cost of being past a line by heading, given that of being before it.
+
+    A way whose headings all stay away from the line by some angle, its lag, is longer than the
+    line: by the cosine of the lag, and where it must end up on the line again, by how much it has
+    to go to and fro, the more so the less its headings spread.
+
+    Parameters
+    ----------
+    cost : ndarray, shape (HEADINGS,)
+        Least cost by heading, such that neighbours differ by no more than the turn between them.
+        Node 0 is the heading at the goal.
+    direction, length : float
+        The line [rad], [m].
+    rates : Rates
+        Costs.
+    strict_left, strict_right : bool
+        Whether a way whose headings stay to the left, or right, of the line must end up on it.
+    """
+    n = len(cost)
+    spacing = 2.0 * pi / n
+    straight = rates.metre * length
+    lowest = cost.min()
+    strict = strict_left or strict_right
+    sine = np.empty(n)
+    cosine = np.empty(n)
+    beside = np.empty(n, np.bool_)
+    for j in range(n):
+        aside = (rates.goal + j * spacing - direction) % pi
+        left = aside <= 0.5 * pi
+        # a node stands for the headings up to its neighbours
+        lag = max((aside if left else pi - aside) - spacing, 0.0)
+        sine[j] = sin(lag)
+        cosine[j] = max(cos(lag), 1e-6)
+        beside[j] = not (strict_left if left else strict_right)
+    out = np.full(n, inf)
+    past = np.empty(n)
+    for k in range(1 if strict else len(SWEEPS) - 1, len(SWEEPS)):
+        wide = cos(0.5 * SWEEPS[k]) / sin(0.5 * SWEEPS[k])
+        for j in range(n):
+            longer = 1.0 / cosine[j]
+            if not beside[j]:
+                longer = max(longer, sine[j] * wide + cosine[j])
+            past[j] = cost[j] + straight * longer
+        spread(past, rates.radian * spacing)
+        # ways of this class turn by more than the class before covers
+        least = lowest + straight + (rates.radian * SWEEPS[k - 1] if strict else 0.0)
+        for j in range(n):
+            out[j] = min(out[j], max(past[j], least))
+    return out
+
+
+@njit
+def gate(
+    space: Space,
+    body: Body,
+    corners: Corners,
+    goal_yaw: float,
+    x: float,
+    y: float,
+    ux: float,
+    uy: float,
+    cost: NDArray[np.float64],
+    turn: float,
+) -> None:
+    """Raise the cost of the headings with which the body cannot cross a gate.
+
+    A gate is a ray from a corner, up to the next obstacle. Where it leads into the open or is long,
+    it forbids nothing.
+
+    Parameters
+    ----------
+    space, body, corners : Space, Body, Corners
+        Obstacles, the body, and the outline for the disc inside it.
+    goal_yaw : float
+        Heading of node 0.
+    x, y, ux, uy : float
+        Corner and direction of the ray.
+    cost : ndarray, shape (HEADINGS,)
+        Least cost by heading; see `along_line`.
+    turn : float
+        Cost of the turn from one node to the next.
+    """
+    n = len(cost)
+    spacing = 2.0 * pi / n
+    res = space.resolution
+    rows, columns = space.clearance.shape
+    reach = hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max))
+    length = 0.0
+    while True:
+        dx = x + length * ux - space.x
+        dy = y + length * uy - space.y
+        across = (space.cos * dx + space.sin * dy) / res
+        along = (-space.sin * dx + space.cos * dy) / res
+        column = floor(across)
+        row = floor(along)
+        if row < 0 or column < 0 or row >= rows or column >= columns:
+            break
+        off = hypot(across - column - 0.5, along - row - 0.5) * res
+        near = float(space.clearance[row, column]) * res
+        if near - off > reach or length > LONG:
+            return
+        if near + off < corners.inside - 1e-9:
+            break
+        length += STEP
+    # a body that is smaller by what a place and a heading stand for
+    less = 0.5 * STEP + 0.5 * spacing * reach
+    small = Body(body.x_min + less, body.y_min + less, body.x_max - less, body.y_max - less)
+    open_between = np.zeros(n, np.bool_)
+    for k in range(int(length / STEP) + 2):
+        px = x + k * STEP * ux
+        py = y + k * STEP * uy
+        for j in range(n):
+            if not open_between[j]:
+                open_between[j] = pose_free(space, small, px, py, goal_yaw + (j + 0.5) * spacing)
+    for j in range(n):
+        if not (open_between[j - 1] or open_between[j]):
+            cost[j] = inf
+    spread(cost, turn)
+
+
+@njit
+def least_over_corners(
+    space: Space, body: Body, corners: Corners, rates: Rates, limit: float, effort: float
+) -> tuple[float, bool]:
+    """Return a lower bound on the cost of going from start to goal, at most `limit`.
+
+    A* over lines between corners, each with its costs by heading. A taut way turns at a corner
+    only around the obstacle there.
+
+    Parameters
+    ----------
+    space : Space
+        Obstacles.
+    body : Body
+        The robot.
+    corners : Corners
+        Corners, start and goal.
+    rates : Rates
+        Costs.
+    limit : float
+        Costs at or above are of no interest.
+    effort : float
+        Number of steps, of about a nanosecond each, at which to stop with what is known by then.
+
+    Returns
+    -------
+    tuple of float and bool
+        The bound, and whether the search came to its end.
+    """
+    n = len(corners.point)
+    start = n - 2
+    goal = n - 1
+    point = corners.point
+    turn = rates.radian * 2.0 * pi / HEADINGS
+    to_goal = np.empty(HEADINGS)
+    cost = np.empty(HEADINGS)
+    for j in range(HEADINGS):
+        heading = rates.goal + j * 2.0 * pi / HEADINGS
+        to_goal[j] = rates.radian * angle_between(heading, rates.goal)
+        cost[j] = rates.radian * angle_between(heading, rates.start)
+    state = np.full((n, n), UNKNOWN, np.int32)
+    capacity = 256
+    before = np.full((capacity, HEADINGS), inf)
+    tail = np.empty(capacity, np.int32)
+    head = np.empty(capacity, np.int32)
+    waiting = np.zeros(capacity, np.bool_)
+    room = 1 << 16
+    heap_f = np.empty(room)
+    heap_node = np.empty(room, np.int32)
+    count = 0
+    size = 0
+    work = 0.0
+    at = start
+    about = 0
+    ix = 0.0
+    iy = 0.0
+    while True:
+        lowest = (cost + to_goal).min()
+        gx = point[goal, 0]
+        gy = point[goal, 1]
+        work += 5.0 * n
+        for v in range(n if lowest < limit else 0):
+            dx = point[v, 0] - point[at, 0]
+            dy = point[v, 1] - point[at, 1]
+            length = hypot(dx, dy)
+            if v == start or state[at, v] == CLOSED or length < 1e-12:
+                continue
+            rest = length + hypot(gx - point[v, 0], gy - point[v, 1])
+            straight_on = at == start and v == goal
+            if (rates.direct if straight_on else lowest + rates.metre * rest) >= limit:
+                continue
+            if at != start and (
+                (ix * dy - iy * dx) * about < -1e-9 * length or _side(corners, at, dx, dy) != about
+            ):
+                continue
+            if state[at, v] == UNKNOWN:
+                work += 2000.0
+                good = (at == start or _side(corners, at, dx, dy) != 0) and (
+                    v == goal or _side(corners, v, dx, dy) != 0
+                )
+                good = good and line_open(
+                    space, corners, point[at, 0], point[at, 1], point[v, 0], point[v, 1]
+                )
+                if not good:
+                    state[at, v] = CLOSED
+                    state[v, at] = CLOSED
+                    continue
+                state[at, v] = OPEN
+                if state[v, at] == UNKNOWN:
+                    state[v, at] = OPEN
+            if straight_on:
+                limit = rates.direct
+                continue
+            line = int(state[at, v])
+            if line < 0:
+                if count == capacity:
+                    capacity *= 2
+                    before = np.concatenate((before, np.full_like(before, inf)))
+                    tail = np.concatenate((tail, tail))
+                    head = np.concatenate((head, head))
+                    waiting = np.concatenate((waiting, np.zeros_like(waiting)))
+                line = count
+                count += 1
+                state[at, v] = line
+                tail[line] = at
+                head[line] = v
+            better = inf
+            for j in range(HEADINGS):
+                if cost[j] < before[line, j] - 1e-9:
+                    before[line, j] = cost[j]
+                    better = min(better, cost[j] + to_goal[j])
+            f = better + rates.metre * rest
+            if f < limit:
+                if size + 1 >= room:
+                    room *= 2
+                    heap_f = np.concatenate((heap_f, heap_f))
+                    heap_node = np.concatenate((heap_node, heap_node))
+                waiting[line] = True
+                size = push(heap_f, heap_node, size, f, line)
+        line = -1
+        f = limit
+        while size > 0 and line < 0:
+            f = heap_f[0]
+            if waiting[heap_node[0]]:
+                line = int(heap_node[0])
+            size = pop(heap_f, heap_node, size)
+        if line < 0 or f >= limit:
+            return limit, True
+        if work > effort:
+            return float(f), False
+        waiting[line] = False
+        u = int(tail[line])
+        at = int(head[line])
+        ix = point[at, 0] - point[u, 0]
+        iy = point[at, 1] - point[u, 1]
+        length = hypot(ix, iy)
+        behind = 0 if u == start else _side(corners, u, ix, iy)
+        about = 0 if at == goal else _side(corners, at, ix, iy)
+        cost = before[line].copy()
+        work += 30000.0
+        if u != start:
+            gate(
+                space, body, corners, rates.goal,
+                point[u, 0], point[u, 1], behind * iy / length, -behind * ix / length, cost, turn,
+            )  # fmt: skip
+        cost = along_line(
+            cost,
+            atan2(iy, ix),
+            length,
+            rates,
+            about != -1 and behind != 1,
+            about != 1 and behind != -1,
+        )
+        if at == goal:
+            limit = min(limit, cost[0])
+            cost[:] = inf
+            continue
+        gate(
+            space, body, corners, rates.goal,
+            point[at, 0], point[at, 1], about * iy / length, -about * ix / length, cost, turn,
+        )  # fmt: skip

@@ -1,0 +1,169 @@
+"""What dear surfaces add to a lower bound that prices every metre as on the cheapest one.
+
+Every cost is the sum of two parts: that of a ground that is everywhere as cheap as the cheapest
+surface, and the excess, which is paid by the metre where the ground is dearer. The least of the
+sum is no less than the sum of the leasts; the second of them is found here.
+"""
+
+from __future__ import annotations
+
+from math import ceil, sqrt
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from energyplan.compilation import njit
+from energyplan.path import FloatArray
+from energyplan.planning.scene.compiled import Query
+from energyplan.planning.scene.field import pop, push
+from energyplan.terrain import OccupancyGrid, SurfaceMap
+
+MOST_CELLS = 250_000
+"""Cells above which they are joined to larger ones."""
+
+_cells: WeakKeyDictionary[OccupancyGrid, tuple[SurfaceMap, NDArray[np.intp]]]
+_cells = WeakKeyDictionary()
+
+
+def metre_excess(query: Query) -> FloatArray:
+    """Return by how much a metre on each class of surface exceeds one on the cheapest, at least.
+
+    Beside it every radian costs what it costs at least anywhere.
+    """
+    travel = np.abs(query.rays[:, 0])
+    turn = np.abs(query.rays[:, 1]) / query.problem.cost.half_track
+    moves = travel > 1e-9
+    values = query.fine_prices.reshape(len(query.costs), -1, len(travel))[..., moves]
+    metre = (values - query.least.radian * turn[moves]) / travel[moves]
+    return np.asarray(np.maximum(metre.min(axis=(1, 2)) - query.least.metre, 0.0))
+
+
+def least_excess(query: Query, radius: float, limit: float) -> float:
+    """Return a lower bound on what dear surfaces add to the cost of every path.
+
+    Parameters
+    ----------
+    query : Query
+        The problem.
+    radius : float
+        Radius of the disc that keeps clear of obstacles [m].
+    limit : float
+        More than this is of no interest.
+
+    Returns
+    -------
+    float
+        The bound; zero where some way leads over the cheapest surface alone.
+    """
+    surfaces = query.problem.surfaces
+    if surfaces is None:
+        return 0.0
+    dear = metre_excess(query)
+    if dear.max() <= 1e-9 * query.least.metre:
+        return 0.0
+    grid = query.grid
+    known = _cells.get(grid)
+    if known is None or known[0] is not surfaces:
+        known = surfaces, _certain_regions(surfaces, grid, query.setting.surface)
+        _cells[grid] = known
+    per_metre = np.append(dear, 0.0)[known[1]]
+    clear = grid._space.clearance * grid.resolution >= radius - sqrt(0.5) * grid.resolution
+    factor = max(ceil(sqrt(per_metre.size / MOST_CELLS)), 1)
+    per_metre = _blocks(per_metre, factor, np.inf).min(axis=(1, 3))
+    passable = np.asarray(_blocks(clear, factor, False).any(axis=(1, 3)))
+    size = factor * grid.resolution
+    # the ground lies under the reference point, the cells are those of the treads' centre
+    reach = 1 + ceil(abs(query.problem.cost.icr.centre[1]) / size)
+    least = ndimage.minimum_filter(per_metre, 2 * reach + 1, mode="nearest")
+    setting = query.setting
+    ends = [(setting.start_x, setting.start_y), (setting.goal_x, setting.goal_y)]
+    columns, rows = (grid.to_cells(ends) / factor).astype(int).T
+    return float(
+        least_steps(size * least, passable, rows[0], columns[0], rows[1], columns[1], limit)
+    )
+
+
+def _blocks(cells: NDArray[np.generic], factor: int, fill: float) -> NDArray[np.generic]:
+    """Return cells by blocks of `factor` a side, shape (rows, factor, columns, factor)."""
+    rows, columns = (-(-n // factor) for n in cells.shape)
+    pads = [(0, rows * factor - cells.shape[0]), (0, columns * factor - cells.shape[1])]
+    padded = np.pad(cells, pads, constant_values=fill)
+    return padded.reshape(rows, factor, columns, factor)
+
+
+def _certain_regions(
+    surfaces: SurfaceMap, grid: OccupancyGrid, region: NDArray[np.uint8]
+) -> NDArray[np.intp]:
+    """Return the region of each cell that lies in one as a whole, -1 for those near an edge."""
+    crossed = np.zeros(grid.shape, bool)
+    for points in surfaces.edge_points(0.4 * grid.resolution):
+        column, row = np.floor(grid.to_cells(points)).astype(int).T
+        inside = (row >= 0) & (column >= 0) & (row < grid.shape[0]) & (column < grid.shape[1])
+        crossed[row[inside], column[inside]] = True
+    # between two points an edge may cut the corner of a cell beside theirs
+    crossed = ndimage.binary_dilation(crossed, np.ones((3, 3), bool))
+    return np.where(crossed, -1, region.astype(np.intp))
+
+
+@njit
+def least_steps(
+    step: NDArray[np.float64],
+    passable: NDArray[np.bool_],
+    row: int,
+    column: int,
+    goal_row: int,
+    goal_column: int,
+    limit: float,
+) -> float:
+    """Return the least sum of steps from a cell to the neighbourhood of another.
+
+    Follow a way, and mark a place each time that it has gone as far as a cell is wide, along either
+    axis, from the last one. From one to the next it stays within the cell of the first and the
+    eight around it, and the next lies in one of these. So the marks make a walk over the cells,
+    diagonals included, and the way pays at least the width of a cell times the least price in
+    this neighbourhood, which is what `step` holds.
+
+    Parameters
+    ----------
+    step : ndarray, shape (rows, columns)
+        What leaving each cell costs.
+    passable : ndarray of bool, shape (rows, columns)
+        Whether a way may go through each cell.
+    row, column, goal_row, goal_column : int
+        Start and goal.
+    limit : float
+        What to return where the sum is greater, or no walk leads to the goal.
+    """
+    rows, columns = step.shape
+    reached = np.full((rows, columns), np.inf)
+    capacity = 1 << 12
+    heap_f = np.empty(capacity)
+    heap_node = np.empty(capacity, np.int32)
+    reached[row, column] = 0.0
+    size = push(heap_f, heap_node, 0, 0.0, row * columns + column)
+    while size > 0:
+        sum_so_far = heap_f[0]
+        node = int(heap_node[0])
+        size = pop(heap_f, heap_node, size)
+        r = node // columns
+        c = node % columns
+        if sum_so_far >= limit:
+            break
+        if abs(r - goal_row) <= 1 and abs(c - goal_column) <= 1:
+            return float(sum_so_far)
+        if sum_so_far > reached[r, c]:
+            continue
+        there = sum_so_far + step[r, c]
+        for rr in range(max(r - 1, 0), min(r + 2, rows)):
+            for cc in range(max(c - 1, 0), min(c + 2, columns)):
+                if not passable[rr, cc] or there >= reached[rr, cc]:
+                    continue
+                reached[rr, cc] = there
+                if size + 1 >= capacity:
+                    capacity *= 2
+                    heap_f = np.concatenate((heap_f, heap_f))
+                    heap_node = np.concatenate((heap_node, heap_node))
+                size = push(heap_f, heap_node, size, there, rr * columns + cc)
+    return limit

@@ -1,0 +1,158 @@
+"""Making a drivable path cheaper with exact steering, until time is over or nothing is gained.
+
+`Refiner` works on one path: dynamic programming over its poses finds the shortcuts, then poses are
+moved, removed and inserted at random. The path is free of collisions and no dearer after each
+step, so it can stop at any time.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from energyplan.path import Path, Pose
+from energyplan.planning.lattice import refine_kernels as kernels
+from energyplan.planning.scene.compiled import Query, Segments, merged
+from energyplan.planning.scene.motions import Setting
+from energyplan.steering.kernels import MAX_SEGMENTS
+
+POSES = 60
+"""Largest number of poses among which shortcuts are sought."""
+
+TRIALS = 400
+"""Attempts between two looks at the clock."""
+
+
+class Refiner:
+    """A path that becomes cheaper.
+
+    Parameters
+    ----------
+    setting : Setting
+        The problem.
+    segments : Segments
+        Motions from the start to the goal, free of collisions.
+    seed : int
+        Seed of the random numbers.
+    """
+
+    def __init__(self, setting: Setting, segments: Segments, seed: int = 1) -> None:
+        self.setting = setting
+        self._state = np.array([0x9E3779B97F4A7C15 ^ (seed * 0x2545F4914F6CDD1D % 2**63)], "u8")
+        self._load(segments)
+
+    def _load(self, segments: Segments) -> None:
+        """Take motions, cut to pieces, as the chain."""
+        setting = self.setting
+        whole = merged(segments)
+        path = Path(
+            Pose(setting.start_x, setting.start_y, setting.start_yaw), whole.ds, whole.dtheta
+        )
+        extent = path.length + setting.half_track * path.turning
+        spare = max(POSES - len(path), 20)
+        piece = max(extent / spare, 0.2)
+        fine = path.subdivide(max_ds=piece, max_dtheta=max(piece / setting.half_track, 0.3))
+        count = len(fine) + 1
+        room = count + 16
+        self.chain = kernels.Chain(
+            np.zeros((room, 3)),
+            np.zeros(room),
+            np.ones(room, bool),
+            np.zeros(room),
+            np.zeros(room),
+            np.full(room, 0.3),
+        )
+        self.count = count
+        self.chain.poses[:count] = fine.vertices
+        # the last pose is the goal itself, not the sum of rounded motions
+        self.chain.poses[count - 1] = (setting.goal_x, setting.goal_y, setting.goal_yaw)
+        self.chain.ds[: count - 1] = fine.ds
+        self.chain.dtheta[: count - 1] = fine.dtheta
+        kernels.fill_costs(self.chain, setting, count)
+
+    @property
+    def cost(self) -> float:
+        """Cost of the path as it is."""
+        return float(self.chain.cost[: self.count - 1].sum())
+
+    @property
+    def segments(self) -> Segments:
+        """The motions as they are."""
+        room = self.count * MAX_SEGMENTS
+        ds, dtheta = np.empty(room), np.empty(room)
+        n = kernels.unfold(self.chain, self.setting, self.count, ds, dtheta)
+        return Segments(ds[:n].copy(), dtheta[:n].copy())
+
+    def shortcut(self) -> None:
+        """Leave out the poses without which the path is cheaper."""
+        self.count = int(kernels.shortcut(self.chain, self.setting, self.count, self.count))
+
+    def again(self) -> None:
+        """Cut the path to pieces once more, and seek shortcuts between them."""
+        before = self.chain, self.count, self.cost
+        self._load(self.segments)
+        self.shortcut()
+        if self.cost > before[2]:
+            self.chain, self.count = before[0], before[1]
+
+    def polish(
+        self,
+        deadline: float,
+        patience: int = 4000,
+        enough: float = 0.0,
+        most: int | None = None,
+    ) -> None:
+        """Move poses until the deadline, until the cost is `enough`, or until little is gained.
+
+        Parameters
+        ----------
+        deadline : float
+            Reading of `time.perf_counter` at which to stop.
+        patience : int
+            Attempts in which the cost must fall by a ten-thousandth.
+        enough : float
+            Cost at which to stop.
+        most : int, optional
+            Attempts at which to stop.
+        """
+        mark, since, spent = self.cost, 0, 0
+        while time.perf_counter() < deadline and self.cost > enough:
+            self.count = int(
+                kernels.polish(self.chain, self.setting, self.count, TRIALS, self._state)
+            )
+            since += TRIALS
+            spent += TRIALS
+            if self.count < 3 or (most is not None and spent >= most):
+                break
+            if self.cost < mark * (1 - 1e-4):
+                mark, since = self.cost, 0
+            elif since >= patience:
+                break
+
+
+def refine(query: Query, segments: Segments, deadline: float, seed: int = 1) -> Segments:
+    """Return cheaper motions from the start to the goal.
+
+    Parameters
+    ----------
+    query : Query
+        The problem.
+    segments : Segments
+        Motions from the start to the goal, free of collisions.
+    deadline : float
+        Reading of `time.perf_counter` at which to stop.
+    seed : int
+        Seed of the random numbers.
+
+    Returns
+    -------
+    Segments
+        Motions that cost no more.
+    """
+    refiner = Refiner(query.setting, segments, seed)
+    refiner.shortcut()
+    refiner.polish(deadline)
+    refiner.again()
+    refiner.polish(deadline)
+    return refiner.segments

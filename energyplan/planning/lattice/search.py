@@ -1,0 +1,337 @@
+"""The lattice search as an object: grows its arrays, watches the clock, hands back motions."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from math import remainder
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from energyplan.planning.lattice import search_kernels as kernels
+from energyplan.planning.scene.compiled import Segments
+from energyplan.planning.scene.field import Field, distance_field
+from energyplan.planning.scene.motions import (
+    DIRECTIONS,
+    Setting,
+    drive,
+    heights_of_points,
+    join,
+    spin_drive_spin,
+)
+from energyplan.steering.kernels import MAX_SEGMENTS
+from energyplan.terrain.collision import motion_free
+
+Number = TypeVar("Number", bound=np.generic)
+
+HEADINGS = 32
+"""Headings of the lattice."""
+
+AHEAD = 1.5
+"""How far ahead the field looks for the direction of the way [m]."""
+
+MOST_POINTS = 1_000_000
+"""Largest number of points of a field; larger maps get a coarser one."""
+
+TIGHT = 0.5
+"""Clearance below which a place is tight: 0 the inscribed disc's, 1 the circumscribed one's."""
+
+REACH = 1.2
+"""How much further than the start the field reaches."""
+
+SLICE = 2000
+"""Expansions between two looks at the clock."""
+
+
+def lattice_for(setting: Setting, scale: float = 1.0) -> kernels.Lattice:
+    """Return a lattice that suits the map and the body; `scale` below 1 makes it finer."""
+    cell = max(setting.space.resolution, 0.2 * setting.reach) * scale
+    headings = int(HEADINGS * (1 if scale == 1.0 else 2))
+    return kernels.Lattice(cell, 2 * np.pi / headings, headings, 1.5 * cell)
+
+
+def coarse_lattice(setting: Setting) -> kernels.Lattice:
+    """Return the lattice of the search for many goals."""
+    fine = lattice_for(setting)
+    turns = HEADINGS * 3 // 4
+    return kernels.Lattice(1.5 * fine.cell, 2 * np.pi / turns, turns, 1.5 * fine.step)
+
+
+def no_field() -> Field:
+    """Return an empty field, for a search without a goal."""
+    return Field(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 1.0, 0.0)
+
+
+def cell_of(setting: Setting, x: float, y: float, stride: int) -> tuple[int, int]:
+    """Return row and column of a place in a grid of every `stride`-th cell."""
+    space = setting.space
+    dx, dy = x - space.x, y - space.y
+    column = (space.cos * dx + space.sin * dy) / space.resolution
+    row = (-space.sin * dx + space.cos * dy) / space.resolution
+    rows, columns = space.clearance.shape
+    return (
+        min(max(int(row), 0), rows - 1) // stride,
+        min(max(int(column), 0), columns - 1) // stride,
+    )
+
+
+def inscribed(setting: Setting) -> float:
+    """Radius of the largest disc about the centre of the tread ICRs inside the body [m]."""
+    body = setting.body
+    return max(min(-body.x_min, body.x_max, -body.y_min, body.y_max), 0.0)
+
+
+def field_for(setting: Setting, penalty: float = 1.0) -> Field:
+    """Return the distance to go to the goal for the inscribed disc, as far as it is needed.
+
+    With a `penalty` above 1 it counts as longer where the disc barely passes: the whole body
+    often does not, and the search had better look elsewhere first.
+    """
+    res = setting.space.resolution
+    stride = max(int(0.1 / res + 0.5), 1)
+    while setting.space.clearance.size > MOST_POINTS * stride * stride:
+        stride += 1
+    # a point stands for all of its square, so the disc shrinks by the square's half diagonal
+    radius = max(inscribed(setting) / res - 0.7072 * stride, 0.5)
+    goal = cell_of(setting, setting.goal_x, setting.goal_y, stride)
+    start = cell_of(setting, setting.start_x, setting.start_y, stride)
+    # where it turns for nothing within this distance, reversing can be cheaper
+    far = 2.0 * setting.least_radian / setting.least_metre
+    hills = setting.hills
+    straight = setting.prices.reshape(-1, hills.bins, DIRECTIONS + 1)
+    # what is uphill forwards is downhill for one who faces the other way
+    cheapest = np.minimum(straight[..., 0], straight[:, ::-1, DIRECTIONS // 2])
+    distance, direction = distance_field(
+        setting.space.clearance,
+        stride,
+        radius,
+        *goal,
+        *start,
+        REACH,
+        AHEAD / res,
+        (inscribed(setting) + TIGHT * (setting.reach - inscribed(setting))) / res,
+        penalty,
+        setting.surface,
+        cheapest / setting.least_metre,
+        heights_of_points(hills, setting.space, stride) / res,
+        hills.steepest,
+    )
+    return Field(distance * np.float32(res), direction, stride * res, far)
+
+
+def way_along(setting: Setting, field: Field, stride: float = 1.0) -> Segments | None:
+    """Return the motions that follow a field to the goal in straight lines, if they are free.
+
+    Parameters
+    ----------
+    setting : Setting
+        The problem.
+    field : Field
+        Distance to go.
+    stride : float
+        Length of the lines [m].
+
+    Returns
+    -------
+    Segments or None
+        Straight lines with turns on the spot; None where the body does not pass, or nothing leads
+        to the goal.
+    """
+    space = setting.space
+    x, y, yaw = setting.start_x, setting.start_y, setting.start_yaw
+    ds: list[float] = []
+    dtheta: list[float] = []
+    rows, columns = field.distance.shape
+    left = np.inf
+    while np.hypot(setting.goal_x - x, setting.goal_y - y) > 1.5 * stride:
+        row, column = (int(n * space.resolution / field.spacing) for n in cell_of(setting, x, y, 1))
+        row, column = min(row, rows - 1), min(column, columns - 1)
+        if not field.distance[row, column] < left:
+            return None
+        left = float(field.distance[row, column])
+        turn = remainder(float(field.direction[row, column]) + space.yaw - yaw, 2 * np.pi)
+        ds += [0.0, stride]
+        dtheta += [turn, 0.0]
+        yaw += turn
+        x += stride * np.cos(yaw)
+        y += stride * np.sin(yaw)
+    last_ds, last_turn = np.empty(3), np.empty(3)
+    spin_drive_spin(
+        setting.goal_x - x, setting.goal_y - y, yaw, setting.goal_yaw, False, last_ds, last_turn
+    )
+    found = Segments(np.append(ds, last_ds), np.append(dtheta, last_turn))
+    start = setting.start_x, setting.start_y, setting.start_yaw
+    free = drive(setting, *start, found.ds, found.dtheta, len(found.ds), np.inf) < np.inf
+    return found if free else None
+
+
+@dataclass
+class Search:
+    """One search tree.
+
+    Parameters
+    ----------
+    setting : Setting
+        The problem.
+    field : Field
+        Distance to go.
+    lattice : Lattice
+        Resolution.
+    weight : float
+        Factor on the estimated cost to go.
+    limit : float
+        Motions at this cost or above are of no interest.
+    aligned : bool
+        Whether to turn to the nearest heading of the lattice that is counted from the map's axes
+        first, where there is room to: gaps that the body barely passes mostly lie along these.
+    """
+
+    setting: Setting
+    field: Field
+    lattice: kernels.Lattice
+    weight: float
+    limit: float = np.inf
+    aligned: bool = False
+
+    def __post_init__(self) -> None:
+        here = self.setting
+        self.spin = 0.0
+        if self.aligned:
+            turn = self.lattice.turn
+            spin = -remainder(here.start_yaw - here.space.yaw, turn)
+            pose = here.start_x, here.start_y, here.start_yaw
+            if motion_free(here.space, here.body, *pose, 0.0, spin, 0.0):
+                self.spin = spin
+                self.setting = here._replace(start_yaw=here.start_yaw + spin)
+        nodes = 1 << 14
+        self.tree = kernels.Tree(
+            x=np.zeros(nodes),
+            y=np.zeros(nodes),
+            heading=np.zeros(nodes, np.int32),
+            g=np.zeros(nodes),
+            h=np.zeros(nodes),
+            parent=np.full(nodes, -1, np.int32),
+            ds=np.zeros(nodes),
+            dtheta=np.zeros(nodes),
+            key=np.zeros(nodes, np.int64),
+            table=np.full(4 * nodes, -1, np.int32),
+            heap_f=np.zeros(nodes),
+            heap_node=np.zeros(nodes, np.int32),
+            counts=np.array([0, 0, 0, -1, 1 << 30], np.int64),
+            best=np.array([self.limit]),
+        )
+        kernels.plant(self.tree, self.setting, self.field, self.lattice, self.weight)
+
+    def _enlarge(self) -> None:
+        """Double every array, and rebuild the hash table."""
+
+        def double(array: NDArray[Number]) -> NDArray[Number]:
+            return np.concatenate([array, np.zeros_like(array)])
+
+        tree = self.tree
+        count = int(tree.counts[0])
+        larger = tree._replace(
+            x=double(tree.x),
+            y=double(tree.y),
+            heading=double(tree.heading),
+            g=double(tree.g),
+            h=double(tree.h),
+            parent=double(tree.parent),
+            ds=double(tree.ds),
+            dtheta=double(tree.dtheta),
+            key=double(tree.key),
+            heap_f=double(tree.heap_f),
+            heap_node=double(tree.heap_node),
+            table=np.full(2 * len(tree.table), -1, np.int32),
+        )
+        kernels.rehash(larger, count)
+        self.tree = larger
+
+    def run(self, deadline: float, stop_at_first: bool, expansions: int | None = None) -> int:
+        """Search until something is found, nothing is left, or time is over.
+
+        Parameters
+        ----------
+        deadline : float
+            Reading of `time.perf_counter` at which to stop.
+        stop_at_first : bool
+            Whether any motion to the goal will do.
+        expansions : int, optional
+            Largest number of expansions.
+
+        Returns
+        -------
+        int
+            `FOUND`, `EXHAUSTED`, or `RUNNING` where time or expansions ran out.
+        """
+        limit = np.inf if expansions is None else self.tree.counts[2] + expansions
+        while True:
+            status = kernels.grow(
+                self.tree,
+                self.setting,
+                self.field,
+                self.lattice,
+                self.weight,
+                SLICE,
+                stop_at_first,
+            )
+            if status == kernels.FULL:
+                self._enlarge()
+            elif status != kernels.RUNNING:
+                return status
+            if time.perf_counter() > deadline or self.tree.counts[2] >= limit:
+                return kernels.RUNNING
+
+    @property
+    def found(self) -> bool:
+        """Whether a motion to the goal is known."""
+        return int(self.tree.counts[3]) >= 0
+
+    @property
+    def frontier(self) -> float:
+        """Cost of the cheapest node that is still open; infinite where none is."""
+        return float(self.tree.heap_f[0]) if int(self.tree.counts[1]) else np.inf
+
+    @property
+    def nearest(self) -> tuple[float, float]:
+        """The place reached from which the goal seems to be nearest, x and y [m]."""
+        node = int(np.argmin(self.tree.h[: int(self.tree.counts[0])]))
+        return float(self.tree.x[node]), float(self.tree.y[node])
+
+    def attach(self, setting: Setting) -> tuple[float, int]:
+        """Return the cost of reaching another goal from the tree, and the node it is joined to."""
+        cost, node = kernels.attach(self.tree, setting, self.lattice, 6.0 * self.lattice.cell)
+        return float(cost), int(node)
+
+    def segments(self, setting: Setting | None = None, node: int | None = None) -> Segments:
+        """Return the motions to the goal; by way of `node` to that of `setting`, where given."""
+        tree = self.tree
+        setting = self.setting if setting is None else setting
+        node = int(tree.counts[3]) if node is None else node
+        last = (
+            float(tree.x[node]),
+            float(tree.y[node]),
+            self.setting.start_yaw + int(tree.heading[node]) * self.lattice.turn,
+        )
+        chain = []
+        while tree.parent[node] >= 0:
+            chain.append((float(tree.ds[node]), float(tree.dtheta[node])))
+            node = int(tree.parent[node])
+        steps = np.array(chain[::-1]).reshape(-1, 2)
+        ds, dtheta = np.empty(MAX_SEGMENTS), np.empty(MAX_SEGMENTS)
+        _, count = join(
+            setting,
+            *last,
+            setting.goal_x,
+            setting.goal_y,
+            setting.goal_yaw,
+            np.inf,
+            ds,
+            dtheta,
+        )
+        return Segments(
+            np.concatenate([[0.0], steps[:, 0], ds[:count]]),
+            np.concatenate([[self.spin], steps[:, 1], dtheta[:count]]),
+        )

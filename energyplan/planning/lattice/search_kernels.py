@@ -1,0 +1,359 @@
+"""The lattice search: weighted A* over position and heading, in slices, on growable arrays.
+
+A node keeps its exact pose; only the test for "been here before" rounds positions to cells. The
+headings are ``heading0 + k * turn``, so every motion between nodes is an exact minimum-energy one:
+straight along the heading, a pivot about either tread's ICR, or a spin.
+"""
+
+from __future__ import annotations
+
+from math import atan2, cos, floor, hypot, inf, pi, sin
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from energyplan.compilation import njit
+from energyplan.planning.scene.field import Field, angle_between, pop, push
+from energyplan.planning.scene.motions import Setting, connection, free_energy, motion_cost, price
+from energyplan.terrain.collision import motion_free
+
+RUNNING, FOUND, EXHAUSTED, FULL = 0, 1, 2, 3
+"""Why a slice of the search ended."""
+
+MOTIONS = 10
+
+TOLERANCE = 0.15
+"""How far the first heading of the way may be off [rad]."""
+
+
+class Lattice(NamedTuple):
+    """Resolution of the search.
+
+    Attributes
+    ----------
+    cell : float
+        Size of the cells in which two positions count as one [m].
+    turn : float
+        Step of the headings [rad].
+    headings : int
+        Their number.
+    step : float
+        Length of a straight motion [m].
+    """
+
+    cell: float
+    turn: float
+    headings: int
+    step: float
+
+
+class Tree(NamedTuple):
+    """What the search remembers, all of it in arrays that can be replaced by larger ones.
+
+    Attributes
+    ----------
+    x, y : ndarray
+        Position of each node [m].
+    heading : ndarray of int32
+        Index of its heading.
+    g, h : ndarray
+        Cost so far, and estimate of the cost to go.
+    parent : ndarray of int32
+        Node it was reached from, -1 at the root.
+    ds, dtheta : ndarray
+        Motion by which it was reached.
+    key : ndarray of int64
+        Cell and heading as one number.
+    table : ndarray of int32
+        Hash table from key to node, -1 where empty; its size is a power of two.
+    heap_f, heap_node : ndarray
+        Binary heap of open nodes.
+    counts : ndarray of int64, shape (5,)
+        Nodes, heap entries, expansions, best connecting node (-1), expansions since the last
+        attempt to connect.
+    best : ndarray, shape (1,)
+        Cost of the best motion to the goal so far.
+    """
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    heading: NDArray[np.int32]
+    g: NDArray[np.float64]
+    h: NDArray[np.float64]
+    parent: NDArray[np.int32]
+    ds: NDArray[np.float64]
+    dtheta: NDArray[np.float64]
+    key: NDArray[np.int64]
+    table: NDArray[np.int32]
+    heap_f: NDArray[np.float64]
+    heap_node: NDArray[np.int32]
+    counts: NDArray[np.int64]
+    best: NDArray[np.float64]
+
+
+@njit
+def _estimate(setting: Setting, field: Field, x: float, y: float, yaw: float) -> float:
+    """Cost to go: the greater of the disc's way round the obstacles and the motion without them."""
+    space = setting.space
+    dx = x - space.x
+    dy = y - space.y
+    column = floor((space.cos * dx + space.sin * dy) / field.spacing)
+    row = floor((-space.sin * dx + space.cos * dy) / field.spacing)
+    rows, columns = field.distance.shape
+    if row < 0 or column < 0 or row >= rows or column >= columns:
+        return inf
+    far = float(field.distance[row, column])
+    if far == inf:
+        # the point of the field may be blocked although this place is not
+        for r in range(max(row - 1, 0), min(row + 2, rows)):
+            for c in range(max(column - 1, 0), min(column + 2, columns)):
+                far = min(far, float(field.distance[r, c]))
+        if far == inf:
+            return inf
+    # 16 neighbours overestimate distances by up to 2.8 per cent
+    far = 0.973 * far
+    turn = angle_between(yaw, setting.goal_yaw)
+    if far > field.far:
+        # on its way the robot takes the heading of the way, or drives it backwards
+        ahead = float(field.direction[row, column]) + space.yaw
+        through = inf
+        for way in range(2):
+            heading = ahead + way * pi
+            through = min(
+                through, angle_between(yaw, heading) + angle_between(heading, setting.goal_yaw)
+            )
+        turn = max(turn, through - 2.0 * TOLERANCE)
+    round_obstacles = setting.least_metre * far + setting.least_radian * turn
+    # turn, drive, turn is never below the least cost: steering is asked only if it can be greater
+    dx = setting.goal_x - x
+    dy = setting.goal_y - y
+    above = round_obstacles - setting.steering[4] * hypot(dx, dy)
+    if above >= 0.0:
+        straight = atan2(dy, dx)
+        turning = inf
+        for way in range(2):
+            heading = straight + way * pi
+            turning = min(
+                turning, angle_between(yaw, heading) + angle_between(heading, setting.goal_yaw)
+            )
+        if above >= setting.steering[5] * turning:
+            return round_obstacles
+    return max(round_obstacles, free_energy(setting, x, y, yaw))
+
+
+@njit
+def _find(tree: Tree, key: int) -> int:
+    """Return the slot of a key in the hash table: its own, or the empty one where it belongs."""
+    mask = len(tree.table) - 1
+    slot = (key * 0x9E3779B97F4A7C1) >> 17 & mask
+    while tree.table[slot] >= 0 and tree.key[tree.table[slot]] != key:
+        slot = (slot + 1) & mask
+    return slot
+
+
+@njit
+def rehash(tree: Tree, count: int) -> None:
+    """Fill an empty hash table; of several nodes with one key the last one counts."""
+    for node in range(count):
+        tree.table[_find(tree, tree.key[node])] = node
+
+
+@njit
+def _key(space_x: float, space_y: float, lattice: Lattice, x: float, y: float, heading: int) -> int:
+    column = floor((x - space_x) / lattice.cell) + (1 << 20)
+    row = floor((y - space_y) / lattice.cell) + (1 << 20)
+    return (row * (1 << 21) + column) * 1024 + heading
+
+
+@njit
+def plant(tree: Tree, setting: Setting, field: Field, lattice: Lattice, weight: float) -> None:
+    """Put the start into an empty tree."""
+    tree.x[0] = setting.start_x
+    tree.y[0] = setting.start_y
+    tree.heading[0] = 0
+    tree.g[0] = 0.0
+    if weight > 0:
+        tree.h[0] = _estimate(setting, field, setting.start_x, setting.start_y, setting.start_yaw)
+    tree.parent[0] = -1
+    tree.key[0] = _key(setting.space.x, setting.space.y, lattice, tree.x[0], tree.y[0], 0)
+    tree.table[_find(tree, tree.key[0])] = 0
+    tree.counts[0] = 1
+    tree.counts[1] = push(tree.heap_f, tree.heap_node, 0, weight * tree.h[0], 0)
+
+
+@njit
+def grow(
+    tree: Tree,
+    setting: Setting,
+    field: Field,
+    lattice: Lattice,
+    weight: float,
+    expansions: int,
+    stop_at_first: bool,
+) -> int:
+    """Expand nodes until a motion to the goal is found, or so many were expanded.
+
+    Parameters
+    ----------
+    tree : Tree
+        What is known so far; changed in place.
+    setting : Setting
+        Space, body, costs, start and goal.
+    field : Field
+        Distance to go for the inscribed disc.
+    lattice : Lattice
+        Resolution.
+    weight : float
+        Factor on the estimate of the cost to go; 1 for the least cost on the lattice, 0 for the
+        costs to all places, whatever the goal.
+    expansions : int
+        Largest number of expansions in this call.
+    stop_at_first : bool
+        Whether any motion to the goal will do.
+
+    Returns
+    -------
+    int
+        `RUNNING`, `FOUND`, `EXHAUSTED` or `FULL` (the arrays must be enlarged).
+    """
+    space = setting.space
+    counts = tree.counts
+    half = setting.half_track
+    even = setting.surface.size == 1
+    capacity = len(tree.x)
+    for _ in range(expansions):
+        if counts[1] == 0:
+            return EXHAUSTED
+        if (
+            counts[0] + 2 * MOTIONS >= capacity
+            or counts[1] + 2 * MOTIONS >= len(tree.heap_f)
+            or 2 * counts[0] >= len(tree.table)
+        ):
+            return FULL
+        f = tree.heap_f[0]
+        node = int(tree.heap_node[0])
+        counts[1] = pop(tree.heap_f, tree.heap_node, counts[1])
+        g = tree.g[node]
+        if f > g + weight * tree.h[node] + 1e-9:
+            continue
+        if f >= tree.best[0]:
+            # what is left costs more, or at least more than best / weight
+            return EXHAUSTED
+        counts[2] += 1
+        counts[4] += 1
+        x = tree.x[node]
+        y = tree.y[node]
+        index = int(tree.heading[node])
+        yaw = setting.start_yaw + index * lattice.turn
+
+        # the nearer the goal, the more often the exact motion to it is tried
+        if (
+            weight > 0
+            and counts[4] * setting.half_track * setting.least_metre >= 0.2 * tree.h[node]
+        ):
+            counts[4] = 0
+            through = g + connection(setting, x, y, yaw, tree.best[0] - g)
+            if through < tree.best[0]:
+                tree.best[0] = through
+                counts[3] = node
+                if stop_at_first:
+                    return FOUND
+
+        dx = x - space.x
+        dy = y - space.y
+        row = int((-space.sin * dx + space.cos * dy) / space.resolution)
+        column = int((space.cos * dx + space.sin * dy) / space.resolution)
+        room = float(space.clearance[row, column]) * space.resolution - setting.reach
+        for motion in range(MOTIONS):
+            ds = 0.0
+            step = 0
+            if motion < 2:
+                ds = lattice.step if motion == 0 else -lattice.step
+            elif motion < 6:
+                step = 1 if motion < 4 else -1
+                ds = half * lattice.turn * (1.0 if motion % 2 == 0 else -1.0)
+            elif motion < 8:
+                step = 1 if motion == 6 else -1
+            else:
+                # across open ground in one stride
+                if room < 2.0 * lattice.step:
+                    continue
+                ds = room if motion == 8 else -room
+            dtheta = step * lattice.turn
+            heading = (index + step) % lattice.headings
+            mid = yaw + 0.5 * dtheta
+            chord = ds * (2.0 * sin(0.5 * dtheta) / dtheta if step != 0 else 1.0)
+            xx = x + chord * cos(mid)
+            yy = y + chord * sin(mid)
+            if even:
+                gg = g + price(setting.prices, 0, half, ds, dtheta)
+            else:
+                gg = g + motion_cost(setting, x, y, yaw, ds, dtheta)
+            key = _key(space.x, space.y, lattice, xx, yy, heading)
+            slot = _find(tree, key)
+            other = int(tree.table[slot])
+            if other >= 0:
+                # a gain smaller than what lies within a cell is no reason to go through it again
+                if gg >= tree.g[other] - 0.2 * lattice.cell * setting.least_metre:
+                    continue
+                h = tree.h[other]
+                if weight > 0 and (tree.x[other] - xx) ** 2 + (tree.y[other] - yy) ** 2 > 1e-12:
+                    h = _estimate(setting, field, xx, yy, yaw + dtheta)
+            else:
+                h = _estimate(setting, field, xx, yy, yaw + dtheta) if weight > 0 else 0.0
+            if gg + h >= tree.best[0]:
+                continue
+            if not motion_free(space, setting.body, x, y, yaw, ds, dtheta, 0.0):
+                continue
+            # the old node stays as it is: its children's motions start from its own pose
+            new = int(counts[0])
+            counts[0] += 1
+            tree.table[slot] = new
+            tree.x[new] = xx
+            tree.y[new] = yy
+            tree.heading[new] = heading
+            tree.g[new] = gg
+            tree.h[new] = h
+            tree.parent[new] = node
+            tree.ds[new] = ds
+            tree.dtheta[new] = dtheta
+            tree.key[new] = key
+            if other >= 0:
+                # a stale entry of the heap is told by its cost
+                tree.g[other] = -inf
+            counts[1] = push(tree.heap_f, tree.heap_node, counts[1], gg + weight * h, new)
+    return RUNNING
+
+
+@njit
+def attach(tree: Tree, setting: Setting, lattice: Lattice, reach: float) -> tuple[float, int]:
+    """Join the goal to the tree's nearby nodes; return the least cost and the node, or inf and -1.
+
+    Parameters
+    ----------
+    tree : Tree
+        A tree grown with weight 0.
+    setting : Setting
+        The problem with the goal in question.
+    lattice : Lattice
+        Resolution.
+    reach : float
+        Distance within which nodes are tried [m].
+    """
+    best = inf
+    node = -1
+    for k in range(int(tree.counts[0])):
+        g = tree.g[k]
+        x = tree.x[k]
+        y = tree.y[k]
+        if g == -inf or abs(x - setting.goal_x) > reach or abs(y - setting.goal_y) > reach:
+            continue
+        yaw = setting.start_yaw + int(tree.heading[k]) * lattice.turn
+        if g + free_energy(setting, x, y, yaw) >= best:
+            continue
+        cost = connection(setting, x, y, yaw, best - g)
+        if g + cost < best:
+            best = g + cost
+            node = k
+    return best, node

@@ -1,0 +1,311 @@
+"""OMPL's planners on the true energy, and the lattice planner as one of OMPL's.
+
+States are poses of the point midway between the tread ICRs. A motion between two states is the
+exact minimum-energy one: the objective prices it, the motion validator tests it with the whole
+footprint, and the path that comes back is made of it. OMPL's own interpolation between states is
+used for new samples only, never for motions, so that no path slides sideways.
+
+What OMPL 2.0.1 does not bear from Python is refused with a reason (`REFUSED`).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from ompl import base, geometric, util
+from typing_extensions import override
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import InvalidInputError, TimeLimitError, UnsupportedPlannerError
+from energyplan.path import Path
+from energyplan.planning import lattice
+from energyplan.planning.bound import lower_bound
+from energyplan.planning.ompl.parts import (
+    EnergyObjective,
+    PoseChecker,
+    SteeringValidator,
+    end_states,
+    out_of_time,
+    pose_space,
+    pose_state,
+    set_parameters,
+)
+from energyplan.planning.problem import Plan, PlanningProblem
+from energyplan.planning.scene.compiled import Query, Segments
+from energyplan.planning.scene.reachability import check_way
+from energyplan.steering.kernels import MAX_SEGMENTS, steer_path
+from energyplan.terrain import OccupancyGrid, SurfaceMap
+from energyplan.vehicle import Vehicle
+
+__all__ = [
+    "REFUSED",
+    "EnergyObjective",
+    "LatticePlanner",
+    "PoseChecker",
+    "SteeringValidator",
+    "aorrtc",
+    "bitstar",
+    "fmt",
+    "informed_rrtstar",
+    "pose_space",
+    "pose_state",
+    "prm",
+    "prmstar",
+    "rrtstar",
+]
+
+SPACING = 0.05
+"""Distance [m] and turn [rad] between the states of a path that is handed to OMPL."""
+
+REFUSED = {
+    "prmstar": "its native threads wait for Python's lock for ever under a Python objective",
+    "prm": "its native threads wait for Python's lock for ever under a Python objective",
+    "aorrtc": "it ignores the objective, so that its path is not one of little energy",
+}
+"""Planners of OMPL 2.0.1 that cannot be used with a Python objective, and why."""
+
+
+def _joined(query: Query, states: list[tuple[float, float, float]]) -> Segments:
+    """Return the exact motions from one state to the next."""
+    ds, dtheta = np.empty(MAX_SEGMENTS), np.empty(MAX_SEGMENTS)
+    parts = [Segments(np.empty(0), np.empty(0))]
+    for (x, y, yaw), (to_x, to_y, to_yaw) in pairwise(states):
+        count = steer_path(to_x - x, to_y - y, yaw, to_yaw, query.setting.steering, ds, dtheta)
+        parts.append(Segments(ds[:count].copy(), dtheta[:count].copy()))
+    return Segments(
+        np.concatenate([part.ds for part in parts]), np.concatenate([part.dtheta for part in parts])
+    )
+
+
+def _geometric(
+    make: Callable[[Any], Any],
+    name: str,
+    problem: PlanningProblem,
+    time_limit: float,
+    seed: int,
+    parameters: Mapping[str, object],
+) -> Plan:
+    """Let one of OMPL's geometric planners solve a problem."""
+    lattice.compiled()
+    begun = time.perf_counter()
+    if not time_limit > 0:
+        raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
+    query = Query(problem)
+    check_way(query)
+    util.setLogLevel(util.LOG_NONE)
+    util.RNG.setSeed(seed)
+    space = pose_space(query)
+    information = base.SpaceInformation(space)
+    checker = PoseChecker(information, query)
+    validator = SteeringValidator(information, query)
+    information.setStateValidityChecker(checker)
+    information.setMotionValidator(validator)
+    information.setup()
+    definition = base.ProblemDefinition(information)
+    definition.setStartAndGoalStates(*end_states(space, query))
+    objective = EnergyObjective(information, query)
+    definition.setOptimizationObjective(objective)
+    # compiled, or loaded from disk, before the clock runs
+    ends = end_states(space, query)
+    objective.motionCost(*ends)
+    validator.checkMotion(*ends)
+    planner = make(information)
+    set_parameters(planner, name, parameters)
+    planner.setProblemDefinition(definition)
+    planner.setup()
+    planner.solve(time_limit)
+    if not definition.hasExactSolution():
+        known = definition.hasApproximateSolution()
+        last = definition.getSolutionPath().getStates()[-1] if known else None
+        raise out_of_time(name, time_limit, query, last)
+    states = [
+        (state.getX(), state.getY(), state.getYaw())
+        for state in definition.getSolutionPath().getStates()
+    ]
+    path = query.path(_joined(query, states))
+    found = time.perf_counter()
+    return query.plan(
+        path, lower_bound(query, query.objective.path(path)).value, begun, found, name
+    )
+
+
+def rrtstar(
+    problem: PlanningProblem, time_limit: float = 1.0, *, seed: int = 1, **parameters: object
+) -> Plan:
+    """Plan with OMPL's RRT* on the objective of the problem.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        The problem.
+    time_limit : float
+        Time to plan, all of which is used [s].
+    seed : int
+        Seed of OMPL's random numbers, which are those of the whole process.
+    **parameters : object
+        Parameters of OMPL's planner: ``goal_bias=0.1`` calls ``setGoalBias(0.1)``.
+
+    Returns
+    -------
+    Plan
+        The best path found, its cost computed anew.
+
+    Raises
+    ------
+    StartInCollisionError, GoalInCollisionError, OutsideMapError
+        If start or goal cannot be.
+    NoPathError
+        If a disc inside the footprint cannot get from start to goal.
+    TimeLimitError
+        If no path was found in time; OMPL's planners cannot tell whether there is one.
+    """
+    return _geometric(geometric.RRTstar, "rrtstar", problem, time_limit, seed, parameters)
+
+
+def informed_rrtstar(
+    problem: PlanningProblem, time_limit: float = 1.0, *, seed: int = 1, **parameters: object
+) -> Plan:
+    """Plan with OMPL's informed RRT*; parameters as in `rrtstar`."""
+    return _geometric(
+        geometric.InformedRRTstar, "informed_rrtstar", problem, time_limit, seed, parameters
+    )
+
+
+def bitstar(
+    problem: PlanningProblem, time_limit: float = 1.0, *, seed: int = 1, **parameters: object
+) -> Plan:
+    """Plan with OMPL's BIT*; parameters as in `rrtstar`."""
+    return _geometric(geometric.BITstar, "bitstar", problem, time_limit, seed, parameters)
+
+
+def fmt(
+    problem: PlanningProblem, time_limit: float = 1.0, *, seed: int = 1, **parameters: object
+) -> Plan:
+    """Plan with OMPL's FMT*; parameters as in `rrtstar`.
+
+    FMT* is not anytime: it draws ``num_samples`` samples, then searches once.
+    """
+    return _geometric(geometric.FMT, "fmt", problem, time_limit, seed, parameters)
+
+
+def _refusal(name: str) -> Callable[..., Plan]:
+    def refuse(problem: PlanningProblem, time_limit: float = 1.0, **options: object) -> Plan:
+        raise UnsupportedPlannerError(
+            f"OMPL's {name} cannot be used: {REFUSED[name]}; use 'lattice', 'bitstar' or 'rrtstar'"
+        )
+
+    refuse.__name__ = name
+    refuse.__doc__ = f"Refuse to plan with OMPL's {name}: {REFUSED[name]}."
+    return refuse
+
+
+prm = _refusal("prm")
+prmstar = _refusal("prmstar")
+aorrtc = _refusal("aorrtc")
+
+
+class LatticePlanner(base.Planner):
+    """The lattice planner for OMPL: for ``SimpleSetup`` and OMPL's benchmark.
+
+    Its states are poses of the body frame, in any state space whose states have ``setXY`` and
+    ``setYaw``. Take ``ReedsSheppStateSpace(C)`` with `C` half the slip track: the states of the
+    path lie so close together that OMPL's interpolation between them drives what was planned.
+
+    Parameters
+    ----------
+    information : ompl.base.SpaceInformation
+        OMPL's space information.
+    grid : OccupancyGrid
+        Obstacles.
+    cost : EnergyCost
+        Cost of motions.
+    surfaces : SurfaceMap, optional
+        Grounds with power models of their own.
+    objective : str or mapping of str to float
+        What to make least, as in `PlanningProblem`.
+    vehicle : Vehicle, optional
+        Whose footprint to use.
+    gap : float
+        Planning ends early when this gap to the lower bound is reached.
+
+    Attributes
+    ----------
+    plan : Plan or None
+        The plan of the last `solve`.
+    """
+
+    def __init__(
+        self,
+        information: Any,
+        grid: OccupancyGrid,
+        cost: EnergyCost,
+        *,
+        surfaces: SurfaceMap | None = None,
+        objective: str | Mapping[str, float] = "energy",
+        vehicle: Vehicle | None = None,
+        gap: float = 1e-3,
+    ) -> None:
+        super().__init__(information, "EnergyLattice")
+        self._make = lambda start, goal: PlanningProblem(
+            grid, cost, start, goal, surfaces, objective, vehicle
+        )
+        self._information = information
+        self._gap = gap
+        self.plan: Plan | None = None
+
+    @override
+    def solve(self, condition: Any) -> Any:
+        """Plan until OMPL's termination condition holds, or nothing is left to gain.
+
+        Parameters
+        ----------
+        condition : ompl.base.PlannerTerminationCondition or float
+            When to stop: OMPL's condition, or a time [s].
+
+        Returns
+        -------
+        ompl.base.PlannerStatus
+            ``EXACT_SOLUTION``, or ``TIMEOUT`` where there is none; the reason is raised where
+            start or goal cannot be.
+        """
+        until = condition
+        limit = time.perf_counter() + (until if isinstance(until, (int, float)) else np.inf)
+
+        def over() -> bool:
+            return time.perf_counter() >= limit or bool(hasattr(until, "eval") and until.eval())
+
+        definition = self.getProblemDefinition()
+        # not through getStartState: Python would free what the problem definition owns
+        inputs = self.getPlannerInputStates()
+        inputs.restart()
+        first, last = inputs.nextStart(), inputs.nextGoal()
+        problem = self._make(
+            (first.getX(), first.getY(), first.getYaw()), (last.getX(), last.getY(), last.getYaw())
+        )
+        self.plan = None
+        known: list[Path] = []
+        share = 0.1
+        while not over():
+            share = min(2.0 * share, 0.4, max(limit - time.perf_counter(), 1e-3))
+            try:
+                self.plan = lattice.plan(problem, share, gap=self._gap, initial=known)
+            except TimeLimitError:
+                continue
+            known = [self.plan.path]
+            # it also ends where nothing is gained any more
+            if self.plan.gap <= self._gap or self.plan.planning_time < 0.9 * share:
+                break
+        if self.plan is None:
+            return base.PlannerStatus(base.PlannerStatus.TIMEOUT)
+        way = geometric.PathGeometric(self._information)
+        state = self._information.allocState()
+        for x, y, yaw in self.plan.path.poses(SPACING, SPACING):
+            state.setXY(float(x), float(y))
+            state.setYaw(float(np.remainder(yaw + np.pi, 2 * np.pi) - np.pi))
+            way.append(state)
+        definition.addSolutionPath(way, False, 0.0, "EnergyLattice")
+        return base.PlannerStatus(base.PlannerStatus.EXACT_SOLUTION)

@@ -1,0 +1,243 @@
+"""What planners take and return: `PlanningProblem` and `Plan`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from energyplan import html
+from energyplan.cost import EnergyCost
+from energyplan.errors import (
+    GoalInCollisionError,
+    InvalidInputError,
+    OutsideMapError,
+    StartInCollisionError,
+)
+from energyplan.path import FloatArray, Path, Pose
+from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
+from energyplan.vehicle import Vehicle
+
+OBJECTIVES = ("energy", "length", "time")
+"""What a plan can be asked to make least."""
+
+
+def as_pose(value: ArrayLike, name: str) -> Pose:
+    """Return a pose from three finite numbers.
+
+    Raises
+    ------
+    InvalidInputError
+        If they are not three finite numbers.
+    """
+    row = np.asarray(value, float)
+    if row.shape != (3,) or not np.all(np.isfinite(row)):
+        raise InvalidInputError(f"{name} is {value!r}; give x, y [m] and yaw [rad]")
+    return Pose(*(float(v) for v in row))
+
+
+def objective_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
+    """Return an objective as weights of energy [1], length [J/m] and time [J/s].
+
+    Raises
+    ------
+    InvalidInputError
+        If it is malformed.
+    """
+    named = {objective: 1.0} if isinstance(objective, str) else objective
+    weights = {name: float(value) for name, value in named.items()}
+    if not weights or not set(weights) <= set(OBJECTIVES):
+        raise InvalidInputError(
+            f"objective {objective!r} is unknown; choose from {', '.join(OBJECTIVES)} "
+            "or give a mapping of these to weights"
+        )
+    values = list(weights.values())
+    if not (np.all(np.isfinite(values)) and min(values) >= 0 and max(values) > 0):
+        raise InvalidInputError(f"objective weights are {weights}; give numbers >= 0, not all zero")
+    return weights
+
+
+@dataclass(frozen=True)
+class PlanningProblem:
+    """From where to where, among which obstacles, at what cost.
+
+    Parameters
+    ----------
+    map : OccupancyGrid
+        Obstacles.
+    cost : EnergyCost
+        Cost of motions. Its model carries the vehicle and the tread ICRs.
+    start, goal : array_like, shape (3,)
+        Poses x, y [m], yaw [rad] of the body frame.
+    surfaces : SurfaceMap, optional
+        Grounds with power models of their own; the cost's where it says nothing.
+    objective : {"energy", "length", "time"} or mapping of str to float
+        What to make least. A mapping weighs them: ``{"energy": 1, "time": 50}`` is worth 50 J a
+        second saved. Of the shortest routes ``"length"`` asks for the one of least energy.
+    vehicle : Vehicle, optional
+        Whose footprint to use; that of the cost's model if left out.
+    heights : HeightMap, optional
+        Heights of the ground where it slopes. All power models need a term that reads the slope,
+        such as the grade (`energyplan.power.effects.with_weight`).
+
+    Raises
+    ------
+    InvalidInputError
+        If a pose or the objective is malformed.
+    """
+
+    map: OccupancyGrid
+    cost: EnergyCost
+    start: Pose
+    goal: Pose
+    surfaces: SurfaceMap | None = None
+    objective: str | Mapping[str, float] = "energy"
+    vehicle: Vehicle | None = None
+    heights: HeightMap | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "start", as_pose(self.start, "start"))
+        object.__setattr__(self, "goal", as_pose(self.goal, "goal"))
+        objective_weights(self.objective)
+
+    @property
+    def robot(self) -> Vehicle:
+        """The vehicle whose footprint is used."""
+        return self.cost.vehicle if self.vehicle is None else self.vehicle
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """The objective as weights of energy [1], length [J/m] and time [J/s]."""
+        return objective_weights(self.objective)
+
+    def check_poses(self, grid: OccupancyGrid | None = None) -> None:
+        """Check that start and goal are on the map and free.
+
+        Parameters
+        ----------
+        grid : OccupancyGrid, optional
+            The map to use instead of the problem's own.
+
+        Raises
+        ------
+        OutsideMapError
+            If a pose lies outside the map.
+        StartInCollisionError, GoalInCollisionError
+            If the footprint touches an obstacle. The messages name the nearest free pose found.
+        """
+        grid = self.map if grid is None else grid
+        for name, pose, error in (
+            ("start", self.start, StartInCollisionError),
+            ("goal", self.goal, GoalInCollisionError),
+        ):
+            place = f"{name} ({pose.x:.3f}, {pose.y:.3f}, {np.degrees(pose.yaw):.1f} deg)"
+            if not grid.inside(pose[:2]):
+                rows, columns = grid.shape
+                x, y = grid.to_world(np.clip(grid.to_cells(pose[:2]), 0, (columns, rows)))
+                where = _nearest_free(grid, self.robot, Pose(float(x), float(y), pose.yaw))
+                raise OutsideMapError(
+                    f"the {place} lies outside the map; it covers {grid.describe_extent()}; {where}"
+                )
+            if not bool(grid.footprint_free(np.array([pose]), self.robot)[0]):
+                where = _nearest_free(grid, self.robot, pose)
+                raise error(f"the footprint at the {place} touches an obstacle; {where}")
+
+
+def _nearest_free(grid: OccupancyGrid, vehicle: Vehicle, pose: Pose) -> str:
+    """Say where the nearest free pose is."""
+    near = nearest_free(grid, vehicle, pose)
+    if near is None:
+        return "no free pose lies within 5 m"
+    yaw = np.degrees(near.yaw)
+    return f"the nearest free pose found is ({near.x:.2f}, {near.y:.2f}, {yaw:.0f} deg)"
+
+
+def nearest_free(
+    grid: OccupancyGrid, vehicle: Vehicle, pose: Pose, reach: float = 5.0
+) -> Pose | None:
+    """Return the nearest free pose on rings about a pose, its own heading preferred, if any."""
+    step = max(grid.resolution, 0.05)
+    for radius in np.arange(0.0, reach, step):
+        around = np.linspace(0, 2 * np.pi, max(int(2 * np.pi * radius / step), 1), endpoint=False)
+        for turn in (0.0, 0.25, -0.25, 0.5, -0.5, 1.0, -1.0, np.pi / 2):
+            ring: FloatArray = np.column_stack(
+                [
+                    pose.x + radius * np.cos(around),
+                    pose.y + radius * np.sin(around),
+                    np.full(len(around), pose.yaw + turn),
+                ]
+            )
+            free = np.flatnonzero(grid.footprint_free(ring, vehicle))
+            if len(free):
+                return Pose(*(float(v) for v in ring[free[0]]))
+    return None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A path with its cost, and how far from optimal it can be at most.
+
+    Attributes
+    ----------
+    path : Path
+        The path; free of collisions from the start to the goal.
+    energy : float
+        Its energy, priced by the model itself after planning [J]. Downhill it can be negative.
+    lower_bound : float
+        What no path can cost less than, in the unit of the objective (for energy [J]).
+    gap : float
+        Cost over lower bound, minus 1: the plan costs at most this fraction more than the optimum.
+        On slopes, both less the `potential`.
+    cost : float
+        The objective's value: `energy` itself where energy is the objective.
+    length, turning : float
+        Distance travelled [m] and total turning [rad].
+    duration : float
+        Time at the speed the cost assumes [s].
+    planning_time : float
+        Time that planning took [s].
+    first_time : float
+        Time until the first plan was known [s].
+    planner : str
+        Name of the planner.
+    breakdown : mapping of str to float
+        Energy by term of the power model [J].
+    potential : float
+        What the difference in height between start and goal makes of the cost and its lower
+        bound, whichever way is taken; zero on level ground.
+    """
+
+    path: Path
+    energy: float
+    lower_bound: float
+    gap: float
+    cost: float
+    length: float
+    turning: float
+    duration: float
+    planning_time: float
+    first_time: float
+    planner: str
+    breakdown: Mapping[str, float] = field(default_factory=dict)
+    potential: float = 0.0
+
+    def _repr_html_(self) -> str:
+        """Return energy, bound and breakdown as a table, for notebooks."""
+        rows = [
+            ("energy [J]", self.energy),
+            *((f"of it {name.replace('_', ' ')} [J]", joules)
+              for name, joules in self.breakdown.items()),
+            ("at most above the least possible [%]", 100 * self.gap),
+            ("length [m]", self.length),
+            ("turning [deg]", float(np.degrees(self.turning))),
+            ("duration [s]", self.duration),
+            ("planning time [s]", self.planning_time),
+        ]  # fmt: skip
+        return html.result(f"plan by {self.planner}", ("", ""), rows)
+
+    @property
+    def poses(self) -> FloatArray:
+        """Poses along the path, 0.1 m and 0.1 rad apart at most, shape (n, 3)."""
+        return self.path.poses(0.1, 0.1)

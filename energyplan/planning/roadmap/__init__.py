@@ -1,0 +1,353 @@
+"""Routes of least energy on graphs of places, with networkx.
+
+Any networkx graph with positions becomes an energy graph, whose routes pay for the turns at its
+nodes (`Roadmap`). As a planner it drives along a graph that it is given, or along the visibility
+graph of the map's obstacles, with corners rounded by the best radius.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Hashable, Iterable, Sequence
+from itertools import pairwise
+
+import numpy as np
+from shapely.geometry.base import BaseGeometry
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import InvalidInputError, NoPathError, TimeLimitError
+from energyplan.path import Path, Pose, wrap_angle
+from energyplan.planning.bound import lower_bound
+from energyplan.planning.deadline import in_time
+from energyplan.planning.lattice import compiled
+from energyplan.planning.lattice.refine import refine as refine_motions
+from energyplan.planning.lattice.search import cell_of, field_for
+from energyplan.planning.problem import Plan, PlanningProblem
+from energyplan.planning.roadmap.energy_graph import (
+    Graph,
+    State,
+    edge_prices,
+    edges_of,
+    energy_graph,
+    positions,
+)
+from energyplan.planning.roadmap.routes import Roadmap, Route
+from energyplan.planning.roadmap.visibility import traced, visibility_graph
+from energyplan.planning.scene.compiled import Query, Segments
+from energyplan.planning.scene.motions import DIRECTIONS
+from energyplan.planning.scene.prices import Prices
+from energyplan.terrain import SurfaceMap
+from energyplan.terrain.collision import first_collision
+
+__all__ = [
+    "Roadmap",
+    "Route",
+    "State",
+    "energy_graph",
+    "plan",
+    "price_edges",
+    "visibility_graph",
+]
+
+CHUNK = 5000
+"""Edges tested for obstacles between two looks at the clock."""
+
+
+def price_edges(graph: Graph, cost: EnergyCost, surfaces: SurfaceMap | None = None) -> Graph:
+    """Return a copy of a graph whose edges carry the energy of driving them as ``cost`` [J].
+
+    A graph of places cannot carry the energy of the turns at its nodes: a planner that adds up
+    these costs sees none of it, `Roadmap` does.
+
+    Parameters
+    ----------
+    graph : networkx graph
+        The graph; nodes carry positions.
+    cost : EnergyCost
+        Cost of motions, driving forwards.
+    surfaces : SurfaceMap, optional
+        Grounds with power models of their own.
+
+    Returns
+    -------
+    networkx graph
+        The copy, of the same kind. Of an undirected edge the dearer way counts. Loops, which lead
+        nowhere, are left as they are.
+    """
+    priced = graph.copy()
+    edges = edges_of(graph, reverse=False)
+    for source, target, data in priced.edges(data=True):
+        if source != target:
+            data["cost"] = 0.0
+    for state, energy in zip(edges.states, edge_prices(edges, Prices(cost, surfaces)), strict=True):
+        place = (state.source, state.target)
+        data = priced.edges[(*place, state.key) if graph.is_multigraph() else place]
+        data["cost"] = max(data["cost"], float(energy))
+    return priced
+
+
+def plan(
+    problem: PlanningProblem,
+    time_limit: float = 1.0,
+    *,
+    graph: Graph | None = None,
+    obstacles: BaseGeometry | Iterable[BaseGeometry] | None = None,
+    clearance: float | None = None,
+    neighbours: int = 12,
+    reverse: bool = True,
+    radius: float = 0.0,
+    refine: bool | None = None,
+) -> Plan:
+    """Plan along a graph of places, or along the visibility graph of the obstacles.
+
+    Every edge and every turn of the answer is tested with the whole footprint; those that are not
+    free are left out, and the search is repeated without them.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        The problem.
+    time_limit : float
+        Time to plan [s]. The compilation of the kernels at their first use ever comes on top.
+    graph : networkx graph, optional
+        Places with positions; start and goal are joined to the nearest ones that can be reached
+        in a straight line. Without it the visibility graph of the obstacles is used.
+    obstacles : shapely geometry or iterable of them, optional
+        Shapes of the obstacles for the visibility graph; traced from the map where not given.
+    clearance : float, optional
+        Distance that the visibility graph keeps from obstacles [m]; half the footprint's width
+        and half a cell where not given.
+    neighbours : int
+        How many places of `graph` start and goal may be joined to.
+    reverse : bool
+        Whether the robot may drive backwards.
+    radius : float
+        Largest radius of rounded corners [m] at nodes of `graph` without a ``radius``.
+    refine : bool, optional
+        Whether to use what is left of the time to make the route cheaper with exact steering,
+        which leaves the graph; done where not given, unless a `graph` is.
+
+    Returns
+    -------
+    Plan
+        The best route on the graph, refined where wanted. Its lower bound holds for all paths,
+        not only for those on the graph. Of the visibility graph as much is built as can matter
+        for the objective; if time is over before, the best route by then is returned.
+
+    Raises
+    ------
+    StartInCollisionError, GoalInCollisionError, OutsideMapError
+        If start or goal cannot be.
+    NoPathError
+        If the graph holds no free route.
+    TimeLimitError
+        If time was over before one was found; the message says how far it got.
+    """
+    compiled()
+    begun = time.perf_counter()
+    if not time_limit > 0:
+        raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
+    polish = graph is None if refine is None else refine
+    query = Query(problem)
+    deadline = begun + time_limit
+    places = [_reference(problem, problem.start), _reference(problem, problem.goal)]
+    if graph is None:
+        if clearance is None:
+            half = float(np.abs(problem.robot.footprint[:, 1]).max())
+            clearance = half + 0.5 * query.grid.resolution
+        shapes = traced(query.grid, query.grid.resolution) if obstacles is None else obstacles
+        in_time(deadline, "the outlines of the obstacles had been traced")
+        path = _among(shapes, clearance, places, query, reverse, deadline)
+    else:
+        graph, ends = _with_ends(graph, places, neighbours)
+        roadmap = _roadmap(graph, query, reverse, radius, deadline)
+        path = _free_route(roadmap, ends, query)
+    first = time.perf_counter()
+    if polish:
+        path = _refined(path, query, deadline)
+    bound = lower_bound(query, query.objective.path(path)).value
+    return query.plan(path, bound, begun, first, "roadmap")
+
+
+def _roadmap(graph: Graph, query: Query, reverse: bool, radius: float, deadline: float) -> Roadmap:
+    problem = query.problem
+    return Roadmap(
+        graph, problem.cost, problem.surfaces, reverse, radius, problem.objective, deadline
+    )
+
+
+def _among(
+    shapes: BaseGeometry | Iterable[BaseGeometry],
+    clearance: float,
+    places: list[tuple[float, float]],
+    query: Query,
+    reverse: bool,
+    deadline: float,
+) -> Path:
+    """Return the cheapest free route on the visibility graph of obstacles.
+
+    A route leaves a corner aside by no more than a clearance, where it rounds it, and costs no
+    less than the least price of a metre for each metre. So once a route is known, only lines of
+    sight within an ellipse about start and goal can be on a better one. A first ellipse is guessed
+    from the way of a disc around the obstacles.
+    """
+    # a line of sight has two ends, each passed by at a clearance
+    least, rounding = query.setting.least_metre, 4.0 * clearance
+    reach, whole = _first_reach(query) + rounding, _farthest(query, places)
+    path: Path | None = None
+    while True:
+        try:
+            graph = visibility_graph(shapes, clearance, places, reach=reach, deadline=deadline)
+            roadmap = _roadmap(graph, query, reverse, 0.0, deadline)
+            path = _free_route(roadmap, (0, 1), query)
+        except TimeLimitError:
+            if path is None:
+                raise
+            return path
+        except NoPathError:
+            if reach >= whole:
+                raise
+            reach *= 2.0
+            continue
+        needed = query.objective.path(path) / least + rounding
+        if needed <= reach or reach >= whole:
+            return path
+        reach = needed
+
+
+def _first_reach(query: Query) -> float:
+    """Return how long a good route may be, in metres of the least price, its turns included."""
+    setting = query.setting
+    field = field_for(setting)
+    stride = max(int(field.spacing / setting.space.resolution + 0.5), 1)
+    way = float(field.distance[cell_of(setting, setting.start_x, setting.start_y, stride)])
+    radian = float(setting.prices[0, DIRECTIONS // 4]) * setting.half_track
+    return 1.02 * way + np.pi * radian / setting.least_metre
+
+
+def _farthest(query: Query, places: Sequence[tuple[float, float]]) -> float:
+    """Return the longest way from start to goal by way of any place on the map [m]."""
+    rows, columns = query.grid.shape
+    corners = query.grid.to_world([(0, 0), (columns, 0), (columns, rows), (0, rows)])
+    return float(np.max(sum(np.hypot(*(corners - place).T) for place in places)))
+
+
+def _reference(problem: PlanningProblem, pose: Pose) -> tuple[float, float]:
+    """Return where the reference point is at a pose."""
+    lon = problem.cost.icr.longitudinal
+    return float(pose.x + lon * np.cos(pose.yaw)), float(pose.y + lon * np.sin(pose.yaw))
+
+
+def _with_ends(
+    graph: Graph, places: Sequence[tuple[float, float]], neighbours: int
+) -> tuple[Graph, tuple[Hashable, Hashable]]:
+    """Return a copy of a graph with start and goal joined to it, and their nodes."""
+    joined = graph.copy()
+    known = positions(graph)
+    ends = ("start of the plan", "goal of the plan")
+    for node, place in zip(ends, places, strict=True):
+        joined.add_node(node, pos=place)
+        distance = {
+            other: float(np.hypot(*(np.subtract(place, at)))) for other, at in known.items()
+        }
+        for other in sorted(distance, key=distance.__getitem__)[:neighbours]:
+            if distance[other] < 1e-9:
+                # the place itself: whatever leaves or enters it
+                continue
+            pair = (node, other) if node == ends[0] else (other, node)
+            joined.add_edge(*pair)
+    if np.hypot(*np.subtract(places[1], places[0])) > 1e-9:
+        joined.add_edge(*ends)
+    return joined, ends
+
+
+def _free_route(roadmap: Roadmap, ends: tuple[Hashable, Hashable], query: Query) -> Path:
+    """Return the cheapest route whose footprint is free all along.
+
+    Edges are tested at once; turns when a route wants them.
+    """
+    problem, states = query.problem, roadmap.states
+    everything = list(states)
+    for k in range(0, len(everything), CHUNK):
+        in_time(roadmap.deadline, f"{k} of {len(everything)} edges were tested for obstacles")
+        some = everything[k : k + CHUNK]
+        free = query.grid.motions_free(
+            [roadmap.pose(state, 0.0) for state in some],
+            [state.gear * roadmap.length(state) for state in some],
+            np.zeros(len(some)),
+            problem.robot,
+            problem.cost.icr.longitudinal,
+        )
+        states.remove_nodes_from([s for s, good in zip(some, free, strict=True) if not good])
+    closed: set[tuple[str, State]] = set()
+    mended = 0
+    while True:
+        in_time(roadmap.deadline, f"{mended} routes had been mended whose turns were not free")
+        try:
+            sequence = roadmap.search(*ends, problem.start.yaw, problem.goal.yaw, closed)
+        except NoPathError as error:
+            raise NoPathError(
+                f"{error}, and no other way is free for the footprint; check the map for closed "
+                "doors and unknown cells, add places to the graph, or use the planner 'lattice'"
+            ) from None
+        path = roadmap.drive(ends[0], sequence, problem.start.yaw, problem.goal.yaw)
+        if query.grid.path_free(path, problem.robot):
+            return path
+        if not _mend(roadmap, sequence, query, closed):
+            raise NoPathError("the footprint is not free where start and goal are the same place")
+        mended += 1
+
+
+def _refined(path: Path, query: Query, deadline: float) -> Path:
+    """Return a route made cheaper with exact steering, or the route itself."""
+    lateral = query.problem.cost.icr.centre[1]
+    motions = Segments(path.ds - lateral * path.dtheta, path.dtheta)
+    setting = query.setting
+    centre = Path(query.centre(path.start), motions.ds, motions.dtheta)
+    # the planners' footprint is a little larger than the robot's
+    if first_collision(setting.space, setting.body, centre.vertices, *motions, 0.0) >= 0:
+        return path
+    better = query.path(refine_motions(query, motions, deadline))
+    prices = query.objective
+    return better if prices.path(better) < prices.path(path) else path
+
+
+def _mend(
+    roadmap: Roadmap, sequence: Sequence[State], query: Query, closed: set[tuple[str, State]]
+) -> bool:
+    """Make the turns of a route tighter that are not free, or take them out; tell if any."""
+    problem, found = query.problem, False
+    lon = problem.cost.icr.longitudinal
+
+    def is_free(start: Pose, ds: float, turn: float) -> bool:
+        return query.grid.path_free(
+            Path(start, np.array([ds]), np.array([turn]), lon), problem.robot
+        )
+
+    for here, ahead in pairwise(sequence):
+        arc = roadmap.states[here][ahead]
+        before = arc["radius"]
+        turn = float(wrap_angle(roadmap.yaw(ahead) - roadmap.yaw(here)))
+        for part in (1.0, 0.75, 0.5, 0.25, 0.0):
+            radius = part * before
+            back = radius * float(np.tan(0.5 * abs(turn))) if radius > 0 else 0.0
+            start = roadmap.pose(here, roadmap.length(here) - back)
+            if is_free(start, here.gear * radius * abs(turn), turn):
+                if part < 1.0:
+                    roadmap.retune(here, ahead, radius)
+                break
+        else:
+            roadmap.states.remove_edge(here, ahead)
+            part = -1.0
+        found = found or part < 1.0
+    if sequence:
+        first, last = sequence[0], sequence[-1]
+        leave = float(wrap_angle(roadmap.yaw(first) - problem.start.yaw))
+        if not is_free(problem.start, 0.0, leave):
+            closed.add(("start", first))
+            found = True
+        arrival = roadmap.pose(last, roadmap.length(last))
+        if not is_free(arrival, 0.0, float(wrap_angle(problem.goal.yaw - arrival.yaw))):
+            closed.add(("goal", last))
+            found = True
+    return found

@@ -1,0 +1,283 @@
+"""Routes of least energy on a graph of places: the search, and the motions along it."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import networkx as nx
+import numpy as np
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import InvalidInputError, NoPathError
+from energyplan.path import Path, Pose, wrap_angle
+from energyplan.planning.deadline import in_time
+from energyplan.planning.roadmap.energy_graph import Graph, State, energy_graph, positions
+from energyplan.planning.scene.prices import Prices
+from energyplan.terrain import SurfaceMap
+
+_LOOK = 4096
+"""Turns searched between two looks at the clock."""
+
+
+@dataclass(frozen=True)
+class Route:
+    """A route on a graph of places.
+
+    Parameters
+    ----------
+    nodes : tuple of hashable
+        The places, from the source to the target.
+    states : tuple of State
+        Each edge as it is driven.
+    path : Path
+        The motions; spins and arcs at the nodes included.
+    energy : float
+        Its energy, priced by the model itself [J].
+    cost : float
+        The objective's value: `energy` itself where energy is the objective.
+    """
+
+    nodes: tuple[Hashable, ...]
+    states: tuple[State, ...]
+    path: Path
+    energy: float
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class Roadmap:
+    """A graph of places, priced for a robot.
+
+    Parameters
+    ----------
+    graph : networkx graph
+        Any graph, directed or not, multigraph or not; nodes carry ``pos=(x, y)``, or ``x`` and
+        ``y`` [m], where the robot's reference point passes; see `energy_graph`.
+    cost : EnergyCost
+        Cost of motions.
+    surfaces : SurfaceMap, optional
+        Grounds with power models of their own.
+    reverse : bool
+        Whether the robot may drive backwards.
+    radius : float
+        Largest radius of rounded corners [m], where a node has no ``radius`` of its own.
+    objective : {"energy", "length", "time"} or mapping of str to float
+        What to make least, as in `PlanningProblem`.
+    deadline : float
+        Reading of `time.perf_counter` at which building and searching raise `TimeLimitError`.
+
+    Examples
+    --------
+    >>> square = nx.cycle_graph(4)
+    >>> corners = {0: (0, 0), 1: (4, 0), 2: (4, 3), 3: (0, 3)}
+    >>> nx.set_node_attributes(square, corners, "pos")
+    >>> cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
+    >>> Roadmap(square, cost).route(0, 2, start_yaw=0.0).nodes
+    (0, 1, 2)
+    >>> Roadmap(square, cost).route(0, 2, start_yaw=np.pi / 2).nodes
+    (0, 3, 2)
+    """
+
+    graph: Graph
+    cost: EnergyCost
+    surfaces: SurfaceMap | None = None
+    reverse: bool = True
+    radius: float = 0.0
+    objective: str | Mapping[str, float] = "energy"
+    deadline: float = np.inf
+
+    @cached_property
+    def prices(self) -> Prices:
+        """What the objective makes of motions."""
+        return Prices(self.cost, self.surfaces, self.objective)
+
+    @cached_property
+    def states(self) -> nx.DiGraph[State]:
+        """The graph of states; see `energy_graph`."""
+        return energy_graph(
+            self.graph,
+            self.cost,
+            surfaces=self.surfaces,
+            reverse=self.reverse,
+            radius=self.radius,
+            objective=self.objective,
+            deadline=self.deadline,
+        )
+
+    @cached_property
+    def _places(self) -> dict[Hashable, tuple[float, float]]:
+        return positions(self.graph)
+
+    def yaw(self, state: State) -> float:
+        """Return the robot's yaw while it drives a state [rad]."""
+        (ax, ay), (bx, by) = self._places[state.source], self._places[state.target]
+        return float(np.arctan2(by - ay, bx - ax)) + (0.0 if state.gear > 0 else np.pi)
+
+    def _turn(self, node: Hashable, ds: float, turn: float) -> float:
+        """Return the price of a motion on the ground under a node."""
+        ground = self.surfaces
+        region = 0 if ground is None else int(ground.region_at(self._places[node]))
+        return float(self.prices.motion(ds, turn, region))
+
+    def route(
+        self,
+        source: Hashable,
+        target: Hashable,
+        *,
+        start_yaw: float | None = None,
+        goal_yaw: float | None = None,
+    ) -> Route:
+        """Return the route between two nodes whose objective is least.
+
+        Parameters
+        ----------
+        source, target : hashable
+            The nodes.
+        start_yaw, goal_yaw : float, optional
+            Yaw at the start and at the end [rad]; any where not given.
+
+        Returns
+        -------
+        Route
+            The route.
+
+        Raises
+        ------
+        InvalidInputError
+            If a node is not in the graph.
+        NoPathError
+            If no route joins the nodes; the message says how far one gets.
+        """
+        for node in (source, target):
+            if node not in self.graph:
+                raise InvalidInputError(f"node {node!r} is not in the graph")
+        sequence = self.search(source, target, start_yaw, goal_yaw)
+        path = self.drive(source, sequence, start_yaw, goal_yaw)
+        nodes = (source, *(state.target for state in sequence))
+        prices = self.prices
+        return Route(nodes, tuple(sequence), path, prices.energy(path), prices.path(path))
+
+    def length(self, state: State) -> float:
+        """Return the length of a state's edge [m]."""
+        (ax, ay), (bx, by) = self._places[state.source], self._places[state.target]
+        return float(np.hypot(bx - ax, by - ay))
+
+    def pose(self, state: State, along: float) -> Pose:
+        """Return the pose of the body frame so far along a state's edge [m]."""
+        yaw = self.yaw(state)
+        x, y = self._places[state.source]
+        forward = state.gear * along - self.cost.icr.longitudinal
+        return Pose(float(x + forward * np.cos(yaw)), float(y + forward * np.sin(yaw)), yaw)
+
+    def retune(self, here: State, ahead: State, radius: float) -> None:
+        """Let the turn from one state to the next be driven with another radius [m]."""
+        turn = float(wrap_angle(self.yaw(ahead) - self.yaw(here)))
+        node = here.target
+        cut = radius * float(np.tan(0.5 * abs(turn))) if radius > 0 else 0.0
+        arc = self._turn(node, here.gear * radius * abs(turn), turn)
+        saved = self._turn(node, here.gear * 2 * cut, 0.0)
+        weight = arc - saved + self.states.nodes[ahead]["cost"]
+        self.states.add_edge(here, ahead, weight=weight, radius=radius)
+
+    def search(
+        self,
+        source: Hashable,
+        target: Hashable,
+        start_yaw: float | None = None,
+        goal_yaw: float | None = None,
+        closed: Container[tuple[str, State]] = (),
+    ) -> list[State]:
+        """Return the states of the best route; see `route`.
+
+        `closed` holds the ends that must not be used: ``("start", state)`` for a state that the
+        robot must not start with, ``("goal", state)`` for one that it must not arrive by.
+        """
+        if source == target:
+            return []
+        # two more states for the ends, taken out again whatever happens
+        states = self.states
+        looks, turns = 0, states.number_of_edges()
+
+        def weight(_: State, __: State, arc: Mapping[str, float]) -> float:
+            nonlocal looks
+            looks += 1
+            if looks % _LOOK == 0:
+                in_time(self.deadline, f"{looks} of {turns} turns were searched")
+            return arc["weight"]
+
+        begin, end = State(source, source, "start", 0), State(target, target, "goal", 0)
+        try:
+            for state in list(states):
+                if state.source == source and ("start", state) not in closed:
+                    turn = 0.0 if start_yaw is None else self.yaw(state) - start_yaw
+                    spin = self._turn(source, 0.0, float(wrap_angle(turn)))
+                    states.add_edge(begin, state, weight=spin + states.nodes[state]["cost"])
+                if state.target == target and ("goal", state) not in closed:
+                    turn = 0.0 if goal_yaw is None else goal_yaw - self.yaw(state)
+                    spin = self._turn(target, 0.0, float(wrap_angle(turn)))
+                    states.add_edge(state, end, weight=spin)
+            if begin not in states or end not in states:
+                raise nx.NetworkXNoPath
+            found = nx.dijkstra_path(states, begin, end, weight=weight)
+        except nx.NetworkXNoPath:
+            raise NoPathError(self._nearest(source, target)) from None
+        finally:
+            states.remove_nodes_from([begin, end])
+        return list(found[1:-1])
+
+    def _nearest(self, source: Hashable, target: Hashable) -> str:
+        """Return how near to the target one gets, in words."""
+        first = [state for state in self.states if state.source == source]
+        after = nx.multi_source_dijkstra_path_length(self.states, first) if first else {}
+        goal = np.array(self._places[target])
+        gap, near = min(
+            (float(np.hypot(*(goal - self._places[node]))), k, node)
+            for k, node in enumerate([source, *dict.fromkeys(s.target for s in after)])
+        )[::2]
+        (sx, sy), (gx, gy), (x, y) = self._places[source], goal, self._places[near]
+        return (
+            f"no route leads from {source!r} at ({sx:.2f}, {sy:.2f}) to {target!r} at ({gx:.2f}, "
+            f"{gy:.2f}); the nearest node that is reached is {near!r} at ({x:.2f}, {y:.2f}), "
+            f"{gap:.2f} m from there"
+        )
+
+    def drive(
+        self,
+        source: Hashable,
+        sequence: Sequence[State],
+        start_yaw: float | None = None,
+        goal_yaw: float | None = None,
+    ) -> Path:
+        """Return the motions of a sequence of states, spins and arcs at its nodes included."""
+        lon = self.cost.icr.longitudinal
+        x, y = self._places[source]
+        first = self.yaw(sequence[0]) if sequence else (goal_yaw or 0.0)
+        yaw = first if start_yaw is None else start_yaw
+        start = Pose(x - lon * np.cos(yaw), y - lon * np.sin(yaw), yaw)
+        ds: list[float] = []
+        dtheta: list[float] = []
+        cut = 0.0
+        for k, state in enumerate(sequence):
+            turn = float(wrap_angle(self.yaw(state) - yaw))
+            ahead = sequence[k + 1] if k + 1 < len(sequence) else None
+            if k == 0 and turn != 0.0:
+                ds.append(0.0)
+                dtheta.append(turn)
+            yaw = self.yaw(state)
+            length = self.length(state) - cut
+            if ahead is None:
+                ds.append(state.gear * length)
+                dtheta.append(0.0)
+                break
+            radius = float(self.states[state][ahead]["radius"])
+            corner = float(wrap_angle(self.yaw(ahead) - yaw))
+            cut = radius * float(np.tan(0.5 * abs(corner))) if radius > 0 else 0.0
+            ds += [state.gear * (length - cut), state.gear * radius * abs(corner)]
+            dtheta += [0.0, corner]
+        if goal_yaw is not None:
+            ds.append(0.0)
+            dtheta.append(float(wrap_angle(goal_yaw - yaw)))
+        keep = np.hypot(ds, dtheta) > 1e-12
+        return Path(start, np.array(ds)[keep], np.array(dtheta)[keep], lon)

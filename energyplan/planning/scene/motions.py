@@ -1,0 +1,441 @@
+"""Kernels that price motions and join poses, on the ground and among the obstacles of one problem.
+
+Everything here is in the frame of the point midway between the tread ICRs, where every vehicle is
+symmetric: `Setting.body` is the footprint seen from there.
+
+A price is a positively homogeneous function of (ds, dtheta). It is held as its values on
+`DIRECTIONS` rays of the plane ``(ds, C dtheta)`` and is linear between them. The kinks of the
+static model, at straight motion, spin and pivot, lie on rays, so its price is exact.
+
+On slopes there is such a row for each of `Hills.bins` slopes, less the energy that height is worth,
+so that no price is negative; between two slopes the price is linear.
+"""
+
+from __future__ import annotations
+
+from math import atan2, ceil, cos, hypot, inf, pi, sin
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from energyplan.compilation import njit
+from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy, steer_path
+from energyplan.terrain.collision import Body, Space, motion_free
+
+DIRECTIONS = 128
+"""Rays of the price table; a multiple of 8."""
+
+STILL = 1e-6
+"""Arc lengths below this count as turning on the spot [m]."""
+
+TURN = 0.1
+"""Turn by which the slope along the heading is looked up anew [rad]."""
+
+
+class Hills(NamedTuple):
+    """Heights of the ground, as the kernels see them.
+
+    Attributes
+    ----------
+    heights : ndarray, shape (rows, columns)
+        Heights at the nodes [m]; a single one where the ground is level.
+    x, y, cos, sin : float
+        Position of node (0, 0), and cosine and sine of the raster's yaw.
+    resolution : float
+        Distance between nodes [m].
+    lateral : float
+        How far to the left of the path's reference point, which is what climbs, the centre of the
+        tread ICRs lies [m].
+    steepest : float
+        Steepest slope, as rise over run.
+    bins : int
+        Slopes in the price table, from ``-steepest`` to ``steepest``; 1 on level ground.
+    piece : float
+        Length of the pieces that motions are priced in [m].
+    """
+
+    heights: NDArray[np.float64]
+    x: float
+    y: float
+    cos: float
+    sin: float
+    resolution: float
+    lateral: float
+    steepest: float
+    bins: int
+    piece: float
+
+
+_FLAT = np.zeros((1, 1))
+_FLAT.setflags(write=False)  # as those of a `HeightMap`: the kernels are compiled for one kind
+LEVEL = Hills(_FLAT, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 1, 1.0)
+"""Level ground."""
+
+
+class Setting(NamedTuple):
+    """What a search needs to know about its problem.
+
+    Attributes
+    ----------
+    space : Space
+        Obstacles.
+    body : Body
+        Footprint, seen from the centre of the tread ICRs [m].
+    prices : ndarray, shape (classes * slopes, DIRECTIONS + 1)
+        Price of a unit vector along each ray, for each class of surface and each slope.
+    surface : ndarray of uint8, shape (rows, columns) or (1, 1)
+        Class of the surface in each cell; a single one where all are alike and level.
+    hills : Hills
+        Heights of the ground.
+    steering : ndarray
+        Parameters of the steering kernels.
+    half_track : float
+        Half the slip track [m].
+    reach : float
+        Distance of the body's furthest corner [m].
+    least_metre, least_radian : float
+        No motion costs less than ``least_metre |ds| + least_radian |dtheta|``.
+    start_x, start_y, start_yaw, goal_x, goal_y, goal_yaw : float
+        Start and goal.
+    """
+
+    space: Space
+    body: Body
+    prices: NDArray[np.float64]
+    surface: NDArray[np.uint8]
+    hills: Hills
+    steering: NDArray[np.float64]
+    half_track: float
+    reach: float
+    least_metre: float
+    least_radian: float
+    start_x: float
+    start_y: float
+    start_yaw: float
+    goal_x: float
+    goal_y: float
+    goal_yaw: float
+
+
+@njit
+def price(
+    prices: NDArray[np.float64], kind: int, half_track: float, ds: float, dtheta: float
+) -> float:
+    """Price of a motion on one class of surface."""
+    turned = half_track * dtheta
+    size = hypot(ds, turned)
+    if size == 0.0:
+        return 0.0
+    spread = 2.0 * pi / DIRECTIONS
+    place = (atan2(turned, ds) % (2.0 * pi)) / spread
+    k = min(int(place), DIRECTIONS - 1)
+    into = (place - k) * spread
+    return float(
+        size
+        * (prices[kind, k] * sin(spread - into) + prices[kind, k + 1] * sin(into))
+        / sin(spread)
+    )
+
+
+@njit
+def surface_at(setting: Setting, x: float, y: float) -> int:
+    """Class of the surface under a point, that of the nearest cell outside the map."""
+    space = setting.space
+    rows, columns = setting.surface.shape
+    dx = x - space.x
+    dy = y - space.y
+    column = int((space.cos * dx + space.sin * dy) / space.resolution)
+    row = int((-space.sin * dx + space.cos * dy) / space.resolution)
+    return int(setting.surface[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)])
+
+
+@njit
+def height_at(hills: Hills, x: float, y: float) -> float:
+    """Height of a point, bilinear between the nodes; that of the raster's edge beyond it."""
+    dx = x - hills.x
+    dy = y - hills.y
+    rows, columns = hills.heights.shape
+    along = (hills.cos * dx + hills.sin * dy) / hills.resolution
+    across = (-hills.sin * dx + hills.cos * dy) / hills.resolution
+    along = min(max(along, 0.0), columns - 1.0)
+    across = min(max(across, 0.0), rows - 1.0)
+    j = min(int(along), columns - 2)
+    i = min(int(across), rows - 2)
+    u = along - j
+    v = across - i
+    low = hills.heights[i, j] * (1.0 - u) + hills.heights[i, j + 1] * u
+    high = hills.heights[i + 1, j] * (1.0 - u) + hills.heights[i + 1, j + 1] * u
+    return float(low * (1.0 - v) + high * v)
+
+
+@njit
+def heights_of_points(hills: Hills, space: Space, stride: int) -> NDArray[np.float64]:
+    """Heights at every `stride`-th cell of a map [m]; a single one on level ground."""
+    if hills.bins == 1:
+        return np.zeros((1, 1))
+    rows = (space.clearance.shape[0] + stride - 1) // stride
+    columns = (space.clearance.shape[1] + stride - 1) // stride
+    out = np.empty((rows, columns))
+    for row in range(rows):
+        for column in range(columns):
+            along = (column * stride + 0.5) * space.resolution
+            across = (row * stride + 0.5) * space.resolution
+            x = space.x + space.cos * along - space.sin * across
+            y = space.y + space.sin * along + space.cos * across
+            out[row, column] = height_at(hills, x, y)
+    return out
+
+
+@njit
+def sloping_cost(
+    setting: Setting, x: float, y: float, yaw: float, ds: float, dtheta: float
+) -> float:
+    """Price of a motion on slopes, less what the rise of its reference point is worth.
+
+    Each piece pays for the mean slope along it, and for the surface under its middle.
+    """
+    hills = setting.hills
+    turned = setting.half_track * dtheta
+    size = hypot(ds, turned)
+    if size == 0.0:
+        return 0.0
+    pieces = max(ceil(max(abs(ds) / hills.piece, abs(dtheta) / TURN)), 1)
+    # place among the rays, the same for every piece
+    spread = 2.0 * pi / DIRECTIONS
+    place = (atan2(turned, ds) % (2.0 * pi)) / spread
+    ray = min(int(place), DIRECTIONS - 1)
+    into = (place - ray) * spread
+    before = size / pieces * sin(spread - into) / sin(spread)
+    after = size / pieces * sin(into) / sin(spread)
+
+    several = len(setting.prices) > hills.bins
+    travel = (ds + hills.lateral * dtheta) / pieces
+    turn = dtheta / pieces
+    chord = ds / pieces * (sin(0.5 * turn) / (0.5 * turn) if turn != 0.0 else 1.0)
+    px = x + hills.lateral * sin(yaw)
+    py = y - hills.lateral * cos(yaw)
+    height = height_at(hills, px, py)
+    total = 0.0
+    for k in range(pieces):
+        mid = yaw + (k + 0.5) * turn
+        row = 0
+        if several:
+            mx = x + 0.5 * chord * cos(mid)
+            my = y + 0.5 * chord * sin(mid)
+            row = hills.bins * surface_at(setting, mx, my)
+        x += chord * cos(mid)
+        y += chord * sin(mid)
+        if abs(travel) > STILL:
+            px = x + hills.lateral * sin(mid + 0.5 * turn)
+            py = y - hills.lateral * cos(mid + 0.5 * turn)
+            next_height = height_at(hills, px, py)
+            steep = (next_height - height) / travel
+            height = next_height
+        else:
+            nearby = 1e-4 * hills.resolution
+            dx = nearby * cos(mid)
+            dy = nearby * sin(mid)
+            rise = height_at(hills, px + dx, py + dy) - height_at(hills, px - dx, py - dy)
+            steep = 0.5 * rise / nearby
+        at = (min(max(steep / hills.steepest, -1.0), 1.0) + 1.0) * 0.5 * (hills.bins - 1)
+        low = min(int(at), hills.bins - 2)
+        part = at - low
+        row += low
+        prices = setting.prices
+        total += (1.0 - part) * (before * prices[row, ray] + after * prices[row, ray + 1])
+        total += part * (before * prices[row + 1, ray] + after * prices[row + 1, ray + 1])
+    return total
+
+
+@njit
+def motion_cost(
+    setting: Setting, x: float, y: float, yaw: float, ds: float, dtheta: float
+) -> float:
+    """Price of a motion of constant curvature that starts at a pose.
+
+    Where surfaces differ, each piece of half a cell pays for the surface under its middle.
+    """
+    if setting.surface.size == 1:
+        return price(setting.prices, 0, setting.half_track, ds, dtheta)
+    if setting.hills.bins > 1:
+        return sloping_cost(setting, x, y, yaw, ds, dtheta)
+    pieces = max(ceil(2.0 * abs(ds) / setting.space.resolution), 1)
+    piece_ds = ds / pieces
+    piece_turn = dtheta / pieces
+    chord = piece_ds * (sin(0.5 * piece_turn) / (0.5 * piece_turn) if piece_turn != 0.0 else 1.0)
+    total = 0.0
+    last = -1
+    unit = 0.0
+    for k in range(pieces):
+        mid = yaw + (k + 0.5) * piece_turn
+        mx = x + 0.5 * chord * cos(mid)
+        my = y + 0.5 * chord * sin(mid)
+        kind = surface_at(setting, mx, my)
+        if kind != last:
+            unit = price(setting.prices, kind, setting.half_track, piece_ds, piece_turn)
+            last = kind
+        total += unit
+        x += chord * cos(mid)
+        y += chord * sin(mid)
+    return total
+
+
+@njit
+def free_energy(setting: Setting, x: float, y: float, yaw: float) -> float:
+    """Least cost from a pose to the goal if there were no obstacles."""
+    return steer_energy(
+        setting.goal_x - x, setting.goal_y - y, yaw, setting.goal_yaw, setting.steering
+    )
+
+
+@njit
+def drive(
+    setting: Setting,
+    x: float,
+    y: float,
+    yaw: float,
+    ds: NDArray[np.float64],
+    dtheta: NDArray[np.float64],
+    count: int,
+    limit: float,
+) -> float:
+    """Cost of a sequence of motions from a pose; infinite if one collides or it reaches `limit`."""
+    total = 0.0
+    px = x
+    py = y
+    heading = yaw
+    for k in range(count):
+        total += motion_cost(setting, px, py, heading, ds[k], dtheta[k])
+        if total >= limit:
+            return inf
+        half = 0.5 * dtheta[k]
+        chord = ds[k] * (sin(half) / half if half != 0.0 else 1.0)
+        px += chord * cos(heading + half)
+        py += chord * sin(heading + half)
+        heading += dtheta[k]
+    # collisions after the costs, which are cheaper to find out
+    px = x
+    py = y
+    heading = yaw
+    for k in range(count):
+        if not motion_free(setting.space, setting.body, px, py, heading, ds[k], dtheta[k], 0.0):
+            return inf
+        half = 0.5 * dtheta[k]
+        chord = ds[k] * (sin(half) / half if half != 0.0 else 1.0)
+        px += chord * cos(heading + half)
+        py += chord * sin(heading + half)
+        heading += dtheta[k]
+    return total
+
+
+@njit
+def spin_drive_spin(
+    dx: float,
+    dy: float,
+    yaw0: float,
+    yaw1: float,
+    backwards: bool,
+    ds: NDArray[np.float64],
+    dtheta: NDArray[np.float64],
+) -> int:
+    """Write the motion that turns on the spot, drives straight, and turns on the spot."""
+    way = atan2(dy, dx) + (pi if backwards else 0.0)
+    length = hypot(dx, dy)
+    if length < 1e-9:
+        way = yaw0
+    ds[0] = 0.0
+    dtheta[0] = pi - (pi - (way - yaw0)) % (2 * pi)
+    ds[1] = -length if backwards else length
+    dtheta[1] = 0.0
+    ds[2] = 0.0
+    dtheta[2] = pi - (pi - (yaw1 - way)) % (2 * pi)
+    return 3
+
+
+@njit
+def join(
+    setting: Setting,
+    x: float,
+    y: float,
+    yaw: float,
+    to_x: float,
+    to_y: float,
+    to_yaw: float,
+    limit: float,
+    ds: NDArray[np.float64],
+    dtheta: NDArray[np.float64],
+) -> tuple[float, int]:
+    """Join two poses by the cheapest free motion known, if it costs less than `limit`.
+
+    Tried are the exact minimum-energy motion, and turn-drive-turn both ways, which needs less
+    room at times.
+
+    Returns
+    -------
+    tuple of float and int
+        Cost, infinite where none is free, and number of segments written.
+    """
+    dx = to_x - x
+    dy = to_y - y
+    if setting.surface.size == 1 and steer_energy(dx, dy, yaw, to_yaw, setting.steering) >= limit:
+        return inf, 0
+    count = steer_path(dx, dy, yaw, to_yaw, setting.steering, ds, dtheta)
+    cost = drive(setting, x, y, yaw, ds, dtheta, count, limit)
+    if cost < inf and setting.surface.size == 1:
+        return cost, count
+    other_ds = np.empty(3)
+    other_dtheta = np.empty(3)
+    for way in range(2):
+        n = spin_drive_spin(dx, dy, yaw, to_yaw, way == 1, other_ds, other_dtheta)
+        other = drive(setting, x, y, yaw, other_ds, other_dtheta, n, min(limit, cost))
+        if other < cost:
+            cost = other
+            count = n
+            ds[:n] = other_ds
+            dtheta[:n] = other_dtheta
+    return cost, count
+
+
+@njit
+def connection(setting: Setting, x: float, y: float, yaw: float, limit: float) -> float:
+    """Cost of the cheapest free motion known from a pose to the goal; infinite if there is none."""
+    ds = np.empty(MAX_SEGMENTS)
+    dtheta = np.empty(MAX_SEGMENTS)
+    return join(
+        setting, x, y, yaw, setting.goal_x, setting.goal_y, setting.goal_yaw, limit, ds, dtheta
+    )[0]
+
+
+@njit
+def steering_cost(
+    setting: Setting, x: float, y: float, yaw: float, to_x: float, to_y: float, to_yaw: float
+) -> float:
+    """Cost of the exact steering motion between two poses, whatever lies in its way."""
+    dx = to_x - x
+    dy = to_y - y
+    if setting.surface.size == 1:
+        return float(steer_energy(dx, dy, yaw, to_yaw, setting.steering))
+    ds = np.empty(MAX_SEGMENTS)
+    dtheta = np.empty(MAX_SEGMENTS)
+    count = steer_path(dx, dy, yaw, to_yaw, setting.steering, ds, dtheta)
+    total = 0.0
+    for k in range(count):
+        total += motion_cost(setting, x, y, yaw, ds[k], dtheta[k])
+        half = 0.5 * dtheta[k]
+        chord = ds[k] * (sin(half) / half if half != 0.0 else 1.0)
+        x += chord * cos(yaw + half)
+        y += chord * sin(yaw + half)
+        yaw += dtheta[k]
+    return total
+
+
+@njit
+def steering_free(
+    setting: Setting, x: float, y: float, yaw: float, to_x: float, to_y: float, to_yaw: float
+) -> bool:
+    """Tell whether the body is free along the exact steering motion between two poses."""
+    ds = np.empty(MAX_SEGMENTS)
+    dtheta = np.empty(MAX_SEGMENTS)
+    count = steer_path(to_x - x, to_y - y, yaw, to_yaw, setting.steering, ds, dtheta)
+    return drive(setting, x, y, yaw, ds, dtheta, count, inf) < inf

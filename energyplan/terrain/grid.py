@@ -1,0 +1,389 @@
+"""Where the robot goes: occupancy grids with footprint collision, surfaces and heights."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
+from shapely.geometry.base import BaseGeometry
+
+from energyplan.errors import MapError
+from energyplan.path import FloatArray, Path, Pose
+from energyplan.terrain import _distance
+from energyplan.terrain import collision as _collision
+from energyplan.terrain.heights import ORIGIN, HeightMap, Piece, with_weights
+from energyplan.terrain.surfaces import FARTHEST, Surface, SurfaceMap
+from energyplan.vehicle import Vehicle
+
+__all__ = [
+    "HeightMap",
+    "OccupancyGrid",
+    "Piece",
+    "Surface",
+    "SurfaceMap",
+    "footprint",
+    "with_weights",
+]
+
+BoolArray = NDArray[np.bool_]
+
+MAX_CELLS = 2**26
+"""Largest number of cells of a map; more is taken for a mistake or an attack."""
+
+MIN_RESOLUTION, MAX_RESOLUTION = 1e-4, 1e4
+"""Smallest and largest size of a cell [m]."""
+
+
+def _frozen_bool(value: ArrayLike, name: str) -> BoolArray:
+    array = np.array(value)
+    if array.ndim != 2 or array.size == 0 or array.dtype != np.bool_:
+        raise MapError(
+            f"{name} has shape {array.shape} and type {array.dtype}; give rows and columns of bool"
+        )
+    if array.size > MAX_CELLS:
+        raise MapError(f"{name} has {array.size} cells; at most {MAX_CELLS} are taken")
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class OccupancyGrid:
+    """A grid of square cells that are occupied, unknown or free.
+
+    Parameters
+    ----------
+    occupied : array_like of bool, shape (rows, columns)
+        Occupied cells. Row 0 is the lowest, column 0 the leftmost.
+    resolution : float
+        Size of a cell [m].
+    origin : array_like, shape (3,)
+        Pose of the outer corner of cell (0, 0) in the world: x, y [m], yaw [rad]. The columns
+        count along its x axis, the rows along its y axis.
+    unknown : array_like of bool, shape (rows, columns), optional
+        Cells of which nothing is known; none if left out.
+    unknown_is_free : bool
+        Whether the robot may enter unknown cells.
+
+    Raises
+    ------
+    MapError
+        If shapes or numbers are wrong.
+
+    Examples
+    --------
+    >>> grid = OccupancyGrid(np.zeros((100, 100), bool), resolution=0.05)
+    >>> quadriga = Vehicle.preset("quadriga")
+    >>> grid.footprint_free([(2.5, 2.5, 0.3), (0.3, 2.5, 0.0)], quadriga)
+    array([ True, False])
+    """
+
+    occupied: BoolArray
+    resolution: float
+    origin: Pose = ORIGIN
+    unknown: BoolArray | None = None
+    unknown_is_free: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "occupied", _frozen_bool(self.occupied, "occupied"))
+        if self.unknown is not None:
+            object.__setattr__(self, "unknown", _frozen_bool(self.unknown, "unknown"))
+            if self.unknown.shape != self.occupied.shape:
+                raise MapError(
+                    f"unknown has shape {self.unknown.shape}, occupied {self.occupied.shape}; "
+                    "give the same"
+                )
+        if not MIN_RESOLUTION <= self.resolution <= MAX_RESOLUTION:
+            raise MapError(
+                f"the resolution is {self.resolution} m; give metres from {MIN_RESOLUTION} to "
+                f"{MAX_RESOLUTION}"
+            )
+        origin = np.asarray(self.origin, float)
+        if origin.shape != (3,) or not np.all(np.abs(origin) <= FARTHEST):
+            raise MapError(
+                f"the origin is {origin.tolist()}; give x, y [m] and yaw [rad], none beyond "
+                f"{FARTHEST:g}"
+            )
+        object.__setattr__(self, "origin", Pose(*(float(v) for v in origin)))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        rows, columns = self.occupied.shape
+        return rows, columns
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width (along the rows) and height of the map [m]."""
+        rows, columns = self.shape
+        return columns * self.resolution, rows * self.resolution
+
+    @cached_property
+    def blocked(self) -> BoolArray:
+        """Cells that the robot must not touch, shape (rows, columns)."""
+        blocked = self.occupied
+        if self.unknown is not None and not self.unknown_is_free:
+            blocked = blocked | self.unknown
+        blocked.setflags(write=False)
+        return blocked
+
+    @cached_property
+    def clearance(self) -> NDArray[np.float32]:
+        """Distance from each cell's centre to the nearest blocked cell's area or map edge [m].
+
+        Exact to rounding; 0 in blocked cells. A point anywhere in a cell is at most half a
+        diagonal, 0.71 cells, nearer or farther than the cell's centre.
+        """
+        metres = self._space.clearance * np.float32(self.resolution)
+        metres.setflags(write=False)
+        return metres
+
+    @cached_property
+    def _space(self) -> _collision.Space:
+        x, y, yaw = self.origin
+        return _collision.Space(
+            _collision.next_blocked(self.blocked),
+            _distance.clearance(self.blocked),
+            x,
+            y,
+            yaw,
+            float(np.cos(yaw)),
+            float(np.sin(yaw)),
+            float(self.resolution),
+        )
+
+    def with_unknown_free(self, free: bool = True) -> OccupancyGrid:
+        """Return this map with its unknown cells free to enter, or not."""
+        return replace(self, unknown_is_free=free)
+
+    def with_blocked(self, areas: BaseGeometry | Iterable[BaseGeometry]) -> OccupancyGrid:
+        """Return this map with every cell that `areas` touch occupied: keep-out areas, for one.
+
+        Parameters
+        ----------
+        areas : shapely geometry or iterable of them
+            Areas in the world [m].
+
+        Returns
+        -------
+        OccupancyGrid
+            The map with more cells occupied.
+        """
+        touched = self._touched(areas)
+        return replace(self, occupied=self.occupied | touched)
+
+    def _touched(self, areas: BaseGeometry | Iterable[BaseGeometry]) -> BoolArray:
+        """Return the cells that some geometry touches, shape (rows, columns)."""
+        geometries = [areas] if isinstance(areas, BaseGeometry) else list(areas)
+        touched = np.zeros(self.shape, bool)
+        rows, columns = self.shape
+        for geometry in geometries:
+            if geometry.is_empty:
+                continue
+            cells = shapely.transform(geometry, self.to_cells)
+            left, low, right, high = cells.bounds
+            first, last = max(int(left) - 1, 0), min(int(right) + 2, columns)
+            bottom, top = max(int(low) - 1, 0), min(int(high) + 2, rows)
+            if first >= last or bottom >= top:
+                continue
+            shapely.prepare(cells)
+            x, y = np.meshgrid(np.arange(first, last), np.arange(bottom, top))
+            squares = shapely.box(x, y, x + 1, y + 1)
+            touched[bottom:top, first:last] |= shapely.intersects(cells, squares)
+        return touched
+
+    def to_cells(self, points: ArrayLike) -> FloatArray:
+        """Return world points (..., 2) [m] as (column, row): cell (0, 0) is the unit square."""
+        offset = np.asarray(points, float) - np.array(self.origin[:2])
+        space_c, space_s = np.cos(self.origin.yaw), np.sin(self.origin.yaw)
+        turned = offset @ np.array([[space_c, -space_s], [space_s, space_c]])
+        return np.asarray(turned / self.resolution)
+
+    def to_world(self, cells: ArrayLike) -> FloatArray:
+        """Return (column, row) coordinates (..., 2) as world points [m]: undoes `to_cells`."""
+        metres = np.asarray(cells, float) * self.resolution
+        space_c, space_s = np.cos(self.origin.yaw), np.sin(self.origin.yaw)
+        turned = metres @ np.array([[space_c, space_s], [-space_s, space_c]])
+        return np.asarray(turned + np.array(self.origin[:2]))
+
+    def inside(self, points: ArrayLike) -> BoolArray:
+        """Tell which world points (..., 2) [m] lie on the map."""
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows lies on no map
+            cells = self.to_cells(points)
+        rows, columns = self.shape
+        return np.asarray(np.all((cells >= 0) & (cells <= np.array([columns, rows])), axis=-1))
+
+    def contains(self, x: float, y: float) -> bool:
+        """Tell whether a world point [m] lies on the map."""
+        return bool(self.inside((x, y)))
+
+    def describe_extent(self) -> str:
+        """Return where the map lies, in words."""
+        width, height = self.size
+        x, y, yaw = self.origin
+        if yaw == 0.0:
+            return f"x from {x:g} to {x + width:g} m and y from {y:g} to {y + height:g} m"
+        return (
+            f"{width:g} m by {height:g} m from its corner ({x:g}, {y:g}), turned by "
+            f"{np.degrees(yaw):.1f} deg"
+        )
+
+    def clearance_at(self, points: ArrayLike) -> FloatArray:
+        """Return the clearance of the cells that hold world points (..., 2) [m]; 0 off the map."""
+        cells = np.floor(self.to_cells(points)).astype(int)
+        rows, columns = self.shape
+        on_map = np.all((cells >= 0) & (cells < np.array([columns, rows])), axis=-1)
+        column, row = np.clip(cells[..., 0], 0, columns - 1), np.clip(cells[..., 1], 0, rows - 1)
+        return np.where(on_map, self.clearance[row, column], 0.0)
+
+    def footprint_free(self, poses: ArrayLike, vehicle: Vehicle) -> BoolArray:
+        """Tell at which poses the vehicle's footprint is free.
+
+        Exact for the rectangle in every heading: free means that it lies on the map and touches
+        no blocked cell.
+
+        Parameters
+        ----------
+        poses : array_like, shape (..., 3)
+            Poses of the body frame: x, y [m], yaw [rad].
+        vehicle : Vehicle
+            The vehicle, for its footprint.
+
+        Returns
+        -------
+        ndarray of bool, shape (...)
+            Where it is free.
+        """
+        rows = np.asarray(poses, float)
+        flat = np.ascontiguousarray(rows.reshape(-1, 3))
+        free = _collision.poses_free(self._space, footprint(vehicle), flat)
+        return np.asarray(free.reshape(rows.shape[:-1]))
+
+    def first_collision(self, path: Path, vehicle: Vehicle) -> int | None:
+        """Return the index of the path's first segment that is not free, or None.
+
+        Parameters
+        ----------
+        path : Path
+            The path.
+        vehicle : Vehicle
+            The vehicle, for its footprint.
+
+        Returns
+        -------
+        int or None
+            The segment; None where the whole path is free.
+        """
+        body = footprint(vehicle)
+        if len(path) == 0:
+            return None if _collision.pose_free(self._space, body, *path.start) else 0
+        index = _collision.first_collision(
+            self._space, body, path.vertices, path.ds, path.dtheta, path.longitudinal
+        )
+        return None if index < 0 else index
+
+    def path_free(self, path: Path, vehicle: Vehicle) -> bool:
+        """Tell whether the vehicle's footprint is free along the whole path.
+
+        Exact for straight lines. Where the vehicle turns there is no false free; a path that
+        passes an obstacle within a fiftieth of a cell may count as colliding.
+
+        Parameters
+        ----------
+        path : Path
+            The path.
+        vehicle : Vehicle
+            The vehicle, for its footprint.
+
+        Returns
+        -------
+        bool
+            Whether it is free.
+        """
+        return self.first_collision(path, vehicle) is None
+
+    def motions_free(
+        self,
+        starts: ArrayLike,
+        ds: ArrayLike,
+        dtheta: ArrayLike,
+        vehicle: Vehicle,
+        longitudinal: float = 0.0,
+    ) -> BoolArray:
+        """Tell along which of many motions, each from its own pose, the footprint is free.
+
+        Parameters
+        ----------
+        starts : array_like, shape (n, 3)
+            Poses of the body frame where the motions start: x, y [m], yaw [rad].
+        ds, dtheta : array_like, shape (n,)
+            Signed arc lengths of the reference point [m] and signed turns [rad].
+        vehicle : Vehicle
+            The vehicle, for its footprint.
+        longitudinal : float
+            x coordinate of the reference point in the body frame [m], as in `Path`.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            Which are free; as exact as `path_free`.
+        """
+        rows = np.ascontiguousarray(np.reshape(np.asarray(starts, float), (-1, 3)))
+        return _collision.motions_free(
+            self._space,
+            footprint(vehicle),
+            rows,
+            np.ascontiguousarray(np.broadcast_to(np.asarray(ds, float), len(rows))),
+            np.ascontiguousarray(np.broadcast_to(np.asarray(dtheta, float), len(rows))),
+            longitudinal,
+        )
+
+    @classmethod
+    def from_polygons(
+        cls,
+        obstacles: BaseGeometry | Iterable[BaseGeometry],
+        bounds: tuple[float, float, float, float],
+        resolution: float = 0.05,
+    ) -> OccupancyGrid:
+        """Build a map from the shapes of obstacles; every cell that one touches is occupied.
+
+        Parameters
+        ----------
+        obstacles : shapely geometry or iterable of them
+            Obstacles in the world [m].
+        bounds : tuple of float
+            x_min, y_min, x_max, y_max of the map [m].
+        resolution : float
+            Size of a cell [m].
+
+        Returns
+        -------
+        OccupancyGrid
+            The map.
+
+        Raises
+        ------
+        MapError
+            If the bounds are empty or hold too many cells.
+        """
+        left, low, right, high = (float(v) for v in bounds)
+        if not (right > left and high > low and resolution > 0):
+            raise MapError(f"bounds {bounds} and resolution {resolution} m make no map")
+        columns = int(np.ceil((right - left) / resolution - 1e-9))
+        rows = int(np.ceil((high - low) / resolution - 1e-9))
+        if rows * columns > MAX_CELLS:
+            raise MapError(
+                f"bounds {bounds} at {resolution} m make {rows * columns} cells; at most "
+                f"{MAX_CELLS} are taken: choose a coarser resolution"
+            )
+        empty = cls(np.zeros((rows, columns), bool), resolution, Pose(left, low, 0.0))
+        return empty.with_blocked(obstacles)
+
+
+def footprint(vehicle: Vehicle) -> _collision.Body:
+    """Return the vehicle's footprint as the collision kernels take it."""
+    (x_min, y_min), (x_max, y_max) = vehicle.footprint.tolist()
+    return _collision.Body(x_min, y_min, x_max, y_max)

@@ -1,0 +1,281 @@
+"""Height of the ground from a raster: slope along a heading, and rise along a path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import MapError
+from energyplan.path import FloatArray, Path, Pose
+from energyplan.power.effects import with_weight
+from energyplan.terrain.surfaces import SurfaceMap
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+ORIGIN = Pose(0.0, 0.0, 0.0)
+"""Where a raster starts unless it says otherwise: the world's origin, unturned."""
+
+STILL = 1e-6
+"""Arc lengths below this count as turning on the spot [m]."""
+
+
+class Piece(NamedTuple):
+    """What is driven at one cost.
+
+    Attributes
+    ----------
+    cost : EnergyCost
+        The cost.
+    path : Path
+        Segments at their length on the slope; where surfaces divide the way, they do not join.
+    slope : ndarray, shape (n,)
+        Slope along the heading of each segment [rad].
+    """
+
+    cost: EnergyCost
+    path: Path
+    slope: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class HeightMap:
+    """Heights at the nodes of a square grid, bilinear in between.
+
+    Parameters
+    ----------
+    heights : array_like, shape (rows, columns)
+        Height of the ground at the nodes [m]; row 0 is the lowest in y.
+    resolution : float
+        Distance between nodes [m].
+    origin : array_like, shape (3,)
+        Pose of node (0, 0) in the world: x, y [m], yaw [rad].
+
+    Raises
+    ------
+    MapError
+        If shapes or numbers are wrong.
+
+    Examples
+    --------
+    >>> ramp = HeightMap([[0.0, 0.1, 0.2], [0.0, 0.1, 0.2]], resolution=1.0)
+    >>> ramp.slope([(0.5, 0.5, 0.0), (0.5, 0.5, np.pi)]).round(4)
+    array([ 0.0997, -0.0997])
+    """
+
+    heights: FloatArray
+    resolution: float
+    origin: Pose = ORIGIN
+
+    def __post_init__(self) -> None:
+        heights = np.array(self.heights, float, order="C")
+        if heights.ndim != 2 or min(heights.shape) < 2 or not np.all(np.isfinite(heights)):
+            raise MapError(
+                f"heights have shape {heights.shape}; give two rows and columns or more of finite "
+                "metres, with holes filled"
+            )
+        heights.setflags(write=False)
+        object.__setattr__(self, "heights", heights)
+        if not (np.isfinite(self.resolution) and self.resolution > 0):
+            raise MapError(f"the resolution is {self.resolution} m; give a positive number")
+        origin = np.asarray(self.origin, float)
+        if origin.shape != (3,) or not np.all(np.isfinite(origin)):
+            raise MapError(f"the origin is {origin.tolist()}; give x, y [m] and yaw [rad]")
+        object.__setattr__(self, "origin", Pose(*(float(v) for v in origin)))
+
+    def _locate(self, points: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return the node below and to the left of each point, and the place in its square."""
+        offset = np.asarray(points, float) - np.array(self.origin[:2])
+        c, s = np.cos(self.origin.yaw), np.sin(self.origin.yaw)
+        place = offset @ np.array([[c, -s], [s, c]]) / self.resolution
+        last = np.array(self.heights.shape[::-1]) - 1
+        if not np.all((place >= -1e-9) & (place <= last + 1e-9)):
+            off = np.any((place < -1e-9) | (place > last + 1e-9), axis=-1)
+            x, y = np.asarray(points, float)[off][0]
+            raise MapError(
+                f"({x:.2f}, {y:.2f}) lies off the height map, which covers "
+                f"{self.describe_extent()}; give a larger raster"
+            )
+        node = np.clip(np.floor(place), 0, last - 1)
+        return node, place - node
+
+    def describe_extent(self) -> str:
+        """Return where heights are known, in words."""
+        height, width = (np.array(self.heights.shape) - 1) * self.resolution
+        x, y, yaw = self.origin
+        if yaw == 0.0:
+            return f"x from {x:g} to {x + width:g} m and y from {y:g} to {y + height:g} m"
+        return (
+            f"{width:g} m by {height:g} m from ({x:g}, {y:g}), turned by {np.degrees(yaw):.1f} deg"
+        )
+
+    def height(self, points: ArrayLike) -> FloatArray:
+        """Return the height at world points (..., 2) [m].
+
+        Raises
+        ------
+        MapError
+            If a point lies off the raster.
+        """
+        node, part = self._locate(points)
+        i, j = node[..., 1].astype(int), node[..., 0].astype(int)
+        x, y = part[..., 0], part[..., 1]
+        h = self.heights
+        low = h[i, j] * (1 - x) + h[i, j + 1] * x
+        high = h[i + 1, j] * (1 - x) + h[i + 1, j + 1] * x
+        return np.asarray(low * (1 - y) + high * y)
+
+    def gradient(self, points: ArrayLike) -> FloatArray:
+        """Return the gradient of the height at world points, shape (..., 2).
+
+        Raises
+        ------
+        MapError
+            If a point lies off the raster.
+        """
+        node, part = self._locate(points)
+        i, j = node[..., 1].astype(int), node[..., 0].astype(int)
+        x, y = part[..., 0], part[..., 1]
+        h = self.heights
+        along = (h[i, j + 1] - h[i, j]) * (1 - y) + (h[i + 1, j + 1] - h[i + 1, j]) * y
+        across = (h[i + 1, j] - h[i, j]) * (1 - x) + (h[i + 1, j + 1] - h[i, j + 1]) * x
+        c, s = np.cos(self.origin.yaw), np.sin(self.origin.yaw)
+        turned = np.stack([along, across], axis=-1) @ np.array([[c, s], [-s, c]])
+        return np.asarray(turned / self.resolution)
+
+    def slope(self, poses: ArrayLike) -> FloatArray:
+        """Return the slope along the heading, positive uphill ahead.
+
+        Parameters
+        ----------
+        poses : array_like, shape (..., 3)
+            Poses x, y [m], yaw [rad].
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Slope [rad].
+
+        Raises
+        ------
+        MapError
+            If a pose lies off the raster.
+        """
+        rows = np.asarray(poses, float)
+        steep = self.gradient(rows[..., :2])
+        yaw = rows[..., 2]
+        return np.asarray(np.arctan(steep[..., 0] * np.cos(yaw) + steep[..., 1] * np.sin(yaw)))
+
+    def rise(self, path: Path) -> float:
+        """Return how much higher a path ends than it starts [m]."""
+        ends = np.array([path.start[:2], path.end[:2]])
+        low, high = self.height(ends)
+        return float(high - low)
+
+    def slopes(self, path: Path) -> FloatArray:
+        """Return the mean slope along the heading in each segment of a path [rad], shape (n,).
+
+        It is the rise of the reference point (see `Path`) over the arc length, so that rises add
+        up exactly; where the robot turns on the spot, it is the slope at the middle of the turn.
+
+        Raises
+        ------
+        MapError
+            If the path leaves the raster.
+        """
+        yaw = path.vertices[:, 2]
+        heading = np.column_stack([np.cos(yaw), np.sin(yaw)])
+        point = path.vertices[:, :2] + path.longitudinal * heading
+        rise = np.diff(self.height(point))
+        moves = np.abs(path.ds) > STILL
+        middle = np.column_stack([0.5 * (point[1:] + point[:-1]), 0.5 * (yaw[1:] + yaw[:-1])])
+        on_the_spot = self.slope(middle)
+        return np.where(moves, np.arctan(rise / np.where(moves, path.ds, 1.0)), on_the_spot)
+
+    def cut(self, path: Path) -> Path:
+        """Return a path cut into pieces of half the raster's resolution and 0.1 rad at most."""
+        return path.subdivide(0.5 * self.resolution, 0.1)
+
+    def pieces(
+        self, path: Path, cost: EnergyCost, surfaces: SurfaceMap | None = None
+    ) -> tuple[Piece, ...]:
+        """Return what a path consists of on the slopes of this ground, surface by surface.
+
+        The path is `cut`, and each piece lies on the mean slope along it. Lengths are those on the
+        slope, longer than in plan view; turns are those in plan view.
+
+        Parameters
+        ----------
+        path : Path
+            The path, in plan view.
+        cost : EnergyCost
+            Cost of motions, outside the surfaces if there are any.
+        surfaces : SurfaceMap, optional
+            Grounds with power models of their own.
+
+        Returns
+        -------
+        tuple of Piece
+            What is driven at each cost.
+
+        Raises
+        ------
+        MapError
+            If the path leaves the raster.
+        """
+        fine = self.cut(path)
+        slope = self.slopes(fine)
+        stretched = fine.ds / np.cos(slope)
+        if surfaces is None:
+            return (Piece(cost, replace(fine, ds=stretched), slope),)
+        shares = surfaces.shares(fine)
+        return tuple(
+            Piece(c, replace(fine, ds=stretched * share, dtheta=fine.dtheta * share), slope)
+            for c, share in zip(surfaces.costs(cost), shares.T, strict=True)
+            if np.any(share > 0)
+        )
+
+    def energy(self, path: Path, cost: EnergyCost, surfaces: SurfaceMap | None = None) -> float:
+        """Return the energy of a path on the slopes of this ground [J]; see `pieces`.
+
+        Parameters
+        ----------
+        path : Path
+            The path.
+        cost : EnergyCost
+            Cost of motions. Its model needs a term that reads the slope, such as the grade, for
+            the robot's weight to matter.
+        surfaces : SurfaceMap, optional
+            Grounds with power models of their own.
+
+        Returns
+        -------
+        float
+            Energy, priced by the models themselves; negative where more comes back than it takes.
+
+        Raises
+        ------
+        MapError
+            If the path leaves the raster.
+        """
+        return sum(p.cost.energy(p.path, p.slope) for p in self.pieces(path, cost, surfaces))
+
+    def contours(self, ax: Axes, levels: int = 8) -> Axes:
+        """Draw lines of equal height [m] on matplotlib's axes, beneath everything else."""
+        across, along = np.indices(self.heights.shape) * self.resolution
+        x, y, yaw = self.origin
+        c, s = np.cos(yaw), np.sin(yaw)
+        at = x + c * along - s * across, y + s * along + c * across
+        lines = ax.contour(*at, self.heights, levels, colors="0.6", linewidths=0.7, zorder=1)
+        ax.clabel(lines, fontsize="x-small", fmt="%g m")
+        return ax
+
+
+def with_weights(surfaces: SurfaceMap) -> SurfaceMap:
+    """Return surfaces whose models hold their vehicle's weight; see `effects.with_weight`."""
+    heavy = (replace(s, model=with_weight(s.model)) for s in surfaces.surfaces)
+    return replace(surfaces, surfaces=tuple(heavy))

@@ -1,0 +1,384 @@
+"""Grounds with power models of their own: which one lies where, and what a path costs on them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
+from shapely.geometry.base import BaseGeometry
+
+from energyplan.compilation import njit
+from energyplan.cost import EnergyCost
+from energyplan.errors import MapError
+from energyplan.path import FloatArray, Path
+from energyplan.power import PowerModel
+
+if TYPE_CHECKING:
+    from energyplan.terrain.grid import OccupancyGrid
+
+FARTHEST = 1e7
+"""Largest coordinate of maps and surfaces [m]; beyond it rounding would blur collisions."""
+
+_STRAIGHT = 1e-6
+"""Turns below this are clipped as straight lines [rad]."""
+
+
+def _area(geometry: BaseGeometry, name: str) -> BaseGeometry:
+    if geometry.geom_type not in {"Polygon", "MultiPolygon"} or geometry.is_empty:
+        raise MapError(f"{name} is a {geometry.geom_type}; give a polygon that is not empty")
+    if not np.all(np.abs(geometry.bounds) <= FARTHEST):
+        raise MapError(f"{name} reaches beyond {FARTHEST:g} m; give it in the map's frame")
+    if not geometry.is_valid:
+        raise MapError(f"{name}: {shapely.is_valid_reason(geometry)}; correct the polygon")
+    return geometry
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A ground: where it lies and what driving on it costs.
+
+    Parameters
+    ----------
+    area : shapely Polygon or MultiPolygon
+        Where it lies, in the world [m].
+    model : PowerModel
+        Power of driving there.
+    name : str
+        What to call it.
+
+    Raises
+    ------
+    MapError
+        If the area is not a valid polygon.
+    """
+
+    area: BaseGeometry
+    model: PowerModel
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        _area(self.area, f"the area of surface {self.name!r}")
+        if not self.name:
+            object.__setattr__(self, "name", self.model.name)
+
+
+@dataclass(frozen=True)
+class SurfaceMap:
+    """Surfaces, each with a power model, and areas to keep out of.
+
+    Where surfaces overlap, the last one counts. Outside all of them the cost at hand applies:
+    region 0. Region ``k`` is ``surfaces[k - 1]``. The robot is on the surface that lies under its
+    reference point (see `Path`).
+
+    Parameters
+    ----------
+    surfaces : sequence of Surface
+        The surfaces.
+    keep_out : sequence of shapely Polygon or MultiPolygon
+        Areas that the robot must not enter.
+
+    Raises
+    ------
+    MapError
+        If a keep-out area is not a valid polygon.
+
+    Examples
+    --------
+    >>> marble = PowerModel.preset("quadriga:empty:marble")
+    >>> ground = SurfaceMap([Surface(shapely.box(0, 0, 4, 4), marble)])
+    >>> ground.region_at([(1, 1), (5, 1)])
+    array([1, 0])
+    """
+
+    surfaces: tuple[Surface, ...]
+    keep_out: tuple[BaseGeometry, ...] = ()
+    _last: list[tuple[EnergyCost, ...]] = field(
+        default_factory=list, init=False, repr=False, compare=False
+    )
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "surfaces", tuple(self.surfaces))
+        keep_out = tuple(_area(a, f"keep-out area {k}") for k, a in enumerate(self.keep_out))
+        object.__setattr__(self, "keep_out", keep_out)
+        for area in (*(s.area for s in self.surfaces), *keep_out):
+            shapely.prepare(area)
+
+    @property
+    def polygons(self) -> tuple[tuple[str, BaseGeometry], ...]:
+        """Name and area of each surface, then of each keep-out area: what a picture shows."""
+        return (
+            *((surface.name, surface.area) for surface in self.surfaces),
+            *(("keep-out", area) for area in self.keep_out),
+        )
+
+    def costs(self, cost: EnergyCost) -> tuple[EnergyCost, ...]:
+        """Return the cost of every region, by its number.
+
+        Parameters
+        ----------
+        cost : EnergyCost
+            Cost outside the surfaces; its further options hold on the surfaces too.
+
+        Returns
+        -------
+        tuple of EnergyCost
+            `cost`, then one for each surface. Those of the last `cost` are remembered, because
+            the tables of a model that depends on speed take a while.
+
+        Raises
+        ------
+        MapError
+            If a surface's model was identified with another longitudinal ICR, so
+            that one path cannot be priced by both.
+        """
+        if self._last and self._last[0][0] is cost:
+            return self._last[0]
+        for surface in self.surfaces:
+            if surface.model.vehicle.icr.longitudinal != cost.icr.longitudinal:
+                raise MapError(
+                    f"surface {surface.name!r} has tread ICRs at x = "
+                    f"{surface.model.vehicle.icr.longitudinal} m, the robot at "
+                    f"{cost.icr.longitudinal} m; identify both with the same longitudinal ICR"
+                )
+        known: dict[int, EnergyCost] = {id(cost.model): cost}
+        for surface in self.surfaces:
+            if id(surface.model) not in known:
+                known[id(surface.model)] = replace(cost, model=surface.model)
+        found = (cost, *(known[id(surface.model)] for surface in self.surfaces))
+        self._last[:] = [found]
+        return found
+
+    def region_at(self, points: ArrayLike) -> NDArray[np.intp]:
+        """Return the region of each world point (..., 2) [m].
+
+        Parameters
+        ----------
+        points : array_like, shape (..., 2)
+            Points in the world [m].
+
+        Returns
+        -------
+        ndarray of int, shape (...)
+            0 outside all surfaces, ``k`` on ``surfaces[k - 1]``.
+        """
+        rows = np.asarray(points, float)
+        region = np.zeros(rows.shape[:-1], np.intp)
+        for k, surface in enumerate(self.surfaces, start=1):
+            region[shapely.intersects_xy(surface.area, rows[..., 0], rows[..., 1])] = k
+        return region
+
+    def raster(self, grid: OccupancyGrid) -> NDArray[np.intp]:
+        """Return the region at the centre of each cell of a map, shape (rows, columns)."""
+        raster = np.zeros(grid.shape, np.intp)
+        for k, surface in enumerate(self.surfaces, start=1):
+            a, e = _rim(shapely.transform(surface.area, grid.to_cells))
+            _fill(raster, a, a + e, k)
+        return raster
+
+    @cached_property
+    def _edges(self) -> tuple[FloatArray, FloatArray]:
+        """Starts and directions of all edges of all surfaces, each of shape (n, 2)."""
+        rims = [_rim(surface.area) for surface in self.surfaces]
+        nothing = np.empty((0, 2))
+        return (
+            np.concatenate([nothing, *(a for a, _ in rims)]),
+            np.concatenate([nothing, *(e for _, e in rims)]),
+        )
+
+    def edge_points(self, spacing: float) -> Iterable[FloatArray]:
+        """Yield points along each edge of the surfaces, at most `spacing` [m] apart, (n, 2)."""
+        for a, e in zip(*self._edges, strict=True):
+            count = int(np.hypot(*e) / spacing) + 2
+            yield a + np.linspace(0.0, 1.0, count)[:, None] * e
+
+    def shares(self, path: Path) -> FloatArray:
+        """Return how each segment of a path divides over the regions.
+
+        The crossings of the reference point's lines and arcs with the surfaces' edges are solved
+        for, so that the shares are exact to rounding.
+
+        Parameters
+        ----------
+        path : Path
+            The path.
+
+        Returns
+        -------
+        ndarray, shape (segments, regions)
+            Share of the segment's length, or of its turn where it stands still, in each region;
+            rows add up to 1.
+        """
+        out = np.zeros((len(path), len(self.surfaces) + 1))
+        vertices = path.vertices
+        for k, (ds, dtheta) in enumerate(zip(path.ds, path.dtheta, strict=True)):
+            x, y, yaw = vertices[k]
+            start = np.array([x, y]) + path.longitudinal * np.array([np.cos(yaw), np.sin(yaw)])
+            arc = _Arc(start, float(yaw), float(ds), float(dtheta))
+            cuts = np.unique(np.concatenate([[0.0, 1.0], arc.crossings(*self._edges)]))
+            regions = self.region_at(arc.points(0.5 * (cuts[:-1] + cuts[1:])))
+            np.add.at(out[k], regions, np.diff(cuts))
+        return out
+
+    def line_shares(self, starts: ArrayLike, ends: ArrayLike) -> FloatArray:
+        """Return how straight lines divide over the regions, as `shares` does for segments.
+
+        Parameters
+        ----------
+        starts, ends : array_like, shape (n, 2)
+            Ends of the lines in the world [m].
+
+        Returns
+        -------
+        ndarray, shape (n, regions)
+            Share of each line in each region; rows add up to 1.
+        """
+        p, q = np.asarray(starts, float), np.asarray(ends, float)
+        out = np.zeros((len(p), len(self.surfaces) + 1))
+        a, e = self._edges
+        d = (q - p)[:, None]
+        offset = a[None] - p[:, None]
+        cross = d[..., 0] * e[:, 1] - d[..., 1] * e[:, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = (offset[..., 0] * e[:, 1] - offset[..., 1] * e[:, 0]) / cross
+            s = (offset[..., 0] * d[..., 1] - offset[..., 1] * d[..., 0]) / cross
+        crossed = (t > 0) & (t < 1) & (s >= 0) & (s <= 1)
+        ends_too = np.broadcast_to([0.0, 1.0], (len(p), 2))
+        cuts = np.sort(np.concatenate([ends_too, np.where(crossed, t, 1.0)], axis=1), axis=1)
+        line, place = np.nonzero(np.diff(cuts, axis=1) > 0)
+        middle = 0.5 * (cuts[line, place] + cuts[line, place + 1])
+        region = self.region_at(p[line] + middle[:, None] * d[line, 0])
+        np.add.at(out, (line, region), cuts[line, place + 1] - cuts[line, place])
+        return out
+
+    def energy(self, path: Path, cost: EnergyCost) -> float:
+        """Return the energy of a path over the surfaces [J].
+
+        Parameters
+        ----------
+        path : Path
+            The path.
+        cost : EnergyCost
+            Cost outside the surfaces.
+
+        Returns
+        -------
+        float
+            Energy, priced by the models themselves.
+        """
+        return sum(c.energy(piece) for c, piece in self._pieces(path, cost))
+
+    def breakdown(self, path: Path, cost: EnergyCost) -> dict[str, float]:
+        """Return the energy of a path over the surfaces by term [J]; values add up to `energy`."""
+        total: dict[str, float] = {}
+        for c, piece in self._pieces(path, cost):
+            for name, joules in c.breakdown(piece).items():
+                total[name] = total.get(name, 0.0) + joules
+        return total
+
+    def duration(self, path: Path, cost: EnergyCost) -> float:
+        """Return the time a path over the surfaces takes at the speeds of the costs [s]."""
+        return sum(c.duration(piece) for c, piece in self._pieces(path, cost))
+
+    def _pieces(self, path: Path, cost: EnergyCost) -> Iterable[tuple[EnergyCost, Path]]:
+        """Yield each region's cost with the parts of the path's segments that lie in it.
+
+        The energy of an arc depends on its size and curvature alone, so the parts need not join.
+        """
+        shares = self.shares(path)
+        for region, c in enumerate(self.costs(cost)):
+            share = shares[:, region]
+            if np.any(share > 0):
+                yield c, replace(path, ds=path.ds * share, dtheta=path.dtheta * share)
+
+
+def _rim(area: BaseGeometry) -> tuple[FloatArray, FloatArray]:
+    """Return starts and directions of the edges of an area, each of shape (n, 2)."""
+    rings = [
+        shapely.get_coordinates(ring)
+        for part in shapely.get_parts(area)
+        for ring in shapely.get_rings(part)
+    ]
+    starts = np.concatenate([ring[:-1] for ring in rings])
+    return starts, np.concatenate([np.diff(ring, axis=0) for ring in rings])
+
+
+@njit
+def _fill(raster: NDArray[np.intp], a: FloatArray, b: FloatArray, value: int) -> None:
+    """Set the cells whose centres lie within a rim of edges from `a` to `b`, in cells.
+
+    Row by row: the row's line through the centres is inside between every second crossing and the
+    next one, whatever holes and parts there are.
+    """
+    rows, columns = raster.shape
+    at = np.empty(len(a))
+    for row in range(rows):
+        y = row + 0.5
+        count = 0
+        for k in range(len(a)):
+            if (a[k, 1] <= y) != (b[k, 1] <= y):
+                at[count] = a[k, 0] + (y - a[k, 1]) / (b[k, 1] - a[k, 1]) * (b[k, 0] - a[k, 0])
+                count += 1
+        crossed = np.sort(at[:count])
+        for k in range(0, count - 1, 2):
+            first = min(max(np.ceil(crossed[k] - 0.5), 0.0), float(columns))
+            last = min(max(np.ceil(crossed[k + 1] - 0.5), 0.0), float(columns))
+            for column in range(int(first), int(last)):
+                raster[row, column] = value
+
+
+@dataclass(frozen=True)
+class _Arc:
+    """A segment of a path as its reference point drives it, at the parameters 0 to 1."""
+
+    start: FloatArray
+    yaw: float
+    ds: float
+    dtheta: float
+
+    def points(self, t: FloatArray) -> FloatArray:
+        """Return the points at parameters `t`, shape (n, 2)."""
+        half = 0.5 * self.dtheta * t
+        chord = self.ds * t * np.sinc(half / np.pi)
+        heading = np.column_stack([np.cos(self.yaw + half), np.sin(self.yaw + half)])
+        return np.asarray(self.start + chord[:, None] * heading)
+
+    def crossings(self, a: FloatArray, e: FloatArray) -> FloatArray:
+        """Return the parameters within (0, 1) at which the arc crosses edges ``a + s e``."""
+        if self.ds == 0.0 or len(a) == 0:
+            return np.empty(0)
+        if abs(self.dtheta) < _STRAIGHT:
+            return self._line_crossings(a, e)
+        radius = self.ds / self.dtheta
+        centre = self.start + radius * np.array([-np.sin(self.yaw), np.cos(self.yaw)])
+        # |a + s e - centre|^2 = radius^2
+        offset = a - centre
+        A = np.einsum("ij,ij->i", e, e)
+        B = np.einsum("ij,ij->i", offset, e)
+        C = np.einsum("ij,ij->i", offset, offset) - radius * radius
+        disc = B * B - A * C
+        hit = (disc >= 0) & (A > 0)
+        root = np.sqrt(disc[hit])
+        s = np.concatenate([(-B[hit] - root) / A[hit], (-B[hit] + root) / A[hit]])
+        on_edge = (s >= 0) & (s <= 1)
+        point = (np.tile(offset[hit], (2, 1)) + s[:, None] * np.tile(e[hit], (2, 1)))[on_edge]
+        # heading of the robot where it passes each point, and the turn until there
+        passed = np.arctan2(point[:, 1], point[:, 0]) + np.copysign(0.5 * np.pi, radius)
+        turn = np.mod((passed - self.yaw) * np.sign(self.dtheta), 2 * np.pi)
+        rounds = 2 * np.pi * np.arange(int(abs(self.dtheta) / (2 * np.pi)) + 1)
+        t = (turn[:, None] + rounds).ravel() / abs(self.dtheta)
+        return np.asarray(t[(t > 0) & (t < 1)])
+
+    def _line_crossings(self, a: FloatArray, e: FloatArray) -> FloatArray:
+        middle = self.yaw + 0.5 * self.dtheta
+        d = self.ds * np.array([np.cos(middle), np.sin(middle)])
+        cross = d[0] * e[:, 1] - d[1] * e[:, 0]
+        hit = cross != 0
+        offset = (a - self.start)[hit]
+        t = (offset[:, 0] * e[hit, 1] - offset[:, 1] * e[hit, 0]) / cross[hit]
+        s = (offset[:, 0] * d[1] - offset[:, 1] * d[0]) / cross[hit]
+        return np.asarray(t[(t > 0) & (t < 1) & (s >= 0) & (s <= 1)])
