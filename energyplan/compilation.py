@@ -1,14 +1,51 @@
-"""Numba's compiler with types: kernels are compiled once, without the GIL, and cached on disk."""
+"""Numba's compiler with types: kernels are compiled once, without the GIL, and kept on disk.
+
+Numba's own cache looks only at the file of the function that is compiled: after a change in a file
+that this one calls, it hands out the old machine code. Here a kernel is kept under a digest of all
+sources that it can reach within this package, of the versions of Python, Numba and NumPy, and of
+the processor. So what runs is always what the sources say.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import os
+import pickle
+import re
+import shutil
+import sys
+import tempfile
+import time
+import warnings
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar, cast
+from contextlib import suppress
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
+from numba.core import caching, config
+from numba.core.serialize import dumps
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+FOLDER_VARIABLE = "ENERGYPLAN_CACHE_DIR"
+"""Environment variable that names another folder for compiled kernels."""
+
+KEPT_UNUSED = 30 * 24 * 3600.0
+"""Machine code of sources that are no more is deleted when unused for so long [s]."""
+
+_ROOT = Path(__file__).parent
+_IMPORT = re.compile(r"^[ \t]*from energyplan([.\w]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
+
+_listeners: list[Callable[[str], None]] = []
+
+
+class KernelCacheWarning(UserWarning):
+    """Compiled kernels cannot be kept, so that every process compiles anew."""
 
 
 def njit(function: Callable[P, R]) -> Callable[P, R]:
@@ -24,4 +61,182 @@ def njit(function: Callable[P, R]) -> Callable[P, R]:
     callable
         The compiled function; ``.py_func`` is the plain one.
     """
-    return cast("Callable[P, R]", numba.njit(cache=True, nogil=True)(function))
+    compiled: Any = numba.njit(nogil=True)(function)
+    if compiled is not function:  # it is where NUMBA_DISABLE_JIT is set
+        compiled._cache = _KernelCache(function)
+    return cast("Callable[P, R]", compiled)
+
+
+def on_compile(listener: Callable[[str], None]) -> Callable[[], None]:
+    """Have a function told the name of every kernel that is about to be compiled.
+
+    Parameters
+    ----------
+    listener : callable
+        Called with the kernel's name.
+
+    Returns
+    -------
+    callable
+        Ends it.
+    """
+    _listeners.append(listener)
+    return lambda: _listeners.remove(listener)
+
+
+def cache_folder() -> Path:
+    """Return where compiled kernels are kept, whether it exists or not.
+
+    It is ``$ENERGYPLAN_CACHE_DIR``, or ``energyplan`` in ``$XDG_CACHE_HOME`` or ``~/.cache``.
+    """
+    if chosen := os.environ.get(FOLDER_VARIABLE):
+        return Path(chosen)
+    if shared := os.environ.get("XDG_CACHE_HOME"):
+        return Path(shared) / "energyplan"
+    try:
+        return Path.home() / ".cache" / "energyplan"
+    except RuntimeError:  # no home folder
+        return Path(tempfile.gettempdir()) / f"energyplan-{os.getuid()}"
+
+
+def source_digest(file: Path) -> str:
+    """Return a digest of a module's source and of all sources of the package that it imports.
+
+    Parameters
+    ----------
+    file : Path
+        The module's source file, within the package.
+
+    Returns
+    -------
+    str
+        Hexadecimal digest, which also stands for the versions of Python, Numba and NumPy.
+    """
+    found: dict[Path, bytes] = {}
+    pending = [file]
+    while pending:
+        source = pending.pop()
+        if source not in found:
+            found[source] = source.read_bytes()
+            pending += _imported(found[source].decode())
+    digest = hashlib.sha256(_versions().encode())
+    for source in sorted(found):
+        digest.update(f"{source.name}:{len(found[source])}:".encode() + found[source])
+    return digest.hexdigest()[:24]
+
+
+def _imported(text: str) -> list[Path]:
+    """Return the files of this package that a source names in its import statements."""
+    files = []
+    for match in _IMPORT.finditer(text):
+        base = _ROOT.joinpath(*match[1].split("."))
+        names = re.findall(r"(\w+)(?: as \w+)?", match[2])
+        for place in (base, *(base / name for name in names)):
+            candidates = place.with_suffix(".py"), place / "__init__.py"
+            files += [c for c in candidates if c.is_file() and c != _ROOT / "__init__.py"]
+    return files
+
+
+@cache
+def _versions() -> str:
+    options = [getattr(config, name, None) for name in ("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT")]
+    return f"{sys.version} {numba.__version__} {version('llvmlite')} {version('numpy')} {options}"
+
+
+@cache
+def _digest_once(file: str) -> str | None:
+    """Return the digest of a module as it was when its first kernel was defined."""
+    try:
+        return source_digest(Path(file))
+    except OSError:  # no source on disk, as in a zip file
+        return None
+
+
+class _Reduced(caching.CompileResultCacheImpl):
+    """Numba's way of turning machine code into bytes and back."""
+
+    def __init__(self, function: Callable[..., object]) -> None:
+        self._lineno = function.__code__.co_firstlineno
+        self._locator = SimpleNamespace(_py_file=function.__code__.co_filename)
+
+
+class _KernelCache(caching.FunctionCache):
+    """Machine code of one kernel, a file for each signature and processor."""
+
+    def __init__(self, function: Callable[..., object]) -> None:
+        self._py_func = function
+        self._name = f"{function.__module__}.{function.__qualname__}"
+        self._digest = _digest_once(function.__code__.co_filename)
+        self._impl = _Reduced(function)
+        self.enable()
+
+    @property
+    def cache_path(self) -> str:
+        return str(cache_folder() / str(self._digest))
+
+    def _file(self, signature: object, codegen: Any) -> Path:
+        _, processor, code = self._index_key(signature, codegen)
+        # types are told by their text: their pickles differ from process to process
+        key = hashlib.sha256(repr((signature, processor, code)).encode()).hexdigest()[:16]
+        name = re.sub(r"[^\w.]", "", self._name)
+        return Path(self.cache_path) / f"{name}-{key}.nbc"
+
+    def load_overload(self, sig: object, target_context: Any) -> object:
+        target_context.refresh()
+        if self._enabled and self._digest is not None:
+            file = self._file(sig, target_context.codegen())
+            # whatever is wrong with the file, the kernel can be compiled
+            with suppress(Exception):
+                found = self._impl.rebuild(target_context, pickle.loads(file.read_bytes()))
+                _mark_used(file.parent)
+                return found
+        for listener in _listeners:
+            listener(self._name)
+        return None
+
+    def save_overload(self, sig: object, data: Any) -> None:
+        if not self._enabled or self._digest is None or not self._impl.check_cachable(data):
+            return
+        file = self._file(sig, data.codegen)
+        try:
+            if not file.parent.is_dir():
+                _delete_unused(file.parent.parent)
+                file.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as partial:
+                try:
+                    partial.write(dumps(self._impl.reduce(data)))
+                    partial.close()
+                    Path(partial.name).replace(file)
+                except BaseException:
+                    Path(partial.name).unlink(missing_ok=True)
+                    raise
+        except OSError as error:
+            _say_not_kept(str(error.strerror or error))
+
+    def flush(self) -> None:
+        shutil.rmtree(self.cache_path, ignore_errors=True)
+
+
+@cache
+def _mark_used(folder: Path) -> None:
+    with suppress(OSError):
+        os.utime(folder)
+
+
+def _delete_unused(folder: Path) -> None:
+    """Delete machine code that no process has used for long."""
+    if folder.is_dir():
+        for entry in folder.iterdir():
+            with suppress(OSError):
+                if time.time() - entry.stat().st_mtime > KEPT_UNUSED:
+                    shutil.rmtree(entry)
+
+
+@cache
+def _say_not_kept(why: str) -> None:
+    warnings.warn(
+        f"compiled kernels cannot be kept in {cache_folder()} ({why}), so each process compiles "
+        f"them anew; name a folder that can be written with {FOLDER_VARIABLE}",
+        KernelCacheWarning,
+        stacklevel=2,
+    )

@@ -20,7 +20,7 @@ __all__ = ["PLANNERS", "Plan", "PlanningProblem", "plan", "planners"]
 Planner = Callable[..., Plan]
 
 PLANNERS = {
-    "lattice": "energyplan.planning.lattice:plan",
+    "lattice": "energyplan.planning.lattice.planner:plan",
     "roadmap": "energyplan.planning.roadmap:plan",
     "rrtstar": "energyplan.planning.ompl:rrtstar",
     "informed_rrtstar": "energyplan.planning.ompl:informed_rrtstar",

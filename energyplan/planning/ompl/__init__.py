@@ -22,8 +22,8 @@ from typing_extensions import override
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, TimeLimitError, UnsupportedPlannerError
 from energyplan.path import Path
-from energyplan.planning import lattice
 from energyplan.planning.bound import lower_bound
+from energyplan.planning.lattice import planner as lattice
 from energyplan.planning.ompl.parts import (
     EnergyObjective,
     PoseChecker,

@@ -24,7 +24,7 @@ from typing_extensions import override
 from energyplan.errors import InvalidInputError, UnsupportedPlannerError
 from energyplan.path import FloatArray, Path
 from energyplan.planning.bound import lower_bound
-from energyplan.planning.lattice import compiled
+from energyplan.planning.lattice.planner import compiled
 from energyplan.planning.ompl.parts import (
     DirectedObjective,
     out_of_time,

@@ -19,7 +19,7 @@ from energyplan.errors import InvalidInputError, NoPathError, TimeLimitError
 from energyplan.path import Path, Pose, wrap_angle
 from energyplan.planning.bound import lower_bound
 from energyplan.planning.deadline import in_time
-from energyplan.planning.lattice import compiled
+from energyplan.planning.lattice.planner import compiled
 from energyplan.planning.lattice.refine import refine as refine_motions
 from energyplan.planning.lattice.search import cell_of, field_for
 from energyplan.planning.problem import Plan, PlanningProblem

@@ -26,7 +26,7 @@ from energyplan.mission import Mission, Task, evaluate
 from energyplan.output.interactive import energy_along
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, plan
-from energyplan.planning.lattice import energies
+from energyplan.planning.lattice.planner import energies
 from energyplan.planning.scene import motions as kernels
 from energyplan.planning.scene import slopes as _slopes
 from energyplan.planning.scene.compiled import Query

@@ -9,7 +9,7 @@ from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.path import Path
 from energyplan.planning import PlanningProblem, plan
-from energyplan.planning.lattice import energies
+from energyplan.planning.lattice.planner import energies
 from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.lattice.search import Search, field_for, inscribed, lattice_for
 from energyplan.planning.lattice.tight_ends import ease

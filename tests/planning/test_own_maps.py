@@ -15,7 +15,7 @@ from energyplan.io.maps import read_map
 from energyplan.planning import PlanningProblem, plan
 from energyplan.power import PowerModel
 
-FOLDER = Path(__file__).resolve().parents[1] / "maps"
+FOLDER = Path(__file__).resolve().parents[2] / "maps"
 
 # start and goal in the map's own frame, a bar across the way of least energy, and where that is
 CASES = {

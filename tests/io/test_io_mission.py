@@ -16,7 +16,7 @@ from energyplan.io.mission import read_mission
 from energyplan.mission import evaluate
 from energyplan.power import PowerModel
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 GOOD = """\
 name: round

@@ -17,7 +17,7 @@ from numpydoc.docscrape import FunctionDoc
 import energyplan
 from energyplan import errors
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def modules() -> list[str]:

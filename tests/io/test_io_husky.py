@@ -211,7 +211,7 @@ def test_parameters_agree_with_the_currents_of_spins_and_straights(shared_data, 
 @pytest.mark.shared
 @pytest.mark.parametrize("surface", ["FLOORING", "ICE"])
 def test_the_example_goes_from_raw_files_to_parameters(shared_data, surface, capsys):
-    example = Path(__file__).resolve().parents[1] / "examples" / "husky_log.py"
+    example = Path(__file__).resolve().parents[2] / "examples" / "husky_log.py"
     runpy.run_path(str(example))["main"](shared_data / "borealtc" / surface)
     told = capsys.readouterr().out
     for words in ("21.4 V per m/s", "mu  =", "K   =", "dead band", "see no direction"):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "gallery.md").read_text()
 EXAMPLES = sorted(file.name for file in (ROOT / "examples").iterdir() if file.is_file())
 SECTIONS = re.split(r"^#### ", PAGE, flags=re.MULTILINE)[1:]

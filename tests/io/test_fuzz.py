@@ -39,6 +39,7 @@ from hypothesis import strategies as st
 
 import energyplan as ep
 from energyplan import cli
+from energyplan.cli.common import parse_pose
 from energyplan.errors import EnergyPlanError
 
 MANY = int(os.environ.get("ENERGYPLAN_FUZZ", "0"))
@@ -262,14 +263,14 @@ def test_column_maps_and_poses_are_refused_by_name(text: str) -> None:
     with within_memory(), contextlib.suppress(EnergyPlanError):
         ep.DriveLog.read(folder() / "log.csv", columns=text)
     with contextlib.suppress(EnergyPlanError):
-        assert_no_nan(tuple(cli._pose(text)))
+        assert_no_nan(tuple(parse_pose(text)))
 
 
 def test_coverage_guided_inputs_are_refused_by_name(tmp_path: Path) -> None:
     """A short run of the nightly fuzzer, in a process of its own as it instruments the package."""
     if importlib.util.find_spec("atheris") is None:
         pytest.skip("atheris is not installed; it has packages for Linux on x86-64 alone")
-    script = Path(__file__).with_name("fuzz") / "parsers.py"
+    script = Path(__file__).parents[1] / "fuzz" / "parsers.py"
     done = subprocess.run(
         [sys.executable, str(script), "preset.yaml", "300", "--artifacts", str(tmp_path)],
         capture_output=True, text=True, check=False,

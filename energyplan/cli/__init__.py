@@ -1,0 +1,51 @@
+"""Command line: argument parsing only; every command is one library call."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from energyplan.cli import _fitting, _mission, _planning
+from energyplan.cli.common import INTERRUPTED, Json, answer, app, warn
+from energyplan.errors import EnergyPlanError, MissingDependencyError, TimeLimitError
+
+__all__ = ["app", "main"]
+
+_COMMANDS = (_fitting, _planning, _mission)
+"""Modules that register commands when they are imported."""
+
+
+@app.command(epilog="Example: energyplan demo --out demo")
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path("demo"),
+    json: Json = False,
+) -> None:
+    """Run the whole chain on input that comes with the library; makes pictures and a web page."""
+    from energyplan.demo import run
+
+    files = run(out, say=(lambda text: None) if json else warn)
+    names = [str(name) for name in files]
+    answer({"files": names}, [*names, f"open {out / 'index.html'} in a browser"], json=json)
+
+
+def main() -> None:
+    """Entry point: map errors to exit codes and one line on stderr."""
+    try:
+        code = app(standalone_mode=False) or 0
+    except (TimeLimitError, MissingDependencyError) as error:
+        code = _fail(str(error), 1)
+    except (EnergyPlanError, OSError) as error:
+        code = _fail(str(error), 2)
+    except typer.TyperException as error:
+        code = _fail(error.format_message(), error.exit_code)
+    if code == INTERRUPTED:  # typer turns Ctrl-C into an exit with this code
+        _fail("interrupted; files are as they were", code)
+    sys.exit(code)
+
+
+def _fail(message: str, code: int) -> int:
+    warn("energyplan: " + " ".join(message.split()))
+    return code

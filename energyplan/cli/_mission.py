@@ -1,0 +1,44 @@
+"""The command mission."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from energyplan.cli.common import (
+    Json,
+    Report,
+    Strict,
+    answer,
+    app,
+    progress,
+    verdict,
+)
+
+if TYPE_CHECKING:
+    pass
+
+
+@app.command(epilog="Example: energyplan mission mission_warehouse.yaml --report mission.html")
+def mission(
+    file: Annotated[Path, typer.Argument(help="Mission YAML file.")],
+    report: Report = None,
+    json: Json = False,
+    strict: Strict = False,
+) -> None:
+    """Budget a mission's battery, and flag the tasks that cannot be reached, with the reason."""
+    from energyplan.io.files import atomic_write
+    from energyplan.io.mission import read_mission
+    from energyplan.mission import evaluate
+    from energyplan.output import documents, text
+    from energyplan.output.pages import mission_page
+
+    asked = read_mission(file)
+    with progress("evaluating the mission"):
+        told = evaluate(asked)
+    if report:
+        atomic_write(report, mission_page(told).html())
+    answer(documents.mission(told), text.mission(told), json=json)
+    verdict(told.feasible, strict)

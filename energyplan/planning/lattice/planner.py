@@ -1,0 +1,392 @@
+"""The lattice planner: a first plan at once, better ones until time is over.
+
+1. A weighted search over position and heading, whose motions and whose last leg to the goal are
+   exact minimum-energy motions, finds a first path; shortcuts make it a first plan.
+2. A lower bound on every path's cost is computed.
+3. Rounds of searches, each with a guidance of its own, find further paths, and the paths race for
+   the time to be refined. Planning ends when time is over, the gap to the bound is closed, or
+   nothing is gained any more.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import InvalidInputError, PlanningError, TimeLimitError
+from energyplan.path import FloatArray, Path, Pose
+from energyplan.planning.bound import EFFORT, Bound, lower_bound
+from energyplan.planning.lattice import search_kernels as kernels
+from energyplan.planning.lattice.portfolio import Race
+from energyplan.planning.lattice.refine import Refiner
+from energyplan.planning.lattice.search import (
+    Search,
+    coarse_lattice,
+    field_for,
+    lattice_for,
+    no_field,
+    way_along,
+)
+from energyplan.planning.lattice.tight_ends import ease
+from energyplan.planning.problem import Plan, PlanningProblem, as_pose
+from energyplan.planning.scene.compiled import Query, Segments
+from energyplan.planning.scene.field import Field
+from energyplan.planning.scene.reachability import check_way, no_path
+from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
+
+logger = logging.getLogger(__name__)
+
+FIRST_WEIGHT = 2.0
+"""Weight of the search for the first path."""
+
+PENALTY = 8.0
+"""How much longer a tight place counts for that search."""
+
+
+class Guide(NamedTuple):
+    """What leads a search: the objective, the penalty on tight places, and the headings."""
+
+    penalty: float
+    aligned: bool = False
+    shortest: bool = False
+
+
+ROUNDS = (
+    (1.0, 2.0, (Guide(2.0, True),)),
+    (1.0, 1.2, (Guide(2.0), Guide(1.0, shortest=True))),
+    (1.0, 2.0, (Guide(1.0, True), Guide(4.0), Guide(1.0))),
+    (1.0, 1.5, (Guide(2.0, True), Guide(1.0, True), Guide(4.0), Guide(1.0, shortest=True))),
+    (1.0, 1.2, (Guide(2.0, True), Guide(1.0, True), Guide(8.0), Guide(2.0), Guide(1.0))),
+    (1.0, 1.0, (Guide(1.0, True), Guide(1.0))),
+    (0.5, 1.0, (Guide(1.0, True), Guide(1.0))),
+)
+"""Searches that follow, round by round: scale of the lattice, weight, and guides.
+
+No one guidance is best: a penalty that spares one problem its blind alleys hides from another the
+gap it should have taken.
+"""
+
+HASTE = 0.25
+"""Time below which the first round is left out [s]."""
+
+BUDGET = 2000
+"""Expansions of each search in the first round; twice as many in each round that follows."""
+
+STRIDE = 30_000
+"""Expansions of a search for many goals between two attempts to reach them."""
+
+PATIENCE = 3
+"""Refinements of the best path, after the last round, that may be in vain."""
+
+POLISH = 800
+"""Attempts at each path to one of many goals."""
+
+SEARCH_SHARE = 0.6
+"""Part of the time left after the first plan that the searches may take."""
+
+BOUND_SHARE = 0.1
+"""Part of that time for the bound, and once more where that did not bring it to its end."""
+
+MOST_LEFT = 60.0
+"""Time of which that part is taken at most [s]."""
+
+PACE = 6e8
+"""Steps of that search in a second."""
+
+
+def plan(
+    problem: PlanningProblem,
+    time_limit: float = 1.0,
+    *,
+    gap: float = 1e-3,
+    seed: int = 1,
+    initial: Iterable[Path] = (),
+) -> Plan:
+    """Plan on a lattice, and refine with exact steering.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        The problem.
+    time_limit : float
+        Time to plan [s]. What is done once comes on top: the compilation of the kernels at their
+        first use ever, and up to half a second for the prices of a cost that depends on speed.
+    gap : float
+        Planning ends early when the plan costs at most this fraction more than the lower bound.
+    seed : int
+        Seed of the random numbers of the refinement.
+    initial : iterable of Path
+        Paths from start to goal, already known; the plan costs no more than any of them that is
+        free of collisions.
+
+    Returns
+    -------
+    Plan
+        The best plan found.
+
+    Raises
+    ------
+    StartInCollisionError, GoalInCollisionError, OutsideMapError
+        If start or goal cannot be.
+    NoPathError
+        If no path exists, or none on the finest lattice.
+    TimeLimitError
+        If time was over before a first plan.
+    """
+    if not time_limit > 0:
+        raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
+    compiled()
+    begun = time.perf_counter()
+    query = Query(problem)
+    work = _Improvement(query, time_limit, gap, seed)
+    known = query.drivable(initial)
+    for path in known:
+        work.offer_path(path)
+    work.first_plan()
+    first = time.perf_counter()
+    work.round_hills()
+    work.improve()
+    try:
+        path = query.path(work.race.best)
+    except PlanningError:
+        eased = ease(query)
+        if eased is None:
+            raise
+        inner = plan(eased.problem, time_limit, gap=gap, seed=seed)
+        path = min([eased.whole(inner.path), *known], key=query.objective.path)
+    return query.plan(path, work.bound, begun, first, "lattice")
+
+
+def energies(
+    problem: PlanningProblem, goals: ArrayLike, time_limit: float = 10.0, *, refined: bool = True
+) -> FloatArray:
+    """Return the cost from the problem's start to each of many goals, from a single search.
+
+    One search without a goal reaches everything within the cost of the farthest goal, on a lattice
+    half as coarse again. Each goal is joined to it exactly, and the path is refined a little. The
+    costs are those of drivable paths, close to the least and never below it.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        The problem; its goal does not matter.
+    goals : array_like, shape (n, 3)
+        Goals: x, y [m], yaw [rad].
+    time_limit : float
+        Time for the search [s].
+    refined : bool
+        Whether to refine the paths.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Costs in the unit of the objective [J for energy]; infinite where no path was found.
+
+    Raises
+    ------
+    StartInCollisionError, GoalInCollisionError, OutsideMapError
+        If start or a goal cannot be; the message names the pose.
+    InvalidInputError
+        If the goals have another shape.
+    """
+    rows = np.asarray(goals, float)
+    if rows.ndim != 2 or rows.shape[1] != 3:
+        raise InvalidInputError(f"goals have shape {rows.shape}; give rows of x, y, yaw")
+    out = np.full(len(rows), np.inf)
+    if len(rows) == 0:
+        return out
+    query = Query(problem)
+    settings = []
+    for row in rows:
+        goal = as_pose(row, "a goal")
+        replace(problem, goal=goal).check_poses(query.grid)
+        centre = query.centre(goal)
+        settings.append(
+            query.setting._replace(goal_x=centre.x, goal_y=centre.y, goal_yaw=centre.yaw)
+        )
+    lattice = coarse_lattice(query.setting)
+    search = Search(query.setting, no_field(), lattice, 0.0, aligned=True)
+    deadline = time.perf_counter() + time_limit
+    missing = list(range(len(rows)))
+    status = kernels.RUNNING
+    while missing and status == kernels.RUNNING and time.perf_counter() < deadline:
+        status = search.run(deadline, stop_at_first=False, expansions=STRIDE)
+        reached = search.frontier
+        for k in missing.copy():
+            cost, node = search.attach(settings[k])
+            # nothing that is still open can better it by more than the lattice is coarse
+            if cost <= reached or (np.isfinite(cost) and status != kernels.RUNNING):
+                missing.remove(k)
+                out[k] = cost
+                if refined:
+                    refiner = Refiner(settings[k], search.segments(settings[k], node))
+                    refiner.shortcut()
+                    refiner.polish(np.inf, most=POLISH)
+                    out[k] = refiner.cost
+                out[k] += query.potential(as_pose(rows[k], "a goal"))
+    return out
+
+
+@cache
+def compiled() -> None:
+    """Compile the kernels, or load them from disk, so that no time limit pays for it.
+
+    The first use ever takes about half a minute and says so in the log; later ones a second.
+    """
+    logger.info("compiling the planning kernels, once; the next process finds them on disk")
+    occupied = np.zeros((24, 48), bool)
+    occupied[:14, 22:26] = True
+    cost = EnergyCost.from_coefficients(200.0, 100.0, 0.2)
+    hall = OccupancyGrid(occupied, 0.1)
+    ground = SurfaceMap((Surface(shapely.box(1.0, 1.0, 2.0, 2.0), cost.model),))
+    task = PlanningProblem(hall, cost, Pose(0.8, 0.8, 0.0), Pose(4.0, 0.8, 0.0), ground)
+    work = _Improvement(Query(task), np.inf, 0.0, 1)
+    work.first_plan()
+    work.raise_bound()
+    work.race.run(np.inf, 0.0)
+    work.race.finish(np.inf, 0.0)
+    way_along(work.setting, work.fields[PENALTY])
+
+
+class _Improvement:
+    """The best motions so far, and how to better them."""
+
+    def __init__(self, query: Query, time_limit: float, gap: float, seed: int) -> None:
+        self.query = query
+        self.setting = query.setting
+        self.deadline = time.perf_counter() + time_limit
+        self.gap = gap
+        self.race = Race(self.setting, seed)
+        self.fields = {PENALTY: field_for(self.setting, PENALTY)}
+        self.searches: list[tuple[Search, float]] = []
+        self._bound = Bound(0.0, False)
+
+    @property
+    def bound(self) -> float:
+        """Lower bound on the cost of every path."""
+        return self._bound.value
+
+    @property
+    def cost(self) -> float:
+        """Cost of the best path so far."""
+        return self.race.cost
+
+    @property
+    def done(self) -> bool:
+        """Whether to stop."""
+        return self.cost <= self.enough or time.perf_counter() >= self.deadline
+
+    @property
+    def enough(self) -> float:
+        """Cost at which the gap is closed."""
+        return self.bound * (1.0 + self.gap)
+
+    def offer_path(self, path: Path) -> None:
+        """Take a path that somebody else made, and that can be driven from start to goal."""
+        lateral = self.query.problem.cost.icr.centre[1]
+        self.race.enter(Segments(path.ds - lateral * path.dtheta, path.dtheta))
+
+    def first_plan(self) -> None:
+        """Find a first path, on finer lattices where the first one has none."""
+        field = self.fields[PENALTY]
+        start = Search(self.setting, field, lattice_for(self.setting), FIRST_WEIGHT)
+        if not np.isfinite(start.tree.h[0]):
+            check_way(self.query)
+        if np.isfinite(self.cost):
+            return
+        for scale in (1.0, 0.5, 0.25):
+            search = Search(self.setting, field, lattice_for(self.setting, scale), FIRST_WEIGHT)
+            status = kernels.RUNNING
+            if time.perf_counter() < self.deadline:
+                status = search.run(self.deadline, stop_at_first=True)
+            if search.found:
+                self.race.enter(search.segments())
+                return
+            if status != kernels.EXHAUSTED:
+                x, y = search.nearest
+                raise TimeLimitError(
+                    f"no path was found in time: {int(search.tree.counts[2])} places were "
+                    f"searched in cells of {search.lattice.cell:.3g} m, the one nearest to the "
+                    f"goal at ({x:.2f}, {y:.2f}); give more time_limit"
+                )
+        why = f"none was found in cells of {search.lattice.cell:.3g} m"
+        raise no_path(self.query, why, search.nearest)
+
+    def improve(self) -> None:
+        """Make the path cheaper until time is over, the gap is closed, or nothing is gained."""
+        now = time.perf_counter()
+        left = max(self.deadline - now, 0.0)
+        # what is found must be refined before the deadline
+        until = now + SEARCH_SHARE * left
+        kept = BOUND_SHARE * min(left, MOST_LEFT)
+        self.raise_bound(PACE * kept)
+        if not self._bound.final:
+            self.deadline -= kept
+        for number, (scale, weight, guides) in enumerate(ROUNDS):
+            if number == 0 and left < HASTE:
+                continue
+            budget = BUDGET << number
+            self.race.run(until, self.enough)
+            pending, self.searches = self.searches, []
+            for search, known in pending:
+                if time.perf_counter() < until and not self.done:
+                    self._advance(search, known, until, budget)
+            for guide in guides:
+                if time.perf_counter() < until and not self.done:
+                    self._advance(self._search(scale, weight, guide), np.inf, until, budget)
+        self.race.run(self.deadline, self.enough)
+        self.race.finish(self.deadline, self.enough)
+        gains = True
+        while gains and not self.done:
+            before = self.cost
+            self.race.again(self.deadline, self.enough)
+            gains = self.race.rounds <= PATIENCE or self.cost <= before * (1 - 1e-5)
+        if not self._bound.final and self.cost > self.enough:
+            self.raise_bound(PACE * kept)
+
+    def raise_bound(self, effort: float = EFFORT) -> None:
+        """Search for a better lower bound; what is known of the best cost makes that easier."""
+        value, final = lower_bound(self.query, self.cost, effort)
+        self._bound = Bound(max(value, self.bound), final)
+
+    def round_hills(self) -> None:
+        """Enter the ways that the fields know: a search is slow to leave the straight way."""
+        if self.setting.hills.bins == 1:
+            return
+        for penalty in (1.0, PENALTY):
+            way = way_along(self.setting, self._field(penalty))
+            if way is not None:
+                self.race.enter(way)
+
+    def _field(self, penalty: float) -> Field:
+        """Return the distance to go, with tight places counted longer."""
+        if penalty not in self.fields:
+            self.fields[penalty] = field_for(self.setting, penalty)
+        return self.fields[penalty]
+
+    def _search(self, scale: float, weight: float, guide: Guide) -> Search:
+        """Return a search that has yet to begin."""
+        field = self._field(guide.penalty)
+        setting = self.setting
+        if guide.shortest:
+            setting = Query(replace(self.query.problem, objective="length")).setting
+        lattice = lattice_for(setting, scale)
+        return Search(setting, field, lattice, weight, aligned=guide.aligned)
+
+    def _advance(self, search: Search, known: float, until: float, budget: int) -> None:
+        """Run a search for a while; enter what it finds in the race."""
+        status = search.run(until, search.weight >= FIRST_WEIGHT, budget)
+        found = float(search.tree.best[0])
+        if found < known:
+            self.race.enter(search.segments())
+        if status == kernels.RUNNING:
+            self.searches.append((search, found))
