@@ -22,7 +22,7 @@ from energyplan.mission.energy import Estimate, Grounds, Regions
 from energyplan.mission.types import Mission
 from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
 from energyplan.planning import PlanningProblem, plan
-from energyplan.planning.scene.compiled import Query
+from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
 
@@ -197,7 +197,7 @@ class Legs:
         problem = PlanningProblem(
             mission.map, cost, here, here, surfaces=surfaces, heights=mission.heights
         )
-        query = Query(problem)
+        query = CompiledProblem(problem)
         poses = np.array(self.poses)
         turn = np.abs(wrap_angle(poses[:, None, 2] - poses[None, :, 2]))
         # the prices hold for the centre of the tread ICRs, the ways for the vehicle's origin

@@ -13,7 +13,7 @@ from energyplan import html
 from energyplan.errors import InvalidInputError
 from energyplan.path import FloatArray
 from energyplan.planning import Plan, PlanningProblem, plan
-from energyplan.planning.scene.compiled import Query
+from energyplan.planning.scene.compiled import CompiledProblem
 
 SHARES = (0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 """Values of a second that are tried, in units of the power of the drive of least energy."""
@@ -191,7 +191,7 @@ def pareto(
 
 def _driven(task: PlanningProblem, known: Plan) -> Plan:
     """Return the plan of a known path, driven at the speeds of another problem."""
-    again = Query(task).plan(known.path, np.inf, 0.0, 0.0, known.planner)
+    again = CompiledProblem(task).plan(known.path, np.inf, 0.0, 0.0, known.planner)
     return replace(again, planning_time=known.planning_time, first_time=known.first_time)
 
 

@@ -15,7 +15,7 @@ from energyplan.planning.bound import DETAILS, lower_bound, outline
 from energyplan.planning.bound import corners as kernels
 from energyplan.planning.bound.corners import HEADINGS, Rates, line_open
 from energyplan.planning.bound.surface_excess import least_excess, least_steps, metre_excess
-from energyplan.planning.scene.compiled import Query
+from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 from energyplan.terrain.collision import Body
@@ -82,7 +82,7 @@ def test_no_path_beats_the_bound(seed):
             continue
         assert found.lower_bound <= found.energy
         # the bound does not depend on what is known: asked afresh it is no higher than the plan
-        query = Query(PlanningProblem(grid, COST, start, goal))
+        query = CompiledProblem(PlanningProblem(grid, COST, start, goal))
         assert lower_bound(query, 2 * found.energy).value <= found.energy * (1 + 1e-9)
         assert float(steering.energy(start, goal, COST)) <= found.lower_bound * (1 + 1e-9)
 
@@ -204,7 +204,7 @@ def two_grounds(area, cheap="quadriga:empty:marble", grid=None):
 def test_a_dear_strip_that_must_be_crossed_is_charged():
     strip = shapely.difference(shapely.box(-1, -1, 21, 11), shapely.box(8, -2, 12, 12))
     problem = two_grounds(strip)
-    query = Query(problem)
+    query = CompiledProblem(problem)
     per_metre = float(metre_excess(query)[0])
     marble = EnergyCost(PowerModel.preset("quadriga:empty:marble"))
     assert per_metre == pytest.approx(
@@ -219,17 +219,17 @@ def test_a_dear_strip_that_must_be_crossed_is_charged():
 
 def test_a_dear_strip_with_a_way_around_it_is_not_charged():
     around = shapely.difference(shapely.box(-1, -1, 21, 11), shapely.box(8, -2, 12, 7))
-    assert least_excess(Query(two_grounds(around)), 0.3, 1e6) == 0.0
+    assert least_excess(CompiledProblem(two_grounds(around)), 0.3, 1e6) == 0.0
     # unless the way around is blocked
     occupied = np.zeros((100, 200), bool)
     occupied[70:, 80:120] = True
     problem = two_grounds(around, grid=OccupancyGrid(occupied, 0.1))
-    assert least_excess(Query(problem), 0.3, 1e6) > 100
+    assert least_excess(CompiledProblem(problem), 0.3, 1e6) > 100
 
 
 def test_cells_are_joined_on_large_maps(monkeypatch):
     strip = shapely.difference(shapely.box(-1, -1, 21, 11), shapely.box(8, -2, 12, 12))
-    query = Query(two_grounds(strip))
+    query = CompiledProblem(two_grounds(strip))
     fine = least_excess(query, 0.3, 1e6)
     monkeypatch.setattr("energyplan.planning.bound.surface_excess.MOST_CELLS", 5000)
     coarse = least_excess(query, 0.3, 1e6)
@@ -272,7 +272,7 @@ def test_no_path_over_surfaces_beats_the_bound(seed):
             found = plan(problem, time_limit=0.5, gap=0.0)
         except (NoPathError, TimeLimitError):
             continue
-        query = Query(problem)
+        query = CompiledProblem(problem)
         assert lower_bound(query, 1.5 * found.energy).value <= found.energy * (1 + 1e-9)
         raised += least_excess(query, 0.3, found.energy) > 0
     assert raised
@@ -295,7 +295,7 @@ def test_no_path_of_a_small_robot_beats_the_bound(seed):
             found = plan(problem, time_limit=0.4, gap=0.0)
         except (NoPathError, TimeLimitError):
             continue
-        bound = lower_bound(Query(problem), 1.5 * found.energy)
+        bound = lower_bound(CompiledProblem(problem), 1.5 * found.energy)
         assert bound.value <= found.energy * (1 + 1e-9)
         compared += 1
     assert compared > 4
@@ -322,7 +322,7 @@ def test_a_turn_the_other_way_beside_a_corner_is_not_overlooked():
     path = Path(Pose(0.0, 0.0, 0.0), [leg, 0.0, -leg], [0.0, turn, 0.0])
     assert grid.path_free(path, cost.vehicle)
     problem = PlanningProblem(grid, cost, path.start, path.end)
-    bound = lower_bound(Query(problem), 5000.0)
+    bound = lower_bound(CompiledProblem(problem), 5000.0)
     assert bound.value <= cost.energy(path)
     assert bound.value > 0.97 * cost.energy(path)
 
@@ -330,7 +330,7 @@ def test_a_turn_the_other_way_beside_a_corner_is_not_overlooked():
 def test_the_coarser_outline_gives_a_bound_too(monkeypatch):
     grid = cluttered(3)
     start, goal = free_poses(grid, 2, 3, COST.vehicle)
-    query = Query(PlanningProblem(grid, COST, start, goal))
+    query = CompiledProblem(PlanningProblem(grid, COST, start, goal))
     fine = lower_bound(query, 1e5).value
     monkeypatch.setattr("energyplan.planning.bound.DETAILS", DETAILS[1:])
     coarse = lower_bound(query, 1e5).value
@@ -342,7 +342,7 @@ def test_little_effort_gives_a_lower_bound_and_says_so():
     poses = free_poses(grid, 8, 1, COST.vehicle)
     unfinished = 0
     for start, goal in zip(poses[::2], poses[1::2], strict=True):
-        query = Query(PlanningProblem(grid, COST, start, goal))
+        query = CompiledProblem(PlanningProblem(grid, COST, start, goal))
         whole, part = lower_bound(query, 1e5, np.inf), lower_bound(query, 1e5, 1e4)
         assert whole.final
         assert part.value <= whole.value

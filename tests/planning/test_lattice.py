@@ -15,7 +15,7 @@ from energyplan.planning.lattice.search import Search, field_for, inscribed, lat
 from energyplan.planning.lattice.tight_ends import ease
 from energyplan.planning.scene import field as field_kernels
 from energyplan.planning.scene import motions as motion_kernels
-from energyplan.planning.scene.compiled import MARGIN, Query, Segments, merged
+from energyplan.planning.scene.compiled import MARGIN, CompiledProblem, Segments, merged
 from energyplan.power import HOTEL, PowerModel
 from energyplan.terrain import OccupancyGrid
 
@@ -34,7 +34,7 @@ def room(width=10.0, height=10.0, resolution=0.1):
 
 
 def test_prices_are_those_of_the_cost():
-    query = Query(PlanningProblem(room(), COST, (2, 5, 0), (8, 5, 0)))
+    query = CompiledProblem(PlanningProblem(room(), COST, (2, 5, 0), (8, 5, 0)))
     rng = np.random.default_rng(0)
     for ds, dtheta in rng.normal(size=(200, 2)):
         kernel = motion_kernels.price(query.prices, 0, COST.half_track, ds, dtheta)
@@ -45,7 +45,7 @@ def test_prices_are_those_of_the_cost():
 
 def test_curved_prices_are_tabulated_closely_and_never_below():
     cost = EnergyCost(MODEL.with_term(HOTEL, 80.0))
-    query = Query(PlanningProblem(room(), cost, (2, 5, 0), (8, 5, 0)))
+    query = CompiledProblem(PlanningProblem(room(), cost, (2, 5, 0), (8, 5, 0)))
     rng = np.random.default_rng(0)
     for ds, dtheta in rng.normal(size=(200, 2)):
         kernel = motion_kernels.price(query.prices, 0, cost.half_track, ds, dtheta)
@@ -122,7 +122,7 @@ def test_search_returns_free_motions_of_the_cost_it_reports(weight):
     grid = cluttered(4)
     poses = free_poses(grid, 6, 11, COST.vehicle)
     for start, goal in zip(poses[::2], poses[1::2], strict=True):
-        query = Query(PlanningProblem(grid, COST, start, goal))
+        query = CompiledProblem(PlanningProblem(grid, COST, start, goal))
         search = Search(query.setting, field_for(query.setting), lattice_for(query.setting), weight)
         search.run(np.inf, stop_at_first=weight > 1, expansions=60_000)
         if not search.found:
@@ -136,7 +136,7 @@ def test_search_survives_growing_its_arrays():
     # an island that cannot be left keeps the search busy until everything is searched
     grid = cluttered(4)
     start, goal = free_poses(grid, 2, 11, COST.vehicle)
-    query = Query(PlanningProblem(grid, COST, start, goal))
+    query = CompiledProblem(PlanningProblem(grid, COST, start, goal))
     search = Search(query.setting, field_for(query.setting), lattice_for(query.setting, 0.5), 1.0)
     search.tree.best[0] = np.inf
     before = len(search.tree.x)
@@ -153,7 +153,7 @@ def test_search_survives_growing_its_arrays():
 def test_refinement_only_ever_improves(seed):
     grid = cluttered(seed)
     start, goal = free_poses(grid, 4, seed + 20, COST.vehicle)[:2]
-    query = Query(PlanningProblem(grid, COST, start, goal))
+    query = CompiledProblem(PlanningProblem(grid, COST, start, goal))
     search = Search(query.setting, field_for(query.setting), lattice_for(query.setting), 2.0)
     search.run(np.inf, stop_at_first=True, expansions=200_000)
     assert search.found
@@ -188,7 +188,7 @@ def test_margin_exceeds_the_tolerance_of_the_collision_kernels():
 
 
 def test_inscribed_disc_fits_the_footprint():
-    query = Query(PlanningProblem(room(), COST, (2, 5, 0), (8, 5, 0)))
+    query = CompiledProblem(PlanningProblem(room(), COST, (2, 5, 0), (8, 5, 0)))
     assert inscribed(query.setting) == pytest.approx(0.32 + MARGIN * 0.1)
 
 
@@ -248,7 +248,7 @@ def test_ends_that_almost_touch_are_left_with_room(spare):
     y = 1.0 + 0.32 + spare
     for yaw in (0.0, np.pi):
         problem = PlanningProblem(grid, COST, (2.0, y, 0.0), (8.0, y, yaw))
-        query = Query(problem)
+        query = CompiledProblem(problem)
         assert not query.roomy(problem.start)
         found = plan(problem, time_limit=0.5)
         assert grid.path_free(found.path, problem.robot)

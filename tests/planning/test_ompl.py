@@ -6,7 +6,7 @@ from energyplan.errors import TimeLimitError, UnknownNameError, UnsupportedPlann
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import ompl as adapter
-from energyplan.planning.scene.compiled import Query
+from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 
@@ -46,7 +46,7 @@ def test_geometric_planners_return_free_paths_priced_by_the_model(name):
 
 
 def test_objective_is_directed_additive_and_its_heuristic_admissible():
-    query = Query(PROBLEM)
+    query = CompiledProblem(PROBLEM)
     space = adapter.pose_space(query)
     information = base.SpaceInformation(space)
     objective = adapter.EnergyObjective(information, query)
@@ -62,7 +62,7 @@ def test_objective_is_directed_additive_and_its_heuristic_admissible():
 
 
 def test_validator_agrees_with_the_map():
-    query = Query(PROBLEM)
+    query = CompiledProblem(PROBLEM)
     space = adapter.pose_space(query)
     information = base.SpaceInformation(space)
     validator = adapter.SteeringValidator(information, query)

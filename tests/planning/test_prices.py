@@ -12,7 +12,7 @@ from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem
-from energyplan.planning.scene.compiled import Query
+from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.prices import TIE_BREAK, Prices
 from energyplan.power import HOTEL, PowerModel
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
@@ -31,7 +31,7 @@ def test_motions_add_up_to_the_cost_of_the_plan(cost, objective):
     rng = np.random.default_rng(31)
     path = Path(Pose(5, 5, 0), *rng.normal(0, 0.3, (2, 12)), cost.icr.longitudinal)
     room = OccupancyGrid(np.zeros((100, 100), bool), 0.1)
-    query = Query(PlanningProblem(room, cost, path.start, path.end, objective=objective))
+    query = CompiledProblem(PlanningProblem(room, cost, path.start, path.end, objective=objective))
     found = query.plan(path, 0.0, 0.0, 0.0, "none")
     prices = Prices(cost, objective=objective)
     assert prices.motion(path.ds, path.dtheta).sum() == pytest.approx(found.cost, rel=1e-6)

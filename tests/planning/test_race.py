@@ -7,7 +7,7 @@ from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.lattice import search_kernels as kernels
 from energyplan.planning.lattice.portfolio import Race
 from energyplan.planning.lattice.search import Search, field_for, lattice_for
-from energyplan.planning.scene.compiled import Query, Segments
+from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.motions import free_energy
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
@@ -26,7 +26,7 @@ def walls(gap=0.7):
 
 
 def query(grid, start=(1.2, 3.1, 0.1), goal=(8.6, 2.0, -0.7)):
-    return Query(PlanningProblem(grid, COST, start, goal))
+    return CompiledProblem(PlanningProblem(grid, COST, start, goal))
 
 
 def searched(asked, aligned, weight=1.5):

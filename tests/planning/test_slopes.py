@@ -29,7 +29,7 @@ from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.lattice.planner import energies
 from energyplan.planning.scene import motions as kernels
 from energyplan.planning.scene import slopes as _slopes
-from energyplan.planning.scene.compiled import Query
+from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import GRADE, VISCOUS_LOSS, reads_slope, term, with_weight
 from energyplan.studies.comparison import compare
@@ -132,7 +132,7 @@ def test_nothing_comes_back_and_a_gentle_descent_still_saves():
 def test_level_heights_change_nothing():
     problem = PlanningProblem(HALL, EnergyCost(MODEL), (2, 3, 0), (13, 9, 1.5))
     flat = replace(problem, heights=plane(0.0, 0.0))
-    assert Query(flat).setting.hills is kernels.LEVEL
+    assert CompiledProblem(flat).setting.hills is kernels.LEVEL
     assert plan(flat).energy == pytest.approx(plan(problem).energy, rel=1e-9)
 
 
@@ -178,7 +178,7 @@ def test_prices_are_those_of_the_models(icr, back):
     """Kernel, its plain twin, and the height map agree; no price falls below the bounds."""
     cost = at_battery(replace(MODEL, vehicle=MODEL.vehicle.with_icr(icr)), 0.8, back)
     ground = hills(3, 0.25)
-    query = Query(PlanningProblem(HALL, cost, (2, 2, 0), (12, 9, 0), heights=ground))
+    query = CompiledProblem(PlanningProblem(HALL, cost, (2, 2, 0), (12, 9, 0), heights=ground))
     setting, static = query.setting, query.steering
     worth = query.worth(Pose(3, 4, 0.2)) / ground.height(
         (3 + icr.longitudinal * np.cos(0.2), 4 + icr.longitudinal * np.sin(0.2))
@@ -269,7 +269,7 @@ def test_plans_lie_between_the_bound_and_an_exhaustive_search(seed):
     problem = PlanningProblem(
         yard, at_battery(), (2, 2, 0), (8, 7, np.pi / 2), heights=hills(seed, 1.2)
     )
-    query = Query(problem)
+    query = CompiledProblem(problem)
     worth = query.worth(Pose(3, 4, 0)) / float(problem.heights.height((3, 4)))
     least = exhaustive(problem, worth) + query.potential(problem.goal)
     found = plan(problem, time_limit=2.0)
@@ -394,8 +394,10 @@ def test_steep_ground_that_the_robot_cannot_reach_does_not_count():
     blocked = np.zeros((120, 160), bool)
     blocked[:, 98:] = True
     problem = PlanningProblem(HALL, EnergyCost(MODEL), (2, 3, 0), (6, 6, 0), heights=heights)
-    assert Query(problem).steepest == pytest.approx((8 + 0.02) / 0.5)
-    assert Query(replace(problem, map=OccupancyGrid(blocked, 0.1))).steepest == pytest.approx(0.04)
+    assert CompiledProblem(problem).steepest == pytest.approx((8 + 0.02) / 0.5)
+    assert CompiledProblem(
+        replace(problem, map=OccupancyGrid(blocked, 0.1))
+    ).steepest == pytest.approx(0.04)
 
 
 @pytest.mark.parametrize("planner", ["roadmap", "control_rrt"])

@@ -20,8 +20,8 @@ from energyplan.path import FloatArray
 from energyplan.planning.bound.corners import Corners, Rates, least_over_corners
 from energyplan.planning.bound.surface_excess import least_excess
 from energyplan.planning.lattice.search import inscribed
-from energyplan.planning.scene.compiled import MARGIN, Query
-from energyplan.planning.scene.motions import Setting, free_energy
+from energyplan.planning.scene.compiled import MARGIN, CompiledProblem
+from energyplan.planning.scene.motions import KernelProblem, free_energy
 from energyplan.terrain import OccupancyGrid
 from energyplan.terrain.collision import Body
 
@@ -165,12 +165,12 @@ class Bound(NamedTuple):
     final: bool
 
 
-def lower_bound(query: Query, cost: float, effort: float = EFFORT) -> Bound:
+def lower_bound(query: CompiledProblem, cost: float, effort: float = EFFORT) -> Bound:
     """Return a lower bound on the cost of every path from start to goal.
 
     Parameters
     ----------
-    query : Query
+    query : CompiledProblem
         The problem.
     cost : float
         Cost of a path that is known: the bound need not be better.
@@ -196,7 +196,7 @@ def lower_bound(query: Query, cost: float, effort: float = EFFORT) -> Bound:
 
 def _among_obstacles(
     grid: OccupancyGrid,
-    setting: Setting,
+    setting: KernelProblem,
     radius: float,
     free: float,
     cost: float,

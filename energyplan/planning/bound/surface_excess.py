@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from energyplan.compilation import njit
 from energyplan.path import FloatArray
-from energyplan.planning.scene.compiled import Query
+from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.field import pop, push
 from energyplan.terrain import OccupancyGrid, SurfaceMap
 
@@ -27,7 +27,7 @@ _cells: WeakKeyDictionary[OccupancyGrid, tuple[SurfaceMap, NDArray[np.intp]]]
 _cells = WeakKeyDictionary()
 
 
-def metre_excess(query: Query) -> FloatArray:
+def metre_excess(query: CompiledProblem) -> FloatArray:
     """Return by how much a metre on each class of surface exceeds one on the cheapest, at least.
 
     Beside it every radian costs what it costs at least anywhere.
@@ -40,12 +40,12 @@ def metre_excess(query: Query) -> FloatArray:
     return np.asarray(np.maximum(metre.min(axis=(1, 2)) - query.least.metre, 0.0))
 
 
-def least_excess(query: Query, radius: float, limit: float) -> float:
+def least_excess(query: CompiledProblem, radius: float, limit: float) -> float:
     """Return a lower bound on what dear surfaces add to the cost of every path.
 
     Parameters
     ----------
-    query : Query
+    query : CompiledProblem
         The problem.
     radius : float
         Radius of the disc that keeps clear of obstacles [m].

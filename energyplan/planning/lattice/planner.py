@@ -38,7 +38,7 @@ from energyplan.planning.lattice.search import (
 )
 from energyplan.planning.lattice.tight_ends import ease
 from energyplan.planning.problem import Plan, PlanningProblem, as_pose
-from energyplan.planning.scene.compiled import Query, Segments
+from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.field import Field
 from energyplan.planning.scene.reachability import check_way, no_path
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
@@ -146,7 +146,7 @@ def plan(
         raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
     compiled()
     begun = time.perf_counter()
-    query = Query(problem)
+    query = CompiledProblem(problem)
     work = _Improvement(query, time_limit, gap, seed)
     known = query.drivable(initial)
     for path in known:
@@ -204,7 +204,7 @@ def energies(
     out = np.full(len(rows), np.inf)
     if len(rows) == 0:
         return out
-    query = Query(problem)
+    query = CompiledProblem(problem)
     settings = []
     for row in rows:
         goal = as_pose(row, "a goal")
@@ -249,7 +249,7 @@ def compiled() -> None:
     hall = OccupancyGrid(occupied, 0.1)
     ground = SurfaceMap((Surface(shapely.box(1.0, 1.0, 2.0, 2.0), cost.model),))
     task = PlanningProblem(hall, cost, Pose(0.8, 0.8, 0.0), Pose(4.0, 0.8, 0.0), ground)
-    work = _Improvement(Query(task), np.inf, 0.0, 1)
+    work = _Improvement(CompiledProblem(task), np.inf, 0.0, 1)
     work.first_plan()
     work.raise_bound()
     work.race.run(np.inf, 0.0)
@@ -260,7 +260,7 @@ def compiled() -> None:
 class _Improvement:
     """The best motions so far, and how to better them."""
 
-    def __init__(self, query: Query, time_limit: float, gap: float, seed: int) -> None:
+    def __init__(self, query: CompiledProblem, time_limit: float, gap: float, seed: int) -> None:
         self.query = query
         self.setting = query.setting
         self.deadline = time.perf_counter() + time_limit
@@ -378,7 +378,7 @@ class _Improvement:
         field = self._field(guide.penalty)
         setting = self.setting
         if guide.shortest:
-            setting = Query(replace(self.query.problem, objective="length")).setting
+            setting = CompiledProblem(replace(self.query.problem, objective="length")).setting
         lattice = lattice_for(setting, scale)
         return Search(setting, field, lattice, weight, aligned=guide.aligned)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.scene.compiled import Segments
-from energyplan.planning.scene.motions import Setting
+from energyplan.planning.scene.motions import KernelProblem
 
 HEAT = 400
 """Attempts at a path in one heat."""
@@ -30,13 +30,13 @@ class Race:
 
     Parameters
     ----------
-    setting : Setting
+    setting : KernelProblem
         The problem.
     seed : int
         Seed of the random numbers of the refinement.
     """
 
-    def __init__(self, setting: Setting, seed: int) -> None:
+    def __init__(self, setting: KernelProblem, seed: int) -> None:
         self.setting = setting
         self.best = Segments(np.empty(0), np.empty(0))
         self.cost = np.inf

@@ -13,8 +13,8 @@ import numpy as np
 
 from energyplan.path import Path, Pose
 from energyplan.planning.lattice import refine_kernels as kernels
-from energyplan.planning.scene.compiled import Query, Segments, merged
-from energyplan.planning.scene.motions import Setting
+from energyplan.planning.scene.compiled import CompiledProblem, Segments, merged
+from energyplan.planning.scene.motions import KernelProblem
 from energyplan.steering.kernels import MAX_SEGMENTS
 
 POSES = 60
@@ -29,7 +29,7 @@ class Refiner:
 
     Parameters
     ----------
-    setting : Setting
+    setting : KernelProblem
         The problem.
     segments : Segments
         Motions from the start to the goal, free of collisions.
@@ -37,7 +37,7 @@ class Refiner:
         Seed of the random numbers.
     """
 
-    def __init__(self, setting: Setting, segments: Segments, seed: int = 1) -> None:
+    def __init__(self, setting: KernelProblem, segments: Segments, seed: int = 1) -> None:
         self.setting = setting
         self._state = np.array([0x9E3779B97F4A7C15 ^ (seed * 0x2545F4914F6CDD1D % 2**63)], "u8")
         self._load(segments)
@@ -131,12 +131,12 @@ class Refiner:
                 break
 
 
-def refine(query: Query, segments: Segments, deadline: float, seed: int = 1) -> Segments:
+def refine(query: CompiledProblem, segments: Segments, deadline: float, seed: int = 1) -> Segments:
     """Return cheaper motions from the start to the goal.
 
     Parameters
     ----------
-    query : Query
+    query : CompiledProblem
         The problem.
     segments : Segments
         Motions from the start to the goal, free of collisions.

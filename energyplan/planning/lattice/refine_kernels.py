@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.compilation import njit
-from energyplan.planning.scene.motions import Setting, join, motion_cost
+from energyplan.planning.scene.motions import KernelProblem, join, motion_cost
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy
 
 SMALLEST, LARGEST = 1e-4, 1.0
@@ -46,7 +46,7 @@ class Chain(NamedTuple):
 
 
 @njit
-def shortcut(chain: Chain, setting: Setting, count: int, reach: int) -> int:
+def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int) -> int:
     """Keep those poses only by which the chain is cheapest, and return their number.
 
     Dynamic programming over all pairs of poses at most `reach` apart in the chain; `cost` of the
@@ -123,7 +123,7 @@ def _random(state: NDArray[np.uint64]) -> float:
 
 @njit
 def _join_poses(
-    setting: Setting,
+    setting: KernelProblem,
     a: NDArray[np.float64],
     b: NDArray[np.float64],
     limit: float,
@@ -134,7 +134,7 @@ def _join_poses(
 
 
 @njit
-def _free(setting: Setting, a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+def _free(setting: KernelProblem, a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     return steer_energy(b[0] - a[0], b[1] - a[1], a[2], b[2], setting.steering)
 
 
@@ -152,7 +152,7 @@ def _remove(chain: Chain, count: int, k: int) -> None:
 @njit
 def _try_move(
     chain: Chain,
-    setting: Setting,
+    setting: KernelProblem,
     k: int,
     pose: NDArray[np.float64],
     ds: NDArray[np.float64],
@@ -182,7 +182,7 @@ def _try_move(
 @njit
 def _insert(
     chain: Chain,
-    setting: Setting,
+    setting: KernelProblem,
     count: int,
     k: int,
     fraction: float,
@@ -232,7 +232,7 @@ def _insert(
 
 @njit
 def polish(
-    chain: Chain, setting: Setting, count: int, trials: int, state: NDArray[np.uint64]
+    chain: Chain, setting: KernelProblem, count: int, trials: int, state: NDArray[np.uint64]
 ) -> int:
     """Move, remove and insert poses at random where that is cheaper; return their number.
 
@@ -240,7 +240,7 @@ def polish(
     ----------
     chain : Chain
         The path; changed in place, never for the worse.
-    setting : Setting
+    setting : KernelProblem
         The problem.
     count : int
         Number of poses.
@@ -292,7 +292,7 @@ def polish(
 
 
 @njit
-def fill_costs(chain: Chain, setting: Setting, count: int) -> None:
+def fill_costs(chain: Chain, setting: KernelProblem, count: int) -> None:
     """Price the motions given between the poses of a chain."""
     for k in range(count - 1):
         chain.cost[k] = motion_cost(
@@ -307,7 +307,11 @@ def fill_costs(chain: Chain, setting: Setting, count: int) -> None:
 
 @njit
 def unfold(
-    chain: Chain, setting: Setting, count: int, ds: NDArray[np.float64], dtheta: NDArray[np.float64]
+    chain: Chain,
+    setting: KernelProblem,
+    count: int,
+    ds: NDArray[np.float64],
+    dtheta: NDArray[np.float64],
 ) -> int:
     """Write the motions of a chain and return how many there are."""
     part_ds = np.empty(MAX_SEGMENTS)

@@ -15,7 +15,7 @@ from energyplan.planning.scene.compiled import Segments
 from energyplan.planning.scene.field import Field, distance_field
 from energyplan.planning.scene.motions import (
     DIRECTIONS,
-    Setting,
+    KernelProblem,
     drive,
     heights_of_points,
     join,
@@ -45,14 +45,14 @@ SLICE = 2000
 """Expansions between two looks at the clock."""
 
 
-def lattice_for(setting: Setting, scale: float = 1.0) -> kernels.Lattice:
+def lattice_for(setting: KernelProblem, scale: float = 1.0) -> kernels.Lattice:
     """Return a lattice that suits the map and the body; `scale` below 1 makes it finer."""
     cell = max(setting.space.resolution, 0.2 * setting.reach) * scale
     headings = int(HEADINGS * (1 if scale == 1.0 else 2))
     return kernels.Lattice(cell, 2 * np.pi / headings, headings, 1.5 * cell)
 
 
-def coarse_lattice(setting: Setting) -> kernels.Lattice:
+def coarse_lattice(setting: KernelProblem) -> kernels.Lattice:
     """Return the lattice of the search for many goals."""
     fine = lattice_for(setting)
     turns = HEADINGS * 3 // 4
@@ -64,7 +64,7 @@ def no_field() -> Field:
     return Field(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 1.0, 0.0)
 
 
-def cell_of(setting: Setting, x: float, y: float, stride: int) -> tuple[int, int]:
+def cell_of(setting: KernelProblem, x: float, y: float, stride: int) -> tuple[int, int]:
     """Return row and column of a place in a grid of every `stride`-th cell."""
     space = setting.space
     dx, dy = x - space.x, y - space.y
@@ -77,13 +77,13 @@ def cell_of(setting: Setting, x: float, y: float, stride: int) -> tuple[int, int
     )
 
 
-def inscribed(setting: Setting) -> float:
+def inscribed(setting: KernelProblem) -> float:
     """Radius of the largest disc about the centre of the tread ICRs inside the body [m]."""
     body = setting.body
     return max(min(-body.x_min, body.x_max, -body.y_min, body.y_max), 0.0)
 
 
-def field_for(setting: Setting, penalty: float = 1.0) -> Field:
+def field_for(setting: KernelProblem, penalty: float = 1.0) -> Field:
     """Return the distance to go to the goal for the inscribed disc, as far as it is needed.
 
     With a `penalty` above 1 it counts as longer where the disc barely passes: the whole body
@@ -121,12 +121,12 @@ def field_for(setting: Setting, penalty: float = 1.0) -> Field:
     return Field(distance * np.float32(res), direction, stride * res, far)
 
 
-def way_along(setting: Setting, field: Field, stride: float = 1.0) -> Segments | None:
+def way_along(setting: KernelProblem, field: Field, stride: float = 1.0) -> Segments | None:
     """Return the motions that follow a field to the goal in straight lines, if they are free.
 
     Parameters
     ----------
-    setting : Setting
+    setting : KernelProblem
         The problem.
     field : Field
         Distance to go.
@@ -173,7 +173,7 @@ class Search:
 
     Parameters
     ----------
-    setting : Setting
+    setting : KernelProblem
         The problem.
     field : Field
         Distance to go.
@@ -188,7 +188,7 @@ class Search:
         first, where there is room to: gaps that the body barely passes mostly lie along these.
     """
 
-    setting: Setting
+    setting: KernelProblem
     field: Field
     lattice: kernels.Lattice
     weight: float
@@ -300,12 +300,12 @@ class Search:
         node = int(np.argmin(self.tree.h[: int(self.tree.counts[0])]))
         return float(self.tree.x[node]), float(self.tree.y[node])
 
-    def attach(self, setting: Setting) -> tuple[float, int]:
+    def attach(self, setting: KernelProblem) -> tuple[float, int]:
         """Return the cost of reaching another goal from the tree, and the node it is joined to."""
         cost, node = kernels.attach(self.tree, setting, self.lattice, 6.0 * self.lattice.cell)
         return float(cost), int(node)
 
-    def segments(self, setting: Setting | None = None, node: int | None = None) -> Segments:
+    def segments(self, setting: KernelProblem | None = None, node: int | None = None) -> Segments:
         """Return the motions to the goal; by way of `node` to that of `setting`, where given."""
         tree = self.tree
         setting = self.setting if setting is None else setting

@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 
 from energyplan.compilation import njit
 from energyplan.planning.scene.field import Field, angle_between, pop, push
-from energyplan.planning.scene.motions import Setting, connection, free_energy, motion_cost, price
+from energyplan.planning.scene.motions import (
+    KernelProblem,
+    connection,
+    free_energy,
+    motion_cost,
+    price,
+)
 from energyplan.terrain.collision import motion_free
 
 RUNNING, FOUND, EXHAUSTED, FULL = 0, 1, 2, 3
@@ -93,7 +99,7 @@ class Tree(NamedTuple):
 
 
 @njit
-def _estimate(setting: Setting, field: Field, x: float, y: float, yaw: float) -> float:
+def _estimate(setting: KernelProblem, field: Field, x: float, y: float, yaw: float) -> float:
     """Cost to go: the greater of the disc's way round the obstacles and the motion without them."""
     space = setting.space
     dx = x - space.x
@@ -167,7 +173,9 @@ def _key(space_x: float, space_y: float, lattice: Lattice, x: float, y: float, h
 
 
 @njit
-def plant(tree: Tree, setting: Setting, field: Field, lattice: Lattice, weight: float) -> None:
+def plant(
+    tree: Tree, setting: KernelProblem, field: Field, lattice: Lattice, weight: float
+) -> None:
     """Put the start into an empty tree."""
     tree.x[0] = setting.start_x
     tree.y[0] = setting.start_y
@@ -185,7 +193,7 @@ def plant(tree: Tree, setting: Setting, field: Field, lattice: Lattice, weight: 
 @njit
 def grow(
     tree: Tree,
-    setting: Setting,
+    setting: KernelProblem,
     field: Field,
     lattice: Lattice,
     weight: float,
@@ -198,7 +206,7 @@ def grow(
     ----------
     tree : Tree
         What is known so far; changed in place.
-    setting : Setting
+    setting : KernelProblem
         Space, body, costs, start and goal.
     field : Field
         Distance to go for the inscribed disc.
@@ -327,14 +335,14 @@ def grow(
 
 
 @njit
-def attach(tree: Tree, setting: Setting, lattice: Lattice, reach: float) -> tuple[float, int]:
+def attach(tree: Tree, setting: KernelProblem, lattice: Lattice, reach: float) -> tuple[float, int]:
     """Join the goal to the tree's nearby nodes; return the least cost and the node, or inf and -1.
 
     Parameters
     ----------
     tree : Tree
         A tree grown with weight 0.
-    setting : Setting
+    setting : KernelProblem
         The problem with the goal in question.
     lattice : Lattice
         Resolution.

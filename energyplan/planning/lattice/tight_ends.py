@@ -12,7 +12,7 @@ import numpy as np
 
 from energyplan.path import Path, Pose
 from energyplan.planning.problem import PlanningProblem
-from energyplan.planning.scene.compiled import Query
+from energyplan.planning.scene.compiled import CompiledProblem
 
 TRAVEL = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0, 1.3, 1.6)
 """Distances to drive out of a tight place [m]."""
@@ -38,7 +38,7 @@ class Eased:
         )
 
 
-def ease(query: Query) -> Eased | None:
+def ease(query: CompiledProblem) -> Eased | None:
     """Return the problem between roomy poses; None where the ends are roomy, or none is near."""
     problem = query.problem
     if all(query.roomy(pose) for pose in (problem.start, problem.goal)):
@@ -50,7 +50,7 @@ def ease(query: Query) -> Eased | None:
     return Eased(replace(problem, start=out.end, goal=back.end), out, back)
 
 
-def _way_out(query: Query, pose: Pose, far: Pose) -> Path | None:
+def _way_out(query: CompiledProblem, pose: Pose, far: Pose) -> Path | None:
     """Return the short motion from a pose to a roomy one that goes best on the way to another."""
     metre = query.setting.least_metre
 

@@ -35,7 +35,7 @@ from energyplan.planning.ompl.parts import (
     set_parameters,
 )
 from energyplan.planning.problem import Plan, PlanningProblem
-from energyplan.planning.scene.compiled import Query, Segments
+from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.reachability import check_way
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_path
 from energyplan.terrain import OccupancyGrid, SurfaceMap
@@ -69,7 +69,7 @@ REFUSED = {
 """Planners of OMPL 2.0.1 that cannot be used with a Python objective, and why."""
 
 
-def _joined(query: Query, states: list[tuple[float, float, float]]) -> Segments:
+def _joined(query: CompiledProblem, states: list[tuple[float, float, float]]) -> Segments:
     """Return the exact motions from one state to the next."""
     ds, dtheta = np.empty(MAX_SEGMENTS), np.empty(MAX_SEGMENTS)
     parts = [Segments(np.empty(0), np.empty(0))]
@@ -94,7 +94,7 @@ def _geometric(
     begun = time.perf_counter()
     if not time_limit > 0:
         raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
-    query = Query(problem)
+    query = CompiledProblem(problem)
     check_way(query)
     util.setLogLevel(util.LOG_NONE)
     util.RNG.setSeed(seed)

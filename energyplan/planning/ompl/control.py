@@ -33,7 +33,7 @@ from energyplan.planning.ompl.parts import (
     set_parameters,
 )
 from energyplan.planning.problem import Plan, PlanningProblem
-from energyplan.planning.scene.compiled import Query, Segments
+from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.motions import connection, drive, free_energy, join
 from energyplan.planning.scene.reachability import check_way
 from energyplan.steering.kernels import MAX_SEGMENTS
@@ -48,7 +48,7 @@ REACH = 0.6
 """Distance from the goal at which a branch may end and be joined to it [m, a radian as 0.3 m]."""
 
 
-def driving_rates(query: Query) -> FloatArray:
+def driving_rates(query: CompiledProblem) -> FloatArray:
     """Return how fast the vehicle drives in each direction of the plane ``(ds, C dtheta)`` [m/s].
 
     It is the speed of the cost: the cheapest within the limits, which is the fastest one where
@@ -92,7 +92,7 @@ class _Spent(DirectedObjective):
 class _Checker(base.StateValidityChecker):
     """Tells whether a state was reached freely and can be on a cheaper path than the one known."""
 
-    def __init__(self, information: Any, query: Query, ceiling: float) -> None:
+    def __init__(self, information: Any, query: CompiledProblem, ceiling: float) -> None:
         super().__init__(information)
         self._setting = query.setting
         self._ceiling = ceiling
@@ -107,7 +107,7 @@ class _Checker(base.StateValidityChecker):
 class _Goal(base.Goal):
     """The neighbourhood of the goal from which exact steering reaches it cheaply enough."""
 
-    def __init__(self, information: Any, query: Query, ceiling: float) -> None:
+    def __init__(self, information: Any, query: CompiledProblem, ceiling: float) -> None:
         super().__init__(information)
         self._setting = query.setting
         self._ceiling = ceiling
@@ -187,7 +187,7 @@ def _controlled(
     begun = time.perf_counter()
     if not time_limit > 0:
         raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
-    query = Query(problem)
+    query = CompiledProblem(problem)
     check_way(query)
     setting = query.setting
     rates = driving_rates(query)
@@ -260,7 +260,7 @@ def _controlled(
     return query.plan(path, bound, begun, first, name)
 
 
-def _space(query: Query, ceiling: float) -> Any:
+def _space(query: CompiledProblem, ceiling: float) -> Any:
     """Return OMPL's space of poses and of what was spent to get there."""
     spent = base.RealVectorStateSpace(1)
     bounds = base.RealVectorBounds(1)
@@ -291,7 +291,7 @@ def _information(space: Any, propagate: Any) -> Any:
 
 
 def _completed(
-    query: Query, motions: list[tuple[float, float]], last: tuple[float, float, float]
+    query: CompiledProblem, motions: list[tuple[float, float]], last: tuple[float, float, float]
 ) -> tuple[float, Segments]:
     """Return motions joined to the goal, with their cost."""
     setting = query.setting

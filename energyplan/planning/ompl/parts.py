@@ -10,7 +10,7 @@ from ompl import base
 from typing_extensions import override
 
 from energyplan.errors import TimeLimitError, UnknownNameError
-from energyplan.planning.scene.compiled import Query
+from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.motions import steering_cost, steering_free
 from energyplan.steering.kernels import steer_energy
 from energyplan.terrain.collision import pose_free
@@ -42,11 +42,11 @@ class EnergyObjective(DirectedObjective):
     ----------
     information : ompl.base.SpaceInformation
         OMPL's space information; its states are poses in the plane.
-    query : Query
+    query : CompiledProblem
         The problem.
     """
 
-    def __init__(self, information: Any, query: Query) -> None:
+    def __init__(self, information: Any, query: CompiledProblem) -> None:
         super().__init__(information)
         self._setting = query.setting
         self.setCostThreshold(base.Cost(0.0))
@@ -87,11 +87,11 @@ class SteeringValidator(base.MotionValidator):
     ----------
     information : ompl.base.SpaceInformation
         OMPL's space information; its states are poses in the plane.
-    query : Query
+    query : CompiledProblem
         The problem.
     """
 
-    def __init__(self, information: Any, query: Query) -> None:
+    def __init__(self, information: Any, query: CompiledProblem) -> None:
         super().__init__(information)
         self._setting = query.setting
 
@@ -114,7 +114,7 @@ class SteeringValidator(base.MotionValidator):
 class PoseChecker(base.StateValidityChecker):
     """Tells whether the footprint is free at a state."""
 
-    def __init__(self, information: Any, query: Query) -> None:
+    def __init__(self, information: Any, query: CompiledProblem) -> None:
         super().__init__(information)
         self._setting = query.setting
 
@@ -125,7 +125,7 @@ class PoseChecker(base.StateValidityChecker):
         return bool(pose_free(self._setting.space, self._setting.body, x, y, yaw))
 
 
-def pose_space(query: Query) -> Any:
+def pose_space(query: CompiledProblem) -> Any:
     """Return OMPL's space of the poses on the map."""
     space = base.SE2StateSpace()
     grid = query.grid
@@ -157,7 +157,7 @@ def place(state: Any, x: float, y: float, yaw: float) -> None:
     state.setYaw(float(np.remainder(yaw + np.pi, 2 * np.pi) - np.pi))
 
 
-def end_states(space: Any, query: Query) -> tuple[Any, Any]:
+def end_states(space: Any, query: CompiledProblem) -> tuple[Any, Any]:
     """Return states of OMPL's at start and goal."""
     here = query.setting
     return (
@@ -182,7 +182,7 @@ def set_parameters(planner: Any, name: str, parameters: Mapping[str, object]) ->
         getattr(planner, setter)(value)
 
 
-def out_of_time(name: str, time_limit: float, query: Query, last: Any) -> TimeLimitError:
+def out_of_time(name: str, time_limit: float, query: CompiledProblem, last: Any) -> TimeLimitError:
     """Return the error that says that a planner of OMPL's found nothing in time.
 
     `last` is the pose nearest to the goal that it reached; None where there is none.

@@ -33,7 +33,7 @@ from energyplan.planning.roadmap.energy_graph import (
 )
 from energyplan.planning.roadmap.routes import Roadmap, Route
 from energyplan.planning.roadmap.visibility import traced, visibility_graph
-from energyplan.planning.scene.compiled import Query, Segments
+from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.motions import DIRECTIONS
 from energyplan.planning.scene.prices import Prices
 from energyplan.terrain import SurfaceMap
@@ -148,7 +148,7 @@ def plan(
     if not time_limit > 0:
         raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
     polish = graph is None if refine is None else refine
-    query = Query(problem)
+    query = CompiledProblem(problem)
     deadline = begun + time_limit
     places = [_reference(problem, problem.start), _reference(problem, problem.goal)]
     if graph is None:
@@ -169,7 +169,9 @@ def plan(
     return query.plan(path, bound, begun, first, "roadmap")
 
 
-def _roadmap(graph: Graph, query: Query, reverse: bool, radius: float, deadline: float) -> Roadmap:
+def _roadmap(
+    graph: Graph, query: CompiledProblem, reverse: bool, radius: float, deadline: float
+) -> Roadmap:
     problem = query.problem
     return Roadmap(
         graph, problem.cost, problem.surfaces, reverse, radius, problem.objective, deadline
@@ -180,7 +182,7 @@ def _among(
     shapes: BaseGeometry | Iterable[BaseGeometry],
     clearance: float,
     places: list[tuple[float, float]],
-    query: Query,
+    query: CompiledProblem,
     reverse: bool,
     deadline: float,
 ) -> Path:
@@ -215,7 +217,7 @@ def _among(
         reach = needed
 
 
-def _first_reach(query: Query) -> float:
+def _first_reach(query: CompiledProblem) -> float:
     """Return how long a good route may be, in metres of the least price, its turns included."""
     setting = query.setting
     field = field_for(setting)
@@ -225,7 +227,7 @@ def _first_reach(query: Query) -> float:
     return 1.02 * way + np.pi * radian / setting.least_metre
 
 
-def _farthest(query: Query, places: Sequence[tuple[float, float]]) -> float:
+def _farthest(query: CompiledProblem, places: Sequence[tuple[float, float]]) -> float:
     """Return the longest way from start to goal by way of any place on the map [m]."""
     rows, columns = query.grid.shape
     corners = query.grid.to_world([(0, 0), (columns, 0), (columns, rows), (0, rows)])
@@ -261,7 +263,7 @@ def _with_ends(
     return joined, ends
 
 
-def _free_route(roadmap: Roadmap, ends: tuple[Hashable, Hashable], query: Query) -> Path:
+def _free_route(roadmap: Roadmap, ends: tuple[Hashable, Hashable], query: CompiledProblem) -> Path:
     """Return the cheapest route whose footprint is free all along.
 
     Edges are tested at once; turns when a route wants them.
@@ -298,7 +300,7 @@ def _free_route(roadmap: Roadmap, ends: tuple[Hashable, Hashable], query: Query)
         mended += 1
 
 
-def _refined(path: Path, query: Query, deadline: float) -> Path:
+def _refined(path: Path, query: CompiledProblem, deadline: float) -> Path:
     """Return a route made cheaper with exact steering, or the route itself."""
     lateral = query.problem.cost.icr.centre[1]
     motions = Segments(path.ds - lateral * path.dtheta, path.dtheta)
@@ -313,7 +315,10 @@ def _refined(path: Path, query: Query, deadline: float) -> Path:
 
 
 def _mend(
-    roadmap: Roadmap, sequence: Sequence[State], query: Query, closed: set[tuple[str, State]]
+    roadmap: Roadmap,
+    sequence: Sequence[State],
+    query: CompiledProblem,
+    closed: set[tuple[str, State]],
 ) -> bool:
     """Make the turns of a route tighter that are not free, or take them out; tell if any."""
     problem, found = query.problem, False

@@ -1,6 +1,7 @@
 """A planning problem made ready for the kernels, and their answers made into plans.
 
-The kernels work in the frame of the point midway between the tread ICRs; `Query` translates.
+The kernels work in the frame of the point midway between the tread ICRs; `CompiledProblem`
+translates.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from energyplan.errors import InvalidInputError, ModelError, PlanningError
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.planning.problem import Plan, PlanningProblem
 from energyplan.planning.scene import slopes as _slopes
-from energyplan.planning.scene.motions import DIRECTIONS, LEVEL, Hills, Setting
+from energyplan.planning.scene.motions import DIRECTIONS, LEVEL, Hills, KernelProblem
 from energyplan.planning.scene.prices import Prices
 from energyplan.terrain import OccupancyGrid, SurfaceMap
 from energyplan.terrain.collision import Body, pose_free
@@ -94,7 +95,7 @@ def _ground(problem: PlanningProblem) -> Ground:
 
 
 @dataclass(frozen=True)
-class Query:
+class CompiledProblem:
     """A problem, priced and translated for the kernels."""
 
     problem: PlanningProblem
@@ -223,7 +224,7 @@ class Query:
         return bool(pose_free(self.grid._space, self.grown, *self.centre(pose)))
 
     @cached_property
-    def setting(self) -> Setting:
+    def setting(self) -> KernelProblem:
         """The problem as the kernels see it."""
         problem = self.problem
         c_x, c_y = problem.cost.icr.centre
@@ -236,7 +237,7 @@ class Query:
             surface = np.zeros(self.grid.shape, np.uint8)
         static = self.steering
         start, goal = self.centre(problem.start), self.centre(problem.goal)
-        return Setting(
+        return KernelProblem(
             space=self.grid._space,
             body=body,
             prices=self.prices,

@@ -1,7 +1,7 @@
 """Kernels that price motions and join poses, on the ground and among the obstacles of one problem.
 
 Everything here is in the frame of the point midway between the tread ICRs, where every vehicle is
-symmetric: `Setting.body` is the footprint seen from there.
+symmetric: `KernelProblem.body` is the footprint seen from there.
 
 A price is a positively homogeneous function of (ds, dtheta). It is held as its values on
 `DIRECTIONS` rays of the plane ``(ds, C dtheta)`` and is linear between them. The kinks of the
@@ -73,7 +73,7 @@ LEVEL = Hills(_FLAT, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 1, 1.0)
 """Level ground."""
 
 
-class Setting(NamedTuple):
+class KernelProblem(NamedTuple):
     """What a search needs to know about its problem.
 
     Attributes
@@ -139,7 +139,7 @@ def price(
 
 
 @njit
-def surface_at(setting: Setting, x: float, y: float) -> int:
+def surface_at(setting: KernelProblem, x: float, y: float) -> int:
     """Class of the surface under a point, that of the nearest cell outside the map."""
     space = setting.space
     rows, columns = setting.surface.shape
@@ -189,7 +189,7 @@ def heights_of_points(hills: Hills, space: Space, stride: int) -> NDArray[np.flo
 
 @njit
 def sloping_cost(
-    setting: Setting, x: float, y: float, yaw: float, ds: float, dtheta: float
+    setting: KernelProblem, x: float, y: float, yaw: float, ds: float, dtheta: float
 ) -> float:
     """Price of a motion on slopes, less what the rise of its reference point is worth.
 
@@ -250,7 +250,7 @@ def sloping_cost(
 
 @njit
 def motion_cost(
-    setting: Setting, x: float, y: float, yaw: float, ds: float, dtheta: float
+    setting: KernelProblem, x: float, y: float, yaw: float, ds: float, dtheta: float
 ) -> float:
     """Price of a motion of constant curvature that starts at a pose.
 
@@ -282,7 +282,7 @@ def motion_cost(
 
 
 @njit
-def free_energy(setting: Setting, x: float, y: float, yaw: float) -> float:
+def free_energy(setting: KernelProblem, x: float, y: float, yaw: float) -> float:
     """Least cost from a pose to the goal if there were no obstacles."""
     return steer_energy(
         setting.goal_x - x, setting.goal_y - y, yaw, setting.goal_yaw, setting.steering
@@ -291,7 +291,7 @@ def free_energy(setting: Setting, x: float, y: float, yaw: float) -> float:
 
 @njit
 def drive(
-    setting: Setting,
+    setting: KernelProblem,
     x: float,
     y: float,
     yaw: float,
@@ -355,7 +355,7 @@ def spin_drive_spin(
 
 @njit
 def join(
-    setting: Setting,
+    setting: KernelProblem,
     x: float,
     y: float,
     yaw: float,
@@ -398,7 +398,7 @@ def join(
 
 
 @njit
-def connection(setting: Setting, x: float, y: float, yaw: float, limit: float) -> float:
+def connection(setting: KernelProblem, x: float, y: float, yaw: float, limit: float) -> float:
     """Cost of the cheapest free motion known from a pose to the goal; infinite if there is none."""
     ds = np.empty(MAX_SEGMENTS)
     dtheta = np.empty(MAX_SEGMENTS)
@@ -409,7 +409,7 @@ def connection(setting: Setting, x: float, y: float, yaw: float, limit: float) -
 
 @njit
 def steering_cost(
-    setting: Setting, x: float, y: float, yaw: float, to_x: float, to_y: float, to_yaw: float
+    setting: KernelProblem, x: float, y: float, yaw: float, to_x: float, to_y: float, to_yaw: float
 ) -> float:
     """Cost of the exact steering motion between two poses, whatever lies in its way."""
     dx = to_x - x
@@ -432,7 +432,7 @@ def steering_cost(
 
 @njit
 def steering_free(
-    setting: Setting, x: float, y: float, yaw: float, to_x: float, to_y: float, to_yaw: float
+    setting: KernelProblem, x: float, y: float, yaw: float, to_x: float, to_y: float, to_yaw: float
 ) -> bool:
     """Tell whether the body is free along the exact steering motion between two poses."""
     ds = np.empty(MAX_SEGMENTS)

@@ -6,15 +6,15 @@ import numpy as np
 
 from energyplan.errors import NoPathError
 from energyplan.planning.lattice.search import cell_of, field_for
-from energyplan.planning.scene.compiled import Query
+from energyplan.planning.scene.compiled import CompiledProblem
 
 
-def no_path(query: Query, why: str, near: tuple[float, float]) -> NoPathError:
+def no_path(query: CompiledProblem, why: str, near: tuple[float, float]) -> NoPathError:
     """Return the error that says that no path leads from start to goal.
 
     Parameters
     ----------
-    query : Query
+    query : CompiledProblem
         The problem.
     why : str
         What was tried.
@@ -35,7 +35,7 @@ def no_path(query: Query, why: str, near: tuple[float, float]) -> NoPathError:
     )
 
 
-def check_way(query: Query) -> None:
+def check_way(query: CompiledProblem) -> None:
     """Check that a disc inside the footprint gets from start to goal.
 
     Raises
