@@ -137,12 +137,12 @@ class OccupancyGrid:
         Exact to rounding; 0 in blocked cells. A point anywhere in a cell is at most half a
         diagonal, 0.71 cells, nearer or farther than the cell's centre.
         """
-        metres = self._space.clearance * np.float32(self.resolution)
+        metres = self.space.clearance * np.float32(self.resolution)
         metres.setflags(write=False)
         return metres
 
     @cached_property
-    def _space(self) -> _collision.Space:
+    def space(self) -> _collision.Space:
         x, y, yaw = self.origin
         return _collision.Space(
             _collision.next_blocked(self.blocked),
@@ -259,7 +259,7 @@ class OccupancyGrid:
         """
         rows = np.asarray(poses, float)
         flat = np.ascontiguousarray(rows.reshape(-1, 3))
-        free = _collision.poses_free(self._space, footprint(vehicle), flat)
+        free = _collision.poses_free(self.space, footprint(vehicle), flat)
         return np.asarray(free.reshape(rows.shape[:-1]))
 
     def first_collision(self, path: Path, vehicle: Vehicle) -> int | None:
@@ -279,9 +279,9 @@ class OccupancyGrid:
         """
         body = footprint(vehicle)
         if len(path) == 0:
-            return None if _collision.pose_free(self._space, body, *path.start) else 0
+            return None if _collision.pose_free(self.space, body, *path.start) else 0
         index = _collision.first_collision(
-            self._space, body, path.vertices, path.ds, path.dtheta, path.longitudinal
+            self.space, body, path.vertices, path.ds, path.dtheta, path.longitudinal
         )
         return None if index < 0 else index
 
@@ -333,7 +333,7 @@ class OccupancyGrid:
         """
         rows = np.ascontiguousarray(np.reshape(np.asarray(starts, float), (-1, 3)))
         return _collision.motions_free(
-            self._space,
+            self.space,
             footprint(vehicle),
             rows,
             np.ascontiguousarray(np.broadcast_to(np.asarray(ds, float), len(rows))),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
 import pkgutil
@@ -108,6 +109,31 @@ def test_importing_the_package_imports_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def _imports(file: Path) -> Iterator[tuple[str, str]]:
+    """Yield what a module imports from this package: the module named, and the name."""
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("energyplan"):
+            for alias in node.names:
+                yield node.module or "", alias.name
+        elif isinstance(node, ast.Import):
+            for alias in node.names:
+                if alias.name.startswith("energyplan."):
+                    yield alias.name, ""
+
+
+def test_no_module_imports_private_parts_of_another_package() -> None:
+    """What two packages need is public within the library."""
+    reached = []
+    for file in sorted((ROOT / "energyplan").rglob("*.py")):
+        here = file.relative_to(ROOT).with_suffix("").parts[:-1]
+        for module, name in _imports(file):
+            parts = (*module.split("."), name)
+            private = [k for k, part in enumerate(parts) if re.match(r"_(?!_)", part)]
+            if private and here[: private[0]] != parts[: private[0]]:
+                reached.append(f"{file.relative_to(ROOT)}: {module} {name}")
+    assert reached == []
 
 
 def test_no_module_is_long() -> None:

@@ -63,7 +63,7 @@ def test_lines_through_obstacles_are_closed_and_others_open():
     occupied[40:60, 40:60] = True
     grid = OccupancyGrid(occupied, 0.05)
     corners = outline(grid, 0.3)
-    space = grid._space
+    space = grid.space
     assert not line_open(space, corners, 1.0, 2.5, 4.0, 2.5)
     assert line_open(space, corners, 1.0, 1.0, 4.0, 1.0)
     # between two corners of one side, along the outline
@@ -177,7 +177,7 @@ def test_a_gate_forbids_only_what_cannot_cross_it():
     corner = corners.point[np.argmin(np.hypot(*(corners.point - (1.968, 2.0)).T))]
     cost = np.zeros(HEADINGS)
     body = Body(x_min, y_min, x_max, y_max)
-    kernels.gate(grid._space, body, corners, 0.0, *corner, 1.0, 0.0, cost, 1.0)
+    kernels.gate(grid.space, body, corners, 0.0, *corner, 1.0, 0.0, cost, 1.0)
     # brute force over places on the gate and headings in between the nodes
     across = corner[0] + np.arange(0, 2.18 - corner[0], 0.01)
     headings = (np.arange(4 * HEADINGS) + 0.5) * SPACING / 4

@@ -73,7 +73,7 @@ def test_heap_sorts():
 
 def test_distance_field_is_euclidean_within_its_error_and_agrees_with_its_twin():
     grid = room(6, 6, 0.1)
-    given = (grid._space.clearance, 1, 1.0, 30, 30, 2, 2, 100.0, 15.0, 0.0, 1.0, EVEN)
+    given = (grid.space.clearance, 1, 1.0, 30, 30, 2, 2, 100.0, 15.0, 0.0, 1.0, EVEN)
     given = (*given, np.ones((1, 1)), np.zeros((1, 1)), 1.0)
     distance, direction = field_kernels.distance_field(*given)
     twin, _ = field_kernels.distance_field.py_func(*given)
@@ -92,7 +92,7 @@ def test_distance_field_is_euclidean_within_its_error_and_agrees_with_its_twin()
 def test_distance_field_does_not_pass_walls():
     occupied = np.zeros((60, 60), bool)
     occupied[:, 30] = True
-    clearance = OccupancyGrid(occupied, 0.1)._space.clearance
+    clearance = OccupancyGrid(occupied, 0.1).space.clearance
     distance, _ = field_kernels.distance_field(
         clearance, 1, 1.0, 10, 10, 50, 50, 100.0, 15.0, 0.0, 1.0, EVEN,
         np.ones((1, 1)), np.zeros((1, 1)), 1.0,

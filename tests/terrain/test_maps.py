@@ -139,7 +139,7 @@ def test_kernels_agree_with_plain_python():
     rng = np.random.default_rng(4)
     grid = random_grid(rng, (30, 30), 0.01)
     poses = random_poses(rng, grid, 60)
-    body, space = footprint(VEHICLE), grid._space
+    body, space = footprint(VEHICLE), grid.space
     plain = _collision.poses_free.py_func(space, body, poses)
     assert np.array_equal(plain, grid.footprint_free(poses, VEHICLE))
     assert np.array_equal(

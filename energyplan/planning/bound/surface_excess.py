@@ -69,7 +69,7 @@ def least_excess(query: CompiledProblem, radius: float, limit: float) -> float:
         known = surfaces, _certain_regions(surfaces, grid, query.setting.surface)
         _cells[grid] = known
     per_metre = np.append(dear, 0.0)[known[1]]
-    clear = grid._space.clearance * grid.resolution >= radius - sqrt(0.5) * grid.resolution
+    clear = grid.space.clearance * grid.resolution >= radius - sqrt(0.5) * grid.resolution
     factor = max(ceil(sqrt(per_metre.size / MOST_CELLS)), 1)
     per_metre = _blocks(per_metre, factor, np.inf).min(axis=(1, 3))
     passable = np.asarray(_blocks(clear, factor, False).any(axis=(1, 3)))

@@ -221,7 +221,7 @@ class CompiledProblem:
 
     def roomy(self, pose: Pose) -> bool:
         """Tell whether a pose is free with the margin of planning."""
-        return bool(pose_free(self.grid._space, self.grown, *self.centre(pose)))
+        return bool(pose_free(self.grid.space, self.grown, *self.centre(pose)))
 
     @cached_property
     def setting(self) -> KernelProblem:
@@ -238,7 +238,7 @@ class CompiledProblem:
         static = self.steering
         start, goal = self.centre(problem.start), self.centre(problem.goal)
         return KernelProblem(
-            space=self.grid._space,
+            space=self.grid.space,
             body=body,
             prices=self.prices,
             surface=surface,
