@@ -143,6 +143,7 @@ class OccupancyGrid:
 
     @cached_property
     def space(self) -> _collision.Space:
+        """The blocked cells, their distances and the frame, as kernels take them."""
         x, y, yaw = self.origin
         return _collision.Space(
             _collision.next_blocked(self.blocked),

@@ -32,7 +32,7 @@ def compiled() -> list[str]:
     return [
         ".".join(("energyplan", *file.relative_to(root).with_suffix("").parts))
         for file in root.rglob("*.py")
-        if "_numba import njit" in file.read_text()
+        if "compilation import njit" in file.read_text()
     ]
 
 
@@ -49,7 +49,7 @@ def main() -> None:
         import energyplan
 
         for module in pkgutil.walk_packages(energyplan.__path__, "energyplan."):
-            if ".io" in module.name or ".drivelog" in module.name:
+            if ".io" in module.name or ".logs" in module.name:
                 importlib.import_module(module.name)
         importlib.import_module("rosbags.highlevel")
     if asked.reader not in fuzzing.READERS:
