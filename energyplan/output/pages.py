@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from energyplan.html import number
-from energyplan.output import interactive, plots
-from energyplan.output.interactive.parts import Plot
+from energyplan.output import plots
 from energyplan.output.report import Page
 from energyplan.path import wrap_angle
-from energyplan.power.empirical import signal
+from energyplan.power.empirical import signal, unit
+from energyplan.studies.comparison import energy_along
 
 if TYPE_CHECKING:
     from energyplan.diagnosis import Diagnosis
@@ -32,21 +32,9 @@ class Picture(NamedTuple):
     caption: str
 
 
-def _illustrate(
-    page: Page,
-    pictures: Iterable[Picture],
-    describe: Callable[[], Mapping[str, Plot]],
-) -> None:
-    """Add pictures, with the interactive plots of the same names where they can be had."""
-    described: Mapping[str, Plot] = {}
-    if interactive.available():
-        described = describe()
-        page.script(interactive.library())
-    for name, figure, caption in pictures:
-        plot = interactive.fragment(described[name], name) if name in described else ""
-        page.picture(figure, caption, plot)
-    if not described:
-        page.paragraph(interactive.ABSENT)
+def _illustrate(page: Page, pictures: Iterable[Picture]) -> None:
+    for _, figure, caption in pictures:
+        page.picture(figure, caption)
 
 
 def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
@@ -98,11 +86,7 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
             f"{100 * found.explained_variance:.0f} % of its variance.",
             "flag",
         )
-    _illustrate(
-        page,
-        diagnosis_pictures(told, holdout),
-        lambda: interactive.diagnosis_plots(told, holdout),
-    )
+    _illustrate(page, diagnosis_pictures(told, holdout))
     if told.advice:
         page.heading("What to do next")
         page.bullets(told.advice)
@@ -142,9 +126,7 @@ def _guilty_channel(told: Diagnosis, holdout: Sequence[DriveLog]) -> Picture:
         )
     }
     figure = plots.figure(size=(8.0, 4.5))
-    plots.residual_against(
-        figure.axes[0], values, residuals, f"{channel} [{interactive.unit(channel)}]"
-    )
+    plots.residual_against(figure.axes[0], values, residuals, f"{channel} [{unit(channel)}]")
     return Picture("residual", figure, "The residual against the channel that it depends on most.")
 
 
@@ -176,11 +158,7 @@ def comparison_page(made: Comparison, problem: PlanningProblem) -> Page:
             for name, saved in made.by_term.items()
         ],
     )  # fmt: skip
-    _illustrate(
-        page,
-        comparison_pictures(made, problem),
-        lambda: interactive.comparison_plots(made, problem),
-    )
+    _illustrate(page, comparison_pictures(made, problem))
     return page
 
 
@@ -198,7 +176,7 @@ def comparison_pictures(made: Comparison, problem: PlanningProblem) -> Iterator[
     for (label, path), (color, dash) in zip(
         paths.items(), ((plots.BLUE, "-"), (plots.RED, "--")), strict=True
     ):
-        along = interactive.energy_along(path, problem)
+        along = energy_along(path, problem)
         ax.plot(along.metres, along.joules, color=color, ls=dash, label=label)
     ax.set(xlabel="distance travelled [m]", ylabel="energy since the start [J]")
     ax.legend(frameon=False)
@@ -226,7 +204,7 @@ def mission_page(told: MissionReport) -> Page:
         remedy = f"; remedy: {task.remedy}" if task.remedy else ""
         page.paragraph(f"{task.name} is out of reach: {task.detail}{remedy}", "flag")
     page.table(MISSION_HEADER, mission_rows(told))
-    _illustrate(page, mission_pictures(told), lambda: interactive.mission_plots(told))
+    _illustrate(page, mission_pictures(told))
     return page
 
 
@@ -255,9 +233,11 @@ def mission_pictures(told: MissionReport) -> Iterator[Picture]:
     yield Picture(
         "map", plots.mission_map(told), "The route, coloured by the power at the battery."
     )
-    figure = plots.figure(size=(8.0, 4.0))
-    plots.state_of_charge(figure.axes[0], told)
-    yield Picture("charge", figure, "State of charge over the mission, with its band.")
+    yield Picture(
+        "charge",
+        plots.mission_charge(told),
+        "State of charge over the mission, with its band, and the power at the battery.",
+    )
 
 
 def _names(told: Diagnosis) -> str:

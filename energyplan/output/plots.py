@@ -309,7 +309,9 @@ def mission_map(report: MissionReport) -> Figure:
     points = np.column_stack([line.x, line.y])
     moving = np.any(np.diff(points, axis=0) != 0, axis=1)
     pairs = np.stack([points[:-1], points[1:]], axis=1)[moving]
-    drawn = mpl.collections.LineCollection(list(pairs), cmap="viridis", lw=2.5, zorder=3)
+    drawn = mpl.collections.LineCollection(
+        list(pairs), cmap="viridis", lw=2.5, zorder=3, rasterized=True
+    )
     drawn.set_array(line.power[:-1][moving])
     ax.add_collection(drawn)
     made.colorbar(drawn, ax=ax, label="power [W]", shrink=0.8)
@@ -355,17 +357,31 @@ def state_of_charge(ax: Axes, report: MissionReport) -> Axes:
     )
     ax.plot(minutes, 100 * line.soc, color=BLUE, lw=1.5, label="expected")
     ax.axhline(100 * mission.reserve, color=RED, ls="--", lw=1.2, label="reserve")
-    for task in report.tasks:
-        if np.isfinite(task.start):
-            ax.axvline(task.start / 60, color="0.6", lw=0.8, ls=":")
-            ax.annotate(
-                task.name, (task.start / 60, 1.0), xycoords=("data", "axes fraction"),
-                rotation=90, va="top", ha="right", fontsize="small", color="0.3",
-            )  # fmt: skip
-    _label(ax, "time [min]", "state of charge [%]", "State of charge over the mission")
+    begun = sorted((t for t in report.tasks if np.isfinite(t.start)), key=lambda t: t.start)
+    for task in begun:
+        ax.axvline(task.start / 60, color="0.6", lw=0.8, ls=":")
+        ax.annotate(
+            task.name, (task.start / 60, 1.0), xycoords=("data", "axes fraction"),
+            xytext=(0, 3), textcoords="offset points", rotation=45, va="bottom", ha="left",
+            fontsize="small", color="0.3",
+        )  # fmt: skip
+    _label(ax, "time [min]", "state of charge [%]", "")
     ax.set_ylim(0, 105)
-    _legend(ax, loc="lower left", bbox_to_anchor=(0.0, 0.02))
+    _legend(ax, outside=True)
     return ax
+
+
+def mission_charge(report: MissionReport) -> Figure:
+    """Draw the state of charge over a mission, and below it the power at the battery."""
+    made = figure(2, 1, size=(9.0, 6.0))
+    charge, power = made.axes
+    power.sharex(charge)
+    state_of_charge(charge, report)
+    charge.set_xlabel("")
+    line = report.timeline
+    power.step(line.t / 60, line.power, color=BLACK, lw=0.8, where="post", rasterized=True)
+    _label(power, "time [min]", "power [W]", "")
+    return made
 
 
 def breakdown(ax: Axes, parts: Mapping[str, Mapping[str, float]]) -> Axes:

@@ -7,9 +7,12 @@ import html
 import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 
+import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from energyplan import __version__
 from energyplan import html as _html
 
 _CSS = """
@@ -27,17 +30,21 @@ th { border-bottom: 2px solid #888; }
 td.number { text-align: right; }
 figure { margin: 1rem 0; } figure img { max-width: 100%; height: auto; }
 figcaption { color: #555; font-size: .9rem; margin-top: .5rem; }
+footer { margin-top: 3rem; border-top: 1px solid #d8d8d8; padding-top: .6rem; color: #555;
+         font-size: .85rem; overflow-wrap: anywhere; }
+footer p { margin: .2rem 0; }
 code { background: #f2f2f2; padding: .1rem .3rem; overflow-wrap: anywhere; }
-.plot { display: none; height: clamp(430px, 62vw, 600px); }
-.plot > div { height: 100%; }
-.plot.tall { height: clamp(540px, 75vw, 680px); }
-.plot .textpoint text { paint-order: stroke; stroke: white; stroke-width: 3px; }
-.plot.low { height: 300px; }
-@media screen { .live .plot { display: block; } .live .plot + img { display: none; } }
 @media (max-width: 40rem) { table { font-size: .9rem; } th, td { padding: .3rem .4rem; } }
 @media print { h2 { break-after: avoid; } figure, table { break-inside: avoid; } }
 """
-_LIVE = "document.documentElement.classList.add('live')"
+
+
+def svg(figure: Figure) -> bytes:
+    """Return a figure as an SVG drawing; dense clouds of points in it are pictures."""
+    stream = io.BytesIO()
+    with mpl.rc_context({"svg.hashsalt": "energyplan"}):
+        figure.savefig(stream, format="svg", dpi=150, metadata={"Date": None, "Creator": None})
+    return stream.getvalue()
 
 
 def png(figure: Figure) -> bytes:
@@ -66,7 +73,7 @@ class Page:
 
     title: str
     _parts: list[str] = field(default_factory=list, repr=False)
-    _scripts: list[str] = field(default_factory=list, repr=False)
+    _footer: list[str] = field(default_factory=list, repr=False)
 
     def heading(self, text: str) -> None:
         """Start a section."""
@@ -90,39 +97,28 @@ class Page:
         """Add a table; numbers are aligned to the right and shown with four digits."""
         self._parts.append(f'<div class="scroll">{_html.table(header, rows)}</div>')
 
-    def script(self, library: str) -> None:
-        """Embed the JavaScript that plots need; without it, or in print, pictures stand still."""
-        self._scripts.append(library)
-
-    def picture(self, figure: Figure, caption: str, plot: str = "") -> None:
-        """Add a figure with its caption.
-
-        Parameters
-        ----------
-        figure : Figure
-            The figure.
-        caption : str
-            What it shows.
-        plot : str
-            HTML of an interactive plot of the same, put in as it is; it takes the figure's place
-            on a screen.
-        """
-        data = base64.b64encode(png(figure)).decode("ascii")
+    def picture(self, figure: Figure, caption: str) -> None:
+        """Add a figure, as vectors, with its caption."""
+        data = base64.b64encode(svg(figure)).decode("ascii")
         text = html.escape(caption)
         self._parts.append(
-            f'<figure>{plot}<img alt="{text}" src="data:image/png;base64,{data}">'
+            f'<figure><img alt="{text}" src="data:image/svg+xml;base64,{data}">'
             f"<figcaption>{text}</figcaption></figure>"
         )
+
+    def footer(self, lines: Iterable[str]) -> None:
+        """Say at the end of the page what it was made from."""
+        self._footer.extend(lines)
 
     def html(self) -> str:
         """Return the page; it loads nothing from elsewhere."""
         title = html.escape(self.title)
-        scripts = "".join(f"<script>{text}</script>" for text in self._scripts)
-        # Reached only by a browser that runs scripts, and that has run the library.
-        live = f"{scripts}<script>{_LIVE}</script>" if scripts else ""
+        made = f"energyplan {__version__}, {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"
+        end = "".join(f"<p>{html.escape(line)}</p>" for line in (*self._footer, made))
         return (
             '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
             '<meta name="viewport" content="width=device-width, initial-scale=1">'
-            f"<title>{title}</title><style>{_CSS}</style>{live}</head>"
-            f"<body><h1>{title}</h1>{''.join(self._parts)}</body></html>\n"
+            f"<title>{title}</title><style>{_CSS}</style></head>"
+            f"<body><h1>{title}</h1>{''.join(self._parts)}"
+            f"<footer>{end}</footer></body></html>\n"
         )

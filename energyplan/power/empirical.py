@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from energyplan.errors import UnknownNameError
-from energyplan.motion import Motion
+from energyplan.motion import CHANNELS, Motion
 from energyplan.path import FloatArray
 from energyplan.power import Sides, Term, tread_forces
 from energyplan.vehicle import Vehicle
@@ -47,6 +47,13 @@ def signal(motion: Motion, name: str) -> FloatArray:
         speed = np.where(np.abs(motion.v) > 1e-3, motion.v, 1e-3)
         return np.clip(motion.omega / speed, -20.0, 20.0)
     return motion.channels.get(name, np.zeros(motion.shape))
+
+
+def unit(name: str) -> str:
+    """Return the unit of a channel or of a signal derived from the tread speeds."""
+    derived = {"v": "m/s", "omega": "rad/s", "curvature": "1/m"}
+    described = CHANNELS.get(name, "")
+    return derived.get(name) or described.partition("[")[2].rstrip("]") or "its own unit"
 
 
 def carry(motion: Motion, vehicle: Vehicle, carrier: str, shape: FloatArray) -> Sides | FloatArray:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from energyplan import html
+from energyplan.cost import EnergyCost
+from energyplan.path import FloatArray, Path
 from energyplan.planning import Plan, PlanningProblem, plan
 
 
@@ -116,3 +120,35 @@ def compare(
             for name in terms
         },
     )
+
+
+class Along(NamedTuple):
+    """Distance travelled [m] and energy since the start [J] at places (n, 3) along a path."""
+
+    metres: FloatArray
+    joules: FloatArray
+    places: FloatArray
+
+
+def energy_along(path: Path, problem: PlanningProblem) -> Along:
+    """Return the energy along a path, on the problem's ground; it ends with the path's own."""
+    if problem.heights is not None:
+        fine = problem.heights.cut(path)
+        pieces = problem.heights.pieces(path, problem.cost, problem.surfaces)
+        each = sum(p.cost.segment_energy(p.path.ds, p.path.dtheta, p.slope) for p in pieces)
+        return _along(fine, np.asarray(each))
+    fine = path.subdivide(0.1, 0.1)
+    costs: tuple[EnergyCost, ...] = (problem.cost,)
+    shares = np.ones((len(fine), 1))
+    if problem.surfaces is not None:
+        costs, shares = problem.surfaces.costs(problem.cost), problem.surfaces.shares(fine)
+    each = np.zeros(len(fine))
+    for cost, share in zip(costs, shares.T, strict=True):
+        each += cost.segment_energy(fine.ds * share, fine.dtheta * share)
+    return _along(fine, each)
+
+
+def _along(fine: Path, each: FloatArray) -> Along:
+    joules = np.concatenate([[0.0], np.cumsum(each)])
+    metres = np.concatenate([[0.0], np.cumsum(np.abs(fine.ds))])
+    return Along(metres, joules, fine.vertices)

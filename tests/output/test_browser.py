@@ -24,7 +24,6 @@ from energyplan.battery import Battery
 from energyplan.cost import EnergyCost
 from energyplan.diagnosis import diagnose
 from energyplan.mission import Mission, MissionReport, Task, evaluate
-from energyplan.output import interactive
 from energyplan.output import pages as _pages
 from energyplan.path import Pose
 from energyplan.planning import PlanningProblem
@@ -42,23 +41,12 @@ PROBE = """<script>
 addEventListener("load", () => setTimeout(() => {
   const root = document.documentElement;
   const box = (e) => e.getBoundingClientRect();
-  const kept = (e) => e.closest(".scroll") || e.closest("svg");
+  const kept = (e) => e.closest(".scroll");
   parent.postMessage({
     width: innerWidth, scroll: root.scrollWidth, height: root.scrollHeight,
     cut: [...document.body.querySelectorAll("*")].filter(
       (e) => !kept(e) && box(e).width > 0 && box(e).right > innerWidth + 1
     ).map((e) => e.outerHTML.slice(0, 80)),
-    plots: [...document.querySelectorAll(".plot")].map((e) => ({
-      width: box(e).width, height: box(e).height,
-      drawn: e.querySelectorAll("svg .trace, svg image").length,
-      svg: Math.max(0, ...[...e.querySelectorAll("svg.main-svg")].map((s) => box(s).width)),
-      overlap: [...e.querySelectorAll(".legend, .updatemenu-container")].some((s) => [
-        ...e.querySelectorAll(".modebar-group, .updatemenu-container")].some(
-        (m) => m != s && box(s).top < box(m).bottom - 1 && box(s).bottom > box(m).top + 1
-          && box(s).right > box(m).left + 1 && box(s).left < box(m).right - 1)),
-      legend: [...e.querySelectorAll(".legend, .infolayer .g-ytitle, .infolayer .g-xtitle")].every(
-        (s) => box(s).right <= box(e).right + 1 && box(s).left >= box(e).left - 1),
-    })),
     images: [...document.querySelectorAll("img")].filter((e) => box(e).width > 0).length,
     broken: [...document.querySelectorAll("img")].filter((e) => !e.naturalWidth).length,
   }, "*");
@@ -148,33 +136,13 @@ def pages(
 def test_a_report_is_sound_in_a_browser(
     pages: dict[str, Path], name: str, width: int, tmp_path: Path
 ) -> None:
-    pytest.importorskip("plotly", reason="plotly draws the plots")
     told = shown(pages[name], width, tmp_path)
     assert told["console"] == []
     assert told["width"] == width
     assert told["scroll"] <= width, told["cut"]
     assert told["cut"] == []
     assert 844 < told["height"] < 6000
-    assert len(told["plots"]) == (3 if name == "comparison" else 2)
-    for plot in told["plots"]:
-        assert plot["drawn"] > 0
-        assert plot["svg"] == pytest.approx(plot["width"], abs=2)
-        assert plot["height"] >= 300
-        assert plot["legend"], "a legend or a title is cut off"
-        assert not plot["overlap"], "the buttons lie over the legend"
-    assert (told["images"], told["broken"]) == (0, 0)
-
-
-def test_without_plotly_the_pictures_are_shown(
-    mission: MissionReport, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr(interactive, "available", lambda: False)
-    page = tmp_path / "still.html"
-    page.write_text(_pages.mission_page(mission).html())
-    told = shown(page, PHONE, tmp_path)
-    assert told["console"] == []
-    assert told["scroll"] <= PHONE, told["cut"]
-    assert (told["images"], told["broken"], told["plots"]) == (2, 0, [])
+    assert (told["images"], told["broken"]) == (3 if name == "comparison" else 2, 0)
 
 
 def test_the_probe_would_see_errors_and_overflow(tmp_path: Path) -> None:
@@ -192,7 +160,6 @@ def test_the_probe_would_see_errors_and_overflow(tmp_path: Path) -> None:
 
 
 def test_print_takes_the_pictures(pages: dict[str, Path], tmp_path: Path) -> None:
-    pytest.importorskip("plotly", reason="plotly draws the plots")
     file = tmp_path / "mission.pdf"
     chromium(
         tmp_path, "--virtual-time-budget=3000", "--no-pdf-header-footer",

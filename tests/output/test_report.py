@@ -4,9 +4,10 @@ from html.parser import HTMLParser
 
 import pytest
 
+from energyplan import __version__
 from energyplan.html import number
 from energyplan.output import plots
-from energyplan.output.report import Page
+from energyplan.output.report import Page, svg
 
 
 class Collector(HTMLParser):
@@ -48,7 +49,7 @@ def test_pages_are_well_formed_and_self_contained() -> None:
     page.picture(figure, "A line")
     links = parsed(page).links
     assert len(links) == 1
-    assert links[0].startswith("data:image/png;base64,")
+    assert links[0].startswith("data:image/svg+xml;base64,")
 
 
 def test_text_from_files_cannot_become_markup() -> None:
@@ -75,3 +76,21 @@ def test_an_empty_list_leaves_no_trace() -> None:
 )
 def test_numbers_read_well(value: float, text: str) -> None:
     assert number(value) == text
+
+
+def test_the_footer_says_what_made_the_page() -> None:
+    page = Page("Title")
+    page.footer(["vehicle <robot>"])
+    text = parsed(page).text
+    assert "vehicle <robot>" in text
+    assert any(line.startswith(f"energyplan {__version__}, 20") for line in text)
+
+
+def test_a_figure_is_the_same_bytes_twice() -> None:
+    drawn = []
+    for _ in range(2):
+        figure = plots.figure()
+        figure.axes[0].plot([0, 1], [0, 1], label="a")
+        figure.axes[0].legend()
+        drawn.append(svg(figure))
+    assert drawn[0] == drawn[1]

@@ -23,7 +23,6 @@ from energyplan.errors import (
 )
 from energyplan.io.mission import read_mission
 from energyplan.mission import Mission, Task, evaluate
-from energyplan.output.interactive import energy_along
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.lattice.planner import energies
@@ -32,7 +31,7 @@ from energyplan.planning.scene import slopes as _slopes
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import GRADE, VISCOUS_LOSS, reads_slope, term, with_weight
-from energyplan.studies.comparison import compare
+from energyplan.studies.comparison import compare, energy_along
 from energyplan.studies.pareto import pareto
 from energyplan.terrain import HeightMap, OccupancyGrid, Surface, SurfaceMap, with_weights
 from energyplan.vehicle import GRAVITY, TreadICR
