@@ -1,0 +1,63 @@
+"""Pictures: functions that take matplotlib axes and return them.
+
+Every axis has its unit. Colours are those of Okabe and Ito, which colour-blind people tell apart;
+lines that may coincide differ in style as well.
+"""
+
+from energyplan.output.plots.drives import (
+    bin_means,
+    breakdown,
+    energy_over_time,
+    feasible_region,
+    pareto,
+    power_over_time,
+    prediction,
+    residual_against,
+    tread_speeds,
+)
+from energyplan.output.plots.routes import (
+    mission_charge,
+    mission_map,
+    occupancy,
+    route,
+    routes,
+    state_of_charge,
+)
+from energyplan.output.plots.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    RED,
+    SKY,
+    YELLOW,
+    figure,
+)
+
+__all__ = [
+    "BLACK",
+    "BLUE",
+    "GREEN",
+    "ORANGE",
+    "PURPLE",
+    "RED",
+    "SKY",
+    "YELLOW",
+    "bin_means",
+    "breakdown",
+    "energy_over_time",
+    "feasible_region",
+    "figure",
+    "mission_charge",
+    "mission_map",
+    "occupancy",
+    "pareto",
+    "power_over_time",
+    "prediction",
+    "residual_against",
+    "route",
+    "routes",
+    "state_of_charge",
+    "tread_speeds",
+]

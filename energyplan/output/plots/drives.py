@@ -1,0 +1,276 @@
+"""Pictures of drives and models: speeds, power, energy, residuals, limits, trade-offs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import matplotlib.collections
+import matplotlib.colors
+import matplotlib.patches
+import matplotlib.path
+import matplotlib.transforms
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from energyplan.logs import DriveLog
+from energyplan.path import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from energyplan.limits.feasibility import FeasibleRegion
+    from energyplan.studies.pareto import ParetoFront
+
+from energyplan.output.plots.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    LINES,
+    ORANGE,
+    PURPLE,
+    RED,
+    SKY,
+    YELLOW,
+    figure,
+    legend,
+)
+from energyplan.output.plots.style import label as style_label
+
+
+def tread_speeds(ax: Axes, log: DriveLog) -> Axes:
+    """Draw the speeds of both sides over time."""
+    ax.plot(log.t, log.channel("v_left"), color=BLUE, lw=1.2, label="left")
+    ax.plot(log.t, log.channel("v_right"), color=ORANGE, lw=1.2, ls="--", label="right")
+    style_label(ax, "time [s]", "tread speed [m/s]", "Tread speeds")
+    legend(ax, ncols=2)
+    return ax
+
+
+def power_over_time(ax: Axes, log: DriveLog, predictions: Mapping[str, ArrayLike]) -> Axes:
+    """Draw measured and predicted power over time.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    log : DriveLog
+        The drive.
+    predictions : mapping of str to array_like, shape (n,)
+        Predicted power [W] by label.
+
+    Returns
+    -------
+    Axes
+        `ax`.
+    """
+    ax.plot(log.t, log.power, color="0.6", lw=0.8, label="measured")
+    for (label, power), (color, dash) in zip(predictions.items(), LINES, strict=False):
+        ax.plot(log.t, power, color=color, ls=dash, lw=1.2, label=label)
+    style_label(ax, "time [s]", "power [W]", "Power")
+    legend(ax, ncols=3)
+    return ax
+
+
+def energy_over_time(ax: Axes, log: DriveLog, predictions: Mapping[str, ArrayLike]) -> Axes:
+    """Draw measured and predicted energy since the start; arguments as in `power_over_time`."""
+    ax.plot(log.t, _integral(log.t, log.power) / 1e3, color="0.6", lw=2.5, label="measured")
+    for (label, power), (color, dash) in zip(predictions.items(), LINES, strict=False):
+        energy = _integral(log.t, np.asarray(power, float)) / 1e3
+        ax.plot(log.t, energy, color=color, ls=dash, lw=1.4, label=label)
+    style_label(ax, "time [s]", "energy [kJ]", "Energy since the start")
+    legend(ax)
+    return ax
+
+
+def prediction(log: DriveLog, predictions: Mapping[str, ArrayLike], title: str = "") -> Figure:
+    """Draw tread speeds, power and energy of a drive, as in the paper's figures 6 to 9.
+
+    Parameters
+    ----------
+    log : DriveLog
+        A drive, best one that the model was not fitted to.
+    predictions : mapping of str to array_like, shape (n,)
+        Predicted power [W] by label.
+    title : str
+        Title of the figure.
+
+    Returns
+    -------
+    Figure
+        Three axes, one above the other.
+    """
+    made = figure(3, 1, size=(8.0, 8.0))
+    tread_speeds(made.axes[0], log)
+    power_over_time(made.axes[1], log, predictions)
+    energy_over_time(made.axes[2], log, predictions)
+    for ax in made.axes[:2]:
+        ax.set_xlabel("")
+    made.suptitle(title, x=0.01, ha="left", fontsize="large")
+    return made
+
+
+def bin_means(x: ArrayLike, series: Sequence[ArrayLike], bins: int = 24) -> list[FloatArray]:
+    """Average in bins of `x` that hold equally many samples.
+
+    Parameters
+    ----------
+    x : array_like, shape (n,)
+        What decides on the bin.
+    series : sequence of array_like, shape (n,)
+        What is averaged.
+    bins : int
+        Number of bins; fewer are used where values of `x` repeat.
+
+    Returns
+    -------
+    list of ndarray, shape (m,)
+        The means of `x`, then those of each series, by bin.
+    """
+    known = np.asarray(x, float)
+    edges = np.unique(np.quantile(known, np.linspace(0, 1, bins + 1)))
+    place = np.clip(np.searchsorted(edges, known, side="right") - 1, 0, max(len(edges) - 2, 0))
+    count = np.bincount(place)
+    used = count > 0
+    rows = [known, *(np.asarray(values, float) for values in series)]
+    return [np.bincount(place, row)[used] / count[used] for row in rows]
+
+
+def residual_against(
+    ax: Axes,
+    channel: ArrayLike,
+    residuals: Mapping[str, ArrayLike],
+    label: str,
+    bins: int = 24,
+) -> Axes:
+    """Draw residuals against a channel: the samples, and the mean in equally filled bins.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    channel : array_like, shape (n,)
+        The channel.
+    residuals : mapping of str to array_like, shape (n,)
+        Measured minus predicted power [W] by label, such as before and after.
+    label : str
+        Name and unit of the channel.
+    bins : int
+        Number of bins.
+
+    Returns
+    -------
+    Axes
+        `ax`.
+    """
+    x = np.asarray(channel, float)
+    centre, *means = bin_means(x, list(residuals.values()), bins)
+    thin = slice(None, None, max(1, len(x) // 4000))
+    for (name, residual), mean, (color, dash) in zip(residuals.items(), means, LINES, strict=False):
+        r = np.asarray(residual, float)
+        ax.plot(x[thin], r[thin], ".", ms=2, color=color, alpha=0.15, rasterized=True)
+        ax.plot(centre, mean, color=color, ls=dash, marker="o", ms=3, label=f"{name} (bin mean)")
+    ax.axhline(0, color=BLACK, lw=0.8)
+    style_label(ax, label, "measured - predicted [W]", f"Residual against {label}")
+    legend(ax)
+    return ax
+
+
+def breakdown(ax: Axes, parts: Mapping[str, Mapping[str, float]]) -> Axes:
+    """Draw joules by term, one stacked bar per plan.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    parts : mapping of str to mapping of str to float
+        For each plan's label the energy of each term [J].
+
+    Returns
+    -------
+    Axes
+        `ax`.
+    """
+    names = list(dict.fromkeys(name for part in parts.values() for name in part))
+    below = np.zeros(len(parts))
+    colors = (BLUE, ORANGE, GREEN, PURPLE, SKY, RED, YELLOW)
+    for k, name in enumerate(names):
+        values = np.array([part.get(name, 0.0) for part in parts.values()]) / 1e3
+        ax.barh(
+            list(parts), values, left=below, color=colors[k % len(colors)],
+            label=name.replace("_", " "),
+        )  # fmt: skip
+        below = below + values
+    style_label(ax, "energy [kJ]", "", "Energy by term")
+    legend(ax, outside=True)
+    return ax
+
+
+def pareto(ax: Axes, front: ParetoFront) -> Axes:
+    """Draw energy against time: the drives known, and below them what no drive can reach.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    front : ParetoFront
+        Result of `energyplan.pareto`.
+
+    Returns
+    -------
+    Axes
+        `ax`.
+    """
+    times, energies = front.duration, front.energy / 1e3
+    span = np.linspace(0.95 * times.min(), 1.05 * times.max(), 200)
+    least = front.least_energy(span) / 1e3
+    ax.fill_between(span, 0, least, color="0.85", lw=0, label="impossible")
+    ax.plot(times, energies, "o-", color=BLUE, lw=1.2, ms=5, label="drives")
+    for point, x, y in zip(front.points, times, energies, strict=True):
+        ax.annotate(
+            f"{point.time_value:.0f} J/s", (x, y), xytext=(4, 5), textcoords="offset points",
+            fontsize="small",
+        )  # fmt: skip
+    ax.set(xlim=(span[0], span[-1]), ylim=(0.97 * least.min(), 1.03 * energies.max()))
+    style_label(ax, "time [s]", "energy [kJ]", "Energy against time, by what a second is worth")
+    legend(ax)
+    return ax
+
+
+def feasible_region(ax: Axes, region: FeasibleRegion) -> Axes:
+    """Draw which curvatures and speeds the motors can drive for ever, for a while, or not.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    region : FeasibleRegion
+        Result of `energyplan.limits.feasibility.feasible_region`.
+
+    Returns
+    -------
+    Axes
+        `ax`.
+    """
+    level = region.sustained.astype(float) + region.brief
+    shades = mpl.colors.ListedColormap(["0.85", YELLOW, GREEN])
+    ax.pcolormesh(
+        region.curvature, region.speed, level.T, cmap=shades, vmin=0, vmax=2, alpha=0.7,
+        shading="nearest", rasterized=True,
+    )  # fmt: skip
+    ax.plot(region.curvature, region.max_speed, color=BLACK, lw=1.2)
+    handles = [
+        mpl.patches.Patch(color=color, alpha=0.7, label=label)
+        for color, label in ((GREEN, "for ever"), (YELLOW, "for a while"), ("0.85", "not at all"))
+    ]
+    legend(ax, outside=True, handles=handles)
+    style_label(ax, "curvature [1/m]", "speed [m/s]", "What the motors can drive")
+    ax.grid(visible=False)
+    return ax
+
+
+def _integral(t: FloatArray, power: FloatArray) -> FloatArray:
+    steps = 0.5 * (power[1:] + power[:-1]) * np.diff(t)
+    return np.concatenate([[0.0], np.cumsum(steps)])
