@@ -1,0 +1,501 @@
+"""The free configurations of a rectangle on a map: for each place, the headings it fits in.
+
+A word of 64 bits holds the headings of a place. All words of a map are found at once, row by row
+of bits: for one heading, the places where the rectangle would touch a blocked cell are a union of
+shifted rows of the map, a run of cells in each row that the rectangle reaches. The runs are those
+of the exact collision test, so a bit says what that test says of the pose.
+"""
+
+from __future__ import annotations
+
+import os
+import weakref
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from math import ceil, cos, floor, hypot, inf, pi, sin
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from energyplan.compilation import njit
+from energyplan.terrain.collision import Body, Space
+
+HEADINGS = 64
+"""Headings, the first along the map's columns: as many as a word has bits."""
+
+FINENESS, COARSEST = 0.08, 0.3
+"""Distance between places, as a part of the body's smaller side, and what it is at most."""
+
+MOST_PLACES = 1_500_000
+"""Places beyond which they lie further apart."""
+
+TOUCH = 1e-6
+"""What counts as touched beside the rectangle [cells], as in the collision test."""
+
+ALIGNED = 3e-8
+"""Sines and cosines below this count as zero, as in the collision test."""
+
+BANDS = 64
+"""Bands of rows into which the work is cut."""
+
+Words = NDArray[np.uint64]
+
+
+class Runs(NamedTuple):
+    """The cells that a rectangle touches, row by row, relative to the cell that holds its pose.
+
+    Attributes
+    ----------
+    row, first, last : ndarray of int64
+        Rows, and the first and last column in each.
+    low, high, left, right : int
+        Rows and columns that a pose may be in with the rectangle on the map: rows from `low` to
+        their number less `high`, and columns likewise.
+    """
+
+    row: NDArray[np.int64]
+    first: NDArray[np.int64]
+    last: NDArray[np.int64]
+    low: int
+    high: int
+    left: int
+    right: int
+
+
+@dataclass(frozen=True, eq=False)
+class FreeSpace:
+    """Headings in which a body fits, place by place.
+
+    Attributes
+    ----------
+    masks : ndarray of uint64, shape (rows, columns)
+        Bit `h` tells of the heading ``h * 2 pi / 64`` in the frame of the grid whether the body is
+        free at one of the poses tested in the place's square, or, where `enlarged`, whether it may
+        be free at any pose there within half a step of that heading.
+    spacing : float
+        Side of a place's square [m].
+    enlarged : bool
+        See `masks`.
+    """
+
+    masks: Words
+    spacing: float
+    enlarged: bool
+
+
+def workers() -> int:
+    """Return how many threads work side by side."""
+    return max(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1, 1)
+
+
+def runs_of(
+    body: Body, resolution: float, heading: float, x: float, y: float, touch: float
+) -> Runs | None:
+    """Return the cells that a body touches at a pose within cell (0, 0).
+
+    Parameters
+    ----------
+    body : Body
+        The rectangle [m].
+    resolution : float
+        Size of a cell [m].
+    heading : float
+        Heading in the frame of the grid [rad].
+    x, y : float
+        Place within the cell [cells].
+    touch : float
+        How much further than the rectangle touching reaches [cells]; below zero for less.
+
+    Returns
+    -------
+    Runs or None
+        The cells; None for a rectangle of negative size, which touches nothing.
+    """
+    c, s = cos(heading), sin(heading)
+    if abs(s) < ALIGNED:
+        c, s = (1.0 if c > 0 else -1.0), 0.0
+    elif abs(c) < ALIGNED:
+        c, s = 0.0, (1.0 if s > 0 else -1.0)
+    half_x = 0.5 * (body.x_max - body.x_min) / resolution
+    half_y = 0.5 * (body.y_max - body.y_min) / resolution
+    if half_x < 0 or half_y < 0:
+        return None
+    mid_x = 0.5 * (body.x_min + body.x_max) / resolution
+    mid_y = 0.5 * (body.y_min + body.y_max) / resolution
+    x += c * mid_x - s * mid_y
+    y += s * mid_x + c * mid_y
+    reach_x = abs(c) * half_x + abs(s) * half_y
+    reach_y = abs(s) * half_x + abs(c) * half_y
+    corner = s * half_x * np.sign(c) - c * half_y * np.sign(s)
+    rows, firsts, lasts = [], [], []
+    for row in range(floor(y - reach_y - touch), floor(y + reach_y + touch) + 1):
+        low, high = max(row - y, -reach_y), min(row + 1.0 - y, reach_y)
+        at = min(max(corner, low), high)
+        right = min(
+            (half_x - s * at * np.sign(c)) / abs(c) if c else inf,
+            (half_y + c * at * np.sign(s)) / abs(s) if s else inf,
+        )
+        at = min(max(-corner, low), high)
+        left = max(
+            (-half_x - s * at * np.sign(c)) / abs(c) if c else -inf,
+            (-half_y + c * at * np.sign(s)) / abs(s) if s else -inf,
+        )
+        first, last = floor(x + left - touch), floor(x + right + touch)
+        if first <= last:
+            rows.append(row)
+            firsts.append(first)
+            lasts.append(last)
+    slack = -min(touch, 0.0)  # a smaller touch also lets the rectangle lean over the edge
+    return Runs(
+        np.array(rows, np.int64),
+        np.array(firsts, np.int64),
+        np.array(lasts, np.int64),
+        low=ceil(reach_y - y - slack),
+        high=ceil(y + reach_y - slack),
+        left=ceil(reach_x - x - slack),
+        right=ceil(x + reach_x - slack),
+    )
+
+
+def shrunk(body: Body, square: float, heading: float, turn: float) -> Body:
+    """Return a rectangle that lies in a body at all poses near a pose, in that pose's frame.
+
+    Parameters
+    ----------
+    body : Body
+        The body.
+    square : float
+        Side of the square about the pose [m], along the axes of the grid.
+    heading : float
+        Heading in the frame of the grid [rad].
+    turn : float
+        Largest turn from it [rad].
+    """
+    # the square as seen along either axis of the body, at any of the headings
+    off = 0.5 * square * (abs(cos(heading)) + abs(sin(heading)))
+    off += 0.5 * square * hypot(1, 1) * 2.0 * sin(0.5 * turn)
+    # a point of the rectangle turned either way must stay within the body
+    along = max(-body.x_min, body.x_max, 0.0) * (1.0 - cos(turn))
+    across = max(-body.y_min, body.y_max, 0.0) * (1.0 - cos(turn))
+    aside_x = sin(turn) * max(-body.y_min, body.y_max, 0.0) + along + off
+    aside_y = sin(turn) * max(-body.x_min, body.x_max, 0.0) + across + off
+    return Body(
+        body.x_min + aside_x, body.y_min + aside_y, body.x_max - aside_x, body.y_max - aside_y
+    )
+
+
+@njit
+def _rows_of_bits(blocked: NDArray[np.bool_], pad: int) -> Words:
+    """Pack rows of cells into words, with `pad` empty words on either side of each row."""
+    rows, columns = blocked.shape
+    words = (columns + 63) // 64
+    out = np.zeros((rows, words + 2 * pad), np.uint64)
+    for row in range(rows):
+        for column in range(columns):
+            if blocked[row, column]:
+                out[row, pad + (column >> 6)] |= np.uint64(1) << np.uint64(column & 63)
+    return out
+
+
+@njit
+def _run_levels(bits: Words, levels: int) -> Words:
+    """Return for each `k` the columns from which a run of ``2 ** k`` cells meets a blocked one."""
+    rows, words = bits.shape
+    out = np.zeros((levels, rows, words), np.uint64)
+    out[0] = bits
+    for k in range(1, levels):
+        shift = 1 << (k - 1)
+        for row in range(rows):
+            _merge_shifted(out[k, row], out[k - 1, row], 0, 0, words)
+            _merge_shifted(out[k, row], out[k - 1, row], shift, 0, words)
+    return out
+
+
+@njit
+def _merge_shifted(into: Words, row: Words, shift: int, start: int, end: int) -> None:
+    """Set the bits of a row that lie `shift` columns further on; empty words lie beyond it."""
+    skip = shift >> 6
+    bit = np.uint64(shift & 63)
+    words = len(row)
+    first = max(start, -skip)
+    last = min(end, words - skip)
+    if bit == 0:
+        for w in range(first, last):
+            into[w] |= row[w + skip]
+        return
+    back = np.uint64(64) - bit
+    if start <= -skip - 1 < end:
+        into[-skip - 1] |= row[0] << back
+    for w in range(first, min(last, words - skip - 1)):
+        into[w] |= (row[w + skip] >> bit) | (row[w + skip + 1] << back)
+    if first < last and last == words - skip:
+        into[last - 1] |= row[words - 1] >> bit
+
+
+@njit
+def _transpose(a: Words) -> None:
+    """Transpose a square of 64 by 64 bits: bit `c` of word `h` becomes bit `h` of word `c`."""
+    j = 32
+    mask = np.uint64(0x00000000FFFFFFFF)
+    while j != 0:
+        k = 0
+        shift = np.uint64(j)
+        while k < 64:
+            swap = ((a[k] >> shift) ^ a[k + j]) & mask
+            a[k + j] ^= swap
+            a[k] ^= swap << shift
+            k = (k + j + 1) & ~j
+        j >>= 1
+        if j > 0:
+            mask = mask ^ (mask << np.uint64(j))
+
+
+@njit
+def _keep_columns(row: Words, low: int, high: int, pad: int, columns: int) -> None:
+    """Clear the bits of all columns but those from `low` to before `high`."""
+    for w in range(len(row)):
+        base = (w - pad) * 64
+        if base + 64 <= low or base >= high or base >= columns:
+            row[w] = np.uint64(0)
+            continue
+        if low > base:
+            row[w] &= ~np.uint64(0) << np.uint64(low - base)
+        end = min(high, columns)
+        if end < base + 64:
+            row[w] &= ~(~np.uint64(0) << np.uint64(end - base))
+
+
+@njit
+def _undecided(
+    clearance: NDArray[np.float32], row: int, inner: float, outer: float, pad: int, words: int
+) -> NDArray[np.int8]:
+    """Tell of each word of a row: 1 free at all headings, 0 at none, -1 undecided.
+
+    The discs lie about the poses: the `inner` one within the body, the body in the `outer` one.
+    """
+    columns = clearance.shape[1]
+    out = np.zeros(words, np.int8)
+    for w in range((columns + 63) // 64):
+        least = np.float32(inf)
+        most = np.float32(0.0)
+        for column in range(64 * w, min(64 * w + 64, columns)):
+            least = min(least, clearance[row, column])
+            most = max(most, clearance[row, column])
+        if most < inner:
+            out[pad + w] = 0
+        elif least > outer:
+            out[pad + w] = 1
+        else:
+            out[pad + w] = -1
+    return out
+
+
+@njit
+def _free_rows(
+    masks: Words,
+    levels: Words,
+    clearance: NDArray[np.float32],
+    pad: int,
+    group: int,
+    begin: int,
+    end: int,
+    run_start: NDArray[np.int64],
+    run_row: NDArray[np.int64],
+    run_level: NDArray[np.int64],
+    run_first: NDArray[np.int64],
+    run_last: NDArray[np.int64],
+    limits: NDArray[np.int64],
+    inner: float,
+    outer: float,
+    step: int,
+    shift_row: int,
+    shift_column: int,
+) -> None:
+    """Set the bits of the places in some rows of `masks`.
+
+    Parameters
+    ----------
+    masks : ndarray of uint64
+        The places; bits are added.
+    levels : ndarray of uint64
+        See `_run_levels`.
+    clearance : ndarray
+        See `Space`.
+    pad : int
+        Empty words on either side of a row.
+    group : int
+        Cells of the map to a place, along either axis.
+    begin, end : int
+        Rows of the map; `begin` is a multiple of `group`.
+    run_start, run_row, run_level, run_first, run_last : ndarray
+        Runs of the headings one after another; a run is the union of two of ``2 ** level`` cells.
+    limits : ndarray, shape (headings, 4)
+        See `Runs`: low, high, left, right.
+    inner, outer : float
+        Radii of discs within the body and around it, about all poses of a cell [cells].
+    step, shift_row, shift_column : int
+        Every how many rows and columns of `masks`, and from which on, the poses lie.
+    """
+    rows, columns = clearance.shape
+    words = levels.shape[2]
+    headings = len(run_start) - 1
+    planes = np.empty((headings, words), np.uint64)
+    touched = np.empty(words, np.uint64)
+    square = np.empty(64, np.uint64)
+    for first_row in range(begin, end, group):
+        planes[:] = 0
+        for row in range(first_row, min(first_row + group, end)):
+            known = _undecided(clearance, row, inner, outer, pad, words)
+            for h in range(headings):
+                if row < limits[h, 0] or row > rows - limits[h, 1]:
+                    continue
+                w = pad
+                while w < words - pad:
+                    if known[w] >= 0:
+                        touched[w] = np.uint64(0) if known[w] == 1 else ~np.uint64(0)
+                        w += 1
+                        continue
+                    after = w
+                    while after < words - pad and known[after] < 0:
+                        touched[after] = 0
+                        after += 1
+                    for k in range(run_start[h], run_start[h + 1]):
+                        at = row + run_row[k]
+                        if at < 0 or at >= rows:
+                            continue
+                        line = levels[run_level[k], at]
+                        _merge_shifted(touched, line, run_first[k], w, after)
+                        if run_last[k] != run_first[k]:
+                            _merge_shifted(touched, line, run_last[k], w, after)
+                    w = after
+                for v in range(pad, words - pad):
+                    touched[v] = ~touched[v]
+                _keep_columns(touched, limits[h, 2], columns - limits[h, 3] + 1, pad, columns)
+                for v in range(pad, words - pad):
+                    planes[h, v] |= touched[v]
+        out_row = (first_row // group) * step + shift_row
+        for w in range(pad, words - pad):
+            some = np.uint64(0)
+            for h in range(headings):
+                some |= planes[h, w]
+            if some == 0:
+                continue
+            for h in range(64):
+                square[h] = planes[h % headings, w]
+            _transpose(square)
+            for bit in range(64):
+                if square[bit] != 0:
+                    column = (w - pad) * 64 + bit
+                    masks[out_row, (column // group) * step + shift_column] |= square[bit]
+
+
+def _grouping(space: Space, body: Body) -> tuple[int, int]:
+    """Return how many cells make a place, and how many places a cell, along either axis."""
+    side = min(body.x_max - body.x_min, body.y_max - body.y_min)
+    wanted = FINENESS * side / space.resolution
+    cells = space.clearance.size
+    if wanted < 0.75:
+        parts = min(int(1.0 / wanted + 0.5), int((MOST_PLACES / cells) ** 0.5))
+        if parts > 1:
+            return 1, parts
+    group = max(int(wanted + 0.5), 1)
+    coarsest = COARSEST * side / space.resolution
+    while cells > MOST_PLACES * group * group and group + 1 <= coarsest:
+        group += 1
+    return group, 1
+
+
+def free_space(
+    space: Space, body: Body, *, enlarged: bool = False, threads: int | None = None
+) -> FreeSpace:
+    """Return the free configurations of a body on a map, computed anew.
+
+    Parameters
+    ----------
+    space : Space
+        The map.
+    body : Body
+        The body [m].
+    enlarged : bool
+        Whether a bit tells of all poses that are nearest to its own, not of the poses tested:
+        then every free pose lies in a place, and within half a step of a heading, whose bit is
+        set.
+    threads : int, optional
+        Threads that work side by side; as many as there are processors if left out. The result
+        does not depend on it.
+
+    Returns
+    -------
+    FreeSpace
+        The free configurations.
+    """
+    group, parts = _grouping(space, body)
+    rows, columns = space.clearance.shape
+    resolution = space.resolution
+    turn = 2 * pi / HEADINGS
+    centred = body.x_min == -body.x_max and body.y_min == -body.y_max
+    # a body that looks the same from behind fits in a heading and its opposite alike
+    headings = HEADINGS // 2 if centred else HEADINGS
+    masks = np.zeros((-(-rows // group) * parts, -(-columns // group) * parts), np.uint64)
+    blocked = space.clearance == 0
+    reach = hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max)) / resolution
+    inscribed = max(min(-body.x_min, body.x_max, -body.y_min, body.y_max), 0.0) / resolution
+    pad = ceil((reach + 2.0) / 64) + 1
+    levels = max(ceil(2 * reach + 3).bit_length(), 1)
+    runs_of_map = _run_levels(_rows_of_bits(blocked, pad), levels)
+    bands = np.linspace(0, -(-rows // group), min(BANDS, rows) + 1).astype(int) * group
+    count = workers() if threads is None else threads
+    with ThreadPoolExecutor(count) as pool:
+        for part in range(parts * parts):
+            shift_row, shift_column = divmod(part, parts)
+            tables = []
+            for h in range(headings):
+                fitting, touch = body, TOUCH
+                if enlarged:
+                    fitting = shrunk(body, resolution / parts, h * turn, 0.5 * turn)
+                    touch = -TOUCH
+                x, y = (shift_column + 0.5) / parts, (shift_row + 0.5) / parts
+                found = runs_of(fitting, resolution, h * turn, x, y, touch)
+                tables.append(
+                    found or Runs(*np.zeros((3, 0), np.int64), low=0, high=1, left=0, right=1)
+                )
+            length = np.concatenate([t.last - t.first + 1 for t in tables]).astype(np.int64)
+            level = np.array([int(n).bit_length() - 1 for n in length], np.int64)
+            last = np.concatenate([t.last for t in tables]) + 1 - (1 << level)
+            list(
+                pool.map(
+                    lambda begin, end, shifts, *arrays: _free_rows(
+                        masks,
+                        runs_of_map,
+                        space.clearance,
+                        pad,
+                        group,
+                        begin,
+                        min(end, rows),
+                        *arrays,
+                        # what the enlarged cells may be is not told by the discs of the body
+                        -1.0 if enlarged else inscribed - 0.75,
+                        reach + 0.75,
+                        parts,
+                        *shifts,
+                    ),
+                    bands[:-1].tolist(),
+                    bands[1:].tolist(),
+                    [(shift_row, shift_column)] * len(bands),
+                    *(
+                        [array] * len(bands)
+                        for array in (
+                            np.cumsum([0, *(len(t.row) for t in tables)]),
+                            np.concatenate([t.row for t in tables]),
+                            level,
+                            np.concatenate([t.first for t in tables]),
+                            last,
+                            np.array([[t.low, t.high, t.left, t.right] for t in tables]),
+                        )
+                    ),
+                )
+            )
+    masks.setflags(write=False)
+    return FreeSpace(masks, resolution * group / parts, enlarged)
