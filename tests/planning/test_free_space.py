@@ -40,7 +40,7 @@ def bits(masks: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("resolution", [0.025, 0.05, 0.1, 0.2])
 def test_a_bit_says_what_the_collision_test_says(body, resolution):
     grid = salted(resolution, (4.0, 9.0), seed=3)
-    space = grid._space
+    space = grid.space
     found = free_space(space, body)
     rows, columns = found.masks.shape
     heading = np.arange(HEADINGS) * 2 * np.pi / HEADINGS + grid.origin.yaw
@@ -68,14 +68,14 @@ def test_a_bit_says_what_the_collision_test_says(body, resolution):
 @pytest.mark.parametrize("resolution", [0.025, 0.1, 0.2])
 def test_every_free_pose_lies_in_an_enlarged_cell(body, resolution):
     grid = salted(resolution, (4.0, 9.0), seed=5)
-    found = free_space(grid._space, body, enlarged=True)
+    found = free_space(grid.space, body, enlarged=True)
     rng = np.random.default_rng(0)
     count = 200_000
     place = rng.uniform(0, grid.size, (count, 2))
     # many of them where the body touches a wall or the edge: shrink until free is rare
     yaw = rng.uniform(-np.pi, np.pi, count)
     poses = np.column_stack([grid.to_world(place / resolution), yaw + grid.origin.yaw])
-    free = poses_free(grid._space, body, poses)
+    free = poses_free(grid.space, body, poses)
     column, row = np.floor(place / found.spacing).astype(int).T
     heading = np.round(yaw / (2 * np.pi / HEADINGS)).astype(int) % HEADINGS
     may = bits(found.masks)[row, column, heading]
@@ -88,8 +88,8 @@ def test_every_free_pose_lies_in_an_enlarged_cell(body, resolution):
 def test_threads_and_a_body_seen_from_behind_change_nothing():
     grid = salted(0.05, (6.0, 11.0), seed=7)
     body = Body(-0.4, -0.3, 0.4, 0.3)
-    one = free_space(grid._space, body, threads=1)
-    many = free_space(grid._space, body, threads=5)
+    one = free_space(grid.space, body, threads=1)
+    many = free_space(grid.space, body, threads=5)
     assert np.array_equal(one.masks, many.masks)
-    shifted = free_space(grid._space, Body(-0.4, -0.3, 0.4 + 1e-9, 0.3))
+    shifted = free_space(grid.space, Body(-0.4, -0.3, 0.4 + 1e-9, 0.3))
     assert np.mean(one.masks != shifted.masks) < 1e-3

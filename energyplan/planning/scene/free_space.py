@@ -9,10 +9,9 @@ of the exact collision test, so a bit says what that test says of the pose.
 from __future__ import annotations
 
 import os
-import weakref
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import partial
 from math import ceil, cos, floor, hypot, inf, pi, sin
 from typing import NamedTuple
 
@@ -92,7 +91,7 @@ def workers() -> int:
 
 def runs_of(
     body: Body, resolution: float, heading: float, x: float, y: float, touch: float
-) -> Runs | None:
+) -> Runs:
     """Return the cells that a body touches at a pose within cell (0, 0).
 
     Parameters
@@ -110,8 +109,8 @@ def runs_of(
 
     Returns
     -------
-    Runs or None
-        The cells; None for a rectangle of negative size, which touches nothing.
+    Runs
+        The cells; none for a rectangle of negative size.
     """
     c, s = cos(heading), sin(heading)
     if abs(s) < ALIGNED:
@@ -121,7 +120,8 @@ def runs_of(
     half_x = 0.5 * (body.x_max - body.x_min) / resolution
     half_y = 0.5 * (body.y_max - body.y_min) / resolution
     if half_x < 0 or half_y < 0:
-        return None
+        none = np.zeros(0, np.int64)
+        return Runs(none, none, none, low=0, high=1, left=0, right=1)
     mid_x = 0.5 * (body.x_min + body.x_max) / resolution
     mid_y = 0.5 * (body.y_min + body.y_max) / resolution
     x += c * mid_x - s * mid_y
@@ -457,45 +457,31 @@ def free_space(
                     fitting = shrunk(body, resolution / parts, h * turn, 0.5 * turn)
                     touch = -TOUCH
                 x, y = (shift_column + 0.5) / parts, (shift_row + 0.5) / parts
-                found = runs_of(fitting, resolution, h * turn, x, y, touch)
-                tables.append(
-                    found or Runs(*np.zeros((3, 0), np.int64), low=0, high=1, left=0, right=1)
-                )
-            length = np.concatenate([t.last - t.first + 1 for t in tables]).astype(np.int64)
+                tables.append(runs_of(fitting, resolution, h * turn, x, y, touch))
+            first = np.concatenate([t.first for t in tables])
+            length = np.concatenate([t.last for t in tables]) - first + 1
             level = np.array([int(n).bit_length() - 1 for n in length], np.int64)
-            last = np.concatenate([t.last for t in tables]) + 1 - (1 << level)
-            list(
-                pool.map(
-                    lambda begin, end, shifts, *arrays: _free_rows(
-                        masks,
-                        runs_of_map,
-                        space.clearance,
-                        pad,
-                        group,
-                        begin,
-                        min(end, rows),
-                        *arrays,
-                        # what the enlarged cells may be is not told by the discs of the body
-                        -1.0 if enlarged else inscribed - 0.75,
-                        reach + 0.75,
-                        parts,
-                        *shifts,
-                    ),
-                    bands[:-1].tolist(),
-                    bands[1:].tolist(),
-                    [(shift_row, shift_column)] * len(bands),
-                    *(
-                        [array] * len(bands)
-                        for array in (
-                            np.cumsum([0, *(len(t.row) for t in tables)]),
-                            np.concatenate([t.row for t in tables]),
-                            level,
-                            np.concatenate([t.first for t in tables]),
-                            last,
-                            np.array([[t.low, t.high, t.left, t.right] for t in tables]),
-                        )
-                    ),
-                )
+            work = partial(
+                _free_rows,
+                masks,
+                runs_of_map,
+                space.clearance,
+                pad,
+                group,
+                run_start=np.cumsum([0, *(len(t.row) for t in tables)]),
+                run_row=np.concatenate([t.row for t in tables]),
+                run_level=level,
+                run_first=first,
+                run_last=first + length - (1 << level),
+                limits=np.array([[t.low, t.high, t.left, t.right] for t in tables]),
+                # what the enlarged cells may be is not told by a disc in the body
+                inner=-1.0 if enlarged else inscribed - 0.75,
+                outer=reach + 0.75,
+                step=parts,
+                shift_row=shift_row,
+                shift_column=shift_column,
             )
+            ends = np.minimum(bands[1:], rows).tolist()
+            list(pool.map(work, bands[:-1].tolist(), ends))
     masks.setflags(write=False)
     return FreeSpace(masks, resolution * group / parts, enlarged)
