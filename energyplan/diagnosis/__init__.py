@@ -92,6 +92,8 @@ def diagnose(
         If there are no drives, or a drive is both learned from and held out.
     DriveLogError
         If a drive is shorter than 16 s.
+    NotIdentifiableError
+        If the robot never moves in the training drives, or draws no power.
 
     References
     ----------
@@ -113,6 +115,7 @@ def diagnose(
     if any(log is other for log in learned for other in held_out):
         raise InvalidInputError("a drive stands in train and in holdout; give it to one of them")
     entries = tuple(catalogue().values()) if effects is None else tuple(effects)
+    _answerable(learned)
     report(0.0, "fitting the paper's model")
     vehicle = _with_icr(learned, vehicle)
     case = _Case(learned, held_out, vehicle, entries)
@@ -130,6 +133,24 @@ def _logs(logs: DriveLog | Sequence[DriveLog], name: str) -> list[DriveLog]:
     if not drives:
         raise InvalidInputError(f"{name} is empty; give at least one drive")
     return drives
+
+
+def _answerable(logs: Sequence[DriveLog]) -> None:
+    """Refuse drives that tell nothing.
+
+    Raises
+    ------
+    NotIdentifiableError
+        If the robot never moves, or never draws any power.
+    """
+    names = ", ".join(log.name for log in logs[:3])
+    if not any(np.any(log.power) for log in logs):
+        raise NotIdentifiableError(f"{names}: the measured power is zero throughout; check it")
+    if not any(np.any(log.channel(side)) for log in logs for side in ("v_left", "v_right")):
+        raise NotIdentifiableError(
+            f"{names}: the robot stands still throughout; standstill tells the load at rest and "
+            "nothing of friction: add a drive"
+        )
 
 
 def _with_icr(logs: Sequence[DriveLog], vehicle: Vehicle) -> Vehicle:

@@ -79,6 +79,8 @@ def mark_changes(problem: Problem, terms: Sequence[Term], errors: FloatArray) ->
             others_total = sum((totals[j] for j in range(len(sums)) if j != k), 0.0 * totals[k])
             others_after = sum((afters[j] for j in range(len(sums)) if j != k), 0.0 * totals[k])
             times = np.arange(_MARGIN, len(part) - _MARGIN)
+            if not len(times):
+                continue  # too short to have changed within
             late = part[-1] - part[times]
             options = [late] if k == 0 else [late, part[times], part[-1:], 0.0 * part[-1:]]
             best = (np.inf, splits[k], afters[k])

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal import savgol_filter
 
+from energyplan.logs.checks import find_runs
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 
@@ -18,6 +19,8 @@ _SIGMA = 4.0  # standard deviations that noise does not exceed
 _NOISELESS = 1e-4  # speed noise not worth smoothing [m/s]
 _ROUNDING = 1e-6  # a smaller difference of noiseless speeds is none [m/s]
 _CREEP = 2e-3  # a slower tread is at rest [m/s]
+_DRIVING = 0.1  # share of the usual speed that is driving, whatever the noise
+_SHORTEST = 7  # samples in a stretch below which nothing is smoothed
 
 
 def quiet(motion: Motion, t: FloatArray) -> Motion:
@@ -41,21 +44,39 @@ def quiet(motion: Motion, t: FloatArray) -> Motion:
     Motion
         The same channels with cleaned tread speeds.
     """
-    noise = max(speed_noise(motion.v_left), speed_noise(motion.v_right))
+    left, right = np.array(motion.v_left), np.array(motion.v_right)
+    for run in find_runs(t):
+        left[run], right[run] = _quiet_run(left[run], right[run], t[run])
+    return replace(motion, v_left=left, v_right=right)
+
+
+def _quiet_run(left: FloatArray, right: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return both tread speeds of a stretch without a gap, freed of noise."""
+    if len(t) < _SHORTEST:
+        return left, right
+    noise = max(speed_noise(left), speed_noise(right))
     period = float(np.median(np.diff(t)))
     width = 2 * round(0.5 * _SMOOTHING / period) + 1
-    left, right = motion.v_left, motion.v_right
     level = _SIGMA * noise
-    if noise > _NOISELESS and width >= 5:
+    # Readings that beat with the encoder scatter by a good part of the speed, but are no standstill
+    # and no turn: whatever the noise, a good part of the usual speed is driving.
+    moving = np.maximum(np.abs(left), np.abs(right))
+    usual = float(np.median(moving[moving > 0])) if np.any(moving) else 0.0
+    most = _DRIVING * usual
+    if noise > _NOISELESS and 5 <= width <= len(t):
         left, right = (savgol_filter(v, width, 2) for v in (left, right))
         level *= 1.5 / np.sqrt(width)  # a parabola leaves 9 / 4n of the variance at its middle
+    elif level > most and len(t) >= 2 * _SHORTEST:
+        size = min(2 * round(0.5 * _LONGER[0] / period) + 1, _SHORTEST)
+        left, right = (uniform_filter1d(v, max(size, 3)) for v in (left, right))
+    level = min(level, most)
     mean = 0.5 * (left + right)
     moving = np.maximum(np.abs(left), np.abs(right)) > max(level, _CREEP)
     turn = _turn(right - left, np.sqrt(2) * level, np.sqrt(2) * _SIGMA * noise, moving, period)
     left, right = mean - 0.5 * turn, mean + 0.5 * turn
     level = max(level, _CREEP)
     left, right = (np.where(np.abs(v) < level, 0.0, v) for v in (left, right))
-    return replace(motion, v_left=left, v_right=right)
+    return left, right
 
 
 def _turn(
@@ -68,6 +89,8 @@ def _turn(
         return turn
     for length in _LONGER:
         size = 2 * round(0.5 * length / period) + 1
+        if size > len(turn):
+            break
         # Only where the whole stretch is straight so far: nothing leaks in from a turn beside it.
         calm = maximum_filter1d((~straight | ~moving).astype(float), size) == 0.0
         average = uniform_filter1d(difference, size)

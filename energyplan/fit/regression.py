@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from energyplan.errors import UnknownNameError
 from energyplan.fit import solvers
@@ -27,6 +29,9 @@ from energyplan.power import PowerModel
 Method = Literal["lad", "simplex", "huber"]
 Loss = Callable[[FloatArray], float]
 
+_IDLE = 0.01
+"""Size of a regressor, over its usual one, below which a sample says nothing about it."""
+
 
 def pieces_of(drives: Sequence[DriveLog]) -> list[slice]:
     """Stretches without a gap, all logs one below the other."""
@@ -36,6 +41,39 @@ def pieces_of(drives: Sequence[DriveLog]) -> list[slice]:
         for start, log in zip(starts, drives, strict=True)
         for run in log.runs
     ]
+
+
+def telling(design: FloatArray) -> NDArray[np.bool_]:
+    """Tell which samples say something about the coefficients.
+
+    A robot at rest says nothing about friction, however long it stands: its residual is not that
+    of a driving one, and where half of a log is rest, its residual is the whole log's median.
+
+    Parameters
+    ----------
+    design : ndarray, shape (n, p)
+        Regressors.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        Where some regressor is more than `_IDLE` of its own usual size.
+    """
+    size = np.abs(design)
+    usual = np.sqrt(np.einsum("ij,ij->j", size, size) / np.maximum((size > 0).sum(axis=0), 1))
+    found = np.any(size > _IDLE * usual, axis=1)
+    return found if np.count_nonzero(found) > design.shape[1] else np.ones(len(design), bool)
+
+
+def kept_pieces(pieces: Sequence[slice], kept: NDArray[np.bool_]) -> list[slice]:
+    """Return stretches without a gap among the kept samples, counted over those alone."""
+    number = np.concatenate([[0], np.cumsum(kept)])
+    edges = [0]
+    for piece in pieces:
+        steps = np.flatnonzero(np.diff(kept[piece].astype(int))) + piece.start + 1
+        edges += [*number[steps], number[piece.stop]]
+    bounds = np.unique(edges).tolist()
+    return [slice(a, b) for a, b in pairwise(bounds)]
 
 
 class Problem:
@@ -144,8 +182,11 @@ class Problem:
     def covariance(self, model: PowerModel, method: Method) -> FloatArray:
         """Covariance of the coefficients under autocorrelated, heteroscedastic residuals."""
         target, design = self._linearise(model)
+        informative = telling(design)
+        target, design = target[informative], design[informative]
+        pieces = kept_pieces(self.pieces, informative)
         residual = target - design @ model.coefficients
-        noise = autocorrelation(normal_scores(residual), self.pieces, design)
+        noise = autocorrelation(normal_scores(residual), pieces, design)
         sigma = solvers.robust_scale(residual)
         sigma = max(sigma, 1e-9 * float(np.max(np.abs(self._measured), initial=1e-300)))
         if method == "huber":
@@ -159,7 +200,7 @@ class Problem:
             rho = 2 / np.pi * np.arcsin(np.clip(noise.rho, -1.0, 1.0))
             slope = 2.0 * _density_at_zero(residual, sigma, len(residual) / noise.repeats)
         bread = (design * slope[:, None]).T @ design
-        meat = sum_covariance(design, scale, rho, self.pieces)
+        meat = sum_covariance(design, scale, rho, pieces)
         return np.asarray(sandwich(bread, meat) / noise.kept)
 
     def inherited(self, model: PowerModel, estimate: ICREstimate) -> FloatArray:

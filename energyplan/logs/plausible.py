@@ -127,9 +127,10 @@ def find_offset(
     scale = np.sqrt(np.einsum("ijj->ij", gram))
     if np.any(scale <= 0):
         return None
-    # A trace of ridge keeps collinear regressors, of a robot that never turns, solvable.
-    unit = gram / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(size)
-    weights = np.linalg.solve(unit, (cross / scale)[..., None])[..., 0] / scale
+    # Regressors may be collinear, as those of a robot that never turns or has one side dead.
+    unit = gram / (scale[:, :, None] * scale[:, None, :])
+    inverse = np.linalg.pinv(unit, rcond=1e-9, hermitian=True)
+    weights = (inverse @ (cross / scale)[..., None])[..., 0] / scale
     mean = total**2 / count if centred else 0.0
     explained = (np.einsum("ij,ij->i", cross, weights) - mean) / (square - mean)
     best = int(np.argmax(explained))
@@ -358,13 +359,15 @@ def _dragging(channels: Mapping[str, FloatArray], side: str) -> bool:
     outwards = 1.0 if side == "p_right" else -1.0
     turn = outwards * np.clip((channels["v_right"] - channels["v_left"]) / _TURNING, -1.0, 1.0)
     X, y = np.stack([turn * speed, np.abs(speed)]), channels[side]
+    if not np.any(y) or not np.any(speed):
+        return False
     gram, cross = X @ X.T, X @ y
     alike = _alike(X[0], X[1])
     if abs(alike) > 0.97:
         # Not to be told apart. In spins and on the outer side both draw; on the inner side, who
         # knows.
         return alike > 0 and _wrong_sign(y[X[1] > _MOVING])
-    slip, resistance = np.linalg.solve(gram + 1e-12 * np.trace(gram) * np.eye(2), cross)
+    slip, resistance = np.linalg.pinv(gram, rcond=1e-12, hermitian=True) @ cross
     explained = (slip * cross[0] + resistance * cross[1]) / float(y @ y)
     return bool(explained > 0.5 and gram[1, 1] > 0 and resistance < -0.1 * abs(slip))
 

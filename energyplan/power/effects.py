@@ -192,8 +192,9 @@ def _tilt(model: PowerModel) -> float:
 
 
 def _payload(model: PowerModel) -> float:
-    ratio = model.coefficient("slip_change") / model.coefficient("slip_friction")
-    return model.vehicle.mass * float(ratio)
+    friction = model.coefficient("slip_friction") if model.has("slip_friction") else 0.0
+    change = model.vehicle.mass * model.coefficient("slip_change")
+    return change / friction if friction else float(np.copysign(np.inf, change))
 
 
 def _slip_change(model: PowerModel) -> float:

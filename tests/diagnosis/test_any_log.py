@@ -1,0 +1,151 @@
+"""Logs as robots write them, however strange: an answer or a named error, never a traceback."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from energyplan import DriveLog, diagnose, identify, simulate
+from energyplan.diagnosis.denoise import quiet
+from energyplan.errors import EnergyPlanError, NotIdentifiableError
+from energyplan.path import FloatArray
+from energyplan.power import PowerModel
+
+MODEL = PowerModel.preset("quadriga:full:concrete")
+NOISE = {"power_noise": 5.0, "speed_noise": 0.005}
+Channels = dict[str, FloatArray]
+
+
+def _kept(channels: Channels, keep: slice | FloatArray) -> Channels:
+    return {name: values[keep] for name, values in channels.items()}
+
+
+def _with(**changes: Callable[[FloatArray], FloatArray]) -> Callable[[Channels], Channels]:
+    return lambda channels: {
+        **channels, **{name: change(channels[name]) for name, change in changes.items()}
+    }  # fmt: skip
+
+
+def _zero(values: FloatArray) -> FloatArray:
+    return np.zeros_like(values)
+
+
+def _half(values: FloatArray) -> FloatArray:
+    return np.full_like(values, 0.5)
+
+
+def _holes(values: FloatArray) -> FloatArray:
+    values = values.copy()
+    for first in range(100, len(values), 400):
+        values[first : first + 60] = np.nan
+    return values
+
+
+def _coarse(values: FloatArray) -> FloatArray:
+    return np.asarray(np.round(8 * values) / 8)
+
+
+def _spike(values: FloatArray) -> FloatArray:
+    values = values.copy()
+    values[7] = 4e4
+    return values
+
+
+def _back(values: FloatArray) -> FloatArray:
+    return np.where(np.arange(len(values)) > 500, values - 3.0, values)
+
+
+def _broken(channels: Channels) -> Channels:
+    return _kept(channels, np.arange(len(channels["t"])) % 60 < 20)
+
+
+STRANGE: dict[str, Callable[[Channels], Channels]] = {
+    "two samples": lambda c: _kept(c, slice(2)),
+    "three samples": lambda c: _kept(c, slice(400, 403)),
+    "ten seconds": lambda c: _kept(c, slice(200)),
+    "a sample every two seconds": lambda c: _kept(c, slice(None, None, 40)),
+    "two hertz": lambda c: _kept(c, slice(None, None, 10)),
+    "gaps": _broken,
+    "constant speed": _with(v_left=_half, v_right=_half),
+    "straight only": lambda c: _kept(c, (c["t"] > 28) & (c["t"] < 45)),
+    "spin only": lambda c: _kept(c, (c["t"] > 4) & (c["t"] < 23)),
+    "standstill": _with(v_left=_zero, v_right=_zero),
+    "no power": _with(p_left=_zero, p_right=_zero),
+    "one power dead": _with(p_left=_zero),
+    "one speed dead": _with(v_left=_zero),
+    "holes": _with(p_left=_holes, v_right=lambda values: np.roll(_holes(values), 200)),
+    "time going back": _with(t=_back),
+    "coarse speeds": _with(v_left=_coarse, v_right=_coarse),
+    "a spike": _with(p_left=_spike),
+    "pose that never changes": _with(x=_zero, y=_zero, yaw=_zero, yaw_rate=_zero),
+    "nanowatts": _with(p_left=lambda p: 1e-9 * p, p_right=lambda p: 1e-9 * p),
+}
+
+
+@pytest.mark.parametrize("name", STRANGE)
+def test_any_log_has_an_answer_or_a_named_error(name: str) -> None:
+    sound = simulate.identification_drive(MODEL, seed=1, **NOISE)
+    other = simulate.validation_drive(MODEL, seed=2, **NOISE)
+    channels = STRANGE[name](dict(sound.channels))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)  # NumPy's: a NaN on its way
+        try:
+            log = DriveLog.from_columns(channels, name)
+        except EnergyPlanError as problem:
+            assert name in str(problem)
+            return
+        try:
+            found = identify(log, MODEL.vehicle)
+            assert np.all(np.isfinite(found.model.coefficients))
+        except EnergyPlanError as problem:
+            assert len(str(problem)) > 30
+        for train, unseen in ((log, other), (sound, log)):
+            try:
+                told = diagnose(train, unseen, MODEL.vehicle)
+            except EnergyPlanError as problem:
+                assert len(str(problem)) > 30
+                continue
+            assert np.isfinite(told.before.rmse) and np.isfinite(told.after.rmse)
+            assert np.all(np.isfinite(told.model.coefficients))
+
+
+def test_a_robot_that_only_stands_is_told_so() -> None:
+    log = simulate.identification_drive(MODEL, seed=1, **NOISE)
+    still = DriveLog.from_columns(
+        {**log.channels, "v_left": 0 * log.t, "v_right": 0 * log.t}, "parked"
+    )
+    with pytest.raises(NotIdentifiableError, match="parked: the robot stands still"):
+        diagnose(still, log, MODEL.vehicle)
+
+
+def test_standstill_says_nothing_about_friction_and_makes_nothing_surer() -> None:
+    log = simulate.identification_drive(MODEL, seed=1, **NOISE)
+    count = 20_000
+    late = log.t[-1] + 0.05 * np.arange(1, count + 1)
+    parked = {
+        name: np.concatenate([values, np.full(count, values[-1])])
+        for name, values in log.channels.items()
+    }
+    still = dict.fromkeys(("v_left", "v_right", "p_left", "p_right"), np.zeros(count))
+    for name, values in still.items():
+        parked[name] = np.concatenate([log.channels[name], values])
+    parked["t"] = np.concatenate([log.t, late])
+    short, long = (identify(one, MODEL.vehicle) for one in (log, DriveLog(parked)))
+    for name, error in short.std_error.items():
+        assert long.model.coefficient(name) == pytest.approx(short.model.coefficient(name))
+        assert long.std_error[name] == pytest.approx(error, rel=0.1)
+
+
+def test_a_speed_that_beats_with_its_encoder_is_still_a_speed() -> None:
+    t = np.arange(0.0, 40.0, 1 / 6.5)
+    beat = np.where(np.arange(len(t)) % 4 == 3, 0.29, 0.57)
+    beat[:26] = 0.0
+    log = DriveLog({"t": t, "v_left": beat, "v_right": beat, "power": 150 * beat})
+    cleaned = quiet(log.motion(MODEL.vehicle.icr), t)
+    driving = np.arange(len(t)) > 30
+    assert np.all(cleaned.v_left[driving] > 0.3)
+    assert cleaned.v_left[driving].mean() == pytest.approx(beat[driving].mean(), rel=0.01)
+    assert np.all(cleaned.v_left[:20] == 0.0)
