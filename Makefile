@@ -3,9 +3,12 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+DOCS_READY := $(VENV)/.docs-ready
+NIGHTLY_READY := $(VENV)/.nightly-ready
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 OUT ?= demo
 
-.PHONY: demo test lint docs fuzz pictures bench lock clean
+.PHONY: demo test shuffled lint docs fuzz mutate lowest pictures bench lock clean
 
 demo: $(READY)
 	$(BIN)/energyplan demo --out $(OUT)
@@ -13,13 +16,30 @@ demo: $(READY)
 test: $(READY) lint
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
+# The suite ROUNDS times, each in another order, with two busy processes beside it.
+ROUNDS ?= 10
+shuffled: $(READY)
+	@for load in 1 2; do $(BIN)/python -c 'while True: pass' & busy="$$busy $$!"; done; \
+	trap 'kill $$busy' EXIT; \
+	for round in $$(seq $(ROUNDS)); do \
+		$(BIN)/python -m pytest -p randomly -n 2 --dist loadfile -q || exit 1; \
+	done
+
+# The suite with the oldest releases that pyproject.toml admits.
+lowest: $(READY)
+	$(PYTHON) -m venv --clear build/lowest
+	$(BIN)/uv pip install --quiet --python build/lowest/bin/python --resolution lowest-direct \
+		--all-extras --group test -r pyproject.toml
+	$(BIN)/uv pip install --quiet --python build/lowest/bin/python --no-deps .
+	build/lowest/bin/python -m pytest -n 2 --dist loadfile tests
+
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-docs: $(READY)
+docs: $(DOCS_READY)
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build
 
 # Nightly: FUZZ malformed inputs for every reader, by two fuzzers, and for every command.
@@ -27,8 +47,14 @@ docs: $(READY)
 FUZZ ?= 100000
 FUZZ_JOBS ?= 2
 FUZZ_ONLY ?= *
-fuzz: $(READY)
+fuzz: $(NIGHTLY_READY)
 	@set -f; $(BIN)/python tests/fuzz/nightly.py --runs $(FUZZ) --jobs $(FUZZ_JOBS) $(FUZZ_ONLY)
+
+# Nightly: changes the numerical core in MUTATIONS places a module, and counts what no test notices.
+MUTATIONS ?= 25
+MUTATE ?= *
+mutate: $(NIGHTLY_READY)
+	@set -f; $(BIN)/python tests/mutation.py --mutations $(MUTATIONS) $(MUTATE)
 
 # The pictures of the README and the documentation, drawn by the demo and the examples.
 pictures: demo
@@ -42,17 +68,28 @@ pictures: demo
 bench: $(READY)
 	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
 
+LOCK = $(BIN)/uv pip compile --universal --python-version 3.11 --generate-hashes --all-extras \
+	--no-header --quiet pyproject.toml
 lock: $(READY)
-	$(BIN)/uv pip compile --universal --python-version 3.11 --generate-hashes --group dev \
-		--all-extras --no-header --quiet --upgrade pyproject.toml -o requirements-dev.lock
+	$(LOCK) --upgrade --group test -o requirements-test.lock
+	$(LOCK) --group test --group docs -c requirements-test.lock -o requirements-docs.lock
+	$(LOCK) --group test --group nightly -c requirements-test.lock -o requirements-nightly.lock
 
-$(READY): requirements-dev.lock pyproject.toml
+$(READY): requirements-test.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("energyplan needs Python 3.11 or later; set PYTHON=/path/to/python3.11")'
 	@echo "creating the environment in $(VENV) (about a minute)"
 	$(PYTHON) -m venv --clear $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-dev.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps -e .
+	$(PIP) --require-hashes -r requirements-test.lock
+	$(PIP) --no-build-isolation --no-deps -e .
 	@touch $(READY)
+
+$(DOCS_READY): requirements-docs.lock $(READY)
+	$(PIP) --require-hashes -r requirements-docs.lock
+	@touch $@
+
+$(NIGHTLY_READY): requirements-nightly.lock $(READY)
+	$(PIP) --require-hashes -r requirements-nightly.lock
+	@touch $@
 
 clean:
 	rm -rf $(VENV) build dist demo .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-collect_ignore = ["fuzz"]  # scripts; atheris instruments the package as it is imported
+collect_ignore = ["fuzz", "mutation.py"]  # scripts for the night
 
 
 @pytest.fixture(scope="session")

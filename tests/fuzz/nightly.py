@@ -42,6 +42,8 @@ class Outcome(NamedTuple):
 def targets() -> list[str]:
     """Name everything that malformed input is tried on."""
     from fuzzing import READERS
+
+    sys.path.insert(0, str(TESTS / "io"))
     from test_fuzz import COUNTS
 
     engines = ["hypothesis"]
@@ -74,7 +76,7 @@ def attempt(target: str, runs: int, folder: Path) -> Outcome:
         script = str(TESTS / "fuzz" / "parsers.py")
         command = [sys.executable, script, name, str(runs), "--artifacts", str(place)]
     else:
-        test = f"{TESTS / 'test_fuzz.py'}::{test_of(target)}"
+        test = f"{TESTS / 'io' / 'test_fuzz.py'}::{test_of(target)}"
         command = [sys.executable, "-m", "pytest", "-q", "-ojunit_family=xunit1"]
         command += [f"--junitxml={report}", test]
     one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
