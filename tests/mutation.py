@@ -1,7 +1,7 @@
 """How many changes of the numerical core do the tests notice? Meant for the night.
 
-Each module is changed in some places, one at a time (an operator, a comparison, a number), in a copy
-of the checkout, and the tests of its package are run. A change that no test notices is a survivor:
+Each module is changed in some places, one at a time (an operator, a comparison, a number), in a
+copy of the checkout, and the tests of its package are run. A change that no test notices survives:
 it is printed with its difference. `make mutate` runs it.
 """
 
