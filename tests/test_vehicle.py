@@ -139,3 +139,14 @@ def test_heavier_vehicle_scales_the_slip_moment() -> None:
     vehicle = Vehicle.preset("quadriga:empty")
     ratio = vehicle.with_mass(2 * vehicle.mass).slip_moment / vehicle.slip_moment
     assert ratio == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("name", ["quadriga:empty", "quadriga:full", "husky_a200", "jackal"])
+def test_yaw_inertia_is_that_of_a_uniform_box(name: str) -> None:
+    vehicle = Vehicle.preset(name)
+    (x_min, y_min), (x_max, y_max) = vehicle.footprint
+    cells = 400
+    x = np.linspace(x_min, x_max, cells, endpoint=False) + 0.5 * (x_max - x_min) / cells
+    y = np.linspace(y_min, y_max, cells, endpoint=False) + 0.5 * (y_max - y_min) / cells
+    squares = (x[:, None] - x.mean()) ** 2 + (y[None, :] - y.mean()) ** 2
+    assert vehicle.yaw_inertia == pytest.approx(vehicle.mass * squares.mean(), rel=1e-4)

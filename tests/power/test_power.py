@@ -11,12 +11,14 @@ from hypothesis import strategies as st
 from energyplan.errors import MissingChannelError, ModelError, UnknownNameError
 from energyplan.motion import Motion
 from energyplan.power import (
+    DRIVE_LOSS,
     HOTEL,
     REGENERATION_LOSS,
     SLIP,
     TABLE_II,
     TRACTION,
     PowerModel,
+    Sides,
     Term,
     effects,
     tread_forces,
@@ -170,3 +172,17 @@ def test_models_travel_between_processes() -> None:
     motion = Motion(0.8, 0.4, model.vehicle.icr)
     again = pickle.loads(pickle.dumps(model))
     assert float(again.power(motion)) == float(model.power(motion))
+
+
+def test_losses_are_fractions_of_what_a_side_draws_or_returns() -> None:
+    """Also at powers far below one watt, and for each side alone."""
+    vehicle = Vehicle.preset("quadriga:full")
+    speeds = np.array([[1.0, 1.0], [1e-3, 2e-3], [0.5, -0.5], [-1e-3, 1.0], [0.0, 0.0]])
+    motion = Motion(speeds[:, 0], speeds[:, 1], vehicle.icr)
+    forces = Sides(np.array([10.0, 10.0, -3.0, 7.0, 1.0]), np.array([10.0, -10.0, 3.0, 7.0, 1.0]))
+    for side in ("left", "right"):
+        power = getattr(forces, side) * getattr(motion, f"v_{side}")
+        drawn = getattr(DRIVE_LOSS.function(motion, vehicle, forces), side)
+        assert drawn == pytest.approx(np.where(power > 0, power, 0))
+        lost = getattr(REGENERATION_LOSS.function(motion, vehicle, forces), side)
+        assert lost == pytest.approx(np.where(power < 0, -power, 0))
