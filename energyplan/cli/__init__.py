@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TextIO
 
 import typer
 
@@ -33,6 +34,7 @@ def demo(
 
 def main() -> None:
     """Entry point: map errors to exit codes and one line on stderr."""
+    warnings.showwarning = _show_warning
     try:
         code = app(standalone_mode=False) or 0
     except (TimeLimitError, MissingDependencyError) as error:
@@ -44,6 +46,18 @@ def main() -> None:
     if code == INTERRUPTED:  # typer turns Ctrl-C into an exit with this code
         _fail("interrupted; files are as they were", code)
     sys.exit(code)
+
+
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Say a warning of the library in one line, and leave out where in its sources it arose."""
+    warn("energyplan: " + " ".join(str(message).split()))
 
 
 def _fail(message: str, code: int) -> int:

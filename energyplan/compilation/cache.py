@@ -1,4 +1,4 @@
-"""Numba's compiler with types: kernels are compiled once, without the GIL, and kept on disk.
+"""Machine code on disk, under a digest of all that it was made from.
 
 Numba's own cache looks only at the file of the function that is compiled: after a change in a file
 that this one calls, it hands out the old machine code. Here a kernel is kept under a digest of all
@@ -23,14 +23,11 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import Any
 
 import numba
 from numba.core import caching, config
 from numba.core.serialize import dumps
-
-P = ParamSpec("P")
-R = TypeVar("R")
 
 FOLDER_VARIABLE = "ENERGYPLAN_CACHE_DIR"
 """Environment variable that names another folder for compiled kernels."""
@@ -38,56 +35,19 @@ FOLDER_VARIABLE = "ENERGYPLAN_CACHE_DIR"
 KEPT_UNUSED = 30 * 24 * 3600.0
 """Machine code of sources that are no more is deleted when unused for so long [s]."""
 
-_ROOT = Path(__file__).parent
+_ROOT = Path(__file__).parents[1]
 _IMPORT = re.compile(r"^[ \t]*from energyplan([.\w]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
-
-_listeners: list[Callable[[str], None]] = []
 
 
 class KernelCacheWarning(UserWarning):
     """Compiled kernels cannot be kept, so that every process compiles anew."""
 
 
-def njit(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a kernel to machine code at its first call.
-
-    Parameters
-    ----------
-    function : callable
-        A function of scalars and arrays in Numba's subset of Python.
-
-    Returns
-    -------
-    callable
-        The compiled function; ``.py_func`` is the plain one.
-    """
-    compiled: Any = numba.njit(nogil=True)(function)
-    if compiled is not function:  # it is where NUMBA_DISABLE_JIT is set
-        compiled._cache = _KernelCache(function)
-    return cast("Callable[P, R]", compiled)
-
-
-def on_compile(listener: Callable[[str], None]) -> Callable[[], None]:
-    """Have a function told the name of every kernel that is about to be compiled.
-
-    Parameters
-    ----------
-    listener : callable
-        Called with the kernel's name.
-
-    Returns
-    -------
-    callable
-        Ends it.
-    """
-    _listeners.append(listener)
-    return lambda: _listeners.remove(listener)
-
-
 def cache_folder() -> Path:
     """Return where compiled kernels are kept, whether it exists or not.
 
-    It is ``$ENERGYPLAN_CACHE_DIR``, or ``energyplan`` in ``$XDG_CACHE_HOME`` or ``~/.cache``.
+    It is ``$ENERGYPLAN_CACHE_DIR``, or ``energyplan`` in ``$XDG_CACHE_HOME`` or ``~/.cache``, or a
+    folder for temporary files where there is no home.
     """
     if chosen := os.environ.get(FOLDER_VARIABLE):
         return Path(chosen)
@@ -95,8 +55,9 @@ def cache_folder() -> Path:
         return Path(shared) / "energyplan"
     try:
         return Path.home() / ".cache" / "energyplan"
-    except RuntimeError:  # no home folder
-        return Path(tempfile.gettempdir()) / f"energyplan-{os.getuid()}"
+    except RuntimeError:  # no home folder; temporary files are other users' too, where these exist
+        user = f"-{os.getuid()}" if hasattr(os, "getuid") else ""
+        return Path(tempfile.gettempdir()) / f"energyplan{user}"
 
 
 def source_digest(file: Path) -> str:
@@ -160,18 +121,28 @@ class _Reduced(caching.CompileResultCacheImpl):
         self._locator = SimpleNamespace(_py_file=function.__code__.co_filename)
 
 
-class _KernelCache(caching.FunctionCache):
-    """Machine code of one kernel, a file for each signature and processor."""
+class KernelCache(caching.FunctionCache):
+    """Machine code of one kernel, a file for each signature and processor.
 
-    def __init__(self, function: Callable[..., object]) -> None:
+    Parameters
+    ----------
+    function : callable
+        The kernel.
+    missed : callable
+        Told the kernel's name when it is not there.
+    """
+
+    def __init__(self, function: Callable[..., object], missed: Callable[[str], None]) -> None:
         self._py_func = function
         self._name = f"{function.__module__}.{function.__qualname__}"
         self._digest = _digest_once(function.__code__.co_filename)
         self._impl = _Reduced(function)
+        self._missed = missed
         self.enable()
 
     @property
     def cache_path(self) -> str:
+        """Folder of the machine code made from these sources."""
         return str(cache_folder() / str(self._digest))
 
     def _file(self, signature: object, codegen: Any) -> Path:
@@ -181,7 +152,12 @@ class _KernelCache(caching.FunctionCache):
         name = re.sub(r"[^\w.]", "", self._name)
         return Path(self.cache_path) / f"{name}-{key}.nbc"
 
+    def holds(self, sig: object, target_context: Any) -> bool:
+        """Tell whether there is a file for a signature."""
+        return self._digest is not None and self._file(sig, target_context.codegen()).is_file()
+
     def load_overload(self, sig: object, target_context: Any) -> object:
+        """Return the machine code for a signature; None where there is none that can be used."""
         target_context.refresh()
         if self._enabled and self._digest is not None:
             file = self._file(sig, target_context.codegen())
@@ -190,31 +166,49 @@ class _KernelCache(caching.FunctionCache):
                 found = self._impl.rebuild(target_context, pickle.loads(file.read_bytes()))
                 _mark_used(file.parent)
                 return found
-        for listener in _listeners:
-            listener(self._name)
+        self._missed(self._name)
         return None
 
     def save_overload(self, sig: object, data: Any) -> None:
+        """Keep machine code."""
         if not self._enabled or self._digest is None or not self._impl.check_cachable(data):
             return
-        file = self._file(sig, data.codegen)
         try:
-            if not file.parent.is_dir():
-                _delete_unused(file.parent.parent)
-                file.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as partial:
-                try:
-                    partial.write(dumps(self._impl.reduce(data)))
-                    partial.close()
-                    Path(partial.name).replace(file)
-                except BaseException:
-                    Path(partial.name).unlink(missing_ok=True)
-                    raise
+            _write(self._file(sig, data.codegen), dumps(self._impl.reduce(data)))
         except OSError as error:
             _say_not_kept(str(error.strerror or error))
 
     def flush(self) -> None:
+        """Delete the machine code made from these sources."""
         shutil.rmtree(self.cache_path, ignore_errors=True)
+
+
+def _write(file: Path, content: bytes) -> None:
+    """Write a file of machine code whole or not at all."""
+    if not file.parent.is_dir():
+        _delete_unused(file.parent.parent)
+        file.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as partial:
+        try:
+            partial.write(content)
+            partial.close()
+            Path(partial.name).replace(file)
+        except BaseException:
+            partial.close()
+            Path(partial.name).unlink(missing_ok=True)
+            raise
+
+
+def can_be_kept() -> bool:
+    """Tell whether machine code can be kept; where it cannot, a warning says why."""
+    file = cache_folder() / "writable"
+    try:
+        _write(file, b"")
+        file.unlink(missing_ok=True)
+    except OSError as error:
+        _say_not_kept(str(error.strerror or error))
+        return False
+    return True
 
 
 @cache

@@ -1,0 +1,26 @@
+"""Numba's compiler with types: kernels are compiled once, without the GIL, and kept on disk.
+
+A kernel's annotations are its signature, and there is no other: it is compiled for them, whatever
+the caller's numbers are, so what must be compiled is known before anything runs. All kernels of a
+package can be compiled ahead, side by side (`compile_kernels`).
+"""
+
+from energyplan.compilation.ahead import Compiled, Preparation, compile_kernels, kernel_modules
+from energyplan.compilation.cache import FOLDER_VARIABLE, KernelCacheWarning, cache_folder
+from energyplan.compilation.kernel import READONLY, STRIDED, Compiling, inner, njit, on_compile
+
+__all__ = [
+    "FOLDER_VARIABLE",
+    "READONLY",
+    "STRIDED",
+    "Compiled",
+    "Compiling",
+    "KernelCacheWarning",
+    "Preparation",
+    "cache_folder",
+    "compile_kernels",
+    "inner",
+    "kernel_modules",
+    "njit",
+    "on_compile",
+]

@@ -1,0 +1,220 @@
+"""Kernels: functions with one signature each, that of their annotations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Annotated, Any, NamedTuple, ParamSpec, TypeVar, cast, get_args, get_origin
+from typing import get_type_hints as hints_of
+
+import numpy as np
+from numba import types
+from numba.core import config, sigutils
+from numba.core.registry import CPUDispatcher
+from numba.np import numpy_support
+
+from energyplan.compilation.cache import KernelCache
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+READONLY, STRIDED = "read-only", "strided"
+"""Marks of array annotations: cannot be written; need not be contiguous."""
+
+_SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
+
+KERNELS: dict[str, Kernel] = {}
+"""All kernels of the modules imported so far, by module and name."""
+
+
+class Compiling(NamedTuple):
+    """What is about to be compiled.
+
+    Attributes
+    ----------
+    name : str
+        Module and name of the kernel.
+    done, total : int
+        How many kernels of those compiled ahead are done, and their number; both zero where a
+        kernel is compiled because it was called.
+    """
+
+    name: str
+    done: int = 0
+    total: int = 0
+
+
+_listeners: list[Callable[[Compiling], None]] = []
+
+
+def on_compile(listener: Callable[[Compiling], None]) -> Callable[[], None]:
+    """Have a function told of every kernel that is about to be compiled.
+
+    Parameters
+    ----------
+    listener : callable
+        Called with a `Compiling`, perhaps from another thread.
+
+    Returns
+    -------
+    callable
+        Ends it.
+    """
+    _listeners.append(listener)
+    return lambda: _listeners.remove(listener)
+
+
+def say_compiling(what: Compiling) -> None:
+    """Tell all listeners what is about to be compiled."""
+    for listener in tuple(_listeners):
+        listener(what)
+
+
+def njit(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a kernel to machine code, at its first call or ahead.
+
+    Parameters
+    ----------
+    function : callable
+        A function of numbers, named tuples and arrays in Numba's subset of Python. Its arguments
+        are annotated: `float`, `int`, `bool`, a named tuple of such, or an array with its number
+        of dimensions, ``Annotated[NDArray[np.float64], 2]``, and the marks `READONLY` and `STRIDED`
+        where these hold.
+
+    Returns
+    -------
+    callable
+        The compiled function; ``.py_func`` is the plain one.
+    """
+    return _kernel(function, inner=False)
+
+
+def inner(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a kernel that other kernels call, and Python never does.
+
+    The wrapper that Python would call takes as long to compile as the kernel itself.
+
+    Parameters
+    ----------
+    function : callable
+        As in `njit`.
+
+    Returns
+    -------
+    callable
+        The compiled function; ``.py_func`` is the plain one, which Python can call.
+    """
+    return _kernel(function, inner=True)
+
+
+def _kernel(function: Callable[P, R], *, inner: bool) -> Callable[P, R]:
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return function
+    made = (InnerKernel if inner else Kernel)(function)
+    KERNELS[made.name] = made
+    return cast("Callable[P, R]", made)
+
+
+class Kernel(CPUDispatcher):
+    """A function that is compiled for the types of its annotations.
+
+    Parameters
+    ----------
+    function : callable
+        The plain function.
+    """
+
+    inner = False
+    """Whether only other kernels call it."""
+
+    def __init__(self, function: Callable[..., object]) -> None:
+        options = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True}
+        super().__init__(function, targetoptions={**options, "no_cpython_wrapper": self.inner})
+        self.name = f"{function.__module__}.{function.__qualname__}"
+        self._cache = KernelCache(function, self._missed)
+
+    def _missed(self, name: str) -> None:
+        say_compiling(Compiling(name))
+
+    @cached_property
+    def declared(self) -> tuple[Any, ...] | None:
+        """Types of the arguments, as they are annotated; None where one stands for no one type."""
+        hints = hints_of(self.py_func, include_extras=True)
+        names = self.py_func.__code__.co_varnames[: self.py_func.__code__.co_argcount]
+        try:
+            return tuple(_numba_type(hints[name]) for name in names)
+        except TypeError:
+            return None
+
+    @cached_property
+    def called(self) -> tuple[Kernel, ...]:
+        """The kernels that this one calls by name."""
+        places = self.py_func.__globals__
+        found = (places.get(name) for name in self.py_func.__code__.co_names)
+        return tuple(k for k in found if isinstance(k, Kernel) and k is not self)
+
+    @property
+    def kept(self) -> bool:
+        """Whether its machine code is loaded, or there is a file of it."""
+        return self.declared in self.overloads or self._cache.holds(self.declared, self.targetctx)
+
+    def prepare(self) -> None:
+        """Compile it for its declared types, or load it from disk."""
+        if self.declared is not None:
+            super().compile(self.declared)
+
+    def compile(self, sig: Any) -> Any:
+        """Compile it for the declared types; for others only where these cannot be converted."""
+        given, _ = sigutils.normalize_signature(sig)
+        if self.declared is None or given == self.declared or not self._converts(given):
+            return super().compile(given)
+        entry = super().compile(self.declared)
+        if not any(isinstance(a, (types.Literal, types.Omitted)) for a in given):
+            # from now on a call from Python with these types finds it at once
+            insert: Any = self._insert  # type: ignore[attr-defined]
+            insert([a._code for a in given], entry, False)
+        return entry
+
+    def _converts(self, given: tuple[Any, ...]) -> bool:
+        """Tell whether these types can be made into the declared ones without loss."""
+        convert = self.targetdescr.typing_context.can_convert
+        assert self.declared is not None
+        return len(given) == len(self.declared) and all(
+            convert(a, b) is not None
+            and not (isinstance(a, types.Float) and isinstance(b, types.Integer))
+            for a, b in zip(given, self.declared, strict=True)
+        )
+
+
+class InnerKernel(Kernel):
+    """A kernel that only other kernels call."""
+
+    inner = True
+
+    def __call__(self, *args: object, **kwargs: object) -> object:
+        """Refuse to be called."""
+        raise TypeError(f"{self.name} is called by kernels only; from Python call its .py_func")
+
+
+def _numba_type(annotation: Any) -> Any:
+    """Return the Numba type that an annotation stands for."""
+    if annotation in _SCALARS:
+        return _SCALARS[annotation]
+    if get_origin(annotation) is Annotated:
+        array, *about = get_args(annotation)
+        if about and isinstance(about[0], int):
+            dtype = np.dtype(get_args(get_args(array)[1])[0])
+            array_of: Any = types.Array
+            return array_of(
+                numpy_support.from_dtype(dtype),
+                about[0],
+                "A" if STRIDED in about else "C",
+                readonly=READONLY in about,
+            )
+    if isinstance(annotation, type) and issubclass(annotation, tuple):
+        fields = hints_of(annotation, include_extras=True)
+        parts = [_numba_type(fields[name]) for name in annotation._fields]  # type: ignore[attr-defined]
+        return types.BaseTuple.from_types(parts, annotation)
+    if get_origin(annotation) is tuple:
+        return types.BaseTuple.from_types([_numba_type(part) for part in get_args(annotation)])
+    raise TypeError(annotation)
