@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -376,9 +377,9 @@ class Vehicle:
         >>> round(Vehicle.preset("quadriga:full").slip_moment)
         467
         """
-        if name not in _PRESETS:
-            raise UnknownNameError("vehicle preset", name, _PRESETS)
-        return _PRESETS[name]()
+        if name not in VEHICLE_PRESETS:
+            raise UnknownNameError("vehicle preset", name, VEHICLE_PRESETS)
+        return VEHICLE_PRESETS[name]()
 
 
 def predict_icr(wheelbase: float, track: float) -> float:
@@ -461,10 +462,11 @@ def _jackal() -> Vehicle:
     )
 
 
-_PRESETS = {
+VEHICLE_PRESETS: dict[str, Callable[[], Vehicle]] = {
     "quadriga": lambda: _quadriga(83.1, (0.0089, 0.0006), "quadriga:empty"),
     "quadriga:empty": lambda: _quadriga(83.1, (0.0089, 0.0006), "quadriga:empty"),
     "quadriga:full": lambda: _quadriga(147.1, (0.0202, -0.0005), "quadriga:full"),
     "husky_a200": _husky,
     "jackal": _jackal,
 }
+"""Ready-made vehicles, by name."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 import warnings
 from pathlib import Path
@@ -10,7 +12,7 @@ from typing import Annotated, TextIO
 import typer
 
 from energyplan.cli import _fitting, _mission, _planning
-from energyplan.cli.common import INTERRUPTED, Json, answer, app, warn
+from energyplan.cli.common import INTERRUPTED, Json, answer, app, warn, writes_folder
 from energyplan.errors import EnergyPlanError, MissingDependencyError, TimeLimitError
 
 __all__ = ["app", "main"]
@@ -21,7 +23,9 @@ _COMMANDS = (_fitting, _planning, _mission)
 
 @app.command(epilog="Example: energyplan demo --out demo")
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path("demo"),
+    out: Annotated[Path, typer.Option(callback=writes_folder, help="Folder for the files.")] = Path(
+        "demo"
+    ),
     json: Json = False,
 ) -> None:
     """Run the whole chain on input that comes with the library; makes pictures and a web page."""
@@ -36,11 +40,17 @@ def main() -> None:
     """Entry point: map errors to exit codes and one line on stderr."""
     warnings.showwarning = _show_warning
     try:
-        code = app(standalone_mode=False) or 0
+        code = app(prog_name="energyplan", standalone_mode=False) or 0
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except (TimeLimitError, MissingDependencyError) as error:
         code = _fail(str(error), 1)
+    except BrokenPipeError:
+        code = _silent("the standard output was closed before the answer was written")
     except (EnergyPlanError, OSError) as error:
-        code = _fail(str(error), 2)
+        full = isinstance(error, OSError) and error.errno == errno.ENOSPC
+        code = _silent("the answer cannot be written: the disk is full") if full else 0
+        code = code or _fail(str(error), 2)
     except typer.TyperException as error:
         code = _fail(error.format_message(), error.exit_code)
     if code == INTERRUPTED:  # typer turns Ctrl-C into an exit with this code
@@ -58,6 +68,12 @@ def _show_warning(
 ) -> None:
     """Say a warning of the library in one line, and leave out where in its sources it arose."""
     warn("energyplan: " + " ".join(str(message).split()))
+
+
+def _silent(message: str) -> int:
+    """Say that the answer is lost; Python, when it ends, must not try to write it once more."""
+    sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115
+    return _fail(message, 1)
 
 
 def _fail(message: str, code: int) -> int:

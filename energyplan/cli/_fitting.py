@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from energyplan.cli.common import (
+    App,
     Columns,
     Json,
     Logs,
@@ -31,7 +32,7 @@ from energyplan.errors import (
 )
 
 if TYPE_CHECKING:
-    pass
+    from energyplan.logs import DriveLog
 
 
 @app.command(
@@ -66,7 +67,10 @@ def identify(
 )
 def diagnose(
     logs: Logs,
-    holdout: Annotated[list[Path], typer.Option(help="Drives kept for judging; repeatable.")],
+    holdout: Annotated[
+        list[Path],
+        typer.Option(metavar="LOG...", help="Drives kept for judging: all up to the next option."),
+    ],
     vehicle: VehicleName,
     out: OutModel = None,
     report: Report = None,
@@ -83,9 +87,9 @@ def diagnose(
     from energyplan.output.pages import diagnosis_page
 
     robot = read_vehicle(vehicle)
-    for path in {path.resolve() for path in logs} & {path.resolve() for path in holdout}:
-        raise InvalidInputError(f"{path.name} is learned from and held out; give it to one of them")
+    _apart(logs, holdout)
     training, judging = read_logs(logs, columns, topics), read_logs(holdout, columns, topics)
+    parts = {"training": _names(training), "judging": _names(judging)}
     for note in notes([*training, *judging]):
         warn(note)
     with progress("diagnosing") as update:
@@ -93,12 +97,29 @@ def diagnose(
     if out:
         write_model(told.model, out)
     if report:
-        atomic_write(report, diagnosis_page(told, judging).html())
-    answer(documents.diagnosis(told), text.diagnosis(told), json=json)
+        page = diagnosis_page(told, judging)
+        page.bullets([f"{part}: {', '.join(names)}" for part, names in parts.items()])
+        atomic_write(report, page.html())
+    lines = [f"{part}: {', '.join(names)}" for part, names in parts.items()]
+    answer({**parts, **documents.diagnosis(told)}, [*lines, *text.diagnosis(told)], json=json)
     verdict(told.verdict != "unexplained", strict)
 
 
-log = typer.Typer(no_args_is_help=True, help="Look into drive logs.")
+def _apart(logs: list[Path], holdout: list[Path]) -> None:
+    """Refuse a drive that is to be learned from and judged on, by whatever name."""
+    for path in logs:
+        for other in holdout:
+            if path.exists() and other.exists() and path.samefile(other):
+                raise InvalidInputError(
+                    f"{path.name} is learned from and held out; give it to one of them"
+                )
+
+
+def _names(drives: list[DriveLog]) -> list[str]:
+    return [drive.name for drive in drives]
+
+
+log = App(rich_markup_mode=None, help="Look into drive logs.")
 app.add_typer(log, name="log")
 
 

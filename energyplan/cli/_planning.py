@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 from energyplan.cli.common import (
+    IMAGES,
     NO,
+    TABLES,
     Json,
     ModelName,
     Report,
@@ -19,6 +21,7 @@ from energyplan.cli.common import (
     progress,
     verdict,
     warn,
+    writes,
 )
 from energyplan.errors import (
     NoPathError,
@@ -35,8 +38,17 @@ Battery = Annotated[bool, typer.Option("--battery", help="Count energy at the ba
 Planner = Annotated[str, typer.Option(help="lattice, roadmap, or another planner's name.")]
 Objective = Annotated[str, typer.Option(help="energy, length or time.")]
 TimeLimit = Annotated[float, typer.Option(help="Time for improving the plan [s].")]
-OutPath = Annotated[Path | None, typer.Option("--out", help="Write the path to this CSV file.")]
-Plot = Annotated[Path | None, typer.Option(help="Draw the map and the route to this PNG file.")]
+OutPath = Annotated[
+    Path | None,
+    typer.Option("--out", callback=writes(*TABLES), help="Write the path to this CSV file."),
+]
+Plot = Annotated[
+    Path | None,
+    typer.Option(
+        callback=writes(*IMAGES),
+        help="Draw the map and the route to this file, .png, .svg or .pdf.",
+    ),
+]
 
 
 def _problem(
@@ -161,13 +173,13 @@ def _no_path(error: NoPathError, json: bool, strict: bool) -> NoReturn:
 def _draw(problem: PlanningProblem, paths: dict[str, Any], file: Path) -> None:
     from energyplan.io.files import atomic_write
     from energyplan.output import plots
-    from energyplan.output.report import png
+    from energyplan.output.report import image
 
     ground = problem.surfaces.polygons if problem.surfaces else ()
     made = plots.routes(problem.map, paths, surfaces=ground)
     if problem.heights is not None:
         problem.heights.contours(made.axes[0])
-    atomic_write(file, png(made))
+    atomic_write(file, image(made, file.suffix))
 
 
 @app.command(epilog="Example: energyplan check trajectory.csv --model quadriga:full:concrete")

@@ -1,16 +1,18 @@
-"""What all commands share: the app, options, output, progress."""
+"""What all commands share: the app, options, checks of outputs, answers, progress."""
 
 from __future__ import annotations
 
 import json as jsonlib
 import math
+import select
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
 from energyplan.errors import InvalidInputError
 
@@ -18,13 +20,242 @@ if TYPE_CHECKING:
     from energyplan.logs import DriveLog
     from energyplan.path import Pose
 
-app = typer.Typer(
-    add_completion=False,
-    no_args_is_help=True,
+_OUTPUTS, _PROJECT = "energyplan.outputs", "energyplan.project"
+"""Where the context of a command keeps the files that it will write, and the project's file."""
+IMAGES = (".png", ".svg", ".pdf")
+TABLES = (".csv", ".gz", ".parquet", ".pq")
+YAML = (".yaml", ".yml")
+HTML = (".html", ".htm")
+
+
+def writes(*suffixes: str) -> Callable[..., Path | None]:
+    """Return the callback of an option that names a file to be written.
+
+    Such an option is checked before the command begins: its suffix, its folder, and that it is none
+    of the files that are read.
+
+    Parameters
+    ----------
+    *suffixes : str
+        What the file's name may end with.
+
+    Returns
+    -------
+    callable
+        The callback, for ``typer.Option(callback=...)``.
+    """
+
+    def callback(ctx: typer.Context, param: typer.CallbackParam, value: Path | None) -> Path | None:
+        from energyplan.io.files import check_output
+
+        if value is not None and not ctx.resilient_parsing:
+            check_output(value, suffixes)
+            ctx.meta.setdefault(_OUTPUTS, {})[param.name] = value
+        return value
+
+    return callback
+
+
+def writes_folder(
+    ctx: typer.Context, param: typer.CallbackParam, value: Path | None
+) -> Path | None:
+    """Check a folder of output before the command begins; the callback of such an option."""
+    from energyplan.io.files import check_output_folder
+
+    if value is not None and not ctx.resilient_parsing:
+        check_output_folder(value)
+        ctx.meta.setdefault(_OUTPUTS, {})[param.name] = value
+    return value
+
+
+class Command(TyperCommand):
+    """A command that looks at its outputs before it begins, and takes lists and a project.
+
+    An option whose metavar ends with dots takes all that follows it, up to the next option.
+    ``--project`` gives the options ``--vehicle``, ``--columns`` and ``--topics`` their value.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.params.append(_project_option())
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments, each value of a list as if its option stood before it."""
+        lists = {
+            name
+            for param in self.params
+            if (getattr(param, "metavar", None) or "").endswith("...")
+            for name in param.opts
+            if name.startswith("-")
+        }
+        spread: list[str] = []
+        current = None
+        for k, word in enumerate(args):
+            if word == "--":
+                spread += args[k:]
+                break
+            if word.startswith("-") and len(word) > 1:
+                name, joined, _ = word.partition("=")
+                current = name if name in lists else None
+                if current is None or joined:
+                    spread.append(word)
+            elif current is not None:
+                spread += [current, word]
+            else:
+                spread.append(word)
+            follows = args[k + 1 :]
+            bare = current is not None and word == current
+            if bare and (not follows or follows[0].startswith("-")):
+                spread.append(word)  # without a value: the parser says so
+        return super().parse_args(ctx, spread)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command, unless it could not end well."""
+        from energyplan.io.files import refuse_overwriting
+
+        check_standard_output()
+        outputs = ctx.meta.get(_OUTPUTS, {})
+        given = [value for name, value in ctx.params.items() if name not in outputs]
+        values = [v for value in given for v in (value if isinstance(value, list) else [value])]
+        inputs = [v for v in (*values, ctx.meta.get(_PROJECT)) if isinstance(v, str | Path)]
+        refuse_overwriting(list(outputs.values()), inputs)
+        return super().invoke(ctx)
+
+
+class _Group(TyperGroup):
+    """A group of commands that shows its help where no command is named."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if not args and not ctx.resilient_parsing:
+            say(ctx.get_help())
+            raise typer.Exit(0)
+        return super().parse_args(ctx, args)
+
+
+CommandFunction = TypeVar("CommandFunction", bound=Callable[..., Any])
+
+
+class App(typer.Typer):
+    """A group of commands, each a `Command`."""
+
+    def __init__(self, **options: Any) -> None:
+        settings = {"help_option_names": ["-h", "--help"]}
+        super().__init__(cls=_Group, context_settings=settings, **options)
+
+    def command(
+        self, name: str | None = None, **options: Any
+    ) -> Callable[[CommandFunction], CommandFunction]:
+        """Register a command."""
+        return super().command(name, **{"cls": Command, **options})
+
+
+def _take_project(ctx: typer.Context, value: Path | None) -> Path | None:
+    """Let the project give the options that it can the value of its file."""
+    if value is not None and not ctx.resilient_parsing:
+        from energyplan.io.project import read_project
+
+        project = read_project(value)
+        ctx.meta[_PROJECT] = value
+        given = {"vehicle": True, "columns": project.columns, "topics": project.topics}
+        told = {name: str(value) for name, there in given.items() if there}
+        ctx.default_map = {**(ctx.default_map or {}), **told}
+    return value
+
+
+def _project_option() -> Any:
+    """Build the option that every command has."""
+    from typer.main import get_command
+
+    parts = typer.Typer(add_completion=False)
+
+    @parts.command()
+    def take(
+        project: Annotated[
+            Path | None,
+            typer.Option(
+                callback=_take_project,
+                expose_value=False,
+                is_eager=True,
+                help="Project that start wrote: vehicle, columns, topics.",
+            ),
+        ] = None,
+    ) -> None:
+        """Hold the option."""
+
+    return next(param for param in get_command(parts).params if param.name == "project")
+
+
+def check_standard_output() -> None:
+    """Refuse to begin where nobody can read the answer.
+
+    Raises
+    ------
+    InvalidInputError
+        If the standard output is closed, or is a pipe that nobody reads.
+    """
+    if sys.stdout is None:
+        raise InvalidInputError("the standard output is closed; the answer has no place to go")
+    try:
+        number = sys.stdout.fileno()
+    except (OSError, ValueError):
+        return  # not a file of the system, as where a program caught it
+    if hasattr(select, "poll"):
+        watch = select.poll()
+        watch.register(number, select.POLLOUT)
+        if any(event & (select.POLLERR | select.POLLNVAL) for _, event in watch.poll(0)):
+            raise InvalidInputError(
+                "the standard output is a closed pipe; the answer has no place to go"
+            )
+
+
+def _version(value: bool) -> None:
+    if value:
+        from energyplan import __version__
+
+        say(f"energyplan {__version__}")
+        raise typer.Exit(0)
+
+
+app = App(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help="Energy-aware path planning for wheeled skid-steer robots.",
+    epilog="Begin with: energyplan start LOG --out PROJECT.yaml, or energyplan demo",
 )
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    """Energy-aware path planning for wheeled skid-steer robots."""
+
+
+def _complete(*kinds: str) -> Callable[[str], list[str]]:
+    """Return the completion of an option that names a preset."""
+
+    def complete(incomplete: str) -> list[str]:
+        from energyplan.io.topics import TOPIC_MAPS
+        from energyplan.power import MODEL_PRESETS
+        from energyplan.vehicle import VEHICLE_PRESETS
+
+        known = {"vehicle": VEHICLE_PRESETS, "model": MODEL_PRESETS, "topics": TOPIC_MAPS}
+        names = [*(name for kind in kinds for name in known[kind]), *_yaml_files(incomplete)]
+        return [name for name in names if name.startswith(incomplete)]
+
+    return complete
+
+
+def _yaml_files(incomplete: str) -> list[str]:
+    folder = Path(incomplete).parent if incomplete else Path()
+    try:
+        return [str(file) for file in sorted(folder.glob("*.y*ml"))]
+    except OSError:
+        return []
+
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 Strict = Annotated[bool, typer.Option("--strict", help="Exit with 3 if the answer is no.")]
@@ -33,23 +264,46 @@ Logs = Annotated[
     typer.Argument(help="Drive logs: CSV, CSV.gz, Parquet, bags, Husky recordings."),
 ]
 VehicleName = Annotated[
-    str, typer.Option("--vehicle", help="Preset such as quadriga:full, or a YAML file.")
+    str,
+    typer.Option(
+        "--vehicle",
+        help="Preset such as husky_a200, or a YAML file.",
+        autocompletion=_complete("vehicle"),
+    ),
 ]
 ModelName = Annotated[
-    str, typer.Option("--model", help="Preset such as quadriga:full:marble, or a YAML file.")
+    str,
+    typer.Option(
+        "--model",
+        help="Preset such as husky_a200:flooring, or a YAML file.",
+        autocompletion=_complete("model"),
+    ),
 ]
 Method = Annotated[
     Literal["lad", "simplex", "huber"],
     typer.Option(help="lad (exact), simplex (the paper's), huber (robust)."),
 ]
 Columns = Annotated[
-    str | None, typer.Option(help="Other column names, such as v_left=velL,yaw=heading[deg].")
+    str | None,
+    typer.Option(
+        help="Other column names, such as v_left=velL,yaw=heading[deg], or a YAML file of them."
+    ),
 ]
 Topics = Annotated[
-    str, typer.Option(help="Topic map of bags: husky, jackal, warthog, or a YAML file.")
+    str,
+    typer.Option(
+        help="Topic map of bags: husky, jackal, warthog, or a YAML file.",
+        autocompletion=_complete("topics"),
+    ),
 ]
-OutModel = Annotated[Path | None, typer.Option("--out", help="Write the model to this YAML file.")]
-Report = Annotated[Path | None, typer.Option("--report", help="Write a report to this HTML file.")]
+OutModel = Annotated[
+    Path | None,
+    typer.Option("--out", callback=writes(*YAML), help="Write the model to this YAML file."),
+]
+Report = Annotated[
+    Path | None,
+    typer.Option("--report", callback=writes(*HTML), help="Write a report to this HTML file."),
+]
 
 NO, INTERRUPTED = 3, 130
 """Exit codes of a negative answer with ``--strict``, and of Ctrl-C."""
@@ -86,12 +340,14 @@ def progress(text: str) -> Iterator[Any]:
         yield lambda fraction, note="": None
         return
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(text, total=1.0)
+    # A bar without a total moves to and fro, until the work tells how far it is.
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(text, total=None)
         yield lambda fraction, note="": bar.update(
-            task, completed=fraction, description=note or text
+            task, total=1.0, completed=fraction, description=note or text
         )
 
 

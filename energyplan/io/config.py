@@ -75,6 +75,24 @@ class _Vehicle(_Strict):
     max_yaw_rate: Limit | None = None
 
 
+class _Column(_Strict):
+    column: str
+    unit: str | None = None
+    times: str | None = None
+
+
+class ProjectFile(_Strict):
+    """What a project's file holds; `energyplan.io.project` reads it."""
+
+    kind: Literal["project"]
+    name: str = "project"
+    log: str | None = None
+    vehicle: _Vehicle
+    columns: dict[str, _Column | str] = {}
+    topics: dict[str, Any] | None = None
+    defaults: dict[str, Any] = {}
+
+
 class _Term(_Strict):
     name: str
     value: Number
@@ -108,7 +126,8 @@ def read_vehicle(source: str | Path) -> Vehicle:
     A file gives ``contacts``, ``loads`` (or ``mass`` with ``cog``) and ``footprint``; or
     ``wheelbase``, ``track``, ``length``, ``width`` and ``mass`` of a symmetric vehicle; or
     ``preset`` with whatever differs from it. ``icr``, ``motor``, ``drive_efficiency``,
-    ``regen_efficiency`` and ``max_yaw_rate`` may go with each. SI units.
+    ``regen_efficiency`` and ``max_yaw_rate`` may go with each. SI units. A project's file is read
+    for the vehicle that it holds.
 
     Parameters
     ----------
@@ -130,6 +149,8 @@ def read_vehicle(source: str | Path) -> Vehicle:
     if not _is_file(source):
         return Vehicle.preset(str(source))
     document = load(source, ConfigError)
+    if document.data.get("kind") == "project":
+        return _vehicle(document.check(ProjectFile).vehicle, document, ("vehicle",))
     _expect(document, "vehicle")
     return _vehicle(document.check(_Vehicle), document, ())
 
@@ -203,7 +224,7 @@ def write_vehicle(vehicle: Vehicle, path: str | Path) -> Path:
     InvalidInputError
         If it cannot be written.
     """
-    return _dump({"kind": "vehicle", **_plain_vehicle(vehicle)}, path)
+    return _dump({"kind": "vehicle", **plain_vehicle(vehicle)}, path)
 
 
 def write_model(model: PowerModel, path: str | Path) -> Path:
@@ -247,7 +268,7 @@ def write_model(model: PowerModel, path: str | Path) -> Path:
         "kind": "model",
         "name": model.name,
         "terms": terms,
-        "vehicle": _plain_vehicle(model.vehicle),
+        "vehicle": plain_vehicle(model.vehicle),
     }
     if model.covariance is not None:
         data["covariance"] = model.covariance.tolist()
@@ -368,7 +389,8 @@ def _plain(value: Any) -> Any:
     return value if isinstance(value, str) else float(value)
 
 
-def _plain_vehicle(vehicle: Vehicle) -> dict[str, Any]:
+def plain_vehicle(vehicle: Vehicle) -> dict[str, Any]:
+    """Return a vehicle as a YAML file holds it."""
     found = _vehicle_fields(vehicle)
     for key in ("icr", "motor"):
         found[key] = {k: float(v) for k, v in vars(found[key]).items()}

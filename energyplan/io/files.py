@@ -1,12 +1,20 @@
-"""Writing files whole or not at all."""
+"""Writing files whole or not at all, and never over what is read."""
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from energyplan.errors import InvalidInputError
+from energyplan.io._yaml import load
+
+_PROBE = bytes(1 << 16)  # what a place must be able to take before work for it begins
+_LARGEST_JSON = 1 << 25  # bytes of a file of surfaces that is searched for names of files
+_MOST_FILES = 1000  # of a folder that is read as one thing
 
 
 def atomic_write(path: str | Path, content: bytes | str) -> Path:
@@ -36,7 +44,7 @@ def atomic_write(path: str | Path, content: bytes | str) -> Path:
     data = content.encode() if isinstance(content, str) else content
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        target = file.resolve()  # through a symbolic link, which stays one
+        target = _regular(file)
         mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
         handle, name = tempfile.mkstemp(prefix=f".{target.name[:100]}.", dir=target.parent)
         try:
@@ -54,6 +62,196 @@ def atomic_write(path: str | Path, content: bytes | str) -> Path:
             f"{str(file)!r} cannot be written: {reason}; choose another place"
         ) from None
     return file
+
+
+def _regular(file: Path) -> Path:
+    """Return what a name stands for, through a symbolic link, which stays one."""
+    target = file.resolve()
+    if target.is_dir():
+        raise ValueError("it is a folder")
+    if target.exists() and not target.is_file():  # such as /dev/full, which is not to be replaced
+        raise ValueError("it is no regular file")
+    return target
+
+
+def check_output(path: str | Path, suffixes: Sequence[str] = ()) -> None:
+    """Refuse a file that could not be written, before the work for it begins.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file to be written.
+    suffixes : sequence of str
+        What its name may end with, such as ``".csv"``; empty for anything.
+
+    Raises
+    ------
+    InvalidInputError
+        If the suffix is another one, the folder is absent or takes no files, or the disk is full.
+    """
+    file = Path(path)
+    if suffixes and file.suffix.lower() not in suffixes:
+        raise InvalidInputError(
+            f"{str(file)!r} cannot be written: its name must end with {' or '.join(suffixes)}"
+        )
+    try:
+        target = _regular(file)
+        if not target.parent.is_dir():
+            raise ValueError(f"there is no folder {str(file.parent)!r}")
+        if target.exists() and not os.access(target, os.W_OK):
+            raise ValueError("it is protected against writing")
+        _probe(target.parent)
+    except (OSError, ValueError) as problem:
+        reason = problem.strerror if isinstance(problem, OSError) else problem
+        raise InvalidInputError(
+            f"{str(file)!r} cannot be written: {reason}; choose another place"
+        ) from None
+
+
+def check_output_folder(path: str | Path) -> None:
+    """Refuse a folder of output that could not be made or filled, before the work begins.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder; it may be absent.
+
+    Raises
+    ------
+    InvalidInputError
+        If it is a file, or it or the folder to make it in takes no files.
+    """
+    folder = Path(path)
+    try:
+        there = folder.resolve()
+        while not there.exists() and there != there.parent:
+            there = there.parent
+        if not there.is_dir():
+            raise ValueError(f"{str(there)!r} is no folder")
+        _probe(there)
+    except (OSError, ValueError) as problem:
+        reason = problem.strerror if isinstance(problem, OSError) else problem
+        raise InvalidInputError(
+            f"{str(folder)!r} cannot be written: {reason}; choose another place"
+        ) from None
+
+
+def _probe(folder: Path) -> None:
+    """Write a little to a folder, and take it away again."""
+    with tempfile.NamedTemporaryFile(prefix=".energyplan.", dir=folder) as stream:
+        stream.write(_PROBE)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def refuse_overwriting(outputs: Sequence[str | Path], inputs: Iterable[str | Path]) -> None:
+    """Refuse an output that is an input, or that is another output.
+
+    The same file counts as the same by whatever name: through links, or from another folder. What
+    an input names counts as an input too, such as the image of a map or the model of a mission.
+
+    Parameters
+    ----------
+    outputs : sequence of str or Path
+        Files or folders to be written.
+    inputs : iterable of str or Path
+        What is read; names that are no files do not matter.
+
+    Raises
+    ------
+    InvalidInputError
+        If a file would be lost.
+    """
+    written = [Path(output) for output in outputs]
+    for k, output in enumerate(written):
+        if any(_same(output, other) for other in written[:k]):
+            raise InvalidInputError(
+                f"{str(output)!r} is to be written twice; give every output a file of its own"
+            )
+    if not written:
+        return
+    for source in inputs:
+        for file in files_behind(source):
+            for output in written:
+                if _same(output, file):
+                    told = "" if _same(file, Path(source)) else f" (it belongs to {source})"
+                    raise InvalidInputError(
+                        f"{str(output)!r} is read{told}, and would be lost; write to another file"
+                    )
+
+
+def _same(one: Path, other: Path) -> bool:
+    """Whether two names mean one file."""
+    try:
+        if one.exists() and other.exists():
+            return one.samefile(other)
+        return one.resolve() == other.resolve()
+    except (OSError, ValueError):
+        return False
+
+
+def files_behind(source: str | Path) -> list[Path]:
+    """Return the files that reading one may read: itself, and those that it names.
+
+    Parameters
+    ----------
+    source : str or Path
+        A file or a folder; of any other name nothing is behind.
+
+    Returns
+    -------
+    list of Path
+        The files. A configuration file's strings that name files are followed, as are the folders
+        of bags, and the file of inertial readings beside a Husky's wheel file.
+    """
+    found: dict[Path, None] = {}
+    _follow(Path(source), found)
+    return list(found)
+
+
+def _follow(file: Path, found: dict[Path, None]) -> None:
+    if file in found or len(found) >= _MOST_FILES:
+        return
+    try:
+        if file.is_dir():
+            for inner in sorted(file.iterdir()):
+                if inner.is_file():
+                    found[inner] = None
+            return
+        if not file.is_file():
+            return
+    except (OSError, ValueError):
+        return
+    found[file] = None
+    beside = file.with_name(file.name.replace("pro_", "imu_", 1))  # of a Husky's wheel file
+    names = [beside.name] if beside != file else []
+    for name in (*names, *_strings(_content(file))):
+        _follow(file.parent / name, found)
+
+
+def _content(file: Path) -> Any:
+    """Return a configuration file's content; None of what is none, or is malformed."""
+    try:
+        if file.suffix.lower() in (".yaml", ".yml"):
+            return load(file, InvalidInputError).data
+        if file.suffix.lower() in (".json", ".geojson") and file.stat().st_size <= _LARGEST_JSON:
+            return json.loads(file.read_bytes())
+    except (InvalidInputError, OSError, ValueError, RecursionError):
+        pass  # whoever reads it will say what is wrong
+    return None
+
+
+def _strings(content: Any) -> Iterator[str]:
+    """Yield the strings that could be names of files."""
+    waiting = [content]
+    while waiting:
+        item = waiting.pop()
+        if isinstance(item, dict):
+            waiting += item.values()
+        elif isinstance(item, list):
+            waiting += item
+        elif isinstance(item, str) and 0 < len(item) < 4096 and "\0" not in item:
+            yield item
 
 
 def is_file(path: str | Path) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 import io
+import re
 import warnings
 import zlib
 from collections import Counter
@@ -12,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -34,6 +35,7 @@ MAX_BYTES = 1 << 31
 """Largest table that is read, after decompression [bytes]."""
 MAX_CELLS = 100_000_000
 """Most cells that are read."""
+_AHEAD = 4096  # bytes of readings that are looked at to learn how they are written
 _CHUNK = 200_000  # rows parsed at once
 _INTERRUPTED = "Calling read(nbytes) on source failed"
 """What the parser makes of Ctrl-C at the moment when it asks for bytes; errors it passes on."""
@@ -133,7 +135,7 @@ def column_names(path: str | Path, error: type[InvalidInputError]) -> list[str]:
             raise error(f"{file} is no CSV file")
         with file.open("rb") as raw:
             stream = io.BufferedReader(_Guarded(raw, file, error))
-            return _header(stream.readline(MAX_HEADER + 1), file, error)
+            return _dialect(stream, file, error).names
 
 
 @contextmanager
@@ -192,8 +194,19 @@ class _Guarded(io.RawIOBase):
         return len(data)
 
 
-def _header(line: bytes, file: Path, error: type[InvalidInputError]) -> list[str]:
-    """Parse the line of column names."""
+class _Dialect(NamedTuple):
+    """How a text file writes a table: its column names, separator and decimal sign."""
+
+    names: list[str]
+    separator: str
+    decimal: str
+
+
+def _dialect(
+    stream: io.BufferedReader[Any], file: Path, error: type[InvalidInputError]
+) -> _Dialect:
+    """Read the line of column names, and look at the lines that follow."""
+    line = stream.readline(MAX_HEADER + 1)
     if len(line) > MAX_HEADER:
         raise error(f"{file}, line 1 is longer than {MAX_HEADER >> 10} KiB; it must name columns")
     try:
@@ -202,8 +215,16 @@ def _header(line: bytes, file: Path, error: type[InvalidInputError]) -> list[str
         raise error(f"{file}, line 1, byte {problem.start} is no UTF-8 text; save it so") from None
     if "\0" in text:
         raise error(f"{file}, line 1 holds a NUL byte; this is no text file")
+    ahead = stream.peek(_AHEAD)[:_AHEAD].decode("utf-8", "replace").splitlines()[:20]
+    rows = {mark: [_cells(row, mark) for row in (text, *ahead[:-1])] for mark in ",;\t"}
+    # The separator that cuts names and readings into the same number of cells, the most of them.
+    even = {mark: len(cut[0]) for mark, cut in rows.items() if len({len(c) for c in cut[:2]}) == 1}
+    whole = {mark: len(cut[0]) for mark, cut in rows.items()}
+    counts = even if max(even.values(), default=0) > 1 else whole
+    mark = max(counts, key=lambda key: counts[key])
+    decimal = "." if not any(map(_comma_number, _flat(rows[mark][1:]))) else ","
     try:
-        names = [name.strip() for name in next(csv.reader([text]), [])]
+        names = [name.strip() for name in next(csv.reader([text], delimiter=mark), [])]
     except csv.Error as problem:
         raise error(f"{file}, line 1 is no line of column names: {problem}") from None
     if not any(names):
@@ -215,10 +236,23 @@ def _header(line: bytes, file: Path, error: type[InvalidInputError]) -> list[str
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
         raise error(f"{file}, line 1 names the column {twice[0]!r} twice; rename one")
-    for mark in (";", "\t"):
-        if len(names) == 1 and mark in text:
-            raise error(f"{file}, line 1 separates columns by {mark!r}; separate them by commas")
-    return names
+    return _Dialect(names, mark, decimal)
+
+
+def _cells(row: str, mark: str) -> list[str]:
+    try:
+        return next(csv.reader([row], delimiter=mark, skipinitialspace=True), [])
+    except csv.Error:
+        return []
+
+
+def _flat(rows: list[list[str]]) -> Iterator[str]:
+    return (cell for row in rows for cell in row)
+
+
+def _comma_number(cell: str) -> bool:
+    """Whether a cell is a number with a decimal comma."""
+    return re.fullmatch(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*", cell) is not None
 
 
 def _is_number(text: str) -> bool:
@@ -229,10 +263,10 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _read_csv(stream: BinaryIO, file: Path, error: type[InvalidInputError]) -> Table:
+def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInputError]) -> Table:
     import pandas as pd
 
-    names = _header(stream.readline(MAX_HEADER + 1), file, error)
+    names, separator, decimal = _dialect(stream, file, error)
     most = MAX_CELLS // len(names)
     columns = _Columns(names, 2, "line")
     try:
@@ -243,6 +277,8 @@ def _read_csv(stream: BinaryIO, file: Path, error: type[InvalidInputError]) -> T
                 stream,
                 header=None,
                 names=names,
+                sep=separator,
+                decimal=decimal,
                 index_col=False,
                 skip_blank_lines=False,  # so that rows keep their line numbers
                 skipinitialspace=True,
@@ -321,6 +357,22 @@ def _holds_numbers(kind: pa.DataType) -> bool:
     return bool(types.is_primitive(kind) or types.is_decimal(kind) or types.is_null(kind))
 
 
+def _instants(series: pd.Series[Any]) -> FloatArray | None:
+    """Seconds since 1970 of instants written by ISO 8601, NaN where one is none.
+
+    None if the first is none, so that the column holds something else.
+    """
+    import pandas as pd
+
+    there = series.notna().to_numpy()
+    first = str(series[there].iloc[0])
+    if re.match(r"\s*\d{4}-?\d\d-?\d\d[T ]\d\d:?\d\d", first) is None:
+        return None
+    read = pd.to_datetime(series, format="ISO8601", utc=True, errors="coerce")
+    stamps = read.dt.tz_localize(None).to_numpy("datetime64[ns]")
+    return np.asarray((stamps - np.datetime64(0, "ns")) / np.timedelta64(1, "s"), float)
+
+
 class _Columns:
     """Columns as they are read, piece by piece, sorted into numbers and text."""
 
@@ -345,6 +397,10 @@ class _Columns:
                 series = series.astype("string")
             values = pd.to_numeric(series, errors="coerce").to_numpy(float, na_value=np.nan)
             bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
+            instants = _instants(series) if len(bad) else None
+            if instants is not None:
+                values = instants
+                bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
             if len(bad):
                 k = int(bad[0])
                 place = f"{self._unit} {self._first + self.rows + k}"

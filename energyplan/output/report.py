@@ -8,12 +8,14 @@ import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from energyplan import __version__
 from energyplan import html as _html
+from energyplan.errors import UnknownNameError
 
 _CSS = """
 :root { color-scheme: light; }
@@ -41,17 +43,46 @@ code { background: #f2f2f2; padding: .1rem .3rem; overflow-wrap: anywhere; }
 
 def svg(figure: Figure) -> bytes:
     """Return a figure as an SVG drawing; dense clouds of points in it are pictures."""
+    return image(figure, ".svg")
+
+
+def image(figure: Figure, suffix: str) -> bytes:
+    """Return a figure as an image of the kind that a file's suffix names.
+
+    Parameters
+    ----------
+    figure : Figure
+        The figure.
+    suffix : {".png", ".svg", ".pdf"}
+        The kind.
+
+    Returns
+    -------
+    bytes
+        The image, the same for the same figure: it holds no date.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such kind.
+    """
+    undated: dict[str, dict[str, Any]] = {
+        ".png": {"Software": None},
+        ".svg": {"Date": None, "Creator": None},
+        ".pdf": {"CreationDate": None},
+    }
+    kind = suffix.lower()
+    if kind not in undated:
+        raise UnknownNameError("kind of image", suffix, undated)
     stream = io.BytesIO()
-    with mpl.rc_context({"svg.hashsalt": "energyplan"}):
-        figure.savefig(stream, format="svg", dpi=150, metadata={"Date": None, "Creator": None})
+    with mpl.rc_context({"svg.hashsalt": "energyplan"}):  # names of parts that do not change
+        figure.savefig(stream, format=kind[1:], dpi=150, metadata=undated[kind])
     return stream.getvalue()
 
 
 def png(figure: Figure) -> bytes:
     """Return a figure as a PNG image."""
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=150, metadata={"Software": None})
-    return stream.getvalue()
+    return image(figure, ".png")
 
 
 @dataclass

@@ -40,6 +40,7 @@ from energyplan.vehicle import Vehicle
 __all__ = [
     "DRIVE_LOSS",
     "HOTEL",
+    "MODEL_PRESETS",
     "REGENERATION_LOSS",
     "SLIP",
     "TABLE_II",
@@ -409,3 +410,5 @@ TABLE_II = {
     "quadriga:empty:concrete": (113.0, 0.627),
 }
 """K [N] and mu of Quadriga (Table II)."""
+MODEL_PRESETS: tuple[str, ...] = tuple(TABLE_II)
+"""Names of ready-made models."""

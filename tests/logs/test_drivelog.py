@@ -162,7 +162,7 @@ HEAD = "t,v_left,v_right,power\n"
         (HEAD, "0 usable samples"),
         (HEAD + "0,1,1,5\n", "1 usable samples"),
         ("0,1,1,5\n1,1,1,5\n", "line 1 holds numbers"),
-        (HEAD.replace(",", ";") + "0;1;1;5\n", "by commas"),
+        (HEAD.replace(",", ";") + "0;1;1;5\n", "1 usable samples"),
         ("t,v_left,v_left,power\n0,1,1,5\n", "'v_left' twice"),
         ("t,v_left,power\n0,1,5\n1,1,5\n", "'v_right' is missing"),
         ("t,v_left,v_right\n0,1,5\n1,1,5\n", "power is missing"),

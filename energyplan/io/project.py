@@ -1,0 +1,123 @@
+"""A project: what a robot's logs are to be read with, in one file that every command takes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import yaml
+
+from energyplan.errors import ConfigError, DriveLogError
+from energyplan.io._yaml import load
+from energyplan.io.config import ProjectFile, plain_vehicle, read_vehicle
+from energyplan.io.files import atomic_write
+from energyplan.io.topics import TopicMap
+from energyplan.logs.columns import Column, column_from
+from energyplan.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Project:
+    """How a robot's logs are read, and the robot.
+
+    Parameters
+    ----------
+    name : str
+        What to call it.
+    vehicle : Vehicle
+        The robot.
+    columns : mapping of str to Column
+        Which column of a table serves as which channel; empty where the logs are bags.
+    topics : TopicMap, optional
+        Which field of a bag serves as which channel.
+    log : str
+        Name of the log that the project was made from.
+    defaults : mapping of str to object
+        Values that nobody gave, by what they are, so that one can see them.
+    """
+
+    name: str
+    vehicle: Vehicle
+    columns: Mapping[str, Column] = field(default_factory=lambda: MappingProxyType({}))
+    topics: TopicMap | None = None
+    log: str = ""
+    defaults: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+
+def read_project(path: str | Path) -> Project:
+    """Read a project.
+
+    Parameters
+    ----------
+    path : str or Path
+        A YAML file that `write_project` wrote.
+
+    Returns
+    -------
+    Project
+        The project.
+
+    Raises
+    ------
+    ConfigError
+        If the file is malformed; the message names file, line and key.
+    """
+    document = load(path, ConfigError)
+    if document.data.get("kind") != "project":
+        raise document.fail(
+            ("kind",),
+            "this file holds no project; energyplan start LOG --out FILE.yaml makes one",
+        )
+    spec = document.check(ProjectFile)
+    columns: dict[str, Column] = {}
+    for channel, item in spec.columns.items():
+        told = {"column": item} if isinstance(item, str) else item.model_dump()
+        try:
+            columns[channel] = column_from(channel, **told)
+        except DriveLogError as problem:
+            raise document.fail(("columns", channel), str(problem)) from None
+    topics = None
+    if spec.topics is not None:
+        topics = TopicMap.model_validate(spec.topics)
+    return Project(
+        spec.name, read_vehicle(Path(path)), columns, topics, spec.log or "", spec.defaults
+    )
+
+
+def write_project(project: Project, path: str | Path) -> Path:
+    """Write a project as YAML, whole or not at all.
+
+    Parameters
+    ----------
+    project : Project
+        The project.
+    path : str or Path
+        The file, which `read_project` reads; so do `read_vehicle`, `read_log` for its columns and
+        `TopicMap.read`.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InvalidInputError
+        If it cannot be written.
+    """
+    data: dict[str, Any] = {"kind": "project", "name": project.name}
+    data |= {"log": project.log} if project.log else {}
+    data["vehicle"] = plain_vehicle(project.vehicle)
+    if project.columns:
+        data["columns"] = {
+            channel: {key: value for key, value in column.described().items() if value}
+            for channel, column in project.columns.items()
+        }
+    if project.topics is not None:
+        data["topics"] = project.topics.model_dump(exclude_defaults=True)
+    if project.defaults:
+        data["defaults"] = dict(project.defaults)
+    return atomic_write(path, yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100))

@@ -1,0 +1,259 @@
+"""Nothing is lost or mixed up: outputs that are inputs, impossible outputs, what is held out."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import energyplan as ep
+from energyplan import cli, simulate
+from energyplan.io.bundled import bundled
+from energyplan.io.config import write_vehicle
+from energyplan.io.files import files_behind, refuse_overwriting
+from energyplan.io.trajectory import write_log
+
+MODEL = ep.PowerModel.preset("quadriga:full:marble")
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    """Run a command; return its exit code and what it printed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["energyplan", *map(str, arguments)])
+        with pytest.raises(SystemExit) as left:
+            cli.main()
+    printed = capsys.readouterr()
+    return int(left.value.code or 0), printed.out, printed.err
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four drives, a vehicle, a model and a map with its image."""
+    place = tmp_path_factory.mktemp("drives")
+    for k, name in enumerate(("a", "b", "c", "d")):
+        make = simulate.identification_drive if k < 2 else simulate.validation_drive
+        log = make(MODEL, power_noise=5.0, speed_noise=0.003, seed=k)
+        write_log(log, place / f"{name}.csv")
+    write_vehicle(MODEL.vehicle, place / "robot.yaml")
+    ep.write_model(MODEL, place / "model.yaml")
+    for file in files_behind(bundled("office.yaml")):
+        shutil.copy(file, place / file.name)
+    return place
+
+
+@pytest.fixture
+def folder(drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, with a copy of the drives."""
+    work = shutil.copytree(drives, tmp_path / "work")
+    monkeypatch.chdir(work)
+    return work
+
+
+def refused(folder: Path, capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """Assert that a command refuses in one line and leaves the folder as it was."""
+    before = {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+    code, out, error = run(capsys, *arguments)
+    assert (code, out) == (2, ""), error
+    assert len(error.splitlines()) == 1
+    after = {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+    assert after == before
+    return error
+
+
+PLAN = ("plan", "--map", "office.yaml", "--model", "model.yaml", "--start", "1.2,2,90deg", "--goal",
+        "3.9,2,90deg")  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["robot.yaml", "./robot.yaml", "../work/robot.yaml", "soft.yaml",
+                                  "hard.yaml", "here/robot.yaml"])  # fmt: skip
+def test_an_output_that_is_an_input_by_any_name_is_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    (folder / "soft.yaml").symlink_to("robot.yaml")
+    os.link("robot.yaml", "hard.yaml")
+    (folder / "here").symlink_to(".")
+    error = refused(folder, capsys, "identify", "a.csv", "--vehicle", "robot.yaml", "--out", name)
+    assert "would be lost" in error
+
+
+def test_every_command_refuses_to_replace_what_it_reads(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    os.link("a.csv", "a.yaml")
+    image = next(file for file in folder.glob("office.p*"))
+    shutil.copy(image, "floor.png")
+    text = (folder / "office.yaml").read_text().replace(image.name, "floor.png")
+    (folder / "office.yaml").write_text(text)
+    cases = [
+        ("identify", "a.csv", "--vehicle", "quadriga", "--out", "a.yaml"),
+        ("diagnose", "a.csv", "--holdout", "c.csv", "--vehicle", "robot.yaml", "--out",
+         "robot.yaml"),
+        (*PLAN, "--plot", "floor.png"),  # the map's image, which only the map names
+        ("compare", *PLAN[1:], "--plot", "floor.png"),
+    ]  # fmt: skip
+    for case in cases:
+        assert "lost" in refused(folder, capsys, *case)
+
+
+def test_two_outputs_are_two_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "two.png").symlink_to("route.csv")
+    error = refused(folder, capsys, *PLAN, "--out", "route.csv", "--plot", "two.png")
+    assert "twice" in error
+
+
+def test_what_a_mission_names_is_behind_it(folder: Path) -> None:
+    mission = folder / "round.yaml"
+    mission.write_text("model: model.yaml\nmap: office.yaml\nsurfaces: grounds.geojson\n")
+    (folder / "grounds.geojson").write_text('{"features": [{"model": "robot.yaml"}]}')
+    names = {file.name for file in files_behind(mission)}
+    assert {"round.yaml", "model.yaml", "office.yaml", "grounds.geojson", "robot.yaml"} < names
+    with pytest.raises(ep.errors.InvalidInputError, match=r"belongs to round\.yaml"):
+        refuse_overwriting(["robot.yaml"], [Path("round.yaml")])
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "word"),
+    [("--out", "path.yaml", ".csv"), ("--out", "none/path.csv", "folder"), ("--plot", "p.gif",
+     ".svg"), ("--out", "locked.csv", "written"), ("--plot", "dir.png", "folder")],
+)  # fmt: skip
+def test_an_impossible_output_is_refused_before_the_work(
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    option: str,
+    name: str,
+    word: str,
+) -> None:
+    def work(*_: object, **__: object) -> None:
+        raise AssertionError("the work has begun")
+
+    monkeypatch.setattr("energyplan.planning.plan", work)
+    (folder / "dir.png").mkdir()
+    (folder / "locked.csv").write_text("kept")
+    monkeypatch.setattr(
+        "os.access", lambda path, mode, **_: mode != os.W_OK or "locked" not in str(path)
+    )
+    assert word in refused(folder, capsys, *PLAN, option, name)
+
+
+def test_a_full_disk_is_told_before_the_work(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(number: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    error = refused(folder, capsys, *PLAN, "--out", "path.csv")
+    assert "No space left" in error
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes of POSIX")
+def test_a_closed_pipe_is_one_line() -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "energyplan", "check", "absent.csv", "--model", "absent"]
+    done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, check=False, text=True)
+    os.close(writing)
+    assert done.returncode == 2
+    assert done.stderr == (
+        "energyplan: the standard output is a closed pipe; the answer has no place to go\n"
+    )
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+def test_an_answer_that_cannot_be_printed_is_one_line() -> None:
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "energyplan", "--version"]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, check=False, text=True)
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("suffix", "start"), [(".svg", b"<?xml"), (".pdf", b"%PDF"),
+                                               (".png", b"\x89PNG")])  # fmt: skip
+def test_pictures_are_of_the_kind_that_they_are_called(
+    folder: Path, capsys: pytest.CaptureFixture[str], suffix: str, start: bytes
+) -> None:
+    code, _, error = run(capsys, *PLAN, "--time-limit", 0.2, "--plot", f"route{suffix}")
+    assert code == 0, error
+    assert (folder / f"route{suffix}").read_bytes().startswith(start)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("a.csv", "--holdout", "c.csv", "d.csv"), ("--holdout", "c.csv", "d.csv", "--", "a.csv"),
+     ("a.csv", "--holdout=c.csv", "d.csv"), ("a.csv", "--holdout", "c.csv", "--holdout", "d.csv")],
+)  # fmt: skip
+def test_all_that_follows_holdout_is_held_out(
+    folder: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
+) -> None:
+    vehicle = ("--vehicle", "robot.yaml", "--json")
+    code, out, error = run(capsys, "diagnose", *vehicle, *arguments)
+    assert code == 0, error
+    told = json.loads(out)
+    assert told["training"] == ["a.csv"]
+    assert told["judging"] == ["c.csv", "d.csv"]
+
+
+def test_the_page_and_the_text_name_the_drives(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, error = run(capsys, "diagnose", "a.csv", "b.csv", "--vehicle", "robot.yaml",
+                           "--report", "page.html", "--holdout", "c.csv", "d.csv")  # fmt: skip
+    assert code == 0, error
+    page = (folder / "page.html").read_text()
+    for line in ("training: a.csv, b.csv", "judging: c.csv, d.csv"):
+        assert line in out
+        assert line in page
+
+
+def test_a_drive_by_another_name_is_not_held_out(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "same.csv").symlink_to("a.csv")
+    error = refused(folder, capsys, "diagnose", "a.csv", "--vehicle", "robot.yaml", "--holdout",
+                    "same.csv")  # fmt: skip
+    assert "held out" in error
+
+
+def test_without_a_command_the_help_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, error = run(capsys)
+    assert (code, error) == (0, "")
+    assert "Commands:" in out
+    code, out, error = run(capsys, "log")
+    assert (code, error) == (0, "")
+    assert "info" in out
+
+
+def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(capsys, "--version") == (0, f"energyplan {ep.__version__}\n", "")
+
+
+def test_every_output_is_checked_before_the_work() -> None:
+    """An option that names a file to be written says so to the guard."""
+    from typer.main import get_command
+
+    group = get_command(cli.app)
+    waiting, seen = [group], []
+    while waiting:
+        command = waiting.pop()
+        waiting += getattr(command, "commands", {}).values()
+        for param in command.params:
+            text = (getattr(param, "help", None) or "").lower()
+            if text.startswith(("write", "draw", "folder for")):
+                seen.append(param.name)
+                assert param.callback is not None, f"{command.name} --{param.name}"
+    assert {"out", "report", "plot"} <= set(seen)
+
+
+def test_presets_and_files_complete(folder: Path) -> None:
+    environment = {**os.environ, "_ENERGYPLAN_COMPLETE": "complete_bash", "COMP_CWORD": "3",
+                   "COMP_WORDS": "energyplan identify --vehicle husk"}  # fmt: skip
+    command = [sys.executable, "-c", "from energyplan.cli import main; main()"]
+    done = subprocess.run(command, env=environment, capture_output=True, check=False, text=True)
+    assert "husky_a200" in done.stdout, done.stderr
