@@ -240,7 +240,7 @@ def _complete(*kinds: str) -> Callable[[str], list[str]]:
     def complete(incomplete: str) -> list[str]:
         from energyplan.io.topics import TOPIC_MAPS
         from energyplan.power import MODEL_PRESETS
-        from energyplan.vehicle import VEHICLE_PRESETS
+        from energyplan.vehicle.presets import VEHICLE_PRESETS
 
         known = {"vehicle": VEHICLE_PRESETS, "model": MODEL_PRESETS, "topics": TOPIC_MAPS}
         names = [*(name for kind in kinds for name in known[kind]), *_yaml_files(incomplete)]

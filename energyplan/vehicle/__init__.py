@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -377,6 +376,8 @@ class Vehicle:
         >>> round(Vehicle.preset("quadriga:full").slip_moment)
         467
         """
+        from energyplan.vehicle.presets import VEHICLE_PRESETS
+
         if name not in VEHICLE_PRESETS:
             raise UnknownNameError("vehicle preset", name, VEHICLE_PRESETS)
         return VEHICLE_PRESETS[name]()
@@ -408,65 +409,3 @@ def predict_icr(wheelbase: float, track: float) -> float:
     0.4756
     """
     return track / 2 + (wheelbase / 2) ** 2 / (track / 2)
-
-
-def _quadriga(mass: float, cog: tuple[float, float], name: str) -> Vehicle:
-    """Quadriga (Morales et al. 2010, section IV and Table I).
-
-    The paper gives no motor ratings; the limits are those of a drive that reaches its 1.2 m/s
-    and can spin on concrete with a full tank.
-    """
-    return Vehicle.from_geometry(
-        name,
-        mass=mass,
-        wheelbase=0.475,
-        track=0.5,
-        length=0.82,
-        width=0.64,
-        cog=cog,
-        icr=TreadICR.symmetric(0.47),
-        motor=MotorLimits(
-            continuous_power=400.0,
-            peak_power=800.0,
-            force=900.0,
-            speed=1.2,
-            acceleration=1.0,
-            regeneration=400.0,
-        ),
-    )
-
-
-def _husky() -> Vehicle:
-    """Clearpath Husky A200 as equipped for BorealTC (about 70 kg)."""
-    return Vehicle.from_geometry(
-        "husky_a200",
-        mass=70.0,
-        wheelbase=0.512,
-        track=0.555,
-        length=0.99,
-        width=0.67,
-        motor=MotorLimits(peak_power=1000.0, continuous_power=400.0, speed=1.0, acceleration=3.0),
-    )
-
-
-def _jackal() -> Vehicle:
-    """Clearpath Jackal (17 kg; wheelbase 0.262 m, track 0.376 m)."""
-    return Vehicle.from_geometry(
-        "jackal",
-        mass=17.0,
-        wheelbase=0.262,
-        track=0.376,
-        length=0.508,
-        width=0.43,
-        motor=MotorLimits(peak_power=250.0, continuous_power=125.0, speed=2.0, acceleration=4.0),
-    )
-
-
-VEHICLE_PRESETS: dict[str, Callable[[], Vehicle]] = {
-    "quadriga": lambda: _quadriga(83.1, (0.0089, 0.0006), "quadriga:empty"),
-    "quadriga:empty": lambda: _quadriga(83.1, (0.0089, 0.0006), "quadriga:empty"),
-    "quadriga:full": lambda: _quadriga(147.1, (0.0202, -0.0005), "quadriga:full"),
-    "husky_a200": _husky,
-    "jackal": _jackal,
-}
-"""Ready-made vehicles, by name."""
