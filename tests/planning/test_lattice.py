@@ -11,11 +11,12 @@ from energyplan.path import Path
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.lattice.planner import energies
 from energyplan.planning.lattice.refine import Refiner
-from energyplan.planning.lattice.search import Search, field_for, inscribed, lattice_for
+from energyplan.planning.lattice.search import Search, lattice_for
 from energyplan.planning.lattice.tight_ends import ease
 from energyplan.planning.scene import field as field_kernels
 from energyplan.planning.scene import motions as motion_kernels
 from energyplan.planning.scene.compiled import MARGIN, CompiledProblem, Segments, merged
+from energyplan.planning.scene.guide import distance_to_go, inscribed
 from energyplan.power import HOTEL, PowerModel
 from energyplan.terrain import OccupancyGrid
 
@@ -123,7 +124,7 @@ def test_search_returns_free_motions_of_the_cost_it_reports(weight):
     poses = free_poses(grid, 6, 11, COST.vehicle)
     for start, goal in zip(poses[::2], poses[1::2], strict=True):
         query = CompiledProblem(PlanningProblem(grid, COST, start, goal))
-        search = Search(query.setting, field_for(query.setting), lattice_for(query.setting), weight)
+        search = Search(query.setting, distance_to_go(query.setting), lattice_for(query.setting), weight)
         search.run(np.inf, stop_at_first=weight > 1, expansions=60_000)
         if not search.found:
             continue
@@ -137,7 +138,7 @@ def test_search_survives_growing_its_arrays():
     grid = cluttered(4)
     start, goal = free_poses(grid, 2, 11, COST.vehicle)
     query = CompiledProblem(PlanningProblem(grid, COST, start, goal))
-    search = Search(query.setting, field_for(query.setting), lattice_for(query.setting, 0.5), 1.0)
+    search = Search(query.setting, distance_to_go(query.setting), lattice_for(query.setting, 0.5), 1.0)
     search.tree.best[0] = np.inf
     before = len(search.tree.x)
     search.run(np.inf, stop_at_first=False, expansions=40_000)
@@ -154,7 +155,7 @@ def test_refinement_only_ever_improves(seed):
     grid = cluttered(seed)
     start, goal = free_poses(grid, 4, seed + 20, COST.vehicle)[:2]
     query = CompiledProblem(PlanningProblem(grid, COST, start, goal))
-    search = Search(query.setting, field_for(query.setting), lattice_for(query.setting), 2.0)
+    search = Search(query.setting, distance_to_go(query.setting), lattice_for(query.setting), 2.0)
     search.run(np.inf, stop_at_first=True, expansions=200_000)
     assert search.found
     refiner = Refiner(query.setting, search.segments(), seed)

@@ -6,8 +6,9 @@ from energyplan.path import Path, wrap_angle
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.lattice import search_kernels as kernels
 from energyplan.planning.lattice.portfolio import Race
-from energyplan.planning.lattice.search import Search, field_for, lattice_for
+from energyplan.planning.lattice.search import Search, lattice_for
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
+from energyplan.planning.scene.guide import distance_to_go
 from energyplan.planning.scene.motions import free_energy
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
@@ -31,7 +32,7 @@ def query(grid, start=(1.2, 3.1, 0.1), goal=(8.6, 2.0, -0.7)):
 
 def searched(asked, aligned, weight=1.5):
     setting = asked.setting
-    search = Search(setting, field_for(setting, 2.0), lattice_for(setting), weight, aligned=aligned)
+    search = Search(setting, distance_to_go(setting, 2.0), lattice_for(setting), weight, aligned=aligned)
     search.run(np.inf, stop_at_first=True, expansions=40_000)
     return search
 
@@ -67,7 +68,7 @@ def test_plan_passes_the_gaps():
 def test_estimate_is_never_below_free_space():
     asked = query(walls(1.2))
     setting = asked.setting
-    field = field_for(setting)
+    field = distance_to_go(setting)
     rng = np.random.default_rng(5)
     shortcuts = 0
     for x, y, yaw in rng.uniform((0.5, 0.5, -np.pi), (9.5, 5.5, np.pi), (400, 3)):

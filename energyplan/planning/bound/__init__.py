@@ -19,8 +19,8 @@ import shapely
 from energyplan.path import FloatArray
 from energyplan.planning.bound.corners import Corners, Rates, least_over_corners
 from energyplan.planning.bound.surface_excess import least_excess
-from energyplan.planning.lattice.search import inscribed
 from energyplan.planning.scene.compiled import MARGIN, CompiledProblem
+from energyplan.planning.scene.guide import inscribed
 from energyplan.planning.scene.motions import KernelProblem, free_energy
 from energyplan.terrain import OccupancyGrid
 from energyplan.terrain.collision import Body

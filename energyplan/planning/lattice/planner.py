@@ -31,15 +31,14 @@ from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.lattice.search import (
     Search,
     coarse_lattice,
-    field_for,
     lattice_for,
-    no_field,
     way_along,
 )
 from energyplan.planning.lattice.tight_ends import ease
 from energyplan.planning.problem import Plan, PlanningProblem, as_pose
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
-from energyplan.planning.scene.field import Field
+from energyplan.planning.scene.guide import distance_to_go, no_distance
+from energyplan.planning.scene.guide_kernels import DistanceToGo
 from energyplan.planning.scene.reachability import check_way, no_path
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 
@@ -214,7 +213,7 @@ def energies(
             query.setting._replace(goal_x=centre.x, goal_y=centre.y, goal_yaw=centre.yaw)
         )
     lattice = coarse_lattice(query.setting)
-    search = Search(query.setting, no_field(), lattice, 0.0, aligned=True)
+    search = Search(query.setting, no_distance(), lattice, 0.0, aligned=True)
     deadline = time.perf_counter() + time_limit
     missing = list(range(len(rows)))
     status = kernels.RUNNING
@@ -266,7 +265,7 @@ class _Improvement:
         self.deadline = time.perf_counter() + time_limit
         self.gap = gap
         self.race = Race(self.setting, seed)
-        self.fields = {PENALTY: field_for(self.setting, PENALTY)}
+        self.fields = {PENALTY: distance_to_go(self.setting, PENALTY)}
         self.searches: list[tuple[Search, float]] = []
         self._bound = Bound(0.0, False)
 
@@ -367,10 +366,10 @@ class _Improvement:
             if way is not None:
                 self.race.enter(way)
 
-    def _field(self, penalty: float) -> Field:
+    def _field(self, penalty: float) -> DistanceToGo:
         """Return the distance to go, with tight places counted longer."""
         if penalty not in self.fields:
-            self.fields[penalty] = field_for(self.setting, penalty)
+            self.fields[penalty] = distance_to_go(self.setting, penalty)
         return self.fields[penalty]
 
     def _search(self, scale: float, weight: float, guide: Guide) -> Search:

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from energyplan.planning.lattice import search_kernels as kernels
 from energyplan.planning.scene.compiled import Segments
 from energyplan.planning.scene.field import Field, distance_field
+from energyplan.planning.scene.guide import inscribed
+from energyplan.planning.scene.guide_kernels import DistanceToGo, node_at
 from energyplan.planning.scene.motions import (
     DIRECTIONS,
     KernelProblem,
@@ -59,11 +61,6 @@ def coarse_lattice(setting: KernelProblem) -> kernels.Lattice:
     return kernels.Lattice(1.5 * fine.cell, 2 * np.pi / turns, turns, 1.5 * fine.step)
 
 
-def no_field() -> Field:
-    """Return an empty field, for a search without a goal."""
-    return Field(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 1.0, 0.0)
-
-
 def cell_of(setting: KernelProblem, x: float, y: float, stride: int) -> tuple[int, int]:
     """Return row and column of a place in a grid of every `stride`-th cell."""
     space = setting.space
@@ -75,12 +72,6 @@ def cell_of(setting: KernelProblem, x: float, y: float, stride: int) -> tuple[in
         min(max(int(row), 0), rows - 1) // stride,
         min(max(int(column), 0), columns - 1) // stride,
     )
-
-
-def inscribed(setting: KernelProblem) -> float:
-    """Radius of the largest disc about the centre of the tread ICRs inside the body [m]."""
-    body = setting.body
-    return max(min(-body.x_min, body.x_max, -body.y_min, body.y_max), 0.0)
 
 
 def field_for(setting: KernelProblem, penalty: float = 1.0) -> Field:
@@ -121,14 +112,14 @@ def field_for(setting: KernelProblem, penalty: float = 1.0) -> Field:
     return Field(distance * np.float32(res), direction, stride * res, far)
 
 
-def way_along(setting: KernelProblem, field: Field, stride: float = 1.0) -> Segments | None:
-    """Return the motions that follow a field to the goal in straight lines, if they are free.
+def way_along(setting: KernelProblem, to_go: DistanceToGo, stride: float = 1.0) -> Segments | None:
+    """Return the motions that follow the way to go in straight lines, if they are free.
 
     Parameters
     ----------
     setting : KernelProblem
         The problem.
-    field : Field
+    to_go : DistanceToGo
         Distance to go.
     stride : float
         Length of the lines [m].
@@ -143,15 +134,13 @@ def way_along(setting: KernelProblem, field: Field, stride: float = 1.0) -> Segm
     x, y, yaw = setting.start_x, setting.start_y, setting.start_yaw
     ds: list[float] = []
     dtheta: list[float] = []
-    rows, columns = field.distance.shape
     left = np.inf
     while np.hypot(setting.goal_x - x, setting.goal_y - y) > 1.5 * stride:
-        row, column = (int(n * space.resolution / field.spacing) for n in cell_of(setting, x, y, 1))
-        row, column = min(row, rows - 1), min(column, columns - 1)
-        if not field.distance[row, column] < left:
+        node = node_at(to_go, space, x, y, yaw)
+        if node < 0 or not to_go.distance[node] < left:
             return None
-        left = float(field.distance[row, column])
-        turn = remainder(float(field.direction[row, column]) + space.yaw - yaw, 2 * np.pi)
+        left = float(to_go.distance[node])
+        turn = remainder(float(to_go.direction[node]) + space.yaw - yaw, 2 * np.pi)
         ds += [0.0, stride]
         dtheta += [turn, 0.0]
         yaw += turn
@@ -175,7 +164,7 @@ class Search:
     ----------
     setting : KernelProblem
         The problem.
-    field : Field
+    to_go : DistanceToGo
         Distance to go.
     lattice : Lattice
         Resolution.
@@ -189,7 +178,7 @@ class Search:
     """
 
     setting: KernelProblem
-    field: Field
+    to_go: DistanceToGo
     lattice: kernels.Lattice
     weight: float
     limit: float = np.inf
@@ -222,7 +211,7 @@ class Search:
             counts=np.array([0, 0, 0, -1, 1 << 30], np.int64),
             best=np.array([self.limit]),
         )
-        kernels.plant(self.tree, self.setting, self.field, self.lattice, self.weight)
+        kernels.plant(self.tree, self.setting, self.to_go, self.lattice, self.weight)
 
     def _enlarge(self) -> None:
         """Double every array, and rebuild the hash table."""
@@ -271,7 +260,7 @@ class Search:
             status = kernels.grow(
                 self.tree,
                 self.setting,
-                self.field,
+                self.to_go,
                 self.lattice,
                 self.weight,
                 SLICE,

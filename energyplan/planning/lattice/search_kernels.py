@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.compilation import njit
-from energyplan.planning.scene.field import Field, angle_between, pop, push
+from energyplan.planning.scene.field import angle_between, pop, push
+from energyplan.planning.scene.guide_kernels import DistanceToGo, node_at
 from energyplan.planning.scene.motions import (
     KernelProblem,
     connection,
@@ -99,30 +100,18 @@ class Tree(NamedTuple):
 
 
 @njit
-def _estimate(setting: KernelProblem, field: Field, x: float, y: float, yaw: float) -> float:
-    """Cost to go: the greater of the disc's way round the obstacles and the motion without them."""
+def _estimate(setting: KernelProblem, to_go: DistanceToGo, x: float, y: float, yaw: float) -> float:
+    """Cost to go: the greater of the guide's way among obstacles and the motion without them."""
     space = setting.space
-    dx = x - space.x
-    dy = y - space.y
-    column = floor((space.cos * dx + space.sin * dy) / field.spacing)
-    row = floor((-space.sin * dx + space.cos * dy) / field.spacing)
-    rows, columns = field.distance.shape
-    if row < 0 or column < 0 or row >= rows or column >= columns:
+    node = node_at(to_go, space, x, y, yaw)
+    if node < 0 or to_go.distance[node] == inf:
         return inf
-    far = float(field.distance[row, column])
-    if far == inf:
-        # the point of the field may be blocked although this place is not
-        for r in range(max(row - 1, 0), min(row + 2, rows)):
-            for c in range(max(column - 1, 0), min(column + 2, columns)):
-                far = min(far, float(field.distance[r, c]))
-        if far == inf:
-            return inf
     # 16 neighbours overestimate distances by up to 2.8 per cent
-    far = 0.973 * far
+    far = 0.973 * float(to_go.distance[node])
     turn = angle_between(yaw, setting.goal_yaw)
-    if far > field.far:
+    if far > to_go.far:
         # on its way the robot takes the heading of the way, or drives it backwards
-        ahead = float(field.direction[row, column]) + space.yaw
+        ahead = float(to_go.direction[node]) + space.yaw
         through = inf
         for way in range(2):
             heading = ahead + way * pi
@@ -174,7 +163,7 @@ def _key(space_x: float, space_y: float, lattice: Lattice, x: float, y: float, h
 
 @njit
 def plant(
-    tree: Tree, setting: KernelProblem, field: Field, lattice: Lattice, weight: float
+    tree: Tree, setting: KernelProblem, to_go: DistanceToGo, lattice: Lattice, weight: float
 ) -> None:
     """Put the start into an empty tree."""
     tree.x[0] = setting.start_x
@@ -182,7 +171,7 @@ def plant(
     tree.heading[0] = 0
     tree.g[0] = 0.0
     if weight > 0:
-        tree.h[0] = _estimate(setting, field, setting.start_x, setting.start_y, setting.start_yaw)
+        tree.h[0] = _estimate(setting, to_go, setting.start_x, setting.start_y, setting.start_yaw)
     tree.parent[0] = -1
     tree.key[0] = _key(setting.space.x, setting.space.y, lattice, tree.x[0], tree.y[0], 0)
     tree.table[_find(tree, tree.key[0])] = 0
@@ -194,7 +183,7 @@ def plant(
 def grow(
     tree: Tree,
     setting: KernelProblem,
-    field: Field,
+    to_go: DistanceToGo,
     lattice: Lattice,
     weight: float,
     expansions: int,
@@ -208,8 +197,8 @@ def grow(
         What is known so far; changed in place.
     setting : KernelProblem
         Space, body, costs, start and goal.
-    field : Field
-        Distance to go for the inscribed disc.
+    to_go : DistanceToGo
+        Distance to go.
     lattice : Lattice
         Resolution.
     weight : float
@@ -307,9 +296,9 @@ def grow(
                     continue
                 h = tree.h[other]
                 if weight > 0 and (tree.x[other] - xx) ** 2 + (tree.y[other] - yy) ** 2 > 1e-12:
-                    h = _estimate(setting, field, xx, yy, yaw + dtheta)
+                    h = _estimate(setting, to_go, xx, yy, yaw + dtheta)
             else:
-                h = _estimate(setting, field, xx, yy, yaw + dtheta) if weight > 0 else 0.0
+                h = _estimate(setting, to_go, xx, yy, yaw + dtheta) if weight > 0 else 0.0
             if gg + h >= tree.best[0]:
                 continue
             if not motion_free(space, setting.body, x, y, yaw, ds, dtheta, 0.0):

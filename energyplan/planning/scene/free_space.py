@@ -24,10 +24,10 @@ from energyplan.terrain.collision import Body, Space
 HEADINGS = 64
 """Headings, the first along the map's columns: as many as a word has bits."""
 
-FINENESS, COARSEST = 0.08, 0.3
+FINENESS, COARSEST = 0.16, 0.3
 """Distance between places, as a part of the body's smaller side, and what it is at most."""
 
-MOST_PLACES = 1_500_000
+MOST_PLACES = 1_000_000
 """Places beyond which they lie further apart."""
 
 TOUCH = 1e-6

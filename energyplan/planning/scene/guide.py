@@ -1,0 +1,154 @@
+"""The way to the goal through the free configurations, which guides searches."""
+
+from __future__ import annotations
+
+import weakref
+
+import numpy as np
+from numpy.typing import NDArray
+
+from energyplan.planning.scene.free_space import free_space
+from energyplan.planning.scene.guide_kernels import (
+    RIM,
+    DistanceToGo,
+    Places,
+    connect_places,
+    heights_of_places,
+    node_at,
+    way_to_go,
+)
+from energyplan.planning.scene.motions import DIRECTIONS, KernelProblem
+from energyplan.terrain.collision import Body
+
+AHEAD = 1.5
+"""How far ahead the guide looks for the direction of the way [m]."""
+
+TIGHT = 0.5
+"""Clearance below which a place is tight: 0 the inscribed disc's, 1 the circumscribed one's."""
+
+REACH = 1.2
+"""How much further than the start the guide reaches."""
+
+SLACK = 4.0
+"""And how much beyond that, in lengths of the body."""
+
+_known: dict[int, dict[tuple[Body, bool], Places]] = {}
+
+
+def places_for(kernel: KernelProblem, enlarged: bool = False) -> Places:
+    """Return the free configurations of a problem as nodes, made once for a map and a body.
+
+    Parameters
+    ----------
+    kernel : KernelProblem
+        The problem.
+    enlarged : bool
+        Whether the body counts as free wherever it may be, between the poses tested as well: then
+        what is not connected has no path.
+    """
+    space = kernel.space
+    # they live as long as the map's own table of clearances
+    name = id(space.clearance)
+    if name not in _known:
+        _known[name] = {}
+        weakref.finalize(space.clearance, _known.pop, name, None)
+    kept = _known[name]
+    key = kernel.body, enlarged
+    if key not in kept:
+        found = free_space(space, kernel.body, enlarged=enlarged)
+        kept[key] = connect_places(found.masks, space, found.spacing)
+    return kept[key]
+
+
+def inscribed(kernel: KernelProblem) -> float:
+    """Radius of the largest disc about the centre of the tread ICRs inside the body [m]."""
+    body = kernel.body
+    return max(min(-body.x_min, body.x_max, -body.y_min, body.y_max), 0.0)
+
+
+def distance_to_go(kernel: KernelProblem, penalty: float = 1.0) -> DistanceToGo:
+    """Return the distance to go to the goal, as far as it is needed.
+
+    With a `penalty` above 1 it counts as longer where the disc barely passes: the body turns
+    less easily there, and the search had better look elsewhere first.
+
+    Parameters
+    ----------
+    kernel : KernelProblem
+        The problem.
+    penalty : float
+        Factor by which distances count in tight places.
+
+    Returns
+    -------
+    DistanceToGo
+        The distances. Where the poses tested do not join start and goal, those between poses that
+        may be free; where these are infinite at the start, no path exists.
+    """
+    found = _guide(kernel, penalty, enlarged=False)
+    return found if reached(found, kernel) else _guide(kernel, penalty, enlarged=True)
+
+
+def no_distance() -> DistanceToGo:
+    """Return an empty table, for a search without a goal."""
+    places = Places(
+        np.zeros(1, np.uint64),
+        np.zeros(2, np.int32),
+        np.zeros(0, np.uint64),
+        np.zeros(0, np.int32),
+        np.zeros(1, np.float32),
+        1,
+        1.0,
+    )
+    return DistanceToGo(places, np.zeros(0, np.float32), np.zeros(0, np.float32), 0.0)
+
+
+def reached(to_go: DistanceToGo, kernel: KernelProblem) -> bool:
+    """Tell whether the start leads to the goal."""
+    node = node_at(to_go, kernel.space, kernel.start_x, kernel.start_y, kernel.start_yaw)
+    return node >= 0 and bool(np.isfinite(to_go.distance[node]))
+
+
+def _guide(kernel: KernelProblem, penalty: float, enlarged: bool) -> DistanceToGo:
+    places = places_for(kernel, enlarged)
+    hills, space = kernel.hills, kernel.space
+    # where it turns for nothing within this distance, reversing can be cheaper
+    far = 2.0 * kernel.least_radian / kernel.least_metre
+    distance = np.zeros(len(places.arcs), np.float32)
+    to_go = DistanceToGo(places, distance, np.zeros(len(places.arcs), np.float32), far)
+    goal = node_at(to_go, space, kernel.goal_x, kernel.goal_y, kernel.goal_yaw)
+    start = node_at(to_go, space, kernel.start_x, kernel.start_y, kernel.start_yaw)
+    straight = kernel.prices.reshape(-1, hills.bins, DIRECTIONS + 1)
+    # what is uphill forwards is downhill for one who faces the other way
+    cheapest = np.minimum(straight[..., 0], straight[:, ::-1, DIRECTIONS // 2])
+    disc = inscribed(kernel)
+    way_to_go(
+        places,
+        np.array([goal] if goal >= 0 else [], np.int32),
+        start,
+        REACH,
+        SLACK * 2.0 * kernel.reach,
+        AHEAD,
+        disc + TIGHT * (kernel.reach - disc),
+        penalty,
+        _surface(places, kernel),
+        cheapest / kernel.least_metre,
+        heights_of_places(places, hills, space),
+        hills.steepest,
+        to_go.distance,
+        to_go.direction,
+    )
+    return to_go
+
+
+def _surface(places: Places, kernel: KernelProblem) -> NDArray[np.uint8]:
+    """Return the class of the surface at each place; a single one where all are alike."""
+    if kernel.surface.size == 1:
+        return kernel.surface.ravel()
+    rows, columns = kernel.surface.shape
+    across = places.columns + 2 * RIM
+    place = np.arange(len(places.masks))
+    scale = places.spacing / kernel.space.resolution
+    row = ((place // across - RIM + 0.5) * scale).astype(int).clip(0, rows - 1)
+    column = ((place % across - RIM + 0.5) * scale).astype(int).clip(0, columns - 1)
+    return np.asarray(kernel.surface[row, column])

@@ -1,0 +1,428 @@
+"""Kernels for the way to the goal through the free configurations.
+
+A node is a place and an arc: headings next to each other, all of them free there, among which the
+robot turns on the spot. From an arc the robot gets to an arc of a neighbouring place if they have a
+heading in common. It may lie aside of the way between the places, which then is one to and fro.
+So what is known are doors, and where the robot can turn around and where it has to reverse.
+"""
+
+from __future__ import annotations
+
+from math import atan2, ceil, cos, floor, hypot, inf, pi
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from energyplan.compilation import njit
+from energyplan.planning.scene.motions import Hills, height_at
+from energyplan.terrain.collision import Space
+
+HEADINGS = 64
+"""Headings of a place: as many as a word has bits."""
+
+ROUNDING = 1e-3
+"""Distances that differ by less count as equal [distances between places]."""
+
+RIM = 2
+"""Empty rows and columns about the places, so that no neighbour is off the map."""
+
+STEPS = 16
+"""Neighbours of a place."""
+
+ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
+
+
+class Places(NamedTuple):
+    """The free configurations as nodes.
+
+    Attributes
+    ----------
+    masks : ndarray of uint64, shape ((rows + 4) * (columns + 4),)
+        Free headings of each place, row after row, with a rim of two.
+    first : ndarray of int32, shape (places + 1,)
+        The first node of each place.
+    arcs : ndarray of uint64, shape (nodes,)
+        Headings of each node.
+    home : ndarray of int32, shape (nodes,)
+        Its place.
+    room : ndarray of float32, shape (places,)
+        Clearance at the middle of each place [m].
+    columns : int
+        Columns without the rim.
+    spacing : float
+        Distance between places [m].
+    """
+
+    masks: NDArray[np.uint64]
+    first: NDArray[np.int32]
+    arcs: NDArray[np.uint64]
+    home: NDArray[np.int32]
+    room: NDArray[np.float32]
+    columns: int
+    spacing: float
+
+
+class DistanceToGo(NamedTuple):
+    """Distance to go to the goal, node by node.
+
+    Attributes
+    ----------
+    places : Places
+        The nodes.
+    distance : ndarray of float32, shape (nodes,)
+        Distance to go [m]: a lower limit of it where it was not needed; infinite where nothing
+        leads to the goal.
+    direction : ndarray of float32, shape (nodes,)
+        Direction in which the way to the goal sets out, in the frame of the grid [rad].
+    far : float
+        Distance to go beyond which the direction counts [m].
+    """
+
+    places: Places
+    distance: NDArray[np.float32]
+    direction: NDArray[np.float32]
+    far: float
+
+
+@njit
+def _starts(mask: np.uint64) -> np.uint64:
+    """Return the headings of a mask whose lower neighbour is not in it."""
+    return mask & ~((mask << np.uint64(1)) | (mask >> np.uint64(63)))
+
+
+@njit
+def _ones(word: np.uint64) -> np.int64:
+    """Return how many bits are set."""
+    word -= (word >> np.uint64(1)) & np.uint64(0x5555555555555555)
+    word = (word & np.uint64(0x3333333333333333)) + (
+        (word >> np.uint64(2)) & np.uint64(0x3333333333333333)
+    )
+    word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return np.int64((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
+
+
+@njit
+def connect_places(masks: NDArray[np.uint64], space: Space, spacing: float) -> Places:
+    """Return the nodes of free configurations.
+
+    Parameters
+    ----------
+    masks : ndarray of uint64, shape (rows, columns)
+        Free headings of each place.
+    space : Space
+        The map.
+    spacing : float
+        Distance between places [m].
+    """
+    rows, columns = masks.shape
+    across = columns + 2 * RIM
+    count = (rows + 2 * RIM) * across
+    flat = np.zeros(count, np.uint64)
+    first = np.zeros(count + 1, np.int32)
+    room = np.zeros(count, np.float32)
+    nodes = 0
+    for row in range(rows):
+        for column in range(columns):
+            mask = masks[row, column]
+            if mask != 0:
+                nodes += max(int(_ones(_starts(mask))), 1)
+    arcs = np.empty(nodes, np.uint64)
+    home = np.empty(nodes, np.int32)
+    scale = spacing / space.resolution
+    nodes = 0
+    for place in range(count):
+        first[place] = nodes
+        row = place // across - RIM
+        column = place % across - RIM
+        if row < 0 or row >= rows or column < 0 or column >= columns:
+            continue
+        mask = masks[row, column]
+        if mask == 0:
+            continue
+        flat[place] = mask
+        cell_row = min(int((row + 0.5) * scale), space.clearance.shape[0] - 1)
+        cell_column = min(int((column + 0.5) * scale), space.clearance.shape[1] - 1)
+        room[place] = space.clearance[cell_row, cell_column] * space.resolution
+        starts = _starts(mask)
+        if starts == 0:
+            arcs[nodes] = mask
+            home[nodes] = place
+            nodes += 1
+        while starts != 0:
+            # grow the lowest start upwards, around the circle
+            arc = starts & (~starts + np.uint64(1))
+            starts &= ~arc
+            while True:
+                grown = (arc | (arc << np.uint64(1)) | (arc >> np.uint64(63))) & mask
+                if grown == arc:
+                    break
+                arc = grown
+            arcs[nodes] = arc
+            home[nodes] = place
+            nodes += 1
+    first[count] = nodes
+    return Places(flat, first, arcs, home, room, columns, spacing)
+
+
+@njit
+def place_of(places: Places, space: Space, x: float, y: float) -> int:
+    """Return the place that a point of the world lies in, the nearest one outside the map."""
+    dx = x - space.x
+    dy = y - space.y
+    across = places.columns + 2 * RIM
+    rows = len(places.masks) // across - 2 * RIM
+    column = floor((space.cos * dx + space.sin * dy) / places.spacing)
+    row = floor((-space.sin * dx + space.cos * dy) / places.spacing)
+    row = min(max(row, 0), rows - 1)
+    column = min(max(column, 0), places.columns - 1)
+    return (row + RIM) * across + column + RIM
+
+
+@njit
+def node_at(to_go: DistanceToGo, space: Space, x: float, y: float, yaw: float) -> int:
+    """Return the node of a pose, or of the one next to it that is nearest to the goal; or -1.
+
+    The poses that were tested may all be blocked although this one is not.
+    """
+    places = to_go.places
+    place = place_of(places, space, x, y)
+    h = floor((yaw - space.yaw) * (HEADINGS / (2.0 * pi)) + 0.5) % HEADINGS
+    bit = np.uint64(1) << np.uint64(h)
+    if places.masks[place] & bit != 0:
+        for node in range(places.first[place], places.first[place + 1]):
+            if places.arcs[node] & bit != 0:
+                return node
+    bits = bit | (np.uint64(1) << np.uint64((h + 1) % HEADINGS))
+    bits |= np.uint64(1) << np.uint64((h + HEADINGS - 1) % HEADINGS)
+    across = places.columns + 2 * RIM
+    for _ in range(2):
+        best = np.float32(inf)
+        found = -1
+        for r in range(-1, 2):
+            for c in range(-1, 2):
+                there = place + r * across + c
+                for node in range(places.first[there], places.first[there + 1]):
+                    if places.arcs[node] & bits != 0 and to_go.distance[node] < best:
+                        best = to_go.distance[node]
+                        found = node
+        if found >= 0:
+            return found
+        bits = ALL
+    return -1
+
+
+@njit
+def heights_of_places(places: Places, hills: Hills, space: Space) -> NDArray[np.float64]:
+    """Return the height of each place [m]; a single one on level ground."""
+    if hills.bins == 1:
+        return np.zeros(1)
+    across = places.columns + 2 * RIM
+    out = np.zeros(len(places.masks))
+    for place in range(len(out)):
+        along = (place % across - RIM + 0.5) * places.spacing
+        up = (place // across - RIM + 0.5) * places.spacing
+        x = space.x + space.cos * along - space.sin * up
+        y = space.y + space.sin * along + space.cos * up
+        out[place] = height_at(hills, x, y)
+    return out
+
+
+@njit
+def way_to_go(
+    places: Places,
+    goals: NDArray[np.int32],
+    stop: int,
+    margin: float,
+    slack: float,
+    ahead: float,
+    tight: float,
+    penalty: float,
+    surface: NDArray[np.uint8],
+    dearness: NDArray[np.float64],
+    height: NDArray[np.float64],
+    steepest: float,
+    distance: NDArray[np.float32],
+    direction: NDArray[np.float32],
+) -> None:
+    """Write the distance of every node from the goal, over 16 neighbours.
+
+    Nodes come by their distance and the straight line to where the distances are needed.
+
+    Parameters
+    ----------
+    places : Places
+        The nodes.
+    goals : ndarray of int32
+        Nodes where the distance is zero.
+    stop : int
+        Node at which distances are needed; -1 if at all of them.
+    margin, slack : float
+        How much further than the shortest way to that node the ways to it may be that pass through
+        a node whose distance is needed: factor, and [m].
+    ahead : float
+        How far ahead directions look [m].
+    tight : float
+        Clearance below which a place counts as tight [m].
+    penalty : float
+        Factor by which distances count in tight places.
+    surface : ndarray of uint8, shape (places,) or (1,)
+        Class of the surface at each place.
+    dearness : ndarray, shape (classes, slopes)
+        Factor by which distances count on each class, along slopes from ``-steepest`` to
+        ``steepest`` on the way to the goal.
+    height : ndarray, shape (places,) or (1,)
+        Height of the places [m]; a single one on level ground.
+    steepest : float
+        See above.
+    distance, direction : ndarray of float32, shape (nodes,)
+        As in `DistanceToGo`.
+    """
+    across = places.columns + 2 * RIM
+    steps_r = np.array([0, 1, 0, -1, 1, 1, -1, -1, 1, 2, 2, 1, -1, -2, -2, -1])
+    steps_c = np.array([1, 0, -1, 0, 1, -1, 1, -1, 2, 1, -1, -2, -2, -1, 1, 2])
+    lengths = places.spacing * np.hypot(steps_r, steps_c)
+    steps = steps_r * across + steps_c
+    # a knight's move passes between two places
+    beside = np.zeros((STEPS, 2), np.int64)
+    for k in range(8, STEPS):
+        for side in range(2):
+            half_r = floor(0.5 * steps_r[k]) if side == 0 else ceil(0.5 * steps_r[k])
+            half_c = floor(0.5 * steps_c[k]) if side == 0 else ceil(0.5 * steps_c[k])
+            beside[k, side] = half_r * across + half_c
+    # headings no further than so many steps from a direction or its opposite, and what a way to
+    # and fro along them costs
+    quarter = HEADINGS // 4
+    near = np.zeros((STEPS, quarter + 1), np.uint64)
+    factors = np.empty(quarter + 1)
+    turn = 2.0 * pi / HEADINGS
+    for n in range(quarter + 1):
+        factors[n] = 1.0 / cos(turn * max(n - 0.5, 0.0))
+        for k in range(STEPS):
+            for h in range(HEADINGS):
+                off = (h * turn - atan2(steps_r[k], steps_c[k])) % pi
+                if min(off, pi - off) <= turn * (n + 0.5) + 1e-9:
+                    near[k, n] |= np.uint64(1) << np.uint64(h)
+    varied = surface.size > 1
+    slopes = dearness.shape[1]
+    even = not varied and slopes == 1
+    # Buckets of nodes by the way through them, as wide as the shortest step, as lists in `nodes`
+    # linked by `older`. A node that is lowered after its turn has another one.
+    cheapest = dearness.min()
+    width = places.spacing * cheapest
+    most = lengths.max() * (dearness.max() * max(penalty, 1.0) * factors[quarter] + cheapest)
+    ring = int(most / width) + 2
+    bucket = np.full(ring, -1, np.int32)
+    capacity = 1 << 14
+    nodes = np.empty(capacity, np.int32)
+    older = np.empty(capacity, np.int32)
+    total = len(places.arcs)
+    parent = np.full(total, -1, np.int32)
+    target = np.full(total, -1, np.int32)
+    closed = np.zeros(total, np.bool_)
+    distance[:] = inf
+    rounding = ROUNDING * places.spacing
+    stop_r = 0
+    stop_c = 0
+    line = 0.0
+    if stop >= 0:
+        stop_r = int(places.home[stop]) // across
+        stop_c = int(places.home[stop]) % across
+        # a little less than the straight line, so that rounding makes no way through a node shorter
+        line = (1.0 - 1e-6) * width
+    count = 0
+    waiting = 0
+    at_bucket = 1 << 60
+    for k in range(len(goals)):
+        goal = int(places.home[goals[k]])
+        way = line * hypot(goal // across - stop_r, goal % across - stop_c)
+        slot = int(way / width)
+        at_bucket = min(at_bucket, slot)
+        distance[goals[k]] = 0.0
+        target[goals[k]] = goals[k]
+        nodes[count] = goals[k]
+        older[count] = bucket[slot % ring]
+        bucket[slot % ring] = count
+        count += 1
+        waiting += 1
+    limit = inf
+    while waiting > 0 and at_bucket * width <= limit:
+        entry = int(bucket[at_bucket % ring])
+        if entry < 0:
+            at_bucket += 1
+            continue
+        bucket[at_bucket % ring] = older[entry]
+        node = int(nodes[entry])
+        waiting -= 1
+        if closed[node]:
+            continue
+        closed[node] = True
+        d = float(distance[node])
+        place = int(places.home[node])
+        row = place // across
+        column = place % across
+        if target[node] < 0:
+            far = target[parent[node]]
+            if far < 0:  # lowered meanwhile
+                far = parent[node]
+            if d - distance[far] > 1.25 * ahead:
+                far = node
+                while parent[far] >= 0 and d - distance[far] < 0.8 * ahead:
+                    far = parent[far]
+            target[node] = far
+            goal = int(places.home[far])
+            direction[node] = atan2(goal // across - row, goal % across - column)
+        if node == stop and limit == inf:
+            limit = margin * d + slack
+        arc = places.arcs[node]
+        here = int(surface[place]) if varied else 0
+        factor = dearness[here, 0]
+        for k in range(STEPS):
+            there = place + steps[k]
+            common = arc & places.masks[there]
+            if common == 0:
+                continue
+            if k >= 8:
+                common &= places.masks[place + beside[k, 0]] | places.masks[place + beside[k, 1]]
+            if not even:
+                at = 0
+                if slopes > 1:
+                    steep = (height[place] - height[there]) / (lengths[k] * steepest)
+                    at = int((min(max(steep, -1.0), 1.0) + 1.0) * 0.5 * (slopes - 1) + 0.5)
+                factor = dearness[here, at]
+                if varied:
+                    factor = 0.5 * (factor + dearness[surface[there], at])
+            step = factor * lengths[k] * (penalty if places.room[there] < tight else 1.0)
+            for other in range(places.first[there], places.first[there + 1]):
+                if d + step >= distance[other] - rounding:
+                    continue
+                shared = common & places.arcs[other]
+                if shared == 0:
+                    continue
+                n = 0
+                while shared & near[k, n] == 0:
+                    n += 1
+                dd = d + step * factors[n]
+                if dd < distance[other] - rounding:
+                    distance[other] = dd
+                    parent[other] = node
+                    target[other] = -1
+                    closed[other] = False
+                    if count == capacity:
+                        capacity *= 2
+                        nodes = np.concatenate((nodes, nodes))
+                        older = np.concatenate((older, older))
+                    way = dd + line * hypot(row + steps_r[k] - stop_r, column + steps_c[k] - stop_c)
+                    slot = max(int(way / width), at_bucket) % ring
+                    nodes[count] = other
+                    older[count] = bucket[slot]
+                    bucket[slot] = count
+                    count += 1
+                    waiting += 1
+    if waiting > 0:
+        # ended early: the ways through what had no turn are longer than the limit
+        for node in range(total):
+            if not closed[node]:
+                row = int(places.home[node]) // across
+                column = int(places.home[node]) % across
+                distance[node] = max(limit - line * hypot(row - stop_r, column - stop_c), 0.0)
