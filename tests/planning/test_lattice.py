@@ -124,7 +124,9 @@ def test_search_returns_free_motions_of_the_cost_it_reports(weight):
     poses = free_poses(grid, 6, 11, COST.vehicle)
     for start, goal in zip(poses[::2], poses[1::2], strict=True):
         query = CompiledProblem(PlanningProblem(grid, COST, start, goal))
-        search = Search(query.setting, distance_to_go(query.setting), lattice_for(query.setting), weight)
+        search = Search(
+            query.setting, distance_to_go(query.setting), lattice_for(query.setting), weight
+        )
         search.run(np.inf, stop_at_first=weight > 1, expansions=60_000)
         if not search.found:
             continue
@@ -138,7 +140,9 @@ def test_search_survives_growing_its_arrays():
     grid = cluttered(4)
     start, goal = free_poses(grid, 2, 11, COST.vehicle)
     query = CompiledProblem(PlanningProblem(grid, COST, start, goal))
-    search = Search(query.setting, distance_to_go(query.setting), lattice_for(query.setting, 0.5), 1.0)
+    search = Search(
+        query.setting, distance_to_go(query.setting), lattice_for(query.setting, 0.5), 1.0
+    )
     search.tree.best[0] = np.inf
     before = len(search.tree.x)
     search.run(np.inf, stop_at_first=False, expansions=40_000)

@@ -32,7 +32,9 @@ def query(grid, start=(1.2, 3.1, 0.1), goal=(8.6, 2.0, -0.7)):
 
 def searched(asked, aligned, weight=1.5):
     setting = asked.setting
-    search = Search(setting, distance_to_go(setting, 2.0), lattice_for(setting), weight, aligned=aligned)
+    search = Search(
+        setting, distance_to_go(setting, 2.0), lattice_for(setting), weight, aligned=aligned
+    )
     search.run(np.inf, stop_at_first=True, expansions=40_000)
     return search
 

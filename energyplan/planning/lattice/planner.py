@@ -302,7 +302,7 @@ class _Improvement:
             check_way(self.query)
         if np.isfinite(self.cost):
             return
-        for scale in (1.0, 0.5, 0.25):
+        for scale in (1.0, 0.5, 0.25, 0.125, 0.0625):
             search = Search(self.setting, field, lattice_for(self.setting, scale), FIRST_WEIGHT)
             status = kernels.RUNNING
             if time.perf_counter() < self.deadline:

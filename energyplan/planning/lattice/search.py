@@ -28,8 +28,8 @@ from energyplan.terrain.collision import motion_free
 
 Number = TypeVar("Number", bound=np.generic)
 
-HEADINGS = 32
-"""Headings of the lattice."""
+HEADINGS, MOST_HEADINGS = 32, 512
+"""Headings of the coarsest lattice, and of the finest one."""
 
 AHEAD = 1.5
 """How far ahead the field looks for the direction of the way [m]."""
@@ -50,7 +50,7 @@ SLICE = 2000
 def lattice_for(setting: KernelProblem, scale: float = 1.0) -> kernels.Lattice:
     """Return a lattice that suits the map and the body; `scale` below 1 makes it finer."""
     cell = max(setting.space.resolution, 0.2 * setting.reach) * scale
-    headings = int(HEADINGS * (1 if scale == 1.0 else 2))
+    headings = min(round(HEADINGS / scale), MOST_HEADINGS)
     return kernels.Lattice(cell, 2 * np.pi / headings, headings, 1.5 * cell)
 
 
