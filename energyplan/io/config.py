@@ -18,7 +18,14 @@ from energyplan.io.files import atomic_write, is_file
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual, Term
 from energyplan.power.effects import term
-from energyplan.vehicle import MotorLimits, TreadICR, Vehicle, predict_icr, wheel_loads
+from energyplan.vehicle import (
+    DEFAULT_ACCELERATION,
+    MotorLimits,
+    TreadICR,
+    Vehicle,
+    predict_icr,
+    wheel_loads,
+)
 
 T = TypeVar("T")
 
@@ -49,7 +56,7 @@ class _Motor(_Strict):
     thermal_time: Limit = 30.0
     force: Limit = inf
     speed: Limit = inf
-    acceleration: Limit = inf
+    acceleration: Limit = DEFAULT_ACCELERATION
     regeneration: Limit = inf
 
 
@@ -73,6 +80,9 @@ class _Vehicle(_Strict):
     drive_efficiency: Number | None = None
     regen_efficiency: Number | None = None
     max_yaw_rate: Limit | None = None
+    battery_power: Limit | None = None
+    battery_return: Limit | None = None
+    usual_speed: Limit | None = None
 
 
 class _Column(_Strict):
@@ -126,8 +136,9 @@ def read_vehicle(source: str | Path) -> Vehicle:
     A file gives ``contacts``, ``loads`` (or ``mass`` with ``cog``) and ``footprint``; or
     ``wheelbase``, ``track``, ``length``, ``width`` and ``mass`` of a symmetric vehicle; or
     ``preset`` with whatever differs from it. ``icr``, ``motor``, ``drive_efficiency``,
-    ``regen_efficiency`` and ``max_yaw_rate`` may go with each. SI units. A project's file is read
-    for the vehicle that it holds.
+    ``regen_efficiency``, ``max_yaw_rate``, ``battery_power``, ``battery_return`` and
+    ``usual_speed`` may go with each. SI units. A motor without an acceleration limit gets
+    `DEFAULT_ACCELERATION`. A project's file is read for the vehicle that it holds.
 
     Parameters
     ----------
@@ -329,12 +340,17 @@ def _vehicle(spec: _Vehicle, document: Document, loc: tuple[int | str, ...]) -> 
     return _placed(document, loc, _built, spec, base)
 
 
+_NUMBERS = (
+    "drive_efficiency", "regen_efficiency", "max_yaw_rate", "battery_power", "battery_return",
+    "usual_speed",
+)  # fmt: skip
+"""Keys of a vehicle that hold one number each."""
+
+
 def _built(spec: _Vehicle, base: dict[str, Any]) -> Vehicle:
     """Build a vehicle from a file's values upon those of its preset."""
     told: dict[str, Any] = {
-        key: getattr(spec, key)
-        for key in ("name", "drive_efficiency", "regen_efficiency", "max_yaw_rate")
-        if getattr(spec, key) is not None
+        key: getattr(spec, key) for key in ("name", *_NUMBERS) if getattr(spec, key) is not None
     }
     if spec.icr is not None:
         told["icr"] = TreadICR(**spec.icr.model_dump())

@@ -1,27 +1,16 @@
-"""One pass of a trajectory through the power model against all limits, and the speed search.
-
-The trajectory goes through the model in blocks that stay in the processor's cache; neighbouring
-blocks share one sample, so that an interval between samples lies in exactly one block.
-"""
+"""One pass of a drive through the power models against all limits."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from energyplan.errors import InvalidInputError
-from energyplan.limits.motor import ROUNDING, Bound, Limits, Loads
-from energyplan.limits.motor_kernels import intervals, tread_motion, window_mean
-from energyplan.motion import Motion
-from energyplan.path import FloatArray, Trajectory
-from energyplan.power import PowerModel
-
-BLOCK = 16384
-"""Samples per block."""
+from energyplan.limits.drive import Drive, Pieces
+from energyplan.limits.motor import ROUNDING, Bound, Limits
+from energyplan.limits.motor_kernels import intervals, window_mean
+from energyplan.path import FloatArray
 
 
 class Excess(NamedTuple):
@@ -42,44 +31,37 @@ class Peak(NamedTuple):
     use: float
 
 
+class Thermal(NamedTuple):
+    """Shaft power that the left and the right side draw over time, shape (2, n)."""
+
+    t: FloatArray
+    drawn: FloatArray
+
+
+class PieceLoads(NamedTuple):
+    """Shaft power of each side, power under the model [W], and what each bound limits."""
+
+    left: FloatArray
+    right: FloatArray
+    power: FloatArray
+    values: list[FloatArray]
+
+
 class Survey(NamedTuple):
     """What one pass finds."""
 
     peaks: list[Peak]
     excesses: list[Excess]
     energy: float
-    drawn: tuple[FloatArray, FloatArray]
-
-
-class Block(NamedTuple):
-    """Samples [first, last) of a trajectory as a motion."""
-
-    first: int
-    last: int
-    t: FloatArray
-    motion: Motion
+    thermal: Thermal
 
 
 @dataclass(frozen=True)
-class Drive:
-    """A trajectory with the model that prices it and the limits that hold."""
+class LimitedDrive:
+    """A drive with the limits that hold on it."""
 
-    trajectory: Trajectory
-    model: PowerModel
+    drive: Drive
     limits: Limits
-    channels: Mapping[str, ArrayLike]
-
-    def __post_init__(self) -> None:
-        wide = {}
-        for name, value in self.channels.items():
-            array = np.asarray(value, float)
-            if array.shape not in ((), (len(self.trajectory),)):
-                raise InvalidInputError(
-                    f"channel {name!r} has shape {array.shape}; give one value, or one for each "
-                    f"of the trajectory's {len(self.trajectory)} samples"
-                )
-            wide[name] = array
-        object.__setattr__(self, "channels", wide)
 
     @property
     def rated(self) -> list[Bound]:
@@ -95,89 +77,73 @@ class Drive:
         )
         return [bound for bound in bounds if np.isfinite(bound.limit)]
 
-    def blocks(self, scale: float) -> Iterator[Block]:
-        """Yield the trajectory, driven `scale` times as fast, in blocks."""
-        return (self.block(k, scale) for k in range(self.block_count))
-
-    @property
-    def block_count(self) -> int:
-        """Number of blocks."""
-        return -(-(len(self.trajectory) - 1) // (BLOCK - 1))
-
-    def block(self, k: int, scale: float = 1.0) -> Block:
-        """Return the k-th block of the trajectory, driven `scale` times as fast."""
-        path, icr = self.trajectory, self.model.vehicle.icr
-        first = k * (BLOCK - 1)
-        last = min(first + BLOCK, len(path))
-        part = slice(first, last)
-        v_left, v_right, accel, yaw_accel = tread_motion(
-            path.t, path.v, path.omega, icr.left, icr.right, first, last, scale
-        )
-        t = path.t[part]
-        if scale != 1.0:
-            t = path.t[0] + (t - path.t[0]) / scale
-        known: dict[str, FloatArray] = {
-            "t": t,
-            "x": path.x[part],
-            "y": path.y[part],
-            "yaw": path.yaw[part],
-            "accel": accel,
-            "yaw_accel": yaw_accel,
-            "slope": np.zeros(()),
-        }
-        for name, value in self.channels.items():
-            array = np.asarray(value)
-            known[name] = array[part] if array.ndim else array
-        return Block(first, last, t, Motion(v_left, v_right, icr, known))
-
-    def block_at(self, t: float, scale: float = 1.0) -> int:
-        """Return the block that holds the instant `t` of the scaled trajectory."""
-        since = (t - self.trajectory.t[0]) * scale + self.trajectory.t[0]
-        k = int(np.searchsorted(self.trajectory.t, since))
-        return min(k // (BLOCK - 1), self.block_count - 1)
-
     def survey(self, scale: float = 1.0) -> Survey:
-        """Evaluate every limit at every sample."""
-        thermal = np.isfinite(self.limits.motor.continuous_power)
-        count = len(self.trajectory) if thermal else 0
-        drawn = np.empty(count), np.empty(count)
+        """Evaluate every limit at the begin, the middle and the end of every piece."""
+        drive = self.drive
         watch = _Watch()
-        lossless = all(term.kind == "force" for term in self.model.terms)
         energy = 0.0
-        for block in self.blocks(scale):
-            loads = self.limits.loads(self.model, block.motion)
+        times: list[FloatArray] = []
+        drawn: list[FloatArray] = []
+        for k in range(drive.block_count):
+            pieces = drive.pieces(k)
+            t = drive.times(pieces, scale).reshape(-1)
+            loads = self.loads(pieces, scale)
             for bound, value in zip(self.limits.bounds, loads.values, strict=True):
-                watch.see(bound, block.t, value)
-            self._see_acceleration(watch, block)
-            if thermal:
-                np.maximum(loads.left, 0.0, out=drawn[0][block.first : block.last])
-                np.maximum(loads.right, 0.0, out=drawn[1][block.first : block.last])
-            power = self._power(block, loads, lossless)
-            energy += float(np.dot(power[1:] + power[:-1], np.diff(block.t))) / 2
-        if thermal:
-            t0 = self.trajectory.t[0]
-            t = t0 + (self.trajectory.t - t0) / scale
+                watch.see(bound, t, value.reshape(-1))
+            self._see_acceleration(watch, pieces, scale)
+            if np.isfinite(self.limits.motor.continuous_power):
+                sides = np.stack([loads.left, loads.right])
+                drawn.append(np.maximum(sides, 0.0).reshape(2, -1))
+                times.append(t)
+            energy += sum(
+                float(mean @ drive.widths(some, scale))
+                for some, mean in drive.refined(pieces, loads.power, scale)
+            )
+        thermal = Thermal(np.zeros(0), np.zeros((2, 0)))
+        if drawn:
+            thermal = Thermal(np.concatenate(times), np.concatenate(drawn, axis=1))
             window = self.limits.motor.thermal_time
-            for bound, power in zip(self.rated[-2:], drawn, strict=True):
-                watch.see(bound, t, window_mean(t, power, window) if window > 0 else power)
-        return Survey(list(watch.peaks.values()), watch.excesses, energy, drawn)
+            for bound, power in zip(self.rated[-2:], thermal.drawn, strict=True):
+                mean = window_mean(thermal.t, power, window) if window > 0 else power
+                watch.see(bound, thermal.t, mean)
+        return Survey(list(watch.peaks.values()), watch.excesses, energy, thermal)
 
-    def _power(self, block: Block, loads: Loads, lossless: bool) -> FloatArray:
-        # A model of forces alone spends exactly its shaft power.
-        return loads.left + loads.right if lossless else self.model.power(block.motion)
+    def loads(self, pieces: Pieces, scale: float) -> PieceLoads:
+        """Evaluate what pieces ask for, ground by ground; arrays of shape (m, 3)."""
+        count = len(pieces.interval)
+        out = np.empty((3 + len(self.limits.bounds), count, 3))
+        for part in self.drive.parts(pieces, scale):
+            found = self.limits.loads(part.model, part.motion)
+            # A model of forces alone spends exactly its shaft power.
+            lossless = all(term.kind == "force" for term in part.model.terms)
+            power = found.left + found.right if lossless else part.model.power(part.motion)
+            for row, value in zip(
+                out, (found.left, found.right, power, *found.values), strict=True
+            ):
+                row[part.which] = value
+        return PieceLoads(out[0], out[1], out[2], list(out[3:]))
 
-    def _see_acceleration(self, watch: _Watch, block: Block) -> None:
+    def use(self, k: int, scale: float) -> float:
+        """Return the largest load over limit in the k-th block, without what needs a past."""
+        pieces = self.drive.pieces(k)
+        return max(
+            float(np.max(self.limits.use(part.model, part.motion)))
+            for part in self.drive.parts(pieces, scale)
+        )
+
+    def _see_acceleration(self, watch: _Watch, pieces: Pieces, scale: float) -> None:
         if not np.isfinite(self.limits.motor.acceleration):
             return
-        step = np.diff(block.t)
-        twice = np.repeat(block.t, 2)[1:-1]
-        sides = (block.motion.v_left, block.motion.v_right)
-        for bound, speed in zip(self.rated[:2], sides, strict=True):
-            rate = np.abs(np.diff(speed)) / step
-            if rate.max() > bound.limit:
-                watch.see(bound, twice, np.repeat(rate, 2))
-            else:
-                watch.see(bound, block.t, rate)
+        path, icr = self.drive.trajectory, self.drive.ground.model.vehicle.icr
+        part = slice(int(pieces.interval[0]), int(pieces.interval[-1]) + 2)
+        step = np.diff(path.t[part])
+        t = path.t[0] + (path.t[part] - path.t[0]) / scale
+        v, omega = path.v[part], path.omega[part]
+        for bound, speed in zip(
+            self.rated[:2], (v - icr.left * omega, v + icr.right * omega), strict=True
+        ):
+            rate = scale**2 * np.abs(np.diff(speed)) / step
+            watch.see(bound, np.repeat(t, 2)[1:-1], np.repeat(rate, 2))
 
 
 class _Watch:

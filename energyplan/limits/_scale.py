@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.limits._check import Drive, Peak, Survey
+from energyplan.limits._check import LimitedDrive, Peak, Survey
 from energyplan.limits.motor import ROUNDING
 from energyplan.limits.motor_kernels import shortest_window
 
@@ -27,7 +27,7 @@ class SpeedScale(NamedTuple):
     reason: str
 
 
-def largest_scale(drive: Drive) -> SpeedScale:
+def largest_scale(drive: LimitedDrive) -> SpeedScale:
     """Return the largest feasible speed scale and say what limits it."""
     survey = drive.survey()
     if not survey.peaks:
@@ -41,12 +41,13 @@ def largest_scale(drive: Drive) -> SpeedScale:
     return SpeedScale(factor, _reason(factor, survey.peaks, slowest.peaks))
 
 
-def _is_static(drive: Drive) -> bool:
+def _is_static(drive: LimitedDrive) -> bool:
     """Tell whether every limited quantity grows with the pure powers of `STATIC`."""
-    for k in range(drive.block_count):
-        now = drive.limits.loads(drive.model, drive.block(k).motion)
+    for k in range(drive.drive.block_count):
+        pieces = drive.drive.pieces(k)
+        now = drive.loads(pieces, 1.0)
         for scale in (0.5, 2.0):
-            then = drive.limits.loads(drive.model, drive.block(k, scale).motion)
+            then = drive.loads(pieces, scale)
             pairs = [(now.left * scale, then.left), (now.right * scale, then.right)]
             for bound, a, b in zip(drive.limits.bounds, now.values, then.values, strict=True):
                 if bound.kind in STATIC:
@@ -73,21 +74,21 @@ def _closed_form(survey: Survey, exponents: dict[str, int]) -> float:
     return float(factor)
 
 
-def _thermal(drive: Drive, survey: Survey) -> float:
+def _thermal(drive: LimitedDrive, survey: Survey) -> float:
     motor = drive.limits.motor
     if not np.isfinite(motor.continuous_power):
         return np.inf
-    t, window = drive.trajectory.t, motor.thermal_time
-    tops = [float(power.max()) for power in survey.drawn]
-    if max(tops) <= 0:
+    window, (t, drawn) = motor.thermal_time, survey.thermal
+    top = float(drawn.max())
+    if top <= 0:
         return np.inf
     budget = motor.continuous_power * window
     if budget <= 0:
-        return motor.continuous_power / max(tops)
-    return min(shortest_window(t, power, budget) for power in survey.drawn) / window
+        return motor.continuous_power / top
+    return min(shortest_window(t, power, budget) for power in drawn) / window
 
 
-def _search(drive: Drive, ceiling: float) -> float:
+def _search(drive: LimitedDrive, ceiling: float) -> float:
     """Look downwards for the first feasible scale, then bisect towards the last infeasible one."""
     if ceiling == 0:
         return 0.0
@@ -119,20 +120,19 @@ def _below(scale: float) -> float:
 class _Order:
     """Tells whether a scale is infeasible, asking first the block that last said so."""
 
-    def __init__(self, drive: Drive) -> None:
+    def __init__(self, drive: LimitedDrive) -> None:
         self._drive = drive
         self._suspect = 0
 
     def exceeded(self, scale: float) -> bool:
         drive = self._drive
-        block = drive.block(self._suspect, scale)
-        if float(np.max(drive.limits.use(drive.model, block.motion))) > 1 + ROUNDING:
+        if drive.use(self._suspect, scale) > 1 + ROUNDING:
             return True
         survey = drive.survey(scale)
         worst = max(survey.peaks, key=lambda peak: peak.use)
         if worst.use <= 1 + ROUNDING:
             return False
-        self._suspect = drive.block_at(worst.t, scale)
+        self._suspect = drive.drive.block_at(worst.t, scale)
         return True
 
 

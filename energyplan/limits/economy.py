@@ -71,12 +71,16 @@ class Economy:
         Kinds of runs.
     fastest : Ladder
         Their greatest accelerations.
+    slowest : float
+        Rates below this are not chosen to cruise at [m/s]. A model whose energy falls with speed
+        all the way would have the robot stand still.
     grades : int
         Number of accelerations between zero and the greatest one that are tried.
     """
 
-    def __init__(self, runs: Runs, fastest: Ladder, grades: int = 12) -> None:
+    def __init__(self, runs: Runs, fastest: Ladder, slowest: float, grades: int = 12) -> None:
         self._fastest = fastest
+        self._lowest = np.minimum(slowest, fastest.rate[-1])
         self._middle = 0.5 * (fastest.rate[:-1] + fastest.rate[1:])
         self._steady = runs.power(fastest.rate[1:])
         self._up = self._tried(runs, fastest.up, 1.0, grades)
@@ -113,7 +117,8 @@ class Economy:
         """
         rate = self._fastest.rate[1:]
         worth = (self._steady + price) / rate
-        allowed = worth <= worth.min(axis=0) + TIE * np.abs(worth).max(axis=0)
+        least = np.min(worth, axis=0, where=rate >= self._lowest, initial=np.inf)
+        allowed = (rate >= self._lowest) & (worth <= least + TIE * np.abs(worth).max(axis=0))
         best = len(rate) - 1 - np.argmax(allowed[::-1], axis=0)
         keys, place = np.unique(np.column_stack([kinds, reach]), axis=0, return_inverse=True)
         kind, limit = keys[:, 0].astype(int), keys[:, 1]

@@ -1,8 +1,9 @@
 """Whether the motors can drive a trajectory; if not, where not, and how fast they could.
 
 Every limit is tested per side through the whole power model: a total never shows an overloaded
-outer motor. Between samples every quantity runs straight, so that a violated interval begins and
-ends where it crosses its limit.
+outer motor. Between samples speeds run straight (`energyplan.limits.drive`); what they ask for is
+evaluated at the begin, the middle and the end of each interval and runs straight in between, so
+that a violated interval begins and ends where it crosses its limit.
 
 Inertia counts towards forces and power exactly if the model has inertia terms; the acceleration
 limit is tested in any case.
@@ -20,12 +21,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from energyplan import html
 from energyplan.errors import InvalidInputError
-from energyplan.limits._check import Drive, Excess
+from energyplan.limits._check import Excess, LimitedDrive
 from energyplan.limits._scale import SpeedScale, largest_scale
+from energyplan.limits.drive import Drive, Ground
 from energyplan.limits.motor import ROUNDING, Limits, largest_within, relative
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
 from energyplan.power import PowerModel
+from energyplan.terrain import HeightMap, SurfaceMap
 from energyplan.vehicle import Vehicle
 
 
@@ -158,6 +161,8 @@ def check(
     battery_return: float = np.inf,
     lateral_acceleration: float = np.inf,
     channels: Mapping[str, ArrayLike] | None = None,
+    surfaces: SurfaceMap | None = None,
+    heights: HeightMap | None = None,
 ) -> FeasibilityReport:
     """Test a trajectory against the limits of motors and battery.
 
@@ -171,12 +176,17 @@ def check(
         Whose limits apply; the model's own vehicle where not given. Power, and with it loads
         and tread ICRs, always come from the model.
     battery_power, battery_return : float
-        Largest power that the battery delivers, and takes back [W].
+        Largest power that the battery delivers, and takes back [W], where it is less than the
+        vehicle says.
     lateral_acceleration : float
         Largest ``|v omega|`` [m/s^2].
     channels : mapping of str to array_like, shape () or (n,)
-        Further channels that the model's terms read, one value per sample or one for all; as in
-        `Motion.from_trajectory`.
+        Further channels that the model's terms read, one value per sample or one for all.
+    surfaces : SurfaceMap, optional
+        Grounds with power models of their own; `model` holds elsewhere.
+    heights : HeightMap, optional
+        Heights of the ground; level where not given. A model without a term that reads the slope
+        does not feel them (`energyplan.power.effects.with_weight`).
 
     Returns
     -------
@@ -197,7 +207,7 @@ def check(
     continuous limit holds for the mean of the drawn shaft power over every window of
     `MotorLimits.thermal_time`; returned power does not make up for drawn power, and the motors
     come rested: before the trajectory they drew nothing. A value within 1e-9 of its limit is
-    within it.
+    within it. `energyplan.limits.drive` says what the trajectory is between its samples.
 
     Examples
     --------
@@ -220,7 +230,8 @@ def check(
         battery_power=battery_power,
         battery_return=battery_return,
     )
-    drive = Drive(trajectory, model, limits, dict(channels or {}))
+    ground = Ground(model, surfaces, heights)
+    drive = LimitedDrive(Drive(trajectory, ground, dict(channels or {})), limits)
     survey = drive.survey()
     violations = sorted(
         (_violation(excess) for excess in survey.excesses), key=lambda v: (v.start, v.end)

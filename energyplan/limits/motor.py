@@ -96,13 +96,13 @@ class Limits:
         battery_power: float = np.inf,
         battery_return: float = np.inf,
     ) -> Limits:
-        """Return the limits of a vehicle, with those that the vehicle does not hold."""
-        return cls(
-            vehicle.motor,
-            vehicle.max_yaw_rate,
-            lateral_acceleration,
-            battery_power,
-            battery_return,
+        """Return the limits of a vehicle; those that are given may only be tighter."""
+        given = cls(vehicle.motor, vehicle.max_yaw_rate, lateral_acceleration, battery_power,
+                    battery_return)  # fmt: skip
+        return replace(
+            given,
+            battery_power=min(given.battery_power, vehicle.battery_power),
+            battery_return=min(given.battery_return, vehicle.battery_return),
         )
 
     @property

@@ -3,54 +3,126 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from energyplan.compilation import njit
 from energyplan.path import FloatArray
 
+SHARE = 1e-9
+"""Fraction of a piece's middle speed below which a speed counts as none: what rounding leaves."""
+
+EDGE = 1e-12
+"""Fraction of a piece's middle speed that stands for zero at its edges."""
+
 
 @njit
-def tread_motion(
+def cut_intervals(
+    v: FloatArray, omega: FloatArray, left: float, right: float, first: int, last: int
+) -> tuple[NDArray[np.int_], FloatArray, FloatArray]:
+    """Cut the intervals [first, last) where v, omega or a tread's speed passes through zero.
+
+    Interval k lies between samples k and k + 1, and speeds run straight in it. Returns the
+    interval, begin and end of each piece, the latter as fractions of the interval.
+    """
+    interval = np.empty(5 * (last - first), np.int64)
+    begin, end = np.empty(5 * (last - first)), np.empty(5 * (last - first))
+    cuts = np.empty(5)
+    total = 0
+    for k in range(first, last):
+        count = 0
+        for j in range(4):
+            if j == 0:
+                a, b = v[k], v[k + 1]
+            elif j == 1:
+                a, b = omega[k], omega[k + 1]
+            elif j == 2:
+                a, b = v[k] - left * omega[k], v[k + 1] - left * omega[k + 1]
+            else:
+                a, b = v[k] + right * omega[k], v[k + 1] + right * omega[k + 1]
+            if a * b < 0.0:
+                part = a / (a - b)
+                if SHARE < part < 1.0 - SHARE:
+                    cuts[count] = part
+                    count += 1
+        ordered = np.sort(cuts[:count])
+        low = 0.0
+        for j in range(count + 1):
+            high = ordered[j] if j < count else 1.0
+            if high - low > SHARE:
+                interval[total], begin[total], end[total] = k, low, high
+                total += 1
+                low = high
+        end[total - 1] = 1.0
+    return interval[:total], begin[:total], end[:total]
+
+
+@njit
+def _onesided(value: float, middle: float) -> float:
+    """Speed at the edge of a piece, with the direction that it has inside."""
+    if value * middle < 0.0 or abs(value) < EDGE * abs(middle):
+        return EDGE * middle
+    return value
+
+
+@njit
+def piece_nodes(
     t: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    yaw: FloatArray,
     v: FloatArray,
     omega: FloatArray,
     left: float,
     right: float,
-    first: int,
-    last: int,
+    interval: NDArray[np.int_],
+    begin: FloatArray,
+    end: FloatArray,
     scale: float,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Tread speeds, acceleration and yaw acceleration of samples [first, last) in one pass.
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Motion at the begin, the middle and the end of pieces, driven `scale` times as fast.
 
-    The same numbers as `Motion.from_trajectory` gives for the trajectory driven `scale` times as
-    fast (second-order differences, one-sided at the two ends), for a slice that knows its
-    neighbours.
+    Tread speeds, acceleration, yaw acceleration, x, y and yaw, each of shape (m, 3). A speed that
+    rounding alone keeps from zero is zero. One that is zero at the edge of a piece keeps the
+    direction that it has inside, so that friction there is that of the piece.
     """
-    count, end = last - first, len(t) - 1
-    v_left, v_right = np.empty(count), np.empty(count)
-    accel, yaw_accel = np.empty(count), np.empty(count)
-    for k in range(first, last):
-        i = k - first
-        v_left[i] = scale * (v[k] - left * omega[k])
-        v_right[i] = scale * (v[k] + right * omega[k])
-        before, after = max(k - 1, 0), min(k + 1, end)
-        if before == k or after == k:
-            a = 0.0 if before == k else 1.0
-            b = 1.0 - a
-        else:
-            b = (t[k] - t[before]) / (t[after] - t[before])
-            a = 1.0 - b
-        dv, dw = 0.0, 0.0
-        if a > 0.0:
-            step = t[k] - t[before]
-            dv += a * (v[k] - v[before]) / step
-            dw += a * (omega[k] - omega[before]) / step
-        if b > 0.0:
-            step = t[after] - t[k]
-            dv += b * (v[after] - v[k]) / step
-            dw += b * (omega[after] - omega[k]) / step
-        accel[i] = scale * scale * dv
-        yaw_accel[i] = scale * scale * dw
-    return v_left, v_right, accel, yaw_accel
+    count = len(interval)
+    v_left, v_right = np.empty((count, 3)), np.empty((count, 3))
+    accel, yaw_accel = np.empty((count, 3)), np.empty((count, 3))
+    px, py, heading = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3))
+    for m in range(count):
+        k = interval[m]
+        step, dv, dw = t[k + 1] - t[k], v[k + 1] - v[k], omega[k + 1] - omega[k]
+        # What the poses differ from integrated speeds is spread over the interval.
+        turn = step * (omega[k] + 0.5 * dw)
+        way = step * (v[k] + 0.5 * dv)
+        off = yaw[k + 1] - yaw[k] - turn
+        towards = yaw[k] + 0.5 * (yaw[k + 1] - yaw[k])
+        off_x = x[k + 1] - x[k] - way * np.cos(towards)
+        off_y = y[k + 1] - y[k] - way * np.sin(towards)
+        middle = 0.5 * (begin[m] + end[m])
+        v_mid, w_mid = v[k] + dv * middle, omega[k] + dw * middle
+        if abs(w_mid) * (left + right) <= SHARE * abs(v_mid):
+            w_mid = 0.0
+        left_mid, right_mid = v_mid - left * w_mid, v_mid + right * w_mid
+        if abs(left_mid) <= SHARE * abs(right_mid):
+            left_mid = 0.0
+        if abs(right_mid) <= SHARE * abs(left_mid):
+            right_mid = 0.0
+        for j in range(3):
+            f = begin[m] if j == 0 else (middle if j == 1 else end[m])
+            speed = _onesided(v[k] + dv * f, v_mid)
+            rate = 0.0 if w_mid == 0.0 else _onesided(omega[k] + dw * f, w_mid)
+            a, b = speed - left * rate, speed + right * rate
+            v_left[m, j] = 0.0 if left_mid == 0.0 else scale * _onesided(a, left_mid)
+            v_right[m, j] = 0.0 if right_mid == 0.0 else scale * _onesided(b, right_mid)
+            accel[m, j] = scale * scale * dv / step
+            yaw_accel[m, j] = scale * scale * dw / step
+            heading[m, j] = yaw[k] + step * f * (omega[k] + 0.5 * dw * f) + f * off
+            gone = step * f * (v[k] + 0.5 * dv * f)
+            toward = 0.5 * (yaw[k] + heading[m, j])
+            px[m, j] = x[k] + gone * np.cos(toward) + f * off_x
+            py[m, j] = y[k] + gone * np.sin(toward) + f * off_y
+    return v_left, v_right, accel, yaw_accel, px, py, heading
 
 
 @njit
@@ -134,7 +206,7 @@ def shortest_window(t: FloatArray, power: FloatArray, budget: float) -> float:
             j += 1
         # Solve p0 x + slope x^2 / 2 = need for the time x after sample j, free of cancellation.
         need, step = spare - energy[j], t[j + 1] - t[j]
-        slope = (power[j + 1] - power[j]) / step
+        slope = (power[j + 1] - power[j]) / step if step > 0.0 else 0.0
         root = np.sqrt(max(power[j] ** 2 + 2.0 * slope * need, 0.0))
         into = 0.0 if need <= 0.0 else min(2.0 * need / (power[j] + root), step)
         shortest = min(shortest, t[k] - t[j] - into)

@@ -20,21 +20,31 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
+from energyplan.limits._check import LimitedDrive, Survey
 from energyplan.limits._timing import Course, Phases, Sampled
 from energyplan.limits.acceleration_table import Ladder, Runs
+from energyplan.limits.drive import Drive, Ground
 from energyplan.limits.economy import Choice, Economy
-from energyplan.limits.motor import ROUNDING, Limits, relative
-from energyplan.limits.motor_kernels import window_mean
-from energyplan.motion import Motion
+from energyplan.limits.motor import ROUNDING, Limits
 from energyplan.path import FloatArray, Path, Trajectory
 from energyplan.power import PowerModel
-from energyplan.vehicle import MotorLimits, Vehicle
+from energyplan.terrain import HeightMap, SurfaceMap
+from energyplan.vehicle import Vehicle
 
 RUNGS = 96
 """Rungs of the speed ladders; matters only where power or force limit the acceleration."""
 
 SAME = 1e-9
 """Difference of the treads' shares in the speed below which two curvatures are one."""
+
+SLOPED = 0.5
+"""Length of the pieces in which the slope counts as constant while timing [m]."""
+
+SLOWEST = 0.05
+"""Slowest cruising speed that the least energy may ask for, over the motors' speed limit."""
+
+TRIES = 20
+"""How often limits are tightened at most until a profile keeps the given ones everywhere."""
 
 DEAREST = 1e6
 """Highest price of time that the search for a duration tries [W]."""
@@ -54,6 +64,8 @@ def profile(
     end_speed: float = 0.0,
     smooth: float = 0.0,
     channels: Mapping[str, ArrayLike] | None = None,
+    surfaces: SurfaceMap | None = None,
+    heights: HeightMap | None = None,
     period: float = 0.05,
 ) -> Trajectory:
     """Time a path: in the least time, with the least energy, or in a given duration.
@@ -74,7 +86,8 @@ def profile(
     vehicle : Vehicle, optional
         Whose limits apply; the model's own where not given.
     battery_power, battery_return : float
-        Largest power that the battery delivers, and takes back [W].
+        Largest power that the battery delivers, and takes back [W], where it is less than the
+        vehicle says.
     lateral_acceleration : float
         Largest ``|v omega|`` [m/s^2].
     start_speed, end_speed : float
@@ -86,6 +99,11 @@ def profile(
     channels : mapping of str to array_like, shape () or (n,), optional
         Further channels that the model's terms read, one value per segment of the path or one
         for all, such as the ``slope`` along each segment [rad].
+    surfaces : SurfaceMap, optional
+        Grounds with power models of their own; `model` holds elsewhere. The speed is that of the
+        most demanding ground on the path.
+    heights : HeightMap, optional
+        Heights of the ground; level where not given.
     period : float
         Largest time between two samples [s].
 
@@ -139,41 +157,128 @@ def profile(
         battery_power=battery_power,
         battery_return=battery_return,
     )
-    task = _Task.build(path, model, limits, channels or {}, smooth, (start_speed, end_speed))
+    known, ground = dict(channels or {}), Ground(model, surfaces, heights)
+    if heights is not None:
+        path = path.subdivide(max(SLOPED, 0.5 * heights.resolution), 0.2)
+        known["slope"] = heights.slopes(path)
+    task = _Task.build(path, ground.leading(path), limits, known, smooth, (start_speed, end_speed))
 
     def solve(within: Limits) -> Sampled:
         return task.course.sample(task.phases(within, objective, duration), period)
 
-    sampled = solve(limits)
-    if np.isfinite(limits.motor.continuous_power) and task.is_hot(sampled, limits.motor):
-        sampled = _cooled(solve, task, limits, task.strongest(sampled))
-    return sampled.trajectory
+    def survey(sampled: Sampled) -> Survey:
+        along = {name: value[task.kinds[sampled.run]] for name, value in task.runs.channels.items()}
+        if heights is not None:
+            del along["slope"]
+        drive = Drive(sampled.trajectory, ground, along)
+        return LimitedDrive(drive, limits).survey()
+
+    return _accepted(solve, survey, limits)
+
+
+def _accepted(
+    solve: Callable[[Limits], Sampled], survey: Callable[[Sampled], Survey], limits: Limits
+) -> Trajectory:
+    """Solve, and solve again within tighter limits, until `check` would accept the trajectory.
+
+    A ladder keeps the limits at its rungs. Between them, across smooth corners, on other grounds
+    and on slopes that change, a limit may be exceeded a little; it is tightened by as much. The
+    continuous power, which looks at the past, is kept by tightening the peak power.
+    """
+    tight, gentle = limits, 1.0
+    coolest = limits.motor.continuous_power
+    for k in range(TRIES):
+        try:
+            sampled = solve(tight)
+        except InfeasibleMotionError:
+            if tight is limits or gentle < 0.2:
+                raise
+            # Within the tightened limits nothing moves: go easy on all that speed brings about.
+            gentle *= 0.9
+            tight = _gentler(limits, gentle)
+            continue
+        found = survey(sampled)
+        if not found.excesses:
+            return sampled.trajectory
+        worst: dict[str, float] = {}
+        for excess in found.excesses:
+            kind, limit = excess.bound.kind, excess.bound.limit
+            worst[kind] = max(worst.get(kind, 1.0), excess.peak / limit if limit > 0 else np.inf)
+        if set(worst) == {"continuous_power"}:
+            return _cooled(solve, survey, tight, found, coolest)
+        if max(worst.values()) == np.inf or k >= TRIES // 2:
+            # The limit itself, lowered, does not help: less of everything does.
+            gentle *= 0.9
+            tight = _gentler(limits, gentle)
+            continue
+        tight = _tightened(tight, worst)
+    raise InfeasibleMotionError(
+        "no profile that keeps every limit was found: "
+        f"{found.excesses[0].bound.describe(found.excesses[0].peak)} at "
+        f"{found.excesses[0].start:.3g} s; allow a little more of it"
+    )
+
+
+def _tightened(limits: Limits, excess: Mapping[str, float]) -> Limits:
+    """Return limits that are lower by the factors by which they were exceeded."""
+    motor = {
+        kind: getattr(limits.motor, kind) / (factor * (1 + ROUNDING))
+        for kind, factor in excess.items()
+        if hasattr(limits.motor, kind) and kind != "continuous_power"
+    }
+    whole = {
+        kind: getattr(limits, kind) / (factor * (1 + ROUNDING))
+        for kind, factor in excess.items()
+        if hasattr(limits, kind)
+    }
+    if "peak_power" in motor:
+        motor["continuous_power"] = min(limits.motor.continuous_power, motor["peak_power"])
+    return replace(limits, motor=replace(limits.motor, **motor), **whole)
+
+
+def _gentler(limits: Limits, factor: float) -> Limits:
+    """Return limits with lower accelerations and speeds."""
+    motor = limits.motor
+    speed = motor.speed * factor
+    return replace(
+        limits,
+        motor=replace(motor, speed=speed, acceleration=motor.acceleration * factor**2),
+        lateral_acceleration=limits.lateral_acceleration * factor**2,
+    )
 
 
 def _cooled(
-    solve: Callable[[Limits], Sampled], task: _Task, limits: Limits, strongest: float
-) -> Sampled:
+    solve: Callable[[Limits], Sampled],
+    survey: Callable[[Sampled], Survey],
+    limits: Limits,
+    found: Survey,
+    coolest: float,
+) -> Trajectory:
     """Lower the peak power until every thermal window is within the continuous power."""
-    motor = limits.motor
-    low, high = motor.continuous_power, strongest
-    cool: list[Sampled] = []
+    low, high = coolest, float(found.thermal.drawn.max())
+    cool: list[Trajectory] = []
     for k in range(11):
         power = low if k == 0 else 0.5 * (low + high)
+        motor = replace(
+            limits.motor,
+            peak_power=power,
+            continuous_power=min(power, limits.motor.continuous_power),
+        )
         try:
-            tried = solve(replace(limits, motor=replace(motor, peak_power=power)))
+            tried = solve(replace(limits, motor=motor))
         except InfeasibleMotionError:
             # With so little power a given duration is too short.
             low = power
             continue
-        if task.is_hot(tried, motor):
+        if survey(tried).excesses:
             high = power
         else:
             low = power
-            cool.append(tried)
+            cool.append(tried.trajectory)
     if not cool:
         raise InfeasibleMotionError(
-            f"the motors' continuous power of {motor.continuous_power:g} W does not suffice in "
-            "any profile that was tried; allow more time or take a longer way round"
+            f"the motors' continuous power of {limits.motor.continuous_power:g} W does not suffice "
+            "in any profile that was tried; allow more time or take a longer way round"
         )
     return cool[-1]
 
@@ -205,7 +310,11 @@ class _Task:
                     f"each of the path's {count} segments"
                 )
             columns[name] = np.broadcast_to(np.asarray(value, float), (count,))
-        left, right = path.ds - icr.left * path.dtheta, path.ds + icr.right * path.dtheta
+        # What rounding leaves of a turn on a straight, or of the slower tread in a pivot, is none.
+        dtheta = np.where(
+            np.abs(path.dtheta) * icr.slip_track < SAME * np.abs(path.ds), 0.0, path.dtheta
+        )
+        left, right = path.ds - icr.left * dtheta, path.ds + icr.right * dtheta
         length = np.maximum(np.abs(left), np.abs(right))
         if not length.any():
             raise PathError("the path has no length; a speed profile needs a segment that moves")
@@ -219,7 +328,7 @@ class _Task:
         joined = Path(
             path.start,
             np.add.reduceat(path.ds[moves], begin),
-            np.add.reduceat(path.dtheta[moves], begin),
+            np.add.reduceat(dtheta[moves], begin),
             path.longitudinal,
         )
         length = np.add.reduceat(length[moves], begin)
@@ -253,7 +362,8 @@ class _Task:
             raise InfeasibleMotionError(
                 f"the path takes {best.duration:.6g} s at least; {duration:g} s is too short"
             )
-        economy = Economy(self.runs, fastest)
+        top = limits.motor.speed if np.isfinite(limits.motor.speed) else float(fastest.rate.max())
+        economy = Economy(self.runs, fastest, SLOWEST * top)
         if duration is None:
             return self._drive(self._choice(economy, 0.0))
         return self._lasting(economy, quick, duration)
@@ -304,27 +414,6 @@ class _Task:
         if late(fast) >= 0:
             return self._drive(best)
         return self._drive(best, brentq(late, slow, fast, xtol=1e-15, rtol=1e-13))
-
-    def drawn(self, sampled: Sampled) -> list[FloatArray]:
-        """Shaft power that each side draws [W]."""
-        model, kind = self.runs.model, self.kinds[sampled.run]
-        known = {name: value[kind] for name, value in self.runs.channels.items()}
-        motion = Motion.from_trajectory(sampled.trajectory, model.vehicle.icr, **known)
-        loads = Limits().loads(model, motion)
-        return [np.maximum(power, 0.0) for power in (loads.left, loads.right)]
-
-    def strongest(self, sampled: Sampled) -> float:
-        """Largest shaft power that a side draws [W]."""
-        return max(float(power.max()) for power in self.drawn(sampled))
-
-    def is_hot(self, sampled: Sampled, motor: MotorLimits) -> bool:
-        """Tell whether the mean drawn power of a thermal window is above the continuous power."""
-        means = self.drawn(sampled)
-        if motor.thermal_time > 0:
-            t = sampled.trajectory.t
-            means = [window_mean(t, power, motor.thermal_time) for power in means]
-        uses = [relative(mean, motor.continuous_power) for mean in means]
-        return bool(np.max(uses) > 1 + ROUNDING)
 
 
 def _drift(length: FloatArray, shape: FloatArray, jump: FloatArray) -> FloatArray:

@@ -14,6 +14,10 @@ GRAVITY = 9.81
 """Gravitational acceleration [m/s^2]."""
 
 
+DEFAULT_ACCELERATION = 1.0
+"""Acceleration of the treads where none is stated [m/s^2]: what small wheeled robots are commonly
+set to. A robot without a limit would reach any speed at once."""
+
 _LARGEST_EXTENT = 1e4  # [m]; with the load, far beyond any vehicle, and far from overflow
 _LARGEST_LOAD = 1e9  # [N]
 
@@ -87,7 +91,7 @@ class TreadICR:
 
 @dataclass(frozen=True)
 class MotorLimits:
-    """What one side's motor can do. Infinite where unknown.
+    """What one side's motor can do. Infinite where unknown, but for the acceleration.
 
     Parameters
     ----------
@@ -100,7 +104,7 @@ class MotorLimits:
     speed : float
         Largest tread speed [m/s].
     acceleration : float
-        Largest tread acceleration [m/s^2].
+        Largest tread acceleration [m/s^2]; 1 m/s^2 (`DEFAULT_ACCELERATION`) where not given.
     regeneration : float
         Largest power that the drive takes back [W].
     """
@@ -110,7 +114,7 @@ class MotorLimits:
     thermal_time: float = 30.0
     force: float = np.inf
     speed: float = np.inf
-    acceleration: float = np.inf
+    acceleration: float = DEFAULT_ACCELERATION
     regeneration: float = np.inf
 
     def __post_init__(self) -> None:
@@ -199,11 +203,16 @@ class Vehicle:
         Tread to battery when returning, in [0, 1]; 0 for drives that brake on a resistor.
     max_yaw_rate : float
         Largest yaw rate [rad/s].
+    battery_power, battery_return : float
+        Largest power that the battery delivers, and takes back [W].
+    usual_speed : float
+        Speed of the faster tread at which the vehicle is usually driven [m/s]; as fast as its
+        limits allow where infinite.
 
     Raises
     ------
     VehicleError
-        If shapes, loads or efficiencies are wrong.
+        If shapes, loads, efficiencies or limits are wrong.
     """
 
     name: str
@@ -215,6 +224,9 @@ class Vehicle:
     drive_efficiency: float = 1.0
     regen_efficiency: float = 1.0
     max_yaw_rate: float = np.inf
+    battery_power: float = np.inf
+    battery_return: float = np.inf
+    usual_speed: float = np.inf
 
     def __post_init__(self) -> None:
         for name, width in (("contacts", 2), ("footprint", 2)):
@@ -258,7 +270,11 @@ class Vehicle:
             0 <= self.regen_efficiency <= 1,
             f"regen_efficiency is {self.regen_efficiency}; give a fraction in [0, 1]",
         )
-        _require(self.max_yaw_rate > 0, f"max_yaw_rate is {self.max_yaw_rate}; must be positive")
+        for name in ("max_yaw_rate", "battery_power", "usual_speed"):
+            _require(getattr(self, name) > 0, f"{name} is {getattr(self, name)}; must be positive")
+        _require(
+            self.battery_return >= 0, f"battery_return is {self.battery_return}; give watts >= 0"
+        )
 
     @property
     def mass(self) -> float:
@@ -303,6 +319,9 @@ class Vehicle:
         drive_efficiency: float = 1.0,
         regen_efficiency: float = 1.0,
         max_yaw_rate: float = np.inf,
+        battery_power: float = np.inf,
+        battery_return: float = np.inf,
+        usual_speed: float = np.inf,
     ) -> Vehicle:
         """Build a four-wheeled vehicle that is symmetric about its centre.
 
@@ -323,6 +342,8 @@ class Vehicle:
         motor : MotorLimits, optional
             Limits of each side's motor.
         drive_efficiency, regen_efficiency, max_yaw_rate : float
+            As in `Vehicle`.
+        battery_power, battery_return, usual_speed : float
             As in `Vehicle`.
 
         Returns
@@ -350,6 +371,9 @@ class Vehicle:
             drive_efficiency=drive_efficiency,
             regen_efficiency=regen_efficiency,
             max_yaw_rate=max_yaw_rate,
+            battery_power=battery_power,
+            battery_return=battery_return,
+            usual_speed=usual_speed,
         )
 
     @classmethod

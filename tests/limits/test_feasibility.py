@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from energyplan.errors import InvalidInputError, MissingChannelError
-from energyplan.limits import _check as _limit_check
+from energyplan.limits import drive as limit_drive
 from energyplan.limits import motor_kernels
 from energyplan.limits.feasibility import check, feasible_region
 from energyplan.motion import Motion
@@ -13,10 +13,11 @@ from energyplan.path import Trajectory
 from energyplan.power import PowerModel, Sides, Term
 from energyplan.power.effects import term
 from energyplan.vehicle import MotorLimits
+from tests.limits.fine_integral import fine_energy
 
 PAPER = PowerModel.preset("quadriga:empty:concrete")
 INERTIA = PAPER.with_term(term("linear_inertia"), 83.0).with_term(term("angular_inertia"), 7.5)
-FREE = MotorLimits()
+FREE = MotorLimits(acceleration=np.inf)
 
 
 def drive(t, v, omega):
@@ -27,7 +28,7 @@ def drive(t, v, omega):
 
 
 def limited(**limits):
-    return replace(PAPER.vehicle, motor=MotorLimits(**limits))
+    return replace(PAPER.vehicle, motor=replace(FREE, **limits))
 
 
 def wavy(n, seed=0, period=0.05):
@@ -44,21 +45,30 @@ def kinds(report):
 # -- kernels against plain twins ----------------------------------------------------------------
 
 
-def test_tread_motion_is_that_of_the_scaled_trajectory():
-    path, icr = wavy(50), PAPER.vehicle.icr
-    for scale in (1.0, 0.6, 1.7):
-        expected = Motion.from_trajectory(path.scaled(scale), icr)
-        for first, last in ((0, 50), (0, 20), (19, 40), (39, 50)):
-            for kernel in (motor_kernels.tread_motion, motor_kernels.tread_motion.py_func):
-                found = kernel(path.t, path.v, path.omega, icr.left, icr.right, first, last, scale)
-                twin = (
-                    expected.v_left,
-                    expected.v_right,
-                    expected.channel("accel"),
-                    expected.channel("yaw_accel"),
-                )
-                for a, b in zip(found, twin, strict=True):
-                    assert np.allclose(a, b[first:last], rtol=1e-9, atol=1e-12)
+def test_pieces_and_their_motion_are_alike_compiled_and_plain():
+    rng = np.random.default_rng(2)
+    n = 60
+    t = np.cumsum(rng.uniform(0.05, 0.2, n))
+    x, y, yaw = np.cumsum(rng.normal(0, 0.1, (3, n)), axis=1)
+    v, omega = rng.normal(0, 0.5, (2, n)) * (rng.random((2, n)) > 0.2)
+    cut = motor_kernels.cut_intervals(v, omega, 0.4, 0.5, 3, n - 1)
+    plain = motor_kernels.cut_intervals.py_func(v, omega, 0.4, 0.5, 3, n - 1)
+    assert all(np.array_equal(a, b) for a, b in zip(cut, plain, strict=True))
+    interval, begin, end = cut
+    assert np.allclose(np.bincount(interval, end - begin)[3:], 1.0, rtol=1e-14)
+    nodes = t, x, y, yaw, v, omega, 0.4, 0.5, *cut, 1.7
+    found, expected = motor_kernels.piece_nodes(*nodes), motor_kernels.piece_nodes.py_func(*nodes)
+    for a, b in zip(found, expected, strict=True):
+        assert np.allclose(a, b, rtol=1e-14, atol=1e-16)
+    # Within a piece nothing changes its direction, and its ends are the samples.
+    v_left, v_right, accel, _, px, py, heading = found
+    for speed in (v_left, v_right, v_right - v_left):
+        assert np.all(speed[:, 0] * speed[:, 2] >= 0.0)
+    first, last = begin == 0.0, end == 1.0
+    for value, known in ((px, x), (py, y), (heading, yaw)):
+        assert np.allclose(value[first, 0], known[interval[first]], atol=1e-12)
+        assert np.allclose(value[last, 2], known[interval[last] + 1], atol=1e-12)
+    assert np.allclose(accel[:, 0], 1.7**2 * (np.diff(v) / np.diff(t))[interval])
 
 
 @pytest.mark.parametrize("kernel", ["compiled", "plain"])
@@ -125,7 +135,7 @@ def test_blocks_do_not_show(monkeypatch):
     assert len({kind for kind, _ in kinds(whole)}) >= 5
     scale = whole.max_speed_scale
     for size in (2, 3, 17, 299, 300, 301):
-        monkeypatch.setattr(_limit_check, "BLOCK", size)
+        monkeypatch.setattr(limit_drive, "BLOCK", size)
         parts = check(path, INERTIA, vehicle)
         assert parts.energy == pytest.approx(whole.energy, rel=1e-12)
         assert parts.worst == pytest.approx(whole.worst)
@@ -332,10 +342,8 @@ def test_a_report_survives_pickling_and_prices_what_the_model_does():
     path = wavy(100)
     for model in (PAPER, INERTIA.with_term(term("hotel_load"), 20.0)):
         report = check(path, model)
-        motion = Motion.from_trajectory(path, model.vehicle.icr)
-        assert report.energy == pytest.approx(
-            float(np.trapezoid(model.power(motion), path.t)), rel=1e-12
-        )
+        size = {item.name: model.coefficient(item.name) for item in model.terms}
+        assert report.energy == pytest.approx(fine_energy(path, model.vehicle, size), rel=1e-7)
         again = pickle.loads(pickle.dumps(report))
         assert again == report
         assert again.max_speed_scale == report.max_speed_scale

@@ -288,7 +288,7 @@ def test_splitting_a_segment_changes_nothing():
 
 def test_without_an_acceleration_limit_the_profile_is_length_over_speed():
     path = Path(START, [2.0, 1.5, 0.0], [0.0, 1.0, 1.0])
-    vehicle = replace(PAPER.vehicle, motor=MotorLimits(speed=0.8))
+    vehicle = replace(PAPER.vehicle, motor=MotorLimits(speed=0.8, acceleration=np.inf))
     length, _, _ = tread_length(path, vehicle.icr)
     assert profile(path, PAPER, vehicle=vehicle).duration == pytest.approx(
         length.sum() / 0.8, rel=1e-5

@@ -1,0 +1,392 @@
+"""What a trajectory is between its samples, and what it takes: one definition for all who ask.
+
+Between two samples the forward speed and the yaw rate change evenly: both accelerations are
+constant there and jump at the samples. The pose follows the speeds; what the samples' poses differ
+from that is spread evenly. `Drive` cuts each interval where a tread, the body or the yaw rate comes
+to a standstill, because friction changes its direction there, and evaluates the whole power model
+at the ends and in the middle of each piece. Energies come from Simpson's rule on the pieces, which
+is exact while the power is a cubic in time; where it is not, the pieces are halved until it is
+nearly so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import InvalidInputError
+from energyplan.limits.motor_kernels import cut_intervals, piece_nodes
+from energyplan.motion import Motion
+from energyplan.path import FloatArray, Path, Trajectory
+from energyplan.power import PowerModel
+from energyplan.terrain import HeightMap, SurfaceMap
+
+BLOCK = 8192
+"""Intervals per block: what is evaluated at once stays in the processor's cache."""
+
+SIMPSON = np.array([1.0, 4.0, 1.0]) / 6.0
+"""Weights of the nodes of a piece."""
+
+PRECISION = 1e-8
+"""Error of a piece's mean power, as a fraction of the mean size of all powers, that is let be."""
+
+HALVINGS = 30
+"""How often a piece is halved at most."""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What is driven on: power models by place, and the slope.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The model outside all surfaces.
+    surfaces : SurfaceMap, optional
+        Grounds with models of their own.
+    heights : HeightMap, optional
+        Heights of the ground; level where not given.
+    others : tuple of PowerModel, optional
+        The surfaces' models, where they are not the surfaces' own, as with a payload on board.
+
+    Raises
+    ------
+    InvalidInputError
+        If there are not as many other models as surfaces.
+    """
+
+    model: PowerModel
+    surfaces: SurfaceMap | None = None
+    heights: HeightMap | None = None
+    others: tuple[PowerModel, ...] | None = None
+
+    def __post_init__(self) -> None:
+        count = 0 if self.surfaces is None else len(self.surfaces.surfaces)
+        if self.others is not None and len(self.others) != count:
+            raise InvalidInputError(
+                f"{len(self.others)} models for {count} surfaces; give each one"
+            )
+
+    @property
+    def models(self) -> tuple[PowerModel, ...]:
+        """The models, that of no surface first."""
+        if self.others is not None:
+            return (self.model, *self.others)
+        own = () if self.surfaces is None else tuple(s.model for s in self.surfaces.surfaces)
+        return (self.model, *own)
+
+    def leading(self, path: Path) -> PowerModel:
+        """Return the model of the most demanding ground on a path: what asks for most energy."""
+        if self.surfaces is None:
+            return self.model
+        met = np.flatnonzero(self.surfaces.shares(path).max(axis=0) > 0)
+        if len(met) == 1:
+            return self.models[int(met[0])]
+        return max(
+            (self.models[int(k)] for k in met), key=lambda model: EnergyCost(model).energy(path)
+        )
+
+    def regions(self, poses: FloatArray) -> NDArray[np.intp]:
+        """Index among `models` of the one that holds at poses (..., 3)."""
+        if self.surfaces is None:
+            return np.zeros(poses.shape[:-1], np.intp)
+        return self.surfaces.region_at(self._reference(poses)[..., :2])
+
+    def slopes(self, poses: FloatArray) -> FloatArray:
+        """Slope along the heading at poses (..., 3) [rad]."""
+        if self.heights is None:
+            return np.zeros(poses.shape[:-1])
+        return self.heights.slope(self._reference(poses))
+
+    def _reference(self, poses: FloatArray) -> FloatArray:
+        lever = self.model.vehicle.icr.longitudinal
+        if not lever:
+            return poses
+        moved = poses.copy()
+        moved[..., 0] += lever * np.cos(poses[..., 2])
+        moved[..., 1] += lever * np.sin(poses[..., 2])
+        return moved
+
+
+class Pieces(NamedTuple):
+    """Parts of intervals between samples.
+
+    Parameters
+    ----------
+    interval : ndarray of int, shape (m,)
+        The interval that the piece is part of; interval k lies between samples k and k + 1.
+    begin, end : ndarray, shape (m,)
+        Where it begins and ends, as fractions of the interval.
+    """
+
+    interval: NDArray[np.int_]
+    begin: FloatArray
+    end: FloatArray
+
+    @property
+    def parts(self) -> FloatArray:
+        """Begin, middle and end of each piece as fractions of the interval, shape (m, 3)."""
+        return np.column_stack([self.begin, 0.5 * (self.begin + self.end), self.end])
+
+    def take(self, which: NDArray[np.bool_]) -> Pieces:
+        """Return some of the pieces."""
+        return Pieces(self.interval[which], self.begin[which], self.end[which])
+
+    def halved(self) -> Pieces:
+        """Return the halves of the pieces, those of one piece side by side."""
+        middle = 0.5 * (self.begin + self.end)
+        return Pieces(
+            np.repeat(self.interval, 2),
+            np.column_stack([self.begin, middle]).reshape(-1),
+            np.column_stack([middle, self.end]).reshape(-1),
+        )
+
+
+class Part(NamedTuple):
+    """Pieces on one ground, with their motion.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The power model there.
+    region : int
+        Its place among the ground's models.
+    which : ndarray of int, shape (m,)
+        Which of all pieces these are.
+    motion : Motion, shape (m, 3)
+        Motion at the begin, the middle and the end of each piece.
+    """
+
+    model: PowerModel
+    region: int
+    which: NDArray[np.intp]
+    motion: Motion
+
+
+class Quadrature(NamedTuple):
+    """Parts of a drive on one ground, with weights that turn powers into energy.
+
+    Parameters
+    ----------
+    region : int
+        The ground's place among its models.
+    motion : Motion, shape (m, 3)
+        Motion at three instants of each piece.
+    weight : ndarray, shape (m, 3)
+        Time that each instant stands for [s]: ``(weight * power).sum()`` is the energy.
+    interval : ndarray of int, shape (m,)
+        Interval between samples that each piece is part of.
+    """
+
+    region: int
+    motion: Motion
+    weight: FloatArray
+    interval: NDArray[np.int_]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A trajectory with what is known along it and what it is driven on.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        The trajectory; `energyplan.limits.drive` says what it is between its samples.
+    ground : Ground
+        Power models and slope.
+    channels : mapping of str to array_like, shape () or (n,)
+        Further channels that the models' terms read: one value, or one for each sample with
+        straight lines between them.
+
+    Raises
+    ------
+    InvalidInputError
+        If a channel has another length than the trajectory.
+    """
+
+    trajectory: Trajectory
+    ground: Ground
+    channels: Mapping[str, ArrayLike] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        wide = {}
+        for name, value in self.channels.items():
+            array = np.asarray(value, float)
+            if array.shape not in ((), (len(self.trajectory),)):
+                raise InvalidInputError(
+                    f"channel {name!r} has shape {array.shape}; give one value, or one for each "
+                    f"of the trajectory's {len(self.trajectory)} samples"
+                )
+            wide[name] = array
+        object.__setattr__(self, "channels", wide)
+
+    @property
+    def block_count(self) -> int:
+        """Number of blocks."""
+        return -(-(len(self.trajectory) - 1) // BLOCK)
+
+    def block_at(self, t: float, scale: float = 1.0) -> int:
+        """Return the block that holds the instant `t` of the scaled trajectory."""
+        since = (t - self.trajectory.t[0]) * scale + self.trajectory.t[0]
+        k = int(np.searchsorted(self.trajectory.t, since)) - 1
+        return int(np.clip(k // BLOCK, 0, self.block_count - 1))
+
+    def pieces(self, k: int) -> Pieces:
+        """Return the k-th block of intervals, cut where something comes to a standstill."""
+        path, icr = self.trajectory, self.ground.model.vehicle.icr
+        last = min((k + 1) * BLOCK, len(path) - 1)
+        return Pieces(*cut_intervals(path.v, path.omega, icr.left, icr.right, k * BLOCK, last))
+
+    def times(self, pieces: Pieces, scale: float = 1.0) -> FloatArray:
+        """Return the times of begin, middle and end of pieces [s], shape (m, 3)."""
+        t = self.trajectory.t - self.trajectory.t[0]
+        first, last = t[pieces.interval, None], t[pieces.interval + 1, None]
+        parts = pieces.parts
+        # Exact at both ends, so that neighbours agree.
+        since = np.where(parts == 1.0, last, first + parts * (last - first))
+        return np.asarray(self.trajectory.t[0] + since / scale)
+
+    def widths(self, pieces: Pieces, scale: float = 1.0) -> FloatArray:
+        """Return how long pieces take [s], shape (m,)."""
+        step = np.diff(self.trajectory.t)[pieces.interval]
+        return np.asarray((pieces.end - pieces.begin) * step / scale)
+
+    def parts(self, pieces: Pieces, scale: float = 1.0) -> Iterator[Part]:
+        """Yield the motion of pieces, driven `scale` times as fast, ground by ground."""
+        if self.ground.surfaces is None:
+            yield Part(
+                self.ground.model, 0, np.arange(len(pieces.interval)),
+                self._motion(self.ground.model, pieces, scale),
+            )  # fmt: skip
+            return
+        regions = self.ground.regions(self._poses(pieces)[:, 1])
+        for region in np.unique(regions):
+            here = regions == region
+            model = self.ground.models[region]
+            motion = self._motion(model, pieces.take(here), scale)
+            yield Part(model, int(region), np.flatnonzero(here), motion)
+
+    def _poses(self, pieces: Pieces) -> FloatArray:
+        """Poses at the begin, in the middle and at the end of pieces, shape (m, 3, 3)."""
+        path = self.trajectory
+        nodes = piece_nodes(
+            path.t, path.x, path.y, path.yaw, path.v, path.omega, 1.0, 1.0, *pieces, 1.0
+        )
+        return np.stack(nodes[4:], axis=-1)
+
+    def _motion(self, model: PowerModel, pieces: Pieces, scale: float) -> Motion:
+        path, icr = self.trajectory, model.vehicle.icr
+        v_left, v_right, accel, yaw_accel, x, y, yaw = piece_nodes(
+            path.t, path.x, path.y, path.yaw, path.v, path.omega,
+            icr.left, icr.right, *pieces, scale,
+        )  # fmt: skip
+        known: dict[str, FloatArray] = {
+            "t": self.times(pieces, scale),
+            "x": x,
+            "y": y,
+            "yaw": yaw,
+            "accel": accel,
+            "yaw_accel": yaw_accel,
+            "slope": np.zeros(()),
+        }
+        if self.ground.heights is not None:
+            slope = self.ground.slopes(np.stack([x, y, yaw], axis=-1))
+            # Along the slope the way is longer than in plan view.
+            longer = 1.0 / np.cos(slope) - 1.0
+            more = longer * (icr.right * v_left + icr.left * v_right) / icr.slip_track
+            v_left, v_right = v_left + more, v_right + more
+            known |= {"slope": slope, "accel": accel * (1.0 + longer)}
+        for name, value in self.channels.items():
+            known[name] = self._between(np.asarray(value), pieces)
+        return Motion(v_left, v_right, icr, known)
+
+    def _between(self, value: FloatArray, pieces: Pieces) -> FloatArray:
+        if not value.ndim:
+            return value
+        before, after = value[pieces.interval, None], value[pieces.interval + 1, None]
+        return np.asarray(before + pieces.parts * (after - before))
+
+    # -- energy -------------------------------------------------------------------------------
+
+    def power(self, pieces: Pieces, scale: float = 1.0) -> FloatArray:
+        """Return the power at begin, middle and end of pieces [W], shape (m, 3)."""
+        out = np.empty((len(pieces.interval), 3))
+        for part in self.parts(pieces, scale):
+            out[part.which] = part.model.power(part.motion)
+        return out
+
+    def refined(
+        self, pieces: Pieces, power: FloatArray, scale: float = 1.0
+    ) -> Iterator[tuple[Pieces, FloatArray]]:
+        """Yield pieces with their mean power [W], halved until Simpson's rule gives it.
+
+        Parameters
+        ----------
+        pieces : Pieces
+            The pieces.
+        power : ndarray, shape (m, 3)
+            Their power [W].
+        scale : float
+            Factor on the speed.
+        """
+        enough = PRECISION * float(np.mean(np.abs(power)))
+        bent = np.abs(power[:, 0] - 2 * power[:, 1] + power[:, 2]) > enough
+        if self.ground.surfaces is not None:
+            regions = self.ground.regions(self._poses(pieces))
+            bent |= (regions != regions[:, 1:2]).any(axis=1)
+        mean = power @ SIMPSON
+        yield pieces.take(~bent), mean[~bent]
+        pieces, mean = pieces.take(bent), mean[bent]
+        share = pieces.end - pieces.begin
+        for _ in range(HALVINGS):
+            if not len(pieces.interval):
+                return
+            halves = pieces.halved()
+            finer = self.power(halves, scale) @ SIMPSON
+            # The tolerance is one of energy: a piece that was halved often may err more.
+            error = np.abs(0.5 * finer.reshape(-1, 2).sum(axis=1) - mean) / 15
+            open_ = error * (pieces.end - pieces.begin) / share > enough
+            again = np.repeat(open_, 2)
+            yield halves.take(~again), finer[~again]
+            pieces, mean, share = halves.take(again), finer[again], np.repeat(share[open_], 2)
+        yield pieces, mean
+
+    def interval_energies(self, scale: float = 1.0) -> FloatArray:
+        """Return the energy of each interval between samples [J], shape (n - 1,)."""
+        out = np.zeros(len(self.trajectory) - 1)
+        for k in range(self.block_count):
+            pieces = self.pieces(k)
+            for some, mean in self.refined(pieces, self.power(pieces, scale), scale):
+                np.add.at(out, some.interval, mean * self.widths(some, scale))
+        return out
+
+    def energy(self, scale: float = 1.0) -> float:
+        """Return the energy of the drive [J]."""
+        return float(self.interval_energies(scale).sum())
+
+    def quadrature(self) -> Iterator[Quadrature]:
+        """Yield instants and weights that integrate powers over the drive, ground by ground."""
+        for k in range(self.block_count):
+            pieces = self.pieces(k)
+            for some, _ in self.refined(pieces, self.power(pieces)):
+                if not len(some.interval):
+                    continue
+                weight = self.widths(some)[:, None] * SIMPSON
+                for part in self.parts(some):
+                    yield Quadrature(
+                        part.region, part.motion, weight[part.which], some.interval[part.which]
+                    )
+
+    def breakdown(self) -> dict[str, float]:
+        """Return the energy by term of the power models [J]; the values add up to `energy`."""
+        total: dict[str, float] = {}
+        models = self.ground.models
+        for part in self.quadrature():
+            for name, power in models[part.region].breakdown(part.motion).items():
+                total[name] = total.get(name, 0.0) + float((part.weight * power).sum())
+        return total

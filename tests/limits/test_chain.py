@@ -1,0 +1,88 @@
+"""What `profile` makes, `check` accepts; and its energy is that of an independent integral."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from energyplan.limits.drive import Drive, Ground
+from energyplan.limits.feasibility import check
+from energyplan.limits.speed import profile
+from energyplan.path import Path, Pose, Trajectory
+from energyplan.power import PowerModel
+from energyplan.power.effects import term
+from energyplan.vehicle import MotorLimits, Vehicle
+from tests.limits.fine_integral import fine_energy, random_case
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_every_profile_is_accepted_and_its_energy_is_the_integral(seed):
+    rng = np.random.default_rng([21, seed])
+    for k in range(10):
+        case = random_case(rng)
+        objective, smooth = ("time", "energy")[k % 2], (0.0, 0.1)[k // 2 % 2]
+        made = profile(
+            case.path, case.model, vehicle=case.vehicle, objective=objective, smooth=smooth
+        )
+        report = check(made, case.model, case.vehicle)
+        assert report.feasible, (k, report.violations[0])
+        assert report.energy == pytest.approx(
+            fine_energy(made, case.model.vehicle, case.size), rel=1e-5
+        )
+        battery = check(made, case.model.battery_side(), case.vehicle).energy
+        assert battery == pytest.approx(
+            fine_energy(made, case.model.vehicle, case.size, battery=True), rel=1e-5
+        )
+
+
+def test_energy_is_exact_where_a_drive_brakes_and_turns_round_between_two_samples():
+    # Two samples, 4 s apart: forwards at 1 m/s, then backwards; the power jumps in between.
+    model = PowerModel.preset("quadriga:empty:concrete").with_term(term("hotel_load"), 7.0)
+    lossy = model.with_term(term("linear_inertia"), 83.0).with_term(
+        term("regeneration_efficiency"), 1.0
+    )
+    turn = Trajectory([0.0, 4.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [1.0, -1.0], [0.0, 0.0])
+    # Each half: 1 m at 2 K = 226 N. Of the kinetic energy, 41.5 N m, nothing comes back: braking
+    # takes 41.5 N of the 226 N, speeding up adds them.
+    assert check(turn, model).energy == pytest.approx(2 * 226.0 + 28.0, rel=1e-12)
+    assert check(turn, lossy).energy == pytest.approx(2 * 226.0 + 28.0, rel=1e-9)
+    hard = Trajectory([0.0, 0.2], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [1.0, -1.0], [0.0, 0.0])
+    # Braking from 1 m/s in 0.1 s returns 830 - 226 N over 0.05 m, which is lost.
+    expected = (830.0 + 226.0) * 0.05 + 7.0 * 0.2
+    assert check(hard, lossy).energy == pytest.approx(expected, rel=1e-7)
+
+
+def test_interval_energies_and_the_breakdown_add_up():
+    case = random_case(np.random.default_rng(5))
+    made = profile(case.path, case.model, vehicle=case.vehicle)
+    drive = Drive(made, Ground(case.model))
+    whole = check(made, case.model).energy
+    assert drive.energy() == pytest.approx(whole, rel=1e-9)
+    assert drive.interval_energies().shape == (len(made) - 1,)
+    assert sum(drive.breakdown().values()) == pytest.approx(whole, rel=1e-9)
+    assert set(drive.breakdown()) == set(case.size)
+
+
+def test_a_vehicle_without_an_acceleration_limit_gets_the_default():
+    vehicle = Vehicle.from_geometry(
+        "starter", mass=30.0, wheelbase=0.4, track=0.4, length=0.6, width=0.5,
+        motor=MotorLimits(continuous_power=400, peak_power=800, speed=1.2),
+    )  # fmt: skip
+    model = PowerModel.paper(vehicle, K=15.0, mu=0.5)
+    path = Path(Pose(0, 0, 0), [1.0, 0.0, 2.0, 0.5], [0.0, 1.5, 0.0, 0.5])
+    made = profile(path, model)
+    reached = np.abs(np.diff(made.v) / np.diff(made.t)).max()
+    assert reached == pytest.approx(1.0, rel=1e-6)
+    assert check(made, model).feasible
+
+
+def test_the_battery_of_the_vehicle_limits_profile_and_check():
+    model = PowerModel.preset("quadriga:empty:concrete").with_term(term("linear_inertia"), 83.0)
+    strong = replace(model.vehicle, motor=MotorLimits(speed=1.2, acceleration=4.0))
+    weak = replace(strong, battery_power=200.0, battery_return=0.5)
+    path = Path(Pose(0, 0, 0), [2.0], [0.0])
+    free, made = profile(path, model, vehicle=strong), profile(path, model, vehicle=weak)
+    assert made.duration > 1.2 * free.duration
+    assert check(made, model, weak).feasible
+    kinds = {violation.kind for violation in check(free, model, weak).violations}
+    assert kinds == {"battery_power", "battery_return"}
