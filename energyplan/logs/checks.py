@@ -42,9 +42,28 @@ _OTHER_UNIT = {
     "A": "mA",
     "W": "mW",
 }
+_SPEED_UNITS = {
+    "km/h": 1 / 3.6,
+    "cm/s": 1e-2,
+    "mm/s": 1e-3,
+    "rad/s*WHEEL_RADIUS": 0.15,
+    "rpm*WHEEL_RADIUS": 0.015,
+    "deg/s*WHEEL_RADIUS": 0.0025,
+}
+_USUAL_SPEED = 0.7  # of robots that skid, as they are driven [m/s]
 _STRAY = 0.01  # share of readings out of range that is taken for glitches, not for a wrong unit
 _BRIDGE = 1.0  # longest hole in a further channel that is bridged by interpolation [s]
 _SPARSE = 0.1  # share of rows that may be set aside for want of a further channel
+
+
+def _likely_unit(name: str, unit: str, values: FloatArray) -> str:
+    """Guess the unit of readings that are impossible in the library's."""
+    if name not in ("v_left", "v_right"):
+        return _OTHER_UNIT.get(unit, "*0.001")
+    size = float(np.nanquantile(np.abs(values), 0.9))
+    likely = {key: factor * size for key, factor in _SPEED_UNITS.items()}
+    near = sorted(likely, key=lambda key: abs(np.log(max(likely[key], 1e-300) / _USUAL_SPEED)))
+    return "] or [".join(near[:3])
 
 
 @dataclass(frozen=True)
@@ -213,7 +232,7 @@ class _Cleaner:
             raise DriveLogError(
                 f"{self.label}, {self.where(stray)}: {name} is {value:g} {unit}, which no robot "
                 f"reaches; {count} of {len(values)} readings are outside {low:g} to {high:g} "
-                f"{unit}; name its unit, as in {name}=NAME[{_OTHER_UNIT.get(unit, '*0.001')}]"
+                f"{unit}; name its unit, as in {name}=NAME[{_likely_unit(name, unit, values)}]"
             )
         self.note(stray, f"{name} is outside {low:g} to {high:g} {unit}; blanked")
         values[stray] = np.nan

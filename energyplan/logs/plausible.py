@@ -12,6 +12,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from energyplan.errors import DriveLogError
 from energyplan.logs._smooth import derivative
 from energyplan.logs.checks import gap_limit
+from energyplan.logs.contradictions import find_contradictions, turning_against
 from energyplan.path import FloatArray
 
 LARGEST_OFFSET = 2.0
@@ -202,7 +203,7 @@ def find_doubts(
         *_check_time(channels["t"], runs, label),
         *_check_turning(channels, runs, label),
         *_check_power(channels, power, runs, label),
-        *_check_speed(channels, runs),
+        *find_contradictions(channels, power, runs),
     ]
 
 
@@ -216,7 +217,8 @@ def _check_time(t: FloatArray, runs: Sequence[slice], label: str) -> list[str]:
     """
     step = float(np.median(np.diff(t)))
     if not 1e-4 <= step <= 20.0:
-        unit = "ms" if step > 20 else "min"
+        usual = {"min": 60.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+        unit = next((name for name, size in usual.items() if 1e-3 <= step * size <= 5), "min")
         raise DriveLogError(
             f"{label}: the time step of t is {step:g} s; between 0.1 ms and 20 s is possible; name "
             f"its unit, as in t=NAME[{unit}]"
@@ -268,8 +270,7 @@ def _check_turning(
         if sign < 0 and (shifted or alike < -0.3):
             raise DriveLogError(
                 f"{label}: {name} falls while v_right exceeds v_left (correlation {alike:.2f}): "
-                f"left and right are swapped, or {name} counts clockwise; swap them in the column "
-                f"mapping, or map {name}=NAME[-{'rad' if name == 'yaw' else 'rad/s'}]"
+                f"{turning_against(channels, runs, name)}"
             )
         if offset is not None and shifted:
             told.append(_offset_warning(offset))
@@ -334,10 +335,10 @@ def _check_power(
             f"{flipped[0]}=NAME[-{unit}]"
         )
     if sides:
-        lean = np.abs(right) ** 2 - np.abs(left) ** 2
-        excess = channels["p_right"] - channels["p_left"]
-        norm = np.sqrt(float(lean @ lean) * float(excess @ excess))
-        if norm > 0 and lean @ excess < -0.3 * norm:
+        arcs = np.abs(np.abs(right) - np.abs(left)) > 0.15 * effort
+        lean = (np.abs(right) ** 2 - np.abs(left) ** 2)[arcs & moving]
+        excess = (channels["p_right"] - channels["p_left"])[arcs & moving]
+        if len(lean) >= _ENOUGH and _alike(lean, excess) < -0.5:
             told.append(
                 "p_left and p_right seem to be swapped: in arcs the outer, faster tread must draw "
                 "the more"
@@ -383,34 +384,3 @@ def _descends(channels: Mapping[str, FloatArray]) -> bool:
         return False
     forward = channels["v_left"] + channels["v_right"]
     return float(np.sin(channels["slope"]) @ forward) < -0.02 * float(np.abs(forward).sum())
-
-
-def _check_speed(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> list[str]:
-    """Compare tread speeds with the distance travelled."""
-    if not {"x", "y"} <= set(channels):
-        return []
-    t = channels["t"]
-    wheel = gone = 0.0
-    for run in runs:
-        edges = np.arange(t[run][0], t[run][-1], 1.0)
-        if len(edges) < 2:
-            continue
-        x, y = (np.interp(edges, t[run], channels[name][run]) for name in ("x", "y"))
-        left, right = (
-            np.diff(np.interp(edges, t[run], _integral(t[run], channels[name][run])))
-            for name in ("v_left", "v_right")
-        )
-        way = 0.5 * np.abs(left + right)
-        straight = (way > 0.1) & (np.abs(right - left) < 0.2 * way)
-        wheel += float(way[straight].sum())
-        gone += float(np.hypot(np.diff(x), np.diff(y))[straight].sum())
-    if wheel < 2.0 or 0.5 < gone / wheel < 1.5:
-        return []
-    return [
-        f"the treads say {wheel:.1f} m of straight driving, x and y say {gone:.1f} m; check the "
-        "units and the wheel radius, as in v_left=NAME[*0.165], or the wheels slip"
-    ]
-
-
-def _integral(t: FloatArray, values: FloatArray) -> FloatArray:
-    return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (values[1:] + values[:-1]))])

@@ -1,0 +1,606 @@
+"""Do a log, a robot's measures and its mass belong together, and what would explain it if not.
+
+Odometry, gyroscope, pose, power, mass and geometry tell some quantities twice. Each such pair is a
+ratio that lies in a known range whatever the robot and the ground; a unit, a wheel radius or a
+measure that is wrong multiplies some of the ratios by a known factor. A mistake is named if undoing
+it, and nothing else, brings every ratio back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import inf, isfinite, log, pi
+
+import numpy as np
+
+from energyplan.logs._smooth import derivative
+from energyplan.path import FloatArray
+from energyplan.vehicle import GRAVITY, Vehicle, predict_icr
+
+_WINDOW = 3.0  # length of the stretches over which distances are compared [s]
+_ENOUGH = 20  # samples or windows below which nothing is concluded
+_ALIKE = 0.9  # correlation from which the turning tells a slip track
+_INERTIA_ERROR = 0.13  # share to which a mass must be told, three of which are the range's margin
+_WHEEL_RADII = (0.04, 0.45)  # of robots that skid [m]
+
+
+@dataclass(frozen=True)
+class Check:
+    """Something that a log tells twice, or that must lie in a range.
+
+    Parameters
+    ----------
+    what : str
+        What was compared.
+    value : float
+        What came out.
+    expected : str
+        What was expected.
+    ok : bool
+        Whether it came out so.
+    remedy : str
+        What to do if not.
+    """
+
+    what: str
+    value: float
+    expected: str
+    ok: bool
+    remedy: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.what}: {self.value:.3g}, expected {self.expected}" + (
+            f"; {self.remedy}" if self.remedy else ""
+        )
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a log tells of a robot; NaN where it does not.
+
+    Parameters
+    ----------
+    slip_track : float
+        Difference of the tread speeds over the yaw rate, where they follow each other [m].
+    from_pose : bool
+        Whether that yaw rate comes from the heading rather than from a gyroscope.
+    distance : float
+        Way of the treads over that of the pose, on straight stretches.
+    rotation : float
+        Gyroscope's yaw rate over that of the heading.
+    top_speed : float
+        Speed that is reached one hundredth of the time [m/s].
+    force : float
+        Mean power over mean speed while driving [N].
+    electric : float
+        Power over voltage times current.
+    inertia : float
+        Mass that the power of speeding up tells [kg].
+    step : float
+        Time between samples [s].
+    """
+
+    slip_track: float = np.nan
+    from_pose: bool = False
+    distance: float = np.nan
+    rotation: float = np.nan
+    top_speed: float = np.nan
+    force: float = np.nan
+    electric: float = np.nan
+    inertia: float = np.nan
+    step: float = np.nan
+
+
+@dataclass(frozen=True)
+class Measures:
+    """A robot's measures: track and wheelbase [m], mass [kg]; NaN where they are not known."""
+
+    track: float = np.nan
+    wheelbase: float = np.nan
+    mass: float = np.nan
+
+    @classmethod
+    def of(cls, vehicle: Vehicle) -> Measures:
+        """Return the measures of a vehicle's outermost contacts."""
+        wheelbase, track = np.ptp(vehicle.contacts, axis=0)
+        return cls(float(track), float(wheelbase), vehicle.mass)
+
+
+# -- what a log tells ---------------------------------------------------------------------------
+
+
+def gather(
+    channels: Mapping[str, FloatArray], power: FloatArray, runs: Sequence[slice]
+) -> Evidence:
+    """Find what a log tells of the robot.
+
+    Parameters
+    ----------
+    channels : mapping of str to ndarray, shape (n,)
+        Sound channels.
+    power : ndarray, shape (n,)
+        Total power [W].
+    runs : sequence of slice
+        Stretches without a gap.
+
+    Returns
+    -------
+    Evidence
+        What it tells.
+    """
+    t, left, right = channels["t"], channels["v_left"], channels["v_right"]
+    rates = yaw_rates(channels, runs)
+    rate = rates.get("yaw_rate", rates.get("yaw"))
+    mean = 0.5 * (left + right)
+    effort = 0.5 * (np.abs(left) + np.abs(right))
+    top = float(np.quantile(effort, 0.99))
+    moving = effort > max(0.1 * top, 1e-6)
+    force = np.nan
+    if np.count_nonzero(moving) >= _ENOUGH:
+        force = float(np.abs(power[moving].mean()) / effort[moving].mean())
+    return Evidence(
+        slip_track=np.nan if rate is None else _slip_track(rate, right - left),
+        from_pose="yaw_rate" not in rates,
+        distance=distance_ratio(channels, runs),
+        rotation=_rotation(rates),
+        top_speed=top if np.count_nonzero(moving) >= _ENOUGH else np.nan,
+        force=force if force else np.nan,
+        electric=_electric(channels),
+        inertia=_inertia(t, mean, effort, right - left, power, runs),
+        step=float(np.quantile(np.diff(t), 0.1)) if len(t) >= 5 * _ENOUGH else np.nan,
+    )
+
+
+def yaw_rates(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> dict[str, FloatArray]:
+    """Return the yaw rates that a log tells [rad/s], by the channel that they come from."""
+    found = {}
+    if "yaw_rate" in channels:
+        found["yaw_rate"] = channels["yaw_rate"]
+    if "yaw" in channels:
+        found["yaw"] = derivative(channels["t"], np.unwrap(channels["yaw"]), runs, 0.5)
+    return found
+
+
+def correlation(one: FloatArray, other: FloatArray) -> float:
+    """Correlation through the origin; 0 where one is zero throughout."""
+    norm = float(np.sqrt((one @ one) * (other @ other)))
+    return float(one @ other) / norm if norm > 0 else 0.0
+
+
+def _slip_track(rate: FloatArray, difference: FloatArray) -> float:
+    """Difference of the tread speeds over the yaw rate; NaN where they do not follow each other."""
+    if np.count_nonzero(np.abs(difference) > 0.2 * np.max(np.abs(difference), initial=0)) < _ENOUGH:
+        return np.nan
+    if abs(correlation(rate, difference)) < _ALIKE:
+        return np.nan
+    return abs(float(difference @ difference) / float(difference @ rate))
+
+
+def _rotation(rates: Mapping[str, FloatArray]) -> float:
+    """Gyroscope over heading."""
+    if len(rates) < 2:
+        return np.nan
+    gyro, heading = rates["yaw_rate"], rates["yaw"]
+    if abs(correlation(gyro, heading)) < 0.7:
+        return np.nan
+    # The jitter of the heading's rate is in the denominator only where it is the regressor.
+    return float(gyro @ gyro) / float(gyro @ heading)
+
+
+def distance_ratio(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> float:
+    """Way of the treads over that of the pose, on straight stretches.
+
+    Displacements over whole stretches are compared, not the lengths of paths: a pose that jitters
+    goes no further.
+
+    Parameters
+    ----------
+    channels : mapping of str to ndarray, shape (n,)
+        Sound channels.
+    runs : sequence of slice
+        Stretches without a gap.
+
+    Returns
+    -------
+    float
+        The ratio; NaN where there is no pose, or the robot never drives straight.
+    """
+    if not {"x", "y"} <= set(channels):
+        return np.nan
+    t = channels["t"]
+    step = float(np.median(np.diff(t)))
+    # Some stretches of some samples, whatever their time: its unit may be the mistake.
+    window = max(min(_WINDOW, step * len(t) / 40), 10 * step)
+    rolled: list[FloatArray] = []
+    gone: list[FloatArray] = []
+    for run in runs:
+        edges = np.arange(t[run][0], t[run][-1], window)
+        if len(edges) < 2:
+            continue
+        x, y = (np.interp(edges, t[run], channels[name][run]) for name in ("x", "y"))
+        left, right = (
+            np.diff(np.interp(edges, t[run], _integral(t[run], channels[name][run])))
+            for name in ("v_left", "v_right")
+        )
+        way = 0.5 * np.abs(left + right)
+        straight = np.abs(right - left) < 0.1 * way
+        rolled.append(way[straight])
+        gone.append(np.hypot(np.diff(x), np.diff(y))[straight])
+    if not rolled:
+        return np.nan
+    wheel, pose = np.concatenate(rolled), np.concatenate(gone)
+    if not len(wheel):
+        return np.nan
+    far = wheel > 0.3 * wheel.max()
+    wheel, pose = wheel[far], pose[far]
+    if len(wheel) < 3 or not np.any(pose):
+        return np.nan
+    ratio = float(wheel @ wheel) / float(wheel @ pose)
+    # Stretches that contradict each other (slipping, a lost pose) tell nothing.
+    scatter = float(np.std(pose * ratio - wheel) / wheel.mean())
+    return ratio if scatter < 0.5 else np.nan
+
+
+def _integral(t: FloatArray, values: FloatArray) -> FloatArray:
+    return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (values[1:] + values[:-1]))])
+
+
+def _electric(channels: Mapping[str, FloatArray]) -> float:
+    """Power over voltage times current, where a log has both."""
+    if not {"voltage", "current"} <= set(channels):
+        return np.nan
+    if "power" in channels:
+        power = channels["power"]
+    elif {"p_left", "p_right"} <= set(channels):
+        power = channels["p_left"] + channels["p_right"]
+    else:
+        return np.nan
+    product = channels["voltage"] * channels["current"]
+    if abs(correlation(power, product)) < 0.8:
+        return np.nan
+    return abs(float(power @ product) / float(product @ product))
+
+
+def _inertia(
+    t: FloatArray,
+    mean: FloatArray,
+    effort: FloatArray,
+    difference: FloatArray,
+    power: FloatArray,
+    runs: Sequence[slice],
+) -> float:
+    """Mass that the power of speeding up tells; NaN where it hardly tells it."""
+    accel = derivative(t, mean, runs, 0.4)
+    gain = mean * accel
+    best, found = inf, np.nan
+    for lag in np.arange(-0.2, 0.81, 0.1):
+        shifted = np.interp(t - lag, t, np.clip(gain, 0, None))
+        back = np.interp(t - lag, t, np.clip(gain, None, 0))
+        X = np.stack([shifted, back, effort, np.abs(difference), np.ones(len(t))])
+        scale = np.sqrt((X * X).sum(axis=1))
+        if np.any(scale[:1] == 0) or not np.all(np.isfinite(scale)):
+            return np.nan
+        scale[scale == 0] = 1.0
+        unit = X / scale[:, None]
+        gram = unit @ unit.T + 1e-9 * np.eye(len(X))
+        solution = np.linalg.solve(gram, unit @ power)
+        residual = power - solution @ unit
+        loss = float(residual @ residual)
+        if loss < best:
+            best = loss
+            variance = loss / len(t) * _repeats(residual) * float(np.linalg.inv(gram)[0, 0])
+            error = np.sqrt(variance) / scale[0]
+            mass = float(solution[0] / scale[0])
+            found = mass if mass > 0 and error < _INERTIA_ERROR * mass else np.nan
+    return found
+
+
+def _repeats(residual: FloatArray) -> float:
+    """How many neighbouring samples repeat each other: the sum of the autocorrelation."""
+    size = float(residual @ residual)
+    total = 1.0
+    for lag in range(1, len(residual) // 4):
+        alike = float(residual[lag:] @ residual[:-lag]) / size if size > 0 else 0.0
+        if alike < 0.05:
+            break
+        total += 2 * alike
+    return total
+
+
+# -- what it should tell ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Range:
+    """A ratio's name, where it may lie, and where it usually does."""
+
+    what: str
+    low: float
+    high: float
+    usual: float
+    why: str
+
+    @property
+    def expected(self) -> str:
+        return f"{self.low:g} to {self.high:g} ({self.why})"
+
+    def holds(self, value: float) -> bool:
+        return not isfinite(value) or self.low <= value <= self.high
+
+    def strain(self, value: float) -> float:
+        """How far from usual a value is, in widths of the range."""
+        if not isfinite(value):
+            return 0.0
+        return (log(value / self.usual) / log(self.high / self.low)) ** 2
+
+
+# The slip track of real drives lies at 0.76 to 1.08 of that of equal point loads (Husky on floor,
+# ice, loam; Warthog on grass), with a gyroscope's error on top; treads that dig themselves in turn
+# less than they tell, and are left out for want of correlation.
+_TURNING = _Range("slip track over that of the wheels' places", 0.6, 1.45, 0.93, "moment balance")
+_DISTANCE = _Range("way of the treads over that of the pose", 0.8, 1.35, 1.0, "little slip")
+_ROTATION = _Range("gyroscope over the heading's rate", 0.75, 1.35, 1.0, "one rotation")
+_TOP_SPEED = _Range("speed that is reached [m/s]", 0.02, 8.0, 0.7, "what robots that skid drive")
+_FORCE = _Range("power over weight times speed", 0.008, 4.0, 0.25, "resistance of wheels")
+_ELECTRIC = _Range("power over voltage times current", 0.8, 1.25, 1.0, "the same power")
+_DENSITY = _Range("mass over wheelbase times track [kg/m^2]", 40.0, 3000.0, 300.0, "built robots")
+_ASPECT = _Range("wheelbase over track", 0.33, 2.5, 0.95, "robots that can skid")
+_INERTIA = _Range(
+    "mass by speeding up over that given", 0.62, 12.0, 1.1, "and more with heavy drives"
+)
+_STEP = _Range("time step [s]", 1e-4, 3.0, 0.05, "logs of drives")
+
+
+def _ratios(told: Evidence, known: Measures) -> list[tuple[_Range, float]]:
+    """Return the ratios that evidence and measures make."""
+    track, wheelbase = known.track, known.wheelbase
+    geometric = 2 * predict_icr(wheelbase, track) if track and wheelbase else np.nan
+    return [
+        (_STEP, told.step),
+        (_TOP_SPEED, told.top_speed),
+        (_DISTANCE, told.distance),
+        (_ROTATION, told.rotation),
+        (_TURNING, told.slip_track / geometric),
+        (_ASPECT, wheelbase / track),
+        (_DENSITY, known.mass / (wheelbase * track)),
+        (_FORCE, told.force / (known.mass * GRAVITY)),
+        (_ELECTRIC, told.electric),
+        (_INERTIA, told.inertia / known.mass),
+    ]
+
+
+@dataclass(frozen=True)
+class _State:
+    told: Evidence
+    known: Measures
+
+
+@dataclass(frozen=True)
+class _Mistake:
+    """Something that may have gone wrong, what undoes it, and how to say so."""
+
+    name: str
+    remedy: str
+    undo: Callable[[_State], _State]
+    rarity: float = 0.0
+
+
+def _speeds(factor: float) -> Callable[[_State], _State]:
+    """Undo tread speeds that are too large by the inverse of a factor."""
+
+    def undo(state: _State) -> _State:
+        told = state.told
+        return replace(
+            state,
+            told=replace(
+                told,
+                slip_track=told.slip_track * factor,
+                distance=told.distance * factor,
+                top_speed=told.top_speed * factor,
+                force=told.force / factor,
+                inertia=told.inertia / factor**2,
+            ),
+        )
+
+    return undo
+
+
+def _gyro(factor: float) -> Callable[[_State], _State]:
+    def undo(state: _State) -> _State:
+        told = state.told
+        turned = told.slip_track if told.from_pose else told.slip_track / factor
+        return replace(
+            state, told=replace(told, slip_track=turned, rotation=told.rotation * factor)
+        )
+
+    return undo
+
+
+def _heading(factor: float) -> Callable[[_State], _State]:
+    def undo(state: _State) -> _State:
+        told = state.told
+        turned = told.slip_track / factor if told.from_pose else told.slip_track
+        return replace(
+            state, told=replace(told, slip_track=turned, rotation=told.rotation / factor)
+        )
+
+    return undo
+
+
+def _pose(factor: float) -> Callable[[_State], _State]:
+    def undo(state: _State) -> _State:
+        return replace(state, told=replace(state.told, distance=state.told.distance / factor))
+
+    return undo
+
+
+def _time(factor: float) -> Callable[[_State], _State]:
+    def undo(state: _State) -> _State:
+        told = state.told
+        turned = told.slip_track * factor if told.from_pose else told.slip_track
+        return replace(
+            state,
+            told=replace(
+                told,
+                step=told.step * factor,
+                distance=told.distance * factor,
+                rotation=told.rotation * factor,
+                slip_track=turned,
+                inertia=told.inertia * factor,
+            ),
+        )
+
+    return undo
+
+
+def _power(factor: float) -> Callable[[_State], _State]:
+    def undo(state: _State) -> _State:
+        told = state.told
+        return replace(
+            state,
+            told=replace(
+                told,
+                force=told.force * factor,
+                electric=told.electric * factor,
+                inertia=told.inertia * factor,
+            ),
+        )
+
+    return undo
+
+
+def _electricity(factor: float) -> Callable[[_State], _State]:
+    """Undo a voltage or a current that is too large by the inverse of a factor."""
+
+    def undo(state: _State) -> _State:
+        told = state.told
+        if isfinite(told.electric):  # the power was measured beside them
+            return replace(state, told=replace(told, electric=told.electric / factor))
+        return _power(factor)(state)
+
+    return undo
+
+
+def _measures(
+    track: float = 1.0, wheelbase: float = 1.0, mass: float = 1.0, swap: bool = False
+) -> Callable[[_State], _State]:
+    def undo(state: _State) -> _State:
+        known = state.known
+        sizes = (known.wheelbase, known.track) if swap else (known.track, known.wheelbase)
+        return replace(
+            state, known=Measures(sizes[0] * track, sizes[1] * wheelbase, known.mass * mass)
+        )
+
+    return undo
+
+
+def _mistakes(state: _State) -> list[_Mistake]:
+    """Return what may have gone wrong, in the order of how often it does."""
+    told = state.told
+    both = "v_left=NAME[{0}],v_right=NAME[{0}]".format
+    found = [
+        _Mistake("the tread speeds are in km/h", f"map {both('km/h')}", _speeds(1 / 3.6)),
+        _Mistake("the tread speeds are in mm/s", f"map {both('mm/s')}", _speeds(1e-3)),
+        _Mistake("the tread speeds are in cm/s", f"map {both('cm/s')}", _speeds(1e-2)),
+        _Mistake("the tread speeds are in mph", f"map {both('mph')}", _speeds(0.44704), 0.3),
+        _Mistake(
+            "a wheel's diameter was taken for its radius", "give half the wheel radius",
+            _speeds(0.5),
+        ),
+        _Mistake("t is in ms", "map t=NAME[ms]", _time(1e-3)),
+        _Mistake("t is in us", "map t=NAME[us]", _time(1e-6)),
+        _Mistake("t is in ns", "map t=NAME[ns]", _time(1e-9)),
+        _Mistake("t is in minutes", "map t=NAME[min]", _time(60.0)),
+        _Mistake("yaw_rate is in degrees", "map yaw_rate=NAME[deg/s]", _gyro(pi / 180)),
+        _Mistake("yaw is in degrees", "map yaw=NAME[deg]", _heading(pi / 180)),
+        _Mistake("x and y are in cm", "map x=NAME[cm],y=NAME[cm]", _pose(1e-2)),
+        _Mistake("x and y are in mm", "map x=NAME[mm],y=NAME[mm]", _pose(1e-3)),
+        _Mistake("the power is in kW", "map it with its unit, power=NAME[kW]", _power(1e3)),
+        _Mistake("the power is in mW", "map it with its unit, power=NAME[mW]", _power(1e-3)),
+        _Mistake("the current is in mA", "map current=NAME[mA]", _electricity(1e-3)),
+        _Mistake("the voltage is in mV", "map voltage=NAME[mV]", _electricity(1e-3), 0.1),
+        _Mistake("track and wheelbase are in cm", "give metres", _measures(1e-2, 1e-2)),
+        _Mistake("track and wheelbase are in mm", "give metres", _measures(1e-3, 1e-3)),
+        _Mistake("the track is in cm", "give metres", _measures(track=1e-2)),
+        _Mistake("the track is in mm", "give metres", _measures(track=1e-3)),
+        _Mistake("the wheelbase is in cm", "give metres", _measures(wheelbase=1e-2)),
+        _Mistake("the wheelbase is in mm", "give metres", _measures(wheelbase=1e-3)),
+        _Mistake("track and wheelbase are swapped", "swap them", _measures(swap=True), 0.1),
+        _Mistake("the mass is in g", "give kilograms", _measures(mass=1e-3)),
+        _Mistake("the mass is in lb", "give kilograms", _measures(mass=0.45359237)),
+        _Mistake("the mass is in t", "give kilograms", _measures(mass=1e3)),
+    ]  # fmt: skip
+    # The factor that the pose asks for, or else the turning: what a wheel radius would have to be.
+    geometric = 2 * predict_icr(state.known.wheelbase, state.known.track)
+    wanted = (
+        1 / told.distance
+        if isfinite(told.distance)
+        else (_TURNING.usual * geometric / told.slip_track)
+    )
+    if isfinite(wanted) and wanted > 0:
+        for unit, rate in (("rad/s", 1.0), ("rpm", pi / 30), ("deg/s", pi / 180)):
+            radius = wanted / rate
+            if _WHEEL_RADII[0] <= radius <= _WHEEL_RADII[1]:
+                found.append(
+                    _Mistake(
+                        f"the tread speeds are the wheels' rates in {unit}",
+                        f"map {both(f'{unit}*{radius:.3g}')}: the wheel radius is about "
+                        f"{radius:.3g} m",
+                        _speeds(wanted),
+                        0.0 if unit != "deg/s" else 0.3,
+                    )
+                )
+        if 0.3 <= wanted <= 3.3:
+            found.append(
+                _Mistake(
+                    "the wheel radius is not this robot's",
+                    f"the tread speeds are {1 / wanted:.3g} times what they should be: give "
+                    f"{wanted:.3g} times the wheel radius",
+                    _speeds(wanted),
+                    0.2,
+                )
+            )
+    return found
+
+
+def check_consistency(told: Evidence, known: Measures) -> list[Check]:
+    """Hold what a log tells against itself and against the robot's measures.
+
+    Parameters
+    ----------
+    told : Evidence
+        What the log tells.
+    known : Measures
+        What is known of the robot.
+
+    Returns
+    -------
+    list of Check
+        One for each ratio that could be made. The remedies of those that fail name the mistakes
+        that would explain all of them, the likeliest first.
+    """
+    state = _State(told, known)
+    ratios = [(span, value) for span, value in _ratios(told, known) if isfinite(value)]
+    wrong = [span for span, value in ratios if not span.holds(value)]
+    remedy = _explain(state) if wrong else ""
+    if wrong and not remedy:
+        remedy = "no single mistake explains it: check the units, the wheel radius and the measures"
+    return [
+        Check(span.what, value, span.expected, span not in wrong, remedy if span in wrong else "")
+        for span, value in ratios
+    ]
+
+
+def _explain(state: _State) -> str:
+    """Name the mistakes that explain all the ratios, the likeliest first."""
+    fitting = []
+    for mistake in _mistakes(state):
+        undone = mistake.undo(state)
+        ratios = [pair for pair in _ratios(undone.told, undone.known) if isfinite(pair[1])]
+        if all(span.holds(value) for span, value in ratios):
+            strain = sum(span.strain(value) for span, value in ratios) + mistake.rarity
+            fitting.append((strain, mistake))
+    fitting.sort(key=lambda pair: pair[0])
+    named = [f"perhaps {mistake.name}: {mistake.remedy}" for _, mistake in fitting[:3]]
+    return "; or ".join(named)

@@ -1,0 +1,204 @@
+"""Mistakes that people make with a log or a robot's measures: each is caught, with its remedy."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import energyplan as ep
+from energyplan import simulate
+from energyplan.errors import DriveLogError
+from energyplan.io.logs import read_log
+from energyplan.logs.consistency import Measures, check_consistency, gather
+from energyplan.power import HOTEL, PowerModel
+from energyplan.power.effects import LINEAR_INERTIA
+from energyplan.vehicle import Vehicle
+
+RADIUS = 0.11
+ROBOT = Vehicle.from_geometry(
+    "own robot", mass=30.0, wheelbase=0.62, track=0.4, length=0.8, width=0.5
+)
+MODEL = PowerModel.paper(ROBOT, K=22.0, mu=0.6).with_term(LINEAR_INERTIA, 30.0)
+Columns = dict[str, np.ndarray]
+HUSKY, JACKAL = 0.1651, 0.098
+
+
+def drive(seed: int, battery: bool = False) -> Columns:
+    """Columns of a drive with noise, the pose jittering by a centimetre."""
+    model = MODEL.with_term(HOTEL, 12.0) if battery else MODEL
+    log = simulate.identification_drive(model, power_noise=3.0, speed_noise=0.004, seed=seed)
+    made = {name: np.array(values) for name, values in log.channels.items() if name != "accel_x"}
+    noise = np.random.default_rng(seed)
+    for name in ("x", "y"):
+        made[name] = made[name] + noise.normal(0, 0.01, len(log))
+    made["yaw"] = made["yaw"] + noise.normal(0, 0.005, len(log))
+    if battery:
+        made["voltage"] = 26.0 - 0.002 * log.power
+        made["current"] = (made.pop("p_left") + made.pop("p_right") + 12.0) / made["voltage"]
+    return made
+
+
+def told(columns: Columns, measures: Measures) -> list[str]:
+    """Return what is said against a log and a robot's measures."""
+    try:
+        log = ep.DriveLog.from_columns(columns, "drive")
+    except DriveLogError as error:
+        return [str(error)]
+    checks = check_consistency(gather(log.channels, log.power, log.runs), measures)
+    warnings = [text for text in log.warnings if "lags" not in text and "leads" not in text]
+    return [*warnings, *(str(check) for check in checks if not check.ok)]
+
+
+def scaled(**factors: float) -> Callable[[Columns], Columns]:
+    """Return a mistake of units: readings times a factor."""
+    return lambda made: {name: values * factors.get(name, 1.0) for name, values in made.items()}
+
+
+def speeds(factor: float) -> Callable[[Columns], Columns]:
+    return scaled(v_left=factor, v_right=factor)
+
+
+def powers(factor: float) -> Callable[[Columns], Columns]:
+    return scaled(p_left=factor, p_right=factor)
+
+
+def swapped(one: str, other: str) -> Callable[[Columns], Columns]:
+    return lambda made: {**made, one: made[other], other: made[one]}
+
+
+def backwards(made: Columns) -> Columns:
+    return {**made, "v_left": -made["v_left"], "v_right": -made["v_right"]}
+
+
+def without(change: Callable[[Columns], Columns], *names: str) -> Callable[[Columns], Columns]:
+    return lambda made: {k: v for k, v in change(made).items() if k not in names}
+
+
+def turned(made: Columns) -> Columns:
+    return {**made, "yaw": made["yaw"] - np.pi / 2}
+
+
+def motor_current(made: Columns) -> Columns:
+    """The current of the motors, which is their torque, times the battery's voltage."""
+    effort = np.abs(made["v_left"]) + np.abs(made["v_right"])
+    total = made["p_left"] + made["p_right"]
+    force = np.where(effort > 0.02, np.abs(total) / np.maximum(effort, 0.02), 0.0)
+    rest = {name: values for name, values in made.items() if name not in ("p_left", "p_right")}
+    return {**rest, "voltage": np.full(len(total), 26.0), "current": 0.1 * force}
+
+
+OWN = Measures.of(ROBOT)
+POSE = ("x", "y", "yaw")
+LOGS = {
+    "speeds in rad/s": (speeds(1 / RADIUS), r"wheels' rates in rad/s.*\[rad/s\*0\.1[01]"),
+    "speeds in rad/s, without a pose": (
+        without(speeds(1 / RADIUS), *POSE), r"wheels' rates in rad/s"),
+    "speeds in rpm": (speeds(30 / np.pi / RADIUS), r"rpm\*"),
+    "speeds in km/h": (speeds(3.6), r"\[km/h\]"),
+    "speeds in mm/s": (speeds(1e3), r"mm/s"),
+    "speeds in cm/s": (speeds(100.0), r"cm/s"),
+    "time in ms": (scaled(t=1e3), r"t=NAME\[ms\]"),
+    "time in us": (scaled(t=1e6), r"t=NAME\[us\]"),
+    "time in ns": (scaled(t=1e9), r"t=NAME\[ns\]"),
+    "time in minutes": (scaled(t=1 / 60), r"t=NAME\[min\]"),
+    "power in kW": (powers(1e-3), r"NAME\[kW\]"),
+    "power in mW": (powers(1e3), r"NAME\[mW\]"),
+    "yaw in degrees": (scaled(yaw=180 / np.pi), r"yaw=NAME\[deg\]"),
+    "yaw rate in deg/s": (scaled(yaw_rate=180 / np.pi), r"yaw_rate=NAME\[deg/s\]"),
+    "gyroscope's axis flipped": (scaled(yaw_rate=-1.0), r"gyroscope's axis is flipped.*\[-rad/s\]"),
+    "yaw clockwise": (scaled(yaw=-1.0), r"yaw counts clockwise.*yaw=NAME\[-rad\]"),
+    "yaw from the y axis": (turned, r"90 degrees beside"),
+    "left and right speeds swapped": (swapped("v_left", "v_right"), r"left and right are swapped"),
+    "left and right powers swapped": (swapped("p_left", "p_right"), r"p_left and p_right seem"),
+    "both speeds backwards": (backwards, r"backwards.*\[-m/s\]"),
+    "one speed backwards": (scaled(v_right=-1.0), r"v_right counts the other way.*\[-m/s"),
+    "one speed in km/h": (scaled(v_left=3.6), r"one side is in another unit"),
+    "power's sign": (powers(-1.0), r"wrong sign"),
+    "one side's power's sign": (scaled(p_right=-1.0), r"p_right has the wrong sign"),
+    "a Husky's wheel radius": (speeds(HUSKY / RADIUS), r"wheel radius is not.*0\.6[0-9]* times"),
+    "a wheel's diameter for its radius": (speeds(2.0), r"diameter was taken for its radius"),
+    "the radius of a small wheel": (speeds(0.5), r"wheel radius is not.*(2|1\.9\d) times"),
+    "pose in mm": (scaled(x=1e3, y=1e3), r"x=NAME\[mm\]"),
+    "pose in cm": (scaled(x=100.0, y=100.0), r"x=NAME\[cm\]"),
+    "motor current for battery current": (motor_current, r"motor's current"),
+}  # fmt: skip
+BATTERY = {
+    "current's sign": (scaled(current=-1.0), r"current has the wrong sign.*\[-A\]"),
+    "current in mA": (scaled(current=1e3), r"current=NAME\[mA\]"),
+    "voltage in mV": (scaled(voltage=1e3), r"voltage=NAME\[mV\]"),
+}  # fmt: skip
+MEASURES = {
+    "track and wheelbase in cm": (Measures(40.0, 62.0, 30.0), r"track and wheelbase are in cm"),
+    "track and wheelbase in mm": (Measures(400.0, 620.0, 30.0), r"track and wheelbase are in mm"),
+    "wheelbase in cm": (Measures(0.4, 62.0, 30.0), r"the wheelbase is in cm"),
+    "track in mm": (Measures(400.0, 0.62, 30.0), r"the track is in mm"),
+    "track and wheelbase swapped": (Measures(0.62, 0.4, 30.0), r"swapped"),
+    "mass in g": (Measures(0.4, 0.62, 30e3), r"the mass is in g"),
+    "mass in lb": (Measures(0.4, 0.62, 66.1), r"the mass is in lb"),
+}
+SEEDS = (1, 2)
+
+
+def test_a_drive_without_mistakes_raises_no_alarm() -> None:
+    for seed in (1, 2, 3, 4):
+        assert told(drive(seed), OWN) == []
+        assert told(drive(seed, battery=True), OWN) == []
+        assert told(without(speeds(1.0), *POSE)(drive(seed)), OWN) == []
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_a_mistake_with_the_log_is_caught_with_its_remedy(name: str) -> None:
+    change, remedy = LOGS[name]
+    for seed in SEEDS:
+        said = " | ".join(told(change(drive(seed)), OWN))
+        assert said != ""
+        assert re.search(remedy, said), said
+
+
+@pytest.mark.parametrize("name", BATTERY)
+def test_a_mistake_with_the_battery_is_caught_with_its_remedy(name: str) -> None:
+    change, remedy = BATTERY[name]
+    for seed in SEEDS:
+        said = " | ".join(told(change(drive(seed, battery=True)), OWN))
+        assert re.search(remedy, said), said
+
+
+@pytest.mark.parametrize("name", MEASURES)
+def test_a_mistake_with_the_measures_is_caught_with_its_remedy(name: str) -> None:
+    measures, remedy = MEASURES[name]
+    for seed in SEEDS:
+        said = " | ".join(told(drive(seed), measures))
+        assert re.search(remedy, said), said
+
+
+def real_logs(data: Path) -> Iterator[tuple[ep.DriveLog, Measures]]:
+    """Drives of real robots and of a physics engine, with the robots' measures."""
+    husky, warthog = Measures(0.555, 0.512, 70.0), Measures(1.13, 0.91, 470.0)
+    for folder in ("borealtc", "vulpi"):
+        for file in sorted((data / folder).glob("*/pro_*.csv")):
+            yield read_log(file), husky
+    yield read_log(data / "drive" / "warthog_grass.csv", "yaw_rate=gyro_z"), warthog
+    for file in sorted((data / "drive").glob("husky_hoisted_*.csv")):
+        yield read_log(file), husky
+    for file in sorted((data / "quadriga_mujoco").glob("*_s2_valid.csv.gz")):
+        yield read_log(file), Measures(0.5, 0.475, 83.1 if "empty" in file.name else 147.1)
+
+
+@pytest.mark.shared
+def test_real_drives_raise_no_alarm(shared_data: Path) -> None:
+    """Not even those with quantised speeds, poses that jitter, and wheels in snow or in the air."""
+    alarms = []
+    count = 0
+    for log, measures in real_logs(shared_data):
+        count += 1
+        checks = check_consistency(gather(log.channels, log.power, log.runs), measures)
+        alarms += [f"{log.name}: {check}" for check in checks if not check.ok]
+        words = ("counts the other way", "another unit", "backwards", "beside", "jumps up",
+                 "swapped", "as far as")  # fmt: skip
+        alarms += [f"{log.name}: {text}" for text in log.warnings if any(w in text for w in words)]
+    assert count > 90
+    assert alarms == []
