@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from energyplan.logs.consistency import correlation, distance_ratio, yaw_rates
+from energyplan.logs.evidence import correlation, distance_ratio, yaw_rates
 from energyplan.path import FloatArray
 
 _ENOUGH = 20  # samples below which nothing is concluded
