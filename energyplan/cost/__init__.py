@@ -23,7 +23,13 @@ from numpy.typing import ArrayLike
 
 from energyplan.cost import speeds
 from energyplan.cost.bounds import LowerBound, lower_bound
-from energyplan.cost.direction_table import SPECIAL, Corners, Gauge, steering_parameters, tabulate
+from energyplan.cost.direction_table import (
+    SPECIAL,
+    Corners,
+    DirectionTable,
+    steering_parameters,
+    tabulate,
+)
 from energyplan.errors import InvalidInputError, ModelError
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Path
@@ -257,19 +263,30 @@ class EnergyCost:
 
     # -- energy ---------------------------------------------------------------------------------
 
-    def _element_energy(self, x: FloatArray, y: FloatArray, slope: ArrayLike = 0.0) -> FloatArray:
+    def _element_energy(
+        self,
+        x: FloatArray,
+        y: FloatArray,
+        slope: ArrayLike = 0.0,
+        rate: FloatArray | None = None,
+    ) -> FloatArray:
         """Energy of elements [J], evaluated through the model; they must not vanish."""
-        rate = self._rate(x, y)
+        rate = self._rate(x, y) if rate is None else rate
         safe = np.where(np.isfinite(rate), rate, 1.0 / (np.abs(x) + np.abs(y)))
         return np.asarray(self._drawn.power(self._motion(x, y, safe, slope)) / safe)
 
     @cached_property
-    def gauge(self) -> Gauge:
+    def gauge(self) -> DirectionTable:
         """Energy over the direction of motion, tabulated, with the error of the table."""
         return tabulate(self._element_energy)
 
     def segment_energy(
-        self, ds: ArrayLike, dtheta: ArrayLike, slope: ArrayLike | None = None
+        self,
+        ds: ArrayLike,
+        dtheta: ArrayLike,
+        slope: ArrayLike | None = None,
+        *,
+        exact: bool = True,
     ) -> FloatArray:
         """Return the energy of arcs, as they are driven.
 
@@ -283,6 +300,9 @@ class EnergyCost:
             Slope of the ground along the heading [rad], positive when climbing along +x; level
             where not given. A slope is evaluated through the model, which is slower than the
             table that serves level ground, and at the speeds of level ground.
+        exact : bool
+            Whether the speeds on slopes are sought anew; else they come from a table, which is
+            quicker where energy depends on speed.
 
         Returns
         -------
@@ -293,11 +313,12 @@ class EnergyCost:
         x, y = self._element(ds, dtheta)
         if slope is None:
             return self.gauge(x, y)
-        x, y, tilt = np.broadcast_arrays(x, y, np.asarray(slope, float))
+        x, y = np.broadcast_arrays(x, y)
         moves = (x != 0) | (y != 0)
-        out = np.zeros(x.shape)
-        out[moves] = self._element_energy(x[moves], y[moves], tilt[moves])
-        return out
+        x = np.where(moves, x, 1.0)
+        quick = not exact and self.speed is None and not self._static
+        rate = 1.0 / self._clock(x, y) if quick else None
+        return np.where(moves, self._element_energy(x, y, slope, rate), 0.0)
 
     def _moving(self, path: Path, slope: ArrayLike = 0.0) -> list[FloatArray]:
         """Elements of a path that do not vanish, rid of rounding in pivots, and their slopes."""
@@ -355,21 +376,36 @@ class EnergyCost:
         return np.asarray(1.0 / rate)
 
     @cached_property
-    def _clock(self) -> Gauge:
+    def _clock(self) -> DirectionTable:
         """Duration over the direction of motion, tabulated like `gauge`."""
         return tabulate(self._element_duration)
 
-    def segment_duration(self, ds: ArrayLike, dtheta: ArrayLike) -> FloatArray:
+    def segment_duration(
+        self,
+        ds: ArrayLike,
+        dtheta: ArrayLike,
+        *,
+        exact: bool = False,
+        fastest: bool = False,
+    ) -> FloatArray:
         """Return the time that arcs take, as they are driven [s]; arguments as in `segment_energy`.
 
-        It comes from a table like that of `gauge`; `duration` asks the model itself.
+        It comes from a table like that of `gauge` unless it must be `exact`, or is that of the
+        `fastest` speed within the limits rather than of the cheapest.
 
         Raises
         ------
         InvalidInputError
             If neither the vehicle nor `speed` limits the speed.
         """
-        return self._clock(*self._element(ds, dtheta))
+        x, y = np.broadcast_arrays(*self._element(ds, dtheta))
+        if not exact and not fastest:
+            return self._clock(x, y)
+        moves = (x != 0) | (y != 0)
+        x = np.where(moves, x, 1.0)
+        limited = fastest and self.speed is None
+        duration = 1.0 / self._admissible_rate(x, y) if limited else self._element_duration(x, y)
+        return np.where(moves, duration, 0.0)
 
     def per_metre(self, curvature: ArrayLike, speed: ArrayLike | None = None) -> FloatArray:
         """Return the energy per metre on arcs.
@@ -437,7 +473,7 @@ class EnergyCost:
         ----------
         docs/theory, section 5.
         """
-        return lower_bound(self.gauge, self.icr, point)
+        return lower_bound(self._element_energy, self.icr, point)
 
     @cached_property
     def _corners(self) -> Corners:

@@ -1,15 +1,33 @@
-"""Lower bounds on the energy of any motion, from the gauge of its elements."""
+"""Lower bounds on the cost of any motion: true infima over its direction.
+
+A table is linear between its directions and lies above a model that bends between them. What no
+motion may cost less than is therefore sought on the model itself.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from energyplan.cost.direction_table import Gauge
+from energyplan.cost.direction_table import SPECIAL, octant_directions, scan_ratios
 from energyplan.path import FloatArray
 from energyplan.vehicle import TreadICR
+
+SLACK = 1e-6
+"""Part by which a rate is reported lower than the least value that the search for it met."""
+
+_ROUNDING = 1e-13  # part by which a price may be off by rounding, where differences are taken
+_BASINS = 8  # local minima of the scan that are followed
+_ZOOMS, _CUTS = 7, 9  # rounds in which a minimum is enclosed, and places tried in each
+_WINDING = 0.1  # turn of a usual path, for each half slip track of its length [rad]
+
+
+_Value = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
+"""A value of directions ``(x, y)`` and their prices."""
 
 
 @dataclass(frozen=True)
@@ -35,18 +53,216 @@ class LowerBound:
         )
 
 
-def lower_bound(gauge: Gauge, icr: TreadICR, point: tuple[float, float]) -> LowerBound:
+@dataclass(frozen=True)
+class Infimum:
+    """Least values over all directions of motion, sought on the model itself.
+
+    Directions ``(x, y) = (ds, C dtheta)`` lie on the square ``max(|x|, |y|) = 1``. They are
+    scanned, the more closely the nearer to straight motion, spin and pivot, and the lowest places
+    of the scan are enclosed ever more tightly. So a value is found up to `SLACK` unless it hides in
+    a dip that is narrower than the intervals of the scan and lies away from all others.
+
+    Parameters
+    ----------
+    price : callable
+        ``price(x, y)`` of directions of shape (n,), to shape (..., n): rows for different grounds.
+    even : int
+        Intervals of each octant that are scanned.
+    around : tuple of float
+        Values of ``x / y`` at which prices may jump, beside straight motion, spin and pivot.
+    """
+
+    price: Callable[[FloatArray, FloatArray], FloatArray]
+    even: int = 64
+    around: tuple[float, ...] = ()
+
+    @cached_property
+    def _scan(self) -> FloatArray:
+        """Ratios of the scan, shape (m,)."""
+        near = np.concatenate([[0.0], np.geomspace(1e-7, 0.5 / self.even, 20)])
+        places = [scan_ratios(self.even)]
+        for value in np.abs(self.around):
+            ratio = float(value if value <= 1.0 else 1.0 / value)
+            places += [ratio - near, ratio + near]
+        scan = np.unique(np.concatenate(places))
+        return scan[(scan >= 0.0) & (scan <= 1.0)]
+
+    @cached_property
+    def _scanned(self) -> FloatArray:
+        """Prices of the scan, shape (..., 8, m)."""
+        x, y = octant_directions(self._scan)
+        values = np.asarray(self.price(x.ravel(), y.ravel()))
+        return values.reshape(*values.shape[:-1], *x.shape)
+
+    @cached_property
+    def special(self) -> FloatArray:
+        """Prices of straight motion, spins and pivots as ordered in `SPECIAL`, shape (..., 8)."""
+        return np.asarray(self.price(SPECIAL[:, 0], SPECIAL[:, 1]))
+
+    @cached_property
+    def slack(self) -> float:
+        """Part by which a rate is lowered: none where prices are linear within the octants."""
+        inner, ratio = self._scanned[..., 1:-1], self._scan[1:-1]
+        part = (ratio - ratio[0]) / (ratio[-1] - ratio[0])
+        line = inner[..., :1] * (1.0 - part) + inner[..., -1:] * part
+        return 0.0 if np.all(np.abs(line - inner) <= 1e-12 * np.abs(inner)) else SLACK
+
+    def lowered(self, rate: float) -> float:
+        """Return a rate less the part that the search for it may have missed."""
+        return rate - self.slack * abs(rate)
+
+    def least(self, value: _Value) -> float:
+        """Return the least value over all directions and grounds.
+
+        Parameters
+        ----------
+        value : callable
+            ``value(x, y, price)``, broadcasting; infinite where a direction does not matter.
+
+        Returns
+        -------
+        float
+            The least value that was met; up to `SLACK` the infimum.
+        """
+
+        def lowest(octant: FloatArray, ratio: FloatArray) -> FloatArray:
+            x, y = (
+                part[octant.ravel().astype(int), np.arange(ratio.size)]
+                for part in octant_directions(ratio.ravel())
+            )
+            found = value(x, y, np.asarray(self.price(x, y)))
+            return np.asarray(found.reshape(-1, x.size).min(axis=0)).reshape(ratio.shape)
+
+        x, y = octant_directions(self._scan)
+        scanned = value(x, y, self._scanned)
+        scanned = scanned.reshape(-1, *x.shape).min(axis=0)
+        best = float(scanned.min())
+        if self.slack == 0.0:
+            return best  # rates of linear prices are least at the ends of an octant
+        left = np.column_stack([np.full(8, np.inf), scanned[:, :-1]])
+        right = np.column_stack([scanned[:, 1:], np.full(8, np.inf)])
+        octant, place = np.nonzero(np.isfinite(scanned) & (scanned <= left) & (scanned <= right))
+        order = np.argsort(scanned[octant, place], kind="stable")[:_BASINS]
+        octant, place = octant[order], place[order]
+        low = self._scan[np.maximum(place - 1, 0)]
+        high = self._scan[np.minimum(place + 1, len(self._scan) - 1)]
+        cuts = np.arange(1, _CUTS + 1) / (_CUTS + 1)
+        for _ in range(_ZOOMS):
+            ratio = low[:, None] + (high - low)[:, None] * cuts
+            found = lowest(np.broadcast_to(octant[:, None], ratio.shape), ratio)
+            best = min(best, float(found.min()))
+            k = found.argmin(axis=1)
+            rows = np.arange(len(k))
+            edges = np.column_stack([low, ratio, high])
+            low, high = edges[rows, k], edges[rows, k + 2]
+        return best
+
+    def rates(self, half_track: float, track: float = 0.0) -> LowerBound:
+        """Return rates: no price is below ``metre max(|ds|, track |dtheta|) + radian |dtheta|``.
+
+        Parameters
+        ----------
+        half_track : float
+            Half the slip track, by which ``y`` counts turns [m].
+        track : float
+            Distance that a radian counts as at least [m].
+
+        Returns
+        -------
+        LowerBound
+            The price of straight motion, where turning costs something beyond it however wide the
+            arc is. Else a metre is priced lower, so that a radian is worth more: as is best for a
+            path that turns by a tenth of a radian over half the slip track.
+        """
+
+        def travel(x: FloatArray, y: FloatArray) -> FloatArray:
+            return np.maximum(np.abs(x), track / half_track * np.abs(y))
+
+        metre = self._balanced(travel, half_track)
+        radian = self.least(beyond(metre, travel, half_track))
+        if radian < 0:
+            metre, radian = min(metre, self.least(per_metre(travel))), 0.0
+        return LowerBound(self.lowered(metre), self.lowered(radian))
+
+    def _balanced(
+        self, travel: Callable[[FloatArray, FloatArray], FloatArray], half_track: float
+    ) -> float:
+        """Return the price of a metre which, with that of a radian, is best for a usual path."""
+        x, y = octant_directions(self._scan)
+        way, turn = travel(x, y), np.abs(y) / half_track
+        lowest = self._scanned.reshape(-1, *x.shape).min(axis=0)
+        turns = turn > 0
+        price, way, turn = lowest[turns], way[turns], turn[turns]
+
+        def worth(metre: float) -> float:
+            radian = float(((price * (1.0 + _ROUNDING) - metre * way) / turn).min())
+            return metre + _WINDING / half_track * radian if radian >= 0 else -np.inf
+
+        # the price of a radian is concave in that of a metre, and so is their sum
+        low, high = 0.0, float(self.special[..., :2].min())
+        straight = high
+        for _ in range(60):
+            third = (high - low) / 3.0
+            if worth(low + third) < worth(high - third) > -np.inf:
+                low += third
+            else:
+                high -= third
+        found = 0.5 * (low + high)
+        return straight if worth(straight) >= worth(found) * (1.0 - 1e-9) else found
+
+
+def per_metre(travel: Callable[[FloatArray, FloatArray], FloatArray]) -> _Value:
+    """Return what a motion costs for each metre that it travels."""
+
+    def value(x: FloatArray, y: FloatArray, price: FloatArray) -> FloatArray:
+        way = travel(x, y)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(way > 0, price / way, np.inf)
+
+    return value
+
+
+def beyond(
+    metre: float, travel: Callable[[FloatArray, FloatArray], FloatArray], half_track: float
+) -> _Value:
+    """Return what a motion costs for each radian, beyond a price of the metres that it travels."""
+
+    def value(x: FloatArray, y: FloatArray, price: FloatArray) -> FloatArray:
+        turn = np.abs(y) / half_track
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rest = (price * (1.0 + _ROUNDING) - metre * travel(x, y)) / turn
+        return np.where(turn > 0, rest, np.inf)
+
+    return value
+
+
+def lower_bound(
+    price: Callable[[FloatArray, FloatArray], FloatArray], icr: TreadICR, point: tuple[float, float]
+) -> LowerBound:
     """Return the coefficients for the path of a body point.
 
-    Along a cone between two of the gauge's directions the energy is linear and the distance that
-    the point travels is convex, so their difference is least at the directions themselves.
+    Parameters
+    ----------
+    price : callable
+        ``price(x, y)`` of elements ``(ds, C dtheta)`` of the centre of the tread ICRs.
+    icr : TreadICR
+        Tread ICRs.
+    point : tuple of float
+        Body coordinates of the point [m].
+
+    Returns
+    -------
+    LowerBound
+        With the largest price of a metre, that of the cheapest straight line unless a turn moves
+        the point for less.
     """
-    x, y = gauge.directions.T
-    energy = gauge.values * (1.0 - 2.0 * gauge.error)
     lx, ly = icr.centre
-    turn = y / icr.half_track
-    travel = np.hypot(x - (point[1] - ly) * turn, (point[0] - lx) * turn)
-    moves, turns = travel > 0, turn != 0
-    per_metre = float(np.min(energy[moves] / travel[moves]))
-    rest = (energy - per_metre * travel)[turns] / np.abs(turn[turns])
-    return LowerBound(per_metre, max(float(rest.min()), 0.0))
+
+    def travel(x: FloatArray, y: FloatArray) -> FloatArray:
+        turn = y / icr.half_track
+        return np.hypot(x - (point[1] - ly) * turn, (point[0] - lx) * turn)
+
+    infimum = Infimum(price, around=(ly / icr.half_track,))
+    metre = infimum.lowered(infimum.least(per_metre(travel)))
+    radian = infimum.least(beyond(metre, travel, icr.half_track))
+    return LowerBound(metre, max(infimum.lowered(radian), 0.0))

@@ -25,22 +25,29 @@ _EDGE = 1e-6  # an octant's limits towards its ends are extrapolated from here
 
 @njit
 def element_energy(
-    x: FloatArray, y: FloatArray, table: FloatArray, special: FloatArray, out: FloatArray
+    x: FloatArray,
+    y: FloatArray,
+    ratio: FloatArray,
+    table: FloatArray,
+    special: FloatArray,
+    out: FloatArray,
 ) -> None:
-    """Energy of path elements, by linear interpolation of a gauge's table.
+    """Energy of path elements, by linear interpolation of a direction table.
 
     Parameters
     ----------
     x, y : ndarray, shape (m,)
         Arc length of the centre and turn times half the slip track [m].
+    ratio : ndarray, shape (n + 1,)
+        Nodes of the table in each octant, from 0 to 1.
     table : ndarray, shape (8, n + 1)
-        Energy on the square at the ratios ``0, 1/n, ..., 1`` of each octant.
+        Energy on the square at these ratios of each octant.
     special : ndarray, shape (8,)
         Energy in the special directions, ordered as in `SPECIAL`.
     out : ndarray, shape (m,)
         Filled with the energies [J].
     """
-    last = table.shape[1] - 1
+    last = len(ratio) - 1
     for i in range(len(out)):
         a, b = abs(x[i]), abs(y[i])
         back, right = int(x[i] < 0.0), int(y[i] < 0.0)
@@ -51,10 +58,17 @@ def element_energy(
         elif small >= (1.0 - SNAP) * big:
             out[i] = big * special[4 + 2 * right + back]
         else:
-            place = small / big * last
-            k = min(int(place), last - 1)
+            place = small / big
+            low, high = 0, last
+            while high - low > 1:
+                middle = (low + high) // 2
+                if ratio[middle] <= place:
+                    low = middle
+                else:
+                    high = middle
+            part = (place - ratio[low]) / (ratio[high] - ratio[low])
             row = table[4 * int(spin) + 2 * right + back]
-            out[i] = big * (row[k] + (place - k) * (row[k + 1] - row[k]))
+            out[i] = big * (row[low] + part * (row[high] - row[low]))
 
 
 SPECIAL = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1)], float)
@@ -62,19 +76,23 @@ SPECIAL = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), 
 
 
 @dataclass(frozen=True)
-class Gauge:
+class DirectionTable:
     """Energy over the direction of motion.
 
     Parameters
     ----------
+    ratio : ndarray, shape (n + 1,)
+        Nodes in each octant, from 0 to 1; close together where the energy bends.
     table : ndarray, shape (8, n + 1)
-        Energy on the square within each octant, with one-sided limits at its ends [J/m].
+        Energy on the square at these ratios of each octant, with one-sided limits at its
+        ends [J/m].
     special : ndarray, shape (8,)
         Energy in the special directions [J/m].
     error : float
         Largest relative error of interpolating the table, measured between its nodes.
     """
 
+    ratio: FloatArray
     table: FloatArray
     special: FloatArray
     error: float
@@ -86,6 +104,7 @@ class Gauge:
         element_energy(
             np.ascontiguousarray(wide_x).ravel(),
             np.ascontiguousarray(wide_y).ravel(),
+            self.ratio,
             self.table,
             self.special,
             out,
@@ -95,10 +114,7 @@ class Gauge:
     @property
     def directions(self) -> FloatArray:
         """Directions on the square that the table and the special values stand for, (m, 2)."""
-        n = self.table.shape[1] - 1
-        if n == 1:
-            return SPECIAL
-        x, y = octant_directions(np.arange(1, n) / n)
+        x, y = octant_directions(self.ratio[1:-1])
         return np.vstack([SPECIAL, np.column_stack([x.ravel(), y.ravel()])])
 
     @property
@@ -168,13 +184,13 @@ class Corners:
     error: float
 
 
-def steering_parameters(gauge: Gauge, corners: Corners, icr: TreadICR) -> FloatArray:
+def steering_parameters(table: DirectionTable, corners: Corners, icr: TreadICR) -> FloatArray:
     """Return what the compiled kernels read; laid out in `energyplan.steering.kernels`."""
     C, (lx, ly) = icr.half_track, icr.centre
-    ahead, behind, pivot = (float(gauge.special[k]) for k in (0, 1, 4))
+    ahead, behind, pivot = (float(table.special[k]) for k in (0, 1, 4))
     head = np.zeros(16)
     head[:8] = [0.0, C, lx, ly, ahead, pivot * C, ahead * C, behind * C]
-    if gauge.is_static:
+    if table.is_static:
         return head
     left = _turn_table(corners.left, C, ahead * C)
     right = _turn_table(corners.right * [1.0, -1.0], C, ahead * C)
@@ -212,8 +228,12 @@ def tabulate(
     energy: Callable[[FloatArray, FloatArray], FloatArray],
     tolerance: float = 1e-7,
     most: int = 1024,
-) -> Gauge:
+) -> DirectionTable:
     """Tabulate a homogeneous energy, as finely as interpolation within `tolerance` needs.
+
+    An interval between two nodes is halved as long as the energy is off the straight line at its
+    quarters. So nodes gather where the energy bends, be it between straight motion and the widest
+    arcs that anybody would draw.
 
     Parameters
     ----------
@@ -222,40 +242,64 @@ def tabulate(
     tolerance : float
         Largest relative error wanted.
     most : int
-        Largest number of intervals per octant.
+        Largest number of intervals per octant, beyond which the worst are halved no more.
 
     Returns
     -------
-    Gauge
+    DirectionTable
         The table with its measured error. Piecewise linear energies need one interval.
     """
     special = energy(SPECIAL[:, 0], SPECIAL[:, 1])
-    n = 1
+    near = energy(*octant_directions(np.array([_EDGE, 2 * _EDGE, 1 - 2 * _EDGE, 1 - _EDGE])))
+    ends = np.column_stack([2 * near[:, 0] - near[:, 1], 2 * near[:, 3] - near[:, 2]])
+    scan = scan_ratios(16)[1:-1]
+    value = energy(*octant_directions(scan))
+    line = ends[:, :1] + scan * (ends[:, 1:] - ends[:, :1])
+    error = float(np.abs(line / value - 1.0).max())
+    if error <= tolerance:
+        return DirectionTable(np.array([0.0, 1.0]), ends, special, error)
+    ratio = np.concatenate([[0.0], scan, [1.0]])
+    table = np.column_stack([ends[:, 0], value, ends[:, 1]])
+    errors = np.full(len(ratio) - 1, np.inf)
+    middle = np.empty((8, len(errors)))
     while True:
-        table = _nodes(energy, n)
-        between = (np.arange(n) + 0.5) / n
-        straight_line = 0.5 * (table[:, 1:] + table[:, :-1])
-        true = energy(*octant_directions(between))
-        offset = 0.25 / n  # two more places, off the middle, so that a kink there is seen
-        quarter = energy(*octant_directions(between + offset))
-        line = 0.25 * table[:, :-1] + 0.75 * table[:, 1:]
-        error = max(
-            float(np.max(np.abs(straight_line / true - 1.0))),
-            float(np.max(np.abs(line / quarter - 1.0))),
-        )
-        if error <= tolerance or n >= most:
-            return Gauge(table, special, error)
-        n *= 4
+        new = np.flatnonzero(np.isinf(errors))
+        low, width = ratio[new], np.diff(ratio)[new]
+        places = low + width * np.array([[0.25], [0.5], [0.75]])
+        value = energy(*octant_directions(places.ravel())).reshape(8, 3, -1)
+        part = np.array([[0.25], [0.5], [0.75]])
+        line = table[:, None, new] * (1.0 - part) + table[:, None, new + 1] * part
+        errors[new] = np.abs(line / value - 1.0).max(axis=(0, 1))
+        middle[:, new] = value[:, 1]
+        split = np.flatnonzero((errors > tolerance) & (np.diff(ratio) > _EDGE))
+        room = most - len(errors)
+        if len(split) > room:
+            split = np.sort(split[np.argsort(-errors[split])[:room]])
+        if not len(split):
+            return DirectionTable(ratio, table, special, float(errors.max()))
+        ratio = np.insert(ratio, split + 1, 0.5 * (ratio[split] + ratio[split + 1]))
+        table = np.insert(table, split + 1, middle[:, split], axis=1)
+        errors[split] = np.inf
+        errors = np.insert(errors, split + 1, np.inf)
+        middle = np.insert(middle, split + 1, 0.0, axis=1)
 
 
-def _nodes(energy: Callable[[FloatArray, FloatArray], FloatArray], n: int) -> FloatArray:
-    """Energies at the nodes of every octant, with one-sided limits at its ends."""
-    ends = np.array([_EDGE, 2 * _EDGE, 1 - 2 * _EDGE, 1 - _EDGE])
-    inner = np.arange(1, n) / n
-    value = energy(*octant_directions(np.concatenate([inner, ends])))
-    near = value[:, n - 1 :]
-    first, last = 2 * near[:, 0] - near[:, 1], 2 * near[:, 3] - near[:, 2]
-    return np.column_stack([first, value[:, : n - 1], last])
+def scan_ratios(even: int) -> FloatArray:
+    """Return ratios of an octant to look at first: `even` intervals, and ever less to its ends.
+
+    Parameters
+    ----------
+    even : int
+        Number of intervals of one width.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Ratios from 0 to 1, rising; those next to the ends are 1e-7 away from them.
+    """
+    fine = np.geomspace(1e-7, 1.0 / even, 25)[:-1]
+    inner = np.concatenate([fine, np.arange(1, even) / even, 1.0 - fine[::-1]])
+    return np.concatenate([[0.0], inner, [1.0]])
 
 
 def _simplify(hull: FloatArray, tolerance: float) -> tuple[FloatArray, float]:

@@ -14,7 +14,7 @@ from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.bound import DETAILS, lower_bound, outline
 from energyplan.planning.bound import corners as kernels
 from energyplan.planning.bound.corners import HEADINGS, Rates, line_open
-from energyplan.planning.bound.surface_excess import least_excess, least_steps, metre_excess
+from energyplan.planning.bound.surface_excess import least_excess, least_steps
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
@@ -205,7 +205,7 @@ def test_a_dear_strip_that_must_be_crossed_is_charged():
     strip = shapely.difference(shapely.box(-1, -1, 21, 11), shapely.box(8, -2, 12, 12))
     problem = two_grounds(strip)
     query = CompiledProblem(problem)
-    per_metre = float(metre_excess(query)[0])
+    per_metre = float(query.least_prices.metre_excess()[0])
     marble = EnergyCost(PowerModel.preset("quadriga:empty:marble"))
     assert per_metre == pytest.approx(
         float(COST.segment_energy(1.0, 0.0) - marble.segment_energy(1.0, 0.0))
@@ -233,7 +233,7 @@ def test_cells_are_joined_on_large_maps(monkeypatch):
     fine = least_excess(query, 0.3, 1e6)
     monkeypatch.setattr("energyplan.planning.bound.surface_excess.MOST_CELLS", 5000)
     coarse = least_excess(query, 0.3, 1e6)
-    assert 0.7 * fine < coarse <= 4.0 * float(metre_excess(query)[0])
+    assert 0.7 * fine < coarse <= 4.0 * float(query.least_prices.metre_excess()[0])
 
 
 def test_least_steps_agree_with_networkx():

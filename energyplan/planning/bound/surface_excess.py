@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from energyplan.compilation import njit
-from energyplan.path import FloatArray
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.field import pop, push
 from energyplan.terrain import OccupancyGrid, SurfaceMap
@@ -25,19 +24,6 @@ MOST_CELLS = 250_000
 
 _cells: WeakKeyDictionary[OccupancyGrid, tuple[SurfaceMap, NDArray[np.intp]]]
 _cells = WeakKeyDictionary()
-
-
-def metre_excess(query: CompiledProblem) -> FloatArray:
-    """Return by how much a metre on each class of surface exceeds one on the cheapest, at least.
-
-    Beside it every radian costs what it costs at least anywhere.
-    """
-    travel = np.abs(query.rays[:, 0])
-    turn = np.abs(query.rays[:, 1]) / query.problem.cost.half_track
-    moves = travel > 1e-9
-    values = query.fine_prices.reshape(len(query.costs), -1, len(travel))[..., moves]
-    metre = (values - query.least.radian * turn[moves]) / travel[moves]
-    return np.asarray(np.maximum(metre.min(axis=(1, 2)) - query.least.metre, 0.0))
 
 
 def least_excess(query: CompiledProblem, radius: float, limit: float) -> float:
@@ -60,7 +46,7 @@ def least_excess(query: CompiledProblem, radius: float, limit: float) -> float:
     surfaces = query.problem.surfaces
     if surfaces is None:
         return 0.0
-    dear = metre_excess(query)
+    dear = query.least_prices.metre_excess()
     if dear.max() <= 1e-9 * query.least.metre:
         return 0.0
     grid = query.grid

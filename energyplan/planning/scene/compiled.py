@@ -23,6 +23,7 @@ from energyplan.planning.problem import Plan, PlanningProblem
 from energyplan.planning.scene import slopes as _slopes
 from energyplan.planning.scene.motions import DIRECTIONS, LEVEL, Hills, KernelProblem
 from energyplan.planning.scene.prices import Prices
+from energyplan.planning.scene.rates import LeastPrices, Minorant, least_prices
 from energyplan.terrain import OccupancyGrid, SurfaceMap
 from energyplan.terrain.collision import Body, pose_free
 
@@ -42,30 +43,6 @@ class Segments(NamedTuple):
 
     ds: FloatArray
     dtheta: FloatArray
-
-
-class Minorant(NamedTuple):
-    """No motion costs less than ``metre max(|ds|, track |dtheta|) + radian |dtheta|``."""
-
-    metre: float
-    radian: float
-    track: float
-
-
-def minorant(values: FloatArray, rays: FloatArray, half_track: float, track: float) -> Minorant:
-    """Return the greatest such bound below prices on rays of the plane ``(ds, C dtheta)``."""
-    travel = np.abs(rays[:, 0])
-    turn = np.abs(rays[:, 1]) / half_track
-    straight = turn < 1e-12
-    metre = float(values[..., straight].min())
-    rest = values - metre * np.maximum(travel, track * turn)
-    turning = ~straight
-    radian = float((rest[..., turning] / turn[turning]).min())
-    if radian < 0:
-        # gentle arcs cost less than straight motion: lower the price of a metre instead
-        metre = float((values / np.maximum(np.maximum(travel, track * turn), 1e-12)).min())
-        radian = 0.0
-    return Minorant(metre, radian, track)
 
 
 class Ground(NamedTuple):
@@ -148,17 +125,12 @@ class CompiledProblem:
             travel = np.abs(self.rays[:, 0])
             return _slopes.priced(self.objective, ds, dtheta, travel, self.steepest)
         prices = [self.objective.motion(ds, dtheta, k) for k in range(len(self.costs))]
-        return _slopes.Priced(np.array(prices), np.array(prices), 0.0)
+        return _slopes.Priced(np.array(prices), 0.0)
 
     @property
     def prices(self) -> FloatArray:
         """Price of the rays, shape (classes * slopes, DIRECTIONS + 1)."""
         return self._priced.kept
-
-    @property
-    def fine_prices(self) -> FloatArray:
-        """Price of the rays at more slopes, class by class, shape (m, DIRECTIONS + 1)."""
-        return self._priced.fine
 
     def worth(self, pose: Pose) -> float:
         """Return what the height at a pose is worth; only differences mean something."""
@@ -173,9 +145,15 @@ class CompiledProblem:
         return self.worth(goal) - self.worth(self.problem.start)
 
     @cached_property
+    def least_prices(self) -> LeastPrices:
+        """What motions cost at least on any ground and slope."""
+        sloping = self.steepest > _slopes.FLAT
+        return least_prices(self.objective, self.steepest if sloping else 0.0, self._priced.worth)
+
+    @property
     def least(self) -> Minorant:
         """What motions cost at least, metres and radians apart, less what the rise is worth."""
-        return minorant(self._priced.fine, self.rays, self.problem.cost.half_track, 0.0)
+        return self.least_prices.minorant(0.0)
 
     @cached_property
     def steering(self) -> Minorant:
@@ -186,7 +164,7 @@ class CompiledProblem:
         pivot, spin, straight = level[eighth] * np.sqrt(2), level[quarter], level[0]
         # where a pivot costs clearly more than a spin, turning and driving are paid apart
         track = half if pivot - spin < 0.5 * straight else SHORT_TRACK
-        found = minorant(self._priced.fine, self.rays, half, track)
+        found = self.least_prices.minorant(track)
         if not found.metre > 0:
             raise ModelError("the objective makes some motion free; give energy or time a weight")
         return found

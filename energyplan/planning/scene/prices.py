@@ -58,6 +58,8 @@ class Prices:
         dtheta: ArrayLike,
         region: int = 0,
         steep: ArrayLike | None = None,
+        *,
+        exact: bool = False,
     ) -> FloatArray:
         """Return the price of arcs within one region.
 
@@ -71,6 +73,8 @@ class Prices:
             Number of the region.
         steep : array_like, shape (...), optional
             Slope along the heading, as rise over run; level where not given.
+        exact : bool
+            Whether to ask the model itself, speeds included, rather than its tables.
 
         Returns
         -------
@@ -79,12 +83,30 @@ class Prices:
         """
         cost = self.costs[region]
         energy, length, time = self._weights
-        slope, along = None, np.asarray(ds, float)
+        slope: ArrayLike | None = 0.0 if exact else None
+        along = np.asarray(ds, float)
         if steep is not None:
             slope, along = np.arctan(steep), along * np.hypot(1.0, steep)
-        total = energy * cost.segment_energy(along, dtheta, slope) + length * np.abs(ds)
-        # without need a vehicle without a speed limit is not asked for its time
-        return np.asarray(total + time * cost.segment_duration(along, dtheta) if time else total)
+        total = energy * cost.segment_energy(along, dtheta, slope, exact=exact)
+        total = total + length * np.abs(ds)
+        if time:  # without need a vehicle without a speed limit is not asked for its time
+            total = total + time * cost.segment_duration(along, dtheta, exact=exact)
+        return np.asarray(total)
+
+    def floor(self, ds: ArrayLike, dtheta: ArrayLike, region: int, steep: ArrayLike) -> FloatArray:
+        """Return what arcs on slopes cost at least; arguments as for `motion`.
+
+        Where time is weighed otherwise than the cheapest speed weighs it, durations may jump from
+        one direction to the next, so that the fastest admissible speed stands for them.
+        """
+        cost = self.costs[region]
+        energy, length, time = self._weights
+        if time <= energy * cost.time_value * (1.0 + 1e-9):
+            return self.motion(ds, dtheta, region, steep)
+        along = np.asarray(ds, float) * np.hypot(1.0, steep)
+        total = energy * cost.segment_energy(along, dtheta, np.arctan(steep), exact=False)
+        least = cost.segment_duration(along, dtheta, fastest=True)
+        return np.asarray(total + length * np.abs(ds) + time * least)
 
     def value(self, energy: float, length: float, duration: float) -> float:
         """Return the price of a whole path, given its energy [J], length [m] and duration [s]."""

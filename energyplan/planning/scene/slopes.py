@@ -27,7 +27,7 @@ BINS = 65
 """Slopes in the price tables of the kernels; odd, so that level ground is one of them."""
 
 FINER = 4
-"""Slopes between two of these at which the bounds on prices are sought as well."""
+"""Slopes between two of these at which the price of height is sought as well."""
 
 FLAT = 1e-9
 """Slopes below this are none."""
@@ -139,14 +139,11 @@ class Priced(NamedTuple):
     ----------
     kept : ndarray, shape (classes * BINS, rays)
         What the kernels interpolate.
-    fine : ndarray, shape (m, rays)
-        The same at more slopes.
     worth : float
         The price of height that was taken off.
     """
 
     kept: FloatArray
-    fine: FloatArray
     worth: float
 
 
@@ -204,7 +201,7 @@ def _priced(
     worth = potential(fine, np.broadcast_to(travel, fine.shape), rise)
     fine = fine - worth * rise
     kept = np.ascontiguousarray(fine[:, ::FINER])
-    return Priced(kept.reshape(-1, len(ds)), fine.reshape(-1, len(ds)), worth)
+    return Priced(kept.reshape(-1, len(ds)), worth)
 
 
 def potential(prices: FloatArray, travel: FloatArray, rise: FloatArray) -> float:

@@ -1,0 +1,187 @@
+"""Rates against the models themselves, on motions of every curvature, for models of every kind."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+
+from energyplan.cost import EnergyCost
+from energyplan.cost.bounds import SLACK, Infimum
+from energyplan.errors import ModelError
+from energyplan.planning.scene.prices import Prices
+from energyplan.planning.scene.rates import least_prices
+from energyplan.power import HOTEL, PowerModel, Term
+from energyplan.power.effects import catalogue, term, with_weight
+from energyplan.power.empirical import empirical_term
+from energyplan.terrain import Surface, SurfaceMap
+from energyplan.vehicle import MotorLimits, TreadICR
+
+MODEL = PowerModel.preset("quadriga:empty:concrete")
+SIZES = {
+    "hotel_load": 200.0, "viscous_loss": 80.0, "air_drag": 40.0, "copper_loss": 1e-3,
+    "traction_asymmetry": 40.0, "dragging_wheel_left": 60.0, "dragging_wheel_right": 60.0,
+    "turn_asymmetry": 0.2, "slip_speed_friction": 0.4, "friction_mobilisation": 0.627,
+    "towing_force": 60.0,
+}  # fmt: skip
+"""Effects that a planner can use on level ground, and the greatest size tried."""
+
+
+def random_model(seed):
+    """Return the cost of a model of random effects, None where it would be no model."""
+    rng = np.random.default_rng(seed)
+    icr = TreadICR(*rng.uniform(0.2, 0.7, 2), rng.uniform(-0.1, 0.1))
+    vehicle = replace(
+        MODEL.vehicle,
+        icr=icr,
+        motor=MotorLimits(speed=rng.uniform(0.5, 3.0)),
+        drive_efficiency=rng.uniform(0.6, 1.0),
+        regen_efficiency=rng.uniform(0.0, 1.0),
+    )
+    model = replace(MODEL, vehicle=vehicle)
+    for name in rng.choice(sorted(SIZES), rng.integers(1, 4), replace=False):
+        made = term(str(name))
+        if made.params:
+            made = replace(made, params={k: 10.0 ** rng.uniform(-1, 1.5) for k in made.params})
+        sign = rng.choice([-1.0, 1.0]) if made.bounds[0] < 0 else 1.0
+        model = model.with_term(made, sign * rng.uniform(0.1, 1.0) * SIZES[str(name)])
+    if rng.random() < 0.5:
+        carrier, size = [("traction", 40.0), ("slip", 60.0), ("power", 30.0)][rng.integers(3)]
+        channel = ["curvature", "omega", "v"][rng.integers(3)]
+        knots = np.sort(rng.uniform(-3, 3, 6))
+        shape = empirical_term(f"empirical_{carrier}_{channel}", knots, rng.uniform(-size, size, 6))
+        model = model.with_term(shape, 1.0)
+    try:
+        return EnergyCost(model, battery=bool(rng.random() < 0.3))
+    except ModelError:
+        return None
+
+
+def random_motions(count, half_track, seed):
+    """Return motions of every direction; many are close to straight, spin or pivot."""
+    rng = np.random.default_rng(seed)
+    ratio = np.where(rng.random(count) < 0.5, rng.random(count), 10.0 ** rng.uniform(-6, 0, count))
+    ratio = np.where(rng.random(count) < 0.3, 1.0 - ratio, ratio)
+    x, y = np.where(rng.random(count) < 0.5, [ratio, np.ones(count)], [np.ones(count), ratio])
+    sign = rng.choice([-1.0, 1.0], (2, count))
+    x, y = np.concatenate([sign * [x, y], [[1, -1, 0, 0], [0, 0, 1, -1]]], axis=1)
+    return x, y / half_track
+
+
+def test_every_effect_of_level_ground_is_tried():
+    """A new effect of the catalogue must be priced by the bound as well."""
+    flat = {
+        made.name
+        for entry in catalogue().values()
+        for made in entry.terms
+        if entry.acts == "motion" and not set(made.channels) and entry.planner != "no"
+    }
+    steady = {"specific_force", "tilt_x", "tilt_y", "warm_up"}  # nothing on level ground
+    returned = {
+        "drive_efficiency",
+        "regeneration_efficiency",
+    }  # the vehicle's efficiencies stand for them
+    assert flat - steady - returned == set(SIZES)
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_no_motion_costs_less_than_the_rates(seed):
+    cost = random_model(seed)
+    if cost is None:
+        pytest.skip("no model: some motion would cost nothing")
+    ds, dtheta = random_motions(4000, cost.half_track, seed)
+    travel = np.abs(ds - cost.icr.centre[1] * dtheta)
+    turn = np.abs(dtheta)
+    energy = cost.segment_energy(ds, dtheta, slope=0.0)
+    prices = least_prices(Prices(cost))
+    for track in (0.0, 0.3 * cost.half_track, cost.half_track):
+        least = prices.minorant(track)
+        bound = least.metre * np.maximum(travel, track * turn) + least.radian * turn
+        assert np.all(bound <= energy * (1 + 1e-12))
+        assert least.radian >= 0 and least.metre > 0
+        # no better rates would hold: some motion pays just that
+        assert np.min(energy / np.maximum(bound, 1e-300)) < 1.02
+    whole = cost.lower_bound()
+    along = np.hypot(ds, cost.icr.longitudinal * dtheta)
+    assert np.all(whole.energy(along, dtheta) <= energy * (1 + 1e-12))
+
+
+def test_the_rates_of_wide_arcs_that_cost_little():
+    """``a + beta r k^2 / (1 + r k)`` per metre: the bound must be its tangent, not its chord."""
+    radius, a = 10.0, 226.0
+    mobilised = replace(term("friction_mobilisation"), params={"radius": radius})
+    model = MODEL.with_term(mobilised, MODEL.coefficient("slip_friction"))
+    cost = EnergyCost(model)
+    beta = MODEL.coefficient("slip_friction") * MODEL.vehicle.slip_moment
+    curvature = np.geomspace(1e-6, 1.9, 400_000)
+    per_metre = a + beta * radius * curvature**2 / (1 + radius * curvature)
+    np.testing.assert_allclose(cost.segment_energy(1.0, curvature), per_metre, rtol=1e-6)
+    least = least_prices(Prices(cost)).minorant(0.0)
+    slack = (per_metre - least.metre - least.radian * curvature).min()
+    assert 0 <= slack < 3e-6 * a
+    # the arc that the table of 128 rays did not know
+    assert 218 < least.metre < a and least.radian > 0.8 * beta
+
+
+def test_prices_that_are_linear_in_the_octants_lose_nothing():
+    cost = EnergyCost.from_coefficients(200.0, 70.0, icr=0.5)
+    found = least_prices(Prices(cost)).minorant(0.5)
+    assert found.metre == pytest.approx(200.0, rel=1e-12)
+    assert found.radian == pytest.approx(70.0, rel=1e-9)
+
+
+def test_a_dip_beside_the_scan_is_found():
+    def price(x, y):
+        size = np.hypot(x, y)
+        angle = np.arctan2(y, x)
+        return size * (100.0 - 20.0 * np.exp(-(((angle - 0.0371) / 0.004) ** 2)))
+
+    infimum = Infimum(price)
+    assert infimum.slack == SLACK
+    assert infimum.rates(1.0, 1.0).per_metre == pytest.approx(80.0 / np.cos(0.0371), rel=1e-5)
+
+
+@pytest.mark.parametrize("seed", (0, 2, 5, 7))
+def test_no_motion_on_surfaces_and_slopes_costs_less(seed):
+    cost = random_model(seed)
+    if cost is None:
+        pytest.skip("no model: some motion would cost nothing")
+    rng = np.random.default_rng(seed)
+    icr = replace(cost.icr, left=cost.icr.left * 1.3)
+    other = PowerModel.paper(
+        replace(cost.vehicle, icr=icr), K=rng.uniform(60, 200), mu=rng.uniform(0.3, 0.9)
+    )
+    cost = replace(cost, model=with_weight(cost.model))
+    ground = SurfaceMap((Surface(shapely.box(0, 0, 1, 1), with_weight(other)),))
+    objective = Prices(cost, ground, {"energy": 1.0, "time": [0.0, 70.0][seed % 2]})
+    steepest, worth = 0.15, 0.9 * 9.81 * cost.vehicle.mass
+    prices = least_prices(objective, steepest, worth)
+    least = prices.minorant(0.0)
+    excess = prices.metre_excess()
+    assert excess.min() < 1e-5 * least.metre + 1e-9
+    ds, dtheta = random_motions(2000, cost.half_track, seed)
+    steep = rng.uniform(-steepest, steepest, len(ds))
+    travel, turn = np.abs(ds - cost.icr.centre[1] * dtheta), np.abs(dtheta)
+    for region, beyond in enumerate(excess):
+        paid = objective.motion(ds, dtheta, region, steep, exact=True) - worth * steep * ds
+        bound = (least.metre + beyond) * travel + least.radian * turn
+        assert np.all(bound <= paid + 1e-9 * np.abs(paid))
+
+
+def test_rates_are_remembered_with_the_cost_and_the_surfaces():
+    calls = []
+
+    def counted(motion, vehicle):
+        calls.append(motion.shape)
+        return 50.0 * np.ones(motion.shape)
+
+    cost = EnergyCost(MODEL.with_term(Term("pump", "P", "W", "power", counted), 1.0))
+    first = least_prices(Prices(cost)).minorant(0.0)
+    count = len(calls)
+    assert least_prices(Prices(cost)).minorant(0.0) is first
+    assert len(calls) == count
+    dear = SurfaceMap((Surface(shapely.box(0, 0, 1, 1), MODEL.with_term(HOTEL, 300.0)),))
+    assert least_prices(Prices(cost, dear)).minorant(0.0) == first
+    assert len(calls) > count
