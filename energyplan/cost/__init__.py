@@ -21,20 +21,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from energyplan.cost import speeds
+from energyplan.cost import direction_table, speeds
 from energyplan.cost.bounds import LowerBound, lower_bound
-from energyplan.cost.direction_table import (
-    SPECIAL,
-    Corners,
-    DirectionTable,
-    steering_parameters,
-    tabulate,
-)
+from energyplan.cost.coefficients import static_model
+from energyplan.cost.direction_table import SPECIAL, Corners, DirectionTable
 from energyplan.errors import InvalidInputError, ModelError
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Path
 from energyplan.power import PowerModel
-from energyplan.vehicle import MotorLimits, TreadICR, Vehicle
+from energyplan.vehicle import TreadICR, Vehicle
 
 STEADY = {"t": 1e9, "x": 0.0, "y": 0.0, "yaw": 0.0, "slope": 0.0, "accel": 0.0, "yaw_accel": 0.0}
 STEADY |= {"accel_x": 0.0}
@@ -135,24 +130,7 @@ class EnergyCost:
         >>> [round(float(e), 6) for e in cost.segment_energy([1.0, 0.0, 0.5], [0.0, 1.0, 1.0])]
         [200.0, 200.0, 200.0]
         """
-        if not (np.isfinite(per_metre) and per_metre > 0):
-            raise InvalidInputError(f"per_metre is {per_metre}; give joules per metre > 0")
-        if not (np.isfinite(per_radian) and per_radian >= 0):
-            raise InvalidInputError(f"per_radian is {per_radian}; give joules per radian >= 0")
-        treads = icr if isinstance(icr, TreadICR) else TreadICR.symmetric(icr)
-        width = treads.slip_track
-        vehicle = Vehicle.from_geometry(
-            "coefficients",
-            mass=1.0,
-            wheelbase=width,
-            track=width,
-            length=2 * width,
-            width=2 * width,
-            icr=treads,
-            motor=MotorLimits(speed=speed),
-        )
-        mu = per_radian / vehicle.slip_moment
-        return cls(PowerModel.paper(vehicle, K=per_metre / 2, mu=mu, name="coefficients"))
+        return cls(static_model(per_metre, per_radian, icr, speed))
 
     # -- geometry -----------------------------------------------------------------------------
 
@@ -278,7 +256,7 @@ class EnergyCost:
     @cached_property
     def gauge(self) -> DirectionTable:
         """Energy over the direction of motion, tabulated, with the error of the table."""
-        return tabulate(self._element_energy)
+        return direction_table.tabulate(self._element_energy)
 
     def segment_energy(
         self,
@@ -316,8 +294,7 @@ class EnergyCost:
         x, y = np.broadcast_arrays(x, y)
         moves = (x != 0) | (y != 0)
         x = np.where(moves, x, 1.0)
-        quick = not exact and self.speed is None and not self._static
-        rate = 1.0 / self._clock(x, y) if quick else None
+        rate = None if exact or self._static or self.speed else 1.0 / self._clock(x, y)
         return np.where(moves, self._element_energy(x, y, slope, rate), 0.0)
 
     def _moving(self, path: Path, slope: ArrayLike = 0.0) -> list[FloatArray]:
@@ -378,7 +355,7 @@ class EnergyCost:
     @cached_property
     def _clock(self) -> DirectionTable:
         """Duration over the direction of motion, tabulated like `gauge`."""
-        return tabulate(self._element_duration)
+        return direction_table.tabulate(self._element_duration)
 
     def segment_duration(
         self,
@@ -490,4 +467,4 @@ class EnergyCost:
     @cached_property
     def steering_parameters(self) -> FloatArray:
         """What the compiled steering kernels read; laid out in `energyplan.steering.kernels`."""
-        return steering_parameters(self.gauge, self._corners, self.icr)
+        return direction_table.steering_parameters(self.gauge, self._corners, self.icr)
