@@ -1,0 +1,28 @@
+"""The command serve."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from energyplan.cli.common import app
+
+
+@app.command(epilog="Example: energyplan serve maps --port 8321")
+def serve(
+    folder: Annotated[Path, typer.Argument(help="Data folder: maps, models, missions, logs.")],
+    host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port.")] = 8321,
+    token: Annotated[
+        str | None,
+        typer.Option(envvar="ENERGYPLAN_TOKEN", help="What requests must carry; see the docs."),
+    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Requests at once; the cores.")] = None,
+    waiting: Annotated[int, typer.Option(min=0, help="Requests that may wait.")] = 32,
+) -> None:
+    """Serve plans, checks, missions and diagnoses over HTTP, with a page to try them on."""
+    from energyplan.serve.run import run
+
+    run(folder, host, port, token, workers, waiting)

@@ -1,0 +1,474 @@
+"""The HTTP application: which requests there are, and what answers them."""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+import os
+import tempfile
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from functools import partial
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+
+from energyplan import __version__
+from energyplan.cost import EnergyCost
+from energyplan.diagnosis import diagnose
+from energyplan.errors import (
+    EnergyPlanError,
+    InvalidInputError,
+    MissingDependencyError,
+    NoPathError,
+    TimeLimitError,
+)
+from energyplan.fit import identify
+from energyplan.io.logs import read_log
+from energyplan.io.mission import read_mission
+from energyplan.limits.feasibility import check
+from energyplan.mission import evaluate
+from energyplan.output import documents
+from energyplan.path import Pose, Trajectory
+from energyplan.planning import PlanningProblem, plan
+from energyplan.planning import planners as known_planners
+from energyplan.serve.store import KINDS, Store, UnknownFileError
+from energyplan.serve.work import BusyError, CancelledError, Job, Pool
+from energyplan.studies.comparison import compare
+
+try:
+    from fastapi import FastAPI, Request, Response
+    from fastapi.exceptions import RequestValidationError
+    from fastapi.responses import FileResponse, JSONResponse, StreamingResponse
+    from fastapi.staticfiles import StaticFiles
+    from pydantic import BaseModel, ConfigDict, Field
+    from starlette.exceptions import HTTPException
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+except ImportError as error:  # pragma: no cover - depends on the installation
+    raise MissingDependencyError(
+        "the service needs FastAPI; pip install 'energyplan[serve]'"
+    ) from error
+
+LARGEST_BODY = 64 * 2**20
+"""Largest body of a request [byte]."""
+
+LONGEST, MOST_EFFORT = 60.0, 5_000_000
+"""Largest time limit [s] and effort that a request may ask for."""
+
+MOST_ROWS = 200_000
+"""Largest number of samples of a trajectory in a request."""
+
+PoseRow = Annotated[list[float], Field(min_length=3, max_length=3, examples=[[2.0, 2.0, 0.0]])]
+Name = Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class _Asked(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class PlanRequest(_Asked):
+    """A planning problem; files are named as the data folder has them."""
+
+    map: Name
+    model: Name = Field(examples=["quadriga:full:concrete"])
+    start: PoseRow
+    goal: PoseRow
+    surfaces: Name | None = None
+    heights: Name | None = None
+    battery: bool = False
+    objective: Literal["energy", "length", "time"] = "energy"
+    planner: Name = "lattice"
+    time_limit: float = Field(1.0, gt=0, le=LONGEST)
+    effort: int | None = Field(None, ge=1, le=MOST_EFFORT)
+
+
+class CheckRequest(_Asked):
+    """A trajectory by its columns, and the model whose motors drive it."""
+
+    model: Name
+    t: list[float] = Field(min_length=2, max_length=MOST_ROWS)
+    x: list[float] = Field(max_length=MOST_ROWS)
+    y: list[float] = Field(max_length=MOST_ROWS)
+    yaw: list[float] = Field(max_length=MOST_ROWS)
+    v: list[float] = Field(max_length=MOST_ROWS)
+    omega: list[float] = Field(max_length=MOST_ROWS)
+
+
+class MissionRequest(_Asked):
+    """A mission: a file of the data folder, or what such a file would hold."""
+
+    mission: Name | None = None
+    document: dict[str, Any] | None = None
+
+
+class IdentifyRequest(_Asked):
+    """Drive logs of the data folder."""
+
+    logs: list[Name] = Field(min_length=1, max_length=100)
+    vehicle: Name
+
+
+class DiagnoseRequest(IdentifyRequest):
+    """Drive logs to learn from and to judge by."""
+
+    holdout: list[Name] = Field(min_length=1, max_length=100)
+
+
+STATUS: tuple[tuple[type[Exception], int], ...] = (
+    (UnknownFileError, 404),
+    (BusyError, 429),
+    (CancelledError, 499),
+    (MissingDependencyError, 501),
+    (TimeLimitError, 503),
+    (InvalidInputError, 422),
+    (EnergyPlanError, 409),
+)
+"""Which status an error of the library has; the first that fits."""
+
+
+def problem(status: int, title: str, detail: str, **more: Any) -> JSONResponse:
+    """Return an error as RFC 9457 has it."""
+    body = {"type": "about:blank", "title": title, "status": status, "detail": detail, **more}
+    return JSONResponse(body, status, media_type="application/problem+json")
+
+
+def _of(error: Exception) -> JSONResponse:
+    status = next((code for kind, code in STATUS if isinstance(error, kind)), 500)
+    detail = " ".join(str(error).split()) if status != 500 else "the service failed; see its log"
+    more = {"retry_after": 1} if status == 429 else {}
+    answer = problem(status, type(error).__name__.removesuffix("Error"), detail, **more)
+    if status == 429:
+        answer.headers["Retry-After"] = "1"
+    return answer
+
+
+def create_app(
+    folder: str | Path,
+    token: str | None = None,
+    workers: int | None = None,
+    waiting: int = 32,
+    hosts: tuple[str, ...] = ("localhost", "127.0.0.1", "[::1]", "testserver"),
+) -> FastAPI:
+    """Return the service as an ASGI application.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The data folder: maps, models, missions and logs, named in requests.
+    token : str, optional
+        What every request must carry as ``Authorization: Bearer``; none is asked if left out.
+    workers : int, optional
+        Requests worked on at once; as many as cores if left out.
+    waiting : int
+        Requests that may wait; more are answered with status 429.
+    hosts : tuple of str
+        Names under which the service may be called; others are refused, so that no page of
+        another site can reach it by a name of its own.
+
+    Returns
+    -------
+    FastAPI
+        The application.
+
+    Raises
+    ------
+    InvalidInputError
+        If `folder` is no folder.
+    """
+    store, pool = Store(Path(folder)), Pool(workers, waiting)
+    for left in store.folder.glob(".mission-*.yaml"):
+        left.unlink(missing_ok=True)  # of a service that was killed
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        yield
+        pool.close()
+
+    app = FastAPI(
+        title="energyplan", version=__version__, lifespan=lifespan, docs_url=None, redoc_url=None,
+        description="Energy-aware path planning for wheeled skid-steer robots.",
+    )  # fmt: skip
+    app.add_middleware(_Guard, token=token, hosts=hosts)
+    app.state.pool, app.state.store = pool, store
+
+    @app.exception_handler(EnergyPlanError)
+    async def _library(request: Request, error: EnergyPlanError) -> Response:
+        return _of(error)
+
+    @app.exception_handler(RequestValidationError)
+    async def _invalid(request: Request, error: RequestValidationError) -> Response:
+        places = [
+            f"{'.'.join(str(part) for part in found['loc'])}: {found['msg']}"
+            for found in error.errors()
+        ]
+        return problem(422, "InvalidRequest", "; ".join(places))
+
+    @app.exception_handler(HTTPException)
+    async def _http(request: Request, error: HTTPException) -> Response:
+        return problem(error.status_code, str(error.detail), str(error.detail))
+
+    @app.exception_handler(Exception)
+    async def _failed(request: Request, error: Exception) -> Response:
+        return _of(error)
+
+    async def answer(request: Request, work: Callable[[Job], dict[str, Any]]) -> Response:
+        """Have work done; stop it when the client goes away; stream events where asked."""
+        job = pool.submit(work)
+        if "text/event-stream" in request.headers.get("accept", ""):
+            return StreamingResponse(_stream(request, job), media_type="text/event-stream")
+        waiting = asyncio.wrap_future(job.future)
+        while not waiting.done():
+            await asyncio.wait({waiting}, timeout=0.1)
+            if not waiting.done() and await request.is_disconnected():
+                job.cancelled.set()
+                return _of(CancelledError("the client went away"))
+        return JSONResponse(waiting.result())
+
+    def asked_problem(asked: PlanRequest) -> PlanningProblem:
+        cost = EnergyCost(store.model(asked.model), battery=asked.battery)
+        return PlanningProblem(
+            store.map(asked.map), cost, Pose(*asked.start), Pose(*asked.goal),
+            surfaces=store.surfaces(asked.surfaces) if asked.surfaces else None,
+            heights=store.heights(asked.heights) if asked.heights else None,
+            objective=asked.objective,
+        )  # fmt: skip
+
+    def planned(
+        run: Callable[..., Any], document: Callable[[Any], dict[str, Any]], asked: PlanRequest
+    ) -> Callable[[Job], dict[str, Any]]:
+        def work(job: Job) -> dict[str, Any]:
+            query = asked_problem(asked)
+            job.say("planning")
+            options: dict[str, Any] = {"planner": asked.planner, "time_limit": asked.time_limit}
+            if asked.effort is not None:
+                options["effort"] = asked.effort
+            try:
+                return document(run(query, **options))
+            except NoPathError as error:  # an answer, as on the command line
+                return {"path": None, "reason": " ".join(str(error).split())}
+
+        return work
+
+    @app.get("/api/health")
+    async def health() -> dict[str, Any]:
+        """Tell that the service is there, and how busy it is."""
+        return {"version": __version__, "workers": pool.workers, "load": pool.load}
+
+    @app.get("/api/files")
+    async def listing() -> dict[str, list[str]]:
+        """List the data folder by kind, and the planners."""
+        found = {kind: await asyncio.to_thread(store.names, kind) for kind in KINDS}
+        return {**found, "planners": list(known_planners())}
+
+    @app.put("/api/files/{name:path}", status_code=201)
+    async def upload(name: str, request: Request) -> dict[str, Any]:
+        """Add a file to the data folder; one that is there is never replaced."""
+        if not any(name.endswith(ends) for ends in (*sum(KINDS.values(), ()), ".png", ".pgm")):
+            raise InvalidInputError(f"{name!r} does not end like a file that the service reads")
+        content = await request.body()
+        await asyncio.to_thread(store.save, name, content)
+        return {"name": name, "bytes": len(content)}
+
+    @app.get("/api/maps/{name:path}")
+    async def map_document(name: str) -> dict[str, Any]:
+        """Return size, resolution [m], origin and occupied cells (as runs) of a map."""
+        grid = await asyncio.to_thread(store.map, name)
+        return await asyncio.to_thread(_map_document, grid)
+
+    @app.get("/api/surfaces/{name:path}")
+    async def surface_document(name: str) -> Response:
+        """Return the polygons of surfaces as they are."""
+        await asyncio.to_thread(store.surfaces, name)
+        return FileResponse(store.path(name), media_type="application/geo+json")
+
+    @app.get("/api/models/{name}")
+    async def model_document(name: str) -> dict[str, Any]:
+        """Return a model's terms, and its vehicle's footprint [m]."""
+        model = await asyncio.to_thread(store.model, name)
+        return {
+            "terms": documents.terms(model),
+            "footprint": documents.plain(model.vehicle.footprint),
+            "mass": model.vehicle.mass,
+        }
+
+    @app.post("/api/plan")
+    async def plan_route(asked: PlanRequest, request: Request) -> Response:
+        """Plan the route of least energy."""
+        return await answer(request, planned(plan, documents.plan, asked))
+
+    @app.post("/api/compare")
+    async def compare_routes(asked: PlanRequest, request: Request) -> Response:
+        """Compare the route of least energy with the shortest one."""
+        return await answer(request, planned(compare, documents.comparison, asked))
+
+    @app.post("/api/check")
+    async def check_trajectory(asked: CheckRequest, request: Request) -> Response:
+        """Tell whether the motors can drive a trajectory."""
+
+        def work(job: Job) -> dict[str, Any]:
+            columns = {name: np.asarray(getattr(asked, name), float) for name in _COLUMNS}
+            if len({len(column) for column in columns.values()}) > 1:
+                lengths = {name: len(column) for name, column in columns.items()}
+                raise InvalidInputError(f"the columns have different lengths: {lengths}")
+            return documents.feasibility(check(Trajectory(**columns), store.model(asked.model)))
+
+        return await answer(request, work)
+
+    @app.post("/api/mission")
+    async def mission(asked: MissionRequest, request: Request) -> Response:
+        """Tell which tasks of a mission can be done, with what energy, and why not."""
+        if (asked.mission is None) == (asked.document is None):
+            raise InvalidInputError("give either mission, the name of a file, or document")
+
+        def work(job: Job) -> dict[str, Any]:
+            told = evaluate(_read_mission(store, asked))
+            line = told.timeline
+            along = {name: documents.plain(getattr(line, name)) for name in _TIMELINE}
+            return {**documents.mission(told), "timeline": along}
+
+        return await answer(request, work)
+
+    @app.post("/api/identify")
+    async def identify_logs(asked: IdentifyRequest, request: Request) -> Response:
+        """Find a robot's power parameters from its drive logs."""
+
+        def work(job: Job) -> dict[str, Any]:
+            logs = [read_log(store.path(name)) for name in asked.logs]
+            job.say("identifying")
+            return documents.identification(identify(logs, store.vehicle(asked.vehicle)))
+
+        return await answer(request, work)
+
+    @app.post("/api/diagnose")
+    async def diagnose_logs(asked: DiagnoseRequest, request: Request) -> Response:
+        """Trace the residual of the power model to an effect."""
+
+        def work(job: Job) -> dict[str, Any]:
+            logs = [read_log(store.path(name)) for name in asked.logs]
+            judging = [read_log(store.path(name)) for name in asked.holdout]
+            told = diagnose(
+                logs, holdout=judging, vehicle=store.vehicle(asked.vehicle),
+                progress=partial(_diagnosing, job),
+            )  # fmt: skip
+            return documents.diagnosis(told)
+
+        return await answer(request, work)
+
+    page = files("energyplan.serve") / "page"
+    app.mount("/", StaticFiles(directory=str(page), html=True), name="page")
+    return app
+
+
+_COLUMNS = ("t", "x", "y", "yaw", "v", "omega")
+_TIMELINE = ("t", "x", "y", "soc", "soc_lower", "soc_upper", "power")
+
+
+def _diagnosing(job: Job, fraction: float, note: str = "") -> None:
+    job.say("diagnosing", fraction=fraction, note=note)
+
+
+def _read_mission(store: Store, asked: MissionRequest) -> Any:
+    if asked.mission is not None:
+        return read_mission(store.path(asked.mission))
+    # files that a mission names are looked for beside it: it lies in the data folder for a moment
+    handle, name = tempfile.mkstemp(dir=store.folder, prefix=".mission-", suffix=".yaml")
+    try:
+        with os.fdopen(handle, "w") as stream:
+            yaml.safe_dump(asked.document, stream)
+        return read_mission(name)
+    except EnergyPlanError as error:
+        told = str(error).replace(name, "document")
+        raise (
+            type(error)(told)
+            if type(error).__init__ is Exception.__init__
+            else (InvalidInputError(told))
+        ) from None
+    finally:
+        Path(name).unlink(missing_ok=True)
+
+
+def _map_document(grid: Any) -> dict[str, Any]:
+    """Return a map with its occupied cells as runs of each row: row, first, one past the last."""
+    occupied = np.asarray(grid.occupied, np.int8)
+    edges = np.diff(np.pad(occupied, ((0, 0), (1, 1))), axis=1)
+    rows, first = np.nonzero(edges == 1)
+    _, last = np.nonzero(edges == -1)
+    return {
+        "rows": occupied.shape[0],
+        "columns": occupied.shape[1],
+        "resolution": grid.resolution,
+        "origin": documents.plain(tuple(grid.origin)),
+        "runs": np.column_stack([rows, first, last]).tolist(),
+    }
+
+
+async def _stream(request: Request, job: Job) -> AsyncIterator[str]:
+    """Yield what a job says as server-sent events, its answer last."""
+    try:
+        async for event in job.events():
+            yield f"event: progress\ndata: {json.dumps(event)}\n\n"
+            if await request.is_disconnected():
+                break
+        if job.future.done():
+            error = job.future.exception()
+            if error is None:
+                yield f"event: answer\ndata: {json.dumps(job.future.result())}\n\n"
+            elif isinstance(error, Exception):
+                body = bytes(_of(error).body).decode()
+                yield f"event: problem\ndata: {body}\n\n"
+    finally:
+        job.cancelled.set()
+
+
+class _Guard:
+    """Refuses requests by another host name, without the token, or with too large a body."""
+
+    def __init__(self, app: ASGIApp, token: str | None, hosts: tuple[str, ...]) -> None:
+        self.app, self.token, self.hosts = app, token, hosts
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        headers = {
+            key.decode("latin-1"): value.decode("latin-1") for key, value in scope["headers"]
+        }
+        refused = self._refusal(scope, headers)
+        if refused is not None:
+            await refused(scope, receive, send)
+            return
+        held = 0
+
+        async def bounded() -> Message:
+            nonlocal held
+            message = await receive()
+            held += len(message.get("body", b""))
+            if held > LARGEST_BODY:
+                raise HTTPException(413, f"the body is larger than {LARGEST_BODY} bytes")
+            return message
+
+        await self.app(scope, bounded, send)
+
+    def _refusal(
+        self, scope: Scope, headers: dict[str, str]
+    ) -> Callable[[Scope, Receive, Send], Awaitable[None]] | None:
+        host = headers.get("host", "")
+        name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
+        if "*" not in self.hosts and name not in self.hosts:
+            return problem(421, "WrongHost", f"the service is not called {name!r}")
+        if self.token is not None and scope["path"].startswith("/api/"):
+            given = headers.get("authorization", "").removeprefix("Bearer ")
+            if not hmac.compare_digest(given.encode(), self.token.encode()):
+                return problem(401, "Unauthorized", "send the token as 'Authorization: Bearer'")
+        if scope["method"] == "POST" and not headers.get("content-type", "").startswith(
+            "application/json"
+        ):
+            return problem(415, "WrongType", "send JSON, as Content-Type: application/json")
+        size = headers.get("content-length", "0")
+        if size.isdigit() and int(size) > LARGEST_BODY:
+            return problem(413, "TooLarge", f"the body is larger than {LARGEST_BODY} bytes")
+        return None

@@ -1,0 +1,126 @@
+// The map: a picture of the occupied cells, poses that can be dragged, routes.
+// Leaflet's plane has y upwards; "at" turns metres of the world into its latitude and longitude.
+
+const L = window.L;
+const at = (x, y) => L.latLng(y, x);
+const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+export class Chart {
+  constructor(element, onClick) {
+    this.map = L.map(element, {
+      crs: L.CRS.Simple, minZoom: -6, maxZoom: 9, zoomSnap: 0.25, attributionControl: false,
+      boxZoom: false, keyboard: true,
+    });
+    this.ground = L.layerGroup().addTo(this.map);
+    this.routes = L.layerGroup().addTo(this.map);
+    this.map.on("click", (event) => onClick(event.latlng.lng, event.latlng.lat));
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.repaint());
+  }
+
+  // Draw a map: its frame may be turned, so cells are drawn into a canvas of the world's axes.
+  show(grid, surfaces) {
+    this.shown = [grid, surfaces];
+    this.repaint();
+    this.map.fitBounds(this.bounds);
+  }
+
+  repaint() {
+    if (!this.shown) return;
+    const [grid, surfaces] = this.shown;
+    const [x0, y0, yaw] = grid.origin;
+    const [c, s, r] = [Math.cos(yaw), Math.sin(yaw), grid.resolution];
+    const world = (col, row) => [x0 + r * (c * col - s * row), y0 + r * (s * col + c * row)];
+    const corners = [[0, 0], [grid.columns, 0], [0, grid.rows], [grid.columns, grid.rows]]
+      .map(([col, row]) => world(col, row));
+    const low = [0, 1].map((k) => Math.min(...corners.map((p) => p[k])));
+    const high = [0, 1].map((k) => Math.max(...corners.map((p) => p[k])));
+    const scale = Math.min(1 / r, 4096 / Math.max(high[0] - low[0], high[1] - low[1]));
+    const canvas = document.createElement("canvas");
+    canvas.width = Math.ceil(scale * (high[0] - low[0]));
+    canvas.height = Math.ceil(scale * (high[1] - low[1]));
+    const pen = canvas.getContext("2d");
+    // pixel = scale * (x - low, high - y), of x, y = world(col, row)
+    pen.setTransform(scale * r * c, -scale * r * s, -scale * r * s, -scale * r * c,
+      scale * (x0 - low[0]), scale * (high[1] - y0));
+    pen.fillStyle = color("--wall");
+    for (const [row, first, last] of grid.runs) pen.fillRect(first, row, last - first, 1);
+    this.bounds = L.latLngBounds(at(...low), at(...high));
+    this.ground.clearLayers();
+    if (surfaces) {
+      const tints = ["#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442"];
+      const names = [];
+      L.geoJSON(surfaces, {
+        coordsToLatLng: ([x, y]) => at(x, y), interactive: false,
+        style: (feature) => {
+          const name = feature.properties.surface ?? feature.properties.model;
+          if (!names.includes(name)) names.push(name);
+          const tint = /keep.?out/.test(name) ? "#d55e00" : tints[names.indexOf(name) % tints.length];
+          return { color: tint, weight: 1, fillOpacity: 0.22 };
+        },
+      }).addTo(this.ground);
+    }
+    L.imageOverlay(canvas.toDataURL(), this.bounds, { className: "walls" }).addTo(this.ground);
+  }
+
+  // A pose with a handle for its heading; calls back after it was moved.
+  pose(label, [x, y, yaw], onChange, kind = "") {
+    const reach = 1.0;
+    const pose = [x, y, yaw];
+    const icon = (name) => L.divIcon({
+      className: "", html: `<div class="pin ${name}">${label}</div>`, iconSize: [26, 26],
+    });
+    const marker = L.marker(at(x, y), {
+      draggable: true, icon: icon(kind), title: label, alt: `pose ${label}`, keyboard: true,
+    }).addTo(this.map);
+    const line = L.polyline([], { color: "#333", weight: 3 }).addTo(this.map);
+    const arrow = L.marker(at(x, y), {
+      draggable: true, keyboard: false, title: `heading of ${label}`,
+      icon: L.divIcon({ className: "", html: '<div class="arrow"></div>', iconSize: [16, 16] }),
+    }).addTo(this.map);
+    const draw = () => {
+      const tip = at(pose[0] + reach * Math.cos(pose[2]), pose[1] + reach * Math.sin(pose[2]));
+      marker.setLatLng(at(pose[0], pose[1]));
+      arrow.setLatLng(tip);
+      line.setLatLngs([at(pose[0], pose[1]), tip]);
+    };
+    marker.on("drag", () => { [pose[0], pose[1]] = place(marker); draw(); });
+    arrow.on("drag", () => {
+      const [ax, ay] = place(arrow);
+      pose[2] = Math.atan2(ay - pose[1], ax - pose[0]);
+      line.setLatLngs([at(pose[0], pose[1]), at(ax, ay)]);
+    });
+    for (const part of [marker, arrow]) part.on("dragend", () => { draw(); onChange(); });
+    marker.getElement().addEventListener("keydown", (event) => {
+      const step = event.shiftKey ? 0.5 : 0.1;
+      const moves = {
+        ArrowUp: [0, step, 0], ArrowDown: [0, -step, 0], ArrowLeft: [-step, 0, 0],
+        ArrowRight: [step, 0, 0], q: [0, 0, Math.PI / 12], e: [0, 0, -Math.PI / 12],
+      };
+      const move = moves[event.key];
+      if (!move) return;
+      event.preventDefault();
+      event.stopPropagation();
+      move.forEach((by, k) => { pose[k] += by; });
+      draw();
+      onChange();
+    });
+    draw();
+    return {
+      pose,
+      mark: (name) => marker.getElement().firstChild.className = `pin ${kind} ${name}`,
+      remove: () => [marker, arrow, line].forEach((part) => part.remove()),
+    };
+  }
+
+  route(path, name, dashed = false) {
+    L.polyline(path.map(([x, y]) => at(x, y)), {
+      color: color(name), weight: dashed ? 3 : 4, dashArray: dashed ? "7 6" : null,
+      interactive: false,
+    }).addTo(this.routes);
+  }
+}
+
+function place(marker) {
+  const { lat, lng } = marker.getLatLng();
+  return [lng, lat];
+}

@@ -1,0 +1,241 @@
+// The page: what is asked of the service when something on it changes, and how it is shown.
+
+import { get, post, upload } from "./api.js";
+import { Chart } from "./chart.js";
+
+const $ = (id) => document.getElementById(id);
+const scene = $("scene");
+const status = $("status");
+let start = null, goal = null, tasks = [], mode = "route", asked = null, plot = null;
+
+const chart = new Chart("map", place);
+
+function say(text, bad = false) {
+  status.textContent = text;
+  status.classList.toggle("bad", bad);
+}
+
+// -- small pieces of HTML: text is always set as text ------------------------------------------
+
+function element(tag, text = "", name = "") {
+  const made = document.createElement(tag);
+  made.textContent = text;
+  made.className = name;
+  return made;
+}
+
+function table(header, rows) {
+  const made = element("table");
+  const line = (tag, cells) => {
+    const row = element("tr");
+    for (const cell of cells) {
+      const [text, name] = Array.isArray(cell) ? cell : [cell, ""];
+      row.append(element(tag, text, name));
+    }
+    return row;
+  };
+  made.append(line("th", header), ...rows.map((cells) => line("td", cells)));
+  return made;
+}
+
+const joules = (value) => value == null ? "–" : `${Math.round(value).toLocaleString("en")} J`;
+const percent = (value) => `${(100 * value).toFixed(1)} %`;
+
+// -- the scene ----------------------------------------------------------------------------------
+
+function options(select, names, none) {
+  select.replaceChildren(...(none ? [new Option(none, "")] : []), ...names.map((n) => new Option(n, n)));
+}
+
+async function begin() {
+  const files = await get("files");
+  options(scene.map, files.maps);
+  options(scene.surfaces, files.surfaces, "none");
+  $("models").replaceChildren(...[...files.models, "quadriga:empty:concrete",
+    "quadriga:empty:marble", "quadriga:full:concrete", "quadriga:full:marble"].map((n) => new Option(n)));
+  if (!files.maps.length) return say("The data folder holds no map (a YAML file with its image).", true);
+  await load();
+}
+
+async function load() {
+  say("Loading the map…");
+  const surfaces = scene.surfaces.value;
+  const [grid, areas] = await Promise.all([
+    get(`maps/${scene.map.value}`), surfaces ? get(`surfaces/${surfaces}`) : null,
+  ]);
+  reset();
+  chart.show(grid, areas);
+}
+
+function reset() {
+  for (const marked of [start, goal, ...tasks]) marked?.remove();
+  [start, goal, tasks] = [null, null, []];
+  chart.routes.clearLayers();
+  $("answer").replaceChildren();
+  $("verdicts").replaceChildren();
+  $("charge").replaceChildren();
+  say("Click on the map to place the start.");
+}
+
+function place(x, y) {
+  if (!start) {
+    start = chart.pose("S", [x, y, 0], replan);
+    say(mode === "route" ? "Now click where the goal is." : "Now click where tasks are.");
+  } else if (mode === "mission") {
+    tasks.push(chart.pose(String(tasks.length + 1), [x, y, 0], () => {}, "task"));
+    say(`${tasks.length} task${tasks.length > 1 ? "s" : ""}. Ask whether the battery lasts.`);
+  } else if (!goal) {
+    goal = chart.pose("G", [x, y, 0], replan);
+    replan();
+  }
+}
+
+// -- routes -------------------------------------------------------------------------------------
+
+async function replan() {
+  if (!start || !goal || mode !== "route") return;
+  asked?.abort();
+  const mine = asked = new AbortController();
+  say("Planning…");
+  try {
+    const told = await post("compare", {
+      map: scene.map.value, model: scene.model.value, surfaces: scene.surfaces.value || null,
+      start: start.pose, goal: goal.pose, time_limit: 0.4,
+    }, mine.signal);
+    if (mine !== asked) return;
+    show(told);
+  } catch (error) {
+    if (error.name !== "AbortError") { clearRoutes(); say(error.message, true); }
+  }
+}
+
+function clearRoutes() {
+  chart.routes.clearLayers();
+  $("answer").replaceChildren();
+}
+
+function show(told) {
+  clearRoutes();
+  if (told.path === null) return say(`No path: ${told.reason}`, true);
+  const { energy_optimal: best, shortest } = told;
+  chart.route(shortest.path, "--short", true);
+  chart.route(best.path, "--least");
+  say("Drag a marker to plan again.");
+  const lead = element("p");
+  lead.append(element("span", joules(best.energy), "big least"), ` least energy, ${percent(told.saving)} less than the shortest route.`);
+  const terms = [...new Set([...Object.keys(best.breakdown), ...Object.keys(shortest.breakdown)])];
+  $("answer").replaceChildren(lead, table(
+    ["", ["least energy", "least"], ["shortest", "short"]],
+    [
+      ...terms.map((name) => [name.replaceAll("_", " "), joules(best.breakdown[name] ?? 0), joules(shortest.breakdown[name] ?? 0)]),
+      ["energy", joules(best.energy), joules(shortest.energy)],
+      ["length", `${best.length.toFixed(1)} m`, `${shortest.length.toFixed(1)} m`],
+      ["turning", `${(best.turning * 180 / Math.PI).toFixed(0)}°`, `${(shortest.turning * 180 / Math.PI).toFixed(0)}°`],
+      ["no route takes less than", joules(best.lower_bound), ""],
+    ],
+  ));
+}
+
+// -- missions -----------------------------------------------------------------------------------
+
+async function evaluate(event) {
+  event.preventDefault();
+  if (!start || !tasks.length) return say("Place the start and some tasks on the map first.", true);
+  const form = $("battery");
+  const document_ = {
+    model: scene.model.value, map: scene.map.value, battery: form.preset.value,
+    soc: form.soc.value / 100, reserve: form.reserve.value / 100, order: "free",
+    return_to: "start", start: start.pose, coefficient_spread: form.spread.value / 100,
+    tasks: tasks.map((task, k) => ({
+      name: `task ${k + 1}`, pose: task.pose, dwell: 60 * form.dwell.value,
+      power: Number(form.power.value), required: false,
+    })),
+  };
+  if (scene.surfaces.value) document_.surfaces = scene.surfaces.value;
+  say("Evaluating the mission…");
+  try {
+    const told = await post("mission", { document: document_ });
+    verdicts(told);
+  } catch (error) { say(error.message, true); }
+}
+
+function verdicts(told) {
+  const done = told.tasks.filter((task) => task.verdict === "reachable").length;
+  say(`${done} of ${told.tasks.length} tasks can be done.`, done < told.tasks.length);
+  told.tasks.forEach((task, k) => tasks[k].mark(task.verdict === "reachable" ? "done" : "out"));
+  $("verdicts").replaceChildren(table(["task", "verdict", "energy", "charge after"], told.tasks.map((task) => [
+    task.name,
+    [task.verdict === "reachable" ? "reachable" : `out of reach: ${task.reason}${task.remedy ? `; ${task.remedy}` : ""}`, task.verdict === "reachable" ? "text good" : "text bad"],
+    task.energy == null ? "–" : `${(task.energy / 3600).toFixed(1)} Wh`,
+    task.soc_after == null ? "–" : `${(100 * task.soc_after).toFixed(0)} %`,
+  ])));
+  const line = told.timeline;
+  const ink = getComputedStyle(document.body).color;
+  const axis = { stroke: ink, grid: { stroke: "#8884" }, ticks: { stroke: "#8888" } };
+  plot?.destroy();
+  plot = new window.uPlot({
+    width: $("charge").clientWidth || 340, height: 220, scales: { x: { time: false }, y: { range: [0, 100] } },
+    series: [{ label: "min" }, { label: "charge %", stroke: "#0072b2", width: 2 },
+      { label: "at the asked confidence", stroke: "#d55e00", dash: [6, 4] }],
+    axes: [axis, { ...axis, size: 44 }],
+  }, [line.t.map((t) => t / 60), line.soc.map((s) => 100 * s), line.soc_lower.map((s) => 100 * s)], $("charge"));
+}
+
+// -- logs ---------------------------------------------------------------------------------------
+
+async function drives(files) {
+  try {
+    const names = [];
+    for (const file of files) {
+      const name = `logs/${Date.now()}-${file.name.replace(/[^\w.+-]/g, "_")}`;
+      say(`Sending ${file.name}…`);
+      await upload(name, file);
+      names.push(name);
+    }
+    const vehicle = $("drives").vehicle.value;
+    say("Looking for the robot's parameters…");
+    const found = await post("identify", { logs: names, vehicle });
+    const rows = (terms) => terms.map((t) => [t.name.replaceAll("_", " "), `${t.symbol} = ${t.value.toPrecision(4)}${t.std_error == null ? "" : ` ± ${t.std_error.toPrecision(2)}`} ${t.unit}`]);
+    const parts = [element("h2", "Identified"), table(["term", "value"], rows(found.terms)),
+      ...found.warnings.map((text) => element("p", text, "hint"))];
+    if (names.length > 1) {
+      say("Tracing what the model does not explain…");
+      const told = await post("diagnose", { logs: names.slice(0, -1), holdout: names.slice(-1), vehicle });
+      parts.push(element("h2", "Diagnosis"), element("p", told.verdict.replaceAll("_", " ")),
+        table(["effect", "size"], told.effects.map((e) => [e.name.replaceAll("_", " "), `${e.value.toPrecision(4)} ${e.unit}`])),
+        element("p", `Error of the energy on the last log: ${percent(told.before.energy_error)} before, ${percent(told.after.energy_error)} after.`),
+        ...told.advice.map((text) => element("p", text, "hint")));
+    }
+    $("found").replaceChildren(...parts);
+    say("Done.");
+  } catch (error) { say(error.message, true); }
+}
+
+// -- events -------------------------------------------------------------------------------------
+
+for (const tab of document.querySelectorAll("[role=tab]")) {
+  tab.addEventListener("click", () => {
+    mode = tab.id.slice(4);
+    for (const other of document.querySelectorAll("[role=tab]")) {
+      other.setAttribute("aria-selected", String(other === tab));
+      $(other.id.slice(4)).hidden = other !== tab;
+    }
+  });
+}
+scene.map.addEventListener("change", () => load().catch((error) => say(error.message, true)));
+scene.surfaces.addEventListener("change", () => load().catch((error) => say(error.message, true)));
+scene.model.addEventListener("change", replan);
+scene.addEventListener("submit", (event) => event.preventDefault());
+$("again").addEventListener("click", reset);
+$("battery").addEventListener("submit", evaluate);
+$("clear").addEventListener("click", () => { tasks.forEach((task) => task.remove()); tasks = []; });
+const drop = $("drop");
+drop.querySelector("input").addEventListener("change", (event) => drives([...event.target.files]));
+for (const kind of ["dragover", "dragleave", "drop"]) {
+  drop.addEventListener(kind, (event) => {
+    event.preventDefault();
+    drop.classList.toggle("over", kind === "dragover");
+    if (kind === "drop") drives([...event.dataTransfer.files]);
+  });
+}
+begin().catch((error) => say(error.message, true));

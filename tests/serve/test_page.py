@@ -1,0 +1,145 @@
+"""The page in a real browser: clicks, keys, a phone's width; no error, nothing from elsewhere."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+pytestmark = pytest.mark.skipif(BROWSER is None, reason="no chromium on the PATH")
+pytest.importorskip("fastapi", reason="the service needs the extra serve")
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright drives the browser")
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    folder = tmp_path_factory.mktemp("data")
+    for file in (ROOT / "maps").glob("warehouse*"):
+        shutil.copy(file, folder)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    server = subprocess.Popen(
+        [sys.executable, "-m", "energyplan", "serve", str(folder), "--port", str(port)]
+    )
+    try:
+        for _ in range(600):
+            try:
+                urllib.request.urlopen(f"http://127.0.0.1:{port}/api/health", timeout=5)
+                break
+            except OSError:
+                assert server.poll() is None, "the service ended"
+                time.sleep(0.1)
+        yield f"http://127.0.0.1:{port}/"
+    finally:
+        server.terminate()
+        server.wait(30)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    options = [
+        "--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking",
+        "--disable-component-update", "--disable-sync", "--no-first-run",
+    ]  # fmt: skip
+    with playwright.sync_playwright() as driver:
+        made = driver.chromium.launch(executable_path=BROWSER, args=options)
+        yield made
+        made.close()
+
+
+class Opened:
+    """A page, with what went wrong on it and what it loaded from elsewhere."""
+
+    def __init__(self, browser: Any, address: str, width: int, scheme: str = "light") -> None:
+        self.page = browser.new_page(viewport={"width": width, "height": 850}, color_scheme=scheme)
+        self.errors: list[str] = []
+        self.elsewhere: list[str] = []
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.on(
+            "console",
+            lambda told: self.errors.append(told.text) if told.type == "error" else None,
+        )
+        self.page.on(
+            "request",
+            lambda asked: (
+                None
+                if asked.url.startswith((address, "data:"))
+                else self.elsewhere.append(asked.url)
+            ),
+        )
+        self.page.goto(address)
+        self.page.wait_for_selector(".walls")
+        surfaces = self.page.locator("select[name=surfaces]")
+        surfaces.select_option("warehouse_surfaces.geojson")
+        self.page.wait_for_selector(".leaflet-overlay-pane path")
+        self.box = self.page.locator("#map").bounding_box()
+
+    def click(self, across: float, down: float) -> None:
+        self.page.mouse.click(
+            self.box["x"] + self.box["width"] * across, self.box["y"] + self.box["height"] * down
+        )
+
+    def route(self) -> str:
+        """Place start and goal, and return the energy that is told."""
+        self.click(0.25, 0.75)
+        self.page.wait_for_selector("text=Now click where the goal is")
+        self.click(0.72, 0.42)
+        self.page.wait_for_selector("#answer table", timeout=120_000)
+        return self.page.inner_text("#answer .big")
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1300, "light"), (390, "dark")])
+def test_two_clicks_make_a_route(browser: Any, address: str, width: int, scheme: str) -> None:
+    opened = Opened(browser, address, width, scheme)
+    told = opened.route()
+    assert told.endswith(" J")
+    rows = opened.page.inner_text("#answer table")
+    assert "slip friction" in rows
+    assert "no route takes less than" in rows
+    assert opened.page.evaluate("document.documentElement.scrollWidth") <= width
+    assert (opened.errors, opened.elsewhere) == ([], [])
+
+
+def test_a_key_moves_a_pose_and_plans_again(browser: Any, address: str) -> None:
+    opened = Opened(browser, address, 1300)
+    before = opened.route()
+    opened.page.locator("[title=S].leaflet-marker-icon").focus()
+    opened.page.keyboard.press("Shift+ArrowLeft")
+    opened.page.wait_for_function(
+        "before => document.querySelector('#answer .big')?.textContent !== before", arg=before
+    )
+    assert opened.errors == []
+
+
+def test_a_pose_in_a_wall_is_told_in_words(browser: Any, address: str) -> None:
+    opened = Opened(browser, address, 1300)
+    opened.route()
+    opened.page.fill("input[name=model]", "no:such:model")
+    opened.page.keyboard.press("Enter")
+    opened.page.wait_for_selector("#status.bad")
+    assert "no:such:model" in opened.page.inner_text("#status")
+
+
+def test_tasks_get_verdicts_and_a_charge(browser: Any, address: str) -> None:
+    opened = Opened(browser, address, 1300)
+    opened.click(0.25, 0.75)
+    opened.page.click("#tab-mission")
+    opened.click(0.3, 0.22)
+    opened.click(0.75, 0.72)
+    opened.page.click("text=Will it last?")
+    opened.page.wait_for_selector("#verdicts table, #status.bad", timeout=120_000)
+    assert "tasks can be done" in opened.page.inner_text("#status")
+    assert opened.page.locator("#verdicts tr").count() == 3
+    assert opened.page.locator("#charge canvas").count() == 1
+    assert opened.errors == []

@@ -1,0 +1,247 @@
+"""The service: the answers of the library, and nothing that a request must not reach."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import energyplan as ep
+from energyplan import simulate
+from energyplan.errors import InvalidInputError
+from energyplan.io.maps import write_map
+from energyplan.io.trajectory import write_log
+from energyplan.output import documents
+from energyplan.power import HOTEL
+from energyplan.serve.run import is_loopback, run
+
+pytest.importorskip("fastapi", reason="the service needs the extra serve")
+from fastapi.testclient import TestClient
+
+from energyplan.serve import create_app
+from energyplan.serve.work import BusyError, Job, Pool
+
+ROOT = Path(__file__).resolve().parents[2]
+MODEL = "quadriga:full:concrete"
+QUERY = {"map": "warehouse.yaml", "model": MODEL, "start": [2, 2, 0], "goal": [5, 2, 0]}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("data")
+    for name in ("warehouse.yaml", "warehouse.png", "warehouse_surfaces.geojson"):
+        shutil.copy(ROOT / "maps" / name, place)
+    shutil.copy(ROOT / "examples" / "mission_warehouse.yaml", place)
+    truth = ep.PowerModel.preset("quadriga:full:marble").with_term(HOTEL, 40.0)
+    for seed, name in enumerate(("a.csv", "b.csv")):
+        write_log(simulate.validation_drive(truth, seed=seed, power_noise=5.0), place / name)
+    walls = np.zeros((40, 100), bool)
+    walls[:, 50] = True
+    write_map(ep.OccupancyGrid(walls, 0.1), place / "room.yaml")
+    (place.parent / "secret.yaml").write_text("image: secret.png\nresolution: 0.1\n")
+    (place / "link.yaml").symlink_to(place.parent / "secret.yaml")
+    return place
+
+
+@pytest.fixture(scope="module")
+def client(folder: Path) -> Iterator[TestClient]:
+    with TestClient(create_app(folder), raise_server_exceptions=False) as made:
+        yield made
+
+
+def test_a_plan_is_that_of_the_library(client: TestClient) -> None:
+    answer = client.post("/api/plan", json=QUERY)
+    assert answer.status_code == 200, answer.text
+    grid = ep.read_map(ROOT / "maps" / "warehouse.yaml")
+    cost = ep.EnergyCost(ep.PowerModel.preset(MODEL))
+    expected = documents.plan(ep.plan(ep.PlanningProblem(grid, cost, (2, 2, 0), (5, 2, 0))))
+    told = answer.json()
+    assert set(told) == set(expected)
+    assert told["energy"] == pytest.approx(expected["energy"], rel=1e-9)  # a straight line
+
+
+def test_a_comparison_names_both_routes(client: TestClient) -> None:
+    surfaces = {**QUERY, "surfaces": "warehouse_surfaces.geojson"}
+    told = client.post("/api/compare", json=surfaces).json()
+    assert {"energy_optimal", "shortest", "saving"} <= set(told)
+
+
+def test_no_path_is_an_answer(client: TestClient) -> None:
+    boxed = {**QUERY, "map": "room.yaml", "goal": [7, 2, 0], "time_limit": 0.5}
+    told = client.post("/api/plan", json=boxed)
+    assert (told.status_code, told.json()["path"]) == (200, None), told.text
+
+
+def test_a_mission_by_file_and_by_content_agree(client: TestClient, folder: Path) -> None:
+    by_file = client.post("/api/mission", json={"mission": "mission_warehouse.yaml"})
+    import yaml
+
+    content = yaml.safe_load((folder / "mission_warehouse.yaml").read_text())
+    by_content = client.post("/api/mission", json={"document": content})
+    assert by_file.status_code == by_content.status_code == 200, by_content.text
+    verdicts = [
+        [(task["name"], task["verdict"]) for task in answer.json()["tasks"]]
+        for answer in (by_file, by_content)
+    ]
+    assert verdicts[0] == verdicts[1]
+    assert len(by_file.json()["timeline"]["t"]) == len(by_file.json()["timeline"]["soc"])
+    assert not list(folder.glob(".mission*"))
+
+
+def test_logs_are_identified_and_diagnosed(client: TestClient) -> None:
+    found = client.post("/api/identify", json={"logs": ["a.csv"], "vehicle": "quadriga:full"})
+    assert {term["name"] for term in found.json()["terms"]} >= {"slip_friction"}
+    asked = {"logs": ["a.csv"], "holdout": ["b.csv"], "vehicle": "quadriga:full"}
+    told = client.post("/api/diagnose", json=asked)
+    assert told.status_code == 200, told.text
+    assert told.json()["verdict"] in {"effect_found", "no_effect", "unexplained"}
+
+
+def test_a_trajectory_is_checked(client: TestClient) -> None:
+    t = [0.0, 1.0, 2.0]
+    columns = {"t": t, "x": t, "y": [0.0] * 3, "yaw": [0.0] * 3, "v": [1.0] * 3, "omega": [0.0] * 3}
+    told = client.post("/api/check", json={"model": MODEL, **columns})
+    assert told.status_code == 200, told.text
+    assert isinstance(told.json()["feasible"], bool)
+    short = client.post("/api/check", json={"model": MODEL, **columns, "x": [0.0]})
+    assert short.status_code == 422
+    assert "different lengths" in short.json()["detail"]
+
+
+def test_a_map_is_told_by_its_runs(client: TestClient) -> None:
+    told = client.get("/api/maps/warehouse.yaml").json()
+    grid = ep.read_map(ROOT / "maps" / "warehouse.yaml")
+    cells = {(row, col) for row, first, last in told["runs"] for col in range(first, last)}
+    rows, columns = grid.occupied.nonzero()
+    assert cells == set(zip(rows.tolist(), columns.tolist(), strict=True))
+    assert (told["rows"], told["columns"]) == grid.occupied.shape
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../secret.yaml",
+        "/etc/passwd",
+        "link.yaml",
+        "a/../../secret.yaml",
+        ".hidden.yaml",
+        "a\0b.yaml",
+    ],
+)
+def test_no_name_leaves_the_data_folder(client: TestClient, name: str) -> None:
+    answer = client.post("/api/plan", json={**QUERY, "map": name})
+    assert answer.status_code == 404, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    model = client.post("/api/plan", json={**QUERY, "model": name})
+    assert model.status_code == 404, model.text
+
+
+@pytest.mark.parametrize(
+    ("change", "status", "told"),
+    [
+        ({"map": "none.yaml"}, 404, "no file"),
+        ({"start": [2, 2]}, 422, "start"),
+        ({"start": [2, 2, "x"]}, 422, "start"),
+        ({"time_limit": 1e9}, 422, "time_limit"),
+        ({"time_limit": 0}, 422, "time_limit"),
+        ({"effort": 10**12}, 422, "effort"),
+        ({"strange": 1}, 422, "strange"),
+        ({"model": "quadriga:full:lava"}, 422, "lava"),
+        ({"planner": "none"}, 422, "none"),
+        ({"start": [-50, 2, 0]}, 409, "outside the map"),
+    ],
+)
+def test_bad_requests_are_told_what_is_wrong(
+    client: TestClient, change: dict[str, Any], status: int, told: str
+) -> None:
+    answer = client.post("/api/plan", json={**QUERY, **change})
+    assert answer.status_code == status, answer.text
+    assert told in answer.json()["detail"]
+    assert {"type", "title", "status", "detail"} <= set(answer.json())
+
+
+def test_other_bodies_are_refused(client: TestClient) -> None:
+    assert client.post("/api/plan", content=b"{", headers=_JSON).status_code == 422
+    assert client.post("/api/plan", content=b"a=1").status_code == 415
+    large = client.post("/api/plan", content=b"", headers={**_JSON, "Content-Length": "999999999"})
+    assert large.status_code == 413
+    assert client.get("/api/health", headers={"Host": "elsewhere.example"}).status_code == 421
+    assert client.get("/api/none").status_code == 404
+
+
+_JSON = {"Content-Type": "application/json"}
+
+
+def test_a_token_is_asked_for(folder: Path) -> None:
+    with TestClient(create_app(folder, token="secret")) as client:
+        assert client.get("/api/health").status_code == 401
+        wrong = {"Authorization": "Bearer secreT"}
+        assert client.get("/api/health", headers=wrong).status_code == 401
+        right = {"Authorization": "Bearer secret"}
+        assert client.get("/api/health", headers=right).status_code == 200
+
+
+def test_uploads_replace_nothing(client: TestClient, folder: Path) -> None:
+    before = (folder / "a.csv").read_bytes()
+    assert client.put("/api/files/a.csv", content=b"x").status_code == 422
+    assert (folder / "a.csv").read_bytes() == before
+    assert client.put("/api/files/new/c.csv", content=b"t,v\n").status_code == 201
+    assert (folder / "new" / "c.csv").read_bytes() == b"t,v\n"
+    assert client.put("/api/files/evil.py", content=b"x").status_code == 422
+    assert client.put("/api/files/..%2Fout.csv", content=b"x").status_code == 404
+    assert not (folder.parent / "out.csv").exists()
+
+
+def test_events_end_with_the_answer(client: TestClient) -> None:
+    with client.stream(
+        "POST", "/api/plan", json=QUERY, headers={"Accept": "text/event-stream"}
+    ) as answer:
+        lines = [line for line in answer.iter_lines() if line]
+    events = [line.removeprefix("event: ") for line in lines if line.startswith("event")]
+    assert events[-1] == "answer"
+    assert events[:-1] == ["progress"] * (len(events) - 1)
+    assert json.loads(lines[-1].removeprefix("data: "))["energy"] > 0
+
+
+def test_as_much_waits_as_may_wait() -> None:
+    pool, gate, begun = Pool(workers=1, waiting=1), threading.Event(), threading.Event()
+
+    def work(job: Job) -> str:
+        begun.set()
+        gate.wait(30)
+        return "done"
+
+    first = pool.submit(work)
+    assert begun.wait(30)
+    second = pool.submit(work)
+    with pytest.raises(BusyError, match="1 requests wait"):
+        pool.submit(work)
+    second.cancelled.set()
+    gate.set()
+    assert first.future.result(30) == "done"
+    with pytest.raises(ep.errors.EnergyPlanError, match="cancelled"):
+        second.future.result(30)
+    pool.submit(work).future.result(30)  # there is room again
+    pool.close()
+
+
+def test_others_are_served_only_with_a_token(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(InvalidInputError, match="give --token"):
+        run(folder, host="0.0.0.0")
+    with pytest.raises(InvalidInputError, match="no folder"):
+        create_app(tmp_path / "none")
+    assert [is_loopback(h) for h in ("127.0.0.1", "localhost", "::1", "0.0.0.0", "robot")] == [
+        True, True, True, False, False,
+    ]  # fmt: skip
+
+
+def test_the_interface_is_described(client: TestClient) -> None:
+    paths = client.get("/openapi.json").json()["paths"]
+    wanted = {"/api/plan", "/api/compare", "/api/check", "/api/mission", "/api/diagnose"}
+    assert wanted <= set(paths)
