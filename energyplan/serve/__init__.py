@@ -4,8 +4,23 @@ It needs the extra ``serve`` (FastAPI and uvicorn). ``energyplan serve FOLDER`` 
 loopback address; `create_app` gives the application to any other ASGI server.
 """
 
-import lazy_loader
+from __future__ import annotations
 
-__getattr__, __dir__, __all__ = lazy_loader.attach(
-    __name__, submod_attrs={"api": ["create_app"], "run": ["run"]}
-)
+from typing import Any
+
+from energyplan.errors import MissingDependencyError
+from energyplan.serve.run import run
+
+__all__ = ["create_app", "run"]
+
+
+def __getattr__(name: str) -> Any:
+    if name != "create_app":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    try:
+        from energyplan.serve.api import create_app
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError(
+            "the service needs FastAPI; pip install 'energyplan[serve]'"
+        ) from error
+    return create_app

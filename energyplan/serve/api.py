@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import asyncio
-import hmac
 import json
 import os
 import tempfile
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
 import yaml
+from fastapi import FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import FileResponse, JSONResponse, StreamingResponse
+from fastapi.staticfiles import StaticFiles
+from starlette.exceptions import HTTPException
 
 from energyplan import __version__
 from energyplan.cost import EnergyCost
@@ -36,87 +40,17 @@ from energyplan.output import documents
 from energyplan.path import Pose, Trajectory
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import planners as known_planners
+from energyplan.serve.guard import Guard, problem
+from energyplan.serve.requests import (
+    CheckRequest,
+    DiagnoseRequest,
+    IdentifyRequest,
+    MissionRequest,
+    PlanRequest,
+)
 from energyplan.serve.store import KINDS, Store, UnknownFileError
 from energyplan.serve.work import BusyError, CancelledError, Job, Pool
 from energyplan.studies.comparison import compare
-
-try:
-    from fastapi import FastAPI, Request, Response
-    from fastapi.exceptions import RequestValidationError
-    from fastapi.responses import FileResponse, JSONResponse, StreamingResponse
-    from fastapi.staticfiles import StaticFiles
-    from pydantic import BaseModel, ConfigDict, Field
-    from starlette.exceptions import HTTPException
-    from starlette.types import ASGIApp, Message, Receive, Scope, Send
-except ImportError as error:  # pragma: no cover - depends on the installation
-    raise MissingDependencyError(
-        "the service needs FastAPI; pip install 'energyplan[serve]'"
-    ) from error
-
-LARGEST_BODY = 64 * 2**20
-"""Largest body of a request [byte]."""
-
-LONGEST, MOST_EFFORT = 60.0, 5_000_000
-"""Largest time limit [s] and effort that a request may ask for."""
-
-MOST_ROWS = 200_000
-"""Largest number of samples of a trajectory in a request."""
-
-PoseRow = Annotated[list[float], Field(min_length=3, max_length=3, examples=[[2.0, 2.0, 0.0]])]
-Name = Annotated[str, Field(min_length=1, max_length=200)]
-
-
-class _Asked(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-
-class PlanRequest(_Asked):
-    """A planning problem; files are named as the data folder has them."""
-
-    map: Name
-    model: Name = Field(examples=["quadriga:full:concrete"])
-    start: PoseRow
-    goal: PoseRow
-    surfaces: Name | None = None
-    heights: Name | None = None
-    battery: bool = False
-    objective: Literal["energy", "length", "time"] = "energy"
-    planner: Name = "lattice"
-    time_limit: float = Field(1.0, gt=0, le=LONGEST)
-    effort: int | None = Field(None, ge=1, le=MOST_EFFORT)
-
-
-class CheckRequest(_Asked):
-    """A trajectory by its columns, and the model whose motors drive it."""
-
-    model: Name
-    t: list[float] = Field(min_length=2, max_length=MOST_ROWS)
-    x: list[float] = Field(max_length=MOST_ROWS)
-    y: list[float] = Field(max_length=MOST_ROWS)
-    yaw: list[float] = Field(max_length=MOST_ROWS)
-    v: list[float] = Field(max_length=MOST_ROWS)
-    omega: list[float] = Field(max_length=MOST_ROWS)
-
-
-class MissionRequest(_Asked):
-    """A mission: a file of the data folder, or what such a file would hold."""
-
-    mission: Name | None = None
-    document: dict[str, Any] | None = None
-
-
-class IdentifyRequest(_Asked):
-    """Drive logs of the data folder."""
-
-    logs: list[Name] = Field(min_length=1, max_length=100)
-    vehicle: Name
-
-
-class DiagnoseRequest(IdentifyRequest):
-    """Drive logs to learn from and to judge by."""
-
-    holdout: list[Name] = Field(min_length=1, max_length=100)
-
 
 STATUS: tuple[tuple[type[Exception], int], ...] = (
     (UnknownFileError, 404),
@@ -128,12 +62,6 @@ STATUS: tuple[tuple[type[Exception], int], ...] = (
     (EnergyPlanError, 409),
 )
 """Which status an error of the library has; the first that fits."""
-
-
-def problem(status: int, title: str, detail: str, **more: Any) -> JSONResponse:
-    """Return an error as RFC 9457 has it."""
-    body = {"type": "about:blank", "title": title, "status": status, "detail": detail, **more}
-    return JSONResponse(body, status, media_type="application/problem+json")
 
 
 def _of(error: Exception) -> JSONResponse:
@@ -192,7 +120,7 @@ def create_app(
         title="energyplan", version=__version__, lifespan=lifespan, docs_url=None, redoc_url=None,
         description="Energy-aware path planning for wheeled skid-steer robots.",
     )  # fmt: skip
-    app.add_middleware(_Guard, token=token, hosts=hosts)
+    app.add_middleware(Guard, token=token, hosts=hosts)
     app.state.pool, app.state.store = pool, store
 
     @app.exception_handler(EnergyPlanError)
@@ -422,53 +350,3 @@ async def _stream(request: Request, job: Job) -> AsyncIterator[str]:
                 yield f"event: problem\ndata: {body}\n\n"
     finally:
         job.cancelled.set()
-
-
-class _Guard:
-    """Refuses requests by another host name, without the token, or with too large a body."""
-
-    def __init__(self, app: ASGIApp, token: str | None, hosts: tuple[str, ...]) -> None:
-        self.app, self.token, self.hosts = app, token, hosts
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self.app(scope, receive, send)
-            return
-        headers = {
-            key.decode("latin-1"): value.decode("latin-1") for key, value in scope["headers"]
-        }
-        refused = self._refusal(scope, headers)
-        if refused is not None:
-            await refused(scope, receive, send)
-            return
-        held = 0
-
-        async def bounded() -> Message:
-            nonlocal held
-            message = await receive()
-            held += len(message.get("body", b""))
-            if held > LARGEST_BODY:
-                raise HTTPException(413, f"the body is larger than {LARGEST_BODY} bytes")
-            return message
-
-        await self.app(scope, bounded, send)
-
-    def _refusal(
-        self, scope: Scope, headers: dict[str, str]
-    ) -> Callable[[Scope, Receive, Send], Awaitable[None]] | None:
-        host = headers.get("host", "")
-        name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
-        if "*" not in self.hosts and name not in self.hosts:
-            return problem(421, "WrongHost", f"the service is not called {name!r}")
-        if self.token is not None and scope["path"].startswith("/api/"):
-            given = headers.get("authorization", "").removeprefix("Bearer ")
-            if not hmac.compare_digest(given.encode(), self.token.encode()):
-                return problem(401, "Unauthorized", "send the token as 'Authorization: Bearer'")
-        if scope["method"] == "POST" and not headers.get("content-type", "").startswith(
-            "application/json"
-        ):
-            return problem(415, "WrongType", "send JSON, as Content-Type: application/json")
-        size = headers.get("content-length", "0")
-        if size.isdigit() and int(size) > LARGEST_BODY:
-            return problem(413, "TooLarge", f"the body is larger than {LARGEST_BODY} bytes")
-        return None

@@ -59,7 +59,7 @@ def run(
         raise MissingDependencyError(
             "the service needs uvicorn; pip install 'energyplan[serve]'"
         ) from error
-    from energyplan.serve.api import create_app
+    from energyplan.serve import create_app
 
     hosts = ("localhost", "127.0.0.1", "[::1]") if is_loopback(host) else ("*",)
     app = create_app(folder, token, workers, waiting, hosts)
