@@ -6,21 +6,36 @@ loopback address; `create_app` gives the application to any other ASGI server.
 
 from __future__ import annotations
 
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from energyplan.errors import MissingDependencyError
 from energyplan.serve.run import run
 
+if TYPE_CHECKING:
+    from fastapi import FastAPI
+
 __all__ = ["create_app", "run"]
 
 
-def __getattr__(name: str) -> Any:
-    if name != "create_app":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+def create_app(
+    folder: str | Path,
+    token: str | None = None,
+    workers: int | None = None,
+    waiting: int = 32,
+    hosts: tuple[str, ...] = ("localhost", "127.0.0.1", "[::1]", "testserver"),
+) -> FastAPI:
+    """Return the service as an ASGI application; see `energyplan.serve.api.create_app`.
+
+    Raises
+    ------
+    MissingDependencyError
+        If the extra ``serve`` is not installed.
+    """
     try:
         from energyplan.serve.api import create_app
     except ModuleNotFoundError as error:
         raise MissingDependencyError(
             "the service needs FastAPI; pip install 'energyplan[serve]'"
         ) from error
-    return create_app
+    return create_app(folder, token, workers, waiting, hosts)
