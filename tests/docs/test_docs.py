@@ -27,6 +27,7 @@ import pytest
 import energyplan as ep
 from energyplan import cli, simulate
 from energyplan.cli._fitting import log as log_commands
+from energyplan.cli._serve import serve
 from energyplan.demo import run as run_demo
 from energyplan.io.trajectory import write_log, write_path, write_trajectory
 from energyplan.power import HOTEL
@@ -207,7 +208,8 @@ def test_command_lines_run(
 EXAMPLES = [
     str(command.epilog).removeprefix("Example: ")
     for command in (*cli.app.registered_commands, *log_commands.registered_commands)
-    if command.callback is not cli.demo  # run by the tests of the command line
+    # these two are run by the tests of the command line and of the service's page
+    if command.callback not in (cli.demo, serve)
 ]
 
 
