@@ -23,6 +23,6 @@ def serve(
     waiting: Annotated[int, typer.Option(min=0, help="Requests that may wait.")] = 32,
 ) -> None:
     """Serve plans, checks, missions and diagnoses over HTTP, with a page to try them on."""
-    from energyplan.serve.run import run
+    from energyplan.serve.server import run
 
     run(folder, host, port, token, workers, waiting)

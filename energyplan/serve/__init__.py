@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from energyplan.errors import MissingDependencyError
-from energyplan.serve.run import run
+from energyplan.serve.server import run
 
 if TYPE_CHECKING:
     from fastapi import FastAPI

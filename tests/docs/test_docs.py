@@ -161,7 +161,7 @@ def command_lines(page: Path) -> Iterator[list[str]]:
 @pytest.fixture(autouse=True)
 def nothing_is_served(monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands that serve would not end; the tests of the service let them."""
-    monkeypatch.setattr("energyplan.serve.run.run", lambda *arguments: None)
+    monkeypatch.setattr("energyplan.serve.server.run", lambda *arguments: None)
 
 
 @pytest.mark.parametrize("page", pages("python"))

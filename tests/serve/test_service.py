@@ -19,7 +19,7 @@ from energyplan.io.maps import write_map
 from energyplan.io.trajectory import write_log
 from energyplan.output import documents
 from energyplan.power import HOTEL
-from energyplan.serve.run import is_loopback, run
+from energyplan.serve.server import is_loopback, run
 
 pytest.importorskip("fastapi", reason="the service needs the extra serve")
 from fastapi.testclient import TestClient
