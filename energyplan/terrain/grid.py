@@ -176,6 +176,43 @@ class OccupancyGrid:
         touched = self._touched(areas)
         return replace(self, occupied=self.occupied | touched)
 
+    def with_mask(self, mask: OccupancyGrid) -> OccupancyGrid:
+        """Return this map with every cell occupied that a keep-out mask blocks.
+
+        Parameters
+        ----------
+        mask : OccupancyGrid
+            A mask as Nav2 has them: its occupied cells are kept out of; what is free or unknown in
+            it, and what it does not cover, stays as it is. It may have another resolution, origin
+            and size.
+
+        Returns
+        -------
+        OccupancyGrid
+            The map with more cells occupied. A cell is blocked that a blocked cell of the mask
+            touches; where the grids do not coincide, one may be that is up to a cell's diagonal of
+            either grid away from one.
+        """
+        if mask.shape == self.shape and mask.resolution == self.resolution:
+            offset = np.subtract(mask.origin, self.origin)
+            if np.abs(offset[:2]).max() < 1e-6 * self.resolution and abs(offset[2]) < 1e-9:
+                return replace(self, occupied=self.occupied | mask.occupied)
+        rows, columns = self.shape
+        near = np.sqrt(0.5) * self.resolution / mask.resolution
+        # so wide that no clearance counts that is one to the edge
+        rim = int(np.ceil(near)) + 2
+        far = _distance.clearance(np.pad(mask.occupied, 2 * rim))
+        touched = np.zeros(self.shape, bool)
+        for row in range(rows):
+            middle = np.column_stack([np.arange(columns) + 0.5, np.full(columns, row + 0.5)])
+            at = mask.to_cells(self.to_world(middle)) + 2.0 * rim
+            cell = np.floor(at).astype(int)
+            inside = np.all((cell >= rim) & (cell < np.array(far.shape[::-1]) - rim), axis=1)
+            column, line = np.where(inside[:, None], cell, 0).T
+            off = np.hypot(*(at - cell - 0.5).T)
+            touched[row] = inside & (far[line, column] <= near + off)
+        return replace(self, occupied=self.occupied | touched)
+
     def _touched(self, areas: BaseGeometry | Iterable[BaseGeometry]) -> BoolArray:
         """Return the cells that some geometry touches, shape (rows, columns)."""
         geometries = [areas] if isinstance(areas, BaseGeometry) else list(areas)

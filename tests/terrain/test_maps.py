@@ -216,3 +216,34 @@ def test_what_lies_beyond_all_numbers_lies_on_no_map(far):
     assert not grid.contains(far, -far)
     assert not grid.contains(1.1, far)
     assert grid.contains(1.1, 2.3)
+
+
+def test_a_mask_of_the_same_frame_keeps_out_of_its_occupied_cells():
+    occupied, kept = np.zeros((6, 9), bool), np.zeros((6, 9), bool)
+    occupied[1, 2] = kept[4, 5] = True
+    unknown = np.zeros((6, 9), bool)
+    unknown[0, 0] = True
+    grid = OccupancyGrid(occupied, 0.1, (1, 2, 0.3))
+    mask = OccupancyGrid(kept, 0.1, (1, 2, 0.3), unknown=unknown)
+    assert np.array_equal(grid.with_mask(mask).occupied, occupied | kept)
+
+
+@pytest.mark.parametrize("resolution", [0.03, 0.1, 0.37])
+def test_a_mask_of_another_frame_blocks_what_it_touches_and_little_more(resolution):
+    rng = np.random.default_rng(4)
+    grid = OccupancyGrid(np.zeros((60, 80), bool), 0.1, (1.0, -2.0, 0.4))
+    kept = rng.random((round(3 / resolution), round(4 / resolution))) < 0.02 + 0.2 * resolution
+    mask = OccupancyGrid(kept, resolution, (2.0, 1.0, -0.9))
+    blocked = grid.with_mask(mask).occupied
+    row, column = np.nonzero(kept)
+    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
+    squares = [
+        shapely.Polygon(mask.to_world(np.add(corners, (c, r))))
+        for r, c in zip(row, column, strict=True)
+    ]
+    touched = grid.with_blocked(squares).occupied
+    assert 20 < touched.sum() < 3000
+    assert not np.any(touched & ~blocked)
+    slack = np.sqrt(2) * max(resolution, 0.1) * 1.01
+    near = grid.with_blocked([s.buffer(slack) for s in squares]).occupied
+    assert not np.any(blocked & ~near)
