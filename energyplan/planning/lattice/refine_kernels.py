@@ -16,6 +16,9 @@ from energyplan.compilation import njit
 from energyplan.planning.scene.motions import KernelProblem, join, motion_cost
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy
 
+HOPELESS = 8
+"""Poses in a row from which no shortcut is free, after which those before are not tried."""
+
 SMALLEST, LARGEST = 1e-4, 1.0
 """Range of the distance by which poses are moved [m]."""
 
@@ -46,6 +49,11 @@ class Chain(NamedTuple):
 
 
 @njit
+def _free(setting: KernelProblem, a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    return steer_energy(b[0] - a[0], b[1] - a[1], a[2], b[2], setting.steering)
+
+
+@njit
 def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int) -> int:
     """Keep those poses only by which the chain is cheapest, and return their number.
 
@@ -65,13 +73,18 @@ def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int) -> in
         before[j] = j - 1
         joined[j] = not chain.kept[j - 1]
         edge[j] = chain.cost[j - 1]
-        for i in range(max(0, j - reach), j):
+        blocked = 0
+        for i in range(j - 1, max(0, j - reach) - 1, -1):
+            if blocked == HOPELESS:
+                break
             limit = best[j] - best[i] - 1e-9
             if limit <= 0:
                 continue
             dx = poses[j, 0] - poses[i, 0]
             dy = poses[j, 1] - poses[i, 1]
             if setting.least_metre * hypot(dx, dy) >= limit:
+                continue
+            if _free(setting, poses[i], poses[j]) >= limit:
                 continue
             cost = join(
                 setting,
@@ -85,6 +98,7 @@ def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int) -> in
                 ds,
                 dtheta,
             )[0]
+            blocked = blocked + 1 if cost == inf else 0
             if cost < limit:
                 best[j] = best[i] + cost
                 before[j] = i
@@ -131,11 +145,6 @@ def _join_poses(
     dtheta: NDArray[np.float64],
 ) -> float:
     return join(setting, a[0], a[1], a[2], b[0], b[1], b[2], limit, ds, dtheta)[0]
-
-
-@njit
-def _free(setting: KernelProblem, a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    return steer_energy(b[0] - a[0], b[1] - a[1], a[2], b[2], setting.steering)
 
 
 @njit
