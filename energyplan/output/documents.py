@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from energyplan.planning import Plan
     from energyplan.power import PowerModel, Residual
     from energyplan.studies.comparison import Comparison
+    from energyplan.studies.energy_map import Contour, EnergyMap
 
 Document = dict[str, Any]
 
@@ -95,6 +96,15 @@ def comparison(made: Comparison) -> Document:
         "energy_optimal": plan(made.energy_optimal),
         "shortest": plan(made.shortest),
         "saving": plain(made.saving),
+    }
+
+
+def energy_map(found: EnergyMap, areas: Sequence[Contour]) -> Document:
+    """Return what ``energyplan range --json`` prints."""
+    return {
+        "area": plain(found.reachable(float(np.finfo(float).max))),
+        "complete_to": plain(found.complete_to),
+        "contours": [{"energy": plain(a.energy), "area": plain(a.area.area)} for a in areas],
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from energyplan.html import number
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from energyplan.mission import MissionReport
     from energyplan.planning import Plan
     from energyplan.studies.comparison import Comparison
+    from energyplan.studies.energy_map import Contour, EnergyMap
 
 
 def identification(found: Identification) -> list[str]:
@@ -83,6 +85,17 @@ def comparison(made: Comparison) -> list[str]:
     lines = ["least energy:", *(f"  {line}" for line in plan(made.energy_optimal, "energy"))]
     lines += ["shortest:", *(f"  {line}" for line in plan(made.shortest, "length"))]
     lines.append(f"saving: {100 * made.saving:.1f} % of the shortest route's energy")
+    return lines
+
+
+def energy_map(found: EnergyMap, areas: Sequence[Contour]) -> list[str]:
+    """Return what ``energyplan range`` prints."""
+    way = "there" if found.back is None else "there and back"
+    lines = [f"{number(a.energy, 4)} J lead {way} over {number(a.area.area)} m^2" for a in areas]
+    if not lines:
+        lines = ["nothing is in reach"]
+    if math.isfinite(found.complete_to):
+        lines.append(f"places that take more than {number(found.complete_to, 4)} J are left out")
     return lines
 
 

@@ -21,7 +21,7 @@ from energyplan.power import HOTEL, PowerModel
 
 Run = Callable[..., "Result"]
 MODEL = PowerModel.preset("quadriga:full:marble")
-COMMANDS = ("identify", "diagnose", "plan", "compare", "check", "mission", "demo")
+COMMANDS = ("identify", "diagnose", "plan", "compare", "check", "mission", "range", "demo")
 
 
 class Result:
@@ -276,3 +276,23 @@ def test_interrupting_is_clean(
     assert result.code == 130
     assert result.err == "energyplan: interrupted; files are as they were\n"
     assert out.read_text() == "as it was"
+
+
+def test_range_tells_how_far_an_energy_leads(run: Run, tmp_path: Path) -> None:
+    asc, areas, picture = (tmp_path / f"range.{end}" for end in ("asc", "geojson", "svg"))
+    options = ("range", "--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
+               "--from", "1.2,2,90deg", "--json")  # fmt: skip
+    result = run(*options, "--energy", 2000, "--reserve", 0.25, "--out", asc,
+                 "--contours", areas, "--plot", picture)  # fmt: skip
+    assert result.code == 0
+    told = result.json["contours"]
+    assert [c["energy"] for c in told] == pytest.approx([300, 600, 900, 1200, 1500])
+    assert told[-1]["area"] <= result.json["area"] * 1.05
+    drawn = json.loads(areas.read_text())["features"]
+    assert [f["properties"] for f in drawn] == told
+    assert asc.read_text().startswith("ncols ")
+    assert picture.read_text().count("<svg") == 1
+    both = run(*options, "--energy", 1500, "--return")
+    assert both.json["area"] < result.json["area"]
+    assert_refused(run(*options, "--energy", -3), "positive")
+    assert_refused(run(*options, "--out", tmp_path / "range.tif"), ".asc")

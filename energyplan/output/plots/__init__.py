@@ -16,6 +16,7 @@ from energyplan.output.plots.drives import (
     tread_speeds,
 )
 from energyplan.output.plots.routes import (
+    energy_map,
     mission_charge,
     mission_map,
     occupancy,
@@ -46,6 +47,7 @@ __all__ = [
     "YELLOW",
     "bin_means",
     "breakdown",
+    "energy_map",
     "energy_over_time",
     "feasible_region",
     "figure",

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
     from energyplan.mission import MissionReport
+    from energyplan.studies.energy_map import EnergyMap
     from energyplan.terrain import OccupancyGrid
 
 from energyplan.output.plots.style import (
@@ -58,6 +59,30 @@ def occupancy(ax: Axes, grid: OccupancyGrid) -> Axes:
     ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     ax.grid(visible=False)
     return ax
+
+
+def energy_map(found: EnergyMap, grid: OccupancyGrid, levels: int = 8) -> Figure:
+    """Draw the energy that each place takes, over its map."""
+    made = figure(size=(8.0, 6.0))
+    ax = occupancy(made.axes[0], grid)
+    energy = np.ma.masked_invalid(found.energy / 1e3)
+    rows, columns = energy.shape
+    image = ax.imshow(
+        energy, cmap="viridis", origin="lower", interpolation="nearest", zorder=1,
+        extent=(0.0, columns * found.resolution, 0.0, rows * found.resolution),
+    )  # fmt: skip
+    x, y, yaw = found.origin
+    turn = mpl.transforms.Affine2D().rotate(yaw).translate(x, y)
+    image.set_transform(turn + ax.transData)
+    most = float(energy.max()) if energy.count() else 0.0
+    if most > 0:
+        for area in found.contours((1e3 * most * np.arange(1, levels) / levels).tolist()):
+            for part in area.area.geoms:
+                ax.plot(*part.exterior.xy, color="white", lw=0.8, zorder=3)
+    ax.plot(found.start.x, found.start.y, "o", color=ORANGE, ms=7, zorder=4)
+    ways = "to get there" if found.back is None else "to get there and back"
+    made.colorbar(image, ax=ax, label=f"energy {ways} [kJ]")
+    return made
 
 
 def route(

@@ -1,0 +1,98 @@
+"""The command about how far an energy leads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from energyplan.cli.common import (
+    IMAGES,
+    Json,
+    ModelName,
+    answer,
+    app,
+    parse_pose,
+    progress,
+    writes,
+)
+
+CONTOURS = 5
+"""Contours where no energy is given."""
+
+
+@app.command(
+    name="range",
+    epilog="Example: energyplan range --map warehouse.yaml --model quadriga:empty:concrete "
+    "--from 2,2,0 --energy 5000 --return --plot range.png",
+)
+def reach(
+    map_file: Annotated[Path, typer.Option("--map", help="map_server YAML file.")],
+    model: ModelName,
+    start: Annotated[str, typer.Option("--from", help="X,Y,YAW; YAW in radians, or like 90deg.")],
+    energy: Annotated[float | None, typer.Option(help="Energy that there is [J].")] = None,
+    reserve: Annotated[float, typer.Option(min=0.0, max=0.99, help="Part of it to be kept.")] = 0.0,
+    back: Annotated[
+        bool, typer.Option("--return", help="Count the way back to the start as well.")
+    ] = False,
+    charger: Annotated[
+        str | None, typer.Option(help="X,Y,YAW to get back to instead of the start.")
+    ] = None,
+    surfaces: Annotated[
+        Path | None, typer.Option(help="GeoJSON polygons that name a model each.")
+    ] = None,
+    battery: Annotated[
+        bool, typer.Option("--battery", help="Count energy at the battery.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            callback=writes(".asc"), help="Write the energies [J] to this ESRI ASCII grid."
+        ),
+    ] = None,
+    contours: Annotated[
+        Path | None,
+        typer.Option(
+            callback=writes(".geojson", ".json"), help="Write the areas in reach to this GeoJSON."
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(callback=writes(*IMAGES), help="Draw the map and the areas to this file."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Find the energy that every place takes to get to, and how far a given energy leads."""
+    from energyplan.cost import EnergyCost
+    from energyplan.io.config import read_model
+    from energyplan.io.energy_map import write_contours, write_energies
+    from energyplan.io.files import atomic_write
+    from energyplan.io.geojson import read_surfaces
+    from energyplan.io.maps import read_map
+    from energyplan.output import documents, plots, text
+    from energyplan.output.report import image
+    from energyplan.planning import PlanningProblem
+    from energyplan.studies.energy_map import energy_map
+
+    pose = parse_pose(start)
+    problem = PlanningProblem(
+        read_map(map_file), EnergyCost(read_model(model), battery=battery), pose, pose,
+        surfaces=read_surfaces(surfaces) if surfaces else None,
+    )  # fmt: skip
+    home = parse_pose(charger) if charger else pose
+    usable = np.inf if energy is None else (1.0 - reserve) * energy
+    with progress("searching"):
+        found = energy_map(problem, energy=usable, back=home if back or charger else None)
+    most = float(found.energy[np.isfinite(found.energy)].max(initial=0.0))
+    limit = most if energy is None else usable
+    parts = np.arange(1, CONTOURS + 1) / CONTOURS
+    areas = found.contours((parts * limit).tolist()) if limit > 0 else ()
+    if out:
+        write_energies(found, out)
+    if contours:
+        write_contours(areas, contours)
+    if plot:
+        atomic_write(plot, image(plots.energy_map(found, problem.map), plot.suffix))
+    answer(documents.energy_map(found, areas), text.energy_map(found, areas), json=json)

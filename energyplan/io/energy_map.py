@@ -1,0 +1,71 @@
+"""Write maps of energy: ESRI ASCII grids, and contours as GeoJSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import shapely
+
+from energyplan.errors import MapError
+from energyplan.io.files import atomic_write
+from energyplan.studies.energy_map import Contour, EnergyMap
+
+NO_DATA = -9999
+"""Stands for places that are out of reach."""
+
+
+def write_energies(found: EnergyMap, path: str | Path) -> None:
+    """Write the energies of all places as an ESRI ASCII grid (``.asc``), in joules.
+
+    Parameters
+    ----------
+    found : EnergyMap
+        The energies.
+    path : str or Path
+        The file. It is replaced as a whole. -9999 stands for places out of reach.
+
+    Raises
+    ------
+    MapError
+        If the map is turned in the world, which such a file cannot say.
+    """
+    if found.origin.yaw != 0.0:
+        raise MapError(
+            f"{path}: an ESRI ASCII grid lies along the axes, and this map is turned by "
+            f"{np.degrees(found.origin.yaw):.4g} deg; write the contours instead"
+        )
+    rows, columns = found.energy.shape
+    header = (
+        f"ncols {columns}\nnrows {rows}\nxllcorner {found.origin.x!r}\n"
+        f"yllcorner {found.origin.y!r}\ncellsize {found.resolution!r}\nNODATA_value {NO_DATA}\n"
+    )
+    lines = (
+        " ".join(f"{value:.6g}" if np.isfinite(value) else str(NO_DATA) for value in row)
+        for row in found.energy[::-1].tolist()
+    )
+    atomic_write(Path(path), header + "\n".join(lines) + "\n")
+
+
+def write_contours(areas: Sequence[Contour], path: str | Path) -> None:
+    """Write areas in reach as GeoJSON; each feature has its ``energy`` [J] and ``area`` [m^2].
+
+    Parameters
+    ----------
+    areas : sequence of Contour
+        The areas.
+    path : str or Path
+        The file. It is replaced as a whole.
+    """
+    features = [
+        {
+            "type": "Feature",
+            "properties": {"energy": found.energy, "area": found.area.area},
+            "geometry": shapely.geometry.mapping(found.area),
+        }
+        for found in areas
+    ]
+    document = {"type": "FeatureCollection", "features": features}
+    atomic_write(Path(path), json.dumps(document, indent=1) + "\n")

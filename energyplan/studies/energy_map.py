@@ -1,0 +1,270 @@
+"""How much energy every place of a map takes to get to, and how far a given energy leads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import contourpy
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike
+
+from energyplan.errors import InvalidInputError
+from energyplan.path import FloatArray, Pose
+from energyplan.planning.lattice import search_kernels as kernels
+from energyplan.planning.lattice.search import Search, coarse_lattice
+from energyplan.planning.problem import PlanningProblem, as_pose
+from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.scene.guide import no_distance
+from energyplan.planning.scene.motions import DIRECTIONS, KernelProblem
+
+CELLS = 2
+"""Cells of the lattice to a cell of the raster, along either axis."""
+
+STRIDE = 20_000
+"""Expansions between two looks at what is reached."""
+
+
+class Contour(NamedTuple):
+    """The places that an energy leads to.
+
+    Attributes
+    ----------
+    energy : float
+        The energy [J].
+    area : shapely.MultiPolygon
+        The places, in the world [m].
+    """
+
+    energy: float
+    area: shapely.MultiPolygon
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyMap:
+    """The energy that each place takes.
+
+    Attributes
+    ----------
+    energy : ndarray, shape (rows, columns)
+        Energy to reach the place at any heading, and to get back where `back` is set [J]; infinite
+        where none was reached. Row 0 is the lowest.
+    resolution : float
+        Size of a place [m].
+    origin : Pose
+        Outer corner of place (0, 0) in the world, as that of an `OccupancyGrid`.
+    start : Pose
+        Where the robot sets out.
+    back : Pose or None
+        Where it has to get back to.
+    complete_to : float
+        What takes up to this energy is on the map [J]; infinite where all places are.
+    """
+
+    energy: FloatArray
+    resolution: float
+    origin: Pose
+    start: Pose
+    back: Pose | None
+    complete_to: float
+
+    def reachable(self, energy: float) -> float:
+        """Return the area of the places that an energy [J] leads to [m^2]."""
+        return float(np.count_nonzero(self.energy <= energy)) * self.resolution**2
+
+    def energy_at(self, points: ArrayLike) -> FloatArray:
+        """Return the energy of the places that hold world points (..., 2) [m]; infinite elsewhere.
+
+        Parameters
+        ----------
+        points : array_like, shape (..., 2)
+            Points x, y [m].
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Energies [J].
+        """
+        offset = np.asarray(points, float) - np.array(self.origin[:2])
+        c, s = np.cos(self.origin.yaw), np.sin(self.origin.yaw)
+        cell = np.floor(offset @ np.array([[c, -s], [s, c]]) / self.resolution).astype(int)
+        rows, columns = self.energy.shape
+        inside = np.all((cell >= 0) & (cell < np.array([columns, rows])), axis=-1)
+        column, row = np.moveaxis(np.where(inside[..., None], cell, 0), -1, 0)
+        return np.where(inside, self.energy[row, column], np.inf)
+
+    def contours(self, levels: Sequence[float]) -> tuple[Contour, ...]:
+        """Return the areas that some energies lead to, the least energy first.
+
+        Parameters
+        ----------
+        levels : sequence of float
+            Energies [J].
+
+        Returns
+        -------
+        tuple of Contour
+            The areas, which hold one another.
+        """
+        # what is out of reach is far beyond every level, so that lines run along its edge
+        wide = np.pad(self.energy, 1, constant_values=np.inf)
+        x = (np.arange(wide.shape[1]) - 0.5) * self.resolution
+        y = (np.arange(wide.shape[0]) - 0.5) * self.resolution
+        found = []
+        for level in sorted(levels):
+            beyond = np.where(wide <= level, wide, np.where(np.isfinite(wide), wide, 2.0 * level))
+            made = contourpy.contour_generator(x, y, beyond, fill_type="OuterOffset")
+            polygons = []
+            for points, offsets in zip(*made.filled(-np.inf, level), strict=True):
+                rings = [points[a:b] for a, b in pairwise(offsets)]
+                polygons.append(shapely.Polygon(rings[0], rings[1:]))
+            area = shapely.MultiPolygon(polygons)
+            found.append(Contour(float(level), shapely.transform(area, self._to_world)))
+        return tuple(found)
+
+    def _to_world(self, points: FloatArray) -> FloatArray:
+        c, s = np.cos(self.origin.yaw), np.sin(self.origin.yaw)
+        return np.asarray(points @ np.array([[c, s], [-s, c]]) + np.array(self.origin[:2]))
+
+
+def energy_map(
+    problem: PlanningProblem,
+    *,
+    energy: float = np.inf,
+    back: ArrayLike | None = None,
+    effort: int = 20_000_000,
+) -> EnergyMap:
+    """Find the energy that every place of a map takes to get to.
+
+    One search without a goal, on a lattice of half the fineness that planning begins with. The
+    energies are those of drivable paths: never below the least, and above it by what the lattice is
+    coarse, a few per cent in general.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        The problem; its goal does not matter.
+    energy : float
+        Energy beyond which places are of no interest [J].
+    back : array_like, shape (3,), optional
+        Pose that the robot has to get back to, such as a charger's: then a place takes the energy
+        to it and from there on, at the heading at which both together are least.
+    effort : int
+        Largest number of expansions of either search.
+
+    Returns
+    -------
+    EnergyMap
+        The energies.
+
+    Raises
+    ------
+    StartInCollisionError, OutsideMapError
+        If the start, or the pose to get back to, cannot be; the message names the pose.
+    InvalidInputError
+        If the objective is another than energy, or the energy is not positive.
+
+    Examples
+    --------
+    >>> from energyplan.cost import EnergyCost
+    >>> from energyplan.terrain import OccupancyGrid
+    >>> hall = OccupancyGrid(np.zeros((80, 120), bool), resolution=0.1)
+    >>> cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.3)
+    >>> found = energy_map(PlanningProblem(hall, cost, (6, 4, 0), (6, 4, 0)))
+    >>> bool(200 * 3.5 < found.energy_at((10, 4)) < 200 * 4.5)
+    True
+    """
+    if not energy > 0:
+        raise InvalidInputError(f"the energy is {energy} J; give a positive number")
+    if problem.objective != "energy":
+        raise InvalidInputError("a map of energies has the objective 'energy'; leave it out")
+    problem = replace(problem, goal=problem.start)
+    there = CompiledProblem(problem)
+    lattice = coarse_lattice(there.setting)
+    spacing = CELLS * lattice.cell
+    # the search's energies are less what the height is worth
+    rise = _rise(there, spacing)
+    lowest = float(rise.min(initial=0.0))
+    out = _search(there.setting, lattice, energy - lowest, effort)
+    table = _table(out, lattice, spacing, there.setting)
+    complete = out.frontier + lowest
+    target = None
+    if back is None:
+        energies = table.min(axis=0) + rise
+    else:
+        target = as_pose(back, "the pose to get back to")
+        home = CompiledProblem(replace(problem, start=target, goal=target))
+        ways = _search(_reversed(home.setting), lattice, energy - lowest, effort)
+        # what climbing is worth on the way out comes back on the way home, but for the two ends
+        level = there.worth(target) - there.worth(problem.start)
+        energies = (table + _table(ways, lattice, spacing, home.setting)).min(axis=0) + level
+        complete = min(complete, ways.frontier + lowest)
+    return EnergyMap(
+        energy=np.where(energies <= energy, energies, np.inf),
+        resolution=spacing,
+        origin=there.grid.origin,
+        start=problem.start,
+        back=target,
+        complete_to=min(complete, energy),
+    )
+
+
+def _search(setting: KernelProblem, lattice: kernels.Lattice, limit: float, effort: int) -> Search:
+    """Return a search grown up to an energy."""
+    search = Search(setting, no_distance(), lattice, 0.0)
+    status = kernels.RUNNING
+    while status == kernels.RUNNING and search.frontier <= limit and effort > 0:
+        status = search.run(np.inf, stop_at_first=False, expansions=STRIDE)
+        effort -= STRIDE
+    return search
+
+
+def _reversed(setting: KernelProblem) -> KernelProblem:
+    """Return a problem in which each motion costs what it does driven the other way."""
+    half = DIRECTIONS // 2
+    turned = np.concatenate([setting.prices[:, half:-1], setting.prices[:, : half + 1]], axis=1)
+    return setting._replace(prices=np.ascontiguousarray(turned))
+
+
+def _table(
+    search: Search, lattice: kernels.Lattice, spacing: float, setting: KernelProblem
+) -> FloatArray:
+    """Return the least energy by heading and place, shape (headings, rows, columns)."""
+    space, tree = setting.space, search.tree
+    count = int(tree.counts[0])
+    live = np.isfinite(tree.g[:count])
+    x, y = tree.x[:count][live] - space.x, tree.y[:count][live] - space.y
+    rows, columns = _shape(setting, spacing)
+    column = np.clip((space.cos * x + space.sin * y) / spacing, 0, columns - 1).astype(int)
+    row = np.clip((-space.sin * x + space.cos * y) / spacing, 0, rows - 1).astype(int)
+    yaw = search.setting.start_yaw + tree.heading[:count][live] * lattice.turn - space.yaw
+    heading = np.round(yaw / lattice.turn).astype(int) % lattice.headings
+    out = np.full((lattice.headings, rows, columns), np.inf)
+    np.minimum.at(out, (heading, row, column), tree.g[:count][live])
+    return out
+
+
+def _shape(setting: KernelProblem, spacing: float) -> tuple[int, int]:
+    rows, columns = np.ceil(
+        np.array(setting.space.clearance.shape) * setting.space.resolution / spacing
+    )
+    return int(rows), int(columns)
+
+
+def _rise(query: CompiledProblem, spacing: float) -> FloatArray:
+    """Return what the height of each place is worth beyond the start's [J]."""
+    rows, columns = _shape(query.setting, spacing)
+    rise = np.zeros((rows, columns))
+    if query.problem.heights is None:
+        return rise
+    scale = spacing / query.grid.resolution
+    size = np.array(query.grid.shape[::-1])
+    start = query.worth(query.problem.start)
+    for row, column in np.ndindex(rows, columns):
+        middle = np.minimum(np.array([column + 0.5, row + 0.5]) * scale, size)
+        x, y = query.grid.to_world(middle).tolist()
+        rise[row, column] = query.worth(Pose(x, y, 0.0)) - start
+    return rise
