@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -96,7 +97,7 @@ def test_contours_hold_one_another_and_their_places():
     made = energy_map(PlanningProblem(turned, COST, start, start))
     areas = made.contours([3000.0, 1000.0, 2000.0])
     assert [a.energy for a in areas] == [1000.0, 2000.0, 3000.0]
-    for small, large in zip(areas, areas[1:], strict=False):
+    for small, large in pairwise(areas):
         assert large.area.buffer(1e-6).contains(small.area)
     assert areas[0].area.buffer(made.resolution).contains(shapely.Point(start[:2]))
     # interpolated between places, so about as large as these
