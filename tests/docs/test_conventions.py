@@ -85,7 +85,7 @@ def test_the_public_names_are_these() -> None:
         "MotorLimits", "OccupancyGrid", "OnlineIdentifier", "ParetoFront", "ParetoPoint", "Path",
         "Plan", "PlanningProblem", "Pose", "PowerModel", "Residual", "Sides", "SurfaceMap", "Task",
         "Term", "Trajectory", "TreadICR", "Vehicle", "battery", "check", "compare", "diagnose",
-        "errors", "evaluate", "feasibility", "identify", "pareto", "plan", "plots", "read_heights",
+        "energy_map", "errors", "evaluate", "feasibility", "identify", "pareto", "plan", "plots", "read_heights",
         "read_map", "read_mission", "read_model", "read_surfaces", "read_vehicle", "simulate",
         "speed", "steering", "write_model",
     ]  # fmt: skip
