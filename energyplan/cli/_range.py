@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from energyplan.cli.common import (
@@ -65,6 +64,8 @@ def reach(
     json: Json = False,
 ) -> None:
     """Find the energy that every place takes to get to, and how far a given energy leads."""
+    import numpy as np
+
     from energyplan.cost import EnergyCost
     from energyplan.io.config import read_model
     from energyplan.io.energy_map import write_contours, write_energies
