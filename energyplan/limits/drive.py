@@ -373,14 +373,13 @@ class Drive:
         """Yield instants and weights that integrate powers over the drive, ground by ground."""
         for k in range(self.block_count):
             pieces = self.pieces(k)
-            for some, _ in self.refined(pieces, self.power(pieces)):
-                if not len(some.interval):
-                    continue
-                weight = self.widths(some)[:, None] * SIMPSON
-                for part in self.parts(some):
-                    yield Quadrature(
-                        part.region, part.motion, weight[part.which], some.interval[part.which]
-                    )
+            found = [some for some, _ in self.refined(pieces, self.power(pieces))]
+            pieces = Pieces(*(np.concatenate(column) for column in zip(*found, strict=True)))
+            weight = self.widths(pieces)[:, None] * SIMPSON
+            for part in self.parts(pieces):
+                yield Quadrature(
+                    part.region, part.motion, weight[part.which], pieces.interval[part.which]
+                )
 
     def breakdown(self) -> dict[str, float]:
         """Return the energy by term of the power models [J]; the values add up to `energy`."""

@@ -12,17 +12,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from energyplan.errors import MissionError
+from energyplan.limits.drive import Drive, Ground
 from energyplan.mission.types import Mission
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
 from energyplan.power import PowerModel
 from energyplan.power.effects import GRADE
 from energyplan.vehicle import TreadICR, Vehicle, wheel_loads
-
-Regions = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -205,68 +203,43 @@ class Grounds:
             self._directions[key] = np.column_stack([*columns, np.diag(spread)])
         return self._directions[key]
 
-    def estimate(self, trajectory: Trajectory, region: Regions, payload: float) -> Estimate:
-        """Return the energy of a trajectory over the grounds, at the battery.
+    def drive(self, trajectory: Trajectory, payload: float) -> Drive:
+        """Return a trajectory over the grounds with a payload [kg], as the battery feels it."""
+        mission = self._mission
+        first, *others = (
+            self.model(k, payload).battery_side() for k in range(len(self._source_of))
+        )
+        ground = Ground(first, mission.surfaces, mission.heights, tuple(others))
+        return Drive(trajectory, ground)
 
-        Parameters
-        ----------
-        trajectory : Trajectory
-            The trajectory, n samples.
-        region : ndarray of int, shape (n - 1,)
-            Region of each interval between samples.
-        payload : float
-            Payload [kg].
-
-        Returns
-        -------
-        Estimate
-            The energy.
-        """
+    def estimate(self, trajectory: Trajectory, payload: float) -> Estimate:
+        """Return the energy of a trajectory with a payload [kg], at the battery."""
         total = self.nothing
-        for k in np.unique(region):
-            width = np.where(region == k, np.diff(trajectory.t), 0.0)
-            icr = self.model(int(k), payload).vehicle.icr
-            motion = self._motion(trajectory, icr)
-            total = total + self._one(int(k), motion, width, payload)
+        for part in self.drive(trajectory, payload).quadrature():
+            total = total + self._one(part.region, part.motion, part.weight, payload)
         return total
 
-    def power(self, trajectory: Trajectory, region: Regions, payload: float) -> FloatArray:
+    def power(self, trajectory: Trajectory, payload: float) -> FloatArray:
         """Return the mean power of each interval of a trajectory [W], shape (n - 1,)."""
-        out = np.zeros(len(region))
-        for k in np.unique(region):
-            model = self.model(int(k), payload).battery_side()
-            power = model.power(self._motion(trajectory, model.vehicle.icr))
-            out = np.where(region == k, 0.5 * (power[1:] + power[:-1]), out)
-        return out
-
-    def _motion(self, trajectory: Trajectory, icr: TreadICR) -> Motion:
-        """Return the motion along a trajectory; on slopes it is faster than in plan view."""
-        heights = self._mission.heights
-        if heights is None:
-            return Motion.from_trajectory(trajectory, icr)
-        poses = trajectory.poses.copy()
-        heading = np.column_stack([np.cos(trajectory.yaw), np.sin(trajectory.yaw)])
-        poses[:, :2] += icr.longitudinal * heading
-        slope = heights.slope(poses)
-        flat = Motion.from_trajectory(trajectory, icr, slope=slope)
-        more = trajectory.v * (1.0 / np.cos(slope) - 1.0)
-        return Motion(flat.v_left + more, flat.v_right + more, icr, flat.channels)
+        drive = self.drive(trajectory, payload)
+        return np.asarray(drive.interval_energies() / np.diff(trajectory.t))
 
     def idle(self, region: int, duration: float, payload: float) -> Estimate:
         """Return the energy of standing still for so long [s]."""
         model = self.model(region, payload)
         steady = dict.fromkeys((c for term in model.terms for c in term.channels), 0.0)
-        motion = Motion.from_twist(np.zeros(2), np.zeros(2), model.vehicle.icr, **steady)
+        motion = Motion.from_twist(np.zeros(1), np.zeros(1), model.vehicle.icr, **steady)
         # The residual is what the model misses while driving.
         return replace(self._one(region, motion, np.array([duration]), payload), noise=0.0)
 
-    def _one(self, region: int, motion: Motion, width: FloatArray, payload: float) -> Estimate:
+    def _one(self, region: int, motion: Motion, weight: FloatArray, payload: float) -> Estimate:
+        """Integrate over instants of a motion that stand for so much time each [s]."""
         model = self.model(region, payload)
         source = self._sources[self._source_of[region]]
 
         def energy(coefficients: FloatArray) -> float:
             power = model.with_coefficients(coefficients).battery_side().power(motion)
-            return float(0.5 * (power[1:] + power[:-1]) @ width)
+            return float((weight * power).sum())
 
         values = model.coefficients
         mean = energy(values)
@@ -285,7 +258,7 @@ class Grounds:
             error = weights @ [abs(r.energy_error) for r in residuals]
             sensitivity[source.first + source.size - 1] = error * mean
             strength = weights @ [2 * r.rmse**2 * r.correlation_time for r in residuals]
-            noise = float(strength * width.sum())
+            noise = float(strength * weight.sum())
         return Estimate(mean, sensitivity, noise)
 
 

@@ -18,7 +18,7 @@ from energyplan.cost import EnergyCost
 from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitError
 from energyplan.limits.speed import profile
 from energyplan.mission.bounds import shortest_ways
-from energyplan.mission.energy import Estimate, Grounds, Regions
+from energyplan.mission.energy import Estimate, Grounds
 from energyplan.mission.types import Mission
 from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
 from energyplan.planning import PlanningProblem, plan
@@ -28,9 +28,6 @@ from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
 
 _PERIOD = 0.1
 """Largest time between two samples of a leg [s]."""
-
-_PIECE = 0.5
-"""Length of the pieces in which the slope counts as constant while timing [m]."""
 
 _PLANNING = 20.0
 """Time for all routes of a mission, where it does not say otherwise [s]."""
@@ -314,53 +311,33 @@ class Legs:
             trajectory = self._timed(route, payload)
         except InfeasibleMotionError as error:
             return _stuck(path, nothing, "motor", str(error))
-        region = self._regions(trajectory, path.longitudinal)
         return Leg(
             path,
             trajectory,
-            grounds.power(trajectory, region, payload),
-            grounds.estimate(trajectory, region, payload),
+            grounds.power(trajectory, payload),
+            grounds.estimate(trajectory, payload),
         )
 
     def _timed(self, route: _Route, payload: float) -> Trajectory:
         """Return the route's trajectory of least energy, or the quickest at the speed asked."""
-        speed, model = self.mission.speed, self._leading_model(route.path, payload)
-        key = speed, _told(model)
+        mission, speed = self.mission, self.mission.speed
+        cost, surfaces = self.cost(payload)
+        model = cost.model.battery_side()
+        if surfaces is not None:
+            grounds = (replace(s, model=s.model.battery_side()) for s in surfaces.surfaces)
+            surfaces = replace(surfaces, surfaces=tuple(grounds))
+        others = () if surfaces is None else tuple(_told(s.model) for s in surfaces.surfaces)
+        key = speed, _told(model), others
         if key not in route.timed:
-            path, channels = route.path, {}
-            if self.mission.heights is not None:
-                path = path.subdivide(max(_PIECE, 0.5 * self.mission.heights.resolution), 0.2)
-                channels = {"slope": self.mission.heights.slopes(path)}
+            motor = model.vehicle.motor
+            if speed is not None:
+                motor = replace(motor, speed=min(speed, motor.speed))
             objective: Literal["energy", "time"] = "energy" if speed is None else "time"
             route.timed[key] = profile(
-                path, model, objective=objective, period=_PERIOD, channels=channels
-            )
+                route.path, model, vehicle=replace(model.vehicle, motor=motor),
+                objective=objective, surfaces=surfaces, heights=mission.heights, period=_PERIOD,
+            )  # fmt: skip
         return route.timed[key]
-
-    def _leading_model(self, path: Path, payload: float) -> PowerModel:
-        """Return the model by which a path is timed: that of the most demanding ground on it.
-
-        Times that the motors can keep there, they can keep on all of the path.
-        """
-        cost, surfaces = self.cost(payload)
-        model = cost.model
-        if surfaces is not None:
-            met = np.flatnonzero(surfaces.shares(path).max(axis=0) > 0)
-            costs = surfaces.costs(cost)
-            model = max((costs[int(k)] for k in met), key=lambda c: c.energy(path)).model
-        speed = self.mission.speed
-        if speed is not None:
-            motor = replace(model.vehicle.motor, speed=min(speed, model.vehicle.motor.speed))
-            model = replace(model, vehicle=replace(model.vehicle, motor=motor))
-        return model.battery_side()
-
-    def _regions(self, trajectory: Trajectory, longitudinal: float) -> Regions:
-        surfaces = self.mission.surfaces
-        if surfaces is None:
-            return np.zeros(len(trajectory) - 1, np.intp)
-        heading = np.column_stack([np.cos(trajectory.yaw), np.sin(trajectory.yaw)])
-        points = trajectory.poses[:, :2] + longitudinal * heading
-        return surfaces.region_at(0.5 * (points[1:] + points[:-1]))
 
 
 def _shaped(heights: HeightMap | None) -> object:

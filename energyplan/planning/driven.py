@@ -1,0 +1,124 @@
+"""What driving a path takes: the path timed within the limits, and its energy with everything in it.
+
+A plan prices its path at steady speeds: geometry. Driving it means starting and stopping, time in
+which computers draw power, braking whose energy does not all come back, and speeds below the one
+that was asked for. `drive_path` times the path and integrates the power of the whole model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from energyplan.cost import EnergyCost
+from energyplan.limits.drive import Drive, Ground
+from energyplan.limits.speed import profile
+from energyplan.path import Path, Trajectory
+from energyplan.power import PowerModel
+from energyplan.terrain import HeightMap, SurfaceMap
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A path as it is driven.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        The path, timed within the limits of motors and battery.
+    energy : float
+        What driving it takes [J]: at the battery where the cost counts there, else at the treads.
+    breakdown : mapping of str to float
+        The same by term of the power models [J].
+    speed : float
+        Tread speed that straight driving was priced at [m/s].
+    """
+
+    trajectory: Trajectory
+    energy: float
+    breakdown: Mapping[str, float]
+    speed: float
+
+    @property
+    def duration(self) -> float:
+        """Time that driving takes [s]."""
+        return self.trajectory.duration
+
+
+def drive_path(
+    path: Path,
+    cost: EnergyCost,
+    surfaces: SurfaceMap | None = None,
+    heights: HeightMap | None = None,
+    *,
+    smooth: float = 0.0,
+    period: float = 0.05,
+) -> Driven:
+    """Time a path as its cost assumes, and integrate what driving it takes.
+
+    Where the cost has a speed, the path is driven as quickly as the limits and that speed allow;
+    where it has none, with the least energy.
+
+    Parameters
+    ----------
+    path : Path
+        The path.
+    cost : EnergyCost
+        The cost that the path was planned with.
+    surfaces : SurfaceMap, optional
+        Grounds with power models of their own.
+    heights : HeightMap, optional
+        Heights of the ground; level where not given.
+    smooth, period : float
+        As in `energyplan.limits.speed.profile`.
+
+    Returns
+    -------
+    Driven
+        The trajectory and its energy.
+
+    Raises
+    ------
+    InfeasibleMotionError
+        If the motors cannot drive the path at any speed.
+    InvalidInputError
+        If nothing limits the speed.
+
+    Examples
+    --------
+    >>> from energyplan.path import Pose
+    >>> model = PowerModel.preset("quadriga:empty:concrete")
+    >>> path = Path(Pose(0, 0, 0), ds=[2.4], dtheta=[0.0])
+    >>> found = drive_path(path, EnergyCost(model))
+    >>> round(found.energy, 3), round(found.duration, 3)
+    (542.4, 3.2)
+    """
+    model = _counted(cost.model, cost)
+    if surfaces is not None:
+        grounds = (replace(s, model=_counted(s.model, cost)) for s in surfaces.surfaces)
+        surfaces = replace(surfaces, surfaces=tuple(grounds))
+    vehicle = cost.vehicle
+    objective: Literal["time", "energy"] = "energy"
+    if cost.speed is not None:
+        objective = "time"
+        motor = replace(vehicle.motor, speed=min(cost.speed, vehicle.motor.speed))
+        vehicle = replace(vehicle, motor=motor)
+    made = profile(
+        path, model, vehicle=vehicle, objective=objective, smooth=smooth, period=period,
+        channels=cost.channels, surfaces=surfaces, heights=heights,
+    )  # fmt: skip
+    drive = Drive(made, Ground(model, surfaces, heights), cost.channels)
+    return Driven(
+        trajectory=made,
+        energy=drive.energy(),
+        breakdown=drive.breakdown(),
+        speed=float(np.min(np.atleast_1d(cost.cheapest_speed(0.0)))),
+    )
+
+
+def _counted(model: PowerModel, cost: EnergyCost) -> PowerModel:
+    """Return the model with the losses on the way from the battery, where the cost counts them."""
+    return model.battery_side() if cost.battery else model
