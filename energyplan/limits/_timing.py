@@ -10,7 +10,11 @@ from numpy.typing import NDArray
 
 from energyplan.limits._timing_kernels import lay_phases, limit_corners
 from energyplan.limits.acceleration_table import Ladder
-from energyplan.path import FloatArray, Path, Trajectory
+from energyplan.limits.curve import subdivided
+from energyplan.path import FloatArray, Path, Pose, Trajectory
+
+TOLERANCE = 0.02
+"""How far the robot may leave the path where a corner is driven through [m]."""
 
 
 class Phases(NamedTuple):
@@ -45,6 +49,14 @@ class Sampled(NamedTuple):
 
     trajectory: Trajectory
     run: NDArray[np.int_]
+
+
+class Grid(NamedTuple):
+    """Points along a course: their run, the distance from its start, the cells between them [m]."""
+
+    run: NDArray[np.int_]
+    at: FloatArray
+    cell: FloatArray
 
 
 @dataclass(frozen=True)
@@ -117,10 +129,72 @@ class Course:
         v, omega = self.path.ds[run] * unit, self.path.dtheta[run] * unit
         return Sampled(Trajectory(t, poses[:, 0], poses[:, 1], poses[:, 2], v, omega), run)
 
+    @property
+    def shape(self) -> FloatArray:
+        """Speed along the heading [1] and yaw rate [1/m] of each run at unit rate, (n, 2)."""
+        return np.column_stack([self.path.ds, self.path.dtheta]) / self.length[:, None]
+
+    @property
+    def reach(self) -> FloatArray:
+        """How far a corner that is driven through is rounded to either side [m], shape (n - 1,)."""
+        return rounding(self.length, self.shape) * self.through
+
     def _windows(self) -> tuple[FloatArray, FloatArray]:
         """Distances from the start and from the end of each run without samples [m]."""
-        reach = 0.5 * np.minimum(self.length[:-1], self.length[1:]) * self.through
+        reach = self.reach
         return np.append(0.0, reach), np.append(reach, 0.0)
+
+    def sections(self) -> list[Course]:
+        """Return the parts between the stops."""
+        stops = np.flatnonzero(self.corner[1:-1] == 0.0) + 1
+        first, vertices = 0, self.path.vertices
+        parts = []
+        for last in (*stops, len(self.length)):
+            part = slice(first, last)
+            path = Path(
+                Pose(*vertices[first]), self.path.ds[part], self.path.dtheta[part],
+                self.path.longitudinal,
+            )  # fmt: skip
+            parts.append(
+                Course(
+                    path, self.length[part], self.corner[first : last + 1],
+                    self.through[first : last - 1],
+                )
+            )  # fmt: skip
+            first = int(last)
+        return parts
+
+    def grid(self, step: float) -> Grid:
+        """Return points along the course, where its curvature changes and at most `step` apart."""
+        head, tail = self._windows()
+        run: list[NDArray[np.int_]] = []
+        at: list[FloatArray] = []
+        cell: list[FloatArray] = []
+        for k, length in enumerate(self.length):
+            places = subdivided(float(head[k]), float(length - tail[k]), step)
+            if k:
+                gap = self.length[k - 1] - at[-1][-1] + places[0]
+                if gap < 1e-12:
+                    places = places[1:]
+                else:
+                    cell.append(np.array([gap]))
+                if not len(places):
+                    continue
+                if gap < 1e-12:
+                    cell.append(np.array([places[0] - head[k]]))
+            cell.append(np.diff(places))
+            run.append(np.full(len(places), k))
+            at.append(places)
+        return Grid(np.concatenate(run), np.concatenate(at), np.concatenate(cell))
+
+    def at_points(self, grid: Grid, rate: FloatArray) -> Sampled:
+        """Return the trajectory through the points of a grid at given rates."""
+        run = grid.run
+        t = np.append(0.0, np.cumsum(2 * grid.cell / (rate[1:] + rate[:-1])))
+        poses = self._poses(run, np.clip(grid.at / self.length[run], 0.0, 1.0))
+        v, omega = (self.shape[run] * rate[:, None]).T
+        made = Trajectory(t, poses[:, 0], poses[:, 1], poses[:, 2], v, omega)
+        return Sampled(made, run)
 
     def _hidden(self, t: FloatArray, run: NDArray[np.int_], at: FloatArray) -> NDArray[np.bool_]:
         head, tail = self._windows()
@@ -164,6 +238,32 @@ class Course:
         x = begin[:, 0] + lever * (np.cos(begin[:, 2]) - np.cos(yaw)) + chord * np.cos(mid)
         y = begin[:, 1] + lever * (np.sin(begin[:, 2]) - np.sin(yaw)) + chord * np.sin(mid)
         return np.column_stack([x, y, yaw])
+
+
+def rounding(length: FloatArray, shape: FloatArray) -> FloatArray:
+    """Return how far corners may be rounded to either side [m], shape (n - 1,).
+
+    At most half of either run, and not so far that the robot leaves the path by more than
+    `TOLERANCE`: while the curvature changes evenly over twice the distance w in place of jumping by
+    k, the way is offset by k w^2 / 6.
+    """
+    half = 0.5 * np.minimum(length[:-1], length[1:])
+    bend = np.abs(np.diff(shape[:, 1]))
+    wide = np.sqrt(np.divide(6 * TOLERANCE, bend, out=np.full_like(bend, np.inf), where=bend > 0))
+    return np.minimum(half, wide)
+
+
+def joined(parts: list[Sampled], first_run: list[int]) -> Sampled:
+    """Return trajectories that follow upon each other as one."""
+    t, columns, runs, since = [], [], [], 0.0
+    for k, (part, first) in enumerate(zip(parts, first_run, strict=True)):
+        made, skip = part.trajectory, 1 if k else 0
+        t.append(since + made.t[skip:])
+        since += made.duration
+        columns.append(np.column_stack([made.poses, made.v, made.omega])[skip:])
+        runs.append(first + part.run[skip:])
+    x, y, yaw, v, omega = np.concatenate(columns).T
+    return Sampled(Trajectory(np.concatenate(t), x, y, yaw, v, omega), np.concatenate(runs))
 
 
 def _crowded(t: FloatArray, run: NDArray[np.int_], at: FloatArray) -> NDArray[np.bool_]:

@@ -21,8 +21,9 @@ from scipy.optimize import brentq
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
 from energyplan.limits._check import LimitedDrive, Survey
-from energyplan.limits._timing import Course, Phases, Sampled
-from energyplan.limits.acceleration_table import Ladder, Runs
+from energyplan.limits._timing import Course, Phases, Sampled, joined, rounding
+from energyplan.limits.acceleration_table import UNLIMITED, Ladder, Runs
+from energyplan.limits.curve import Points, fastest_along
 from energyplan.limits.drive import Drive, Ground
 from energyplan.limits.economy import Choice, Economy
 from energyplan.limits.motor import ROUNDING, Limits
@@ -42,6 +43,9 @@ SLOPED = 0.5
 
 SLOWEST = 0.05
 """Slowest cruising speed that the least energy may ask for, over the motors' speed limit."""
+
+CELLS, FINEST = 400, 0.002
+"""Cells that the straights and arcs of a smooth curve are cut into, and their least length [m]."""
 
 TRIES = 20
 """How often limits are tightened at most until a profile keeps the given ones everywhere."""
@@ -164,7 +168,7 @@ def profile(
     task = _Task.build(path, ground.leading(path), limits, known, smooth, (start_speed, end_speed))
 
     def solve(within: Limits) -> Sampled:
-        return task.course.sample(task.phases(within, objective, duration), period)
+        return task.sampled(within, objective, duration, period)
 
     def survey(sampled: Sampled) -> Survey:
         along = {name: value[task.kinds[sampled.run]] for name, value in task.runs.channels.items()}
@@ -325,7 +329,7 @@ class _Task:
         fresh = np.any(np.abs(np.diff(share, axis=0)) > SAME, axis=1)
         fresh |= np.any(np.diff(given, axis=0) != 0, axis=1)
         begin = np.flatnonzero(np.append(True, fresh))
-        joined = Path(
+        whole = Path(
             path.start,
             np.add.reduceat(path.ds[moves], begin),
             np.add.reduceat(dtheta[moves], begin),
@@ -338,8 +342,8 @@ class _Task:
         corner = np.concatenate(
             [ends[:1], np.where(jump <= max(SAME, smooth), np.inf, 0), ends[1:]]
         )
-        shape = np.column_stack([joined.ds / length, joined.dtheta / length])
-        drift = _drift(length, shape, jump * through)
+        shape = np.column_stack([whole.ds / length, whole.dtheta / length])
+        drift = _drift(rounding(length, shape), shape, jump * through)
         features = np.column_stack([shape, given, drift])
         _, first, kinds = np.unique(
             features.round(9), axis=0, return_index=True, return_inverse=True
@@ -347,15 +351,60 @@ class _Task:
         kind = features[first]
         names = dict(zip(columns, kind.T[3:-4], strict=True))
         runs = Runs(kind[:, 0], kind[:, 1], kind[:, -4:].T, model, names)
-        course = Course(joined, length, corner, through)
+        course = Course(whole, length, corner, through)
         return cls(course, runs, kinds.reshape(-1))
+
+    def sampled(
+        self, limits: Limits, objective: str, duration: float | None, period: float
+    ) -> Sampled:
+        """Return the trajectory that meets the objective, or takes the duration."""
+        course = self.course
+        if objective != "time" or duration is not None or not course.through.any():
+            return course.sample(self.phases(limits, objective, duration), period)
+        level = replace(self.runs, drift=np.zeros_like(self.runs.drift))
+        top = level.top_rate(limits)[self.kinds]
+        parts, first = [], [0]
+        for section in course.sections():
+            runs = slice(first[-1], first[-1] + len(section.length))
+            if section.through.any():
+                parts.append(self._curve(section, runs, limits, top[runs]))
+            else:
+                task = replace(self, course=section, kinds=self.kinds[runs])
+                parts.append(section.sample(task.phases(limits, objective, None), period))
+            first.append(runs.stop)
+        made = joined(parts, first[:-1])
+        self._check_ends(*(self._rates(made)[[0, -1]]))
+        return made
+
+    def _rates(self, sampled: Sampled) -> FloatArray:
+        made, icr = sampled.trajectory, self.runs.model.vehicle.icr
+        left, right = made.v - icr.left * made.omega, made.v + icr.right * made.omega
+        return np.maximum(np.abs(left), np.abs(right))
+
+    def _curve(self, section: Course, runs: slice, limits: Limits, top: FloatArray) -> Sampled:
+        """Time a section that is a smooth curve, at least in part."""
+        grid = section.grid(max(float(section.length.sum()) / CELLS, FINEST))
+        cap = top[grid.run]
+        cap[[0, -1]] = np.minimum(cap[[0, -1]], section.corner[[0, -1]])
+        # A point where two runs meet belongs to both.
+        meet = np.flatnonzero(
+            (np.diff(grid.run) > 0) & (grid.at[:-1] >= section.length[grid.run[:-1]])
+        )
+        cap[meet] = np.minimum(cap[meet], top[grid.run[meet + 1]])
+        kinds = self.kinds[runs][grid.run]
+        forward, turn = section.shape[grid.run].T
+        known = {name: value[kinds] for name, value in self.runs.channels.items()}
+        points = Points(forward, turn, grid.cell, known)
+        full = min(limits.motor.acceleration, UNLIMITED)
+        rate = fastest_along(points, self.runs.model, limits, cap, full)
+        return section.at_points(grid, rate)
 
     def phases(self, limits: Limits, objective: str, duration: float | None) -> Phases:
         """Return the phases that meet the objective, or take the duration."""
         fastest = Ladder.fastest(self.runs, limits, RUNGS)
         quick = Choice(fastest.take(self.kinds), fastest.rate[-1, self.kinds])
         best = self._drive(quick)
-        self._check_ends(best)
+        self._check_ends(best.rate[0], best.rate[-1] + best.gain[-1] * best.time[-1])
         if objective == "time" and duration is None:
             return best
         if duration is not None and duration < best.duration * (1 - ROUNDING):
@@ -375,11 +424,10 @@ class _Task:
     def _drive(self, choice: Choice, cap: float = np.inf) -> Phases:
         return self.course.phases(choice.ladder, np.minimum(choice.cruise, cap))
 
-    def _check_ends(self, phases: Phases) -> None:
-        final = phases.rate[-1] + phases.gain[-1] * phases.time[-1]
+    def _check_ends(self, first: float, last: float) -> None:
         for name, wanted, found in (
-            ("start_speed", self.course.corner[0], phases.rate[0]),
-            ("end_speed", self.course.corner[-1], final),
+            ("start_speed", self.course.corner[0], first),
+            ("end_speed", self.course.corner[-1], last),
         ):
             if found < wanted * (1 - 1e-6) - 1e-9:
                 raise InfeasibleMotionError(
@@ -416,13 +464,12 @@ class _Task:
         return self._drive(best, brentq(late, slow, fast, xtol=1e-15, rtol=1e-13))
 
 
-def _drift(length: FloatArray, shape: FloatArray, jump: FloatArray) -> FloatArray:
+def _drift(reach: FloatArray, shape: FloatArray, jump: FloatArray) -> FloatArray:
     """How fast the shape of the motion changes about both ends of each run of a smooth curve.
 
-    A jump between two runs is spread over half the shorter one on either side. The factor
+    A jump between two runs is spread over the distance `reach` on either side. The factor
     ``1 + 2 jump`` covers what straight interpolation across it leaves out.
     """
-    reach = np.minimum(length[:-1], length[1:])
-    rate = np.diff(shape, axis=0) * ((jump > 0) * (1 + 2 * jump) / reach)[:, None]
+    rate = np.diff(shape, axis=0) * ((jump > 0) * (1 + 2 * jump) / (2 * reach))[:, None]
     none = np.zeros((1, 2))
     return np.hstack([np.vstack([none, rate]), np.vstack([rate, none])])
