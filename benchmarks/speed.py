@@ -1,16 +1,18 @@
 """Speed profiles against a linear program, dynamic programming and toppra, side by side.
 
-Run: ``python benchmarks/speed.py [paths]``. The references are those of ``tests/test_speed.py``;
-the comparison with toppra is skipped where it is not installed.
+Run: ``python benchmarks/speed.py [paths]``. The references are those of ``tests/limits``; the
+comparison with toppra is skipped where it is not installed.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import logging
 import runpy
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -18,8 +20,12 @@ import numpy as np
 from energyplan.limits.feasibility import check
 from energyplan.limits.speed import profile
 from energyplan.path import Path
+from energyplan.vehicle import MotorLimits
 
-REFERENCE = runpy.run_path(str(FilePath(__file__).parents[1] / "tests" / "test_speed.py"))
+TESTS = FilePath(__file__).parents[1] / "tests"
+sys.path.insert(0, str(TESTS))
+REFERENCE = runpy.run_path(str(TESTS / "limits" / "test_speed.py"))
+CHAIN = runpy.run_path(str(TESTS / "limits" / "test_chain.py"))
 PAPER, LOSSY = REFERENCE["PAPER"], REFERENCE["LOSSY"]
 
 
@@ -69,48 +75,29 @@ def against_dynamic_program() -> None:
         )
 
 
-def against_toppra() -> None:
-    """Least time along a smooth curve, the two treads as the joints of a robot."""
+def against_toppra(count: int) -> None:
+    """Least time along smooth curves in 5 cm arcs, the two treads as the joints of a robot."""
     if importlib.util.find_spec("toppra") is None:
-        print("smooth curve: toppra is not installed, comparison skipped")
+        print("smooth curves: toppra is not installed, comparison skipped")
         return
-    import toppra
-    from toppra import algorithm, constraint
-
-    icr, motor = PAPER.vehicle.icr, PAPER.vehicle.motor
-    print("least time along a smooth curve, against toppra (1001 grid points)")
-    for step in (0.1, 0.05, 0.025):
-        path = Path.from_poses(REFERENCE["wave"](step))
-        treads = np.column_stack(
-            [path.ds - icr.left * path.dtheta, path.ds + icr.right * path.dtheta]
-        )
-        along = np.append(0.0, np.cumsum(np.abs(treads).max(axis=1)))
-        joints = toppra.SplineInterpolator(
-            along, np.vstack([np.zeros((1, 2)), np.cumsum(treads, axis=0)])
-        )
-        limits = [
-            constraint.JointVelocityConstraint(np.array([[-motor.speed, motor.speed]] * 2)),
-            constraint.JointAccelerationConstraint(
-                np.array([[-motor.acceleration, motor.acceleration]] * 2)
-            ),
-        ]
-
-        def optimum(joints: object = joints, limits: object = limits, end: float = along[-1]):
-            solver = algorithm.TOPPRA(
-                limits,
-                joints,
-                gridpoints=np.linspace(0, end, 1001),
-                parametrizer="ParametrizeConstAccel",
-            )
-            return solver.compute_trajectory(0, 0)
-
-        best, longer = timed(optimum)
-        found, span = timed(lambda p=path: profile(p, PAPER, smooth=0.2))
-        print(
-            f"  arcs of {step:5.3f} m: {found.duration:.3f} s against {best.duration:.3f} s "
-            f"({found.duration / best.duration - 1:+.2%}), {span * 1e3:.1f} ms against "
-            f"{longer * 1e3:.1f} ms"
-        )
+    logging.disable(logging.WARNING)
+    motor = MotorLimits(speed=1.2, acceleration=1.0)
+    vehicle = replace(PAPER.vehicle, motor=motor)
+    rng = np.random.default_rng(0)
+    excess, spans, feasible = [], [], 0
+    for _ in range(count):
+        path = CHAIN["smooth_curve"](rng)
+        found, span = timed(lambda p=path: profile(p, PAPER, vehicle=vehicle, smooth=0.5))
+        least = CHAIN["toppra_duration"](path, vehicle.icr, motor.speed, motor.acceleration)
+        excess.append(found.duration / least - 1)
+        spans.append(span)
+        feasible += check(found, PAPER, vehicle).feasible
+    print(f"least time along {count} smooth curves in 5 cm arcs, toppra on 1001 points of a spline")
+    print(
+        f"  duration over toppra's, minus 1: median {np.median(excess):+.2%}, "
+        f"{min(excess):+.2%} to {max(excess):+.2%}; feasible: {feasible} of {count}; "
+        f"{1e3 * np.median(spans):.1f} ms each"
+    )
 
 
 def long_path() -> None:
@@ -127,7 +114,8 @@ def long_path() -> None:
 
 
 if __name__ == "__main__":
-    against_linear_program(int(sys.argv[1]) if len(sys.argv) > 1 else 200)
+    paths = int(sys.argv[1]) if len(sys.argv) > 1 else 200
+    against_linear_program(paths)
     against_dynamic_program()
-    against_toppra()
+    against_toppra(paths)
     long_path()

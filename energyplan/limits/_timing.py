@@ -13,8 +13,8 @@ from energyplan.limits.acceleration_table import Ladder
 from energyplan.limits.curve import subdivided
 from energyplan.path import FloatArray, Path, Pose, Trajectory
 
-TOLERANCE = 0.02
-"""How far the robot may leave the path where a corner is driven through [m]."""
+ROUNDED = 0.15
+"""Longest cell where a corner is rounded [m]."""
 
 
 class Phases(NamedTuple):
@@ -52,10 +52,24 @@ class Sampled(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """Points along a course: their run, the distance from its start, the cells between them [m]."""
+    """Points along a course, and the cells between them.
+
+    Parameters
+    ----------
+    run : ndarray of int, shape (n,)
+        Run that the point lies on.
+    at : ndarray, shape (n,)
+        Distance from the run's start [m].
+    shape : ndarray, shape (n, 2)
+        Speed along the heading [1] and yaw rate [1/m] at unit rate; between those of both runs
+        where a corner is rounded.
+    cell : ndarray, shape (n - 1,)
+        Lengths of the cells [m].
+    """
 
     run: NDArray[np.int_]
     at: FloatArray
+    shape: FloatArray
     cell: FloatArray
 
 
@@ -74,12 +88,15 @@ class Course:
     through : ndarray of bool, shape (n - 1,)
         Corners that are part of a smooth curve and driven through although the shares of the
         treads jump.
+    tolerance : float
+        How far the robot may leave the path there [m].
     """
 
     path: Path
     length: FloatArray
     corner: FloatArray
     through: NDArray[np.bool_]
+    tolerance: float
 
     def phases(self, ladder: Ladder, cruise: FloatArray) -> Phases:
         """Drive every run as fast as its ladder and cruising rate allow.
@@ -137,7 +154,7 @@ class Course:
     @property
     def reach(self) -> FloatArray:
         """How far a corner that is driven through is rounded to either side [m], shape (n - 1,)."""
-        return rounding(self.length, self.shape) * self.through
+        return rounding(self.length, self.shape, self.tolerance) * self.through
 
     def _windows(self) -> tuple[FloatArray, FloatArray]:
         """Distances from the start and from the end of each run without samples [m]."""
@@ -158,41 +175,48 @@ class Course:
             parts.append(
                 Course(
                     path, self.length[part], self.corner[first : last + 1],
-                    self.through[first : last - 1],
+                    self.through[first : last - 1], self.tolerance,
                 )
             )  # fmt: skip
             first = int(last)
         return parts
 
     def grid(self, step: float) -> Grid:
-        """Return points along the course, where its curvature changes and at most `step` apart."""
+        """Return points along the course, at most `step` apart on arcs, `ROUNDED` at corners."""
         head, tail = self._windows()
-        run: list[NDArray[np.int_]] = []
-        at: list[FloatArray] = []
-        cell: list[FloatArray] = []
+        shape = self.shape
+        run: list[int] = []
+        at: list[float] = []
+        bent: list[FloatArray] = []
+        cell: list[float] = []
         for k, length in enumerate(self.length):
             places = subdivided(float(head[k]), float(length - tail[k]), step)
             if k:
-                gap = self.length[k - 1] - at[-1][-1] + places[0]
-                if gap < 1e-12:
+                gap = float(tail[k - 1] + head[k])
+                # Where no corner is rounded, the runs share a point.
+                parts = int(np.ceil(gap / ROUNDED - 1e-9)) if gap > 0 else 0
+                for i in range(1, parts):
+                    share = i / parts
+                    place = gap * share - float(tail[k - 1])
+                    run.append(k - 1 if place < 0 else k)
+                    at.append(float(self.length[k - 1]) + place if place < 0 else place)
+                    bent.append((1 - share) * shape[k - 1] + share * shape[k])
+                cell += [gap / parts] * parts
+                if not parts:
+                    cell += [places[1] - places[0]] if len(places) > 1 else []
                     places = places[1:]
-                else:
-                    cell.append(np.array([gap]))
-                if not len(places):
-                    continue
-                if gap < 1e-12:
-                    cell.append(np.array([places[0] - head[k]]))
-            cell.append(np.diff(places))
-            run.append(np.full(len(places), k))
-            at.append(places)
-        return Grid(np.concatenate(run), np.concatenate(at), np.concatenate(cell))
+            cell += list(np.diff(places))
+            run += [k] * len(places)
+            at += list(places)
+            bent += [shape[k]] * len(places)
+        return Grid(np.array(run), np.array(at), np.array(bent), np.array(cell))
 
     def at_points(self, grid: Grid, rate: FloatArray) -> Sampled:
         """Return the trajectory through the points of a grid at given rates."""
         run = grid.run
         t = np.append(0.0, np.cumsum(2 * grid.cell / (rate[1:] + rate[:-1])))
         poses = self._poses(run, np.clip(grid.at / self.length[run], 0.0, 1.0))
-        v, omega = (self.shape[run] * rate[:, None]).T
+        v, omega = (grid.shape * rate[:, None]).T
         made = Trajectory(t, poses[:, 0], poses[:, 1], poses[:, 2], v, omega)
         return Sampled(made, run)
 
@@ -240,16 +264,16 @@ class Course:
         return np.column_stack([x, y, yaw])
 
 
-def rounding(length: FloatArray, shape: FloatArray) -> FloatArray:
+def rounding(length: FloatArray, shape: FloatArray, tolerance: float) -> FloatArray:
     """Return how far corners may be rounded to either side [m], shape (n - 1,).
 
     At most half of either run, and not so far that the robot leaves the path by more than
-    `TOLERANCE`: while the curvature changes evenly over twice the distance w in place of jumping by
-    k, the way is offset by k w^2 / 6.
+    `tolerance` [m]: while the curvature changes evenly over twice the distance w in place of
+    jumping by k, the way is offset by k w^2 / 6.
     """
     half = 0.5 * np.minimum(length[:-1], length[1:])
     bend = np.abs(np.diff(shape[:, 1]))
-    wide = np.sqrt(np.divide(6 * TOLERANCE, bend, out=np.full_like(bend, np.inf), where=bend > 0))
+    wide = np.sqrt(np.divide(6 * tolerance, bend, out=np.full_like(bend, np.inf), where=bend > 0))
     return np.minimum(half, wide)
 
 

@@ -67,6 +67,7 @@ def profile(
     start_speed: float = 0.0,
     end_speed: float = 0.0,
     smooth: float = 0.0,
+    tolerance: float = 0.02,
     channels: Mapping[str, ArrayLike] | None = None,
     surfaces: SurfaceMap | None = None,
     heights: HeightMap | None = None,
@@ -98,8 +99,11 @@ def profile(
         Speed of the faster tread at the start and at the end [m/s].
     smooth : float
         Corners at which the share of either tread in the speed of the faster one changes by no
-        more than this count as part of a smooth curve and are driven through [1]. For paths
-        fitted to poses; 0.1 is a good value. With 0 every change of curvature is a corner.
+        more than this count as part of a smooth curve and are driven through [1]. With 0 every
+        change of curvature is a corner at which the robot stops; 0.5 suits paths fitted to poses;
+        with 1 a straight goes over into a pivot without a stop. Reversals and spins are stops.
+    tolerance : float
+        How far the robot may leave the path where it drives through a corner [m].
     channels : mapping of str to array_like, shape () or (n,), optional
         Further channels that the model's terms read, one value per segment of the path or one
         for all, such as the ``slope`` along each segment [rad].
@@ -147,7 +151,10 @@ def profile(
     Pham and Pham (2018), "A new approach to time-optimal path parameterization based on
     reachability analysis"; docs/theory, sections 2 and 3.
     """
-    for name, value in (("start_speed", start_speed), ("end_speed", end_speed), ("smooth", smooth)):
+    for name, value in (
+        ("start_speed", start_speed), ("end_speed", end_speed), ("smooth", smooth),
+        ("tolerance", tolerance),
+    ):  # fmt: skip
         if not (np.isfinite(value) and value >= 0):
             raise InvalidInputError(f"{name} is {value}; give a number >= 0")
     if objective not in ("time", "energy"):
@@ -165,7 +172,9 @@ def profile(
     if heights is not None:
         path = path.subdivide(max(SLOPED, 0.5 * heights.resolution), 0.2)
         known["slope"] = heights.slopes(path)
-    task = _Task.build(path, ground.leading(path), limits, known, smooth, (start_speed, end_speed))
+    task = _Task.build(
+        path, ground.leading(path), limits, known, smooth, tolerance, (start_speed, end_speed)
+    )
 
     def solve(within: Limits) -> Sampled:
         return task.sampled(within, objective, duration, period)
@@ -303,6 +312,7 @@ class _Task:
         limits: Limits,
         channels: Mapping[str, ArrayLike],
         smooth: float,
+        tolerance: float,
         ends: tuple[float, float],
     ) -> _Task:
         icr, count = model.vehicle.icr, len(path)
@@ -338,12 +348,12 @@ class _Task:
         length = np.add.reduceat(length[moves], begin)
         share, given = share[begin], given[begin]
         jump = np.max(np.abs(np.diff(share, axis=0)), axis=1, initial=0.0)
-        through = (jump > SAME) & (jump <= smooth)
-        corner = np.concatenate(
-            [ends[:1], np.where(jump <= max(SAME, smooth), np.inf, 0), ends[1:]]
-        )
+        # The faster tread cannot turn round at a jump of 1 or less.
+        smooth = min(smooth, 1.0) if tolerance > 0 else 0.0
+        through = (jump > SAME) & (jump <= smooth + SAME)
+        corner = np.concatenate([ends[:1], np.where((jump <= SAME) | through, np.inf, 0), ends[1:]])
         shape = np.column_stack([whole.ds / length, whole.dtheta / length])
-        drift = _drift(rounding(length, shape), shape, jump * through)
+        drift = _drift(rounding(length, shape, tolerance), shape, jump * through)
         features = np.column_stack([shape, given, drift])
         _, first, kinds = np.unique(
             features.round(9), axis=0, return_index=True, return_inverse=True
@@ -351,7 +361,7 @@ class _Task:
         kind = features[first]
         names = dict(zip(columns, kind.T[3:-4], strict=True))
         runs = Runs(kind[:, 0], kind[:, 1], kind[:, -4:].T, model, names)
-        course = Course(whole, length, corner, through)
+        course = Course(whole, length, corner, through, tolerance)
         return cls(course, runs, kinds.reshape(-1))
 
     def sampled(
@@ -361,13 +371,11 @@ class _Task:
         course = self.course
         if objective != "time" or duration is not None or not course.through.any():
             return course.sample(self.phases(limits, objective, duration), period)
-        level = replace(self.runs, drift=np.zeros_like(self.runs.drift))
-        top = level.top_rate(limits)[self.kinds]
         parts, first = [], [0]
         for section in course.sections():
             runs = slice(first[-1], first[-1] + len(section.length))
             if section.through.any():
-                parts.append(self._curve(section, runs, limits, top[runs]))
+                parts.append(self._curve(section, runs, limits))
             else:
                 task = replace(self, course=section, kinds=self.kinds[runs])
                 parts.append(section.sample(task.phases(limits, objective, None), period))
@@ -381,19 +389,15 @@ class _Task:
         left, right = made.v - icr.left * made.omega, made.v + icr.right * made.omega
         return np.maximum(np.abs(left), np.abs(right))
 
-    def _curve(self, section: Course, runs: slice, limits: Limits, top: FloatArray) -> Sampled:
+    def _curve(self, section: Course, part: slice, limits: Limits) -> Sampled:
         """Time a section that is a smooth curve, at least in part."""
         grid = section.grid(max(float(section.length.sum()) / CELLS, FINEST))
-        cap = top[grid.run]
-        cap[[0, -1]] = np.minimum(cap[[0, -1]], section.corner[[0, -1]])
-        # A point where two runs meet belongs to both.
-        meet = np.flatnonzero(
-            (np.diff(grid.run) > 0) & (grid.at[:-1] >= section.length[grid.run[:-1]])
-        )
-        cap[meet] = np.minimum(cap[meet], top[grid.run[meet + 1]])
-        kinds = self.kinds[runs][grid.run]
-        forward, turn = section.shape[grid.run].T
+        kinds = self.kinds[part][grid.run]
         known = {name: value[kinds] for name, value in self.runs.channels.items()}
+        forward, turn = grid.shape.T
+        runs = Runs(forward, turn, np.zeros((4, len(turn))), self.runs.model, known)
+        cap = runs.top_rate(limits)
+        cap[[0, -1]] = np.minimum(cap[[0, -1]], section.corner[[0, -1]])
         points = Points(forward, turn, grid.cell, known)
         full = min(limits.motor.acceleration, UNLIMITED)
         rate = fastest_along(points, self.runs.model, limits, cap, full)

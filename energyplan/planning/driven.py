@@ -1,4 +1,4 @@
-"""What driving a path takes: the path timed within the limits, and its energy with everything in it.
+"""What driving a path takes: the path timed within the limits, and all of its energy.
 
 A plan prices its path at steady speeds: geometry. Driving it means starting and stopping, time in
 which computers draw power, braking whose energy does not all come back, and speeds below the one

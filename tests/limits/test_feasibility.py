@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from limits.fine_integral import fine_energy
 
 from energyplan.errors import InvalidInputError, MissingChannelError
 from energyplan.limits import drive as limit_drive
@@ -13,7 +14,6 @@ from energyplan.path import Trajectory
 from energyplan.power import PowerModel, Sides, Term
 from energyplan.power.effects import term
 from energyplan.vehicle import MotorLimits
-from tests.limits.fine_integral import fine_energy
 
 PAPER = PowerModel.preset("quadriga:empty:concrete")
 INERTIA = PAPER.with_term(term("linear_inertia"), 83.0).with_term(term("angular_inertia"), 7.5)
