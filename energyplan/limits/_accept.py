@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from energyplan.errors import InfeasibleMotionError
 from energyplan.limits._check import Survey
 from energyplan.limits._timing import Sampled
