@@ -19,7 +19,7 @@ from energyplan.cost import EnergyCost
 from energyplan.planning import PlanningProblem, plan
 from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
-from energyplan.terrain import HeightMap, OccupancyGrid
+from energyplan.terrain import HeightMap, OccupancyGrid, path_price
 
 SIZE = (40.0, 30.0)
 
@@ -58,7 +58,7 @@ def main() -> None:
         problem = PlanningProblem(grid, cost, start, goal, heights=ground)
         short, long = plan(problem, time_limit=1.0), plan(problem, time_limit=5.0)
         level = plan(replace(problem, heights=None), time_limit=1.0)
-        paid = ground.energy(level.path, cost)
+        paid = path_price(level.path, cost, None, ground).energy
         reduced = long.energy - long.potential
         first.append(1e3 * short.first_time)
         level_first.append(1e3 * level.first_time)

@@ -31,7 +31,10 @@ from .output import plots as plots
 from .path import Path as Path
 from .path import Pose as Pose
 from .path import Trajectory as Trajectory
+from .planning import Budget as Budget
+from .planning import Candidate as Candidate
 from .planning import Plan as Plan
+from .planning import Planner as Planner
 from .planning import PlanningProblem as PlanningProblem
 from .planning import plan as plan
 from .power import PowerModel as PowerModel
@@ -48,6 +51,7 @@ from .studies import pareto as pareto
 from .terrain import HeightMap as HeightMap
 from .terrain import OccupancyGrid as OccupancyGrid
 from .terrain import SurfaceMap as SurfaceMap
+from .terrain import Terrain as Terrain
 from .vehicle import MotorLimits as MotorLimits
 from .vehicle import TreadICR as TreadICR
 from .vehicle import Vehicle as Vehicle

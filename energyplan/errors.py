@@ -88,7 +88,24 @@ class PlanningError(EnergyPlanError):
 
 
 class NoPathError(PlanningError):
-    """No drivable path joins start and goal."""
+    """No drivable path joins start and goal, or none was found at a resolution.
+
+    Parameters
+    ----------
+    message : str
+        What was tried, and what may help.
+    certainty : {"at_resolution", "proven"}
+        Whether it is proven that there is none, or whether none was found in steps of some size.
+    resolution : float
+        That size [m]; NaN where there is no such thing.
+    """
+
+    def __init__(
+        self, message: str, certainty: str = "at_resolution", resolution: float = float("nan")
+    ) -> None:
+        super().__init__(message)
+        self.certainty = certainty
+        self.resolution = resolution
 
 
 class StartInCollisionError(PlanningError):
@@ -105,6 +122,14 @@ class OutsideMapError(PlanningError):
 
 class TimeLimitError(PlanningError):
     """The time limit passed before a first plan was found."""
+
+
+class InvalidPathError(PlanningError):
+    """What a planner returned is no answer to the problem; the message says what is wrong."""
+
+
+class LowerBoundError(PlanningError):
+    """A lower bound lies above what a path costs: whoever made the bound is wrong."""
 
 
 class UnsupportedPlannerError(PlanningError):

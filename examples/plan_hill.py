@@ -21,7 +21,7 @@ from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
 from energyplan.studies.comparison import compare
-from energyplan.terrain import HeightMap, OccupancyGrid
+from energyplan.terrain import HeightMap, OccupancyGrid, path_price
 
 SIZE = (32.0, 20.0)
 START, GOAL = (2.0, 9.0, 0.0), (30.0, 9.0, 0.0)
@@ -77,7 +77,7 @@ def main() -> None:
     best = made.energy_optimal
     tell("least energy", best.energy, best, ground)
     tell("shortest", made.shortest.energy, made.shortest, ground)
-    tell("planned as if level", ground.energy(blind.path, cost), blind, ground)
+    tell("planned as if level", path_price(blind.path, cost, None, ground).energy, blind, ground)
     print(
         f"{100 * made.saving:.1f} % saved; no route takes less than {best.lower_bound:.0f} J. "
         f"On level ground the way would take {blind.energy:.0f} J."

@@ -38,6 +38,10 @@ Battery = Annotated[bool, typer.Option("--battery", help="Count energy at the ba
 Planner = Annotated[str, typer.Option(help="lattice, roadmap, or another planner's name.")]
 Objective = Annotated[str, typer.Option(help="energy, length or time.")]
 TimeLimit = Annotated[float, typer.Option(help="Time for improving the plan [s].")]
+Effort = Annotated[
+    int | None,
+    typer.Option(help="Units of work in place of the time: the same plan on any machine."),
+]
 OutPath = Annotated[
     Path | None,
     typer.Option("--out", callback=writes(*TABLES), help="Write the path to this CSV file."),
@@ -98,6 +102,7 @@ def plan(
     planner: Planner = "lattice",
     objective: Objective = "energy",
     time_limit: TimeLimit = 1.0,
+    effort: Effort = None,
     out: OutPath = None,
     plot: Plot = None,
     json: Json = False,
@@ -111,7 +116,7 @@ def plan(
     problem = _problem(map_file, model, start, goal, surfaces, heights, battery, objective)
     try:
         with progress("planning"):
-            made = run(problem, planner=planner, time_limit=time_limit)
+            made = run(problem, planner=planner, time_limit=time_limit, effort=effort)
     except NoPathError as error:
         _no_path(error, json, strict)
     if out:
@@ -136,6 +141,7 @@ def compare(
     planner: Planner = "lattice",
     objective: Objective = "energy",
     time_limit: TimeLimit = 1.0,
+    effort: Effort = None,
     out: OutPath = None,
     plot: Plot = None,
     report: Report = None,
@@ -152,7 +158,7 @@ def compare(
     problem = _problem(map_file, model, start, goal, surfaces, heights, battery, objective)
     try:
         with progress("planning"):
-            made = run(problem, planner=planner, time_limit=time_limit)
+            made = run(problem, planner=planner, time_limit=time_limit, effort=effort)
     except NoPathError as error:
         _no_path(error, json, strict)
     if out:
@@ -166,7 +172,9 @@ def compare(
 
 
 def _no_path(error: NoPathError, json: bool, strict: bool) -> NoReturn:
-    answer({"path": None, "reason": str(error)}, [f"no path: {error}"], json=json)
+    from energyplan.output import documents, text
+
+    answer(documents.no_path(error), text.no_path(error), json=json)
     raise typer.Exit(NO if strict else 0)
 
 

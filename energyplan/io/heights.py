@@ -9,7 +9,8 @@ import numpy as np
 from energyplan.errors import MapError
 from energyplan.io._limited import read_bytes
 from energyplan.path import Pose
-from energyplan.terrain.grid import MAX_CELLS, HeightMap
+from energyplan.terrain.grid import MAX_CELLS
+from energyplan.terrain.heights import HeightMap
 
 MAX_FILE = 2**28
 """Largest file that is read [bytes]."""

@@ -11,6 +11,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from energyplan.diagnosis import Diagnosis
+    from energyplan.errors import NoPathError
     from energyplan.fit import Identification
     from energyplan.limits.feasibility import FeasibilityReport
     from energyplan.mission import MissionReport
@@ -85,9 +86,22 @@ def diagnosis(told: Diagnosis) -> Document:
 
 def plan(made: Plan) -> Document:
     """Return what ``energyplan plan --json`` prints."""
-    keys = ("energy", "length", "turning", "lower_bound", "gap", "planning_time", "planner")
-    document = {key: plain(getattr(made, key)) for key in (*keys, "potential")}
+    keys = (
+        "energy", "length", "turning", "lower_bound", "gap", "planning_time", "planner",
+        "potential", "effort",
+    )  # fmt: skip
+    document = {key: plain(getattr(made, key)) for key in keys}
     return {**document, "breakdown": plain(made.breakdown), "path": plain(made.path.poses())}
+
+
+def no_path(error: NoPathError) -> Document:
+    """Return what ``energyplan plan --json`` prints where there is no path."""
+    return {
+        "path": None,
+        "reason": str(error),
+        "certainty": error.certainty,
+        "resolution": plain(error.resolution),
+    }
 
 
 def comparison(made: Comparison) -> Document:

@@ -11,6 +11,7 @@ from energyplan.output.documents import terms
 
 if TYPE_CHECKING:
     from energyplan.diagnosis import Diagnosis
+    from energyplan.errors import NoPathError
     from energyplan.fit import Identification
     from energyplan.io.logs import LogInfo
     from energyplan.limits.feasibility import FeasibilityReport
@@ -76,8 +77,14 @@ def plan(made: Plan, objective: str) -> list[str]:
         f"{objective} at most {100 * made.gap:.1f} % above the least possible "
         f"(lower bound {number(made.lower_bound, 5)} {unit}{height})",
         f"length: {number(made.length)} m, turning: {number(math.degrees(made.turning))} deg",
-        f"planned by {made.planner} in {made.planning_time:.2f} s",
+        f"planned by {made.planner} in {made.planning_time:.2f} s, effort {made.effort}",
     ]
+
+
+def no_path(error: NoPathError) -> list[str]:
+    """Return what ``energyplan plan`` prints where there is no path."""
+    proven = error.certainty == "proven"
+    return [f"{'there is no path' if proven else 'no path was found'}: {error}"]
 
 
 def comparison(made: Comparison) -> list[str]:

@@ -1,41 +1,57 @@
 """Planners: one `PlanningProblem` in, one `Plan` out.
 
-Every planner is a function ``plan(problem, time_limit, **options) -> Plan``. Those of the library
-are in `PLANNERS`; other packages add theirs through the entry-point group ``energyplan.planning``,
-whose objects are such functions.
+A planner is a function ``(problem, budget, **options) -> Candidate``, declared as a `Planner` with
+what it can do. Those of the library are in `PLANNERS`; other packages add theirs through the
+entry-point group ``energyplan.planning``, whose objects are such declarations. `plan` alone checks
+and prices what a planner returns.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from importlib import import_module
 from importlib.metadata import entry_points
-from typing import Any, cast
+from typing import Any
 
 from energyplan.errors import PlanningError, UnknownNameError, UnsupportedPlannerError
-from energyplan.planning.problem import Plan, PlanningProblem
+from energyplan.planning.budget import Budget
+from energyplan.planning.contract import Candidate, Planner, check_path, priced_plan
+from energyplan.planning.problem import OBJECTIVES, Plan, PlanningProblem
+from energyplan.planning.scene.compiled import CompiledProblem
 
-__all__ = ["PLANNERS", "Plan", "PlanningProblem", "plan", "planners"]
+__all__ = [
+    "PLANNERS",
+    "Budget",
+    "Candidate",
+    "Plan",
+    "Planner",
+    "PlanningProblem",
+    "plan",
+    "planners",
+]
 
-Planner = Callable[..., Plan]
+_OMPL = "energyplan.planning.ompl"
 
 PLANNERS = {
-    "lattice": "energyplan.planning.lattice.planner:plan",
-    "roadmap": "energyplan.planning.roadmap:plan",
-    "rrtstar": "energyplan.planning.ompl:rrtstar",
-    "informed_rrtstar": "energyplan.planning.ompl:informed_rrtstar",
-    "bitstar": "energyplan.planning.ompl:bitstar",
-    "fmt": "energyplan.planning.ompl:fmt",
-    "control_rrt": "energyplan.planning.ompl.control:control_rrt",
-    "sst": "energyplan.planning.ompl.control:sst",
-    "prm": "energyplan.planning.ompl:prm",
-    "prmstar": "energyplan.planning.ompl:prmstar",
-    "aorrtc": "energyplan.planning.ompl:aorrtc",
-}
-"""Where the library's own planners are; they are imported when they are used."""
+    "lattice": Planner(
+        "energyplan.planning.lattice.planner:plan",
+        surfaces=True, heights=True, objectives=OBJECTIVES, effort=True, bound=True,
+    ),
+    "roadmap": Planner(
+        "energyplan.planning.roadmap:plan", surfaces=True, objectives=OBJECTIVES, effort=True
+    ),
+    **{
+        name: Planner(
+            f"{_OMPL}:{name}", surfaces=True, heights=True, objectives=OBJECTIVES, effort=True
+        )
+        for name in ("rrtstar", "informed_rrtstar", "bitstar", "fmt")
+    },
+    "control_rrt": Planner(
+        f"{_OMPL}.control:control_rrt", surfaces=True, objectives=OBJECTIVES, effort=True
+    ),
+}  # fmt: skip
+"""The library's own planners; they are imported when they are used."""
 
-LEVEL_ONLY = ("roadmap", "control_rrt")
-"""Those that know level ground only."""
+_BOUND_SHARE = 0.1
+"""Part of the budget that is kept for the lower bound where a planner has none."""
 
 
 def planners() -> tuple[str, ...]:
@@ -44,22 +60,47 @@ def planners() -> tuple[str, ...]:
     return (*PLANNERS, *sorted(plugins - set(PLANNERS)))
 
 
-def _planner(name: str) -> Planner:
+def find(name: str) -> Planner:
+    """Return a planner with what it can do.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is none of this name.
+    PlanningError
+        If what another package offers under it is no `Planner`.
+    """
     if name in PLANNERS:
-        module, _, function = PLANNERS[name].partition(":")
-        found: Planner = getattr(import_module(module), function)
-        return found
+        return PLANNERS[name]
     for entry in entry_points(group="energyplan.planning"):
         if entry.name == name:
             plugin = entry.load()
-            if not callable(plugin):
-                raise PlanningError(f"entry point {name!r} of energyplan.planning is no function")
-            return cast("Planner", plugin)
+            if not isinstance(plugin, Planner):
+                raise PlanningError(
+                    f"the entry point {name!r} of energyplan.planning is a "
+                    f"{type(plugin).__name__}; make it an energyplan.Planner"
+                )
+            return plugin
     raise UnknownNameError("planner", name, planners())
 
 
+def _check_capable(name: str, planner: Planner, problem: PlanningProblem, counted: bool) -> None:
+    lacking = planner.lacks(problem, counted)
+    if lacking:
+        able = [k for k, other in PLANNERS.items() if not other.lacks(problem, counted)]
+        raise UnsupportedPlannerError(
+            f"the planner {name!r} cannot be used with {' and '.join(lacking)}; use one of "
+            f"{', '.join(able)}"
+        )
+
+
 def plan(
-    problem: PlanningProblem, planner: str = "lattice", time_limit: float = 1.0, **options: Any
+    problem: PlanningProblem,
+    planner: str | Planner = "lattice",
+    time_limit: float = 1.0,
+    *,
+    effort: int | None = None,
+    **options: Any,
 ) -> Plan:
     """Plan a path.
 
@@ -67,11 +108,14 @@ def plan(
     ----------
     problem : PlanningProblem
         From where to where, among which obstacles, at what cost.
-    planner : str
-        Name of the planner; see `planners`.
+    planner : str or Planner
+        Name of the planner, see `planners`; or a planner of one's own.
     time_limit : float
         Time to plan [s]. Planning ends earlier where the planner can tell that nothing is left
         to gain.
+    effort : int, optional
+        Units of work to plan with, in place of the time limit: the same plan comes of it on any
+        machine and under any load. 50 000 take about a second; see `Budget`.
     **options : object
         Further options of the planner.
 
@@ -85,13 +129,18 @@ def plan(
     UnknownNameError
         If there is no such planner.
     UnsupportedPlannerError
-        If the planner cannot be used with this problem; the message says which can.
+        If the planner cannot do what the problem asks for; the message says which can.
     StartInCollisionError, GoalInCollisionError, OutsideMapError
         If start or goal cannot be.
     NoPathError
-        If there is no path.
+        If there is no path, or none was found at the resolution of the search; its ``certainty``
+        says which.
     TimeLimitError
-        If time was over before a first plan.
+        If time or effort was over before a first plan.
+    InvalidPathError
+        If a planner returned what is no answer to the problem.
+    LowerBoundError
+        If a lower bound lies above the cost of the path, which is a fault of whoever made it.
 
     Examples
     --------
@@ -101,13 +150,39 @@ def plan(
     >>> from energyplan.power import PowerModel
     >>> hall = OccupancyGrid(np.zeros((100, 100), bool), resolution=0.1)
     >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
-    >>> found = plan(PlanningProblem(hall, cost, start=(1, 5, 0), goal=(9, 5, 0)))
+    >>> found = plan(PlanningProblem(hall, cost, start=(1, 5, 0), goal=(9, 5, 0)), effort=50_000)
     >>> round(found.energy), round(found.gap, 6)
     (1808, 0.0)
     """
-    if problem.heights is not None and planner in LEVEL_ONLY:
-        raise UnsupportedPlannerError(
-            f"the planner {planner!r} knows level ground only; use 'lattice', or leave the heights "
-            "out"
+    from energyplan.planning.bound import lower_bound
+    from energyplan.planning.lattice.planner import compiled as compile_kernels
+
+    declared = find(planner) if isinstance(planner, str) else planner
+    name = planner if isinstance(planner, str) else planner.name
+    Budget(time_limit, effort=effort)  # says at once what is wrong with them
+    _check_capable(name, declared, problem, effort is not None)
+    problem.check_poses()
+    compile_kernels()
+    budget = Budget(time_limit, effort=effort)
+    given = budget if declared.bound else budget.part(1.0 - _BOUND_SHARE)
+    found = declared.function(problem, given, **options)
+    if not isinstance(found, Candidate):
+        raise PlanningError(
+            f"the planner {name!r} returned a {type(found).__name__}; correct it to return an "
+            "energyplan.Candidate"
         )
-    return _planner(planner)(problem, time_limit, **options)
+    check_path(problem, found.path, name)
+    compiled = CompiledProblem(problem)
+    bound = found.lower_bound
+    if bound is None:
+        value, _ = lower_bound(compiled, compiled.value(found.path))
+        bound = compiled.potential(problem.goal) + value
+    return priced_plan(
+        compiled,
+        found.path,
+        bound,
+        name,
+        planning_time=budget.elapsed,
+        first_time=found.first_time,
+        effort=budget.spent,
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +18,7 @@ from energyplan.errors import (
     StartInCollisionError,
 )
 from energyplan.path import FloatArray, Path, Pose
-from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
+from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap, Terrain
 from energyplan.vehicle import Vehicle
 
 OBJECTIVES = ("energy", "length", "time")
@@ -102,6 +103,11 @@ class PlanningProblem:
         object.__setattr__(self, "goal", as_pose(self.goal, "goal"))
         objective_weights(self.objective)
 
+    @cached_property
+    def terrain(self) -> Terrain:
+        """The ground: map, surfaces and heights together."""
+        return Terrain.of(self.map, self.surfaces, self.heights)
+
     @property
     def robot(self) -> Vehicle:
         """The vehicle whose footprint is used."""
@@ -112,13 +118,8 @@ class PlanningProblem:
         """The objective as weights of energy [1], length [J/m] and time [J/s]."""
         return objective_weights(self.objective)
 
-    def check_poses(self, grid: OccupancyGrid | None = None) -> None:
-        """Check that start and goal are on the map and free.
-
-        Parameters
-        ----------
-        grid : OccupancyGrid, optional
-            The map to use instead of the problem's own.
+    def check_poses(self) -> None:
+        """Check that start and goal are on the map, free, and out of what must be kept out of.
 
         Raises
         ------
@@ -127,7 +128,7 @@ class PlanningProblem:
         StartInCollisionError, GoalInCollisionError
             If the footprint touches an obstacle. The messages name the nearest free pose found.
         """
-        grid = self.map if grid is None else grid
+        grid = self.terrain.obstacles
         for name, pose, error in (
             ("start", self.start, StartInCollisionError),
             ("goal", self.goal, GoalInCollisionError),
@@ -189,7 +190,8 @@ class Plan:
         What no path can cost less than, in the unit of the objective (for energy [J]).
     gap : float
         Cost over lower bound, minus 1: the plan costs at most this fraction more than the optimum.
-        On slopes, both less the `potential`.
+        On slopes, both less the `potential`. As computed: rounding may leave it a hair below zero;
+        infinite where the bound is zero and the cost is not.
     cost : float
         The objective's value: `energy` itself where energy is the objective.
     length, turning : float
@@ -222,6 +224,7 @@ class Plan:
     planner: str
     breakdown: Mapping[str, float] = field(default_factory=dict)
     potential: float = 0.0
+    effort: int = 0
 
     def _repr_html_(self) -> str:
         """Return energy, bound and breakdown as a table, for notebooks."""

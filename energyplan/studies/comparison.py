@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from energyplan import html
-from energyplan.cost import EnergyCost
 from energyplan.path import FloatArray, Path
 from energyplan.planning import Plan, PlanningProblem, plan
+from energyplan.planning.contract import priced_plan
+from energyplan.planning.scene.compiled import CompiledProblem
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,12 @@ class Comparison:
 
 
 def compare(
-    problem: PlanningProblem, planner: str = "lattice", time_limit: float = 1.0, **options: Any
+    problem: PlanningProblem,
+    planner: str = "lattice",
+    time_limit: float = 1.0,
+    *,
+    effort: int | None = None,
+    **options: Any,
 ) -> Comparison:
     """Plan the route of least energy and the shortest one.
 
@@ -69,6 +75,8 @@ def compare(
         the lattice planner.
     time_limit : float
         Time for each of the two [s].
+    effort : int, optional
+        Units of work for each of the two, in place of the time limit; see `energyplan.plan`.
     **options : object
         Further options of the planner.
 
@@ -90,24 +98,26 @@ def compare(
     >>> from energyplan.power import PowerModel
     >>> hall = OccupancyGrid(np.zeros((100, 100), bool), resolution=0.1)
     >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
-    >>> told = compare(PlanningProblem(hall, cost, start=(2, 5, 0), goal=(5, 5, np.pi / 2)))
+    >>> task = PlanningProblem(hall, cost, start=(2, 5, 0), goal=(5, 5, np.pi / 2))
+    >>> told = compare(task, effort=50_000)
     >>> bool(told.energy_optimal.energy < told.shortest.energy), round(told.saving, 2)
     (True, 0.07)
     """
-    shortest = plan(replace(problem, objective="length"), "lattice", time_limit)
+    shortest = plan(replace(problem, objective="length"), "lattice", time_limit, effort=effort)
     if planner == "lattice":
-        options = {**options, "initial": [shortest.path]}
-    best = plan(replace(problem, objective="energy"), planner, time_limit, **options)
+        options = {**options, "initial": [shortest.path, *options.get("initial", ())]}
+    cheapest = replace(problem, objective="energy")
+    best = plan(cheapest, planner, time_limit, effort=effort, **options)
     if best.energy > shortest.energy:
         # a planner that cannot be told of the shortest route has found a worse one
-        bound, potential = best.lower_bound, best.potential
-        best = replace(
-            shortest,
-            lower_bound=bound,
-            gap=(shortest.energy - potential) / (bound - potential) - 1.0,
-            cost=shortest.energy,
-            potential=potential,
-            planner=best.planner,
+        best = priced_plan(
+            CompiledProblem(cheapest),
+            shortest.path,
+            best.lower_bound,
+            best.planner,
+            planning_time=best.planning_time,
+            first_time=best.first_time,
+            effort=best.effort,
         )
     spent = max(shortest.energy, shortest.energy - best.potential)
     terms = {**shortest.breakdown, **best.breakdown}
@@ -132,19 +142,12 @@ class Along(NamedTuple):
 
 def energy_along(path: Path, problem: PlanningProblem) -> Along:
     """Return the energy along a path, on the problem's ground; it ends with the path's own."""
-    if problem.heights is not None:
-        fine = problem.heights.cut(path)
-        pieces = problem.heights.pieces(path, problem.cost, problem.surfaces)
-        each = sum(p.cost.segment_energy(p.path.ds, p.path.dtheta, p.slope) for p in pieces)
-        return _along(fine, np.asarray(each))
-    fine = path.subdivide(0.1, 0.1)
-    costs: tuple[EnergyCost, ...] = (problem.cost,)
-    shares = np.ones((len(fine), 1))
-    if problem.surfaces is not None:
-        costs, shares = problem.surfaces.costs(problem.cost), problem.surfaces.shares(fine)
+    # finer than where the slope may change, so that no piece is cut again
+    heights = problem.heights
+    fine = path.subdivide(0.1 if heights is None else min(0.1, 0.4 * heights.resolution), 0.09)
     each = np.zeros(len(fine))
-    for cost, share in zip(costs, shares.T, strict=True):
-        each += cost.segment_energy(fine.ds * share, fine.dtheta * share)
+    for piece in problem.terrain.pieces(fine, problem.cost):
+        each += piece.cost.segment_energy(piece.path.ds, piece.path.dtheta, piece.slope)
     return _along(fine, each)
 
 

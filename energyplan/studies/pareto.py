@@ -13,6 +13,7 @@ from energyplan import html
 from energyplan.errors import InvalidInputError
 from energyplan.path import FloatArray
 from energyplan.planning import Plan, PlanningProblem, plan
+from energyplan.planning.contract import priced_plan
 from energyplan.planning.scene.compiled import CompiledProblem
 
 SHARES = (0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
@@ -94,6 +95,8 @@ def pareto(
     time_values: Iterable[float] | None = None,
     planner: str = "lattice",
     time_limit: float = 1.0,
+    *,
+    effort: int | None = None,
     **options: Any,
 ) -> ParetoFront:
     """Plan drives that trade energy against time.
@@ -118,6 +121,8 @@ def pareto(
         Name of the planner.
     time_limit : float
         Time to plan for each value [s].
+    effort : int, optional
+        Units of work for each value, in place of the time limit; see `energyplan.plan`.
     **options : object
         Further options of the planner.
 
@@ -142,7 +147,7 @@ def pareto(
     >>> hall = OccupancyGrid(np.zeros((100, 100), bool), resolution=0.1)
     >>> stiff = PowerModel.preset("quadriga:empty:concrete").with_term(VISCOUS_LOSS, 100.0)
     >>> task = PlanningProblem(hall, EnergyCost(stiff), start=(1, 5, 0), goal=(9, 5, 0))
-    >>> front = pareto(task, time_values=[50.0, 150.0])
+    >>> front = pareto(task, time_values=[50.0, 150.0], effort=50_000)
     >>> [(round(p.plan.duration, 1), round(p.plan.energy)) for p in front.points]
     [(16.0, 2608), (9.2, 3194)]
     """
@@ -157,7 +162,7 @@ def pareto(
         )
         if planner == "lattice":
             options["initial"] = [*given, *(drive.path for _, drive in found)]
-        found.append((task, plan(task, planner, time_limit, **options)))
+        found.append((task, plan(task, planner, time_limit, effort=effort, **options)))
 
     if time_values is None:
         solve(0.0)
@@ -178,21 +183,25 @@ def pareto(
 
     points = []
     for task, own in found:
-        drives = [own, *(_driven(task, drive) for _, drive in found if drive is not own)]
+        # the bound on the plan for this value holds for every other drive as well
+        drives = [own, *(_driven(task, drive, own) for _, drive in found if drive is not own)]
         best = min(drives, key=lambda drive: drive.cost)
-        bound = min(own.lower_bound, best.cost)
-        least = bound - best.potential
-        gap = (best.cost - bound) / least if least > 0 else 0.0
-        best = replace(best, lower_bound=bound, gap=gap)
         points.append(ParetoPoint(task.cost.time_value, best))
     bounds = np.array([(point.time_value, point.plan.lower_bound) for point in points])
     return ParetoFront(_undominated(points), bounds)
 
 
-def _driven(task: PlanningProblem, known: Plan) -> Plan:
+def _driven(task: PlanningProblem, known: Plan, own: Plan) -> Plan:
     """Return the plan of a known path, driven at the speeds of another problem."""
-    again = CompiledProblem(task).plan(known.path, np.inf, 0.0, 0.0, known.planner)
-    return replace(again, planning_time=known.planning_time, first_time=known.first_time)
+    return priced_plan(
+        CompiledProblem(task),
+        known.path,
+        own.lower_bound,
+        known.planner,
+        planning_time=known.planning_time,
+        first_time=known.first_time,
+        effort=known.effort,
+    )
 
 
 def _undominated(points: list[ParetoPoint]) -> tuple[ParetoPoint, ...]:

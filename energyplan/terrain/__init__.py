@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from energyplan.terrain.grid import OccupancyGrid, footprint
-from energyplan.terrain.heights import HeightMap, Piece, with_weights
+from energyplan.terrain.heights import HeightMap, with_weights
 from energyplan.terrain.surfaces import Surface, SurfaceMap
+from energyplan.terrain.terrain import PathPrice, Piece, Terrain, path_pieces, path_price
 
 __all__ = [
     "HeightMap",
     "OccupancyGrid",
+    "PathPrice",
     "Piece",
     "Surface",
     "SurfaceMap",
+    "Terrain",
     "footprint",
+    "path_pieces",
+    "path_price",
     "with_weights",
 ]

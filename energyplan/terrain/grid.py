@@ -15,19 +15,9 @@ from energyplan.errors import MapError
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.terrain import _distance
 from energyplan.terrain import collision as _collision
-from energyplan.terrain.heights import ORIGIN, HeightMap, Piece, with_weights
-from energyplan.terrain.surfaces import FARTHEST, Surface, SurfaceMap
+from energyplan.terrain.heights import ORIGIN
+from energyplan.terrain.surfaces import FARTHEST
 from energyplan.vehicle import Vehicle
-
-__all__ = [
-    "HeightMap",
-    "OccupancyGrid",
-    "Piece",
-    "Surface",
-    "SurfaceMap",
-    "footprint",
-    "with_weights",
-]
 
 BoolArray = NDArray[np.bool_]
 

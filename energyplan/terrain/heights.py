@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from energyplan.cost import EnergyCost
 from energyplan.errors import MapError
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.power.effects import with_weight
@@ -22,24 +21,6 @@ ORIGIN = Pose(0.0, 0.0, 0.0)
 
 STILL = 1e-6
 """Arc lengths below this count as turning on the spot [m]."""
-
-
-class Piece(NamedTuple):
-    """What is driven at one cost.
-
-    Attributes
-    ----------
-    cost : EnergyCost
-        The cost.
-    path : Path
-        Segments at their length on the slope; where surfaces divide the way, they do not join.
-    slope : ndarray, shape (n,)
-        Slope along the heading of each segment [rad].
-    """
-
-    cost: EnergyCost
-    path: Path
-    slope: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,70 +180,6 @@ class HeightMap:
     def cut(self, path: Path) -> Path:
         """Return a path cut into pieces of half the raster's resolution and 0.1 rad at most."""
         return path.subdivide(0.5 * self.resolution, 0.1)
-
-    def pieces(
-        self, path: Path, cost: EnergyCost, surfaces: SurfaceMap | None = None
-    ) -> tuple[Piece, ...]:
-        """Return what a path consists of on the slopes of this ground, surface by surface.
-
-        The path is `cut`, and each piece lies on the mean slope along it. Lengths are those on the
-        slope, longer than in plan view; turns are those in plan view.
-
-        Parameters
-        ----------
-        path : Path
-            The path, in plan view.
-        cost : EnergyCost
-            Cost of motions, outside the surfaces if there are any.
-        surfaces : SurfaceMap, optional
-            Grounds with power models of their own.
-
-        Returns
-        -------
-        tuple of Piece
-            What is driven at each cost.
-
-        Raises
-        ------
-        MapError
-            If the path leaves the raster.
-        """
-        fine = self.cut(path)
-        slope = self.slopes(fine)
-        stretched = fine.ds / np.cos(slope)
-        if surfaces is None:
-            return (Piece(cost, replace(fine, ds=stretched), slope),)
-        shares = surfaces.shares(fine)
-        return tuple(
-            Piece(c, replace(fine, ds=stretched * share, dtheta=fine.dtheta * share), slope)
-            for c, share in zip(surfaces.costs(cost), shares.T, strict=True)
-            if np.any(share > 0)
-        )
-
-    def energy(self, path: Path, cost: EnergyCost, surfaces: SurfaceMap | None = None) -> float:
-        """Return the energy of a path on the slopes of this ground [J]; see `pieces`.
-
-        Parameters
-        ----------
-        path : Path
-            The path.
-        cost : EnergyCost
-            Cost of motions. Its model needs a term that reads the slope, such as the grade, for
-            the robot's weight to matter.
-        surfaces : SurfaceMap, optional
-            Grounds with power models of their own.
-
-        Returns
-        -------
-        float
-            Energy, priced by the models themselves; negative where more comes back than it takes.
-
-        Raises
-        ------
-        MapError
-            If the path leaves the raster.
-        """
-        return sum(p.cost.energy(p.path, p.slope) for p in self.pieces(path, cost, surfaces))
 
     def contours(self, ax: Axes, levels: int = 8) -> Axes:
         """Draw lines of equal height [m] on matplotlib's axes, beneath everything else."""

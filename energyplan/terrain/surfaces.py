@@ -255,46 +255,6 @@ class SurfaceMap:
         np.add.at(out, (line, region), cuts[line, place + 1] - cuts[line, place])
         return out
 
-    def energy(self, path: Path, cost: EnergyCost) -> float:
-        """Return the energy of a path over the surfaces [J].
-
-        Parameters
-        ----------
-        path : Path
-            The path.
-        cost : EnergyCost
-            Cost outside the surfaces.
-
-        Returns
-        -------
-        float
-            Energy, priced by the models themselves.
-        """
-        return sum(c.energy(piece) for c, piece in self._pieces(path, cost))
-
-    def breakdown(self, path: Path, cost: EnergyCost) -> dict[str, float]:
-        """Return the energy of a path over the surfaces by term [J]; values add up to `energy`."""
-        total: dict[str, float] = {}
-        for c, piece in self._pieces(path, cost):
-            for name, joules in c.breakdown(piece).items():
-                total[name] = total.get(name, 0.0) + joules
-        return total
-
-    def duration(self, path: Path, cost: EnergyCost) -> float:
-        """Return the time a path over the surfaces takes at the speeds of the costs [s]."""
-        return sum(c.duration(piece) for c, piece in self._pieces(path, cost))
-
-    def _pieces(self, path: Path, cost: EnergyCost) -> Iterable[tuple[EnergyCost, Path]]:
-        """Yield each region's cost with the parts of the path's segments that lie in it.
-
-        The energy of an arc depends on its size and curvature alone, so the parts need not join.
-        """
-        shares = self.shares(path)
-        for region, c in enumerate(self.costs(cost)):
-            share = shares[:, region]
-            if np.any(share > 0):
-                yield c, replace(path, ds=path.ds * share, dtheta=path.dtheta * share)
-
 
 def _rim(area: BaseGeometry) -> tuple[FloatArray, FloatArray]:
     """Return starts and directions of the edges of an area, each of shape (n, 2)."""

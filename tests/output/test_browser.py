@@ -121,7 +121,7 @@ def pages(
     problem = PlanningProblem(hall, EnergyCost(MODEL), (2, 5, 0), (7, 6, 2.0), surfaces=ground)
     made = {
         "diagnosis": _pages.diagnosis_page(told, judge),
-        "comparison": _pages.comparison_page(compare(problem, time_limit=0.2), problem),
+        "comparison": _pages.comparison_page(compare(problem, effort=10_000), problem),
         "mission": _pages.mission_page(mission),
     }
     folder = tmp_path_factory.mktemp("pages")

@@ -85,7 +85,7 @@ def problem() -> ep.PlanningProblem:
 
 
 def test_plan_and_comparison_show_their_energy(problem: ep.PlanningProblem) -> None:
-    told = ep.compare(problem, time_limit=0.2)
+    told = ep.compare(problem, effort=10_000)
     plan = shown(told.energy_optimal)
     assert plan.cells[plan.cells.index("energy [J]") + 1] == number(told.energy_optimal.energy)
     both = shown(told)
@@ -96,7 +96,7 @@ def test_plan_and_comparison_show_their_energy(problem: ep.PlanningProblem) -> N
 
 
 def test_feasibility_shows_violations(problem: ep.PlanningProblem) -> None:
-    timed = ep.speed.profile(ep.plan(problem, time_limit=0.2).path, MODEL)
+    timed = ep.speed.profile(ep.plan(problem, effort=10_000).path, MODEL)
     assert shown(ep.check(timed, MODEL)).text.startswith("feasible")
     report = ep.check(timed.scaled(3.0), MODEL)
     page = shown(report)

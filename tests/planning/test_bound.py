@@ -77,7 +77,7 @@ def test_no_path_beats_the_bound(seed):
     poses = free_poses(grid, 8, seed, COST.vehicle)
     for start, goal in zip(poses[::2], poses[1::2], strict=True):
         try:
-            found = plan(PlanningProblem(grid, COST, start, goal), time_limit=0.4, gap=0.0)
+            found = plan(PlanningProblem(grid, COST, start, goal), effort=20_000, gap=0.0)
         except (NoPathError, TimeLimitError):
             continue
         assert found.lower_bound <= found.energy
@@ -91,7 +91,7 @@ def test_bound_is_close_around_one_pillar():
     occupied = np.zeros((200, 300), bool)
     occupied[60:140, 140:160] = True
     grid = OccupancyGrid(occupied, 0.05)
-    found = plan(PlanningProblem(grid, COST, (2, 5, 0), (13, 5, 0)), time_limit=2.0)
+    found = plan(PlanningProblem(grid, COST, (2, 5, 0), (13, 5, 0)), effort=100_000)
     assert found.gap < 0.03
 
 
@@ -269,7 +269,7 @@ def test_no_path_over_surfaces_beats_the_bound(seed):
     for start, goal in zip(poses[::2], poses[1::2], strict=True):
         problem = PlanningProblem(grid, COST, start, goal, surfaces)
         try:
-            found = plan(problem, time_limit=0.5, gap=0.0)
+            found = plan(problem, effort=25_000, gap=0.0)
         except (NoPathError, TimeLimitError):
             continue
         query = CompiledProblem(problem)
@@ -292,7 +292,7 @@ def test_no_path_of_a_small_robot_beats_the_bound(seed):
     for start, goal in zip(poses[::2], poses[1::2], strict=True):
         problem = PlanningProblem(grid, cost, start, goal)
         try:
-            found = plan(problem, time_limit=0.4, gap=0.0)
+            found = plan(problem, effort=20_000, gap=0.0)
         except (NoPathError, TimeLimitError):
             continue
         bound = lower_bound(CompiledProblem(problem), 1.5 * found.energy)

@@ -8,7 +8,7 @@ from worlds import cluttered, free_poses
 from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.path import Path
-from energyplan.planning import PlanningProblem, plan
+from energyplan.planning import Budget, PlanningProblem, plan
 from energyplan.planning.lattice.planner import energies
 from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.lattice.search import Search, lattice_for
@@ -127,7 +127,7 @@ def test_search_returns_free_motions_of_the_cost_it_reports(weight):
         search = Search(
             query.setting, distance_to_go(query.setting), lattice_for(query.setting), weight
         )
-        search.run(np.inf, stop_at_first=weight > 1, expansions=60_000)
+        search.run(Budget(), stop_at_first=weight > 1, expansions=60_000)
         if not search.found:
             continue
         path = query.path(search.segments())
@@ -145,7 +145,7 @@ def test_search_survives_growing_its_arrays():
     )
     search.tree.best[0] = np.inf
     before = len(search.tree.x)
-    search.run(np.inf, stop_at_first=False, expansions=40_000)
+    search.run(Budget(), stop_at_first=False, expansions=40_000)
     count = int(search.tree.counts[0])
     assert count <= len(search.tree.x)
     if count > before:
@@ -160,16 +160,16 @@ def test_refinement_only_ever_improves(seed):
     start, goal = free_poses(grid, 4, seed + 20, COST.vehicle)[:2]
     query = CompiledProblem(PlanningProblem(grid, COST, start, goal))
     search = Search(query.setting, distance_to_go(query.setting), lattice_for(query.setting), 2.0)
-    search.run(np.inf, stop_at_first=True, expansions=200_000)
+    search.run(Budget(), stop_at_first=True, expansions=200_000)
     assert search.found
     refiner = Refiner(query.setting, search.segments(), seed)
     costs = [refiner.cost]
-    refiner.shortcut()
+    refiner.shortcut(Budget())
     costs.append(refiner.cost)
     for _ in range(3):
-        refiner.polish(np.inf, patience=800)
+        refiner.polish(Budget(), patience=800)
         costs.append(refiner.cost)
-        refiner.again()
+        refiner.again(Budget())
         costs.append(refiner.cost)
     assert np.all(np.diff(costs) <= 1e-6 * costs[0])
     path = query.path(refiner.segments)
@@ -210,7 +210,7 @@ def test_narrow_corridor_is_driven_although_a_spin_does_not_fit():
     occupied[:22, 60:140] = True
     occupied[38:, 60:140] = True  # a corridor of 0.8 m, narrower than the footprint's diagonal
     grid = OccupancyGrid(occupied, 0.05)
-    found = plan(PlanningProblem(grid, COST, (1.5, 1.5, 1.0), (8.5, 1.5, -1.0)), time_limit=3.0)
+    found = plan(PlanningProblem(grid, COST, (1.5, 1.5, 1.0), (8.5, 1.5, -1.0)), effort=150_000)
     assert grid.path_free(found.path, COST.vehicle)
     assert found.gap < 0.03
 
@@ -219,11 +219,11 @@ def test_one_to_many_energies_match_single_plans():
     grid = cluttered(1)
     start, *goals = free_poses(grid, 7, 5, COST.vehicle)
     problem = PlanningProblem(grid, COST, start, start)
-    many = energies(problem, goals)
+    many = energies(problem, goals, effort=1_000_000)
     assert many.shape == (len(goals),)
     ratios = []
     for goal, energy in zip(goals, many, strict=True):
-        single = plan(PlanningProblem(grid, COST, start, goal), time_limit=1.0)
+        single = plan(PlanningProblem(grid, COST, start, goal), effort=50_000)
         assert single.lower_bound * (1 - 1e-9) <= energy
         ratios.append(energy / single.energy)
     assert np.median(ratios) < 1.02
@@ -236,7 +236,7 @@ def test_depot_reference_query(shared_data):
 
     grid = read_map(shared_data / "maps" / "depot.yaml")
     problem = PlanningProblem(grid, COST, (2, 2, 0), (28, 13, np.pi / 2))
-    found = plan(problem, time_limit=5.0, gap=0.007)
+    found = plan(problem, effort=250_000, gap=0.007)
     assert grid.path_free(found.path, problem.robot)
     assert found.energy == pytest.approx(COST.energy(found.path), rel=1e-12)
     # RRT* with a disc of 0.4 m is known to reach 6868 J in 30 s
@@ -255,19 +255,19 @@ def test_ends_that_almost_touch_are_left_with_room(spare):
         problem = PlanningProblem(grid, COST, (2.0, y, 0.0), (8.0, y, yaw))
         query = CompiledProblem(problem)
         assert not query.roomy(problem.start)
-        found = plan(problem, time_limit=0.5)
+        found = plan(problem, effort=25_000)
         assert grid.path_free(found.path, problem.robot)
         eased = ease(query)
-        inner = plan(eased.problem, time_limit=0.5)
+        inner = plan(eased.problem, effort=25_000)
         whole = eased.whole(inner.path)
         assert grid.path_free(whole, problem.robot)
         np.testing.assert_allclose(whole.end[:2], problem.goal[:2], atol=1e-9)
         assert found.lower_bound <= min(found.energy, COST.energy(whole))
         # little is lost by it
         above = replace(problem, start=(2.0, y + 0.01, 0.0), goal=(8.0, y + 0.01, yaw))
-        spacious = plan(above, time_limit=0.5).energy
+        spacious = plan(above, effort=25_000).energy
         assert found.energy < 1.1 * spacious
         assert COST.energy(whole) < 1.1 * spacious
         # a path that is known and cheaper is kept
-        again = plan(problem, time_limit=0.05, initial=[found.path])
+        again = plan(problem, effort=2_500, initial=[found.path])
         assert again.energy <= found.energy * (1 + 1e-12)

@@ -3,9 +3,9 @@ import pytest
 
 from energyplan.cost import EnergyCost
 from energyplan.path import Path, wrap_angle
-from energyplan.planning import PlanningProblem, plan
+from energyplan.planning import Budget, PlanningProblem, plan
 from energyplan.planning.lattice import search_kernels as kernels
-from energyplan.planning.lattice.portfolio import Race
+from energyplan.planning.lattice.portfolio import Portfolio
 from energyplan.planning.lattice.search import Search, lattice_for
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.guide import distance_to_go
@@ -35,7 +35,7 @@ def searched(asked, aligned, weight=1.5):
     search = Search(
         setting, distance_to_go(setting, 2.0), lattice_for(setting), weight, aligned=aligned
     )
-    search.run(np.inf, stop_at_first=True, expansions=40_000)
+    search.run(Budget(), stop_at_first=True, expansions=40_000)
     return search
 
 
@@ -62,7 +62,7 @@ def test_headings_along_the_axes_find_gaps_that_others_miss():
 
 def test_plan_passes_the_gaps():
     asked = query(walls())
-    found = plan(asked.problem, time_limit=4.0)
+    found = plan(asked.problem, effort=200_000)
     assert asked.grid.path_free(found.path, COST.vehicle)
     assert found.energy < 2.0 * found.lower_bound
 
@@ -81,7 +81,7 @@ def test_estimate_is_never_below_free_space():
     assert shortcuts > 20
 
 
-def test_race_keeps_the_best_and_never_makes_it_worse():
+def test_portfolio_keeps_the_best_and_never_makes_it_worse():
     grid = OccupancyGrid(np.zeros((80, 120), bool), 0.1)
     asked = query(grid, (2, 4, 0), (10, 4, 0))
     detours = []
@@ -89,19 +89,19 @@ def test_race_keeps_the_best_and_never_makes_it_worse():
         leg = 4.0 / np.cos(angle)
         detours.append(Segments(np.array([0, leg, 0, leg, 0]), angle * np.array([1, 0, -2, 0, 1])))
     costs = [COST.energy(Path((2, 4, 0), *motions)) for motions in detours]
-    race = Race(asked.setting, seed=1)
+    portfolio = Portfolio(asked.setting, seed=1, budget=Budget())
     seen = []
     for motions, cost in zip(detours, costs, strict=True):
-        race.enter(motions)
-        assert race.cost <= cost * (1 + 1e-12)
-        seen.append(race.cost)
-    race.run(np.inf, 0.0)
-    seen.append(race.cost)
-    race.finish(np.inf, 0.0)
-    seen.append(race.cost)
-    race.again(np.inf, 0.0)
-    seen.append(race.cost)
+        portfolio.enter(motions)
+        assert portfolio.cost <= cost * (1 + 1e-12)
+        seen.append(portfolio.cost)
+    portfolio.run(Budget(), 0.0)
+    seen.append(portfolio.cost)
+    portfolio.finish(Budget(), 0.0)
+    seen.append(portfolio.cost)
+    portfolio.again(Budget(), 0.0)
+    seen.append(portfolio.cost)
     assert np.all(np.diff(seen) <= 1e-9)
     # shortcuts find the straight line between the ends, which is the best there is
-    assert race.cost == pytest.approx(float(COST.segment_energy(8.0, 0.0)), rel=1e-9)
-    assert COST.energy(asked.path(race.best)) == pytest.approx(race.cost, rel=1e-9)
+    assert portfolio.cost == pytest.approx(float(COST.segment_energy(8.0, 0.0)), rel=1e-9)
+    assert COST.energy(asked.path(portfolio.best)) == pytest.approx(portfolio.cost, rel=1e-9)

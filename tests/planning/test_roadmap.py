@@ -17,8 +17,10 @@ from energyplan.io.route_graph import read_route_graph
 from energyplan.path import Path, Pose, wrap_angle
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import roadmap as rm
+from energyplan.planning.budget import Budget
 from energyplan.planning.roadmap.energy_graph import round_corner
 from energyplan.planning.roadmap.visibility import traced
+from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import VISCOUS_LOSS
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
@@ -312,21 +314,32 @@ def test_tracing_covers_the_map_closely():
 # -- the planner ------------------------------------------------------------------------------
 
 
+def road(problem, **options):
+    return plan(problem, "roadmap", effort=1_000_000, **options)
+
+
+def spent():
+    """A budget of which nothing is left."""
+    budget = Budget(effort=1)
+    budget.spend(1)
+    return budget
+
+
 def hall(*boxes, size=(12.0, 10.0)):
     return OccupancyGrid.from_polygons([shapely.box(*b) for b in boxes], (0, 0, *size), 0.05)
 
 
 def test_plan_in_an_empty_hall_turns_drives_and_turns():
     problem = PlanningProblem(hall((11, 9, 12, 10)), COST, (1, 1, 0.4), (6, 5, 1.2))
-    plan = rm.plan(problem, refine=False)
+    found = road(problem, refine=False)
     bearing = np.arctan2(4, 5)
     turning = abs(bearing - 0.4) + abs(1.2 - bearing)
-    assert plan.energy == pytest.approx(A * np.hypot(4, 5) + SPIN * turning)
-    assert plan.lower_bound <= plan.energy
-    assert plan.lower_bound >= 0.999 * float(steering.energy(problem.start, problem.goal, COST))
-    assert plan.planner == "roadmap"
+    assert found.energy == pytest.approx(A * np.hypot(4, 5) + SPIN * turning)
+    assert found.lower_bound <= found.energy
+    assert found.lower_bound >= 0.999 * float(steering.energy(problem.start, problem.goal, COST))
+    assert found.planner == "roadmap"
     # exact steering does better than turning on the spot
-    assert rm.plan(problem).energy == pytest.approx(plan.lower_bound, rel=1e-3)
+    assert road(problem).energy == pytest.approx(found.lower_bound, rel=1e-3)
 
 
 def test_plans_are_free_and_end_at_the_goal():
@@ -340,16 +353,16 @@ def test_plans_are_free_and_end_at_the_goal():
     poses = poses[grid.footprint_free(poses, vehicle)]
     for start, goal in zip(poses[:6], poses[6:12], strict=True):
         try:
-            plan = rm.plan(PlanningProblem(grid, COST, start, goal), time_limit=20.0)
+            found = road(PlanningProblem(grid, COST, start, goal))
         except NoPathError:
             # the corner of a body that cannot turn on the spot where it stands
             circle = [[(*p[:2], yaw) for yaw in np.linspace(0, 6.28, 60)] for p in (start, goal)]
             assert not np.all(grid.footprint_free(circle, vehicle))
             continue
-        assert grid.path_free(plan.path, vehicle)
-        assert np.allclose(plan.path.end[:2], goal[:2], atol=1e-6)
-        assert wrap_angle(plan.path.end.yaw - goal[2]) == pytest.approx(0.0, abs=1e-6)
-        assert plan.lower_bound <= plan.energy * (1 + 1e-9)
+        assert grid.path_free(found.path, vehicle)
+        assert np.allclose(found.path.end[:2], goal[:2], atol=1e-6)
+        assert wrap_angle(found.path.end.yaw - goal[2]) == pytest.approx(0.0, abs=1e-6)
+        assert found.lower_bound <= found.energy * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("objective", ["energy", "length", "time", {"energy": 1, "time": 200}])
@@ -357,8 +370,8 @@ def test_plans_follow_the_objective(objective):
     """No dearer than the lattice planner's by more than a little, and above its bound."""
     boxes = [(x, y, x + 0.8, y + 0.6) for x in (2, 4.5, 7, 9.5) for y in (1.5, 4, 6.5)]
     problem = PlanningProblem(hall(*boxes), COST, (1, 1, 0.4), (11, 8.5, 1.2), objective=objective)
-    found, other = rm.plan(problem, 20.0), plan(problem, "lattice", 2.0)
-    assert found.cost == pytest.approx(rm.Prices(COST, objective=objective).path(found.path))
+    found, other = road(problem), plan(problem, effort=100_000)
+    assert found.cost == pytest.approx(CompiledProblem(problem).value(found.path))
     assert max(found.lower_bound, other.lower_bound) <= found.cost <= 1.02 * other.cost
     assert problem.map.path_free(found.path, MODEL.vehicle)
 
@@ -367,7 +380,7 @@ def test_objectives_differ_in_what_they_make_least():
     boxes = [(x, y, x + 0.8, y + 0.6) for x in (2, 4.5, 7, 9.5) for y in (1.5, 4, 6.5)]
     problem = PlanningProblem(hall(*boxes), COST, (1, 1, 0.4), (11, 8.5, -2.0))
     plans = [
-        rm.plan(replace(problem, objective=name), 20.0, refine=False)
+        road(replace(problem, objective=name), refine=False)
         for name in ("energy", "length", "time")
     ]
     for k, values in enumerate(
@@ -395,12 +408,12 @@ def test_lines_of_sight_that_are_left_out_make_no_difference(monkeypatch, object
         return near[-1]
 
     monkeypatch.setattr(rm, "_first_reach", lambda query: np.inf)
-    expected = rm.plan(problem, 30.0, refine=False)
+    expected = road(problem, refine=False)
     monkeypatch.setattr(rm, "_first_reach", guess)
-    assert rm.plan(problem, 30.0, refine=False).cost == pytest.approx(expected.cost, rel=1e-9)
+    assert road(problem, refine=False).cost == pytest.approx(expected.cost, rel=1e-9)
     assert len(near) == 1
     monkeypatch.setattr(rm, "_first_reach", whole)
-    assert rm.plan(problem, 30.0, refine=False).cost == pytest.approx(expected.cost, rel=1e-9)
+    assert road(problem, refine=False).cost == pytest.approx(expected.cost, rel=1e-9)
 
 
 def test_thousands_of_corners_out_of_reach_cost_nothing():
@@ -408,7 +421,7 @@ def test_thousands_of_corners_out_of_reach_cost_nothing():
     posts = shapely.box(x, y, x + 0.3, y + 0.3).ravel()
     grid = OccupancyGrid.from_polygons(posts, (0, 0, 40, 40), 0.1)
     problem = PlanningProblem(grid, COST, (1, 1, 0), (5, 9, 1.0))
-    found = rm.plan(problem, 20.0, obstacles=posts, clearance=0.2)
+    found = road(problem, obstacles=posts, clearance=0.2)
     assert found.gap < 0.01
 
 
@@ -419,60 +432,60 @@ def test_plan_on_a_given_graph():
     place = {"low": (2, 2), "high": (4.5, 8), "right": (8, 2)}
     nx.set_node_attributes(graph, place, "pos")
     problem = PlanningProblem(grid, COST, (1, 2, 0), (10, 2, 0))
-    plan = rm.plan(problem, graph=graph)
-    assert plan.path.poses()[:, 1].max() > 7
+    found = road(problem, graph=graph)
+    assert found.path.poses()[:, 1].max() > 7
     blocked = graph.copy()
     blocked.remove_node("high")
     with pytest.raises(NoPathError):
-        rm.plan(problem, graph=blocked)
+        road(problem, graph=blocked)
 
 
 def test_a_known_route_is_returned_when_time_is_over(monkeypatch):
     """The second, larger ellipse is not finished; and without a first one there is no route."""
     grid = hall((4, 0, 5, 6))
     problem = PlanningProblem(grid, COST, (1, 2, 0), (10, 2, 0))
-    expected = rm.plan(problem, 20.0, refine=False)
+    expected = road(problem, refine=False)
     built = []
 
     def interrupted(*args, **kwargs):
         built.append(kwargs["reach"])
         if len(built) > 1:
-            kwargs["deadline"] = -np.inf
+            kwargs["budget"] = spent()
         return visibility_graph(*args, **kwargs)
 
     visibility_graph = rm.visibility_graph
     monkeypatch.setattr(rm, "visibility_graph", interrupted)
     monkeypatch.setattr(rm, "_first_reach", lambda query: 14.0)
-    assert rm.plan(problem, 20.0, refine=False).energy == pytest.approx(expected.energy)
+    assert road(problem, refine=False).energy == pytest.approx(expected.energy)
     assert len(built) == 2
     with pytest.raises(TimeLimitError, match="1 obstacles had been grown"):
-        rm.plan(problem, 20.0, refine=False)
+        road(problem, refine=False)
 
 
 def test_each_stage_says_how_far_it_got():
     graph = grid_graph(np.random.default_rng(30))
-    with pytest.raises(TimeLimitError, match=r"0 of \d+ turns were priced"):
-        rm.energy_graph(graph, COST, deadline=-np.inf)
+    with pytest.raises(TimeLimitError, match=r"0 of \d+ turns had been priced"):
+        rm.energy_graph(graph, COST, budget=spent())
     ground = SurfaceMap([Surface(shapely.box(3, -5, 20, 20), MODEL)])
-    with pytest.raises(TimeLimitError, match=r"0 of 96 edges were priced"):
-        rm.energy_graph(graph, COST, surfaces=ground, deadline=-np.inf)
+    with pytest.raises(TimeLimitError, match=r"0 of 96 edges had been priced"):
+        rm.energy_graph(graph, COST, surfaces=ground, budget=spent())
     roadmap = rm.Roadmap(nx.grid_2d_graph(25, 25), COST)
     nx.set_node_attributes(roadmap.graph, {n: n for n in roadmap.graph}, "pos")
-    late = replace(roadmap, deadline=-np.inf)
+    late = replace(roadmap, budget=spent())
     late.__dict__["states"] = roadmap.states
-    with pytest.raises(TimeLimitError, match=r"4096 of \d+ turns were searched"):
+    with pytest.raises(TimeLimitError, match=r"4096 of \d+ turns had been searched"):
         late.route((0, 0), (24, 24))
     problem = PlanningProblem(hall((4, 0, 5, 6)), COST, (1, 2, 0), (10, 2, 0))
     with pytest.raises(TimeLimitError, match="time_limit"):
-        rm.plan(problem, 1e-6)
+        plan(problem, "roadmap", time_limit=1e-6)
 
 
 def test_what_cannot_be_planned_is_refused():
     grid = hall((4, 0, 5, 10))
     with pytest.raises(NoPathError, match=r"\(1.00, 2.00\) to .* at \(10.00, 2.00\).*lattice"):
-        rm.plan(PlanningProblem(grid, COST, (1, 2, 0), (10, 2, 0)))
+        road(PlanningProblem(grid, COST, (1, 2, 0), (10, 2, 0)))
     with pytest.raises(StartInCollisionError):
-        rm.plan(PlanningProblem(grid, COST, (4.5, 2, 0), (10, 2, 0)))
+        road(PlanningProblem(grid, COST, (4.5, 2, 0), (10, 2, 0)))
 
 
 @pytest.mark.shared

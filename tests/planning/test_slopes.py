@@ -33,7 +33,14 @@ from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import GRADE, VISCOUS_LOSS, reads_slope, term, with_weight
 from energyplan.studies.comparison import compare, energy_along
 from energyplan.studies.pareto import pareto
-from energyplan.terrain import HeightMap, OccupancyGrid, Surface, SurfaceMap, with_weights
+from energyplan.terrain import (
+    HeightMap,
+    OccupancyGrid,
+    Surface,
+    SurfaceMap,
+    path_price,
+    with_weights,
+)
 from energyplan.vehicle import GRAVITY, TreadICR
 
 LEVEL = PowerModel.preset("quadriga:empty:concrete")
@@ -96,7 +103,7 @@ def test_without_losses_a_tilted_plane_adds_the_weight_times_the_rise():
     assert found.potential == pytest.approx(WEIGHT * rise, rel=1e-9)
     # lengths on the slope exceed those in plan view by half the square of the slope
     assert found.energy == pytest.approx(level.energy + WEIGHT * rise, rel=3e-4)
-    assert found.energy == pytest.approx(tilted.heights.energy(found.path, tilted.cost))
+    assert found.energy == pytest.approx(tilted.terrain.price(found.path, tilted.cost).energy)
     assert sum(found.breakdown.values()) == pytest.approx(found.energy)
     assert found.length == pytest.approx(level.length, rel=1e-3)
     assert found.turning == pytest.approx(level.turning, rel=1e-2)
@@ -139,16 +146,16 @@ def test_level_heights_change_nothing():
 def test_a_ridge_is_crossed_or_avoided_by_what_is_cheaper(height, around):
     ground, cost = ridge(height), at_battery()
     start, goal = (2.0, 5.0, 0.0), (14.0, 5.0, 0.0)
-    found = plan(PlanningProblem(HALL, cost, start, goal, heights=ground), time_limit=2.0)
-    over = ground.energy(turn_drive(start, goal), cost)
+    found = plan(PlanningProblem(HALL, cost, start, goal, heights=ground), effort=100_000)
+    over = path_price(turn_drive(start, goal), cost, None, ground).energy
     detours = [
-        ground.energy(turn_drive(start, (x, y), (16 - x, y), goal), cost)
+        path_price(turn_drive(start, (x, y), (16 - x, y), goal), cost, None, ground).energy
         for x in (5.0, 6.5, 8.0)
         for y in np.arange(6.0, 11.0, 0.25)
     ]
     assert (min(detours) < over) == around
     assert found.energy <= min(over, *detours) * (1 + 1e-9)
-    assert found.energy == pytest.approx(ground.energy(found.path, cost))
+    assert found.energy == pytest.approx(path_price(found.path, cost, None, ground).energy)
     assert (found.poses[:, 1].max() > 7.0) == around
     assert found.lower_bound <= found.energy
 
@@ -192,7 +199,7 @@ def test_prices_are_those_of_the_models(icr, back):
         kernel = kernels.sloping_cost(*args)
         assert kernel == pytest.approx(kernels.sloping_cost.py_func(*args), rel=1e-9)
         rises = worth * (query_height(ground, path, -1) - query_height(ground, path, 0))
-        exact = ground.energy(path, cost) - rises
+        exact = path_price(path, cost, None, ground).energy - rises
         errors.append(kernel / exact - 1)
         least = setting.least_metre * abs(ds - c_y * dtheta) + setting.least_radian * abs(dtheta)
         track = static.metre * max(abs(ds - c_y * dtheta), static.track * abs(dtheta))
@@ -230,7 +237,7 @@ def exhaustive(problem, worth, step=1.0, headings=8):
         if key not in known:
             path = Path(Pose(x * step, y * step, k * 2 * np.pi / headings), [ds], [turn])
             rise = problem.heights.rise(path)
-            known[key] = problem.heights.energy(path, problem.cost) - worth * rise
+            known[key] = problem.terrain.price(path, problem.cost).energy - worth * rise
         return known[key]
 
     x, y, yaw = problem.start
@@ -271,7 +278,7 @@ def test_plans_lie_between_the_bound_and_an_exhaustive_search(seed):
     query = CompiledProblem(problem)
     worth = query.worth(Pose(3, 4, 0)) / float(problem.heights.height((3, 4)))
     least = exhaustive(problem, worth) + query.potential(problem.goal)
-    found = plan(problem, time_limit=2.0)
+    found = plan(problem, effort=100_000)
     assert found.lower_bound <= found.energy <= least * (1 + 1e-9)
     assert found.gap == pytest.approx(
         (found.energy - found.potential) / (found.lower_bound - found.potential) - 1
@@ -282,7 +289,7 @@ def test_energies_to_many_goals_include_the_height():
     cost, ground = at_battery(), hills(4, 0.6)
     problem = PlanningProblem(HALL, cost, (2, 2, 0), (12, 9, 0), heights=ground)
     goals = [(12, 9, 0), (4, 9, 1.0), (13, 3, -1.0)]
-    told = energies(problem, goals)
+    told = energies(problem, goals, effort=1_000_000)
     for goal, energy in zip(goals, told, strict=True):
         one = plan(replace(problem, goal=goal))
         assert one.lower_bound <= energy
@@ -308,7 +315,7 @@ def test_energy_against_time_where_the_way_down_pays_for_itself():
         HALL, EnergyCost(MODEL.with_term(VISCOUS_LOSS, 80.0)), (2, 6, 0), (14, 6, 0),
         heights=plane(-0.4, 0.0),
     )  # fmt: skip
-    front = pareto(problem, time_limit=0.3)
+    front = pareto(problem, effort=15_000)
     assert len(front.points) > 2
     assert np.all(np.diff(front.energy) > 0)
     assert front.energy[0] < 0
@@ -336,13 +343,13 @@ def test_surfaces_and_slopes_together():
         float(c.segment_energy(1e-3 / np.cos(slope[region == k]), 0.0, slope[region == k]).sum())
         for k, c in enumerate(costs)
     )
-    assert heights.energy(path, cost, ground) == pytest.approx(total, rel=2e-4)
+    assert path_price(path, cost, ground, heights).energy == pytest.approx(total, rel=2e-4)
     problem = PlanningProblem(HALL, cost, (2, 3, 0), (13, 8, 0), ground, heights=heights)
     found = plan(problem)
-    assert found.energy == pytest.approx(heights.energy(found.path, cost, ground))
+    assert found.energy == pytest.approx(path_price(found.path, cost, ground, heights).energy)
     assert found.lower_bound <= found.energy
     assert sum(found.breakdown.values()) == pytest.approx(found.energy)
-    assert found.energy < heights.energy(found.path, cost)  # marble is cheaper
+    assert found.energy < path_price(found.path, cost, None, heights).energy  # marble is cheaper
 
 
 def test_surfaces_whose_weights_differ_are_a_free_lunch():
@@ -411,8 +418,8 @@ def test_planners_of_level_ground_say_so(planner):
 def test_ompl_plans_on_slopes():
     cost, ground = at_battery(), ridge(5.0)
     problem = PlanningProblem(HALL, cost, (2.0, 5.0, 0.0), (14.0, 5.0, 0.0), heights=ground)
-    found = plan(problem, "rrtstar", 3.0)
-    assert found.energy == pytest.approx(ground.energy(found.path, cost))
+    found = plan(problem, "rrtstar", effort=30_000)
+    assert found.energy == pytest.approx(path_price(found.path, cost, None, ground).energy)
     assert found.lower_bound <= plan(problem).energy <= found.energy
 
 

@@ -21,7 +21,7 @@ def pillars(seed: int) -> OccupancyGrid:
 @pytest.mark.parametrize("seed", range(4))
 def test_least_energy_never_exceeds_the_shortest_routes(seed):
     told = compare(
-        PlanningProblem(pillars(seed), COST, (1.2, 4, 2.0), (10.8, 4, -1.0)), time_limit=0.6
+        PlanningProblem(pillars(seed), COST, (1.2, 4, 2.0), (10.8, 4, -1.0)), effort=30_000
     )
     assert told.energy_optimal.energy <= told.shortest.energy * (1 + 1e-12)
     assert told.shortest.length <= told.energy_optimal.length * 1.002
@@ -34,7 +34,7 @@ def test_least_energy_never_exceeds_the_shortest_routes(seed):
 
 def test_shortest_route_in_the_open_is_turn_drive_turn():
     room = OccupancyGrid(np.zeros((100, 100), bool), 0.1)
-    told = compare(PlanningProblem(room, COST, (3, 5, 0.0), (6, 5, np.pi / 2)), time_limit=0.5)
+    told = compare(PlanningProblem(room, COST, (3, 5, 0.0), (6, 5, np.pi / 2)), effort=25_000)
     # 3 m straight and a quarter turn on the spot, priced by the paper's two terms
     expected = 3 * 2 * 118 + np.pi / 2 * (2 * 118 * 0.47 + 0.647 * COST.vehicle.slip_moment)
     assert told.shortest.energy == pytest.approx(expected, rel=2e-3)
@@ -44,7 +44,7 @@ def test_shortest_route_in_the_open_is_turn_drive_turn():
 
 def test_a_worse_planner_falls_back_on_the_shortest_route():
     problem = PlanningProblem(pillars(1), COST, (1.2, 4, 0.0), (10.8, 4, 0.0))
-    told = compare(problem, planner="rrtstar", time_limit=1.5)
+    told = compare(problem, planner="rrtstar", effort=75_000)
     assert told.energy_optimal.energy <= told.shortest.energy
     assert told.energy_optimal.planner == "rrtstar"
     assert told.energy_optimal.lower_bound <= told.energy_optimal.energy

@@ -11,7 +11,7 @@ from energyplan.errors import MapError
 from energyplan.io.heights import read_heights
 from energyplan.path import Path, Pose
 from energyplan.power import PowerModel, effects
-from energyplan.terrain import HeightMap, OccupancyGrid, Surface, SurfaceMap
+from energyplan.terrain import HeightMap, OccupancyGrid, Surface, SurfaceMap, path_price
 from energyplan.vehicle import TreadICR
 
 MARBLE = PowerModel.preset("quadriga:empty:marble")
@@ -81,8 +81,8 @@ def test_a_straight_line_is_clipped_exactly():
     path = Path(Pose(0, 0, 0), [5.0, 0.0], [0.0, 1.0])
     assert np.allclose(ground.shares(path), [[0.6, 0.4], [1.0, 0.0]], atol=1e-15)
     expected = COST.energy(path) + 2.0 * (2 * 90.0 - 2 * 113.0)
-    assert np.isclose(ground.energy(path, COST), expected, rtol=1e-12)
-    assert np.isclose(sum(ground.breakdown(path, COST).values()), expected, rtol=1e-12)
+    assert np.isclose(path_price(path, COST, ground).energy, expected, rtol=1e-12)
+    assert np.isclose(sum(path_price(path, COST, ground).by_term.values()), expected, rtol=1e-12)
 
 
 def test_a_turn_is_clipped_exactly():
@@ -98,7 +98,9 @@ def test_energy_of_one_surface_everywhere_is_that_surfaces_energy():
     rng = np.random.default_rng(12)
     path = random_path(rng)
     ground = SurfaceMap([Surface(shapely.box(-99, -99, 99, 99), MARBLE)])
-    assert np.isclose(ground.energy(path, COST), EnergyCost(MARBLE).energy(path), rtol=1e-12)
+    assert np.isclose(
+        path_price(path, COST, ground).energy, EnergyCost(MARBLE).energy(path), rtol=1e-12
+    )
     assert np.isclose(
         SurfaceMap([]).breakdown(path, COST)["slip_friction"],
         COST.breakdown(path)["slip_friction"],
@@ -191,8 +193,10 @@ def test_energy_on_a_ramp():
     up = Path(Pose(1, 1.5, 0), [6.0], [0.0])
     level = cost.energy(up) * np.hypot(1.0, 0.05)
     expected = level + 83.1 * 9.81 * 6.0 * 0.05
-    assert ramp.energy(up, cost) == pytest.approx(expected, rel=1e-9)
-    there_and_back = ramp.energy(up, cost) + ramp.energy(up.reversed(), cost)
+    assert path_price(up, cost, None, ramp).energy == pytest.approx(expected, rel=1e-9)
+    there_and_back = (
+        path_price(up, cost, None, ramp).energy + path_price(up.reversed(), cost, None, ramp).energy
+    )
     assert there_and_back == pytest.approx(2 * level, rel=1e-9)
 
 
@@ -204,9 +208,11 @@ def test_energy_over_hills_is_the_potential():
     hills = HeightMap(0.2 * np.sin(0.5 * i) * np.cos(0.4 * j), 0.2)
     path = Path(Pose(4, 4, 0.3), rng.uniform(-1, 1.5, 6), rng.uniform(-1, 1, 6))
     without = EnergyCost(CONCRETE)
-    work = hills.energy(path, cost) - hills.energy(path, without)
+    work = (
+        path_price(path, cost, None, hills).energy - path_price(path, without, None, hills).energy
+    )
     assert work == pytest.approx(83.1 * 9.81 * hills.rise(path), rel=1e-9, abs=1e-9)
-    assert 1.0 < hills.energy(path, without) / without.energy(path) < 1.02
+    assert 1.0 < path_price(path, without, None, hills).energy / without.energy(path) < 1.02
 
 
 ASC = "ncols 3\nnrows 2\nxllcorner 10\nyllcorner 20\ncellsize 2\nNODATA_value -9999\n1 2 3\n4 5 6\n"

@@ -1,17 +1,16 @@
-"""The lattice planner: a first plan at once, better ones until time is over.
+"""The lattice planner: a first plan at once, better ones until the budget is over.
 
 1. A weighted search over position and heading, whose motions and whose last leg to the goal are
    exact minimum-energy motions, finds a first path; shortcuts make it a first plan.
 2. A lower bound on every path's cost is computed.
-3. Rounds of searches, each with a guidance of its own, find further paths, and the paths race for
-   the time to be refined. Planning ends when time is over, the gap to the bound is closed, or
-   nothing is gained any more.
+3. Rounds of searches, each with a guidance of its own, find further paths, and the paths compete
+   for the budget to be refined. Planning ends when the budget is over, the gap to the bound is
+   closed, or nothing is gained any more.
 """
 
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
@@ -25,8 +24,10 @@ from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, PlanningError, TimeLimitError
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.planning.bound import EFFORT, Bound, lower_bound
+from energyplan.planning.budget import PACE, UNLIMITED, Budget
+from energyplan.planning.contract import Candidate
 from energyplan.planning.lattice import search_kernels as kernels
-from energyplan.planning.lattice.portfolio import Race
+from energyplan.planning.lattice.portfolio import Portfolio
 from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.lattice.search import (
     Search,
@@ -35,11 +36,11 @@ from energyplan.planning.lattice.search import (
     way_along,
 )
 from energyplan.planning.lattice.tight_ends import ease
-from energyplan.planning.problem import Plan, PlanningProblem, as_pose
+from energyplan.planning.problem import PlanningProblem, as_pose
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.guide import distance_to_go, no_distance
 from energyplan.planning.scene.guide_kernels import DistanceToGo
-from energyplan.planning.scene.reachability import check_way, no_path
+from energyplan.planning.scene.reachability import check_way, none_found
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 
 logger = logging.getLogger(__name__)
@@ -77,7 +78,7 @@ gap it should have taken.
 HASTE = 0.25
 """Time below which the first round is left out [s]."""
 
-BUDGET = 2000
+MOST = 2000
 """Expansions of each search in the first round; twice as many in each round that follows."""
 
 STRIDE = 30_000
@@ -98,27 +99,31 @@ BOUND_SHARE = 0.1
 MOST_LEFT = 60.0
 """Time of which that part is taken at most [s]."""
 
-PACE = 6e8
-"""Steps of that search in a second."""
+STEPS = 12_000
+"""Steps of that search that count as a unit of work."""
+
+POINT = 0.01
+"""Units of work that a point of a field counts as."""
 
 
 def plan(
     problem: PlanningProblem,
-    time_limit: float = 1.0,
+    budget: Budget,
     *,
     gap: float = 1e-3,
     seed: int = 1,
     initial: Iterable[Path] = (),
-) -> Plan:
+    finest: float = 0.0625,
+) -> Candidate:
     """Plan on a lattice, and refine with exact steering.
 
     Parameters
     ----------
     problem : PlanningProblem
         The problem.
-    time_limit : float
-        Time to plan [s]. What is done once comes on top: the compilation of the kernels at their
-        first use ever, and up to half a second for the prices of a cost that depends on speed.
+    budget : Budget
+        What planning may spend. What is done once comes on top of a time limit: up to half a second
+        for the prices of a cost that depends on speed.
     gap : float
         Planning ends early when the plan costs at most this fraction more than the lower bound.
     seed : int
@@ -126,47 +131,52 @@ def plan(
     initial : iterable of Path
         Paths from start to goal, already known; the plan costs no more than any of them that is
         free of collisions.
+    finest : float
+        Size of the cells of the finest lattice that is searched for a first path, in units of the
+        coarsest one, which is searched first. Each is half as coarse as the one before.
 
     Returns
     -------
-    Plan
-        The best plan found.
+    Candidate
+        The best path found, and a lower bound.
 
     Raises
     ------
-    StartInCollisionError, GoalInCollisionError, OutsideMapError
-        If start or goal cannot be.
     NoPathError
-        If no path exists, or none on the finest lattice.
+        If it is proven that there is no path, or if there is none on the finest lattice.
     TimeLimitError
-        If time was over before a first plan.
+        If the budget was over before a first plan.
     """
-    if not time_limit > 0:
-        raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
-    compiled()
-    begun = time.perf_counter()
     query = CompiledProblem(problem)
-    work = _Improvement(query, time_limit, gap, seed)
     known = query.drivable(initial)
+    # a path between tight ends may prove not to be free: then planning is done anew
+    work = _Improvement(query, budget if query.ends_roomy else budget.part(0.5), gap, seed)
     for path in known:
         work.offer_path(path)
-    work.first_plan()
-    first = time.perf_counter()
+    work.first_plan(finest)
+    first = budget.elapsed
     work.round_hills()
     work.improve()
     try:
-        path = query.path(work.race.best)
+        path = query.path(work.portfolio.best)
     except PlanningError:
         eased = ease(query)
         if eased is None:
             raise
-        inner = plan(eased.problem, time_limit, gap=gap, seed=seed)
-        path = min([eased.whole(inner.path), *known], key=query.objective.path)
-    return query.plan(path, work.bound, begun, first, "lattice")
+        inner = plan(eased.problem, budget, gap=gap, seed=seed, finest=finest)
+        path = eased.whole(inner.path)
+    # what the tables made of the cost of a known path is not what the models make of it
+    path = min([path, *known], key=query.value)
+    return Candidate(path, query.potential(problem.goal) + work.bound, first)
 
 
 def energies(
-    problem: PlanningProblem, goals: ArrayLike, time_limit: float = 10.0, *, refined: bool = True
+    problem: PlanningProblem,
+    goals: ArrayLike,
+    time_limit: float = 10.0,
+    *,
+    effort: int | None = None,
+    refined: bool = True,
 ) -> FloatArray:
     """Return the cost from the problem's start to each of many goals, from a single search.
 
@@ -182,6 +192,8 @@ def energies(
         Goals: x, y [m], yaw [rad].
     time_limit : float
         Time for the search [s].
+    effort : int, optional
+        Units of work for the search, in place of the time limit; see `Budget`.
     refined : bool
         Whether to refine the paths.
 
@@ -207,18 +219,18 @@ def energies(
     settings = []
     for row in rows:
         goal = as_pose(row, "a goal")
-        replace(problem, goal=goal).check_poses(query.grid)
+        replace(problem, goal=goal).check_poses()
         centre = query.centre(goal)
         settings.append(
             query.setting._replace(goal_x=centre.x, goal_y=centre.y, goal_yaw=centre.yaw)
         )
     lattice = coarse_lattice(query.setting)
     search = Search(query.setting, no_distance(), lattice, 0.0, aligned=True)
-    deadline = time.perf_counter() + time_limit
+    budget = Budget(time_limit, effort=effort)
     missing = list(range(len(rows)))
     status = kernels.RUNNING
-    while missing and status == kernels.RUNNING and time.perf_counter() < deadline:
-        status = search.run(deadline, stop_at_first=False, expansions=STRIDE)
+    while missing and status == kernels.RUNNING and not budget.over:
+        status = search.run(budget, stop_at_first=False, expansions=STRIDE)
         reached = search.frontier
         for k in missing.copy():
             cost, node = search.attach(settings[k])
@@ -228,8 +240,8 @@ def energies(
                 out[k] = cost
                 if refined:
                     refiner = Refiner(settings[k], search.segments(settings[k], node))
-                    refiner.shortcut()
-                    refiner.polish(np.inf, most=POLISH)
+                    refiner.shortcut(UNLIMITED)
+                    refiner.polish(UNLIMITED, most=POLISH)
                     out[k] = refiner.cost
                 out[k] += query.potential(as_pose(rows[k], "a goal"))
     return out
@@ -248,24 +260,24 @@ def compiled() -> None:
     hall = OccupancyGrid(occupied, 0.1)
     ground = SurfaceMap((Surface(shapely.box(1.0, 1.0, 2.0, 2.0), cost.model),))
     task = PlanningProblem(hall, cost, Pose(0.8, 0.8, 0.0), Pose(4.0, 0.8, 0.0), ground)
-    work = _Improvement(CompiledProblem(task), np.inf, 0.0, 1)
+    work = _Improvement(CompiledProblem(task), Budget(), 0.0, 1)
     work.first_plan()
     work.raise_bound()
-    work.race.run(np.inf, 0.0)
-    work.race.finish(np.inf, 0.0)
-    way_along(work.setting, work.fields[PENALTY])
+    work.portfolio.run(Budget(), 0.0)
+    work.portfolio.finish(Budget(), 0.0)
+    way_along(work.setting, work._field(PENALTY))
 
 
 class _Improvement:
     """The best motions so far, and how to better them."""
 
-    def __init__(self, query: CompiledProblem, time_limit: float, gap: float, seed: int) -> None:
+    def __init__(self, query: CompiledProblem, budget: Budget, gap: float, seed: int) -> None:
         self.query = query
         self.setting = query.setting
-        self.deadline = time.perf_counter() + time_limit
+        self.budget = budget
         self.gap = gap
-        self.race = Race(self.setting, seed)
-        self.fields = {PENALTY: distance_to_go(self.setting, PENALTY)}
+        self.portfolio = Portfolio(self.setting, seed, budget)
+        self.fields: dict[float, DistanceToGo] = {}
         self.searches: list[tuple[Search, float]] = []
         self._bound = Bound(0.0, False)
 
@@ -277,12 +289,12 @@ class _Improvement:
     @property
     def cost(self) -> float:
         """Cost of the best path so far."""
-        return self.race.cost
+        return self.portfolio.cost
 
     @property
     def done(self) -> bool:
         """Whether to stop."""
-        return self.cost <= self.enough or time.perf_counter() >= self.deadline
+        return self.cost <= self.enough or self.budget.over
 
     @property
     def enough(self) -> float:
@@ -292,69 +304,71 @@ class _Improvement:
     def offer_path(self, path: Path) -> None:
         """Take a path that somebody else made, and that can be driven from start to goal."""
         lateral = self.query.problem.cost.icr.centre[1]
-        self.race.enter(Segments(path.ds - lateral * path.dtheta, path.dtheta))
+        self.portfolio.enter(Segments(path.ds - lateral * path.dtheta, path.dtheta))
 
-    def first_plan(self) -> None:
+    def first_plan(self, finest: float = 1.0) -> None:
         """Find a first path, on finer lattices where the first one has none."""
-        field = self.fields[PENALTY]
+        field = self._field(PENALTY)
         start = Search(self.setting, field, lattice_for(self.setting), FIRST_WEIGHT)
         if not np.isfinite(start.tree.h[0]):
             check_way(self.query)
         if np.isfinite(self.cost):
             return
-        for scale in (1.0, 0.5, 0.25, 0.125, 0.0625):
+        scale = 1.0
+        while True:
             search = Search(self.setting, field, lattice_for(self.setting, scale), FIRST_WEIGHT)
             status = kernels.RUNNING
-            if time.perf_counter() < self.deadline:
-                status = search.run(self.deadline, stop_at_first=True)
+            if not self.budget.over:
+                status = search.run(self.budget, stop_at_first=True)
             if search.found:
-                self.race.enter(search.segments())
+                self.portfolio.enter(search.segments())
                 return
             if status != kernels.EXHAUSTED:
                 x, y = search.nearest
                 raise TimeLimitError(
-                    f"no path was found in time: {int(search.tree.counts[2])} places were "
-                    f"searched in cells of {search.lattice.cell:.3g} m, the one nearest to the "
-                    f"goal at ({x:.2f}, {y:.2f}); give more time_limit"
+                    f"no path was found in {self.budget.name}: {int(search.tree.counts[2])} places "
+                    f"were searched in cells of {search.lattice.cell:.3g} m, the one nearest to "
+                    f"the goal at ({x:.2f}, {y:.2f}); give more {self.budget.remedy}"
                 )
-        why = f"none was found in cells of {search.lattice.cell:.3g} m"
-        raise no_path(self.query, why, search.nearest)
+            scale *= 0.5
+            if scale < finest:
+                raise none_found(self.query, search.lattice.cell, search.nearest)
 
     def improve(self) -> None:
-        """Make the path cheaper until time is over, the gap is closed, or nothing is gained."""
-        now = time.perf_counter()
-        left = max(self.deadline - now, 0.0)
-        # what is found must be refined before the deadline
-        until = now + SEARCH_SHARE * left
-        kept = BOUND_SHARE * min(left, MOST_LEFT)
-        self.raise_bound(PACE * kept)
-        if not self._bound.final:
-            self.deadline -= kept
+        """Make the path cheaper until the budget is over, the gap closed, or nothing is gained."""
+        left = self.budget.left
+        # what is found must be refined before the end
+        searching = self.budget.part(SEARCH_SHARE)
+        kept = BOUND_SHARE * min(left, MOST_LEFT * PACE)
+        self.raise_bound(kept)
+        budget = self.budget if self._bound.final else self.budget.less(kept)
         for number, (scale, weight, guides) in enumerate(ROUNDS):
-            if number == 0 and left < HASTE:
+            if number == 0 and left < HASTE * PACE:
                 continue
-            budget = BUDGET << number
-            self.race.run(until, self.enough)
+            most = MOST << number
+            self.portfolio.run(searching, self.enough)
             pending, self.searches = self.searches, []
             for search, known in pending:
-                if time.perf_counter() < until and not self.done:
-                    self._advance(search, known, until, budget)
+                if not searching.over and not self.done:
+                    self._advance(search, known, searching, most)
             for guide in guides:
-                if time.perf_counter() < until and not self.done:
-                    self._advance(self._search(scale, weight, guide), np.inf, until, budget)
-        self.race.run(self.deadline, self.enough)
-        self.race.finish(self.deadline, self.enough)
+                if not searching.over and not self.done:
+                    self._advance(self._search(scale, weight, guide), np.inf, searching, most)
+        self.portfolio.run(budget, self.enough)
+        self.portfolio.finish(budget, self.enough)
         gains = True
-        while gains and not self.done:
+        while gains and not budget.over and self.cost > self.enough:
             before = self.cost
-            self.race.again(self.deadline, self.enough)
-            gains = self.race.rounds <= PATIENCE or self.cost <= before * (1 - 1e-5)
+            self.portfolio.again(budget, self.enough)
+            gains = self.portfolio.rounds <= PATIENCE or self.cost <= before * (1 - 1e-5)
         if not self._bound.final and self.cost > self.enough:
-            self.raise_bound(PACE * kept)
+            self.raise_bound(kept)
 
-    def raise_bound(self, effort: float = EFFORT) -> None:
+    def raise_bound(self, units: float = EFFORT / STEPS) -> None:
         """Search for a better lower bound; what is known of the best cost makes that easier."""
-        value, final = lower_bound(self.query, self.cost, effort)
+        value, final = lower_bound(self.query, self.cost, STEPS * units)
+        if not final:
+            self.budget.spend(units)
         self._bound = Bound(max(value, self.bound), final)
 
     def round_hills(self) -> None:
@@ -364,12 +378,13 @@ class _Improvement:
         for penalty in (1.0, PENALTY):
             way = way_along(self.setting, self._field(penalty))
             if way is not None:
-                self.race.enter(way)
+                self.portfolio.enter(way)
 
     def _field(self, penalty: float) -> DistanceToGo:
         """Return the distance to go, with tight places counted longer."""
         if penalty not in self.fields:
             self.fields[penalty] = distance_to_go(self.setting, penalty)
+            self.budget.spend(POINT * self.setting.space.clearance.size)
         return self.fields[penalty]
 
     def _search(self, scale: float, weight: float, guide: Guide) -> Search:
@@ -381,11 +396,11 @@ class _Improvement:
         lattice = lattice_for(setting, scale)
         return Search(setting, field, lattice, weight, aligned=guide.aligned)
 
-    def _advance(self, search: Search, known: float, until: float, budget: int) -> None:
-        """Run a search for a while; enter what it finds in the race."""
-        status = search.run(until, search.weight >= FIRST_WEIGHT, budget)
+    def _advance(self, search: Search, known: float, budget: Budget, most: int) -> None:
+        """Run a search for a while; take what it finds into the portfolio."""
+        status = search.run(budget, search.weight >= FIRST_WEIGHT, most)
         found = float(search.tree.best[0])
         if found < known:
-            self.race.enter(search.segments())
+            self.portfolio.enter(search.segments())
         if status == kernels.RUNNING:
             self.searches.append((search, found))

@@ -1,4 +1,4 @@
-"""Making a drivable path cheaper with exact steering, until time is over or nothing is gained.
+"""Making a drivable path cheaper with exact steering, as long as that gains anything.
 
 `Refiner` works on one path: dynamic programming over its poses finds the shortcuts, then poses are
 moved, removed and inserted at random. The path is free of collisions and no dearer after each
@@ -7,11 +7,10 @@ step, so it can stop at any time.
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from energyplan.path import Path, Pose
+from energyplan.planning.budget import Budget
 from energyplan.planning.lattice import refine_kernels as kernels
 from energyplan.planning.scene.compiled import CompiledProblem, Segments, merged
 from energyplan.planning.scene.motions import KernelProblem
@@ -21,7 +20,7 @@ POSES = 60
 """Largest number of poses among which shortcuts are sought."""
 
 TRIALS = 400
-"""Attempts between two looks at the clock."""
+"""Attempts between two looks at the budget."""
 
 
 class Refiner:
@@ -84,31 +83,32 @@ class Refiner:
         n = kernels.unfold(self.chain, self.setting, self.count, ds, dtheta)
         return Segments(ds[:n].copy(), dtheta[:n].copy())
 
-    def shortcut(self) -> None:
+    def shortcut(self, budget: Budget) -> None:
         """Leave out the poses without which the path is cheaper."""
+        budget.spend(0.5 * self.count * self.count)
         self.count = int(kernels.shortcut(self.chain, self.setting, self.count, self.count))
 
-    def again(self) -> None:
+    def again(self, budget: Budget) -> None:
         """Cut the path to pieces once more, and seek shortcuts between them."""
         before = self.chain, self.count, self.cost
         self._load(self.segments)
-        self.shortcut()
+        self.shortcut(budget)
         if self.cost > before[2]:
             self.chain, self.count = before[0], before[1]
 
     def polish(
         self,
-        deadline: float,
+        budget: Budget,
         patience: int = 4000,
         enough: float = 0.0,
         most: int | None = None,
     ) -> None:
-        """Move poses until the deadline, until the cost is `enough`, or until little is gained.
+        """Move poses until the budget is over, the cost is `enough`, or little is gained.
 
         Parameters
         ----------
-        deadline : float
-            Reading of `time.perf_counter` at which to stop.
+        budget : Budget
+            What may be spent: a unit for each attempt.
         patience : int
             Attempts in which the cost must fall by a ten-thousandth.
         enough : float
@@ -117,10 +117,11 @@ class Refiner:
             Attempts at which to stop.
         """
         mark, since, spent = self.cost, 0, 0
-        while time.perf_counter() < deadline and self.cost > enough:
+        while not budget.over and self.cost > enough:
             self.count = int(
                 kernels.polish(self.chain, self.setting, self.count, TRIALS, self._state)
             )
+            budget.spend(TRIALS)
             since += TRIALS
             spent += TRIALS
             if self.count < 3 or (most is not None and spent >= most):
@@ -131,7 +132,7 @@ class Refiner:
                 break
 
 
-def refine(query: CompiledProblem, segments: Segments, deadline: float, seed: int = 1) -> Segments:
+def refine(query: CompiledProblem, segments: Segments, budget: Budget, seed: int = 1) -> Segments:
     """Return cheaper motions from the start to the goal.
 
     Parameters
@@ -140,8 +141,8 @@ def refine(query: CompiledProblem, segments: Segments, deadline: float, seed: in
         The problem.
     segments : Segments
         Motions from the start to the goal, free of collisions.
-    deadline : float
-        Reading of `time.perf_counter` at which to stop.
+    budget : Budget
+        What may be spent.
     seed : int
         Seed of the random numbers.
 
@@ -151,8 +152,8 @@ def refine(query: CompiledProblem, segments: Segments, deadline: float, seed: in
         Motions that cost no more.
     """
     refiner = Refiner(query.setting, segments, seed)
-    refiner.shortcut()
-    refiner.polish(deadline)
-    refiner.again()
-    refiner.polish(deadline)
+    refiner.shortcut(budget)
+    refiner.polish(budget)
+    refiner.again(budget)
+    refiner.polish(budget)
     return refiner.segments

@@ -1,8 +1,7 @@
-"""The lattice search as an object: grows its arrays, watches the clock, hands back motions."""
+"""The lattice search as an object: grows its arrays, keeps to its budget, hands back motions."""
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from math import remainder
 from typing import TypeVar
@@ -10,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from energyplan.planning.budget import Budget
 from energyplan.planning.lattice import search_kernels as kernels
 from energyplan.planning.scene.compiled import Segments
 from energyplan.planning.scene.field import Field, distance_field
@@ -43,8 +43,8 @@ TIGHT = 0.5
 REACH = 1.2
 """How much further than the start the field reaches."""
 
-SLICE = 2000
-"""Expansions between two looks at the clock."""
+SLICE = 500
+"""Expansions between two looks at the budget."""
 
 
 def lattice_for(setting: KernelProblem, scale: float = 1.0) -> kernels.Lattice:
@@ -238,13 +238,13 @@ class Search:
         kernels.rehash(larger, count)
         self.tree = larger
 
-    def run(self, deadline: float, stop_at_first: bool, expansions: int | None = None) -> int:
-        """Search until something is found, nothing is left, or time is over.
+    def run(self, budget: Budget, stop_at_first: bool, expansions: int | None = None) -> int:
+        """Search until something is found, nothing is left, or the budget is over.
 
         Parameters
         ----------
-        deadline : float
-            Reading of `time.perf_counter` at which to stop.
+        budget : Budget
+            What the search may spend: a unit for each expansion.
         stop_at_first : bool
             Whether any motion to the goal will do.
         expansions : int, optional
@@ -253,24 +253,26 @@ class Search:
         Returns
         -------
         int
-            `FOUND`, `EXHAUSTED`, or `RUNNING` where time or expansions ran out.
+            `FOUND`, `EXHAUSTED`, or `RUNNING` where budget or expansions ran out.
         """
         limit = np.inf if expansions is None else self.tree.counts[2] + expansions
         while True:
+            before = int(self.tree.counts[2])
             status = kernels.grow(
                 self.tree,
                 self.setting,
                 self.to_go,
                 self.lattice,
                 self.weight,
-                SLICE,
+                int(min(SLICE, max(limit - before, 1), max(budget.left, 1))),
                 stop_at_first,
             )
+            budget.spend(int(self.tree.counts[2]) - before)
             if status == kernels.FULL:
                 self._enlarge()
             elif status != kernels.RUNNING:
                 return status
-            if time.perf_counter() > deadline or self.tree.counts[2] >= limit:
+            if budget.over or self.tree.counts[2] >= limit:
                 return kernels.RUNNING
 
     @property

@@ -41,7 +41,7 @@ class Eased:
 def ease(query: CompiledProblem) -> Eased | None:
     """Return the problem between roomy poses; None where the ends are roomy, or none is near."""
     problem = query.problem
-    if all(query.roomy(pose) for pose in (problem.start, problem.goal)):
+    if query.ends_roomy:
         return None
     out = _way_out(query, problem.start, problem.goal)
     back = _way_out(query, problem.goal, problem.start)
@@ -56,7 +56,7 @@ def _way_out(query: CompiledProblem, pose: Pose, far: Pose) -> Path | None:
 
     def promise(path: Path) -> float:
         rest = np.hypot(far.x - path.end.x, far.y - path.end.y)
-        return query.objective.path(path) + metre * float(rest)
+        return query.value(path) + metre * float(rest)
 
     longitudinal = query.problem.cost.icr.longitudinal
     found: list[Path] = []

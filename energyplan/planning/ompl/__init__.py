@@ -5,7 +5,8 @@ exact minimum-energy one: the objective prices it, the motion validator tests it
 footprint, and the path that comes back is made of it. OMPL's own interpolation between states is
 used for new samples only, never for motions, so that no path slides sideways.
 
-What OMPL 2.0.1 does not bear from Python is refused with a reason (`REFUSED`).
+Some of OMPL 2.0.1's planners are left out, since they do not bear a Python objective: PRM and PRM*
+wait for Python's lock for ever, and AORRTC ignores the objective.
 """
 
 from __future__ import annotations
@@ -20,16 +21,18 @@ from ompl import base, geometric, util
 from typing_extensions import override
 
 from energyplan.cost import EnergyCost
-from energyplan.errors import InvalidInputError, TimeLimitError, UnsupportedPlannerError
+from energyplan.errors import TimeLimitError
 from energyplan.path import Path
-from energyplan.planning.bound import lower_bound
-from energyplan.planning.lattice import planner as lattice
+from energyplan.planning import plan
+from energyplan.planning.budget import Budget
+from energyplan.planning.contract import Candidate
 from energyplan.planning.ompl.parts import (
     EnergyObjective,
     PoseChecker,
     SteeringValidator,
+    condition,
     end_states,
-    out_of_time,
+    none_in,
     pose_space,
     pose_state,
     set_parameters,
@@ -42,31 +45,20 @@ from energyplan.terrain import OccupancyGrid, SurfaceMap
 from energyplan.vehicle import Vehicle
 
 __all__ = [
-    "REFUSED",
     "EnergyObjective",
     "LatticePlanner",
     "PoseChecker",
     "SteeringValidator",
-    "aorrtc",
     "bitstar",
     "fmt",
     "informed_rrtstar",
     "pose_space",
     "pose_state",
-    "prm",
-    "prmstar",
     "rrtstar",
 ]
 
 SPACING = 0.05
 """Distance [m] and turn [rad] between the states of a path that is handed to OMPL."""
-
-REFUSED = {
-    "prmstar": "its native threads wait for Python's lock for ever under a Python objective",
-    "prm": "its native threads wait for Python's lock for ever under a Python objective",
-    "aorrtc": "it ignores the objective, so that its path is not one of little energy",
-}
-"""Planners of OMPL 2.0.1 that cannot be used with a Python objective, and why."""
 
 
 def _joined(query: CompiledProblem, states: list[tuple[float, float, float]]) -> Segments:
@@ -85,15 +77,11 @@ def _geometric(
     make: Callable[[Any], Any],
     name: str,
     problem: PlanningProblem,
-    time_limit: float,
+    budget: Budget,
     seed: int,
     parameters: Mapping[str, object],
-) -> Plan:
+) -> Candidate:
     """Let one of OMPL's geometric planners solve a problem."""
-    lattice.compiled()
-    begun = time.perf_counter()
-    if not time_limit > 0:
-        raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
     query = CompiledProblem(problem)
     check_way(query)
     util.setLogLevel(util.LOG_NONE)
@@ -101,49 +89,41 @@ def _geometric(
     space = pose_space(query)
     information = base.SpaceInformation(space)
     checker = PoseChecker(information, query)
-    validator = SteeringValidator(information, query)
+    validator = SteeringValidator(information, query, budget)
     information.setStateValidityChecker(checker)
     information.setMotionValidator(validator)
     information.setup()
     definition = base.ProblemDefinition(information)
     definition.setStartAndGoalStates(*end_states(space, query))
-    objective = EnergyObjective(information, query)
+    objective = EnergyObjective(information, query, budget)
     definition.setOptimizationObjective(objective)
-    # compiled, or loaded from disk, before the clock runs
-    ends = end_states(space, query)
-    objective.motionCost(*ends)
-    validator.checkMotion(*ends)
     planner = make(information)
     set_parameters(planner, name, parameters)
     planner.setProblemDefinition(definition)
     planner.setup()
-    planner.solve(time_limit)
+    planner.solve(condition(budget))
     if not definition.hasExactSolution():
         known = definition.hasApproximateSolution()
         last = definition.getSolutionPath().getStates()[-1] if known else None
-        raise out_of_time(name, time_limit, query, last)
+        raise none_in(name, budget, query, last)
     states = [
         (state.getX(), state.getY(), state.getYaw())
         for state in definition.getSolutionPath().getStates()
     ]
-    path = query.path(_joined(query, states))
-    found = time.perf_counter()
-    return query.plan(
-        path, lower_bound(query, query.objective.path(path)).value, begun, found, name
-    )
+    return Candidate(query.path(_joined(query, states)))
 
 
 def rrtstar(
-    problem: PlanningProblem, time_limit: float = 1.0, *, seed: int = 1, **parameters: object
-) -> Plan:
+    problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
+) -> Candidate:
     """Plan with OMPL's RRT* on the objective of the problem.
 
     Parameters
     ----------
     problem : PlanningProblem
         The problem.
-    time_limit : float
-        Time to plan, all of which is used [s].
+    budget : Budget
+        What planning may spend, all of which is used.
     seed : int
         Seed of OMPL's random numbers, which are those of the whole process.
     **parameters : object
@@ -151,61 +131,43 @@ def rrtstar(
 
     Returns
     -------
-    Plan
-        The best path found, its cost computed anew.
+    Candidate
+        The best path found.
 
     Raises
     ------
-    StartInCollisionError, GoalInCollisionError, OutsideMapError
-        If start or goal cannot be.
     NoPathError
         If a disc inside the footprint cannot get from start to goal.
     TimeLimitError
-        If no path was found in time; OMPL's planners cannot tell whether there is one.
+        If the budget was over before a path was found; OMPL's planners cannot tell whether there
+        is one.
     """
-    return _geometric(geometric.RRTstar, "rrtstar", problem, time_limit, seed, parameters)
+    return _geometric(geometric.RRTstar, "rrtstar", problem, budget, seed, parameters)
 
 
 def informed_rrtstar(
-    problem: PlanningProblem, time_limit: float = 1.0, *, seed: int = 1, **parameters: object
-) -> Plan:
+    problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
+) -> Candidate:
     """Plan with OMPL's informed RRT*; parameters as in `rrtstar`."""
-    return _geometric(
-        geometric.InformedRRTstar, "informed_rrtstar", problem, time_limit, seed, parameters
-    )
+    make = geometric.InformedRRTstar
+    return _geometric(make, "informed_rrtstar", problem, budget, seed, parameters)
 
 
 def bitstar(
-    problem: PlanningProblem, time_limit: float = 1.0, *, seed: int = 1, **parameters: object
-) -> Plan:
+    problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
+) -> Candidate:
     """Plan with OMPL's BIT*; parameters as in `rrtstar`."""
-    return _geometric(geometric.BITstar, "bitstar", problem, time_limit, seed, parameters)
+    return _geometric(geometric.BITstar, "bitstar", problem, budget, seed, parameters)
 
 
 def fmt(
-    problem: PlanningProblem, time_limit: float = 1.0, *, seed: int = 1, **parameters: object
-) -> Plan:
+    problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
+) -> Candidate:
     """Plan with OMPL's FMT*; parameters as in `rrtstar`.
 
     FMT* is not anytime: it draws ``num_samples`` samples, then searches once.
     """
-    return _geometric(geometric.FMT, "fmt", problem, time_limit, seed, parameters)
-
-
-def _refusal(name: str) -> Callable[..., Plan]:
-    def refuse(problem: PlanningProblem, time_limit: float = 1.0, **options: object) -> Plan:
-        raise UnsupportedPlannerError(
-            f"OMPL's {name} cannot be used: {REFUSED[name]}; use 'lattice', 'bitstar' or 'rrtstar'"
-        )
-
-    refuse.__name__ = name
-    refuse.__doc__ = f"Refuse to plan with OMPL's {name}: {REFUSED[name]}."
-    return refuse
-
-
-prm = _refusal("prm")
-prmstar = _refusal("prmstar")
-aorrtc = _refusal("aorrtc")
+    return _geometric(geometric.FMT, "fmt", problem, budget, seed, parameters)
 
 
 class LatticePlanner(base.Planner):
@@ -292,7 +254,7 @@ class LatticePlanner(base.Planner):
         while not over():
             share = min(2.0 * share, 0.4, max(limit - time.perf_counter(), 1e-3))
             try:
-                self.plan = lattice.plan(problem, share, gap=self._gap, initial=known)
+                self.plan = plan(problem, time_limit=share, gap=self._gap, initial=known)
             except TimeLimitError:
                 continue
             known = [self.plan.path]

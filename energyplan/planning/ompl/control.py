@@ -13,26 +13,26 @@ Asymptotically optimal planning by feasible kinodynamic planning in a state-cost
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from ompl import base, control, util
 from typing_extensions import override
 
-from energyplan.errors import InvalidInputError, UnsupportedPlannerError
+from energyplan.errors import UnsupportedPlannerError
 from energyplan.path import FloatArray, Path
-from energyplan.planning.bound import lower_bound
-from energyplan.planning.lattice.planner import compiled
+from energyplan.planning.budget import Budget
+from energyplan.planning.contract import Candidate
 from energyplan.planning.ompl.parts import (
+    CALL,
     DirectedObjective,
-    out_of_time,
+    condition,
+    none_in,
     place,
     pose_space,
     set_parameters,
 )
-from energyplan.planning.problem import Plan, PlanningProblem
+from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.motions import connection, drive, free_energy, join
 from energyplan.planning.scene.reachability import check_way
@@ -123,33 +123,21 @@ class _Goal(base.Goal):
         return bool(state[1][0] + connection(setting, x, y, yaw, np.inf) < self._ceiling)
 
 
-def sst(
-    problem: PlanningProblem, time_limit: float = 5.0, *, seed: int = 1, **parameters: object
-) -> Plan:
-    """Plan with OMPL's SST over controls that the motors can hold; parameters as in `control_rrt`.
-
-    Raises
-    ------
-    UnsupportedPlannerError
-        With OMPL 2.0.1, whose Python module declares SST without a constructor.
-    """
-    return _controlled(control.SST, "sst", problem, time_limit, seed, parameters)
-
-
 def control_rrt(
-    problem: PlanningProblem, time_limit: float = 5.0, *, seed: int = 1, **parameters: object
-) -> Plan:
+    problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
+) -> Candidate:
     """Plan with OMPL's RRT over controls that the motors can hold.
 
-    It is started again until the time is over, each time for a path that costs less by `GAIN` than
-    the one known. The last stretch to the goal, less than `REACH`, is the exact steering motion.
+    It is started again until the budget is over, each time for a path that costs less by `GAIN`
+    than the one known. The last stretch to the goal, less than `REACH`, is the exact steering
+    motion.
 
     Parameters
     ----------
     problem : PlanningProblem
         The problem.
-    time_limit : float
-        Time to plan [s]. All of it is used, unless no cheaper path can exist.
+    budget : Budget
+        What planning may spend. All of it is used, unless no cheaper path can exist.
     seed : int
         Seed of OMPL's random numbers, which are those of the whole process.
     **parameters : object
@@ -157,36 +145,18 @@ def control_rrt(
 
     Returns
     -------
-    Plan
-        The best path found, its cost computed anew.
+    Candidate
+        The best path found.
 
     Raises
     ------
-    StartInCollisionError, GoalInCollisionError, OutsideMapError
-        If start or goal cannot be.
     NoPathError
         If a disc inside the footprint cannot get from start to goal.
     TimeLimitError
-        If no path was found in time.
+        If the budget was over before a path was found.
     UnsupportedPlannerError
         If the vehicle has no speed limit.
     """
-    return _controlled(control.RRT, "control_rrt", problem, time_limit, seed, parameters)
-
-
-def _controlled(
-    kind: Any,
-    name: str,
-    problem: PlanningProblem,
-    time_limit: float,
-    seed: int,
-    parameters: Mapping[str, object],
-) -> Plan:
-    """Let one of OMPL's planners over controls solve a problem."""
-    compiled()
-    begun = time.perf_counter()
-    if not time_limit > 0:
-        raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
     query = CompiledProblem(problem)
     check_way(query)
     setting = query.setting
@@ -201,6 +171,7 @@ def _controlled(
         return size * np.cos(angle), size * np.sin(angle) / setting.half_track
 
     def propagate(state: Any, action: Any, duration: float, result: Any) -> None:
+        budget.spend(CALL)
         ds, turn = motion(action, duration)
         half = 0.5 * turn
         chord = ds * np.sinc(half / np.pi)
@@ -214,8 +185,8 @@ def _controlled(
 
     best, ceiling = Segments(np.empty(0), np.empty(0)), np.inf
     last: Any = None
-    first = begun
-    while (left := begun + time_limit - time.perf_counter()) > 0:
+    first = budget.elapsed
+    while not budget.over:
         space = _space(query, ceiling)
         information = _information(space, propagate)
         checker = _Checker(information, query, ceiling)
@@ -228,16 +199,11 @@ def _controlled(
         definition.addStartState(start)
         definition.setGoal(_Goal(information, query, ceiling))
         definition.setOptimizationObjective(_Spent(information))
-        try:
-            planner = kind(information)
-        except TypeError as error:
-            raise UnsupportedPlannerError(
-                f"OMPL's Python module cannot make {name} ({error}); use 'control_rrt' or 'lattice'"
-            ) from None
-        set_parameters(planner, name, parameters)
+        planner = control.RRT(information)
+        set_parameters(planner, "control_rrt", parameters)
         planner.setProblemDefinition(definition)
         planner.setup()
-        planner.solve(base.timedPlannerTerminationCondition(left))
+        planner.solve(condition(budget))
         if not definition.hasExactSolution():
             if definition.hasApproximateSolution():
                 last = definition.getSolutionPath().getStates()[-1][0]
@@ -251,13 +217,11 @@ def _controlled(
         cost, found = _completed(query, motions, (state.getX(), state.getY(), state.getYaw()))
         if cost < ceiling:
             if not np.isfinite(ceiling):
-                first = time.perf_counter()
+                first = budget.elapsed
             best, ceiling = found, cost * (1.0 - GAIN)
     if not np.isfinite(ceiling):
-        raise out_of_time(name, time_limit, query, last)
-    path = query.path(best)
-    bound = lower_bound(query, query.objective.path(path)).value
-    return query.plan(path, bound, begun, first, name)
+        raise none_in("control_rrt", budget, query, last)
+    return Candidate(query.path(best), first_time=first)
 
 
 def _space(query: CompiledProblem, ceiling: float) -> Any:

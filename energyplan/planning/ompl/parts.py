@@ -10,10 +10,17 @@ from ompl import base
 from typing_extensions import override
 
 from energyplan.errors import TimeLimitError, UnknownNameError
+from energyplan.planning.budget import UNLIMITED, Budget
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.motions import steering_cost, steering_free
 from energyplan.steering.kernels import steer_energy
 from energyplan.terrain.collision import pose_free
+
+CALL = 0.5
+"""Units of work that a motion that OMPL asks for counts as."""
+
+ASKED = 0.1
+"""Units of work that each round of a planner, and each cost that it only estimates, count as."""
 
 _NO_PARAMETER = ("setName", "setProblemDefinition", "setup")
 
@@ -44,16 +51,22 @@ class EnergyObjective(DirectedObjective):
         OMPL's space information; its states are poses in the plane.
     query : CompiledProblem
         The problem.
+    budget : Budget
+        What each motion is spent from.
     """
 
-    def __init__(self, information: Any, query: CompiledProblem) -> None:
+    def __init__(
+        self, information: Any, query: CompiledProblem, budget: Budget = UNLIMITED
+    ) -> None:
         super().__init__(information)
         self._setting = query.setting
+        self._budget = budget
         self.setCostThreshold(base.Cost(0.0))
 
     @override
     def motionCost(self, first: Any, second: Any) -> Any:
         """Return the cost of the exact motion from one state to another."""
+        self._budget.spend(CALL)
         return base.Cost(
             steering_cost(
                 self._setting,
@@ -69,6 +82,7 @@ class EnergyObjective(DirectedObjective):
     @override
     def motionCostHeuristic(self, first: Any, second: Any) -> Any:
         """Return what no motion from one state to another costs less than."""
+        self._budget.spend(ASKED)
         return base.Cost(
             steer_energy(
                 second.getX() - first.getX(),
@@ -89,15 +103,21 @@ class SteeringValidator(base.MotionValidator):
         OMPL's space information; its states are poses in the plane.
     query : CompiledProblem
         The problem.
+    budget : Budget
+        What each motion is spent from.
     """
 
-    def __init__(self, information: Any, query: CompiledProblem) -> None:
+    def __init__(
+        self, information: Any, query: CompiledProblem, budget: Budget = UNLIMITED
+    ) -> None:
         super().__init__(information)
         self._setting = query.setting
+        self._budget = budget
 
     @override
     def checkMotion(self, first: Any, second: Any) -> bool:
         """Tell whether the motion from one state to another is free."""
+        self._budget.spend(CALL)
         return bool(
             steering_free(
                 self._setting,
@@ -182,8 +202,19 @@ def set_parameters(planner: Any, name: str, parameters: Mapping[str, object]) ->
         getattr(planner, setter)(value)
 
 
-def out_of_time(name: str, time_limit: float, query: CompiledProblem, last: Any) -> TimeLimitError:
-    """Return the error that says that a planner of OMPL's found nothing in time.
+def condition(budget: Budget) -> Any:
+    """Return OMPL's termination condition for a budget."""
+
+    def over() -> bool:
+        # asking counts too: not every round of a planner tries a motion
+        budget.spend(ASKED)
+        return budget.over
+
+    return base.PlannerTerminationCondition(over)
+
+
+def none_in(name: str, budget: Budget, query: CompiledProblem, last: Any) -> TimeLimitError:
+    """Return the error that says that a planner of OMPL's found nothing within its budget.
 
     `last` is the pose nearest to the goal that it reached; None where there is none.
     """
@@ -193,6 +224,6 @@ def out_of_time(name: str, time_limit: float, query: CompiledProblem, last: Any)
         left = float(np.hypot(x - query.setting.goal_x, y - query.setting.goal_y))
         near = f"; it got as near to the goal as ({x:.2f}, {y:.2f}), {left:.2f} m from it"
     return TimeLimitError(
-        f"{name} found no path within {time_limit:g} s{near}; give more time_limit, or use the "
+        f"{name} found no path in {budget.name}{near}; give more {budget.remedy}, or use the "
         "planner 'lattice'"
     )

@@ -7,7 +7,6 @@ graph of the map's obstacles, with corners rounded by the best radius.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Hashable, Iterable, Sequence
 from itertools import pairwise
 
@@ -15,14 +14,13 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from energyplan.cost import EnergyCost
-from energyplan.errors import InvalidInputError, NoPathError, TimeLimitError
+from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.path import Path, Pose, wrap_angle
-from energyplan.planning.bound import lower_bound
-from energyplan.planning.deadline import in_time
-from energyplan.planning.lattice.planner import compiled
+from energyplan.planning.budget import Budget
+from energyplan.planning.contract import Candidate
 from energyplan.planning.lattice.refine import refine as refine_motions
 from energyplan.planning.lattice.search import cell_of, field_for
-from energyplan.planning.problem import Plan, PlanningProblem
+from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.roadmap.energy_graph import (
     Graph,
     State,
@@ -50,7 +48,10 @@ __all__ = [
 ]
 
 CHUNK = 5000
-"""Edges tested for obstacles between two looks at the clock."""
+"""Edges tested for obstacles between two looks at the budget."""
+
+_TESTED = 0.1
+"""Units of work that an edge tested counts as."""
 
 
 def price_edges(graph: Graph, cost: EnergyCost, surfaces: SurfaceMap | None = None) -> Graph:
@@ -88,7 +89,7 @@ def price_edges(graph: Graph, cost: EnergyCost, surfaces: SurfaceMap | None = No
 
 def plan(
     problem: PlanningProblem,
-    time_limit: float = 1.0,
+    budget: Budget,
     *,
     graph: Graph | None = None,
     obstacles: BaseGeometry | Iterable[BaseGeometry] | None = None,
@@ -97,7 +98,7 @@ def plan(
     reverse: bool = True,
     radius: float = 0.0,
     refine: bool | None = None,
-) -> Plan:
+) -> Candidate:
     """Plan along a graph of places, or along the visibility graph of the obstacles.
 
     Every edge and every turn of the answer is tested with the whole footprint; those that are not
@@ -107,8 +108,8 @@ def plan(
     ----------
     problem : PlanningProblem
         The problem.
-    time_limit : float
-        Time to plan [s]. The compilation of the kernels at their first use ever comes on top.
+    budget : Budget
+        What planning may spend.
     graph : networkx graph, optional
         Places with positions; start and goal are joined to the nearest ones that can be reached
         in a straight line. Without it the visibility graph of the obstacles is used.
@@ -129,52 +130,44 @@ def plan(
 
     Returns
     -------
-    Plan
-        The best route on the graph, refined where wanted. Its lower bound holds for all paths,
-        not only for those on the graph. Of the visibility graph as much is built as can matter
-        for the objective; if time is over before, the best route by then is returned.
+    Candidate
+        The best route on the graph, refined where wanted. Of the visibility graph as much is built
+        as can matter for the objective; if the budget is over before, the best route by then is
+        returned.
 
     Raises
     ------
-    StartInCollisionError, GoalInCollisionError, OutsideMapError
-        If start or goal cannot be.
     NoPathError
         If the graph holds no free route.
     TimeLimitError
-        If time was over before one was found; the message says how far it got.
+        If the budget was over before one was found; the message says how far it got.
     """
-    compiled()
-    begun = time.perf_counter()
-    if not time_limit > 0:
-        raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
     polish = graph is None if refine is None else refine
     query = CompiledProblem(problem)
-    deadline = begun + time_limit
     places = [_reference(problem, problem.start), _reference(problem, problem.goal)]
     if graph is None:
         if clearance is None:
             half = float(np.abs(problem.robot.footprint[:, 1]).max())
             clearance = half + 0.5 * query.grid.resolution
         shapes = traced(query.grid, query.grid.resolution) if obstacles is None else obstacles
-        in_time(deadline, "the outlines of the obstacles had been traced")
-        path = _among(shapes, clearance, places, query, reverse, deadline)
+        budget.check("the outlines of the obstacles had been traced")
+        path = _among(shapes, clearance, places, query, reverse, budget)
     else:
         graph, ends = _with_ends(graph, places, neighbours)
-        roadmap = _roadmap(graph, query, reverse, radius, deadline)
+        roadmap = _roadmap(graph, query, reverse, radius, budget)
         path = _free_route(roadmap, ends, query)
-    first = time.perf_counter()
+    first = budget.elapsed
     if polish:
-        path = _refined(path, query, deadline)
-    bound = lower_bound(query, query.objective.path(path)).value
-    return query.plan(path, bound, begun, first, "roadmap")
+        path = _refined(path, query, budget)
+    return Candidate(path, first_time=first)
 
 
 def _roadmap(
-    graph: Graph, query: CompiledProblem, reverse: bool, radius: float, deadline: float
+    graph: Graph, query: CompiledProblem, reverse: bool, radius: float, budget: Budget
 ) -> Roadmap:
     problem = query.problem
     return Roadmap(
-        graph, problem.cost, problem.surfaces, reverse, radius, problem.objective, deadline
+        graph, problem.cost, problem.surfaces, reverse, radius, problem.objective, budget
     )
 
 
@@ -184,7 +177,7 @@ def _among(
     places: list[tuple[float, float]],
     query: CompiledProblem,
     reverse: bool,
-    deadline: float,
+    budget: Budget,
 ) -> Path:
     """Return the cheapest free route on the visibility graph of obstacles.
 
@@ -199,8 +192,8 @@ def _among(
     path: Path | None = None
     while True:
         try:
-            graph = visibility_graph(shapes, clearance, places, reach=reach, deadline=deadline)
-            roadmap = _roadmap(graph, query, reverse, 0.0, deadline)
+            graph = visibility_graph(shapes, clearance, places, reach=reach, budget=budget)
+            roadmap = _roadmap(graph, query, reverse, 0.0, budget)
             path = _free_route(roadmap, (0, 1), query)
         except TimeLimitError:
             if path is None:
@@ -211,7 +204,7 @@ def _among(
                 raise
             reach *= 2.0
             continue
-        needed = query.objective.path(path) / least + rounding
+        needed = query.value(path) / least + rounding
         if needed <= reach or reach >= whole:
             return path
         reach = needed
@@ -271,8 +264,9 @@ def _free_route(roadmap: Roadmap, ends: tuple[Hashable, Hashable], query: Compil
     problem, states = query.problem, roadmap.states
     everything = list(states)
     for k in range(0, len(everything), CHUNK):
-        in_time(roadmap.deadline, f"{k} of {len(everything)} edges were tested for obstacles")
+        roadmap.budget.check(f"{k} of {len(everything)} edges had been tested for obstacles")
         some = everything[k : k + CHUNK]
+        roadmap.budget.spend(_TESTED * len(some))
         free = query.grid.motions_free(
             [roadmap.pose(state, 0.0) for state in some],
             [state.gear * roadmap.length(state) for state in some],
@@ -284,7 +278,7 @@ def _free_route(roadmap: Roadmap, ends: tuple[Hashable, Hashable], query: Compil
     closed: set[tuple[str, State]] = set()
     mended = 0
     while True:
-        in_time(roadmap.deadline, f"{mended} routes had been mended whose turns were not free")
+        roadmap.budget.check(f"{mended} routes had been mended whose turns were not free")
         try:
             sequence = roadmap.search(*ends, problem.start.yaw, problem.goal.yaw, closed)
         except NoPathError as error:
@@ -300,7 +294,7 @@ def _free_route(roadmap: Roadmap, ends: tuple[Hashable, Hashable], query: Compil
         mended += 1
 
 
-def _refined(path: Path, query: CompiledProblem, deadline: float) -> Path:
+def _refined(path: Path, query: CompiledProblem, budget: Budget) -> Path:
     """Return a route made cheaper with exact steering, or the route itself."""
     lateral = query.problem.cost.icr.centre[1]
     motions = Segments(path.ds - lateral * path.dtheta, path.dtheta)
@@ -309,9 +303,8 @@ def _refined(path: Path, query: CompiledProblem, deadline: float) -> Path:
     # the planners' footprint is a little larger than the robot's
     if first_collision(setting.space, setting.body, centre.vertices, *motions, 0.0) >= 0:
         return path
-    better = query.path(refine_motions(query, motions, deadline))
-    prices = query.objective
-    return better if prices.path(better) < prices.path(path) else path
+    better = query.path(refine_motions(query, motions, budget))
+    return better if query.value(better) < query.value(path) else path
 
 
 def _mend(

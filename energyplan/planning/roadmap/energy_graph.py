@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
 from energyplan.path import FloatArray, wrap_angle
-from energyplan.planning.deadline import in_time
+from energyplan.planning.budget import UNLIMITED, Budget
 from energyplan.planning.scene.prices import Prices
 from energyplan.terrain import SurfaceMap
 
@@ -32,6 +32,9 @@ _RADII = np.linspace(0.0, 1.0, 9)
 
 _CHUNK = 20_000
 """Turns or edges between two looks at the clock."""
+
+_PRICED = 0.05
+"""Units of work that an edge or a turn that is priced counts as."""
 
 
 class State(NamedTuple):
@@ -203,7 +206,7 @@ def edges_of(graph: Graph, reverse: bool) -> Edges:
     return Edges(tuple(states), table[:, :2], table[:, 2], table[:, 3], table[:, 4])
 
 
-def edge_prices(edges: Edges, prices: Prices, deadline: float = np.inf) -> FloatArray:
+def edge_prices(edges: Edges, prices: Prices, budget: Budget = UNLIMITED) -> FloatArray:
     """Return the price of driving each edge straight."""
     ds = edges.gear * edges.length
     if prices.surfaces is None:
@@ -212,7 +215,8 @@ def edge_prices(edges: Edges, prices: Prices, deadline: float = np.inf) -> Float
     ends = edges.start + edges.length[:, None] * heading
     total = np.zeros(len(ds))
     for part in _parts(len(ds)):
-        in_time(deadline, f"{part.start} of {len(ds)} edges were priced")
+        budget.spend(_PRICED * len(ds[part]))
+        budget.check(f"{part.start} of {len(ds)} edges had been priced")
         shares = prices.surfaces.line_shares(edges.start[part], ends[part])
         for region, share in enumerate(shares.T):
             total[part] += prices.motion(ds[part] * share, 0.0, region)
@@ -231,7 +235,7 @@ def energy_graph(
     reverse: bool = True,
     radius: float = 0.0,
     objective: str | Mapping[str, float] = "energy",
-    deadline: float = np.inf,
+    budget: Budget = UNLIMITED,
 ) -> nx.DiGraph[State]:
     """Return the graph of states whose shortest paths are the routes of least energy.
 
@@ -259,8 +263,8 @@ def energy_graph(
         Largest radius of rounded corners [m]; 0 to turn on the spot.
     objective : {"energy", "length", "time"} or mapping of str to float
         What is to be least, as in `PlanningProblem`.
-    deadline : float
-        Reading of `time.perf_counter` at which to stop.
+    budget : Budget
+        What building the graph may spend.
 
     Returns
     -------
@@ -272,7 +276,7 @@ def energy_graph(
     InvalidInputError
         If a node has no position, or an edge joins two nodes at one place.
     TimeLimitError
-        If the deadline passes; the message says how far it got.
+        If the budget is over; the message says how far it got.
 
     Examples
     --------
@@ -286,7 +290,7 @@ def energy_graph(
     """
     prices = Prices(cost, surfaces, objective)
     edges = edges_of(graph, reverse)
-    straight = edge_prices(edges, prices, deadline)
+    straight = edge_prices(edges, prices, budget)
     out: nx.DiGraph[State] = nx.DiGraph()
     for state, price in zip(edges.states, straight.tolist(), strict=True):
         out.add_node(state, cost=price)
@@ -297,7 +301,8 @@ def energy_graph(
     known = {node: float(data.get("radius", radius)) for node, data in graph.nodes(data=True)}
     widest = np.array([known[state.source] for state in edges.states])
     for part in _parts(len(first)):
-        in_time(deadline, f"{part.start} of {len(first)} turns were priced")
+        budget.spend(_PRICED * len(first[part]))
+        budget.check(f"{part.start} of {len(first)} turns had been priced")
         a, b = first[part], then[part]
         corner = _corners(edges, a, b, widest[b], region[b], prices)
         out.add_edges_from(

@@ -12,13 +12,16 @@ import numpy as np
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, NoPathError
 from energyplan.path import Path, Pose, wrap_angle
-from energyplan.planning.deadline import in_time
+from energyplan.planning.budget import UNLIMITED, Budget
 from energyplan.planning.roadmap.energy_graph import Graph, State, energy_graph, positions
 from energyplan.planning.scene.prices import Prices
-from energyplan.terrain import SurfaceMap
+from energyplan.terrain import SurfaceMap, path_price
 
 _LOOK = 4096
-"""Turns searched between two looks at the clock."""
+"""Turns searched between two looks at the budget."""
+
+_TURN = 0.1
+"""Units of work that a turn searched counts as."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +68,8 @@ class Roadmap:
         Largest radius of rounded corners [m], where a node has no ``radius`` of its own.
     objective : {"energy", "length", "time"} or mapping of str to float
         What to make least, as in `PlanningProblem`.
-    deadline : float
-        Reading of `time.perf_counter` at which building and searching raise `TimeLimitError`.
+    budget : Budget
+        What building and searching may spend before they raise `TimeLimitError`.
 
     Examples
     --------
@@ -86,7 +89,7 @@ class Roadmap:
     reverse: bool = True
     radius: float = 0.0
     objective: str | Mapping[str, float] = "energy"
-    deadline: float = np.inf
+    budget: Budget = UNLIMITED
 
     @cached_property
     def prices(self) -> Prices:
@@ -103,7 +106,7 @@ class Roadmap:
             reverse=self.reverse,
             radius=self.radius,
             objective=self.objective,
-            deadline=self.deadline,
+            budget=self.budget,
         )
 
     @cached_property
@@ -156,8 +159,9 @@ class Roadmap:
         sequence = self.search(source, target, start_yaw, goal_yaw)
         path = self.drive(source, sequence, start_yaw, goal_yaw)
         nodes = (source, *(state.target for state in sequence))
-        prices = self.prices
-        return Route(nodes, tuple(sequence), path, prices.energy(path), prices.path(path))
+        price = path_price(path, self.cost, self.surfaces)
+        value = self.prices.value(price.energy, path.length, price.duration)
+        return Route(nodes, tuple(sequence), path, price.energy, value)
 
     def length(self, state: State) -> float:
         """Return the length of a state's edge [m]."""
@@ -204,7 +208,8 @@ class Roadmap:
             nonlocal looks
             looks += 1
             if looks % _LOOK == 0:
-                in_time(self.deadline, f"{looks} of {turns} turns were searched")
+                self.budget.spend(_LOOK * _TURN)
+                self.budget.check(f"{looks} of {turns} turns had been searched")
             return arc["weight"]
 
         begin, end = State(source, source, "start", 0), State(target, target, "goal", 0)

@@ -12,8 +12,11 @@ from shapely.geometry.base import BaseGeometry
 
 from energyplan.errors import InvalidInputError
 from energyplan.path import FloatArray
-from energyplan.planning.deadline import in_time
+from energyplan.planning.budget import UNLIMITED, Budget
 from energyplan.terrain import OccupancyGrid
+
+_GROWN, _SIGHT = 10.0, 0.05
+"""Units of work that an obstacle that is grown, and a line of sight that is tested, count as."""
 
 _SLACK = 1e-6
 """How far a line may run inside an obstacle's rim, for rounding [m]."""
@@ -51,7 +54,7 @@ def visibility_graph(
     points: Iterable[tuple[float, float]] = (),
     *,
     reach: float = np.inf,
-    deadline: float = np.inf,
+    budget: Budget = UNLIMITED,
 ) -> nx.Graph[int]:
     """Return the visibility graph of polygons, for a route whose turns are rounded.
 
@@ -76,8 +79,8 @@ def visibility_graph(
         Longest way from the first of the `points` straight to a line of sight, along it, and
         straight on to the second [m]: what lies farther out, beyond this ellipse, is left out.
         The time to build the graph grows with the square of the number of corners.
-    deadline : float
-        Reading of `time.perf_counter` at which to stop.
+    budget : Budget
+        What building the graph may spend.
 
     Returns
     -------
@@ -89,7 +92,7 @@ def visibility_graph(
     InvalidInputError
         If `clearance` is not positive, or `reach` is given without two points.
     TimeLimitError
-        If the deadline passes; the message says how far it got.
+        If the budget is over; the message says how far it got.
 
     References
     ----------
@@ -108,7 +111,8 @@ def visibility_graph(
         first, last = (shapely.distance(parts, shapely.Point(place)) for place in places[:2])
         parts = parts[first + last <= reach + 4.0 * clearance]
     grown = shapely.union_all(shapely.buffer(parts, clearance, join_style="mitre", mitre_limit=2.0))
-    in_time(deadline, f"{len(parts)} obstacles had been grown by {clearance:.3g} m")
+    budget.spend(_GROWN * len(parts))
+    budget.check(f"{len(parts)} obstacles had been grown by {clearance:.3g} m")
     corner, before, after = _corners(grown)
     if np.isfinite(reach):
         way = sum(np.hypot(*(corner - place).T) for place in places[:2])
@@ -121,7 +125,8 @@ def visibility_graph(
     shapely.prepare(core)
     pairs = [np.empty((2, 0), int)]
     for k in range(len(place)):
-        in_time(deadline, f"{k} of {len(place)} corners had been looked at from each other")
+        budget.spend(_SIGHT * len(place))
+        budget.check(f"{k} of {len(place)} corners had been looked at from each other")
         pair = _touching_pairs(k, place, before, after)
         if np.isfinite(reach):
             pair = pair[:, _way(place, pair) <= reach]

@@ -1,4 +1,4 @@
-"""A planning problem made ready for the kernels, and their answers made into plans.
+"""A planning problem made ready for the kernels, and their answers made into paths.
 
 The kernels work in the frame of the point midway between the tread ICRs; `CompiledProblem`
 translates.
@@ -6,25 +6,22 @@ translates.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from energyplan.cost import EnergyCost
-from energyplan.errors import InvalidInputError, ModelError, PlanningError
+from energyplan.errors import ModelError, PlanningError
 from energyplan.path import FloatArray, Path, Pose
-from energyplan.planning.problem import Plan, PlanningProblem
+from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene import slopes as _slopes
 from energyplan.planning.scene.motions import DIRECTIONS, LEVEL, Hills, KernelProblem
 from energyplan.planning.scene.prices import Prices
 from energyplan.planning.scene.rates import LeastPrices, Minorant, least_prices
-from energyplan.terrain import OccupancyGrid, SurfaceMap
+from energyplan.terrain import OccupancyGrid, Terrain
 from energyplan.terrain.collision import Body, pose_free
 
 SHORT_TRACK = 1e-3
@@ -45,32 +42,6 @@ class Segments(NamedTuple):
     dtheta: FloatArray
 
 
-class Ground(NamedTuple):
-    """A map with its keep-out areas occupied, and the class of surface in each cell."""
-
-    grid: OccupancyGrid
-    surface: NDArray[np.uint8]
-
-
-_grounds: WeakKeyDictionary[OccupancyGrid, tuple[SurfaceMap, Ground]] = WeakKeyDictionary()
-
-
-def _ground(problem: PlanningProblem) -> Ground:
-    """Return the ground of a problem; that of the last surfaces seen on a map is remembered."""
-    grid, surfaces = problem.map, problem.surfaces
-    if surfaces is None:
-        return Ground(grid, np.zeros((1, 1), np.uint8))
-    known = _grounds.get(grid)
-    if known is None or known[0] is not surfaces:
-        raster = surfaces.raster(grid)
-        if raster.max() > 255:
-            raise InvalidInputError("there are more than 255 surfaces; merge those of one model")
-        kept = grid.with_blocked(surfaces.keep_out) if surfaces.keep_out else grid
-        known = surfaces, Ground(kept, raster.astype(np.uint8))
-        _grounds[grid] = known
-    return known[1]
-
-
 @dataclass(frozen=True)
 class CompiledProblem:
     """A problem, priced and translated for the kernels."""
@@ -78,7 +49,7 @@ class CompiledProblem:
     problem: PlanningProblem
 
     def __post_init__(self) -> None:
-        self.problem.check_poses(self.grid)
+        self.problem.check_poses()
 
     # -- prices ---------------------------------------------------------------------------------
 
@@ -111,10 +82,15 @@ class CompiledProblem:
         radius = max(min(ahead - x_min, x_max - ahead, -y_min, y_max), 0.0)
         return _slopes.steepest(self.grid, problem.heights, radius)
 
-    @cached_property
+    @property
+    def terrain(self) -> Terrain:
+        """The ground."""
+        return self.problem.terrain
+
+    @property
     def grid(self) -> OccupancyGrid:
         """The map, with what must be kept out of occupied."""
-        return _ground(self.problem).grid
+        return self.terrain.obstacles
 
     @cached_property
     def _priced(self) -> _slopes.Priced:
@@ -134,11 +110,11 @@ class CompiledProblem:
 
     def worth(self, pose: Pose) -> float:
         """Return what the height at a pose is worth; only differences mean something."""
-        heights, ahead = self.problem.heights, self.problem.cost.icr.longitudinal
-        if heights is None:
+        if self.terrain.heights is None:
             return 0.0
+        ahead = self.problem.cost.icr.longitudinal
         point = pose.x + ahead * np.cos(pose.yaw), pose.y + ahead * np.sin(pose.yaw)
-        return self._priced.worth * float(heights.height(point))
+        return self._priced.worth * float(self.terrain.height_at(point))
 
     def potential(self, goal: Pose) -> float:
         """Return what the height of a goal above the start adds to the cost of every path."""
@@ -202,15 +178,20 @@ class CompiledProblem:
         return bool(pose_free(self.grid.space, self.grown, *self.centre(pose)))
 
     @cached_property
+    def ends_roomy(self) -> bool:
+        """Whether start and goal are free with the margin of planning."""
+        return all(self.roomy(pose) for pose in (self.problem.start, self.problem.goal))
+
+    @cached_property
     def setting(self) -> KernelProblem:
         """The problem as the kernels see it."""
         problem = self.problem
         c_x, c_y = problem.cost.icr.centre
         (x_min, y_min), (x_max, y_max) = problem.robot.footprint.tolist()
         body = Body(x_min - c_x, y_min - c_y, x_max - c_x, y_max - c_y)
-        if all(self.roomy(pose) for pose in (problem.start, problem.goal)):
+        if self.ends_roomy:
             body = self.grown
-        surface = _ground(problem).surface
+        surface = self.terrain.regions
         if self.hills.bins > 1 and surface.size == 1:
             surface = np.zeros(self.grid.shape, np.uint8)
         static = self.steering
@@ -289,68 +270,10 @@ class CompiledProblem:
 
     # -- result ---------------------------------------------------------------------------------
 
-    def plan(self, path: Path, bound: float, begun: float, first: float, planner: str) -> Plan:
-        """Return a plan, everything in it computed anew from its path.
-
-        Parameters
-        ----------
-        path : Path
-            The path.
-        bound : float
-            Lower bound on the objective, less what the height of the goal adds to it.
-        begun, first : float
-            Readings of `time.perf_counter` when planning began and when a first plan was known.
-        planner : str
-            Name of the planner.
-
-        Returns
-        -------
-        Plan
-            The plan.
-        """
-        cost, surfaces, heights = (
-            self.problem.cost, self.problem.surfaces, self.problem.heights
-        )  # fmt: skip
-        timed = all(c.speed is not None or np.isfinite(c.vehicle.motor.speed) for c in self.costs)
-        if heights is not None:
-            pieces = heights.pieces(path, cost, surfaces)
-            breakdown = total_by_term(p.cost.breakdown(p.path, p.slope) for p in pieces)
-            energy = sum(breakdown.values())
-            duration = sum(p.cost.duration(p.path) for p in pieces) if timed else np.nan
-        elif surfaces is None:
-            energy, breakdown = cost.energy(path), cost.breakdown(path)
-            duration = cost.duration(path) if timed else np.nan
-        else:
-            energy, breakdown = surfaces.energy(path, cost), surfaces.breakdown(path, cost)
-            duration = surfaces.duration(path, cost) if timed else np.nan
-        value = self.objective.value(energy, path.length, duration)
-        potential = self.potential(self.problem.goal)
-        excess = value - potential
-        bound = min(bound, excess)
-        return Plan(
-            path=path,
-            energy=energy,
-            lower_bound=potential + bound,
-            gap=excess / bound - 1.0 if bound > 0 else 0.0,
-            cost=value,
-            length=path.length,
-            turning=path.turning,
-            duration=duration,
-            planning_time=time.perf_counter() - begun,
-            first_time=first - begun,
-            planner=planner,
-            breakdown=breakdown,
-            potential=potential,
-        )
-
-
-def total_by_term(parts: Iterable[Mapping[str, float]]) -> dict[str, float]:
-    """Add up breakdowns."""
-    total: dict[str, float] = {}
-    for part in parts:
-        for name, joules in part.items():
-            total[name] = total.get(name, 0.0) + joules
-    return total
+    def value(self, path: Path) -> float:
+        """Return the objective's value of a path, asked of the models themselves."""
+        price = self.terrain.price(path, self.problem.cost)
+        return self.objective.value(price.energy, path.length, price.duration)
 
 
 def merged(segments: Segments) -> Segments:

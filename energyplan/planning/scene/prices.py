@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan.cost import EnergyCost
-from energyplan.path import FloatArray, Path
+from energyplan.path import FloatArray
 from energyplan.planning.problem import objective_weights
 from energyplan.terrain import SurfaceMap
 
@@ -113,19 +113,3 @@ class Prices:
         weights = self._weights
         timed = weights[2] * duration if weights[2] else 0.0
         return weights[0] * energy + weights[1] * length + timed
-
-    def path(self, path: Path) -> float:
-        """Return the price of a path, asked of the models themselves."""
-        energy, duration = self.energy(path), 0.0
-        if self._weights[2]:
-            timed = self.surfaces
-            duration = (
-                self.cost.duration(path) if timed is None else timed.duration(path, self.cost)
-            )
-        return self.value(energy, path.length, duration)
-
-    def energy(self, path: Path) -> float:
-        """Return the energy of a path, asked of the models themselves [J]."""
-        if self.surfaces is None:
-            return self.cost.energy(path)
-        return self.surfaces.energy(path, self.cost)

@@ -1,61 +1,101 @@
-"""Whether there is a way at all, and where it ends if there is none."""
+"""Whether there is a way at all, and what can be said for certain if none was found."""
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
 
 from energyplan.errors import NoPathError
-from energyplan.planning.lattice.search import cell_of, field_for
 from energyplan.planning.scene.compiled import CompiledProblem
 
 
-def no_path(query: CompiledProblem, why: str, near: tuple[float, float]) -> NoPathError:
-    """Return the error that says that no path leads from start to goal.
+def _parts(query: CompiledProblem) -> NDArray[np.int32]:
+    """Return the connected parts of the map's cells in which the centre of a disc may lie.
+
+    The disc is the largest one about the centre of the tread ICRs inside the footprint. Where its
+    centre is anywhere in a cell, the clearance of the cell's centre is at least the disc's radius
+    less half a diagonal. So the centre's way leads through such cells only, from each to one of
+    the eight around it: two parts that do not touch are apart for certain.
+    """
+    c_x, c_y = query.problem.cost.icr.centre
+    (x_min, y_min), (x_max, y_max) = query.problem.robot.footprint.tolist()
+    radius = max(min(c_x - x_min, x_max - c_x, c_y - y_min, y_max - c_y), 0.0)
+    grid = query.grid
+    # a thousandth of a cell is far above rounding
+    least = radius - (sqrt(0.5) + 1e-3) * grid.resolution
+
+    def label() -> NDArray[np.int32]:
+        found, _ = ndimage.label(grid.clearance >= least, np.ones((3, 3)))
+        return np.asarray(found, np.int32)
+
+    return query.terrain.bare.remember(("parts a disc can be in", least), label)
+
+
+def _cells(query: CompiledProblem) -> list[tuple[int, int]]:
+    """Return row and column of the cells that hold the centre of the tread ICRs at both ends."""
+    grid = query.grid
+    ends = [query.centre(pose)[:2] for pose in (query.problem.start, query.problem.goal)]
+    rows, columns = grid.shape
+    cells = np.floor(grid.to_cells(ends)).astype(int)
+    return [(min(max(r, 0), rows - 1), min(max(c, 0), columns - 1)) for c, r in cells.tolist()]
+
+
+def check_way(query: CompiledProblem) -> None:
+    """Check that a disc inside the footprint may get from start to goal.
+
+    Raises
+    ------
+    NoPathError
+        If it certainly cannot; the message names the place nearest to the goal that it gets to.
+    """
+    parts, (start, goal) = _parts(query), _cells(query)
+    if parts[start] == parts[goal] or 0 in (parts[start], parts[goal]):
+        return
+    row, column = np.nonzero(parts == parts[start])
+    place = query.grid.to_world(np.column_stack([column + 0.5, row + 0.5]))
+    end = np.array(query.problem.goal[:2])
+    x, y = place[np.argmin(np.hypot(*(place - end).T))].tolist()
+    raise NoPathError(
+        _told(
+            query,
+            "a disc inside the footprint cannot get through, so there certainly is none",
+            (x, y),
+        ),
+        certainty="proven",
+    )
+
+
+def none_found(query: CompiledProblem, cell: float, near: tuple[float, float]) -> NoPathError:
+    """Return the error that says that none was found at a resolution, or that there is none.
 
     Parameters
     ----------
     query : CompiledProblem
         The problem.
-    why : str
-        What was tried.
+    cell : float
+        Size of the cells in which the search was exhausted [m].
     near : tuple of float
         The place nearest to the goal that was reached, x and y [m].
-
-    Returns
-    -------
-    NoPathError
-        The error.
     """
+    try:
+        check_way(query)
+    except NoPathError as proven:
+        return proven
+    why = (
+        f"none was found in cells of {cell:.3g} m, though a finer search might find one (the "
+        "lattice planner's option finest halves them)"
+    )
+    return NoPathError(_told(query, why, near), resolution=cell)
+
+
+def _told(query: CompiledProblem, why: str, near: tuple[float, float]) -> str:
     start, goal = query.problem.start, query.problem.goal
     left = float(np.hypot(goal.x - near[0], goal.y - near[1]))
-    return NoPathError(
+    return (
         f"no path leads from ({start.x:.2f}, {start.y:.2f}) to ({goal.x:.2f}, {goal.y:.2f}): "
         f"{why}; the nearest place to the goal that was reached is ({near[0]:.2f}, {near[1]:.2f}), "
         f"{left:.2f} m from it; check the map for closed doors and unknown cells"
     )
-
-
-def check_way(query: CompiledProblem) -> None:
-    """Check that a disc inside the footprint gets from start to goal.
-
-    Raises
-    ------
-    NoPathError
-        If not; the message names the place nearest to the goal that it gets to.
-    """
-    setting = query.setting
-    field = field_for(setting)
-    stride = max(int(field.spacing / setting.space.resolution + 0.5), 1)
-    if np.isfinite(field.distance[cell_of(setting, setting.start_x, setting.start_y, stride)]):
-        return
-    back = setting._replace(
-        start_x=setting.goal_x,
-        start_y=setting.goal_y,
-        goal_x=setting.start_x,
-        goal_y=setting.start_y,
-    )
-    row, column = np.nonzero(np.isfinite(field_for(back).distance))
-    place = query.grid.to_world(np.column_stack([column + 0.5, row + 0.5]) * stride)
-    goal = np.array(query.problem.goal[:2])
-    x, y = place[np.argmin(np.hypot(*(place - goal).T))].tolist()
-    raise no_path(query, "a disc inside the footprint cannot get through", (x, y))

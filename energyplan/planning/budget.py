@@ -1,0 +1,150 @@
+"""What planning may spend: time by the clock, or units of work that are counted.
+
+By the clock a plan is as good as the machine is fast at that moment. Counted, the same query gives
+the same plan on any machine, under any load: nothing reads the clock.
+"""
+
+from __future__ import annotations
+
+import time
+from math import inf, isfinite
+
+from energyplan.errors import InvalidInputError, TimeLimitError
+
+PACE = 50_000
+"""Units of work that count as a second where the two are compared.
+
+A unit is about 20 microseconds of one core: one expansion of a search, one attempt at a path, one
+shortcut between two poses that is tried."""
+
+
+class Budget:
+    """What planning may spend.
+
+    Everything that searches, refines or builds for long takes one, spends what it does, and stops
+    when it is over. Parts of a budget spend from the whole.
+
+    Parameters
+    ----------
+    time_limit : float
+        Time from now on [s]; without end if left out.
+    effort : int, optional
+        Units of work to spend instead; the clock is not read then.
+
+    Raises
+    ------
+    InvalidInputError
+        If either is not positive.
+
+    Examples
+    --------
+    >>> budget = Budget(effort=1000)
+    >>> half = budget.part(0.5)
+    >>> half.spend(500)
+    >>> half.over, budget.left
+    (True, 500.0)
+    """
+
+    def __init__(self, time_limit: float = inf, *, effort: int | None = None) -> None:
+        if not time_limit > 0:
+            raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")
+        if effort is not None and not effort >= 1:
+            raise InvalidInputError(
+                f"effort is {effort}; give a number of units of work, 1 or more ({PACE} take about "
+                "as long as a second)"
+            )
+        self._begun = time.perf_counter()
+        self._spent = [0.0]
+        self.effort = effort
+        """Units of work to spend; None by the clock."""
+        counted = effort is not None
+        self._end = float(effort) if effort is not None else self._begun + time_limit
+        self._counted = counted or not isfinite(time_limit)
+        if not counted and self._counted:
+            self._end = inf
+
+    @property
+    def spent(self) -> float:
+        """Units of work spent, by this budget and all those that share its whole."""
+        return self._spent[0]
+
+    @property
+    def left(self) -> float:
+        """Units of work left; by the clock, as many as the time left is taken for."""
+        if self._counted:
+            return max(self._end - self._spent[0], 0.0)
+        return max(self._end - time.perf_counter(), 0.0) * PACE
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing is left."""
+        return not self.left > 0
+
+    @property
+    def elapsed(self) -> float:
+        """Time since the budget was made [s]: for reports, never for a decision."""
+        return time.perf_counter() - self._begun
+
+    def spend(self, units: float) -> None:
+        """Count work that was done."""
+        self._spent[0] += units
+
+    def _until(self, end: float) -> Budget:
+        other = object.__new__(Budget)
+        other.__dict__.update(self.__dict__, _end=end)
+        return other
+
+    def part(self, share: float) -> Budget:
+        """Return a budget that ends when this share of what is left has been used."""
+        if self._counted:
+            return self._until(self._spent[0] + share * self.left if self.left < inf else inf)
+        return self._until(self._end - (1.0 - share) * self.left / PACE)
+
+    def less(self, units: float) -> Budget:
+        """Return a budget that leaves so many units of this one."""
+        return self._until(self._end - (units if self._counted else units / PACE))
+
+    def apart(self, units: float) -> Budget:
+        """Return a budget of its own for work that runs beside others, in a thread for one.
+
+        It ends after so many units, and by the clock when this one does, if that is sooner. What
+        it has spent does not count here until it is spent here too, in a fixed order: so the same
+        is done whatever the order in which threads come to run.
+        """
+        other = self._until(self._end)
+        other._spent = [0.0]
+        if self._counted:
+            other._end = min(units, self.left)
+        else:
+            other._end = min(self._end, time.perf_counter() + units / PACE)
+        return other
+
+    def check(self, done: str) -> None:
+        """Go on, or stop.
+
+        Parameters
+        ----------
+        done : str
+            How far one has got.
+
+        Raises
+        ------
+        TimeLimitError
+            If nothing is left.
+        """
+        if self.over:
+            raise TimeLimitError(f"{self.name} was over when {done}; give more {self.remedy}")
+
+    @property
+    def name(self) -> str:
+        """What the budget is made of, in messages: ``time`` or ``the effort``."""
+        return "time" if self.effort is None else "the effort"
+
+    @property
+    def remedy(self) -> str:
+        """The option that gives more: ``time_limit`` or ``effort``."""
+        return "time_limit" if self.effort is None else "effort"
+
+
+UNLIMITED = Budget()
+"""A budget without end, for work that nobody limits."""

@@ -1,0 +1,240 @@
+"""What planners are, what they hand back, and what becomes of it.
+
+A planner returns a path, and a lower bound if it has one. Nobody believes it: `energyplan.plan`
+alone checks the path, prices it with the power models, and makes the `Plan`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+
+import numpy as np
+
+from energyplan.errors import InvalidInputError, InvalidPathError, LowerBoundError
+from energyplan.path import Path, wrap_angle
+from energyplan.planning.problem import OBJECTIVES, Plan, PlanningProblem
+from energyplan.planning.scene.compiled import CompiledProblem
+
+ARRIVED = 1e-6
+"""How far from start and goal a path may begin and end [m], [rad]: rounding."""
+
+ROUNDING = 1e-9
+"""By what fraction a lower bound may lie above the cost of a path: rounding."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What a planner hands back.
+
+    Parameters
+    ----------
+    path : Path
+        The path, from the problem's start to its goal.
+    lower_bound : float, optional
+        What no path costs less than, in the unit of the objective; the library computes one where
+        it is left out.
+    first_time : float, optional
+        `Budget.elapsed` when a first path was known [s]; the end where left out.
+    """
+
+    path: Path
+    lower_bound: float | None = None
+    first_time: float | None = None
+
+
+@dataclass(frozen=True)
+class Planner:
+    """A planner, and what it can do.
+
+    Parameters
+    ----------
+    run : callable or str
+        A function ``(problem, budget, **options) -> Candidate``; as ``"module:function"`` it is
+        imported when it is used.
+    surfaces : bool
+        Whether it can be used where there are surfaces with power models of their own.
+    heights : bool
+        Whether it can be used where the ground slopes.
+    objectives : tuple of str
+        What it can make least, alone or weighed: of ``"energy"``, ``"length"``, ``"time"``.
+    effort : bool
+        Whether it spends the budget by what it does, so that it can be limited by effort. One that
+        cannot reads the clock.
+    bound : bool
+        Whether it returns a lower bound. For one that does not, a tenth of the budget is kept for
+        computing one.
+
+    Raises
+    ------
+    InvalidInputError
+        If the objectives are none of these.
+    """
+
+    run: Callable[..., Candidate] | str
+    surfaces: bool = False
+    heights: bool = False
+    objectives: tuple[str, ...] = ("energy",)
+    effort: bool = False
+    bound: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "objectives", tuple(self.objectives))
+        if not self.objectives or not set(self.objectives) <= set(OBJECTIVES):
+            raise InvalidInputError(
+                f"objectives are {self.objectives!r}; give one or more of {', '.join(OBJECTIVES)}"
+            )
+
+    @property
+    def name(self) -> str:
+        """Name of the function that plans."""
+        return getattr(self.function, "__name__", type(self.function).__name__)
+
+    @property
+    def function(self) -> Callable[..., Candidate]:
+        """The function that plans."""
+        if not isinstance(self.run, str):
+            return self.run
+        module, _, name = self.run.partition(":")
+        found: Callable[..., Candidate] = getattr(import_module(module), name)
+        return found
+
+    def lacks(self, problem: PlanningProblem, counted: bool) -> list[str]:
+        """Return what a problem asks for and this planner cannot do, in words.
+
+        Parameters
+        ----------
+        problem : PlanningProblem
+            The problem.
+        counted : bool
+            Whether the budget is one of effort.
+        """
+        wanted = [name for name, weight in problem.weights.items() if weight > 0]
+        missing = {
+            "surfaces": problem.terrain.ground.surfaces and not self.surfaces,
+            "heights": problem.heights is not None and not self.heights,
+            **{f"the objective {name}": name not in self.objectives for name in wanted},
+            "effort instead of a time limit": counted and not self.effort,
+        }
+        return [name for name, lacking in missing.items() if lacking]
+
+
+def check_path(problem: PlanningProblem, path: Path, planner: str) -> None:
+    """Check that a path answers a problem.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        The problem.
+    path : Path
+        The path.
+    planner : str
+        Who made it.
+
+    Raises
+    ------
+    InvalidPathError
+        If it is no `Path`, begins or ends elsewhere, is told for another reference point, leaves
+        the map or touches an obstacle.
+    """
+
+    def refuse(what: str) -> InvalidPathError:
+        return InvalidPathError(f"the planner {planner!r} returned {what}; correct the planner")
+
+    if not isinstance(path, Path):
+        raise refuse(f"a {type(path).__name__} in place of a Path")
+    reference = problem.cost.icr.longitudinal
+    if path.longitudinal != reference:
+        raise refuse(
+            f"a path of the reference point at x = {path.longitudinal:g} m; that of the vehicle "
+            f"lies at {reference:g} m"
+        )
+    for name, found, wanted in (
+        ("starts", path.start, problem.start),
+        ("ends", path.end, problem.goal),
+    ):
+        miss = np.subtract(found, wanted)
+        miss[2] = wrap_angle(miss[2])
+        if not np.abs(miss).max() <= ARRIVED:
+            raise refuse(
+                f"a path that {name} at ({found.x:.3f}, {found.y:.3f}, "
+                f"{np.degrees(found.yaw):.1f} deg) in place of ({wanted.x:.3f}, {wanted.y:.3f}, "
+                f"{np.degrees(wanted.yaw):.1f} deg)"
+            )
+    grid = problem.terrain.obstacles
+    segment = grid.first_collision(path, problem.robot)
+    if segment is not None:
+        at = path.vertices[min(segment, len(path.vertices) - 1)]
+        raise refuse(
+            f"a path that is not free of collisions: its segment {segment}, from ({at[0]:.3f}, "
+            f"{at[1]:.3f}, {np.degrees(at[2]):.1f} deg), touches an obstacle or leaves the map, "
+            f"which covers {grid.describe_extent()}"
+        )
+
+
+def priced_plan(
+    compiled: CompiledProblem,
+    path: Path,
+    bound: float,
+    planner: str,
+    *,
+    planning_time: float,
+    first_time: float | None = None,
+    effort: float = 0,
+) -> Plan:
+    """Return the plan of a path that was checked, everything in it computed from the path.
+
+    Parameters
+    ----------
+    compiled : CompiledProblem
+        The problem.
+    path : Path
+        The path.
+    bound : float
+        Lower bound, in the unit of the objective.
+    planner : str
+        Name of the planner.
+    planning_time, first_time : float
+        Time that planning took, and time until a first path was known [s].
+    effort : float
+        Units of work that were spent.
+
+    Returns
+    -------
+    Plan
+        The plan.
+
+    Raises
+    ------
+    LowerBoundError
+        If the bound lies above the cost of the path by more than rounding.
+    """
+    problem = compiled.problem
+    price = problem.terrain.price(path, problem.cost)
+    cost = compiled.objective.value(price.energy, path.length, price.duration)
+    potential = compiled.potential(problem.goal)
+    scale = max(abs(cost), abs(potential), abs(cost - potential))
+    if not bound <= cost + ROUNDING * scale:
+        raise LowerBoundError(
+            f"the lower bound {bound!r} of the planner {planner!r} lies above the cost {cost!r} of "
+            f"a path from {tuple(problem.start)} to {tuple(problem.goal)}, so it is no bound; "
+            "please report the map and the model to whoever made the planner"
+        )
+    excess, least = cost - potential, bound - potential
+    return Plan(
+        path=path,
+        energy=price.energy,
+        lower_bound=bound,
+        gap=excess / least - 1.0 if least > 0 else (np.inf if excess > 0 else 0.0),
+        cost=cost,
+        length=path.length,
+        turning=path.turning,
+        duration=price.duration,
+        planning_time=planning_time,
+        first_time=planning_time if first_time is None else first_time,
+        planner=planner,
+        breakdown=price.by_term,
+        potential=potential,
+        effort=round(effort),
+    )

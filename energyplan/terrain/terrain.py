@@ -1,0 +1,290 @@
+"""The ground as a whole: obstacles, surfaces and heights, and what a path costs on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import MapError
+from energyplan.path import FloatArray, Path
+from energyplan.terrain.grid import OccupancyGrid
+from energyplan.terrain.heights import HeightMap
+from energyplan.terrain.surfaces import SurfaceMap
+
+Made = TypeVar("Made")
+
+_KEPT = 4
+"""Grounds that a map remembers: those with the surfaces and heights last seen on it."""
+
+_TABLES = 64
+"""Tables that a ground remembers; the oldest goes first."""
+
+_MOST_SURFACES = 255
+"""A cell's class of surface is kept in one byte."""
+
+FLAT = SurfaceMap(())
+"""No surfaces: the cost at hand applies everywhere."""
+
+
+class Piece(NamedTuple):
+    """What is driven at one cost.
+
+    Attributes
+    ----------
+    cost : EnergyCost
+        The cost.
+    path : Path
+        Segments at their length on the slope; where surfaces divide the way, they do not join.
+    slope : ndarray, shape (n,)
+        Slope along the heading of each segment [rad].
+    """
+
+    cost: EnergyCost
+    path: Path
+    slope: FloatArray
+
+
+class PathPrice(NamedTuple):
+    """What a path costs.
+
+    Attributes
+    ----------
+    energy : float
+        Energy, priced by the models themselves [J]; negative where more comes back than it takes.
+    by_term : mapping of str to float
+        The same by term of the power models [J].
+    duration : float
+        Time at the speeds of the costs [s]; NaN where a vehicle has no speed limit.
+    """
+
+    energy: float
+    by_term: Mapping[str, float]
+    duration: float
+
+
+def path_pieces(
+    path: Path,
+    cost: EnergyCost,
+    surfaces: SurfaceMap | None = None,
+    heights: HeightMap | None = None,
+) -> tuple[Piece, ...]:
+    """Return what a path consists of, surface by surface and slope by slope.
+
+    On slopes the path is cut into pieces, each on the mean slope along it. Lengths are those on the
+    slope, longer than in plan view; turns are those in plan view. The energy of an arc depends on
+    its size and curvature alone, so the parts of a segment need not join.
+
+    Parameters
+    ----------
+    path : Path
+        The path, in plan view.
+    cost : EnergyCost
+        Cost of motions outside the surfaces.
+    surfaces : SurfaceMap, optional
+        Grounds with power models of their own.
+    heights : HeightMap, optional
+        Heights of the ground where it slopes.
+
+    Returns
+    -------
+    tuple of Piece
+        What is driven at each cost.
+
+    Raises
+    ------
+    MapError
+        If the path leaves the heights.
+    """
+    cut = path if heights is None else heights.cut(path)
+    slope = np.zeros(len(cut)) if heights is None else heights.slopes(cut)
+    driven = replace(cut, ds=cut.ds / np.cos(slope))
+    if surfaces is None or not surfaces.surfaces:
+        return (Piece(cost, driven, slope),)
+    return tuple(
+        Piece(c, replace(driven, ds=driven.ds * share, dtheta=driven.dtheta * share), slope)
+        for c, share in zip(surfaces.costs(cost), surfaces.shares(cut).T, strict=True)
+        if np.any(share > 0)
+    )
+
+
+def path_price(
+    path: Path,
+    cost: EnergyCost,
+    surfaces: SurfaceMap | None = None,
+    heights: HeightMap | None = None,
+) -> PathPrice:
+    """Return what a path costs on surfaces and slopes.
+
+    Parameters
+    ----------
+    path : Path
+        The path, in plan view.
+    cost : EnergyCost
+        Cost of motions outside the surfaces. Where the ground slopes its model needs a term that
+        reads the slope, such as the grade, for the robot's weight to matter.
+    surfaces : SurfaceMap, optional
+        Grounds with power models of their own.
+    heights : HeightMap, optional
+        Heights of the ground where it slopes.
+
+    Returns
+    -------
+    PathPrice
+        Energy, its parts by term, and the time.
+
+    Raises
+    ------
+    MapError
+        If the path leaves the heights.
+    """
+    pieces = path_pieces(path, cost, surfaces, heights)
+    timed = all(p.cost.speed is not None or p.cost.vehicle.motor.speed < np.inf for p in pieces)
+    by_term: dict[str, float] = {}
+    for piece in pieces:
+        for name, joules in piece.cost.breakdown(piece.path, piece.slope).items():
+            by_term[name] = by_term.get(name, 0.0) + joules
+    return PathPrice(
+        energy=float(sum(p.cost.energy(p.path, p.slope) for p in pieces)),
+        by_term=by_term,
+        duration=float(sum(p.cost.duration(p.path) for p in pieces)) if timed else np.nan,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Terrain:
+    """Obstacles, surfaces and heights of one ground.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        Obstacles.
+    surfaces : SurfaceMap, optional
+        Grounds with power models of their own, and areas to keep out of.
+    heights : HeightMap, optional
+        Heights of the ground where it slopes.
+
+    Raises
+    ------
+    MapError
+        If there are more surfaces than a raster can tell apart.
+
+    Examples
+    --------
+    >>> hall = OccupancyGrid(np.zeros((100, 100), bool), resolution=0.1)
+    >>> cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
+    >>> straight = Path(Pose(1, 1, 0), ds=[5.0], dtheta=[0.0])
+    >>> Terrain(hall).price(straight, cost).energy
+    1000.0
+    """
+
+    grid: OccupancyGrid
+    surfaces: SurfaceMap | None = None
+    heights: HeightMap | None = None
+    _tables: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if len(self.ground.surfaces) > _MOST_SURFACES:
+            raise MapError(
+                f"there are {len(self.ground.surfaces)} surfaces, more than {_MOST_SURFACES}; "
+                "merge those of one model"
+            )
+
+    @classmethod
+    def of(
+        cls,
+        grid: OccupancyGrid,
+        surfaces: SurfaceMap | None = None,
+        heights: HeightMap | None = None,
+    ) -> Terrain:
+        """Return the ground made of these; the map remembers those last seen, and their tables."""
+        known: list[Terrain] = grid.__dict__.setdefault("_terrains", [])
+        for k, ground in enumerate(known):
+            if ground.surfaces is surfaces and ground.heights is heights:
+                known.append(known.pop(k))
+                return ground
+        ground = cls(grid, surfaces, heights)
+        known.append(ground)
+        del known[:-_KEPT]
+        return ground
+
+    def remember(self, key: Hashable, make: Callable[[], Made]) -> Made:
+        """Return a table of this ground, made when it is first asked for.
+
+        Parameters
+        ----------
+        key : hashable
+            What tells the table from all others: who makes it, and from what.
+        make : callable
+            Makes it.
+
+        Returns
+        -------
+        object
+            The table.
+        """
+        if key not in self._tables:
+            made = make()
+            while len(self._tables) >= _TABLES:
+                del self._tables[next(iter(self._tables))]
+            self._tables[key] = made
+        found: Made = self._tables[key]
+        return found
+
+    # -- what lies where --------------------------------------------------------------------------
+
+    @property
+    def ground(self) -> SurfaceMap:
+        """The surfaces; where there are none, an empty map of them."""
+        return FLAT if self.surfaces is None else self.surfaces
+
+    @cached_property
+    def obstacles(self) -> OccupancyGrid:
+        """The grid, with what must be kept out of occupied."""
+        kept_out = self.ground.keep_out
+        return self.grid.with_blocked(kept_out) if kept_out else self.grid
+
+    @property
+    def bare(self) -> Terrain:
+        """The obstacles alone, for tables that depend on nothing else."""
+        return Terrain.of(self.obstacles)
+
+    @cached_property
+    def regions(self) -> NDArray[np.uint8]:
+        """Class of surface at the centre of each cell, shape (rows, columns) or (1, 1) if one."""
+        if not self.ground.surfaces:
+            return np.zeros((1, 1), np.uint8)
+        return self.ground.raster(self.grid).astype(np.uint8)
+
+    def region_at(self, points: ArrayLike) -> NDArray[np.intp]:
+        """Return the region of each world point (..., 2) [m]; see `SurfaceMap`."""
+        return self.ground.region_at(points)
+
+    def height_at(self, points: ArrayLike) -> FloatArray:
+        """Return the height at world points (..., 2) [m]; 0 on level ground."""
+        if self.heights is None:
+            return np.zeros(np.shape(np.asarray(points, float))[:-1])
+        return self.heights.height(points)
+
+    def slopes(self, path: Path) -> FloatArray:
+        """Return the slope along the heading in each segment of a path [rad], shape (n,)."""
+        return np.zeros(len(path)) if self.heights is None else self.heights.slopes(path)
+
+    # -- what it costs ----------------------------------------------------------------------------
+
+    def costs(self, cost: EnergyCost) -> tuple[EnergyCost, ...]:
+        """Return the cost of every region by its number, given that outside all surfaces."""
+        return self.ground.costs(cost)
+
+    def pieces(self, path: Path, cost: EnergyCost) -> tuple[Piece, ...]:
+        """Return what a path consists of on this ground; see `path_pieces`."""
+        return path_pieces(path, cost, self.surfaces, self.heights)
+
+    def price(self, path: Path, cost: EnergyCost) -> PathPrice:
+        """Return what a path costs on this ground; see `path_price`."""
+        return path_price(path, cost, self.surfaces, self.heights)

@@ -1,0 +1,198 @@
+"""What a planner hands back is checked and priced by `plan` alone."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path as File
+
+import numpy as np
+import pytest
+import shapely
+
+import energyplan as ep
+from energyplan.errors import (
+    InvalidInputError,
+    InvalidPathError,
+    LowerBoundError,
+    PlanningError,
+    UnsupportedPlannerError,
+)
+from energyplan.planning import PLANNERS, planners
+from energyplan.power.effects import with_weight
+from energyplan.terrain import HeightMap, Surface, SurfaceMap
+from energyplan.vehicle import TreadICR
+
+MODEL = ep.PowerModel.preset("quadriga:empty:concrete")
+COST = ep.EnergyCost(MODEL)
+HALL = ep.OccupancyGrid(np.zeros((100, 100), bool), resolution=0.1)
+PROBLEM = ep.PlanningProblem(HALL, COST, (1, 5, 0), (9, 5, 0))
+
+
+def straight(problem, budget):
+    """8 m straight ahead."""
+    budget.spend(1)
+    return ep.Candidate(ep.Path(problem.start, [8.0], [0.0], problem.cost.icr.longitudinal))
+
+
+def documented():
+    """The planner that docs/extending.md prints."""
+    text = (File(__file__).parents[2] / "docs" / "extending.md").read_text()
+    blocks = re.findall(r"```python\n(.*?)```", text, re.S)
+    code = next(block for block in blocks if "def turn_drive_turn" in block)
+    known = {"np": np, "ep": ep, "model": MODEL}
+    exec(code, known)
+    return known["straight"]
+
+
+def test_the_documented_planner_is_priced_on_the_ground_as_it_is():
+    """8 m at 2 * 113 N, or half of them at 2 * 600 N: the planner does not know of surfaces."""
+    mud = ep.PowerModel.paper(MODEL.vehicle, K=600.0, mu=0.627, name="mud")
+    ground = SurfaceMap([Surface(shapely.box(3, -1, 7, 11), mud)])
+    plain = ep.plan(PROBLEM, documented(), effort=1000)
+    assert plain.energy == pytest.approx(8 * 226.0)
+    found = ep.plan(replace(PROBLEM, surfaces=ground), documented(), effort=1000)
+    assert found.energy == pytest.approx(4 * 226.0 + 4 * 1200.0)
+    assert sum(found.breakdown.values()) == pytest.approx(found.energy)
+    # every way leads through the mud, 4 m of it
+    assert 0.5 * found.energy < found.lower_bound <= found.energy
+    assert found.planner == "turn_drive_turn"
+
+
+def test_a_plugin_on_slopes_pays_for_the_climb():
+    x = np.arange(0.0, 10.5, 0.5)
+    ramp = HeightMap(np.tile(0.05 * x, (21, 1)), 0.5)
+    heavy = replace(PROBLEM, cost=ep.EnergyCost(with_weight(MODEL)), heights=ramp)
+    found = ep.plan(heavy, documented(), effort=1000)
+    climb = MODEL.vehicle.mass * 9.81 * 8 * 0.05
+    assert found.energy == pytest.approx(8 * 226.0 * np.hypot(1, 0.05) + climb, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda p: ep.Path(p.start, [7.0], [0.0]), r"ends at \(8.000, 5.000"),
+        (lambda p: ep.Path(p.goal, [8.0], [0.0]), r"starts at \(9.000, 5.000"),
+        (lambda p: ep.Path(p.start, [8.0], [0.0], 0.1), "reference point at x = 0.1 m"),
+        (lambda p: ep.Path(p.start, [8.0], [1e-3]), r"0.1 deg\) in place of"),
+        (lambda p: "a path", "a str in place of a Path"),
+    ],
+)
+def test_what_is_no_answer_is_refused_by_name(make, words):
+    def wrong(problem, budget):
+        return ep.Candidate(make(problem))
+
+    with pytest.raises(InvalidPathError, match=f"the planner 'wrong' returned .*{words}"):
+        ep.plan(PROBLEM, ep.Planner(wrong))
+
+
+def test_a_path_through_an_obstacle_is_refused_with_its_place():
+    occupied = np.zeros((100, 100), bool)
+    occupied[45:55, 50] = True
+    walled = replace(PROBLEM, map=ep.OccupancyGrid(occupied, 0.1))
+    with pytest.raises(InvalidPathError, match=r"'straight' returned .*segment 0.*\(1.000, 5.000"):
+        ep.plan(walled, ep.Planner(straight))
+
+
+def test_a_path_off_the_map_or_through_a_keep_out_area_is_refused():
+    def around(problem, budget):
+        turn = np.pi / 2
+        return ep.Candidate(
+            ep.Path(problem.start, [0, 8, 0, 8, 0, 8, 0], [turn, 0, -turn, 0, -turn, 0, turn])
+        )
+
+    with pytest.raises(InvalidPathError, match=r"leaves the map, which covers x from 0 to 10 m"):
+        ep.plan(PROBLEM, ep.Planner(around))
+    closed = SurfaceMap([], keep_out=[shapely.box(4, 4, 5, 6)])
+    with pytest.raises(InvalidPathError, match="touches an obstacle"):
+        ep.plan(replace(PROBLEM, surfaces=closed), ep.Planner(straight, surfaces=True))
+
+
+def test_something_else_than_a_candidate_is_refused():
+    with pytest.raises(PlanningError, match=r"'plan' returned a Path; .*Candidate"):
+
+        def plan(problem, budget):
+            return straight(problem, budget).path
+
+        ep.plan(PROBLEM, ep.Planner(plan))
+
+
+@pytest.mark.parametrize("over", [1e-6, 0.1, 1.0])
+def test_a_bound_above_the_cost_of_a_path_is_an_error(over):
+    def boastful(problem, budget):
+        path = straight(problem, budget).path
+        return ep.Candidate(path, lower_bound=COST.energy(path) * (1 + over))
+
+    with pytest.raises(LowerBoundError, match=r"'boastful' lies above the cost 1808"):
+        ep.plan(PROBLEM, ep.Planner(boastful, bound=True))
+
+
+def test_bound_and_gap_are_reported_as_computed():
+    def modest(problem, budget):
+        return ep.Candidate(straight(problem, budget).path, lower_bound=904.0)
+
+    found = ep.plan(PROBLEM, ep.Planner(modest, bound=True))
+    assert found.lower_bound == 904.0
+    assert found.gap == pytest.approx(1.0)
+    nothing = ep.plan(PROBLEM, ep.Planner(lambda p, b: replace(modest(p, b), lower_bound=0.0)))
+    assert nothing.gap == np.inf
+
+
+def test_a_planner_is_refused_where_it_cannot_be_used_and_others_are_named():
+    plain = ep.Planner(straight)
+    ground = SurfaceMap([Surface(shapely.box(3, 0, 7, 10), MODEL)])
+    x = np.arange(0.0, 10.5, 0.5)
+    ramp = HeightMap(np.tile(0.05 * x, (21, 1)), 0.5)
+    for problem, words in (
+        (replace(PROBLEM, surfaces=ground), "surfaces; use one of lattice, roadmap"),
+        (replace(PROBLEM, heights=ramp), "heights; use one of lattice, rrtstar"),
+        (replace(PROBLEM, objective={"energy": 1.0, "time": 2.0}), "the objective time; use"),
+    ):
+        with pytest.raises(
+            UnsupportedPlannerError, match=f"'straight' cannot be used with {words}"
+        ):
+            ep.plan(problem, plain)
+    with pytest.raises(UnsupportedPlannerError, match="effort instead of a time limit"):
+        ep.plan(PROBLEM, plain, effort=100)
+    # weights of nothing ask for nothing
+    assert ep.plan(replace(PROBLEM, objective={"energy": 1.0, "time": 0.0}), plain).cost == 1808.0
+    with pytest.raises(InvalidInputError, match="beauty"):
+        ep.Planner(straight, objectives=("beauty",))
+
+
+def test_a_vehicle_whose_reference_point_lies_ahead():
+    ahead = replace(MODEL, vehicle=MODEL.vehicle.with_icr(TreadICR(0.4, 0.5, 0.1)))
+    problem = replace(PROBLEM, cost=ep.EnergyCost(ahead))
+    assert ep.plan(problem, ep.Planner(straight)).path.longitudinal == 0.1
+
+
+def test_an_installed_plugin(tmp_path, monkeypatch):
+    package = tmp_path / "crow_flies.py"
+    package.write_text(
+        "import energyplan as ep\n"
+        "def fly(problem, budget, *, far=8.0):\n"
+        "    return ep.Candidate(ep.Path(problem.start, [far], [0.0]))\n"
+        "crow = ep.Planner(fly)\n"
+    )
+    info = tmp_path / "crow_flies-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: crow-flies\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[energyplan.planning]\ncrow = crow_flies:crow\nfly = crow_flies:fly\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert {"crow", "fly"} <= set(planners())
+    assert ep.plan(PROBLEM, "crow", 0.5).planner == "crow"
+    with pytest.raises(InvalidPathError, match="'crow' returned a path that ends"):
+        ep.plan(PROBLEM, "crow", far=7.0)
+    with pytest.raises(PlanningError, match=r"'fly' of .* is a function; .*Planner"):
+        ep.plan(PROBLEM, "fly")
+
+
+def test_all_that_are_listed_can_be_used():
+    assert set(PLANNERS) <= set(planners())
+    for name in PLANNERS:
+        options = {"num_samples": 200} if name == "fmt" else {}
+        found = ep.plan(PROBLEM, name, effort=60_000, **options)
+        assert found.lower_bound <= found.energy * (1 + 1e-9)
+        assert found.effort > 0
