@@ -201,7 +201,7 @@ def _routes(demo: _Demo) -> Comparison:
     problem = PlanningProblem(
         grid, cost, Pose(2.0, 2.0, 0.0), Pose(20.0, 12.0, math.pi / 2), surfaces=ground
     )
-    made = compare(problem, time_limit=2.0)
+    made = compare(problem, effort=100_000)
     write_path(made.energy_optimal.path, demo.path("routes/least-energy.csv"))
     write_path(made.shortest.path, demo.path("routes/shortest.csv"))
     plans = {"least energy": made.energy_optimal, "shortest": made.shortest}

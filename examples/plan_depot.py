@@ -64,10 +64,10 @@ def trade(problem: PlanningProblem) -> ParetoFront:
     # what one planner overlooks another may find: its route is tried at every speed
     known = []
     try:
-        known.append(plan(problem, "roadmap", time_limit=3.0).path)
+        known.append(plan(problem, "roadmap", effort=150_000).path)
     except PlanningError as error:
         print(f"no route from the visibility graph: {error}")
-    return pareto(problem, time_limit=3.0, initial=known)
+    return pareto(problem, effort=150_000, initial=known)
 
 
 def main() -> None:
@@ -89,7 +89,7 @@ def main() -> None:
     problem = PlanningProblem(grid, cost, given.start, goal, surfaces)
 
     # the route of least energy against the shortest one, priced by the same models
-    told = compare(problem, time_limit=2.0)
+    told = compare(problem, effort=100_000)
     tell("least energy", told.energy_optimal)
     tell("shortest", told.shortest)
     print(f"saving: {100 * told.saving:.1f} % of the shortest route's energy; by term:")

@@ -72,8 +72,8 @@ def main() -> None:
     given = parser.parse_args()
     ground, cost = heap(given.height), robot()
     problem = PlanningProblem(yard(), cost, START, GOAL, heights=ground)
-    made = compare(problem, time_limit=2.0)
-    blind = plan(replace(problem, heights=None), time_limit=2.0)
+    made = compare(problem, effort=100_000)
+    blind = plan(replace(problem, heights=None), effort=100_000)
     best = made.energy_optimal
     tell("least energy", best.energy, best, ground)
     tell("shortest", made.shortest.energy, made.shortest, ground)

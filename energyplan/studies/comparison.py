@@ -142,11 +142,12 @@ class Along(NamedTuple):
 
 def energy_along(path: Path, problem: PlanningProblem) -> Along:
     """Return the energy along a path, on the problem's ground; it ends with the path's own."""
-    # finer than where the slope may change, so that no piece is cut again
-    heights = problem.heights
-    fine = path.subdivide(0.1 if heights is None else min(0.1, 0.4 * heights.resolution), 0.09)
+    terrain = problem.terrain
+    if terrain.heights is None:
+        path = path.subdivide(0.1, 0.1)
+    fine = terrain.cut(path)
     each = np.zeros(len(fine))
-    for piece in problem.terrain.pieces(fine, problem.cost):
+    for piece in terrain.pieces(path, problem.cost):
         each += piece.cost.segment_energy(piece.path.ds, piece.path.dtheta, piece.slope)
     return _along(fine, each)
 

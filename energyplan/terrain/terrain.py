@@ -281,6 +281,10 @@ class Terrain:
         """Return the cost of every region by its number, given that outside all surfaces."""
         return self.ground.costs(cost)
 
+    def cut(self, path: Path) -> Path:
+        """Return a path cut where its slope may change: the segments that `pieces` prices."""
+        return path if self.heights is None else self.heights.cut(path)
+
     def pieces(self, path: Path, cost: EnergyCost) -> tuple[Piece, ...]:
         """Return what a path consists of on this ground; see `path_pieces`."""
         return path_pieces(path, cost, self.surfaces, self.heights)

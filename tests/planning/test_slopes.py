@@ -411,7 +411,9 @@ def test_planners_of_level_ground_say_so(planner):
     problem = PlanningProblem(
         HALL, EnergyCost(MODEL), (2, 6, 0), (13, 6, 0), heights=plane(0.1, 0.0)
     )
-    with pytest.raises(UnsupportedPlannerError, match="level ground only"):
+    with pytest.raises(
+        UnsupportedPlannerError, match="cannot be used with heights; use one of lattice"
+    ):
         plan(problem, planner)
 
 

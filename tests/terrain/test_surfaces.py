@@ -102,7 +102,7 @@ def test_energy_of_one_surface_everywhere_is_that_surfaces_energy():
         path_price(path, COST, ground).energy, EnergyCost(MARBLE).energy(path), rtol=1e-12
     )
     assert np.isclose(
-        SurfaceMap([]).breakdown(path, COST)["slip_friction"],
+        path_price(path, COST, SurfaceMap([])).by_term["slip_friction"],
         COST.breakdown(path)["slip_friction"],
         rtol=1e-12,
     )
