@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from energyplan.errors import InvalidInputError
 from energyplan.path import FloatArray, Pose
+from energyplan.planning.budget import Budget
 from energyplan.planning.lattice import search_kernels as kernels
 from energyplan.planning.lattice.search import Search, coarse_lattice
 from energyplan.planning.problem import PlanningProblem, as_pose
@@ -215,10 +216,9 @@ def energy_map(
 def _search(setting: KernelProblem, lattice: kernels.Lattice, limit: float, effort: int) -> Search:
     """Return a search grown up to an energy."""
     search = Search(setting, no_distance(), lattice, 0.0)
-    status = kernels.RUNNING
-    while status == kernels.RUNNING and search.frontier <= limit and effort > 0:
-        status = search.run(np.inf, stop_at_first=False, expansions=STRIDE)
-        effort -= STRIDE
+    budget, status = Budget(effort=effort), kernels.RUNNING
+    while status == kernels.RUNNING and search.frontier <= limit and not budget.over:
+        status = search.run(budget, stop_at_first=False, expansions=STRIDE)
     return search
 
 
