@@ -80,14 +80,15 @@ def test_every_public_name_can_be_imported() -> None:
 def test_the_public_names_are_these() -> None:
     """A name that is added or taken away is a decision: change it here and in the changelog."""
     assert sorted(energyplan.__all__) == [
-        "Battery", "Charger", "Comparison", "Diagnosis", "DriveLog", "EnergyCost", "EnergyMap",
-        "FeasibilityReport", "HeightMap", "Identification", "Mission", "MissionReport", "Motion",
-        "MotorLimits", "OccupancyGrid", "OnlineIdentifier", "ParetoFront", "ParetoPoint", "Path",
-        "Plan", "PlanningProblem", "Pose", "PowerModel", "Residual", "Sides", "SurfaceMap", "Task",
-        "Term", "Trajectory", "TreadICR", "Vehicle", "battery", "check", "compare", "diagnose",
-        "energy_map", "errors", "evaluate", "feasibility", "identify", "pareto", "plan", "plots",
-        "read_heights", "read_map", "read_mission", "read_model", "read_surfaces", "read_vehicle",
-        "simulate", "speed", "steering", "write_model",
+        "Battery", "Budget", "Candidate", "Charger", "Comparison", "Diagnosis", "DriveLog",
+        "EnergyCost", "EnergyMap", "FeasibilityReport", "HeightMap", "Identification", "Mission",
+        "MissionReport", "Motion", "MotorLimits", "OccupancyGrid", "OnlineIdentifier",
+        "ParetoFront", "ParetoPoint", "Path", "Plan", "Planner", "PlanningProblem", "Pose",
+        "PowerModel", "Residual", "Sides", "SurfaceMap", "Task", "Term", "Terrain", "Trajectory",
+        "TreadICR", "Vehicle", "battery", "check", "compare", "diagnose", "energy_map", "errors",
+        "evaluate", "feasibility", "identify", "pareto", "plan", "plots", "read_heights",
+        "read_map", "read_mission", "read_model", "read_surfaces", "read_vehicle", "simulate",
+        "speed", "steering", "write_model",
     ]  # fmt: skip
 
 
