@@ -146,3 +146,7 @@ class BatteryError(InvalidInputError):
 
 class InfeasibleMotionError(EnergyPlanError):
     """No speed, or not the one asked for, keeps the motion within the limits."""
+
+
+class PhysicsError(EnergyPlanError):
+    """The physics engine cannot go on: a wheel left the ground, or the motion diverged."""

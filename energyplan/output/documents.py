@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from energyplan.fit import Identification
     from energyplan.limits.feasibility import FeasibilityReport
     from energyplan.mission import MissionReport
+    from energyplan.physics import Driven
     from energyplan.planning import Plan
     from energyplan.power import PowerModel, Residual
     from energyplan.studies.comparison import Comparison
@@ -149,4 +150,21 @@ def mission(report: MissionReport) -> Document:
         "energy_upper": plain(report.energy_upper),
         "soc_end": plain(report.soc_end),
         "feasible": bool(report.feasible),
+    }
+
+
+def driven(made: Driven, secret: bool = False) -> Document:
+    """Return what ``energyplan drive --json`` prints; what was taken not by term if `secret`."""
+    keys = (
+        "energy_told", "energy_taken", "error", "arrived", "tracking_error", "heading_error",
+        "final_error",
+    )  # fmt: skip
+    return {
+        **{key: plain(getattr(made, key)) for key in keys},
+        "duration": plain(made.trajectory.duration),
+        "terms": [
+            {"name": name, "told": told} | ({} if secret else {"taken": taken})
+            for name, told, taken in made.terms
+            if told or not secret
+        ],
     }

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from energyplan.io.logs import LogInfo
     from energyplan.limits.feasibility import FeasibilityReport
     from energyplan.mission import MissionReport
+    from energyplan.physics import Driven
     from energyplan.planning import Plan
     from energyplan.studies.comparison import Comparison
     from energyplan.studies.energy_map import Contour, EnergyMap
@@ -149,3 +150,21 @@ def log(told: LogInfo) -> list[str]:
         lines.append(f"  {entry.name:{wide}}  {entry.type}, {entry.count} readings{rate}{serves}")
     lines += [f"{name}: {', '.join(found) or 'none'}" for name, found in told.channels.items()]
     return [*lines, *(f"note: {note}" for note in told.notes)]
+
+
+def driven(made: Driven, secret: bool = False) -> list[str]:
+    """Return what ``energyplan drive`` prints; `secret` leaves out what was taken by term."""
+    lines = [
+        f"energy told: {number(made.energy_told, 5)} J, taken: {number(made.energy_taken, 5)} J "
+        f"({100 * made.error:+.2f} %)"
+    ]
+    for name, told, taken in made.terms:
+        if told or not secret:
+            after = "" if secret else f", taken {number(taken)} J"
+            lines.append(f"  {name.replace('_', ' ')}: told {number(told)} J{after}")
+    lines.append(
+        f"{'arrived' if made.arrived else 'not arrived'}: {100 * made.final_error:.1f} cm from the "
+        f"end; at most {100 * made.tracking_error:.1f} cm and "
+        f"{math.degrees(made.heading_error):.1f} deg off on the way"
+    )
+    return lines

@@ -1,0 +1,140 @@
+"""The commands that drive a robot in a physics engine: drive."""
+
+from __future__ import annotations
+
+import json as jsonlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from energyplan.cli.common import (
+    TABLES,
+    Json,
+    ModelName,
+    Strict,
+    answer,
+    app,
+    progress,
+    verdict,
+    writes,
+)
+
+if TYPE_CHECKING:
+    from energyplan.physics import Effect, Robot
+
+Effects = Annotated[
+    list[str] | None,
+    typer.Option("--effect", help="NAME=SIZE[,DETAIL=VALUE]: an effect to switch on; repeatable."),
+]
+Hidden = Annotated[
+    int | None, typer.Option(help="Seed: draw one or two effects, and do not tell which.")
+]
+Truth = Annotated[
+    Path | None,
+    typer.Option(
+        callback=writes(".json"), help="Write to this JSON file which effects are switched on."
+    ),
+]
+Measured = Annotated[
+    Literal["sides", "total", "battery"],
+    typer.Option(help="What the log holds: power of both sides, of both together, or the battery."),
+]
+Noise = Annotated[float, typer.Option(help="Standard deviation of each side's power [W].")]
+Seed = Annotated[int, typer.Option(help="Seed of the sensors' noise.")]
+
+
+def chosen_effects(
+    robot: Robot,
+    effects: list[str] | None,
+    hidden: int | None,
+    truth: Path | None,
+    around: tuple[float, float],
+) -> tuple[Effect, ...]:
+    """Return the effects that were declared, and those that were drawn."""
+    from energyplan.io.files import atomic_write
+    from energyplan.output.documents import plain
+    from energyplan.physics import Effect, draw_effects
+
+    chosen = tuple(Effect.parse(text) for text in effects or ())
+    if hidden is not None:
+        chosen += draw_effects(robot, hidden, around=around)
+    if truth:
+        rows = [{"name": e.name, "size": e.size, "details": plain(e.details)} for e in chosen]
+        atomic_write(truth, jsonlib.dumps({"effects": rows}, indent=1) + "\n")
+    return chosen
+
+
+@app.command(
+    epilog="Example: energyplan drive trajectory.csv --model quadriga:full:concrete "
+    "--effect viscous_loss=60 --out log.csv"
+)
+def drive(
+    trajectory: Annotated[Path, typer.Argument(help="CSV with columns t,x,y,yaw,v,omega.")],
+    model: ModelName,
+    effect: Effects = None,
+    hidden: Hidden = None,
+    truth: Truth = None,
+    surfaces: Annotated[
+        Path | None, typer.Option(help="GeoJSON polygons that name a model each.")
+    ] = None,
+    heights: Annotated[
+        Path | None, typer.Option(help="Heights of the ground: ESRI ASCII grid.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", callback=writes(*TABLES), help="Write the drive log to this file."),
+    ] = None,
+    rate: Annotated[float, typer.Option(help="Samples per second of the log [Hz].")] = 20.0,
+    noise: Noise = 2.0,
+    speed_noise: Annotated[
+        float, typer.Option(help="Standard deviation of the tread speeds [m/s].")
+    ] = 0.002,
+    speed_step: Annotated[
+        float, typer.Option(help="Step to which tread speeds are rounded [m/s].")
+    ] = 0.0,
+    current_step: Annotated[
+        float, typer.Option(help="Step of the current sensors; less reads as nothing [A].")
+    ] = 0.0,
+    delay: Annotated[float, typer.Option(help="By how much power is logged late [s].")] = 0.0,
+    unsigned: Annotated[
+        bool, typer.Option("--unsigned", help="Sensors that lose the sign of the power.")
+    ] = False,
+    measured: Measured = "sides",
+    seed: Seed = 0,
+    json: Json = False,
+    strict: Strict = False,
+) -> None:
+    """Drive a trajectory in a physics engine, and compare the energy told with the one taken."""
+    from energyplan.io.config import read_model
+    from energyplan.io.geojson import read_surfaces
+    from energyplan.io.heights import read_heights
+    from energyplan.io.trajectory import read_trajectory, write_log
+    from energyplan.output import documents, text
+    from energyplan.physics import Ground, Robot, Sensors, switch_on
+    from energyplan.physics import drive as run
+    from energyplan.power.effects import with_weight
+    from energyplan.terrain import with_weights
+
+    law, asked = read_model(model), read_trajectory(trajectory)
+    ground = Ground(
+        read_surfaces(surfaces) if surfaces else None, read_heights(heights) if heights else None
+    )
+    if ground.heights is not None:
+        law = with_weight(law)
+        regions = with_weights(ground.surfaces) if ground.surfaces else None
+        ground = Ground(regions, ground.heights)
+    sensors = Sensors(
+        rate=rate, power_noise=noise, speed_noise=speed_noise, speed_step=speed_step,
+        current_step=current_step, delay=delay, unsigned=unsigned, measured=measured, seed=seed,
+    )  # fmt: skip
+    robot = Robot.from_model(law)
+    middle = asked.poses[len(asked) // 2]
+    effects = chosen_effects(robot, effect, hidden, truth, (float(middle[0]), float(middle[1])))
+    with progress("driving"):
+        made = run(asked, switch_on(robot, effects), law, ground=ground)
+    if out:
+        write_log(sensors.log(made.run, out.name), out)
+    secret = hidden is not None
+    answer(documents.driven(made, secret=secret), text.driven(made, secret=secret), json=json)
+    verdict(made.arrived, strict)

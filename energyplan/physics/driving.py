@@ -1,0 +1,196 @@
+"""A trajectory driven in the engine, and its energy beside what a power model tells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from energyplan import html
+from energyplan.motion import Motion
+from energyplan.path import FloatArray, Pose, Trajectory, wrap_angle
+from energyplan.physics.engine import Engine
+from energyplan.physics.record import Run
+from energyplan.physics.robot import Ground, Robot
+from energyplan.physics.tracking import Tracker, Tracking
+from energyplan.power import PowerModel
+
+DYNAMIC = ("kinetic", "other")
+"""Parts of the engine's energy that no term of a power model stands for."""
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A trajectory as it was driven.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        What was asked.
+    run : Run
+        What happened.
+    told : dict of str to float
+        Energy that the power model tells for the trajectory, by term [J].
+    taken : dict of str to float
+        Energy that the battery delivered, by the term that stands for it [J].
+    arrived : bool
+        Whether the robot stands at the end of the trajectory.
+    tracking_error, heading_error : float
+        Largest distance [m] and heading [rad] between the robot and where it should be at the
+        same time.
+    final_error : float
+        Distance from the end of the trajectory [m].
+    """
+
+    trajectory: Trajectory
+    run: Run
+    told: dict[str, float]
+    taken: dict[str, float]
+    arrived: bool
+    tracking_error: float
+    heading_error: float
+    final_error: float
+
+    @property
+    def energy_told(self) -> float:
+        """Energy that the model tells [J]."""
+        return sum(self.told.values())
+
+    @property
+    def energy_taken(self) -> float:
+        """Energy that the battery delivered [J]."""
+        return self.run.taken
+
+    @property
+    def error(self) -> float:
+        """What is told over what was taken, minus one."""
+        return self.energy_told / self.energy_taken - 1.0
+
+    @property
+    def terms(self) -> list[tuple[str, float, float]]:
+        """Rows of term, energy told [J] and energy taken [J]; the largest first."""
+        names = dict.fromkeys([*self.told, *self.taken])
+        rows = [(name, self.told.get(name, 0.0), self.taken.get(name, 0.0)) for name in names]
+        rows = [row for row in rows if row[1] or row[2]]
+        return sorted(rows, key=lambda row: -max(abs(row[1]), abs(row[2])))
+
+    def _repr_html_(self) -> str:
+        """Return the energies as a table, for notebooks."""
+        return html.result(
+            f"told {self.energy_told:.0f} J, taken {self.energy_taken:.0f} J "
+            f"({100 * self.error:+.1f} %), {'arrived' if self.arrived else 'not arrived'}",
+            ("term", "told [J]", "taken [J]"),
+            self.terms,
+        )
+
+
+def energy_told(
+    trajectory: Trajectory, model: PowerModel, ground: Ground | None = None
+) -> dict[str, float]:
+    """Return the energy of a trajectory by term, as a power model tells it [J].
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        The trajectory.
+    model : PowerModel
+        The model; the efficiencies of its vehicle count.
+    ground : Ground, optional
+        Surfaces with models of their own, and heights.
+
+    Returns
+    -------
+    dict of str to float
+        Energy by term [J].
+    """
+    here = ground or Ground()
+    icr, step = model.vehicle.icr, np.diff(trajectory.t)
+
+    def middle(values: FloatArray) -> FloatArray:
+        return np.asarray(0.5 * (values[1:] + values[:-1]))
+
+    yaw = trajectory.yaw[:-1] + 0.5 * wrap_angle(np.diff(trajectory.yaw))
+    x, y = middle(trajectory.x), middle(trajectory.y)
+    slope: ArrayLike = 0.0
+    if here.heights is not None:
+        slope = here.heights.slope(np.column_stack([x, y, yaw]))
+    channels: dict[str, ArrayLike] = {
+        "t": middle(trajectory.t) - trajectory.t[0], "x": x, "y": y, "yaw": yaw,
+        "accel": np.diff(trajectory.v) / step, "yaw_accel": np.diff(trajectory.omega) / step,
+    }  # fmt: skip
+    if here.heights is not None or not any(t.name.startswith("tilt_") for t in model.terms):
+        channels["slope"] = slope
+    motion = Motion.from_twist(middle(trajectory.v), middle(trajectory.omega), icr, **channels)
+    models = [model]
+    region = np.zeros(len(step), int)
+    if here.surfaces is not None:
+        models += [surface.model for surface in here.surfaces.surfaces]
+        ahead = icr.longitudinal
+        points = np.column_stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw)])
+        region = here.surfaces.region_at(points)
+    told: dict[str, float] = {}
+    for k, law in enumerate(models):
+        for name, power in law.battery_side().breakdown(motion).items():
+            told[name] = told.get(name, 0.0) + float(np.sum(step * power * (region == k)))
+    return told
+
+
+def drive(
+    trajectory: Trajectory,
+    robot: Robot,
+    model: PowerModel,
+    *,
+    ground: Ground | None = None,
+    tracking: Tracking | None = None,
+) -> Driven:
+    """Drive a trajectory in the engine.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        What to drive; the robot starts at its first pose, at rest.
+    robot : Robot
+        What is true of the robot.
+    model : PowerModel
+        What is believed of it: it tells the energy, and its tread ICRs serve the controller.
+    ground : Ground, optional
+        Surfaces and heights, true and believed; level and even where not given.
+    tracking : Tracking, optional
+        Gains of the controller.
+
+    Returns
+    -------
+    Driven
+        What happened.
+
+    Raises
+    ------
+    MissingDependencyError
+        If MuJoCo is not installed.
+    PhysicsError
+        If a wheel leaves the ground.
+
+    Examples
+    --------
+    >>> from energyplan.limits.speed import profile
+    >>> from energyplan.path import Path
+    >>> model = PowerModel.preset("quadriga:empty:concrete")
+    >>> path = Path(Pose(0, 0, 0), ds=[2.0, 0.0], dtheta=[0.0, 1.0])
+    >>> made = drive(profile(path, model), Robot.from_model(model), model)
+    >>> made.arrived, abs(made.error) < 0.02
+    (True, True)
+    """
+    gains = tracking or Tracking()
+    tracker = Tracker(trajectory, model.vehicle, gains)
+    start = Pose(*(float(value) for value in trajectory.poses[0]))
+    told = energy_told(trajectory, model, ground)
+    run = Engine(robot, ground, start).drive(tracker, longest=2 * trajectory.duration + 60.0)
+    wanted = np.array([tracker.reference(float(t))[:3] for t in run.t])
+    apart = np.hypot(run.x - wanted[:, 0], run.y - wanted[:, 1])
+    turned = np.abs(wrap_angle(run.yaw - wanted[:, 2]))
+    return Driven(
+        trajectory, run, told, run.energy,
+        bool(apart[-1] <= gains.position and turned[-1] <= gains.angle),
+        float(apart.max()), float(turned.max()), float(apart[-1]),
+    )  # fmt: skip

@@ -1,0 +1,92 @@
+"""What the engine tells of a drive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from energyplan.path import FloatArray, Pose
+
+STEP = 0.002
+"""Time step of the engine [s]."""
+TICK = 5
+"""Steps between two decisions of the controller."""
+PERIOD = STEP * TICK
+"""Time between two decisions of the controller [s]."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """What truly happened, in means over each tick of the controller.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Middle of each tick [s].
+    x, y, yaw : ndarray, shape (n,)
+        Pose of the body's origin at that time [m], [rad].
+    v, omega : ndarray, shape (n,)
+        Speed along the heading [m/s] and yaw rate [rad/s].
+    v_left, v_right : ndarray, shape (n,)
+        Tread speeds: wheel speed times radius [m/s].
+    force_left, force_right : ndarray, shape (n,)
+        What each motor delivers at its tread [N].
+    shaft_left, shaft_right : ndarray, shape (n,)
+        Shaft power of each motor [W].
+    battery_left, battery_right : ndarray, shape (n,)
+        What each side draws from the battery [W].
+    hotel : float
+        What is drawn beside them [W].
+    accel_x : ndarray, shape (n,)
+        Forward reading of an accelerometer, gravity included [m/s^2].
+    slope : ndarray, shape (n,)
+        Slope of the ground along the heading [rad].
+    energy : dict of str to float
+        Where the battery's energy went, by the term of a power model that stands for it [J].
+    closure : float
+        What the motors did beyond all mechanical terms [J]: the engine's own error.
+    """
+
+    t: FloatArray
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+    v: FloatArray
+    omega: FloatArray
+    v_left: FloatArray
+    v_right: FloatArray
+    force_left: FloatArray
+    force_right: FloatArray
+    shaft_left: FloatArray
+    shaft_right: FloatArray
+    battery_left: FloatArray
+    battery_right: FloatArray
+    hotel: float
+    accel_x: FloatArray
+    slope: FloatArray
+    energy: dict[str, float]
+    closure: float
+
+    @property
+    def period(self) -> float:
+        """Time between two ticks [s]."""
+        return PERIOD
+
+    @property
+    def power(self) -> FloatArray:
+        """What the battery delivers [W]."""
+        return self.battery_left + self.battery_right + self.hotel
+
+    @property
+    def taken(self) -> float:
+        """Energy that the battery delivered [J]."""
+        return float(self.power.sum() * self.period)
+
+
+@dataclass(frozen=True)
+class State:
+    """What a controller is told: time [s], pose [m], [rad], and tread speeds [m/s]."""
+
+    t: float
+    pose: Pose
+    v_left: float
+    v_right: float

@@ -1,0 +1,161 @@
+"""What the robot's own sensors make of a drive in the engine: a `DriveLog`."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+
+from energyplan.errors import InvalidInputError, UnknownNameError
+from energyplan.logs import DriveLog
+from energyplan.path import FloatArray
+from energyplan.physics.record import Run
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """How a drive is recorded.
+
+    Parameters
+    ----------
+    rate : float
+        Samples per second [Hz]; each is a mean over its time, as of a counter.
+    power_noise : float
+        Standard deviation of each side's power [W].
+    speed_noise, speed_step : float
+        Standard deviation of the tread speeds, and the step to which they are rounded [m/s].
+    current_step : float
+        Step to which currents are rounded, and below which none is read [A].
+    pose_noise, yaw_noise : float
+        Standard deviation of the position [m] and of the heading and the yaw rate [rad], [rad/s].
+    delay : float
+        By how much power is logged later than speed [s].
+    unsigned : bool
+        Whether the sensors of the sides cannot tell drawing from returning.
+    measured : {"sides", "total", "battery"}
+        Log ``p_left`` and ``p_right``, or ``power``, or ``voltage`` and ``current``.
+    voltage : float
+        Battery voltage [V].
+    without : collection of str
+        Channels that the log does not have.
+    seed : int
+        Seed of the noise.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is out of range.
+    UnknownNameError
+        If there is no such way to measure.
+    """
+
+    rate: float = 20.0
+    power_noise: float = 2.0
+    speed_noise: float = 0.002
+    speed_step: float = 0.0
+    current_step: float = 0.0
+    pose_noise: float = 0.0
+    yaw_noise: float = 0.0
+    delay: float = 0.0
+    unsigned: bool = False
+    measured: Literal["sides", "total", "battery"] = "sides"
+    voltage: float = 24.0
+    without: Collection[str] = ()
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.measured not in ("sides", "total", "battery"):
+            raise UnknownNameError(
+                "way to measure power", str(self.measured), ("sides", "total", "battery")
+            )
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if isinstance(value, float | int) and not isinstance(value, bool):
+                positive = item.name in ("rate", "voltage")
+                if not np.isfinite(value) or value < 0 or (positive and value == 0):
+                    raise InvalidInputError(
+                        f"{item.name} is {value}; give a {'positive ' * positive}number"
+                        f"{'' if positive else ' >= 0'}"
+                    )
+
+    def log(self, run: Run, name: str = "engine drive") -> DriveLog:
+        """Return a drive as these sensors record it.
+
+        Parameters
+        ----------
+        run : Run
+            What truly happened.
+        name : str
+            What to call the log.
+
+        Returns
+        -------
+        DriveLog
+            ``t``, ``v_left``, ``v_right``, power as `measured` says, ``x``, ``y``, ``yaw``,
+            ``yaw_rate``, ``accel_x`` and, where the ground is not level, ``slope``.
+
+        Raises
+        ------
+        InvalidInputError
+            If the drive is too short for two samples.
+        UnknownNameError
+            If a channel to leave out does not exist.
+        """
+        wide = max(1, round(1.0 / (self.rate * run.period)))
+        count = len(run.t) // wide
+        if count < 2:
+            raise InvalidInputError(
+                f"the drive of {len(run.t) * run.period:.2f} s is too short for two samples at "
+                f"{self.rate:g} Hz; give a higher rate or a longer drive"
+            )
+
+        def mean(values: FloatArray) -> FloatArray:
+            return np.asarray(values[: count * wide].reshape(count, wide).mean(axis=1))
+
+        rng = np.random.default_rng([self.seed, 0x106])
+
+        def noisy(values: FloatArray, deviation: float) -> FloatArray:
+            return values + deviation * rng.standard_normal(count)
+
+        t = mean(run.t)
+        speeds = [noisy(mean(v), self.speed_noise) for v in (run.v_left, run.v_right)]
+        if self.speed_step:
+            speeds = [np.round(v / self.speed_step) * self.speed_step for v in speeds]
+        drawn = [power + run.hotel / 2 for power in (run.battery_left, run.battery_right)]
+        sides = [noisy(self._late(t, mean(p)), self.power_noise) for p in drawn]
+        channels = {"t": t, "v_left": speeds[0], "v_right": speeds[1], **self._power(sides)}
+        channels |= {
+            "x": noisy(mean(run.x), self.pose_noise),
+            "y": noisy(mean(run.y), self.pose_noise),
+            "yaw": noisy(mean(run.yaw), self.yaw_noise),
+            "yaw_rate": noisy(mean(run.omega), self.yaw_noise),
+            "accel_x": mean(run.accel_x),
+        }
+        if np.any(run.slope != 0.0):
+            channels["slope"] = mean(run.slope)
+        for channel in sorted(set(self.without) - set(channels)):
+            raise UnknownNameError("channel of this drive", channel, channels)
+        kept = {key: values for key, values in channels.items() if key not in self.without}
+        return DriveLog(kept, name)
+
+    def _late(self, t: FloatArray, power: FloatArray) -> FloatArray:
+        return np.interp(t - self.delay, t, power) if self.delay else power
+
+    def _power(self, sides: list[FloatArray]) -> dict[str, FloatArray]:
+        if self.measured == "sides":
+            seen = [self._read(p) for p in sides]
+            return {"p_left": seen[0], "p_right": seen[1]}
+        total = sides[0] + sides[1]
+        if self.measured == "total":
+            return {"power": self._read(total)}
+        current = self._read(total) / self.voltage
+        return {"voltage": np.full_like(current, self.voltage), "current": current}
+
+    def _read(self, power: FloatArray) -> FloatArray:
+        """Round the current behind a power, and lose its sign, as the sensor does."""
+        if self.current_step:
+            step = self.current_step * self.voltage
+            power = np.trunc(power / step) * step
+        return np.abs(power) if self.unsigned else power

@@ -1,0 +1,105 @@
+"""The tracking controller: Samson's law about a reference that moves along a trajectory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from energyplan.errors import InvalidInputError
+from energyplan.path import Trajectory, wrap_angle
+from energyplan.physics.record import PERIOD, State
+from energyplan.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """Gains of the tracking controller, and when it has arrived.
+
+    Parameters
+    ----------
+    along : float
+        Speed per distance that the robot is behind the reference [1/s].
+    across : float
+        Yaw rate per speed and distance to the side of it [1/m^2].
+    heading : float
+        Yaw rate per heading error [1/s].
+    settle : float
+        Time after the trajectory's end in which the robot may still close up [s].
+    position, angle : float
+        How near the end counts as arrived [m], [rad].
+
+    Raises
+    ------
+    InvalidInputError
+        If a value is not a number from 0 on.
+
+    References
+    ----------
+    Samson (1993), "Time-varying feedback stabilization of car-like wheeled mobile robots";
+    Kanayama et al. (1990), "A stable tracking control method for an autonomous mobile robot".
+    """
+
+    along: float = 2.0
+    across: float = 6.0
+    heading: float = 3.0
+    settle: float = 0.5
+    position: float = 0.1
+    angle: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (np.isfinite(value) and value >= 0):
+                raise InvalidInputError(f"tracking: {name} is {value}; give a number >= 0")
+
+
+class Tracker:
+    """A controller that follows a trajectory with what it believes of the vehicle.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        What to follow; its times count from its first sample.
+    vehicle : Vehicle
+        Whose tread ICRs turn speed and yaw rate into tread speeds, and whose largest tread speed
+        is kept.
+    gains : Tracking
+        Gains.
+    """
+
+    def __init__(self, trajectory: Trajectory, vehicle: Vehicle, gains: Tracking) -> None:
+        self.trajectory, self.vehicle, self.gains = trajectory, vehicle, gains
+        self._t = trajectory.t - trajectory.t[0]
+        turns = wrap_angle(np.diff(trajectory.yaw))
+        yaw = trajectory.yaw[0] + np.concatenate([[0.0], np.cumsum(turns)])
+        self._columns = np.column_stack(
+            [trajectory.x, trajectory.y, yaw, trajectory.v, trajectory.omega]
+        )
+
+    def reference(self, t: float) -> tuple[float, ...]:
+        """Return x, y, yaw, v, omega of the reference at a time since the start [s]."""
+        k = int(np.clip(np.searchsorted(self._t, t, side="right") - 1, 0, len(self._t) - 2))
+        share = min(max((t - self._t[k]) / (self._t[k + 1] - self._t[k]), 0.0), 1.0)
+        row = self._columns[k] + share * (self._columns[k + 1] - self._columns[k])
+        if t >= self._t[-1]:
+            row[3:] = 0.0
+        return tuple(float(value) for value in row)
+
+    def __call__(self, state: State) -> tuple[float, float] | None:
+        """Return the tread speeds to reach by the next tick [m/s], or None at the end."""
+        gains, icr = self.gains, self.vehicle.icr
+        if state.t >= self._t[-1] + gains.settle:
+            return None
+        x, y, yaw, _, _ = self.reference(state.t)
+        *_, v, omega = self.reference(state.t + PERIOD)
+        c, s = np.cos(state.pose.yaw), np.sin(state.pose.yaw)
+        dx, dy = x - state.pose.x, y - state.pose.y
+        ahead, aside = c * dx + s * dy, c * dy - s * dx
+        turn = float(wrap_angle(np.array(yaw - state.pose.yaw)))
+        forward = v * np.cos(turn) + gains.along * ahead
+        rate = omega + gains.across * v * np.sinc(turn / np.pi) * aside + gains.heading * turn
+        left, right = forward - icr.left * rate, forward + icr.right * rate
+        over = max(abs(left), abs(right)) / self.vehicle.motor.speed
+        if over > 1:  # slower, in the same curvature
+            left, right = left / over, right / over
+        return float(left), float(right)

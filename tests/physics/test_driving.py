@@ -1,0 +1,186 @@
+"""Trajectories driven in the engine, and what sensors make of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path as File
+
+import numpy as np
+import pytest
+
+import energyplan as ep
+from energyplan import cli
+from energyplan.errors import InvalidInputError, UnknownNameError
+from energyplan.io.trajectory import write_trajectory
+from energyplan.limits.speed import profile
+from energyplan.physics import Driven, Effect, Ground, Robot, Sensors, drive, energy_told
+from energyplan.power import HOTEL
+from energyplan.vehicle import predict_icr
+
+pytest.importorskip("mujoco")
+
+VEHICLE = (
+    ep.Vehicle.preset("quadriga:full")
+    .with_mass(147.1)
+    .with_icr(ep.TreadICR.symmetric(predict_icr(0.475, 0.5)))
+)
+MODEL = ep.PowerModel.paper(VEHICLE, K=118.0, mu=0.647)
+ROUTE = ep.Path(ep.Pose(1, 1, 0.3), ds=[2, 0, 1.5, 0.47], dtheta=[0, -1.2, 0.5, 1.0])
+
+
+def trajectory(path: ep.Path = ROUTE, speed: float = 0.6) -> ep.Trajectory:
+    from dataclasses import replace
+
+    slow = replace(VEHICLE, motor=replace(VEHICLE.motor, speed=speed, acceleration=0.4))
+    return profile(path, MODEL, vehicle=slow)
+
+
+@pytest.fixture(scope="module")
+def driven() -> Driven:
+    return drive(trajectory(), Robot.from_model(MODEL), MODEL)
+
+
+def test_energy_taken_is_the_energy_told(driven: Driven) -> None:
+    assert driven.arrived
+    assert driven.tracking_error < 0.03
+    assert abs(driven.error) < 0.015
+    assert driven.energy_taken == pytest.approx(sum(driven.taken.values()), rel=1e-9)
+
+
+def test_backwards_it_arrives_too() -> None:
+    made = drive(trajectory(ROUTE.reversed()), Robot.from_model(MODEL), MODEL)
+    assert made.arrived
+    assert abs(made.error) < 0.015
+
+
+def test_told_of_a_path_is_what_planning_counts() -> None:
+    told = energy_told(trajectory(), MODEL)
+    assert sum(told.values()) == pytest.approx(ep.EnergyCost(MODEL).energy(ROUTE), rel=0.003)
+
+
+def test_an_effect_takes_what_its_term_tells(driven: Driven) -> None:
+    from energyplan.power.effects import term
+
+    told = MODEL.with_term(term("viscous_loss"), 80.0)
+    made = drive(driven.trajectory, Robot.from_model(told), told)
+    assert abs(made.error) < 0.015
+    assert made.taken["viscous_loss"] == pytest.approx(made.told["viscous_loss"], rel=0.03)
+    ignorant = drive(driven.trajectory, Robot.from_model(told), MODEL)
+    share = made.taken["viscous_loss"] / made.energy_taken
+    assert ignorant.error == pytest.approx(-share, abs=0.015)
+
+
+def test_a_surface_under_the_wheels_is_felt() -> None:
+    from shapely import box
+
+    from energyplan.terrain import Surface, SurfaceMap
+
+    slick = ep.PowerModel.paper(VEHICLE, K=60.0, mu=0.3)
+    ground = Ground(SurfaceMap([Surface(box(-50, -50, 50, 50), slick)]))
+    made = drive(trajectory(), Robot.from_model(MODEL), MODEL, ground=ground)
+    bare = drive(trajectory(), Robot.from_model(slick), slick)
+    assert made.energy_taken == pytest.approx(bare.energy_taken, rel=0.005)
+    assert made.energy_told == pytest.approx(bare.energy_told, rel=1e-9)
+
+
+def test_sensors(driven: Driven) -> None:
+    run = driven.run
+    clean = Sensors(power_noise=0.0, speed_noise=0.0).log(run)
+    assert clean.energy == pytest.approx(driven.energy_taken, rel=0.005)
+    assert np.allclose(np.diff(clean.t), 0.05)
+    rough = Sensors(speed_step=1 / 127, current_step=0.1, unsigned=True, measured="battery")
+    log = rough.log(run)
+    assert log.battery_side
+    assert np.allclose(log.channels["v_left"] * 127, np.round(log.channels["v_left"] * 127))
+    assert np.all(log.channels["current"] >= 0)
+    late = Sensors(power_noise=0.0, delay=0.3).log(run).power
+    assert np.allclose(late[10:], clean.power[4:-6])
+    again = Sensors(seed=4).log(run)
+    assert np.array_equal(again.power, Sensors(seed=4).log(run).power)
+    assert not np.array_equal(again.power, Sensors(seed=5).log(run).power)
+    assert not Sensors(without=("x",)).log(run).has("x")
+
+
+def test_hotel_load_is_in_the_log_and_in_the_energy(driven: Driven) -> None:
+    made = drive(driven.trajectory, Robot.from_model(MODEL.with_term(HOTEL, 40.0)), MODEL)
+    more = 40.0 * made.run.period * len(made.run.t)
+    assert made.energy_taken - driven.energy_taken == pytest.approx(more, rel=1e-6)
+    assert Sensors(power_noise=0.0).log(made.run).power[0] >= 40.0 - 1e-6
+
+
+def test_bad_sensors_are_named(driven: Driven) -> None:
+    with pytest.raises(InvalidInputError, match="rate is 0"):
+        Sensors(rate=0.0)
+    with pytest.raises(UnknownNameError, match="battery"):
+        Sensors(measured="engine")  # type: ignore[arg-type]
+    with pytest.raises(UnknownNameError, match="channel"):
+        Sensors(without=("z",)).log(driven.run)
+    with pytest.raises(InvalidInputError, match="too short"):
+        Sensors(rate=0.01).log(driven.run)
+
+
+def test_identified_from_the_engine_it_is_the_truth() -> None:
+    """What identification makes of an engine's drive is what the engine was built from."""
+    from energyplan import simulate
+    from energyplan.fit import identify
+
+    pattern = simulate.drive(MODEL, (("spin", 15.0), ("straight", 18.0), ("survey", 25.0)))
+    asked = ep.Trajectory(
+        pattern.t, *(pattern.channel(name) for name in ("x", "y", "yaw")),
+        *((m := pattern.motion(VEHICLE.icr)).v, m.omega),
+    )  # fmt: skip
+    made = drive(asked, Robot.from_model(MODEL), MODEL)
+    found = identify(Sensors().log(made.run), VEHICLE)
+    assert found.model.coefficient("slip_friction") == pytest.approx(0.647, rel=0.03)
+    assert found.model.coefficient("traction_resistance") == pytest.approx(118.0, rel=0.03)
+    assert found.icr.left == pytest.approx(VEHICLE.icr.left, rel=0.02)
+
+
+def run_command(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
+    import sys
+    from unittest.mock import patch
+
+    with patch.object(sys, "argv", ["energyplan", *arguments]), pytest.raises(SystemExit) as end:
+        cli.main()
+    told = capsys.readouterr()
+    return int(end.value.code or 0), told.out, told.err
+
+
+def test_command(tmp_path: File, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "trajectory.csv"
+    write_trajectory(trajectory(), file)
+    log, truth = tmp_path / "log.csv", tmp_path / "truth.json"
+    base = ["drive", str(file), "--model", "quadriga:full:concrete", "--json"]
+    code, out, _ = run_command([*base, "--effect", "hotel_load=50", "--out", str(log)], capsys)
+    told = json.loads(out)
+    assert code == 0
+    assert told["arrived"] is True
+    assert {"energy_told", "energy_taken", "tracking_error"} <= set(told)
+    assert ep.DriveLog.read(log).energy == pytest.approx(told["energy_taken"], rel=0.01)
+    code, out, _ = run_command([*base, "--hidden", "4", "--truth", str(truth)], capsys)
+    assert code == 0
+    assert all("taken" not in row for row in json.loads(out)["terms"])
+    assert json.loads(truth.read_text())["effects"]
+    code, _, err = run_command([*base, "--effect", "gravity=2"], capsys)
+    assert code == 2
+    assert "viscous_loss" in err
+
+
+def test_without_the_extra_the_error_names_it(
+    tmp_path: File, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    file = tmp_path / "trajectory.csv"
+    write_trajectory(trajectory(), file)
+    code, _, err = run_command(["drive", str(file), "--model", "quadriga"], capsys)
+    assert code == 2  # no such model: bad input comes first
+    code, _, err = run_command(["drive", str(file), "--model", "quadriga:full:concrete"], capsys)
+    assert code == 1
+    assert "energyplan[physics]" in err
+
+
+def test_effects_parse() -> None:
+    effect = Effect.parse("surface_border=0.2,direction=0.5,offset=3")
+    assert dict(effect.details) == {"direction": 0.5, "offset": 3.0}

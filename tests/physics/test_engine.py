@@ -1,0 +1,199 @@
+"""The engine against closed forms: it uses no equation of the power model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import fsolve
+
+import energyplan as ep
+from energyplan.errors import InvalidInputError, ModelError, PhysicsError, UnknownNameError
+from energyplan.physics import (
+    EFFECTS,
+    Effect,
+    Engine,
+    Ground,
+    Robot,
+    Run,
+    State,
+    draw_effects,
+    switch_on,
+)
+from energyplan.physics.engine import Controller
+from energyplan.power.effects import term
+from energyplan.terrain import HeightMap
+from energyplan.vehicle import GRAVITY, predict_icr
+
+pytest.importorskip("mujoco")
+
+CENTRED = ep.Vehicle.preset("quadriga:full").with_mass(147.1)
+VEHICLE = CENTRED.with_icr(ep.TreadICR.symmetric(predict_icr(0.475, 0.5)))
+MODEL = ep.PowerModel.paper(VEHICLE, K=118.0, mu=0.647)
+ROBOT = Robot.from_model(MODEL)
+
+
+def steady(left: float, right: float, duration: float = 6.0) -> Controller:
+    """Ramp up in a second and a half, then hold the tread speeds."""
+
+    def controller(state: State) -> tuple[float, float] | None:
+        share = min(1.0, state.t / 1.5)
+        return None if state.t >= duration else (left * share, right * share)
+
+    return controller
+
+
+def held(run: Run, values: np.ndarray) -> float:
+    return float(values[run.t > 4.0].mean())
+
+
+def test_steady_spin() -> None:
+    run = Engine(ROBOT).drive(steady(-0.47, 0.47))
+    omega = held(run, run.omega)
+    icr = held(run, run.v_right - run.v_left) / (2 * omega)
+    assert icr == pytest.approx(predict_icr(0.475, 0.5), rel=0.002)
+    wanted = 0.647 * VEHICLE.slip_moment * omega + 118.0 * 2 * 0.47
+    assert held(run, run.power) == pytest.approx(wanted, rel=0.002)
+
+
+@pytest.mark.parametrize(("left", "right"), [(0.2, 0.6), (0.0, 0.5), (-0.1, 0.5)])
+def test_each_side_in_an_arc(left: float, right: float) -> None:
+    """Tread forces that carry the slip moment; a little is left for the centripetal force."""
+    run = Engine(ROBOT).drive(steady(left, right))
+    sides = MODEL.sides(ep.Motion(left, right, VEHICLE.icr))
+    whole = float(MODEL.power(ep.Motion(left, right, VEHICLE.icr)))
+    assert held(run, run.shaft_left) == pytest.approx(float(sides.left), abs=0.005 * whole)
+    assert held(run, run.shaft_right) == pytest.approx(float(sides.right), abs=0.005 * whole)
+
+
+def test_straight_is_the_traction_resistance() -> None:
+    run = Engine(ROBOT).drive(steady(0.5, 0.5))
+    assert held(run, run.force_left) == pytest.approx(118.0, rel=0.001)
+    assert held(run, run.power) == pytest.approx(118.0, rel=0.001)
+
+
+@pytest.mark.parametrize("direction", [0.0, np.pi, np.pi / 2])
+def test_slope_adds_the_weight(direction: float) -> None:
+    robot = Effect("tilted_plane", 0.05, {"direction": direction}).on(ROBOT)
+    run = Engine(robot).drive(steady(0.5, 0.5))
+    grade = 147.1 * GRAVITY * np.sin(0.05) * np.cos(direction)
+    # On a slope the loads are less by its cosine, and so is the half that rolls.
+    resistance = 236.0 * (0.5 + 0.5 * np.cos(0.05))
+    assert held(run, run.power) == pytest.approx((resistance + grade) * 0.5, rel=0.003)
+
+
+def test_heights_tilt_gravity_like_the_plane() -> None:
+    ramp = HeightMap(np.tile(0.1 * np.tan(0.05) * np.arange(101), (101, 1)), 0.1, (-5, -5, 0))
+    on_map = Engine(ROBOT, Ground(heights=ramp)).drive(steady(0.5, 0.5))
+    tilted = Effect("tilted_plane", 0.05).on(ROBOT)
+    on_plane = Engine(tilted).drive(steady(0.5, 0.5))
+    assert on_map.taken == pytest.approx(on_plane.taken, rel=1e-6)
+
+
+def test_coasting_down() -> None:
+    """Deceleration 2 K over the mass with the rotors', when no motor holds against it."""
+    weak = replace(VEHICLE, motor=replace(VEHICLE.motor, force=130.0))
+    robot = replace(ROBOT, vehicle=weak)
+
+    def controller(state: State) -> tuple[float, float] | None:
+        if state.t >= 6.0:
+            return None
+        speed = 0.5 * min(1.0, state.t / 5.0) if state.t < 5.0 else 0.0
+        return speed, speed
+
+    run = Engine(robot).drive(controller)
+    braking = (run.t > 5.1) & (run.v > 0.1)
+    slope = np.polyfit(run.t[braking], run.v[braking], 1)[0]
+    mass = 147.1 * (1 + 2 * 0.005)
+    assert slope == pytest.approx(-(2 * 118.0 + 2 * 130.0) / mass, rel=0.005)
+
+
+ARC, AHEAD = (0.2, 0.6), (0.5, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "speeds"),
+    [
+        ("viscous_loss", ARC), ("dragging_wheel_left", ARC),
+        ("dragging_wheel_right", ARC), ("copper_loss", ARC), ("drive_efficiency", ARC),
+        ("regeneration_efficiency", ARC), ("hotel_load", ARC),
+        # In an arc a net force shifts the tread ICRs as well, which no term stands for.
+        ("towing_force", AHEAD), ("air_drag", AHEAD),
+    ],
+)  # fmt: skip
+def test_an_effect_is_the_term_of_its_name(name: str, speeds: tuple[float, float]) -> None:
+    size = EFFECTS[name].draw(ROBOT, np.random.default_rng(1))
+    run = Engine(Effect(name, size).on(ROBOT)).drive(steady(*speeds))
+    told = MODEL.with_term(term(name), size)
+    wanted = float(told.power(ep.Motion(*speeds, VEHICLE.icr)))
+    assert held(run, run.power) == pytest.approx(wanted, rel=0.005)
+
+
+def test_every_joule_is_accounted_for() -> None:
+    effects = draw_effects(ROBOT, 3, count=5)
+    run = Engine(switch_on(ROBOT, effects)).drive(steady(0.1, 0.5))
+    assert abs(run.closure) < 0.002 * run.taken
+    assert sum(run.energy.values()) == pytest.approx(run.taken, rel=1e-9)
+
+
+def test_the_centre_of_mass_moves_the_icr() -> None:
+    """To where the friction of all four contacts is in balance, solved apart from the engine."""
+    robot = replace(Effect("centre_of_mass", 0.06).on(ROBOT), height=0.01)
+    run = Engine(robot).drive(steady(-0.1, 0.1, duration=8.0))
+    vehicle, later = robot.vehicle, run.t > 5.0
+    tread = np.where(vehicle.contacts[:, 1] > 0, -0.1, 0.1)
+
+    def imbalance(twist: np.ndarray) -> list[float]:
+        v, aside, omega = twist
+        x, y = vehicle.contacts.T
+        slip = np.array([v - omega * y - tread, aside + omega * x])
+        force = -vehicle.loads * slip / np.hypot(*slip)
+        return [force[0].sum(), force[1].sum(), float(np.sum(x * force[1] - y * force[0]))]
+
+    v, aside, omega = fsolve(imbalance, [0.0, -0.02, 0.2], xtol=1e-12)
+    assert held(run, run.omega) == pytest.approx(omega, rel=0.005)
+    c, s = np.cos(run.yaw), np.sin(run.yaw)
+    lateral = np.gradient(run.y, run.t) * c - np.gradient(run.x, run.t) * s
+    assert lateral[later].mean() == pytest.approx(aside, rel=0.02)
+    assert held(run, run.v) == pytest.approx(v, abs=1e-3)
+
+
+def test_wheels_of_any_number_carry_their_loads() -> None:
+    six = np.array([(x, y) for x in (0.4, 0.0, -0.4) for y in (0.3, -0.3)])
+    vehicle = ep.Vehicle(
+        "rover", six, np.array([100.0, 100.0, 220.0, 220.0, 100.0, 100.0]),
+        ep.TreadICR.symmetric(0.5), np.array([[-0.5, -0.4], [0.5, 0.4]]),
+    )  # fmt: skip
+    run = Engine(Robot(vehicle, 0.5, (60.0, 60.0))).drive(steady(0.4, 0.4))
+    assert held(run, run.power) == pytest.approx(48.0, rel=0.002)
+
+
+def test_a_top_heavy_robot_tips_over() -> None:
+    robot = replace(Effect("tilted_plane", 0.5).on(ROBOT), height=1.5)
+    with pytest.raises(PhysicsError, match="left the ground"):
+        Engine(robot).drive(steady(0.5, 0.5))
+
+
+def test_same_seed_same_effects_and_names_are_known() -> None:
+    assert draw_effects(ROBOT, 5) == draw_effects(ROBOT, 5)
+    names = {effect.name for seed in range(200) for effect in draw_effects(ROBOT, seed)}
+    assert names == set(EFFECTS)
+    for seed in range(40):
+        switch_on(ROBOT, draw_effects(ROBOT, seed))  # none is out of range
+
+
+def test_bad_input_is_named() -> None:
+    with pytest.raises(UnknownNameError, match="viscous_loss"):
+        Effect("viscosity", 3.0)
+    with pytest.raises(UnknownNameError, match="direction"):
+        Effect("tilted_plane", 0.1, {"angle": 1.0})
+    with pytest.raises(InvalidInputError, match="NAME=SIZE"):
+        Effect.parse("viscous_loss")
+    with pytest.raises(InvalidInputError, match="not a finite"):
+        Effect.parse("viscous_loss=nan")
+    with pytest.raises(ModelError, match="friction_mobilisation"):
+        Robot.from_model(MODEL.with_term(term("friction_mobilisation"), 0.1))
+    with pytest.raises(InvalidInputError, match="one line"):
+        line = np.array([(0.0, 0.3), (0.0, -0.3)])
+        Robot(replace(VEHICLE, contacts=line, loads=np.array([50.0, 50.0])), 0.5, (10, 10))
