@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -21,18 +22,19 @@ from energyplan.cli.common import (
     VehicleName,
     answer,
     app,
+    contradictions,
     notes,
     progress,
     read_logs,
     verdict,
     warn,
 )
-from energyplan.errors import (
-    InvalidInputError,
-)
+from energyplan.errors import InvalidInputError, UnknownNameError
 
 if TYPE_CHECKING:
+    from energyplan.fit.hoisted import InternalFriction
     from energyplan.logs import DriveLog
+    from energyplan.power import Term
 
 
 @app.command(
@@ -42,23 +44,87 @@ def identify(
     logs: Logs,
     vehicle: VehicleName,
     method: Method = "lad",
+    terms: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,NAME", help="Terms of the model; slip_friction,traction_resistance else."
+        ),
+    ] = None,
+    without: Annotated[
+        str | None, typer.Option(metavar="NAME,NAME", help="Terms to leave out, as slip_friction.")
+    ] = None,
+    hoisted: Annotated[
+        bool, typer.Option("--hoisted", help="The wheels are in the air: friction of each side.")
+    ] = False,
+    motor_constant: Annotated[
+        float | None,
+        typer.Option(metavar="N/A", help="With --hoisted: force per ampere of each side's motor."),
+    ] = None,
     out: OutModel = None,
     columns: Columns = None,
-    topics: Topics = "husky",
+    topics: Topics = None,
     json: Json = False,
 ) -> None:
-    """Find a robot's power parameters on some ground from its drive logs."""
+    """Find a robot's power parameters on some ground from its drive logs.
+
+    The method lad minimises the cost of Morales et al. (2010), "the paper", Eq. 7, exactly; simplex
+    does so by the paper's search.
+    """
     from energyplan.fit import identify as run
+    from energyplan.fit.hoisted import hoisted as inside
     from energyplan.io.config import read_vehicle, write_model
     from energyplan.output import documents, text
 
     robot = read_vehicle(vehicle)
-    drives = read_logs(logs, columns, topics)
-    found = run(drives, robot, method=method)
-    found = replace(found, warnings=(*notes(drives), *found.warnings))
+    if motor_constant is not None and not hoisted:
+        raise InvalidInputError("--motor-constant goes with --hoisted; give both or neither")
+    drives = read_logs(logs, columns, topics, vehicle)
+    if hoisted:
+        if out or terms or without:
+            raise InvalidInputError("--hoisted tells friction, no model: leave out --out and terms")
+        sides = inside(drives, motor_constant)
+        told = [*notes(drives), *_doubts_inside(sides, motor_constant)]
+        document = {"sides": documents.plain(sides), "warnings": told}
+        answer(document, [*text.hoisted(sides), *_noted(told)], json=json)
+        return
+    found = run(drives, robot, terms=_terms(terms, without), method=method)
+    doubts = (*notes(drives), *contradictions(drives, robot))
+    found = replace(found, warnings=(*doubts, *found.warnings))
     if out:
         write_model(found.model, out)
     answer(documents.identification(found), text.identification(found), json=json)
+
+
+def _doubts_inside(sides: Sequence[InternalFriction], motor_constant: float | None) -> list[str]:
+    """Warn where a force falls with speed as if the power did not depend on it."""
+    if motor_constant is not None:
+        return []
+    return [
+        f"{side.side}: the power hardly grows with speed, as if it were voltage times motor "
+        "current; then give the force per ampere, as in --motor-constant 21.4 for a Husky"
+        for side in sides
+        if side.slope < -0.5 * side.force / side.speed and side.slope < -3 * side.slope_error
+    ]
+
+
+def _noted(lines: list[str]) -> list[str]:
+    return [f"note: {line}" for line in lines]
+
+
+def _terms(terms: str | None, without: str | None) -> list[Term]:
+    """Return the terms that a model is to have."""
+    from energyplan.power import SLIP, TRACTION
+    from energyplan.power.effects import term
+
+    names = [name.strip() for name in (terms or "").split(",") if name.strip()]
+    chosen = [term(name) for name in names] if names else [SLIP, TRACTION]
+    for name in [name.strip() for name in (without or "").split(",") if name.strip()]:
+        if name not in [one.name for one in chosen]:
+            raise UnknownNameError("term to leave out", name, [one.name for one in chosen])
+        chosen = [one for one in chosen if one.name != name]
+    if not chosen:
+        raise InvalidInputError("--without leaves no term to identify; leave one in")
+    return chosen
 
 
 @app.command(
@@ -75,7 +141,7 @@ def diagnose(
     out: OutModel = None,
     report: Report = None,
     columns: Columns = None,
-    topics: Topics = "husky",
+    topics: Topics = None,
     json: Json = False,
     strict: Strict = False,
 ) -> None:
@@ -88,9 +154,10 @@ def diagnose(
 
     robot = read_vehicle(vehicle)
     _apart(logs, holdout)
-    training, judging = read_logs(logs, columns, topics), read_logs(holdout, columns, topics)
+    training = read_logs(logs, columns, topics, vehicle)
+    judging = read_logs(holdout, columns, topics, vehicle)
     parts = {"training": _names(training), "judging": _names(judging)}
-    for note in notes([*training, *judging]):
+    for note in (*notes([*training, *judging]), *contradictions([*training, *judging], robot)):
         warn(note)
     with progress("diagnosing") as update:
         told = run(training, holdout=judging, vehicle=robot, progress=update)

@@ -8,6 +8,7 @@ import select
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
@@ -19,9 +20,12 @@ from energyplan.errors import InvalidInputError
 if TYPE_CHECKING:
     from energyplan.logs import DriveLog
     from energyplan.path import Pose
+    from energyplan.vehicle import Vehicle
 
 _OUTPUTS, _PROJECT = "energyplan.outputs", "energyplan.project"
 """Where the context of a command keeps the files that it will write, and the project's file."""
+_presets: ContextVar[dict[str, str]] = ContextVar("presets", default={})  # noqa: B039
+"""Ready-made models that the command in hand uses, with their sources; never changed in place."""
 IMAGES = (".png", ".svg", ".pdf")
 TABLES = (".csv", ".gz", ".parquet", ".pq")
 YAML = (".yaml", ".yml")
@@ -119,7 +123,19 @@ class Command(TyperCommand):
         values = [v for value in given for v in (value if isinstance(value, list) else [value])]
         inputs = [v for v in (*values, ctx.meta.get(_PROJECT)) if isinstance(v, str | Path)]
         refuse_overwriting(list(outputs.values()), inputs)
+        _presets.set(presets_named(inputs))
+        for name, source in _presets.get().items():
+            warn(f"preset {name}: not measured on this robot, but taken from {source}")
         return super().invoke(ctx)
+
+
+def presets_named(inputs: list[str | Path]) -> dict[str, str]:
+    """Return the ready-made models that a command's values or files name, with their sources."""
+    from energyplan.io.files import strings_behind
+    from energyplan.power.presets import MODEL_PRESETS
+
+    named = {name for value in inputs for name in (str(value), *strings_behind(value))}
+    return {name: preset.source for name, preset in MODEL_PRESETS.items() if name in named}
 
 
 class _Group(TyperGroup):
@@ -239,7 +255,7 @@ def _complete(*kinds: str) -> Callable[[str], list[str]]:
 
     def complete(incomplete: str) -> list[str]:
         from energyplan.io.topics import TOPIC_MAPS
-        from energyplan.power import MODEL_PRESETS
+        from energyplan.power.presets import MODEL_PRESETS
         from energyplan.vehicle.presets import VEHICLE_PRESETS
 
         known = {"vehicle": VEHICLE_PRESETS, "model": MODEL_PRESETS, "topics": TOPIC_MAPS}
@@ -290,7 +306,7 @@ Columns = Annotated[
     ),
 ]
 Topics = Annotated[
-    str,
+    str | None,
     typer.Option(
         help="Topic map of bags: husky, jackal, warthog, or a YAML file.",
         autocompletion=_complete("topics"),
@@ -320,7 +336,13 @@ def warn(text: str) -> None:
 
 
 def answer(document: dict[str, Any], lines: list[str], *, json: bool) -> None:
-    """Print the answer, as JSON or as lines of text."""
+    """Print the answer, as JSON or as lines of text; JSON tells of ready-made models."""
+    presets = [
+        {"name": name, "measured": False, "source": source}
+        for name, source in _presets.get().items()
+    ]
+    if presets:
+        document = {**document, "preset": presets}
     if json:
         say(jsonlib.dumps(document, indent=1, allow_nan=False))
     else:
@@ -351,12 +373,43 @@ def progress(text: str) -> Iterator[Any]:
         )
 
 
-def read_logs(paths: list[Path], columns: str | None, topics: str) -> list[DriveLog]:
-    """Read drive logs."""
+def read_logs(
+    paths: list[Path], columns: str | None, topics: str | None, vehicle: str
+) -> list[DriveLog]:
+    """Read drive logs; of bags the vehicle tells the topic map where none is given."""
+    from energyplan.io.bags import is_bag
     from energyplan.io.logs import read_log
 
+    bags = [path for path in paths if is_bag(path)]
+    chosen = topics or _ROBOTS.get(vehicle.partition(":")[0])
+    if bags and chosen is None:
+        raise InvalidInputError(
+            f"{bags[0]}: which topics and what wheel radius serve is not known: give --topics, or "
+            f"a project that energyplan start {bags[0]} --out PROJECT.yaml makes"
+        )
     with progress("reading") as update:
-        return [read_log(path, columns, topics=topics, progress=update) for path in paths]
+        return [
+            read_log(path, columns, topics=chosen or "husky", progress=update) for path in paths
+        ]
+
+
+_ROBOTS = {"husky_a200": "husky", "jackal": "jackal", "warthog": "warthog"}
+"""Topic maps, and so wheel radii, of the vehicles that are ready made."""
+
+
+def contradictions(logs: list[DriveLog], vehicle: Vehicle) -> list[str]:
+    """Return how logs contradict the vehicle, and what mistake would explain it."""
+    from energyplan.logs.consistency import Measures, check_consistency
+    from energyplan.logs.evidence import gather
+
+    return [
+        f"{log.name}: {check}"
+        for log in logs
+        for check in check_consistency(
+            gather(log.channels, log.power, log.runs), Measures.of(vehicle)
+        )
+        if not check.ok
+    ]
 
 
 def notes(logs: list[DriveLog]) -> list[str]:

@@ -111,7 +111,7 @@ def bag_info(path: str | Path) -> BagInfo:
     MissingDependencyError
         If the package rosbags is missing.
     """
-    with _opened(Path(path)) as reader:
+    with opened_bag(Path(path)) as reader:
         duration = max(reader.duration, 1) * 1e-9
         topics = tuple(
             BagTopic(
@@ -165,7 +165,7 @@ def read_bag(
     """
     mapping = topics if isinstance(topics, TopicMap) else TopicMap.read(topics)
     file = Path(path)
-    with _opened(file) as reader:
+    with opened_bag(file) as reader:
         chosen = _choose(mapping, sorted(reader.topics))
         for channel in ("v_left", "v_right"):
             if channel not in chosen:
@@ -284,8 +284,26 @@ def _collect(
 
 
 @contextmanager
-def _opened(file: Path) -> Iterator[Any]:
-    """Open a bag; what goes wrong inside it becomes a named error."""
+def opened_bag(file: Path) -> Iterator[Any]:
+    """Open a bag; what goes wrong inside it becomes a named error.
+
+    Parameters
+    ----------
+    file : Path
+        The bag.
+
+    Yields
+    ------
+    object
+        The reader of rosbags.
+
+    Raises
+    ------
+    DriveLogError
+        If it is no sound bag.
+    MissingDependencyError
+        If the package rosbags is missing.
+    """
     try:
         from rosbags import rosbag1, rosbag2
         from rosbags.highlevel import AnyReader, AnyReaderError

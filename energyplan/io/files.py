@@ -209,6 +209,22 @@ def files_behind(source: str | Path) -> list[Path]:
     return list(found)
 
 
+def strings_behind(source: str | Path) -> set[str]:
+    """Return the strings in a configuration file and in those that it names.
+
+    Parameters
+    ----------
+    source : str or Path
+        A file; of any other name, and of other kinds of file, there are none.
+
+    Returns
+    -------
+    set of str
+        The strings.
+    """
+    return {text for file in files_behind(source) for text in _strings(_content(file))}
+
+
 def _follow(file: Path, found: dict[Path, None]) -> None:
     if file in found or len(found) >= _MOST_FILES:
         return

@@ -11,9 +11,10 @@ import numpy as np
 from energyplan.errors import DriveLogError
 from energyplan.io.bags import bag_info, channels_served, is_bag, read_bag
 from energyplan.io.husky import WHEEL_COLUMNS, is_husky, read_husky
+from energyplan.io.project import read_columns
 from energyplan.io.topics import TOPIC_MAPS, TopicMap
 from energyplan.logs import DriveLog
-from energyplan.logs.columns import UNITS
+from energyplan.logs.columns import UNITS, Column
 from energyplan.logs.tables import read_table
 
 
@@ -70,7 +71,7 @@ class LogInfo:
 
 def read_log(
     path: str | Path,
-    columns: str | Mapping[str, str] | None = None,
+    columns: str | Mapping[str, str | Column] | None = None,
     *,
     topics: TopicMap | str | Path = "husky",
     progress: Callable[[float], None] | None = None,
@@ -82,8 +83,9 @@ def read_log(
     path : str or Path
         A table for `DriveLog.read`, a bag for `read_bag`, or a Husky's wheel file for
         `read_husky`.
-    columns : str or mapping of str to str, optional
-        Which column serves as which channel, as for `DriveLog.read`; a table is then read as is.
+    columns : str or mapping of str to str or Column, optional
+        Which column serves as which channel, as for `DriveLog.read`, or a YAML file of them, such
+        as a project's; a table is then read as is.
     topics : TopicMap, str or Path
         Which message field of a bag serves as which channel, as for `read_bag`.
     progress : callable, optional
@@ -103,6 +105,8 @@ def read_log(
     """
     if is_bag(path):
         return read_bag(path, topics, progress=progress)
+    if isinstance(columns, str) and columns.endswith((".yaml", ".yml")):
+        columns = read_columns(columns)
     if columns is None and is_husky(path):
         return read_husky(path)
     return DriveLog.read(path, columns)

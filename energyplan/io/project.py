@@ -87,6 +87,30 @@ def read_project(path: str | Path) -> Project:
     )
 
 
+def read_columns(path: str | Path) -> dict[str, Column]:
+    """Read which column serves as which channel from a project's file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    dict of str to Column
+        The columns.
+
+    Raises
+    ------
+    ConfigError
+        If the file is malformed, or the project was made from a bag.
+    """
+    project = read_project(path)
+    if not project.columns:
+        raise ConfigError(f"{path}: the project has no columns: it was made from a bag")
+    return dict(project.columns)
+
+
 def write_project(project: Project, path: str | Path) -> Path:
     """Write a project as YAML, whole or not at all.
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from energyplan.errors import ConfigError, UnknownNameError
-from energyplan.io._yaml import load
+from energyplan.io._yaml import Document, Loc, load
 
 _FIELD = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)\s*(?:\[([^\[\]]+)\])?\Z")
 
@@ -129,6 +129,8 @@ class TopicMap(BaseModel):
     def read(cls, source: str | Path) -> TopicMap:
         """Return a ready-made map (``husky``, ``jackal``, ``warthog``) or one from a YAML file.
 
+        A project's file is read for the topic map that it holds.
+
         Raises
         ------
         UnknownNameError
@@ -140,7 +142,22 @@ class TopicMap(BaseModel):
             if source not in TOPIC_MAPS:
                 raise UnknownNameError("topic map", source, [*TOPIC_MAPS, "FILE.yaml"])
             return TOPIC_MAPS[source]
-        return load(source, ConfigError).check(cls)
+        document = load(source, ConfigError)
+        if document.data.get("kind") != "project":
+            return document.check(cls)
+        if not isinstance(document.data.get("topics"), dict):
+            raise document.fail(
+                ("topics",),
+                "the project has no topic map: it was made from a table, not from a bag",
+            )
+        return Document(
+            document.source, document.data["topics"], _below(document.lines, "topics"), ConfigError
+        ).check(cls)
+
+
+def _below(lines: dict[Loc, int], key: str) -> dict[Loc, int]:
+    """Return the lines of what stands below a key."""
+    return {place[1:]: line for place, line in lines.items() if place[:1] == (key,)}
 
 
 _FURTHER: dict[str, list[dict[str, Any]]] = {

@@ -16,7 +16,7 @@ from energyplan.errors import DriveLogError, MissingChannelError
 from energyplan.logs._resample import interval_means, shift
 from energyplan.logs._smooth import derivative
 from energyplan.logs.checks import Place, SetAside, clean, find_runs, needed_channels
-from energyplan.logs.columns import choose_columns, parse_columns
+from energyplan.logs.columns import Column, choose_columns, parse_columns
 from energyplan.logs.plausible import find_doubts
 from energyplan.logs.tables import read_table
 from energyplan.motion import Motion
@@ -111,17 +111,19 @@ class DriveLog:
     # -- building -------------------------------------------------------------------------------
 
     @classmethod
-    def read(cls, path: str | Path, columns: str | Mapping[str, str] | None = None) -> DriveLog:
+    def read(
+        cls, path: str | Path, columns: str | Mapping[str, str | Column] | None = None
+    ) -> DriveLog:
         """Read a log from a file.
 
         Parameters
         ----------
         path : str or Path
             A ``.csv``, ``.csv.gz`` or ``.parquet`` file with one row of column names.
-        columns : str or mapping of str to str, optional
+        columns : str or mapping of str to str or Column, optional
             Which column serves as which channel, and its unit where it is not the library's:
-            ``"v_left=velL,yaw=heading[deg]"``, or the same as a mapping. Columns that bear a
-            channel's name need no mention.
+            ``"v_left=velL,yaw=heading[deg]"``, or the same as a mapping; `parse_columns` tells all
+            that can be written. Columns that bear a channel's name need no mention.
 
         Returns
         -------

@@ -346,6 +346,25 @@ def check_consistency(told: Evidence, known: Measures) -> list[Check]:
     ]
 
 
+def strain(told: Evidence, known: Measures) -> float:
+    """How far evidence and measures are from what is usual: the sum of squares over the ratios.
+
+    Parameters
+    ----------
+    told : Evidence
+        What the log tells.
+    known : Measures
+        What is known of the robot.
+
+    Returns
+    -------
+    float
+        The sum, each ratio's distance in widths of its range; less is more usual.
+    """
+    ratios = [(span, value) for span, value in _ratios(told, known) if isfinite(value)]
+    return sum(span.strain(value) for span, value in ratios)
+
+
 def _explain(state: _State) -> str:
     """Name the mistakes that explain all the ratios, the likeliest first."""
     fitting = []

@@ -30,7 +30,7 @@ class Evidence:
     distance : float
         Way of the treads over that of the pose, on straight stretches.
     rotation : float
-        Gyroscope's yaw rate over that of the heading.
+        Gyroscope's yaw rate over that of the heading, whatever their signs.
     top_speed : float
         Speed that is reached one hundredth of the time [m/s].
     force : float
@@ -129,7 +129,7 @@ def _rotation(rates: Mapping[str, FloatArray]) -> float:
     if abs(correlation(gyro, heading)) < 0.7:
         return np.nan
     # The jitter of the heading's rate is in the denominator only where it is the regressor.
-    return float(gyro @ gyro) / float(gyro @ heading)
+    return abs(float(gyro @ gyro) / float(gyro @ heading))
 
 
 def distance_ratio(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> float:

@@ -9,10 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from energyplan.io.config import plain_vehicle
+from energyplan.logs.columns import UNITS
+
 if TYPE_CHECKING:
     from energyplan.diagnosis import Diagnosis
     from energyplan.errors import NoPathError
     from energyplan.fit import Identification
+    from energyplan.io.start import Start
     from energyplan.limits.feasibility import FeasibilityReport
     from energyplan.mission import MissionReport
     from energyplan.physics import Driven
@@ -69,6 +73,24 @@ def identification(found: Identification) -> Document:
         "icr": {**icr, "std_error": plain(found.icr_std_error)},
         "residual": residual(found.residual),
         "warnings": list(found.warnings),
+    }
+
+
+def start(made: Start) -> Document:
+    """Return what ``energyplan start --json`` prints."""
+    project = made.project
+    keys = ("what", "value", "expected", "ok", "remedy")
+    return {
+        "columns": {channel: one.source for channel, one in project.columns.items()},
+        "units": {
+            channel: one.unit or next(iter(UNITS.get(channel, {"": 1.0})))
+            for channel, one in project.columns.items()
+        },
+        "topics": None if project.topics is None else project.topics.model_dump(),
+        "vehicle": plain(plain_vehicle(project.vehicle)),
+        "defaults": plain(project.defaults),
+        "checks": [{key: plain(getattr(check, key)) for key in keys} for check in made.checks],
+        "notes": list(made.notes),
     }
 
 

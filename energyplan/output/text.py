@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from energyplan.diagnosis import Diagnosis
     from energyplan.errors import NoPathError
     from energyplan.fit import Identification
+    from energyplan.fit.hoisted import InternalFriction
     from energyplan.io.logs import LogInfo
+    from energyplan.io.start import Start
     from energyplan.limits.feasibility import FeasibilityReport
     from energyplan.mission import MissionReport
     from energyplan.physics import Driven
@@ -66,6 +68,45 @@ def diagnosis(told: Diagnosis) -> list[str]:
     ]
     lines += [f"advice: {advice}" for advice in told.advice]
     return lines
+
+
+def hoisted(sides: Sequence[InternalFriction]) -> list[str]:
+    """Return what ``energyplan identify --hoisted`` prints."""
+    lines = []
+    for side in sides:
+        lines.append(
+            f"friction inside the {side.side} side: {number(side.force)} +- "
+            f"{number(side.force_error, 2)} N at {number(side.speed)} m/s, changing by "
+            f"{number(side.slope)} +- {number(side.slope_error, 2)} N per m/s"
+        )
+        lines += [
+            f"  {number(one.speed)} m/s: {number(one.force)} +- {number(one.std_error, 2)} N"
+            for one in side.classes
+        ]
+        if side.left_out:
+            lines.append(f"  {side.left_out} samples in the sensor's dead band: half of it taken")
+    return lines
+
+
+def start(made: Start) -> list[str]:
+    """Return what ``energyplan start`` prints."""
+    project = made.project
+    lines = [
+        f"{channel}: {one.source}{f' * {one.times}' if one.times else ''}"
+        f"{f' [{one.unit}]' if one.unit else ''}"
+        for channel, one in project.columns.items()
+    ]
+    if project.topics is not None:
+        lines += [
+            f"{channel}: {one[0].topic} {one[0].field}"
+            + (f" * {one[0].scale:g}" if one[0].scale != 1.0 else "")
+            + (f" * {one[0].times}" if one[0].times else "")
+            for channel, one in project.topics.channels.items()
+        ]
+    lines += [f"assumed {what}: {value}" for what, value in project.defaults.items()]
+    for check in made.checks:
+        lines.append(f"{'ok' if check.ok else 'WRONG'}: {check}")
+    return [*lines, *(f"note: {note}" for note in made.notes)]
 
 
 def plan(made: Plan, objective: str) -> list[str]:

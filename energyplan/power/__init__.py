@@ -40,7 +40,6 @@ from energyplan.vehicle import Vehicle
 __all__ = [
     "DRIVE_LOSS",
     "HOTEL",
-    "MODEL_PRESETS",
     "REGENERATION_LOSS",
     "SLIP",
     "TABLE_II",
@@ -380,7 +379,11 @@ class PowerModel:
 
     @classmethod
     def preset(cls, name: str) -> PowerModel:
-        """Return a model of the paper's Table II: ``quadriga:<empty|full>:<marble|concrete>``.
+        """Return a ready-made model, which was measured on another robot than one's own.
+
+        ``quadriga:<empty|full>:<marble|concrete>`` are those of the paper's Table II, which gives
+        no standard errors. The others, such as ``husky_a200:flooring``, have a covariance from the
+        spread between drives; `energyplan.power.presets` tells where each comes from.
 
         Parameters
         ----------
@@ -390,17 +393,18 @@ class PowerModel:
         Returns
         -------
         PowerModel
-            The model. The paper gives no standard errors, so it has no covariance.
+            The model.
 
         Raises
         ------
         UnknownNameError
             If there is no such preset.
         """
-        if name not in TABLE_II:
-            raise UnknownNameError("model preset", name, TABLE_II)
-        K, mu = TABLE_II[name]
-        return cls.paper(Vehicle.preset(name.rpartition(":")[0]), K, mu, name=name)
+        from energyplan.power.presets import MODEL_PRESETS
+
+        if name not in MODEL_PRESETS:
+            raise UnknownNameError("model preset", name, MODEL_PRESETS)
+        return MODEL_PRESETS[name].model(name)
 
 
 TABLE_II = {
@@ -410,5 +414,3 @@ TABLE_II = {
     "quadriga:empty:concrete": (113.0, 0.627),
 }
 """K [N] and mu of Quadriga (Table II)."""
-MODEL_PRESETS: tuple[str, ...] = tuple(TABLE_II)
-"""Names of ready-made models."""

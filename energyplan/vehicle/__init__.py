@@ -378,7 +378,7 @@ class Vehicle:
 
     @classmethod
     def preset(cls, name: str) -> Vehicle:
-        """Return a ready-made vehicle: ``quadriga``, ``quadriga:full``, ``husky_a200``, ``jackal``.
+        """Return a ready-made vehicle, such as ``quadriga:full``, ``husky_a200``, ``warthog``.
 
         Parameters
         ----------

@@ -46,8 +46,26 @@ def _husky() -> Vehicle:
     )
 
 
+def _warthog() -> Vehicle:
+    """Clearpath Warthog as equipped for Norlab's DRIVE data.
+
+    Mass from those data; footprint and speed from the maker's data sheet (1.52 m by 1.38 m, 18
+    km/h); contacts 0.91 m by 1.13 m apart, which predict the slip track of 1.85 m that the data
+    show. The maker gives no power: half above what the drive on grass takes.
+    """
+    return Vehicle.from_geometry(
+        "warthog",
+        mass=470.0,
+        wheelbase=0.91,
+        track=1.13,
+        length=1.52,
+        width=1.38,
+        motor=MotorLimits(peak_power=3600.0, speed=5.0, acceleration=1.0),
+    )
+
+
 def _jackal() -> Vehicle:
-    """Clearpath Jackal (17 kg; wheelbase 0.262 m, track 0.376 m)."""
+    """Clearpath Jackal (17 kg; wheelbase 0.262 m, track 0.376 m; the maker's data sheet)."""
     return Vehicle.from_geometry(
         "jackal",
         mass=17.0,
@@ -65,5 +83,6 @@ VEHICLE_PRESETS: dict[str, Callable[[], Vehicle]] = {
     "quadriga:full": lambda: _quadriga(147.1, (0.0202, -0.0005), "quadriga:full"),
     "husky_a200": _husky,
     "jackal": _jackal,
+    "warthog": _warthog,
 }
 """Ready-made vehicles, by name."""

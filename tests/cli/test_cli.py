@@ -213,7 +213,7 @@ def test_plan_and_compare(run: Run, tmp_path: Path) -> None:
     assert out.read_text().startswith("x,y,yaw\n")
     assert plot.read_bytes().startswith(b"\x89PNG")
     both = run("compare", *options, "--json").json
-    assert set(both) == {"energy_optimal", "shortest", "saving"}
+    assert set(both) == {"energy_optimal", "shortest", "saving", "preset"}
     assert both["saving"] == pytest.approx(
         1 - both["energy_optimal"]["energy"] / both["shortest"]["energy"]
     )

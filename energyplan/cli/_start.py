@@ -1,0 +1,91 @@
+"""The command start."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from energyplan.cli.common import YAML, Json, Strict, answer, app, progress, verdict, writes
+from energyplan.errors import InvalidInputError
+
+
+@app.command(
+    epilog="Example: energyplan start foreign.csv --track 0.5 --wheelbase 0.475 --mass 147 "
+    "--out robot.yaml"
+)
+def start(
+    log: Annotated[Path, typer.Argument(help="A drive log: a table or a bag.")],
+    out: Annotated[
+        Path, typer.Option(callback=writes(*YAML), help="Write the project to this YAML file.")
+    ],
+    wheel_radius: Annotated[
+        float | None, typer.Option(metavar="M", help="Radius of the wheels.")
+    ] = None,
+    track: Annotated[
+        float | None, typer.Option(metavar="M", help="Left to right contact points.")
+    ] = None,
+    wheelbase: Annotated[
+        float | None, typer.Option(metavar="M", help="Front to rear contact points.")
+    ] = None,
+    mass: Annotated[float | None, typer.Option(metavar="KG", help="As it drives.")] = None,
+    length: Annotated[float | None, typer.Option(metavar="M", help="Of the footprint.")] = None,
+    width: Annotated[float | None, typer.Option(metavar="M", help="Of the footprint.")] = None,
+    name: Annotated[str, typer.Option(help="What to call the robot.")] = "",
+    like: Annotated[
+        str | None, typer.Option(help="A vehicle to take the rest from: a preset or a YAML file.")
+    ] = None,
+    columns: Annotated[
+        str | None, typer.Option(help="Columns that are known, such as v_left=velL.")
+    ] = None,
+    json: Json = False,
+    strict: Strict = False,
+) -> None:
+    """Tell what a robot's log holds, check it against the robot, and write a project.
+
+    Guesses which columns or topics are what, and in which units; what it cannot know it asks for on
+    a terminal, or takes from the options. Every command then takes --project.
+    """
+    from energyplan.io.config import read_vehicle
+    from energyplan.io.project import write_project
+    from energyplan.io.robot import Given
+    from energyplan.io.start import start as run
+    from energyplan.output import documents, text
+
+    told = {
+        "wheel_radius": wheel_radius, "track": track, "wheelbase": wheelbase, "mass": mass,
+        "length": length, "width": width,
+    }  # fmt: skip
+    vehicle = None if like is None else read_vehicle(like)
+    if vehicle is None and not json and sys.stdin.isatty() and sys.stderr.isatty():
+        for key, question in _QUESTIONS.items():
+            if told[key] is None:
+                told[key] = _ask(question)
+    given = Given(
+        **{key: math.nan if value is None else value for key, value in told.items()},
+        name=name, like=vehicle, columns=columns,
+    )  # fmt: skip
+    with progress("looking into the log"):
+        made = run(log, given)
+    write_project(made.project, out)
+    answer(documents.start(made), [*text.start(made), f"written: {out}"], json=json)
+    verdict(made.sound, strict)
+
+
+_QUESTIONS = {
+    "track": "Distance of the left from the right wheels' contact points [m]",
+    "wheelbase": "Distance of the front from the rear wheels' contact points [m]",
+    "mass": "Mass as it drives [kg]",
+}
+
+
+def _ask(question: str) -> float | None:
+    """Ask for a number on the terminal; an empty answer leaves it to the log."""
+    text = typer.prompt(f"{question}, empty for a guess", default="", show_default=False, err=True)
+    try:
+        return float(text) if text.strip() else None
+    except ValueError:
+        raise InvalidInputError(f"{text!r} is no number; write it like 0.555") from None

@@ -1,0 +1,423 @@
+"""The first step with a robot's own log: which channel is what, in which unit, and does it fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+from math import isfinite, nan, pi
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from energyplan.errors import DriveLogError, InvalidInputError
+from energyplan.io.bag_fields import bag_fields
+from energyplan.io.bags import is_bag, read_bag
+from energyplan.io.husky import is_husky
+from energyplan.io.logs import read_log
+from energyplan.io.project import Project
+from energyplan.io.robot import Given, build_vehicle, known_measures
+from energyplan.io.topics import TopicMap
+from energyplan.logs import DriveLog
+from energyplan.logs.checks import find_runs
+from energyplan.logs.columns import (
+    Column,
+    column_from,
+    is_wheel_rate,
+    parse_columns,
+    scale_of,
+)
+from energyplan.logs.consistency import Check, Measures, check_consistency, strain
+from energyplan.logs.contradictions import find_contradictions
+from energyplan.logs.evidence import gather
+from energyplan.logs.guess import guess
+from energyplan.logs.tables import Table, read_table
+from energyplan.path import FloatArray
+
+_SOME = 20_000  # readings that suffice to tell a unit
+_FASTEST_TURN = 3.0  # yaw rate that hardly a robot reaches that skids [rad/s]
+_FULL_TURN = 6.5  # [rad]; headings beyond are unwrapped, or degrees
+_RATES = {"rad/s": 1.0, "rpm": pi / 30, "deg/s": pi / 180}
+
+
+@dataclass(frozen=True)
+class Start:
+    """A robot's project, and how well its log bears it out.
+
+    Parameters
+    ----------
+    project : Project
+        Vehicle, columns or topics, and what was assumed.
+    checks : tuple of Check
+        What was held against what.
+    notes : tuple of str
+        What is doubtful about the log.
+    """
+
+    project: Project
+    checks: tuple[Check, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing contradicts anything."""
+        return all(check.ok for check in self.checks)
+
+
+def start(path: str | Path, given: Given | None = None) -> Start:
+    """Guess what a log's columns or topics are, and hold them against the robot.
+
+    Names tell which channel is what; units are those that names tell or else the ones that
+    odometry, gyroscope, pose, power and geometry agree on.
+
+    Parameters
+    ----------
+    path : str or Path
+        A table or a bag.
+    given : Given, optional
+        What is known of the robot.
+
+    Returns
+    -------
+    Start
+        The project, for `energyplan.io.project.write_project`, and the checks.
+
+    Raises
+    ------
+    DriveLogError
+        If a channel that is needed cannot be guessed, or channels contradict each other; the
+        message says which and what to give.
+    InvalidInputError
+        If a measure of the robot is missing that the log does not tell.
+    """
+    known = given or Given()
+    if is_bag(path):
+        return _start_bag(Path(path), known)
+    if known.columns is None and is_husky(path):
+        log = read_log(path)
+        return _finish(Path(path), log, known, {}, None, {})
+    return _start_table(Path(path), known)
+
+
+# -- tables -------------------------------------------------------------------------------------
+
+
+class _Choice(NamedTuple):
+    """Units that readings could be in, the likeliest first."""
+
+    channels: tuple[str, ...]
+    units: tuple[str, ...]
+
+
+def _start_table(file: Path, known: Given) -> Start:
+    table = read_table(file, DriveLogError)
+    names = (*table.columns, *table.text)
+    columns = parse_columns(known.columns, names)
+    taken = {name for one in columns.values() for name in (one.source, one.times) if name}
+    guesses = guess([name for name in table.columns if name not in taken])
+    _powers(columns, guesses)
+    found = {channel: one for channel, one in guesses.items() if channel not in columns}
+    if "t" not in columns and "t" not in found:
+        clock = _clock(table, taken | {one.name for one in found.values()})
+        if clock is not None:
+            columns["t"] = Column(clock)
+    needed = [name for name in ("t", "v_left", "v_right") if name not in {*columns, *found}]
+    powers = {*columns, *found}
+    ways = ({"p_left", "p_right"}, {"power"}, {"voltage", "current"})
+    if not any(way <= powers for way in ways):
+        needed.append("power")
+    if needed:
+        raise DriveLogError(
+            f"{file.name}: nothing seems to be {' or '.join(needed)}; the columns are "
+            f"{', '.join(names[:30])}; say which it is with --columns {needed[0]}=NAME"
+        )
+    for channel, one in found.items():
+        unit = one.unit
+        if is_wheel_rate(unit) and channel.startswith("v_"):
+            unit = ""  # takes a radius, below
+        columns[channel] = column_from(channel, one.name, unit or None)
+    columns = _with_units(table, columns, found, known)
+    log = _read_signed(file, columns)
+    used = {name for one in log.columns.values() for name in (one.source, one.times) if name}
+    idle = [name for name in table.columns if name not in used]
+    notes = (f"columns that serve for nothing: {', '.join(idle[:20])}",) if idle else ()
+    told = _finish(file, log.log, known, log.columns, None, {})
+    return replace(told, notes=(*notes, *log.notes, *told.notes))
+
+
+def _powers(columns: dict[str, Column], guesses: dict[str, Any]) -> None:
+    """Take each side's power, or its voltage times its current, or the battery's."""
+    for side in ("left", "right"):
+        power = f"p_{side}"
+        current = guesses.pop(f"current_{side}", None)
+        voltage = guesses.pop(f"voltage_{side}", None)
+        if power in columns or power in guesses or current is None:
+            continue
+        volts = voltage or guesses.get("voltage")
+        if volts is None:
+            continue
+        factor = scale_of("current", current.unit).factor if current.unit else 1.0
+        factor *= scale_of("voltage", volts.unit).factor if volts.unit else 1.0
+        unit = "" if factor == 1.0 else f"*{factor:g}"
+        columns[power] = column_from(power, current.name, unit or None, volts.name)
+    sides = {"p_left", "p_right"} <= {*columns, *guesses}
+    if not sides:
+        for side in ("p_left", "p_right"):
+            columns.pop(side, None)
+            guesses.pop(side, None)
+
+
+def _clock(table: Table, taken: set[str]) -> str | None:
+    """Return the column that increases all along, if there is one."""
+    for name, values in table.columns.items():
+        steps = np.diff(values)
+        if name not in taken and len(steps) and np.all(np.isfinite(steps)) and np.all(steps > 0):
+            return name
+    return None
+
+
+def _with_units(
+    table: Table, columns: dict[str, Column], found: Mapping[str, Any], known: Given
+) -> dict[str, Column]:
+    """Choose the units that nobody told, so that all that a log tells twice agrees."""
+    # A speed or a place that bears the channel's own name is in its unit; angles often are not.
+    sure = ("v_left", "v_right", "x", "y")
+    told = {
+        channel
+        for channel, one in found.items()
+        if one.unit or (one.name == channel and channel in sure)
+    }
+    free = {channel for channel in found if channel not in told}
+    choices: list[_Choice] = []
+    radius = known.wheel_radius
+    if {"v_left", "v_right"} & set(found):
+        rates = [found[name].unit for name in ("v_left", "v_right") if name in found]
+        named = next((unit for unit in rates if is_wheel_rate(unit)), "")
+        if named:
+            choices.append(_Choice(("v_left", "v_right"), (f"{named}*",)))
+        elif {"v_left", "v_right"} <= free:
+            wheels = ("rad/s*", "rpm*") if isfinite(radius) else ()
+            units = ("m/s", *wheels, "km/h", "mm/s", "cm/s")
+            choices.append(_Choice(("v_left", "v_right"), units))
+    choices += [
+        _Choice((channel,), units)
+        for channel, units, most in (
+            ("yaw_rate", ("rad/s", "deg/s"), _FASTEST_TURN),
+            ("yaw", ("rad", "deg"), _FULL_TURN),
+        )
+        if channel in free and _size(table, columns[channel]) > most  # else these are no degrees
+    ]
+    if {"x", "y"} <= free:
+        choices.append(_Choice(("x", "y"), ("m", "mm", "cm")))
+    clock = columns["t"]
+    if "t" not in told and clock.scale.factor == 1.0:
+        columns = {**columns, "t": _timed(table, clock)}
+    raw = {channel: _some(table, column) for channel, column in columns.items()}
+    sound = np.all([np.isfinite(values) for values in raw.values()], axis=0)
+    sound &= np.append(True, np.diff(np.maximum.accumulate(raw["t"])) > 0)
+    if np.count_nonzero(sound) < 20:
+        return columns
+    raw = {channel: values[sound] for channel, values in raw.items()}
+    measures = known_measures(known)
+    best: tuple[float, dict[str, str]] | None = None
+    for each in product(*(choice.units for choice in choices)):
+        chosen = {
+            channel: unit
+            for choice, unit in zip(choices, each, strict=True)
+            for channel in choice.channels
+        }
+        trial = {
+            channel: values * _factor(channel, chosen.get(channel, ""), known)
+            for channel, values in raw.items()
+        }
+        evidence = gather(trial, _power_of(trial), find_runs(trial["t"]))
+        rank = sum(choice.units.index(unit) for choice, unit in zip(choices, each, strict=True))
+        # The measures may be what is wrong: they only decide where the log alone does not.
+        cost = strain(evidence, Measures()) + 0.2 * strain(evidence, measures) + 0.01 * rank
+        if best is None or cost < best[0] - 1e-9:
+            best = cost, chosen
+    chosen = best[1] if best else {}
+    if any(unit.endswith("*") for unit in chosen.values()) and not isfinite(radius):
+        radius = _radius_from(raw, chosen, measures)
+        if not isfinite(radius):
+            raise InvalidInputError(
+                "the tread speeds are the wheels' rates, and no pose tells how far the robot went: "
+                "give the wheel radius [m], as in --wheel-radius 0.165"
+            )
+    made = dict(columns)
+    for channel, unit in chosen.items():
+        if channel not in made:
+            continue
+        written = f"{unit}{radius:.6g}" if unit.endswith("*") else unit
+        plain = written in ("m/s", "rad", "rad/s", "m") and channel not in ("v_left", "v_right")
+        plain = plain or written == "m/s"
+        made[channel] = column_from(
+            channel, made[channel].source, None if plain else written, made[channel].times
+        )
+    return made
+
+
+def _size(table: Table, column: Column) -> float:
+    """Return how large readings get, strays left out."""
+    values = np.abs(_some(table, column))
+    values = values[np.isfinite(values)]
+    return float(np.quantile(values, 0.99)) if len(values) else 0.0
+
+
+def _some(table: Table, column: Column) -> FloatArray:
+    """Return the first readings of a column, in the library's unit as far as it is known."""
+    values = table.column(column.source)[:_SOME]
+    if column.times is not None:
+        values = values * table.column(column.times)[:_SOME]
+    return values * column.scale.factor + column.scale.offset
+
+
+def _timed(table: Table, clock: Column) -> Column:
+    """Find the unit of time in which a drive log's step is usual."""
+    steps = np.diff(table.column(clock.source)[:_SOME])
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    if not len(steps):
+        return clock
+    step = float(np.median(steps))
+    sizes = {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+    unit = next((name for name, size in sizes.items() if 5e-4 <= step * size <= 2.5), "")
+    return column_from("t", clock.source, unit or None)
+
+
+def _factor(channel: str, unit: str, known: Given) -> float:
+    if not unit:
+        return 1.0
+    if unit.endswith("*"):
+        radius = known.wheel_radius if isfinite(known.wheel_radius) else 0.15
+        return _RATES.get(unit[:-1], 2 * pi) * radius
+    return scale_of(channel, unit).factor
+
+
+def _power_of(channels: Mapping[str, FloatArray]) -> FloatArray:
+    if {"p_left", "p_right"} <= set(channels):
+        return channels["p_left"] + channels["p_right"]
+    if "power" in channels:
+        return channels["power"]
+    return channels["voltage"] * channels["current"]
+
+
+def _radius_from(
+    raw: Mapping[str, FloatArray], chosen: Mapping[str, str], measures: Measures
+) -> float:
+    """Return the wheel radius that the pose tells: the way gone over the angle rolled."""
+    trial = {
+        channel: values * _factor(channel, chosen.get(channel, ""), Given(wheel_radius=1.0))
+        for channel, values in raw.items()
+    }
+    evidence = gather(trial, _power_of(trial), find_runs(trial["t"]))
+    radius = 1.0 / evidence.distance
+    return radius if isfinite(radius) and 0.02 <= radius <= 0.8 else nan
+
+
+class _Read(NamedTuple):
+    """A log, the columns it was read by, and what was turned to read it."""
+
+    log: DriveLog
+    columns: dict[str, Column]
+    notes: tuple[str, ...]
+
+
+def _read_signed(file: Path, columns: dict[str, Column]) -> _Read:
+    """Read a table; a power or a yaw that counts the other way is turned round."""
+    notes: list[str] = []
+    made = dict(columns)
+    for _ in range(4):
+        try:
+            return _Read(DriveLog.read(file, made), made, tuple(notes))
+        except DriveLogError as problem:
+            text = str(problem)
+            if "wrong sign" in text:
+                subject = text.rpartition(": ")[0] if ": " not in text else text.split(": ", 1)[1]
+                subject = subject.split(" has the wrong sign")[0].split(" have the wrong")[0]
+                turned = [name for name in subject.replace(",", " ").split() if name in made]
+            elif "gyroscope's axis is flipped" in text:
+                turned = ["yaw_rate"]
+            elif "yaw counts clockwise" in text:
+                turned = ["yaw"]
+            else:
+                raise
+            if not turned or any(name in note for note in notes for name in turned):
+                raise
+            for name in turned:
+                one = made[name]
+                made[name] = column_from(name, one.source, _negative(one.unit), one.times)
+            notes.append(f"{' and '.join(turned)} counted the other way and was turned round")
+    return _Read(DriveLog.read(file, made), made, tuple(notes))
+
+
+def _negative(unit: str) -> str:
+    return unit[1:] if unit.startswith("-") else f"-{unit or '*1'}"
+
+
+# -- bags ---------------------------------------------------------------------------------------
+
+
+def _start_bag(file: Path, known: Given) -> Start:
+    fields = bag_fields(file)
+    sources = fields.channels()
+    lacks = [name for name in ("v_left", "v_right") if name not in sources]
+    ways = ({"p_left", "p_right"}, {"power"}, {"voltage", "current"})
+    if not any(way <= set(sources) for way in ways):
+        lacks.append("power")
+    if lacks:
+        raise DriveLogError(
+            f"{file.name}: no field of a message seems to be {' or '.join(lacks)}; the fields are "
+            f"{', '.join(fields.names()[:30])}; write a topic map and read with --topics FILE.yaml"
+        )
+    rates = fields.wheel_rates(sources)
+    radius = known.wheel_radius
+
+    def mapped(size: float) -> TopicMap:
+        return fields.topic_map(sources, size if rates else 1.0, file.stem)
+
+    log = read_bag(file, mapped(radius if isfinite(radius) else 1.0))
+    assumed: dict[str, str] = {}
+    if rates and not isfinite(radius):
+        evidence = gather(log.channels, log.power, log.runs)
+        radius = 1.0 / evidence.distance
+        if not (isfinite(radius) and 0.02 <= radius <= 0.8):
+            raise InvalidInputError(
+                f"{file.name}: the tread speeds are the wheels' rates, and no pose tells how far "
+                "the robot went: give the wheel radius [m], as in --wheel-radius 0.165"
+            )
+        assumed["wheel_radius"] = f"{radius:.4g} m, from the pose"
+        log = read_bag(file, mapped(radius))
+    topics = mapped(radius if isfinite(radius) else 1.0)
+    return _finish(file, log, known, {}, topics, assumed)
+
+
+# -- the answer ---------------------------------------------------------------------------------
+
+
+def _finish(
+    file: Path,
+    log: DriveLog,
+    known: Given,
+    columns: Mapping[str, Column],
+    topics: TopicMap | None,
+    assumed: dict[str, str],
+) -> Start:
+    """Build the vehicle, and hold the log against it."""
+    evidence = gather(log.channels, log.power, log.runs)
+    robot = build_vehicle(file, log, evidence, known)
+    given = known_measures(known)
+    checks = [
+        *check_consistency(evidence, given),
+        *(
+            Check(text.split(":")[0], nan, "no contradiction", ok=False, remedy=text)
+            for text in find_contradictions(log.channels, log.power, log.runs)
+        ),
+    ]
+    project = Project(
+        name=robot.vehicle.name, vehicle=robot.vehicle, columns=columns, topics=topics,
+        log=file.name, defaults={**assumed, **robot.assumed},
+    )  # fmt: skip
+    contradictions = {check.remedy for check in checks}
+    notes = (*map(str, log.set_aside), *(w for w in log.warnings if w not in contradictions))
+    return Start(project, tuple(checks), notes)

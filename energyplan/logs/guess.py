@@ -1,0 +1,160 @@
+"""Which column or field is which channel, guessed from its name and, where it says so, its unit."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable
+from typing import NamedTuple
+
+from energyplan.logs.columns import known_unit, split_unit
+
+_WORDS = {
+    "left": {"left", "l", "lh", "port", "links", "gauche"},
+    "right": {"right", "r", "rh", "starboard", "rechts", "droite"},
+    "speed": {
+        "v", "vel", "velocity", "speed", "wheel", "wheels", "track", "tread", "rpm", "omega",
+        "rate", "spd", "w", "velocities", "speeds", "angvel", "rotation",
+    },
+    "power": {"p", "power", "watt", "watts", "pwr"},
+    "voltage": {"u", "volt", "volts", "voltage"},
+    "current": {"i", "cur", "curr", "current", "amp", "amps", "ampere", "amperes", "currents"},
+    "time": {"t", "time", "timestamp", "stamp", "sec", "secs", "seconds", "clock", "elapsed",
+             "zeit"},
+    "yaw": {"yaw", "heading", "theta", "psi", "hdg"},
+    "turn": {"gyro", "angular", "yawrate", "wz", "gz", "gyr", "omega"},
+    "accel": {"acc", "accel", "acceleration", "ax"},
+    "temperature": {"temp", "temperature"},
+}  # fmt: skip
+_NOT_MEASURED = {
+    "cmd", "command", "commanded", "set", "setpoint", "target", "desired", "ref", "reference",
+    "goal", "request", "requested", "cov", "covariance", "std", "error", "err", "torque", "effort",
+    "ticks", "count", "encoder", "position", "temp", "temperature", "limit", "max", "min", "status",
+    "input", "raw", "supply", "health", "technology", "capacity", "charge", "percentage", "present",
+}  # fmt: skip
+"""Words of what is asked for, or of what is no speed and no power."""
+
+
+class Guess(NamedTuple):
+    """A name that may be a channel: how well it fits, and the unit that it tells."""
+
+    name: str
+    score: float
+    unit: str
+
+
+def words(name: str) -> list[str]:
+    """Split a name into its words, in small letters.
+
+    Examples
+    --------
+    >>> words("wheelSpeed_L [rad/s]"), words("velR")
+    (['wheel', 'speed', 'l'], ['vel', 'r'])
+    """
+    bare = split_unit(name)[0]
+    spaced = re.sub(r"([a-z])([A-Z])", r"\1 \2", bare)
+    spaced = re.sub(r"([A-Z]+)([A-Z][a-z])", r"\1 \2", spaced)
+    parts = re.findall(r"[A-Za-z]+", spaced)
+    found: list[str] = []
+    for part in parts:
+        word = part.lower()
+        short = re.fullmatch(r"(v|w|p|i|u|rpm|vel|cur|omega|n)(l|r)", word)
+        found += [short[1], short[2]] if short else [word]
+    return found
+
+
+def _score(channel: str, name: str) -> float:
+    """How well a name fits a channel; 0 if not at all."""
+    told = words(name)
+    said = set(told)
+    has = {kind: bool(said & names) for kind, names in _WORDS.items()}
+    if name.strip() == channel:
+        return 10.0
+    asked = bool(said & _NOT_MEASURED)
+    quantity, _, side = channel.partition("_")
+    sided = has["left"] != has["right"]
+    if channel == "t":
+        return (3.0 if told and told[-1] in _WORDS["time"] else 2.0) * has["time"]
+    if asked and channel != "temperature":
+        return 0.0
+    if side in ("left", "right"):
+        if not (sided and has[side]):
+            return 0.0
+        kinds = {"v": "speed", "p": "power", "voltage": "voltage", "current": "current"}
+        electric = has["power"] or has["voltage"] or has["current"]
+        if quantity == "v":
+            return 0.0 if electric else 2.0 * has["speed"]
+        return 2.0 * has[kinds[quantity]]
+    if sided and not (said & {"x", "y"}):
+        return 0.0
+    if channel in ("power", "voltage", "current"):
+        others = [kind for kind in ("power", "voltage", "current") if kind != channel]
+        whole = 0.5 * bool(said & {"battery", "total", "bus", "bms", "batt"})
+        return (2.0 + whole) * has[channel] * (not any(has[other] for other in others))
+    if channel in ("x", "y"):
+        place = said & {"pos", "pose", "position", "odom", "odometry", "slam", "gps", "map"}
+        moving = has["turn"] or has["accel"] or said & {"vel", "velocity", "speed", "orientation"}
+        return (1.0 + bool(place)) * (told[-1:] == [channel]) * (not moving)
+    if channel == "yaw":
+        return 2.0 * has["yaw"] * (not (said & {"rate", "vel", "velocity", "speed", "dot"}))
+    if channel == "yaw_rate":
+        named = has["yaw"] and said & {"rate", "vel", "velocity", "speed", "dot"}
+        z = "z" in said and has["turn"]
+        alone = said & {"yawrate", "wz", "gz"}
+        return 3.0 * bool(named) + 2.0 * bool(z) + 2.0 * bool(alone)
+    if channel == "accel_x":
+        return 2.0 * (has["accel"] and bool(said & {"x", "ax"}))
+    if channel == "temperature":
+        return 0.0  # whose it is a name does not tell
+    return 0.0
+
+
+CHANNELS = (
+    "t", "v_left", "v_right", "p_left", "p_right", "current_left", "current_right", "voltage_left",
+    "voltage_right", "power", "voltage", "current", "x", "y", "yaw", "yaw_rate", "accel_x",
+)  # fmt: skip
+
+
+def guess(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, Guess]:
+    """Guess which name is which channel.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Names of columns, or of topics and fields.
+    taken : collection of str
+        Names that already serve.
+
+    Returns
+    -------
+    dict of str to Guess
+        The best name of each channel; ``current_left`` and the like, which make powers, too.
+
+    Examples
+    --------
+    >>> found = guess(["Time [ms]", "velL", "velR", "gyro_z", "cmd_vel_left"])
+    >>> {channel: one.name for channel, one in found.items()}
+    {'t': 'Time [ms]', 'v_left': 'velL', 'v_right': 'velR', 'yaw_rate': 'gyro_z'}
+    """
+    left = [name for name in names if name not in taken]
+    rated = []
+    for channel in CHANNELS:
+        for place, name in enumerate(left):
+            score = _score(channel, name)
+            unit = split_unit(name)[1]
+            quantity = {"current": "current", "voltage": "voltage"}.get(
+                channel.partition("_")[0], channel
+            )
+            spelt = known_unit(quantity, unit) if unit else None
+            if unit and spelt is None and channel != "t":
+                score = min(score, 0.5) if score else 0.0  # it says that it is something else
+            elif spelt is not None and score:
+                score += 1.0
+            if score >= 1.0:
+                rated.append((-score, place, channel, Guess(name, score, spelt or "")))
+    found: dict[str, Guess] = {}
+    used: set[str] = set()
+    for _, _, channel, one in sorted(rated, key=lambda item: item[:2]):
+        if channel not in found and one.name not in used:
+            found[channel] = one
+            used.add(one.name)
+    return {channel: found[channel] for channel in CHANNELS if channel in found}

@@ -1,0 +1,311 @@
+"""The first steps with a robot's own log: start, and the commands that take its project."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import energyplan as ep
+from energyplan import cli, simulate
+from energyplan.io.project import read_project
+from energyplan.io.robot import Given
+from energyplan.io.start import start
+from energyplan.io.trajectory import write_log
+from energyplan.power.presets import MODEL_PRESETS
+from energyplan.vehicle import Vehicle
+
+RADIUS = 0.11
+ROBOT = Vehicle.from_geometry(
+    "own robot", mass=30.0, wheelbase=0.62, track=0.4, length=0.8, width=0.5
+)
+MODEL = ep.PowerModel.paper(ROBOT, K=22.0, mu=0.6)
+MEASURES = ("--track", 0.4, "--wheelbase", 0.62, "--mass", 30)
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    """Run a command; return its exit code and what it printed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["energyplan", *map(str, arguments)])
+        with pytest.raises(SystemExit) as left:
+            cli.main()
+    printed = capsys.readouterr()
+    return int(left.value.code or 0), printed.out, printed.err
+
+
+def drive(seed: int = 1) -> ep.DriveLog:
+    return simulate.identification_drive(MODEL, power_noise=3.0, speed_noise=0.004, seed=seed)
+
+
+def table(log: ep.DriveLog, style: str) -> pd.DataFrame:
+    """Write a drive as other people's loggers do."""
+    at = {name: np.array(values) for name, values in log.channels.items()}
+    noise = np.random.default_rng(5)
+    jitter = {name: at[name] + noise.normal(0, 0.01, len(log)) for name in ("x", "y")}
+    volts = 25.0 + noise.normal(0, 0.01, len(log))
+    if style == "rates":  # wheel rates and both sides' electricity, in milliseconds
+        return pd.DataFrame({
+            "time_ms": 1e3 * at["t"], "left_wheel_velocity": at["v_left"] / RADIUS,
+            "right_wheel_velocity": at["v_right"] / RADIUS, "voltage_left": volts,
+            "voltage_right": volts, "current_left": at["p_left"] / volts,
+            "current_right": at["p_right"] / volts, "pose_x": jitter["x"], "pose_y": jitter["y"],
+            "heading": at["yaw"], "gyro_z": at["yaw_rate"], "cmd_left": at["v_left"] * 0,
+        })  # fmt: skip
+    if style == "units":  # units in names, degrees, kilometres an hour, kilowatts
+        return pd.DataFrame({
+            "Time [s]": at["t"], "Speed L [km/h]": 3.6 * at["v_left"],
+            "Speed R [km/h]": 3.6 * at["v_right"], "Power, total [kW]": 1e-3 * log.power,
+            "Yaw rate [deg/s]": np.degrees(at["yaw_rate"]), "motor temp [degC]": 40 + 0 * at["t"],
+        })  # fmt: skip
+    if style == "battery":  # the sign of ROS, degrees without a word, the gyroscope upside down
+        return pd.DataFrame({
+            "stamp": 1.7e9 + at["t"], "vl": at["v_left"], "vr": at["v_right"], "voltage": volts,
+            "current": -log.power / volts, "yaw": np.degrees(at["yaw"]), "x": jitter["x"],
+            "y": jitter["y"], "imu_gyro_z": -at["yaw_rate"],
+        })  # fmt: skip
+    raise AssertionError(style)
+
+
+@pytest.mark.parametrize("style", ["rates", "units", "battery"])
+def test_columns_and_units_are_guessed_so_that_all_agrees(tmp_path: Path, style: str) -> None:
+    log = drive()
+    file = tmp_path / "own.csv"
+    table(log, style).to_csv(file, index=False)
+    made = start(file, Given(track=0.4, wheelbase=0.62, mass=30.0, wheel_radius=RADIUS))
+    assert made.sound, made.checks
+    assert len(made.checks) >= 5
+    read = ep.DriveLog.read(file, dict(made.project.columns))
+    for name in ("v_left", "v_right", "yaw_rate"):
+        np.testing.assert_allclose(read.channel(name), log.channel(name), atol=1e-6)
+    np.testing.assert_allclose(read.power, log.power, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(read.t - read.t[0], log.t - log.t[0], atol=1e-5)
+    assert not {"cmd_left", "motor temp [degC]"} & {c.source for c in made.project.columns.values()}
+
+
+def test_the_pose_tells_a_wheel_radius_that_nobody_gave(tmp_path: Path) -> None:
+    file = tmp_path / "own.csv"
+    frame = table(drive(), "rates").rename(
+        columns={f"{side}_wheel_velocity": f"{side} wheel [rad/s]" for side in ("left", "right")}
+    )
+    frame.to_csv(file, index=False)
+    made = start(file, Given(track=0.4, wheelbase=0.62, mass=30.0))
+    assert made.project.columns["v_left"].scale.factor == pytest.approx(RADIUS, rel=0.01)
+    frame.drop(columns=["pose_x", "pose_y"]).to_csv(file, index=False)
+    with pytest.raises(ep.errors.InvalidInputError, match="--wheel-radius"):
+        start(file, Given(track=0.4, wheelbase=0.62, mass=30.0))
+
+
+def test_a_mistake_in_the_measures_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, out = write_log(drive(), tmp_path / "own.csv"), tmp_path / "p.yaml"
+    wrong = ("--track", 40, "--wheelbase", 62, "--mass", 30, "--json")
+    code, text, _ = run(capsys, "start", file, *wrong, "--out", out)
+    told = json.loads(text)
+    assert code == 0
+    assert {"columns", "units", "vehicle", "checks"} <= set(told)
+    failed = [check for check in told["checks"] if not check["ok"]]
+    assert failed
+    assert all({"what", "value", "expected", "ok"} <= set(check) for check in told["checks"])
+    assert "track and wheelbase are in cm" in failed[0]["remedy"]
+    code, _, _ = run(capsys, "start", file, *wrong, "--out", out, "--strict")
+    assert code == 3
+
+
+def test_the_whole_chain_takes_the_project(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for seed, name in enumerate(("one.csv", "two.csv")):
+        table(drive(seed), "rates").to_csv(name, index=False)
+    project = ("--project", "robot.yaml")
+    steps = [
+        ("start", "one.csv", "--wheel-radius", RADIUS, *MEASURES, "--out", "robot.yaml"),
+        ("identify", "one.csv", *project, "--out", "model.yaml"),
+        ("diagnose", "one.csv", "--holdout", "two.csv", *project, "--out", "extended.yaml"),
+    ]
+    for step in steps:
+        code, _, error = run(capsys, *step)
+        assert code == 0, error
+    model = ep.read_model("model.yaml")
+    assert model.coefficient("traction_resistance") == pytest.approx(22.0, rel=0.05)
+    assert model.coefficient("slip_friction") == pytest.approx(0.6, rel=0.05)
+    assert model.vehicle.motor.acceleration == read_project("robot.yaml").vehicle.motor.acceleration
+
+
+def test_a_wrong_wheel_radius_is_told_by_identify(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = drive()
+    fast = {name: np.array(values) for name, values in log.channels.items()}
+    fast |= {name: fast[name] * 0.1651 / RADIUS for name in ("v_left", "v_right")}
+    file = write_log(ep.DriveLog(fast), tmp_path / "fast.csv")
+    ep_vehicle = tmp_path / "robot.yaml"
+    from energyplan.io.config import write_vehicle
+
+    write_vehicle(ROBOT, ep_vehicle)
+    code, text, _ = run(capsys, "identify", file, "--vehicle", ep_vehicle, "--json")
+    assert code == 0
+    assert any("wheel radius is not" in warning for warning in json.loads(text)["warnings"])
+
+
+def test_a_bag_of_an_unknown_robot_needs_a_radius_from_somewhere(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = bag(tmp_path, drive())
+    (tmp_path / "v.yaml").write_text("mass: 30\nwheelbase: 0.62\ntrack: 0.4\nlength: 0.8\n"
+                                     "width: 0.5\nname: own\n")  # fmt: skip
+    code, _, error = run(capsys, "identify", file, "--vehicle", tmp_path / "v.yaml")
+    assert code == 2
+    assert "energyplan start" in error
+
+
+def bag(folder: Path, log: ep.DriveLog, pose: bool = True) -> Path:
+    """Write an MCAP file of joint states, a battery, an inertial unit and an odometry."""
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kinds = {
+        "/rover/joints": "sensor_msgs/msg/JointState", "/rover/battery":
+        "sensor_msgs/msg/BatteryState", "/rover/imu": "sensor_msgs/msg/Imu",
+    }  # fmt: skip
+    kinds |= {"/slam/odom": "nav_msgs/msg/Odometry"} if pose else {}
+    make = store.types
+    Time, Header = make["builtin_interfaces/msg/Time"], make["std_msgs/msg/Header"]
+    V3, Q = make["geometry_msgs/msg/Vector3"], make["geometry_msgs/msg/Quaternion"]
+    zero9, zero36 = np.zeros(9), np.zeros(36)
+    with rosbag2.Writer(folder / "bag", version=8,
+                        storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:  # fmt: skip
+        topics = {name: writer.add_connection(name, kind, typestore=store)
+                  for name, kind in kinds.items()}  # fmt: skip
+        for k, t in enumerate(log.t):
+            ns = 1_700_000_000_000_000_000 + round(1e9 * float(t))
+            header = Header(Time(ns // 10**9, ns % 10**9), "base")
+            at = {name: float(values[k]) for name, values in log.channels.items()}
+            half = at["yaw"] / 2
+            turn = Q(0.0, 0.0, np.sin(half), np.cos(half))
+            wheels = np.array([at["v_left"], at["v_right"]] * 2) / RADIUS
+            battery = {
+                name: np.float32(0) for name in
+                ("temperature", "charge", "capacity", "design_capacity", "percentage")
+            }  # fmt: skip
+            messages = {
+                "/rover/joints": make[kinds["/rover/joints"]](
+                    header, ["front_left", "front_right", "rear_left", "rear_right"], np.zeros(4),
+                    wheels, np.zeros(4)),
+                "/rover/battery": make[kinds["/rover/battery"]](
+                    header=header, voltage=25.0, current=-float(log.power[k]) / 25.0, **battery,
+                    power_supply_status=0, power_supply_health=0, power_supply_technology=0,
+                    present=True, cell_voltage=np.zeros(0, np.float32),
+                    cell_temperature=np.zeros(0, np.float32), location="", serial_number=""),
+                "/rover/imu": make[kinds["/rover/imu"]](
+                    header, turn, zero9, V3(0.0, 0.0, at["yaw_rate"]), zero9, V3(0.0, 0.0, 9.8),
+                    zero9),
+            }  # fmt: skip
+            if pose:
+                Point, Pose = make["geometry_msgs/msg/Point"], make["geometry_msgs/msg/Pose"]
+                place = make["geometry_msgs/msg/PoseWithCovariance"](
+                    Pose(Point(at["x"], at["y"], 0.0), turn), zero36)  # fmt: skip
+                still = make["geometry_msgs/msg/TwistWithCovariance"](
+                    make["geometry_msgs/msg/Twist"](V3(0.0, 0.0, 0.0), V3(0.0, 0.0, 0.0)), zero36
+                )
+                messages["/slam/odom"] = make[kinds["/slam/odom"]](header, "base", place, still)
+            for name, message in messages.items():
+                writer.write(topics[name], ns, store.serialize_cdr(message, kinds[name]))
+    return folder / "bag"
+
+
+@pytest.mark.parametrize("pose", [True, False])
+def test_the_topics_of_a_bag_are_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], pose: bool
+) -> None:
+    log = drive()
+    file, out = bag(tmp_path, log, pose), tmp_path / "p.yaml"
+    radius = () if pose else ("--wheel-radius", RADIUS)
+    code, text, error = run(capsys, "start", file, *MEASURES, *radius, "--out", out, "--json")
+    assert code == 0, error
+    assert all(check["ok"] for check in json.loads(text)["checks"])
+    code, text, error = run(capsys, "identify", file, "--project", out, "--json")
+    assert code == 0, error
+    terms = {term["name"]: term["value"] for term in json.loads(text)["terms"]}
+    assert terms["traction_resistance"] == pytest.approx(22.0, rel=0.05)
+    assert terms["slip_friction"] == pytest.approx(0.6, rel=0.05)
+    if not pose:
+        code, _, error = run(capsys, "start", file, *MEASURES, "--out", out)
+        assert code == 2
+        assert "--wheel-radius" in error
+
+
+@pytest.mark.parametrize("name", MODEL_PRESETS)
+def test_presets_are_models_with_a_source(name: str) -> None:
+    model = ep.PowerModel.preset(name)
+    assert model.name == name
+    assert len(MODEL_PRESETS[name].source) > 20
+    if not name.startswith("quadriga"):
+        assert model.covariance is not None
+        assert 0 < model.std_error("traction_resistance") < model.coefficient("traction_resistance")
+    per_weight = 2 * model.coefficient("traction_resistance") / (9.81 * model.vehicle.mass)
+    assert 0.02 < per_weight < 0.5
+
+
+def test_every_answer_from_a_preset_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from energyplan.io.bundled import bundled
+
+    monkeypatch.chdir(tmp_path)
+    options = ("--map", bundled("office.yaml"), "--start", "1.2,2,90deg", "--goal", "3.9,2,90deg",
+               "--time-limit", 0.2)  # fmt: skip
+    code, text, error = run(capsys, "plan", *options, "--model", "jackal:flooring", "--json")
+    assert code == 0, error
+    (told,) = json.loads(text)["preset"]
+    assert (told["name"], told["measured"]) == ("jackal:flooring", False)
+    assert "not measured on this robot" in error
+    ep.write_model(ep.PowerModel.preset("jackal:flooring"), tmp_path / "own.yaml")
+    code, text, error = run(capsys, "plan", *options, "--model", "own.yaml", "--json")
+    assert code == 0
+    assert "preset" in json.loads(text)  # a copy of one that bears its name
+
+
+def test_a_preset_that_a_mission_names_is_told(tmp_path: Path) -> None:
+    from energyplan.cli.common import presets_named
+
+    mission = tmp_path / "round.yaml"
+    mission.write_text("model: husky_a200:ice\nmap: office.yaml\n")
+    assert list(presets_named([mission])) == ["husky_a200:ice"]
+
+
+@pytest.mark.shared
+def test_hoisted_drives_tell_the_friction_inside(
+    shared_data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs = sorted((shared_data / "drive").glob("husky_hoisted_*.csv"))
+    command = ("identify", *logs, "--vehicle", "husky_a200", "--hoisted", "--json")
+    code, text, error = run(capsys, *command, "--motor-constant", 21.4)
+    assert code == 0, error
+    sides = {side["side"]: side for side in json.loads(text)["sides"]}
+    # 21.4 N/A times the mean current beyond the dead band: 0.6 to 1.0 A left, 1.2 to 2.1 A right
+    assert 12.0 < sides["left"]["force"] < 22.0
+    assert 25.0 < sides["right"]["force"] < 45.0
+    assert sides["left"]["slope"] > 3 * sides["left"]["slope_error"]
+    assert len(sides["left"]["classes"]) >= 8
+    code, text, _ = run(capsys, *command)
+    assert any("--motor-constant" in warning for warning in json.loads(text)["warnings"])
+
+
+def test_terms_are_chosen_and_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = write_log(drive(), tmp_path / "own.csv")
+    command = ("identify", file, "--vehicle", "quadriga", "--json")
+    code, text, _ = run(capsys, *command, "--terms", "slip_friction,traction_resistance,hotel_load")
+    assert code == 0
+    names = [term["name"] for term in json.loads(text)["terms"]]
+    assert names == ["slip_friction", "traction_resistance", "hotel_load"]
+    code, text, _ = run(capsys, *command, "--without", "slip_friction")
+    assert [term["name"] for term in json.loads(text)["terms"]] == ["traction_resistance"]
+    code, _, error = run(capsys, *command, "--without", "hotel_load")
+    assert code == 2
+    assert "slip_friction" in error
