@@ -258,8 +258,7 @@ def test_every_answer_from_a_preset_says_so(
     from energyplan.io.bundled import bundled
 
     monkeypatch.chdir(tmp_path)
-    options = ("--map", bundled("office.yaml"), "--start", "1.2,2,90deg", "--goal", "3.9,2,90deg",
-               "--time-limit", 0.2)  # fmt: skip
+    options = ("--map", bundled("office.yaml"), "--start", "1.2,2,90deg", "--goal", "3.9,2,90deg")
     code, text, error = run(capsys, "plan", *options, "--model", "jackal:flooring", "--json")
     assert code == 0, error
     (told,) = json.loads(text)["preset"]
