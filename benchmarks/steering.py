@@ -18,9 +18,9 @@ from ompl import base
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
-from energyplan.cost.direction_table import _turn_table
+from energyplan.cost.steering import polygon_steering
 from energyplan.power import HOTEL, PowerModel
-from energyplan.steering.kernels import steer_energies
+from energyplan.steering.polygon import polygon_energies
 
 SAMPLES = 100  # poses along a Reeds-Shepp path, from which its turning is added up
 
@@ -143,12 +143,9 @@ def accuracy(n: int) -> None:
         cost = EnergyCost.from_coefficients(per_metre=1.0, per_radian=c, icr=1.0)
         starts, goals = pairs(each, (0.05, 100.0), seed=int(100 * c))
         words = steering.energy(starts, goals, cost)
-        corners = cost.gauge.corners()
-        left, right = (_turn_table(v, 1.0, 1.0) for v in (corners.left, corners.right * [1, -1]))
-        head = cost.steering_parameters.copy()
-        head[0], head[8], head[9] = 1.0, left.shape[1], right.shape[1]
         dual = np.empty(each)
-        steer_energies(starts, goals, np.concatenate([head, left.ravel(), right.ravel()]), dual)
+        corners = polygon_steering(cost.gauge, cost.gauge.corners(), cost.icr)
+        polygon_energies(starts, goals, corners, dual)
         ratio = words / dual - 1
         worst, below = max(worst, ratio.max()), min(below, ratio.min())
         off += int(np.sum(np.abs(ratio) > 1e-6))

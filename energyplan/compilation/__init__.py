@@ -7,12 +7,10 @@ package can be compiled ahead, side by side (`compile_kernels`).
 
 from energyplan.compilation.ahead import Compiled, Preparation, compile_kernels, kernel_modules
 from energyplan.compilation.cache import FOLDER_VARIABLE, KernelCacheWarning, cache_folder
-from energyplan.compilation.kernel import READONLY, STRIDED, Compiling, inner, njit, on_compile
+from energyplan.compilation.kernel import Compiling, inner, njit, on_compile
 
 __all__ = [
     "FOLDER_VARIABLE",
-    "READONLY",
-    "STRIDED",
     "Compiled",
     "Compiling",
     "KernelCacheWarning",

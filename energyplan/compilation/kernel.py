@@ -13,13 +13,11 @@ from numba.core import config, sigutils
 from numba.core.registry import CPUDispatcher
 from numba.np import numpy_support
 
+from energyplan.compilation.arrays import READONLY, STRIDED
 from energyplan.compilation.cache import KernelCache
 
 P = ParamSpec("P")
 R = TypeVar("R")
-
-READONLY, STRIDED = "read-only", "strided"
-"""Marks of array annotations: cannot be written; need not be contiguous."""
 
 _SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
 
@@ -77,9 +75,8 @@ def njit(function: Callable[P, R]) -> Callable[P, R]:
     ----------
     function : callable
         A function of numbers, named tuples and arrays in Numba's subset of Python. Its arguments
-        are annotated: `float`, `int`, `bool`, a named tuple of such, or an array with its number
-        of dimensions, ``Annotated[NDArray[np.float64], 2]``, and the marks `READONLY` and `STRIDED`
-        where these hold.
+        are annotated: `float`, `int`, `bool`, a named tuple of such, or an array as in
+        `energyplan.compilation.arrays`.
 
     Returns
     -------

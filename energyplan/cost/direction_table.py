@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from energyplan.compilation import njit
+from energyplan.compilation.arrays import Floats, FloatTable
 from energyplan.path import FloatArray
-from energyplan.vehicle import TreadICR
 
 SNAP = 1e-9  # directions this close to a special one are taken as that one
 _EDGE = 1e-6  # an octant's limits towards its ends are extrapolated from here
@@ -25,12 +25,7 @@ _EDGE = 1e-6  # an octant's limits towards its ends are extrapolated from here
 
 @njit
 def element_energy(
-    x: FloatArray,
-    y: FloatArray,
-    ratio: FloatArray,
-    table: FloatArray,
-    special: FloatArray,
-    out: FloatArray,
+    x: Floats, y: Floats, ratio: Floats, table: FloatTable, special: Floats, out: Floats
 ) -> None:
     """Energy of path elements, by linear interpolation of a direction table.
 
@@ -182,37 +177,6 @@ class Corners:
     left: FloatArray
     right: FloatArray
     error: float
-
-
-def steering_parameters(table: DirectionTable, corners: Corners, icr: TreadICR) -> FloatArray:
-    """Return what the compiled kernels read; laid out in `energyplan.steering.kernels`."""
-    C, (lx, ly) = icr.half_track, icr.centre
-    ahead, behind, pivot = (float(table.special[k]) for k in (0, 1, 4))
-    head = np.zeros(16)
-    head[:8] = [0.0, C, lx, ly, ahead, pivot * C, ahead * C, behind * C]
-    if table.is_static:
-        return head
-    left = _turn_table(corners.left, C, ahead * C)
-    right = _turn_table(corners.right * [1.0, -1.0], C, ahead * C)
-    head[0], head[8], head[9] = 1.0, left.shape[1], right.shape[1]
-    return np.concatenate([head, left.ravel(), right.ravel()])
-
-
-def _turn_table(corners: FloatArray, half_track: float, straight: float) -> FloatArray:
-    """Rows ``m``, ``g``, and the slopes to the next corner, of one turning direction's corners."""
-    order = np.argsort(corners[:, 0] / corners[:, 1])
-    x, y = corners[order].T
-    m, g = x / y, half_track / y
-    slope = np.diff(g) / np.diff(m)
-    flat = np.flatnonzero(np.abs(slope) < 1e-7 * straight)
-    if len(flat):
-        # Along a flat edge every mixture costs the same and the dual says nothing about which to
-        # take. A corner in its middle, cheaper by a rounding error, makes up its mind.
-        k = int(flat[0]) + 1
-        m, g = np.insert(m, k, 0.5 * (m[k - 1] + m[k])), np.insert(g, k, g[k - 1 : k + 1].min())
-        g[k] *= 1.0 - 1e-8
-        slope = np.diff(g) / np.diff(m)
-    return np.vstack([m, g, np.append(slope, np.inf)])
 
 
 def octant_directions(ratio: FloatArray) -> tuple[FloatArray, FloatArray]:

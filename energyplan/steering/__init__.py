@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan.cost import EnergyCost
+from energyplan.cost.steering import StaticSteering
 from energyplan.errors import InvalidInputError
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energies, steer_path
+from energyplan.steering.polygon import polygon_energies, polygon_path
 
 
 def _poses(value: ArrayLike, name: str) -> FloatArray:
@@ -66,12 +68,13 @@ def energy(start: ArrayLike, goal: ArrayLike, cost: EnergyCost) -> FloatArray:
             f"start of shape {first.shape} and goal of shape {last.shape} do not broadcast"
         ) from None
     out = np.empty(first.shape[:-1])
-    steer_energies(
-        np.ascontiguousarray(first).reshape(-1, 3),
-        np.ascontiguousarray(last).reshape(-1, 3),
-        cost.steering_parameters,
-        out.reshape(-1),
-    )
+    starts = np.ascontiguousarray(first).reshape(-1, 3)
+    goals = np.ascontiguousarray(last).reshape(-1, 3)
+    read = cost.steering_parameters
+    if isinstance(read, StaticSteering):
+        steer_energies(starts, goals, read, out.reshape(-1))
+    else:
+        polygon_energies(starts, goals, read, out.reshape(-1))
     return out
 
 
@@ -112,13 +115,10 @@ def path(start: ArrayLike, goal: ArrayLike, cost: EnergyCost) -> Path:
             f"start has shape {first.shape} and goal {last.shape}; a path joins one pose to one"
         )
     ds, dtheta = np.empty(MAX_SEGMENTS), np.empty(MAX_SEGMENTS)
-    n = steer_path(
-        last[0] - first[0],
-        last[1] - first[1],
-        first[2],
-        last[2],
-        cost.steering_parameters,
-        ds,
-        dtheta,
-    )
+    between = last[0] - first[0], last[1] - first[1], first[2], last[2]
+    read = cost.steering_parameters
+    if isinstance(read, StaticSteering):
+        n = steer_path(*between, read, ds, dtheta)
+    else:
+        n = polygon_path(*between, read, ds, dtheta)
     return Path(Pose(*(float(v) for v in first)), ds[:n], dtheta[:n], cost.icr.longitudinal)

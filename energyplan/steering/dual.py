@@ -21,8 +21,8 @@ from __future__ import annotations
 
 import math
 
-from energyplan.compilation import njit
-from energyplan.path import FloatArray
+from energyplan.compilation import inner
+from energyplan.compilation.arrays import Floats, FloatTable
 
 TWO_PI = 2.0 * math.pi
 HALF_PI = 0.5 * math.pi
@@ -35,8 +35,8 @@ COARSE = 1e-3  # of the fraction of a ray; Newton's method refines it
 INSIDE, AT_LO, AT_HI = 0, -1, 1
 
 
-@njit
-def least(q: float, m: FloatArray, g: FloatArray) -> float:
+@inner
+def least(q: float, m: Floats, g: Floats) -> float:
     """``G(q)``: least of ``g - m q`` over the corners."""
     best = math.inf
     for k in range(len(m)):
@@ -44,15 +44,15 @@ def least(q: float, m: FloatArray, g: FloatArray) -> float:
     return best
 
 
-@njit
+@inner
 def _integral(
     rho: float,
     psi: float,
     a: float,
     b: float,
-    m: FloatArray,
-    g: FloatArray,
-    q: FloatArray,
+    m: Floats,
+    g: Floats,
+    q: Floats,
 ) -> tuple[float, float, float]:
     """Cost, and displacement along x and y, of the best corners for ``p = rho n(psi)``.
 
@@ -79,7 +79,7 @@ def _integral(
     return cost, fx, fy
 
 
-@njit
+@inner
 def dual_value(
     px: float,
     py: float,
@@ -88,8 +88,8 @@ def dual_value(
     lo: float,
     hi: float,
     eta: float,
-    left: FloatArray,
-    right: FloatArray,
+    left: FloatTable,
+    right: FloatTable,
 ) -> tuple[float, float, float]:
     """Dual function and its gradient, the displacement left to straight lines."""
     rho, psi = math.hypot(px, py), math.atan2(py, px)
@@ -104,7 +104,7 @@ def dual_value(
     return cost + px * rx + py * ry, rx, ry
 
 
-@njit
+@inner
 def _reach(ex: float, ey: float, lo: float, hi: float) -> tuple[float, int]:
     """Largest ``e.u`` over the headings visited, and where it is."""
     if (math.atan2(ey, ex) - lo) % TWO_PI <= hi - lo:
@@ -114,7 +114,7 @@ def _reach(ex: float, ey: float, lo: float, hi: float) -> tuple[float, int]:
     return (at_hi, AT_HI) if at_hi > at_lo else (at_lo, AT_LO)
 
 
-@njit
+@inner
 def _boundary(
     t: float, stretch: float, lo: float, hi: float, af: float, ab: float
 ) -> tuple[float, float, int, int]:
@@ -132,7 +132,7 @@ def _boundary(
     return scale * ex, scale * ey, 1, where
 
 
-@njit
+@inner
 def between(a: float, b: float, f_a: float, f_b: float) -> float:
     """Next point of a bracketed root search: regula falsi, or the middle where it cannot tell.
 
@@ -145,7 +145,7 @@ def between(a: float, b: float, f_a: float, f_b: float) -> float:
     return x if min(a, b) < x < max(a, b) else middle
 
 
-@njit
+@inner
 def _ray(
     px: float,
     py: float,
@@ -154,8 +154,8 @@ def _ray(
     lo: float,
     hi: float,
     eta: float,
-    left: FloatArray,
-    right: FloatArray,
+    left: FloatTable,
+    right: FloatTable,
     tolerance: float,
 ) -> float:
     """Fraction of p at which the dual function is greatest along the ray to p."""
@@ -173,9 +173,9 @@ def _ray(
     return 0.5 * (low + high)
 
 
-@njit
+@inner
 def _curvature(
-    rho: float, psi: float, a: float, b: float, m: FloatArray, q: FloatArray
+    rho: float, psi: float, a: float, b: float, m: Floats, q: Floats
 ) -> tuple[float, float, float]:
     """Second derivatives (xx, xy, yy) of minus the integral of G over the headings a to b."""
     xx, xy, yy = 0.0, 0.0, 0.0
@@ -195,7 +195,7 @@ def _curvature(
     return xx, xy, yy
 
 
-@njit
+@inner
 def _interior(
     px: float,
     py: float,
@@ -204,8 +204,8 @@ def _interior(
     lo: float,
     hi: float,
     eta: float,
-    left: FloatArray,
-    right: FloatArray,
+    left: FloatTable,
+    right: FloatTable,
 ) -> tuple[float, float, float, float]:
     """Return ``(energy, px, py, |r|)``: a maximum regardless of the constraints, by Newton."""
     value, rx, ry = dual_value(px, py, dx, dy, lo, hi, eta, left, right)
@@ -238,13 +238,13 @@ def _interior(
     return value, px, py, math.hypot(rx, ry)
 
 
-@njit
+@inner
 def _inside(px: float, py: float, lo: float, hi: float, af: float, ab: float) -> bool:
     """Tell whether p satisfies the constraints."""
     return _reach(px, py, lo, hi)[0] <= af and _reach(-px, -py, lo, hi)[0] <= ab
 
 
-@njit
+@inner
 def corner_dual(
     dx: float,
     dy: float,
@@ -254,8 +254,8 @@ def corner_dual(
     side: int,
     af: float,
     ab: float,
-    left: FloatArray,
-    right: FloatArray,
+    left: FloatTable,
+    right: FloatTable,
 ) -> tuple[float, float, float, float, float]:
     """Dual vector at which both ends' constraints are active: `side` at hi, ``-side`` at lo.
 
@@ -270,7 +270,7 @@ def corner_dual(
     return value, px, py, (rx * s1 - ry * c1) / det, (ry * c0 - rx * s0) / det
 
 
-@njit
+@inner
 def maximise(
     dx: float,
     dy: float,
@@ -279,8 +279,8 @@ def maximise(
     eta: float,
     af: float,
     ab: float,
-    left: FloatArray,
-    right: FloatArray,
+    left: FloatTable,
+    right: FloatTable,
     tolerance: float,
 ) -> tuple[float, float, float, float, float]:
     """Return ``(energy, px, py, at_lo, at_hi)`` of the schedule with extent [lo, hi].

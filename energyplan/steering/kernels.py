@@ -1,87 +1,99 @@
-"""Compiled minimum-energy steering for single pose pairs, called by `steering` and by planners.
+"""Compiled minimum-energy steering for costs that two numbers describe, in closed form.
 
 Contract
 --------
-``steer_energy(dx, dy, theta0, theta1, params) -> float``
+``steer_energy(dx, dy, theta0, theta1, cost) -> float``
     Least energy [J] from the pose ``(0, 0, theta0)`` to ``(dx, dy, theta1)`` of the body frame
-    (world axes; headings of any size, taken modulo full turns).
-``steer_path(dx, dy, theta0, theta1, params, ds, dtheta) -> int``
+    (world axes; headings of any size, taken modulo full turns), in one or two microseconds.
+``steer_path(dx, dy, theta0, theta1, cost, ds, dtheta) -> int``
     Writes the segments of a motion that attains it into ``ds`` and ``dtheta`` (arrays of length
     `MAX_SEGMENTS` or more), in the convention of `Path`: ``ds`` belongs to the reference point
     ``(longitudinal, 0)``. Returns how many segments there are.
-``steer_energies(starts, goals, params, out)``
+``steer_energies(starts, goals, cost, out)``
     The first one over rows of poses.
 
-``params`` is ``EnergyCost.steering_parameters``, a float array laid out as
-``[KIND, C, longitudinal, lateral, a, b, ...]``: half slip track, body coordinates of the point
-midway between the tread ICRs, joules per metre straight, joules per radian within the slip track.
-`KIND` 0 is the case that these two numbers describe completely; it is solved in closed form, in one
-or two microseconds. `KIND` 1 is a polygon of cost with more corners, solved by `_gauge` in
-about a hundred; its data are ``[6]``, ``[7]`` joules per half slip track forwards and backwards,
-``[8]``, ``[9]`` numbers of corners to the left and right, and from ``[16]`` on for each side the
-rows ``m``, ``g`` and slopes.
+Other costs are solved by `energyplan.steering.polygon`, with the same contract.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import njit
-from energyplan.path import FloatArray
+from energyplan.compilation import inner, njit
+from energyplan.compilation.arrays import Floats, FloatTable
+from energyplan.cost.steering import StaticSteering
+from energyplan.path import Pose
 from energyplan.steering import static_words as words
-from energyplan.steering.polygon import polygon_energy, polygon_path
-from energyplan.steering.static_words import best_word
+from energyplan.steering.arcs import arc_end
+from energyplan.steering.static_words import Word, best_word
 
 MAX_SEGMENTS = 256
-KIND, HALF_TRACK, LONGITUDINAL, LATERAL, PER_METRE, PER_RADIAN = range(6)
 MIN_RATIO = 1e-9  # beta / (a C); below it the excursion equation degenerates
 TWO_PI = 2.0 * math.pi
 HALF_PI = 0.5 * math.pi
 
 
-@njit
-def _middle_frame(
-    dx: float, dy: float, theta0: float, theta1: float, params: FloatArray
-) -> tuple[float, float, float]:
-    """Return ``(x, y, turn)``: displacement of the centre in the frame of the middle heading.
+class Between(NamedTuple):
+    """Two poses, seen from the middle of their headings.
 
-    The unit of length is half the slip track; ``turn`` in [0, 2 pi) is the turn to the left.
+    Attributes
+    ----------
+    x, y : float
+        Displacement of the point midway between the tread ICRs, in half slip tracks.
+    turn : float
+        Turn to the left [rad], in [0, 2 pi).
     """
-    lx, ly = params[LONGITUDINAL], params[LATERAL]
-    if lx != 0.0 or ly != 0.0:
+
+    x: float
+    y: float
+    turn: float
+
+
+@inner
+def between_poses(
+    dx: float,
+    dy: float,
+    theta0: float,
+    theta1: float,
+    half_track: float,
+    longitudinal: float,
+    lateral: float,
+) -> Between:
+    """Return two poses as they are seen from the middle of their headings."""
+    if longitudinal != 0.0 or lateral != 0.0:
         c0, s0, c1, s1 = math.cos(theta0), math.sin(theta0), math.cos(theta1), math.sin(theta1)
-        dx += lx * (c1 - c0) - ly * (s1 - s0)
-        dy += lx * (s1 - s0) + ly * (c1 - c0)
+        dx += longitudinal * (c1 - c0) - lateral * (s1 - s0)
+        dy += longitudinal * (s1 - s0) + lateral * (c1 - c0)
     turn = (theta1 - theta0) % TWO_PI
     if turn > TWO_PI - 1e-12:
         turn = 0.0
     middle = theta0 + 0.5 * turn
     c, s = math.cos(middle), math.sin(middle)
-    C = params[HALF_TRACK]
-    return (c * dx + s * dy) / C, (c * dy - s * dx) / C, turn
+    return Between((c * dx + s * dy) / half_track, (c * dy - s * dx) / half_track, turn)
 
 
 @njit
-def steer_energy(dx: float, dy: float, theta0: float, theta1: float, params: FloatArray) -> float:
+def steer_energy(dx: float, dy: float, theta0: float, theta1: float, cost: StaticSteering) -> float:
     """Least energy between two poses [J]; see the module's contract."""
-    x, y, turn = _middle_frame(dx, dy, theta0, theta1, params)
-    scale = params[PER_METRE] * params[HALF_TRACK]
-    c = max(params[PER_RADIAN] / scale - 1.0, MIN_RATIO)
+    x, y, turn = between_poses(
+        dx, dy, theta0, theta1, cost.half_track, cost.longitudinal, cost.lateral
+    )
+    scale = cost.per_metre * cost.half_track
+    c = max(cost.per_radian / scale - 1.0, MIN_RATIO)
     eta = 0.5 * turn
-    if params[KIND] != 0.0:
-        return polygon_energy(x, y, eta, params)
     if eta > HALF_PI:
         eta = math.pi - eta  # the shorter way round first: it prunes the longer one
     short = best_word(x, y, eta, c, math.inf)
-    far = best_word(x, y, math.pi - eta, c, short[0])
-    return float(scale * far[0])
+    far = best_word(x, y, math.pi - eta, c, short.cost)
+    return scale * far.cost
 
 
 @njit
 def steer_energies(
-    starts: FloatArray, goals: FloatArray, params: FloatArray, out: FloatArray
+    starts: FloatTable, goals: FloatTable, cost: StaticSteering, out: Floats
 ) -> None:
     """Fill `out` with the least energies between rows of poses, shapes (n, 3), (n, 3), (n,)."""
     for i in range(len(out)):
@@ -90,19 +102,26 @@ def steer_energies(
             goals[i, 1] - starts[i, 1],
             starts[i, 2],
             goals[i, 2],
-            params,
+            cost,
         )
 
 
-@njit
-def _free_switches(x: float, y: float, eta: float) -> tuple[float, float, float]:
-    """Return ``(sign, z1, z2)``: pivots that reach ``(x, y)`` within the sweep.
+class Switches(NamedTuple):
+    """Pivots of `sign` (1 forwards) below the heading `z1` and above `z2`, else of the other."""
 
-    The pivots have `sign` (1 forwards) below the heading ``z1`` and above ``z2`` and the other
-    one between. As ``sign * d = U(eta) - U(-eta) - 2 (U(z2) - U(z1))``, a chord of the unit circle
+    sign: float
+    z1: float
+    z2: float
+
+
+@inner
+def _free_switches(x: float, y: float, eta: float) -> Switches:
+    """Return the pivots that reach ``(x, y)`` within the sweep.
+
+    As ``sign * d = U(eta) - U(-eta) - 2 (U(z2) - U(z1))``, a chord of the unit circle
     gives both switches.
     """
-    best, choice = math.inf, (1.0, 0.0, 0.0)
+    best, choice = math.inf, Switches(1.0, 0.0, 0.0)
     for j in range(4):
         sign = 1.0 if j % 2 == 0 else -1.0
         cx, cy = 2.0 * math.sin(eta) - sign * x, -sign * y
@@ -113,19 +132,19 @@ def _free_switches(x: float, y: float, eta: float) -> tuple[float, float, float]
         excess = max(abs(middle) + half - eta, 0.0)
         if excess < best:
             best = excess
-            choice = (sign, max(middle - half, -eta), min(middle + half, eta))
+            choice = Switches(sign, max(middle - half, -eta), min(middle + half, eta))
     return choice
 
 
-@njit
+@inner
 def _sweep(
     start: float,
     stop: float,
     z1: float,
     z2: float,
     sign: float,
-    ds: FloatArray,
-    dtheta: FloatArray,
+    ds: Floats,
+    dtheta: Floats,
     n: int,
 ) -> int:
     """Append the pivots of a sweep of headings; they change direction at ``z1`` and ``z2``."""
@@ -146,8 +165,8 @@ def _sweep(
     return n
 
 
-@njit
-def _straight(length: float, ds: FloatArray, dtheta: FloatArray, n: int) -> int:
+@inner
+def _straight(length: float, ds: Floats, dtheta: Floats, n: int) -> int:
     """Append a straight line unless its length is zero."""
     if length == 0.0:
         return n
@@ -155,21 +174,22 @@ def _straight(length: float, ds: FloatArray, dtheta: FloatArray, n: int) -> int:
     return n + 1
 
 
-@njit
+@inner
 def _word_path(
-    word: tuple[float, int, float, float, float, float, float],
+    word: Word,
     x: float,
     y: float,
     eta: float,
-    ds: FloatArray,
-    dtheta: FloatArray,
+    ds: Floats,
+    dtheta: Floats,
 ) -> int:
     """Write the segments of a word, in its units, for a sweep to the left."""
-    _, code, sx, sy, q1, q2, q3 = word
+    code, sx, sy, q1, q2, q3 = word.code, word.sx, word.sy, word.q1, word.q2, word.q3
     lo, hi, z1, z2, sign = -eta, eta, 9.0, 9.0, 1.0  # pivots go by `sign` below z1 and above z2
     at_lo, at_hi, psi, inner = 0.0, 0.0, 0.0, 0.0
     if code == words.FREE:
-        sign, z1, z2 = _free_switches(x, y, eta)
+        switches = _free_switches(x, y, eta)
+        sign, z1, z2 = switches.sign, switches.z1, switches.z2
     elif code == words.N_STRAIGHT:
         psi, inner = q1, q2
     elif code == words.N_INNER:
@@ -214,60 +234,50 @@ def steer_path(
     dy: float,
     theta0: float,
     theta1: float,
-    params: FloatArray,
-    ds: FloatArray,
-    dtheta: FloatArray,
+    cost: StaticSteering,
+    ds: Floats,
+    dtheta: Floats,
 ) -> int:
     """Write the segments of a motion of least energy; see the module's contract."""
-    x, y, turn = _middle_frame(dx, dy, theta0, theta1, params)
-    C = params[HALF_TRACK]
-    c = max(params[PER_RADIAN] / (params[PER_METRE] * C) - 1.0, MIN_RATIO)
+    C = cost.half_track
+    x, y, turn = between_poses(dx, dy, theta0, theta1, C, cost.longitudinal, cost.lateral)
+    c = max(cost.per_radian / (cost.per_metre * C) - 1.0, MIN_RATIO)
     eta = 0.5 * turn
-    if params[KIND] != 0.0:
-        n = polygon_path(x, y, eta, params, ds, dtheta)
-        for i in range(n):
-            ds[i] = C * ds[i] + params[LATERAL] * dtheta[i]
-        return n
     left = best_word(x, y, eta, c, math.inf)
     # A turn to the right is one to the left, seen in a mirror from the opposite middle heading.
-    right = best_word(-x, y, math.pi - eta, c, left[0])
-    if right[1] >= 0:
+    right = best_word(-x, y, math.pi - eta, c, left.cost)
+    side = -1.0 if right.code >= 0 else 1.0
+    if right.code >= 0:
         n = _word_path(right, -x, y, math.pi - eta, ds, dtheta)
     else:
         n = _word_path(left, x, y, eta, ds, dtheta)
-    side = -1.0 if right[1] >= 0 else 1.0
     for i in range(n):
         dtheta[i] *= side
-        ds[i] = C * ds[i] + params[LATERAL] * dtheta[i]
+        ds[i] = C * ds[i] + cost.lateral * dtheta[i]
     return n
 
 
 @njit
 def steer_paths_end(
-    starts: FloatArray, goals: FloatArray, params: FloatArray, out: FloatArray
+    starts: FloatTable, goals: FloatTable, cost: StaticSteering, out: FloatTable
 ) -> None:
     """Fill `out` (n, 3) with each path's miss of the goal in x, y [m] and yaw [rad]."""
     ds, dtheta = np.empty(MAX_SEGMENTS), np.empty(MAX_SEGMENTS)
-    lx = params[LONGITUDINAL]
+    lx = cost.longitudinal
     for i in range(len(out)):
         yaw = starts[i, 2]
-        x = starts[i, 0] + lx * math.cos(yaw)
-        y = starts[i, 1] + lx * math.sin(yaw)
+        here = Pose(starts[i, 0] + lx * math.cos(yaw), starts[i, 1] + lx * math.sin(yaw), yaw)
         n = steer_path(
             goals[i, 0] - starts[i, 0],
             goals[i, 1] - starts[i, 1],
             yaw,
             goals[i, 2],
-            params,
+            cost,
             ds,
             dtheta,
         )
         for k in range(n):
-            half = 0.5 * dtheta[k]
-            chord = ds[k] * (math.sin(half) / half if half != 0.0 else 1.0)
-            x += chord * math.cos(yaw + half)
-            y += chord * math.sin(yaw + half)
-            yaw += dtheta[k]
-        out[i, 0] = x - lx * math.cos(yaw) - goals[i, 0]
-        out[i, 1] = y - lx * math.sin(yaw) - goals[i, 1]
-        out[i, 2] = (yaw - goals[i, 2] + math.pi) % TWO_PI - math.pi
+            here = arc_end(here, ds[k], dtheta[k])
+        out[i, 0] = here.x - lx * math.cos(here.yaw) - goals[i, 0]
+        out[i, 1] = here.y - lx * math.sin(here.yaw) - goals[i, 1]
+        out[i, 2] = (here.yaw - goals[i, 2] + math.pi) % TWO_PI - math.pi

@@ -1,44 +1,60 @@
 """Energy and path for costs with many corners: both turning directions, and the motion itself.
 
-Units: half the slip track and joules, in the frame of the middle heading (`_gauge`).
+The contract is that of `energyplan.steering.kernels`; it takes about a hundred microseconds. Units
+here: half the slip track and joules, in the frame of the middle heading.
 """
 
 from __future__ import annotations
 
 import math
 
-from energyplan.compilation import njit
-from energyplan.path import FloatArray
+from energyplan.compilation import inner, njit
+from energyplan.compilation.arrays import Floats, FloatTable
+from energyplan.cost.steering import PolygonSteering
+from energyplan.path import Pose
+from energyplan.steering.arcs import arc_end
 from energyplan.steering.dual import EXACT, NARROW, maximise
+from energyplan.steering.kernels import between_poses
 from energyplan.steering.sweep_extent import best_extent
 
 TWO_PI = 2.0 * math.pi
 HALF_PI = 0.5 * math.pi
-AHEAD, BEHIND, N_LEFT, N_RIGHT, DATA = 6, 7, 8, 9, 16
+SAME = 1e-12  # headings that differ by less are one [rad]
 CLOSED = 1e-11  # straight pieces below this length would only make up for rounding
 
 
 @njit
-def _tables(params: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rows m, g, slope of the corners to the left and to the right."""
-    n, k = int(params[N_LEFT]), int(params[N_RIGHT])
-    middle = DATA + 3 * n
-    return params[DATA:middle].reshape(3, n), params[middle : middle + 3 * k].reshape(3, k)
-
-
-@njit
-def polygon_energy(x: float, y: float, eta: float, params: FloatArray) -> float:
-    """Least energy [J] for the displacement (x, y); see `_kernels`."""
-    left, right = _tables(params)
-    af, ab = params[AHEAD], params[BEHIND]
-    best = best_extent(x, y, eta, af, ab, left, right, math.inf)[0]
+def polygon_energy(
+    dx: float, dy: float, theta0: float, theta1: float, cost: PolygonSteering
+) -> float:
+    """Least energy between two poses [J]."""
+    x, y, turn = between_poses(
+        dx, dy, theta0, theta1, cost.half_track, cost.longitudinal, cost.lateral
+    )
+    eta, af, ab = 0.5 * turn, cost.ahead, cost.behind
+    best = best_extent(x, y, eta, af, ab, cost.left, cost.right, math.inf)[0]
     # In a mirror, seen from the opposite middle heading, a turn to the right is one to the left.
-    other = best_extent(-x, y, math.pi - eta, af, ab, right, left, best)[0]
-    return float(min(best, other))
+    other = best_extent(-x, y, math.pi - eta, af, ab, cost.right, cost.left, best)[0]
+    return min(best, other)
 
 
 @njit
-def _corner_at(q: float, table: FloatArray) -> int:
+def polygon_energies(
+    starts: FloatTable, goals: FloatTable, cost: PolygonSteering, out: Floats
+) -> None:
+    """Fill `out` with the least energies between rows of poses, shapes (n, 3), (n, 3), (n,)."""
+    for i in range(len(out)):
+        out[i] = polygon_energy(
+            goals[i, 0] - starts[i, 0],
+            goals[i, 1] - starts[i, 1],
+            starts[i, 2],
+            goals[i, 2],
+            cost,
+        )
+
+
+@inner
+def _corner_at(q: float, table: FloatTable) -> int:
     """Index of the cheapest corner where ``p.u = q``."""
     best, index = math.inf, 0
     for k in range(table.shape[1]):
@@ -48,23 +64,12 @@ def _corner_at(q: float, table: FloatArray) -> int:
     return index
 
 
-@njit
-def _sweep(
-    start: float,
-    stop: float,
-    px: float,
-    py: float,
-    table: FloatArray,
-    ds: FloatArray,
-    dtheta: FloatArray,
-    n: int,
-) -> int:
-    """Append the turns from heading `start` to `stop`, each at its cheapest corner."""
-    if start == stop:
-        return n
+@inner
+def _next_edge(heading: float, stop: float, px: float, py: float, table: FloatTable) -> float:
+    """Return where, from a heading towards `stop`, another corner becomes the cheapest."""
     rho, psi = math.hypot(px, py), math.atan2(py, px)
-    a, b = min(start, stop), max(start, stop)
-    edges = [a, b]
+    side = 1.0 if stop > heading else -1.0
+    nearest = abs(stop - heading)
     for k in range(table.shape[1] - 1):
         ratio = table[2, k] / rho if rho > 0.0 else math.inf
         if not -1.0 < ratio < 1.0:
@@ -72,39 +77,46 @@ def _sweep(
         half = math.acos(ratio)
         for way in range(2):
             edge = psi - half if way == 0 else psi + half
-            edge += TWO_PI * math.ceil((a - edge) / TWO_PI)
-            while edge < b:
-                edges.append(edge)
-                edge += TWO_PI
-    edges.sort()
-    count = len(edges) - 1
-    for i in range(count):
-        j = i if stop > start else count - 1 - i
-        turn = edges[j + 1] - edges[j]
-        if turn <= 0.0:
-            continue
-        middle = 0.5 * (edges[j] + edges[j + 1])
+            ahead = (side * (edge - heading)) % TWO_PI
+            if SAME < ahead < nearest:
+                nearest = ahead
+    return heading + side * nearest if nearest < abs(stop - heading) else stop
+
+
+@inner
+def _sweep(
+    start: float,
+    stop: float,
+    px: float,
+    py: float,
+    table: FloatTable,
+    ds: Floats,
+    dtheta: Floats,
+    n: int,
+) -> int:
+    """Append the turns from heading `start` to `stop`, each at its cheapest corner."""
+    here = start
+    while here != stop:
+        edge = _next_edge(here, stop, px, py, table)
+        middle = 0.5 * (here + edge)
         corner = _corner_at(px * math.cos(middle) + py * math.sin(middle), table)
-        ds[n] = table[0, corner] * turn
-        dtheta[n] = turn if stop > start else -turn
+        ds[n] = table[0, corner] * abs(edge - here)
+        dtheta[n] = edge - here
         n += 1
+        here = edge
     return n
 
 
-@njit
-def _travel(eta: float, ds: FloatArray, dtheta: FloatArray, n: int) -> tuple[float, float]:
-    """Displacement of the first n segments from the heading -eta."""
-    heading, x, y = -eta, 0.0, 0.0
+@inner
+def _travel(eta: float, ds: Floats, dtheta: Floats, n: int) -> Pose:
+    """Where the first n segments lead from the heading -eta."""
+    here = Pose(0.0, 0.0, -eta)
     for i in range(n):
-        half = 0.5 * dtheta[i]
-        chord = ds[i] * (math.sin(half) / half if half != 0.0 else 1.0)
-        x += chord * math.cos(heading + half)
-        y += chord * math.sin(heading + half)
-        heading += dtheta[i]
-    return x, y
+        here = arc_end(here, ds[i], dtheta[i])
+    return here
 
 
-@njit
+@inner
 def _schedule_path(
     x: float,
     y: float,
@@ -113,10 +125,10 @@ def _schedule_path(
     hi: float,
     af: float,
     ab: float,
-    left: FloatArray,
-    right: FloatArray,
-    ds: FloatArray,
-    dtheta: FloatArray,
+    left: FloatTable,
+    right: FloatTable,
+    ds: Floats,
+    dtheta: Floats,
 ) -> int:
     """Write the segments of the best motion with the headings [lo, hi], sweeping to the left."""
     half = max(eta, 0.5 * NARROW)
@@ -124,8 +136,8 @@ def _schedule_path(
     n = _sweep(-eta, lo, px, py, right, ds, dtheta, 0)
     n = _sweep(lo, hi, px, py, left, ds, dtheta, n)
     n = _sweep(hi, eta, px, py, right, ds, dtheta, n)
-    fx, fy = _travel(eta, ds, dtheta, n)
-    rx, ry = x - fx, y - fy
+    here = _travel(eta, ds, dtheta, n)
+    rx, ry = x - here.x, y - here.y
     # Straight lines cover the rest at two headings: where the dual says, and where rounding is
     # made up for.
     first, second = lo, hi
@@ -162,18 +174,27 @@ def _schedule_path(
 
 @njit
 def polygon_path(
-    x: float, y: float, eta: float, params: FloatArray, ds: FloatArray, dtheta: FloatArray
+    dx: float,
+    dy: float,
+    theta0: float,
+    theta1: float,
+    cost: PolygonSteering,
+    ds: Floats,
+    dtheta: Floats,
 ) -> int:
-    """Write the segments of a motion of least energy; see `_kernels`."""
-    left, right = _tables(params)
-    af, ab = params[AHEAD], params[BEHIND]
+    """Write the segments of a motion of least energy, and return how many there are."""
+    C = cost.half_track
+    x, y, turn = between_poses(dx, dy, theta0, theta1, C, cost.longitudinal, cost.lateral)
+    eta, af, ab, left, right = 0.5 * turn, cost.ahead, cost.behind, cost.left, cost.right
     best = best_extent(x, y, eta, af, ab, left, right, math.inf)
     other = best_extent(-x, y, math.pi - eta, af, ab, right, left, best[0])
+    side = 1.0
     if other[0] < best[0]:
-        n = _schedule_path(
-            -x, y, math.pi - eta, other[1], other[2], af, ab, right, left, ds, dtheta
-        )
-        for i in range(n):
-            dtheta[i] = -dtheta[i]
-        return n
-    return _schedule_path(x, y, eta, best[1], best[2], af, ab, left, right, ds, dtheta)
+        side = -1.0
+        best = other
+        x, eta, left, right = -x, math.pi - eta, right, left
+    n = _schedule_path(x, y, eta, best[1], best[2], af, ab, left, right, ds, dtheta)
+    for i in range(n):
+        dtheta[i] *= side
+        ds[i] = C * ds[i] + cost.lateral * dtheta[i]
+    return n

@@ -18,8 +18,9 @@ one of them attains it is what docs/steering.md derives.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
-from energyplan.compilation import njit
+from energyplan.compilation import inner
 
 TINY = 1e-12  # slack of conditions on headings; what it gives away is a rounding error
 HALF_PI = 0.5 * math.pi
@@ -40,7 +41,31 @@ B_ZERO = 11
 B_ZERO_OUT = 12
 
 
-@njit
+class Word(NamedTuple):
+    """A word that reaches the displacement.
+
+    Attributes
+    ----------
+    cost : float
+        Its cost.
+    code : int
+        Which word it is; -1 for none.
+    sx, sy : float
+        Signs by which the displacement was flipped before the word was fitted.
+    q1, q2, q3 : float
+        The word's numbers: headings and lengths.
+    """
+
+    cost: float
+    code: int
+    sx: float
+    sy: float
+    q1: float
+    q2: float
+    q3: float
+
+
+@inner
 def _cubic(c: float, k: float, N: float) -> float:
     """Root ``w >= 1`` of the excursion equation ``c^2 w^3 + k c w^2 + B w - k (1 + c) = 0``.
 
@@ -59,7 +84,7 @@ def _cubic(c: float, k: float, N: float) -> float:
     return max(w, 1.0)
 
 
-@njit
+@inner
 def free(x: float, y: float, eta: float) -> bool:
     """Tell whether pivots within the sweep reach ``(x, y)`` without any straight driving."""
     ax, ay = abs(x), abs(y)
@@ -73,11 +98,9 @@ def free(x: float, y: float, eta: float) -> bool:
     return (ax + k) ** 2 + ay * ay <= 16.0
 
 
-@njit
-def best_word(
-    x: float, y: float, eta: float, c: float, bound: float
-) -> tuple[float, int, float, float, float, float, float]:
-    """Return the cheapest word for one sweep as ``(cost, code, sx, sy, q1, q2, q3)``.
+@inner
+def best_word(x: float, y: float, eta: float, c: float, bound: float) -> Word:
+    """Return the cheapest word for one sweep.
 
     Parameters
     ----------
@@ -92,16 +115,15 @@ def best_word(
 
     Returns
     -------
-    tuple
-        Code -1 where no word costs less than `bound`. ``(sx, sy)`` are the signs by which the
-        displacement was flipped before the word was fitted, ``q1`` to ``q3`` the word's numbers.
+    Word
+        Its code is -1 where no word costs less than `bound`.
     """
     base = 2.0 * (1.0 + c) * eta
     best, code, bx, by, q1, q2, q3 = bound, -1, 1.0, 1.0, 0.0, 0.0, 0.0
     if base >= best:
-        return best, code, bx, by, q1, q2, q3
+        return Word(best, code, bx, by, q1, q2, q3)
     if free(x, y, eta):
-        return base, FREE, bx, by, q1, q2, q3
+        return Word(base, FREE, bx, by, q1, q2, q3)
     turn = 1.0 + c
     k, g = math.cos(eta), math.sin(eta)
     for flip in range(4):
@@ -234,4 +256,4 @@ def best_word(
             z = math.atan2(-ox, oy)
             if z >= eta - TINY and tau >= eta + z - TINY:
                 best, code, bx, by, q1, q2, q3 = cost, B_ZERO_OUT, sx, sy, z + tau, L, z
-    return best, code, bx, by, q1, q2, q3
+    return Word(best, code, bx, by, q1, q2, q3)

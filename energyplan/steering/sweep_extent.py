@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 
-from energyplan.compilation import njit
-from energyplan.path import FloatArray
+from energyplan.compilation import inner
+from energyplan.compilation.arrays import FloatTable
 from energyplan.steering.dual import (
     EXACT,
     NARROW,
@@ -24,15 +24,15 @@ from energyplan.steering.dual import (
 )
 
 
-@njit
+@inner
 def _pays(
     px: float,
     py: float,
     end: float,
     outward: float,
     length: float,
-    left: FloatArray,
-    right: FloatArray,
+    left: FloatTable,
+    right: FloatTable,
 ) -> float:
     """Logarithm of what a further excursion saves over what it costs, within +-60.
 
@@ -50,7 +50,7 @@ def _pays(
     return min(max(math.log(gain / cost), -60.0), 60.0)
 
 
-@njit
+@inner
 def _extend(
     dx: float,
     dy: float,
@@ -59,8 +59,8 @@ def _extend(
     eta: float,
     af: float,
     ab: float,
-    left: FloatArray,
-    right: FloatArray,
+    left: FloatTable,
+    right: FloatTable,
     upper: bool,
 ) -> tuple[float, float]:
     """Best extent ``(lo, hi)`` when only its upper end, or only its lower one, moves outwards."""
@@ -82,7 +82,7 @@ def _extend(
     return (lo, end) if upper else (end, hi)
 
 
-@njit
+@inner
 def _both(
     dx: float,
     dy: float,
@@ -92,8 +92,8 @@ def _both(
     side: int,
     af: float,
     ab: float,
-    left: FloatArray,
-    right: FloatArray,
+    left: FloatTable,
+    right: FloatTable,
 ) -> tuple[float, float, bool]:
     """Best extent ``(lo, hi, found)`` beyond both ends, by Newton's method.
 
@@ -119,7 +119,7 @@ def _both(
     return lo, hi, False
 
 
-@njit
+@inner
 def _gains(
     dx: float,
     dy: float,
@@ -129,8 +129,8 @@ def _gains(
     side: int,
     af: float,
     ab: float,
-    left: FloatArray,
-    right: FloatArray,
+    left: FloatTable,
+    right: FloatTable,
 ) -> tuple[float, float]:
     """Return by how much both excursions pay, given the logarithms of their sizes."""
     lo, hi = -eta - math.exp(min(a, 1.0)), eta + math.exp(min(b, 1.0))
@@ -141,15 +141,15 @@ def _gains(
     )
 
 
-@njit
+@inner
 def best_extent(
     dx: float,
     dy: float,
     eta: float,
     af: float,
     ab: float,
-    left: FloatArray,
-    right: FloatArray,
+    left: FloatTable,
+    right: FloatTable,
     bound: float,
 ) -> tuple[float, float, float]:
     """Return ``(energy, lo, hi)`` of the best schedule that sweeps to the left.

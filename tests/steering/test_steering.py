@@ -13,13 +13,14 @@ from steering_optimum import Corners, optimum
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
-from energyplan.cost.direction_table import _turn_table
+from energyplan.cost.steering import polygon_steering
 from energyplan.errors import InvalidInputError
 from energyplan.motion import Motion
 from energyplan.path import Path, Pose
 from energyplan.power import HOTEL, PowerModel, Sides, Term, tread_forces
 from energyplan.power.effects import VISCOUS_LOSS
-from energyplan.steering.kernels import steer_energies, steer_energy, steer_paths_end
+from energyplan.steering.kernels import steer_energy, steer_paths_end
+from energyplan.steering.polygon import polygon_energies
 from energyplan.vehicle import MotorLimits, TreadICR
 
 FULL = PowerModel.preset("quadriga:full:marble")
@@ -146,12 +147,9 @@ def test_closed_form_agrees_with_the_dual_search(c: float) -> None:
     cost = unit_cost(c)
     starts, goals = random_pairs(2500, seed=int(10 * c), reach=(0.05, 100.0))
     words = steering.energy(starts, goals, cost)
-    corners = cost.gauge.corners()
-    left, right = (_turn_table(v, 1.0, 1.0) for v in (corners.left, corners.right * [1, -1]))
-    head = cost.steering_parameters.copy()
-    head[0], head[8], head[9] = 1.0, left.shape[1], right.shape[1]
     dual = np.empty(len(starts))
-    steer_energies(starts, goals, np.concatenate([head, left.ravel(), right.ravel()]), dual)
+    corners = polygon_steering(cost.gauge, cost.gauge.corners(), cost.icr)
+    polygon_energies(starts, goals, corners, dual)
     ratio = words / dual
     assert ratio.min() > 1 - 1e-3
     assert ratio.max() < 1 + 1e-7
