@@ -6,30 +6,37 @@ too far. Here the area counts, so that a disc of that radius is certainly free.
 
 from __future__ import annotations
 
+from math import inf, sqrt
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import njit
+from energyplan.compilation import inner, njit
+from energyplan.compilation.arrays import READONLY, FloatTable, SingleTable
 
 
-@njit
-def _column_distance(blocked: NDArray[np.bool_]) -> NDArray[np.float64]:
+@inner
+def _column_distance(blocked: Annotated[NDArray[np.bool_], 2, READONLY]) -> FloatTable:
     """Return the distance along its column from each cell's centre to a blocked cell [cells]."""
     rows, columns = blocked.shape
     out = np.empty((rows, columns))
     for column in range(columns):
-        out[0, column] = 0.0 if blocked[0, column] else np.inf
+        out[0, column] = 0.0 if blocked[0, column] else inf
     for row in range(1, rows):
         for column in range(columns):
             out[row, column] = 0.0 if blocked[row, column] else out[row - 1, column] + 1.0
     for row in range(rows - 2, -1, -1):
         for column in range(columns):
             out[row, column] = min(out[row, column], out[row + 1, column] + 1.0)
-    return np.maximum(out - 0.5, 0.0)
+    for row in range(rows):
+        for column in range(columns):
+            out[row, column] = max(out[row, column] - 0.5, 0.0)
+    return out
 
 
 @njit
-def clearance(blocked: NDArray[np.bool_]) -> NDArray[np.float32]:
+def clearance(blocked: Annotated[NDArray[np.bool_], 2, READONLY]) -> SingleTable:
     """Return the distance from each cell's centre to a blocked cell or the map's edge [cells].
 
     Parameters
@@ -57,21 +64,22 @@ def clearance(blocked: NDArray[np.bool_]) -> NDArray[np.float32]:
     for row in range(rows):
         # the parabola at side k serves the columns k - 1 and k; position of the side: k - 0.5
         for k in range(columns + 1):
-            before = vertical[row, k - 1] if k > 0 else np.inf
-            after = vertical[row, k] if k < columns else np.inf
-            heights[k] = min(before, after) ** 2
+            before = vertical[row, k - 1] if k > 0 else inf
+            after = vertical[row, k] if k < columns else inf
+            nearer = min(before, after)
+            heights[k] = nearer * nearer
         count = 0
         for k in range(columns + 1):
-            if heights[k] == np.inf:
+            if heights[k] == inf:
                 continue
-            start = -np.inf
+            start = -inf
             while count > 0:
                 root = roots[count - 1]
                 start = (heights[k] - heights[root] + (k * k - root * root)) / (2.0 * (k - root))
                 if start > starts[count - 1]:
                     break
                 count -= 1
-                start = -np.inf
+                start = -inf
             roots[count] = k
             starts[count] = start
             count += 1
@@ -84,6 +92,6 @@ def clearance(blocked: NDArray[np.bool_]) -> NDArray[np.float32]:
                 while at + 1 < count and starts[at + 1] < column + 0.5:
                     at += 1
                 offset = column + 0.5 - roots[at]
-                nearest = min(nearest, np.sqrt(offset * offset + heights[roots[at]]))
+                nearest = min(nearest, sqrt(offset * offset + heights[roots[at]]))
             out[row, column] = nearest
     return out

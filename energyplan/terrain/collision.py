@@ -15,12 +15,20 @@ is the only pessimism, and there is no false free.
 from __future__ import annotations
 
 from math import ceil, cos, floor, hypot, inf, sin
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import njit
+from energyplan.compilation import inner, njit
+from energyplan.compilation.arrays import (
+    READONLY,
+    Flags,
+    Floats,
+    FloatTable,
+    ShortIntTable,
+    SingleTable,
+)
 
 TOLERANCE = 0.02
 """Motion of the body's fastest point below which a piece of a motion is not halved [cells]."""
@@ -52,8 +60,8 @@ class Space(NamedTuple):
         Size of a cell [m].
     """
 
-    next_blocked: NDArray[np.int32]
-    clearance: NDArray[np.float32]
+    next_blocked: ShortIntTable
+    clearance: SingleTable
     x: float
     y: float
     yaw: float
@@ -71,8 +79,26 @@ class Body(NamedTuple):
     y_max: float
 
 
+class InCells(NamedTuple):
+    """A place in the frame of a raster, in units of its cells."""
+
+    row: float
+    column: float
+
+
+@inner
+def in_cells(space: Space, x: float, y: float) -> InCells:
+    """Return where a point of the world lies in the grid: cell (i, j) from (i, j) to (i+1, j+1)."""
+    dx = x - space.x
+    dy = y - space.y
+    return InCells(
+        (space.cos * dy - space.sin * dx) / space.resolution,
+        (space.cos * dx + space.sin * dy) / space.resolution,
+    )
+
+
 @njit
-def next_blocked(blocked: NDArray[np.bool_]) -> NDArray[np.int32]:
+def next_blocked(blocked: Annotated[NDArray[np.bool_], 2, READONLY]) -> ShortIntTable:
     """Return the column of the first blocked cell at or after each column."""
     rows, columns = blocked.shape
     out = np.empty((rows, columns + 1), np.int32)
@@ -86,7 +112,7 @@ def next_blocked(blocked: NDArray[np.bool_]) -> NDArray[np.int32]:
     return out
 
 
-@njit
+@inner
 def _rectangle_free(
     space: Space, x: float, y: float, c: float, s: float, half_x: float, half_y: float
 ) -> bool:
@@ -145,21 +171,20 @@ def _rectangle_free(
     return True
 
 
-@njit
+@inner
 def _box_free(space: Space, box: Body, x: float, y: float, yaw: float) -> bool:
     """Tell whether a box in the frame of a pose in the world is free."""
     scale = 1.0 / space.resolution
     turn = yaw - space.yaw
     c = cos(turn)
     s = sin(turn)
-    dx = x - space.x
-    dy = y - space.y
+    here = in_cells(space, x, y)
     mid_x = 0.5 * (box.x_min + box.x_max)
     mid_y = 0.5 * (box.y_min + box.y_max)
     return _rectangle_free(
         space,
-        (space.cos * dx + space.sin * dy + c * mid_x - s * mid_y) * scale,
-        (-space.sin * dx + space.cos * dy + s * mid_x + c * mid_y) * scale,
+        here.column + (c * mid_x - s * mid_y) * scale,
+        here.row + (s * mid_x + c * mid_y) * scale,
         c,
         s,
         0.5 * (box.x_max - box.x_min) * scale,
@@ -174,7 +199,7 @@ def pose_free(space: Space, body: Body, x: float, y: float, yaw: float) -> bool:
 
 
 @njit
-def poses_free(space: Space, body: Body, poses: NDArray[np.float64]) -> NDArray[np.bool_]:
+def poses_free(space: Space, body: Body, poses: FloatTable) -> Flags:
     """Tell for each row (x, y, yaw) whether the body is free there."""
     out = np.empty(len(poses), np.bool_)
     for k in range(len(poses)):
@@ -182,7 +207,7 @@ def poses_free(space: Space, body: Body, poses: NDArray[np.float64]) -> NDArray[
     return out
 
 
-@njit
+@inner
 def _swept_box(body: Body, centre_x: float, centre_y: float, half: float) -> Body:
     """Return the bounding box of a body that turns by up to `half` either way about a centre.
 
@@ -304,9 +329,9 @@ def motion_free(
 def first_collision(
     space: Space,
     body: Body,
-    vertices: NDArray[np.float64],
-    ds: NDArray[np.float64],
-    dtheta: NDArray[np.float64],
+    vertices: FloatTable,
+    ds: Floats,
+    dtheta: Floats,
     longitudinal: float,
 ) -> int:
     """Return the index of the first segment along which the body is not free, or -1.
@@ -332,11 +357,11 @@ def first_collision(
 def motions_free(
     space: Space,
     body: Body,
-    starts: NDArray[np.float64],
-    ds: NDArray[np.float64],
-    dtheta: NDArray[np.float64],
+    starts: FloatTable,
+    ds: Floats,
+    dtheta: Floats,
     longitudinal: float,
-) -> NDArray[np.bool_]:
+) -> Flags:
     """Tell of many motions, each from its own pose (x, y, yaw), which are free."""
     out = np.empty(len(starts), np.bool_)
     for k in range(len(starts)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.base import BaseGeometry
 
 from energyplan.compilation import njit
+from energyplan.compilation.arrays import FloatTable, IntTable
 from energyplan.cost import EnergyCost
 from energyplan.errors import MapError
 from energyplan.path import FloatArray, Path
@@ -174,7 +176,7 @@ class SurfaceMap:
 
     def raster(self, grid: OccupancyGrid) -> NDArray[np.intp]:
         """Return the region at the centre of each cell of a map, shape (rows, columns)."""
-        raster = np.zeros(grid.shape, np.intp)
+        raster = np.zeros(grid.shape, np.int64)
         for k, surface in enumerate(self.surfaces, start=1):
             a, e = _rim(shapely.transform(surface.area, grid.to_cells))
             _fill(raster, a, a + e, k)
@@ -268,26 +270,27 @@ def _rim(area: BaseGeometry) -> tuple[FloatArray, FloatArray]:
 
 
 @njit
-def _fill(raster: NDArray[np.intp], a: FloatArray, b: FloatArray, value: int) -> None:
+def _fill(raster: IntTable, a: FloatTable, b: FloatTable, value: int) -> None:
     """Set the cells whose centres lie within a rim of edges from `a` to `b`, in cells.
 
-    Row by row: the row's line through the centres is inside between every second crossing and the
-    next one, whatever holes and parts there are.
+    Row by row: where the line through the row's centres has crossed the rim an odd number of times
+    it is inside, whatever holes and parts there are.
     """
     rows, columns = raster.shape
-    at = np.empty(len(a))
+    crossed = np.empty(columns + 1, np.bool_)
     for row in range(rows):
         y = row + 0.5
-        count = 0
+        for column in range(columns + 1):
+            crossed[column] = False
         for k in range(len(a)):
             if (a[k, 1] <= y) != (b[k, 1] <= y):
-                at[count] = a[k, 0] + (y - a[k, 1]) / (b[k, 1] - a[k, 1]) * (b[k, 0] - a[k, 0])
-                count += 1
-        crossed = np.sort(at[:count])
-        for k in range(0, count - 1, 2):
-            first = min(max(np.ceil(crossed[k] - 0.5), 0.0), float(columns))
-            last = min(max(np.ceil(crossed[k + 1] - 0.5), 0.0), float(columns))
-            for column in range(int(first), int(last)):
+                x = a[k, 0] + (y - a[k, 1]) / (b[k, 1] - a[k, 1]) * (b[k, 0] - a[k, 0])
+                beyond = int(min(max(ceil(x - 0.5), 0), columns))
+                crossed[beyond] = not crossed[beyond]
+        inside = False
+        for column in range(columns):
+            inside = inside != crossed[column]
+            if inside:
                 raster[row, column] = value
 
 

@@ -12,11 +12,17 @@ from math import atan2, cos, floor, hypot, inf, pi, sin
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from energyplan.compilation import njit
-from energyplan.planning.scene.field import angle_between, pop, push
-from energyplan.terrain.collision import Body, Space, pose_free
+from energyplan.compilation import inner, njit
+from energyplan.compilation.arrays import Floats, FloatTable
+from energyplan.planning.scene.field import (
+    angle_between,
+    longer_floats,
+    longer_ints,
+    pop,
+    push,
+)
+from energyplan.terrain.collision import Body, Space, in_cells, pose_free
 
 HEADINGS = 256
 """Nodes of the heading."""
@@ -50,10 +56,10 @@ class Corners(NamedTuple):
         than `outside` it lies outside for certain [m].
     """
 
-    point: NDArray[np.float64]
-    before: NDArray[np.float64]
-    after: NDArray[np.float64]
-    edges: NDArray[np.float64]
+    point: FloatTable
+    before: FloatTable
+    after: FloatTable
+    edges: FloatTable
     inside: float
     outside: float
 
@@ -78,7 +84,7 @@ class Rates(NamedTuple):
     direct: float
 
 
-@njit
+@inner
 def line_open(space: Space, corners: Corners, ax: float, ay: float, bx: float, by: float) -> bool:
     """Tell whether a line between corners crosses no edge of the outline.
 
@@ -94,17 +100,14 @@ def line_open(space: Space, corners: Corners, ax: float, ay: float, bx: float, b
     at = 0.0
     sure = True
     while at < length:
-        dx = ax + at * ux - space.x
-        dy = ay + at * uy - space.y
-        across = (space.cos * dx + space.sin * dy) / res
-        along = (-space.sin * dx + space.cos * dy) / res
-        column = floor(across)
-        row = floor(along)
+        here = in_cells(space, ax + at * ux, ay + at * uy)
+        column = floor(here.column)
+        row = floor(here.row)
         if row < 0 or column < 0 or row >= rows or column >= columns:
             sure = False
             at += 0.5 * res
             continue
-        off = hypot(across - column - 0.5, along - row - 0.5) * res
+        off = hypot(here.column - column - 0.5, here.row - row - 0.5) * res
         near = float(space.clearance[row, column]) * res
         if near + off < corners.inside:
             return False
@@ -135,7 +138,7 @@ def line_open(space: Space, corners: Corners, ax: float, ay: float, bx: float, b
     return True
 
 
-@njit
+@inner
 def _side(corners: Corners, k: int, ux: float, uy: float) -> int:
     """Side of a line through a corner on which the obstacle lies: 1 left, -1 right, 0 both."""
     x = corners.point[k, 0]
@@ -150,8 +153,8 @@ def _side(corners: Corners, k: int, ux: float, uy: float) -> int:
     return 0
 
 
-@njit
-def spread(cost: NDArray[np.float64], turn: float) -> None:
+@inner
+def spread(cost: Floats, turn: float) -> None:
     """Lower each node's cost to that of turning there from another node, at `turn` a node."""
     n = len(cost)
     best = inf
@@ -166,15 +169,23 @@ def spread(cost: NDArray[np.float64], turn: float) -> None:
         cost[j] = best
 
 
-@njit
+@inner
+def _least(cost: Floats) -> float:
+    best = inf
+    for j in range(len(cost)):
+        best = min(best, cost[j])
+    return best
+
+
+@inner
 def along_line(
-    cost: NDArray[np.float64],
+    cost: Floats,
     direction: float,
     length: float,
     rates: Rates,
     strict_left: bool,
     strict_right: bool,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the least cost of being past a line by heading, given that of being before it.
 
     A way whose headings all stay away from the line by some angle, its lag, is longer than the
@@ -196,7 +207,7 @@ def along_line(
     n = len(cost)
     spacing = 2.0 * pi / n
     straight = rates.metre * length
-    lowest = cost.min()
+    lowest = _least(cost)
     strict = strict_left or strict_right
     sine = np.empty(n)
     cosine = np.empty(n)
@@ -209,8 +220,10 @@ def along_line(
         sine[j] = sin(lag)
         cosine[j] = max(cos(lag), 1e-6)
         beside[j] = not (strict_left if left else strict_right)
-    out = np.full(n, inf)
+    out = np.empty(n)
     past = np.empty(n)
+    for j in range(n):
+        out[j] = inf
     for k in range(1 if strict else len(SWEEPS) - 1, len(SWEEPS)):
         wide = cos(0.5 * SWEEPS[k]) / sin(0.5 * SWEEPS[k])
         for j in range(n):
@@ -226,7 +239,7 @@ def along_line(
     return out
 
 
-@njit
+@inner
 def gate(
     space: Space,
     body: Body,
@@ -236,7 +249,7 @@ def gate(
     y: float,
     ux: float,
     uy: float,
-    cost: NDArray[np.float64],
+    cost: Floats,
     turn: float,
 ) -> None:
     """Raise the cost of the headings with which the body cannot cross a gate.
@@ -264,15 +277,12 @@ def gate(
     reach = hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max))
     length = 0.0
     while True:
-        dx = x + length * ux - space.x
-        dy = y + length * uy - space.y
-        across = (space.cos * dx + space.sin * dy) / res
-        along = (-space.sin * dx + space.cos * dy) / res
-        column = floor(across)
-        row = floor(along)
+        here = in_cells(space, x + length * ux, y + length * uy)
+        column = floor(here.column)
+        row = floor(here.row)
         if row < 0 or column < 0 or row >= rows or column >= columns:
             break
-        off = hypot(across - column - 0.5, along - row - 0.5) * res
+        off = hypot(here.column - column - 0.5, here.row - row - 0.5) * res
         near = float(space.clearance[row, column]) * res
         if near - off > reach or length > LONG:
             return
@@ -282,7 +292,9 @@ def gate(
     # a body that is smaller by what a place and a heading stand for
     less = 0.5 * STEP + 0.5 * spacing * reach
     small = Body(body.x_min + less, body.y_min + less, body.x_max - less, body.y_max - less)
-    open_between = np.zeros(n, np.bool_)
+    open_between = np.empty(n, np.bool_)
+    for j in range(n):
+        open_between[j] = False
     for k in range(int(length / STEP) + 2):
         px = x + k * STEP * ux
         py = y + k * STEP * uy
@@ -293,6 +305,15 @@ def gate(
         if not (open_between[j - 1] or open_between[j]):
             cost[j] = inf
     spread(cost, turn)
+
+
+@inner
+def _all_infinite(rows: int) -> FloatTable:
+    out = np.empty((rows, HEADINGS))
+    for k in range(rows):
+        for j in range(HEADINGS):
+            out[k, j] = inf
+    return out
 
 
 @njit
@@ -335,12 +356,15 @@ def least_over_corners(
         heading = rates.goal + j * 2.0 * pi / HEADINGS
         to_goal[j] = rates.radian * angle_between(heading, rates.goal)
         cost[j] = rates.radian * angle_between(heading, rates.start)
-    state = np.full((n, n), UNKNOWN, np.int32)
+    state = np.empty((n, n), np.int32)
+    for v in range(n):
+        for at in range(n):
+            state[v, at] = UNKNOWN
     capacity = 256
-    before = np.full((capacity, HEADINGS), inf)
+    before = _all_infinite(capacity)
     tail = np.empty(capacity, np.int32)
     head = np.empty(capacity, np.int32)
-    waiting = np.zeros(capacity, np.bool_)
+    waiting = np.empty(capacity, np.bool_)
     room = 1 << 16
     heap_f = np.empty(room)
     heap_node = np.empty(room, np.int32)
@@ -352,7 +376,9 @@ def least_over_corners(
     ix = 0.0
     iy = 0.0
     while True:
-        lowest = (cost + to_goal).min()
+        lowest = inf
+        for j in range(HEADINGS):
+            lowest = min(lowest, cost[j] + to_goal[j])
         gx = point[goal, 0]
         gy = point[goal, 1]
         work += 5.0 * n
@@ -392,10 +418,17 @@ def least_over_corners(
             if line < 0:
                 if count == capacity:
                     capacity *= 2
-                    before = np.concatenate((before, np.full_like(before, inf)))
-                    tail = np.concatenate((tail, tail))
-                    head = np.concatenate((head, head))
-                    waiting = np.concatenate((waiting, np.zeros_like(waiting)))
+                    fewer = before
+                    before = _all_infinite(capacity)
+                    for k in range(count):
+                        for j in range(HEADINGS):
+                            before[k, j] = fewer[k, j]
+                    tail = longer_ints(tail)
+                    head = longer_ints(head)
+                    known = waiting
+                    waiting = np.empty(capacity, np.bool_)
+                    for k in range(count):
+                        waiting[k] = known[k]
                 line = count
                 count += 1
                 state[at, v] = line
@@ -410,8 +443,8 @@ def least_over_corners(
             if f < limit:
                 if size + 1 >= room:
                     room *= 2
-                    heap_f = np.concatenate((heap_f, heap_f))
-                    heap_node = np.concatenate((heap_node, heap_node))
+                    heap_f = longer_floats(heap_f)
+                    heap_node = longer_ints(heap_node)
                 waiting[line] = True
                 size = push(heap_f, heap_node, size, f, line)
         line = -1
@@ -433,7 +466,8 @@ def least_over_corners(
         length = hypot(ix, iy)
         behind = 0 if u == start else _side(corners, u, ix, iy)
         about = 0 if at == goal else _side(corners, at, ix, iy)
-        cost = before[line].copy()
+        for j in range(HEADINGS):
+            cost[j] = before[line, j]
         work += 30000.0
         if u != start:
             gate(
@@ -450,7 +484,8 @@ def least_over_corners(
         )
         if at == goal:
             limit = min(limit, cost[0])
-            cost[:] = inf
+            for j in range(HEADINGS):
+                cost[j] = inf
             continue
         gate(
             space, body, corners, rates.goal,

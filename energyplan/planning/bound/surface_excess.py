@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from energyplan.compilation import njit
+from energyplan.compilation.arrays import FlagTable, FloatTable
 from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.planning.scene.field import pop, push
+from energyplan.planning.scene.field import longer_floats, longer_ints, pop, push
 from energyplan.terrain import OccupancyGrid, SurfaceMap
 
 MOST_CELLS = 250_000
@@ -95,8 +96,8 @@ def _certain_regions(
 
 @njit
 def least_steps(
-    step: NDArray[np.float64],
-    passable: NDArray[np.bool_],
+    step: FloatTable,
+    passable: FlagTable,
     row: int,
     column: int,
     goal_row: int,
@@ -123,7 +124,10 @@ def least_steps(
         What to return where the sum is greater, or no walk leads to the goal.
     """
     rows, columns = step.shape
-    reached = np.full((rows, columns), np.inf)
+    reached = np.empty((rows, columns))
+    for r in range(rows):
+        for c in range(columns):
+            reached[r, c] = np.inf
     capacity = 1 << 12
     heap_f = np.empty(capacity)
     heap_node = np.empty(capacity, np.int32)
@@ -149,7 +153,7 @@ def least_steps(
                 reached[rr, cc] = there
                 if size + 1 >= capacity:
                     capacity *= 2
-                    heap_f = np.concatenate((heap_f, heap_f))
-                    heap_node = np.concatenate((heap_node, heap_node))
+                    heap_f = longer_floats(heap_f)
+                    heap_node = longer_ints(heap_node)
                 size = push(heap_f, heap_node, size, there, rr * columns + cc)
     return limit

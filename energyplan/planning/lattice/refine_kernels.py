@@ -6,14 +6,16 @@ set, by the single motion that the chain was given, which then stays as it is.
 
 from __future__ import annotations
 
-from math import cos, hypot, inf, sin
+from math import hypot, inf
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from energyplan.compilation import njit
+from energyplan.compilation import inner, njit
+from energyplan.compilation.arrays import Flags, Floats, FloatTable, Words
+from energyplan.path import Pose
 from energyplan.planning.scene.motions import KernelProblem, join, motion_cost
+from energyplan.steering.arcs import arc_end
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy
 
 HOPELESS = 8
@@ -40,17 +42,12 @@ class Chain(NamedTuple):
         Distance by which to try moving each pose [m].
     """
 
-    poses: NDArray[np.float64]
-    cost: NDArray[np.float64]
-    kept: NDArray[np.bool_]
-    ds: NDArray[np.float64]
-    dtheta: NDArray[np.float64]
-    step: NDArray[np.float64]
-
-
-@njit
-def _free(setting: KernelProblem, a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    return steer_energy(b[0] - a[0], b[1] - a[1], a[2], b[2], setting.steering)
+    poses: FloatTable
+    cost: Floats
+    kept: Flags
+    ds: Floats
+    dtheta: Floats
+    step: Floats
 
 
 @njit
@@ -60,14 +57,14 @@ def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int) -> in
     Dynamic programming over all pairs of poses at most `reach` apart in the chain; `cost` of the
     motions given must be filled in.
     """
-    poses = chain.poses
     ds = np.empty(MAX_SEGMENTS)
     dtheta = np.empty(MAX_SEGMENTS)
-    best = np.full(count, inf)
-    before = np.full(count, -1)
-    joined = np.zeros(count, np.bool_)
-    edge = np.zeros(count)
+    best = np.empty(count)
+    before = np.empty(count, np.int64)
+    joined = np.empty(count, np.bool_)
+    edge = np.empty(count)
     best[0] = 0.0
+    before[0] = -1
     for j in range(1, count):
         best[j] = best[j - 1] + chain.cost[j - 1]
         before[j] = j - 1
@@ -80,24 +77,15 @@ def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int) -> in
             limit = best[j] - best[i] - 1e-9
             if limit <= 0:
                 continue
-            dx = poses[j, 0] - poses[i, 0]
-            dy = poses[j, 1] - poses[i, 1]
+            a = _pose(chain, i)
+            b = _pose(chain, j)
+            dx = b.x - a.x
+            dy = b.y - a.y
             if setting.least_metre * hypot(dx, dy) >= limit:
                 continue
-            if _free(setting, poses[i], poses[j]) >= limit:
+            if steer_energy(dx, dy, a.yaw, b.yaw, setting.steering) >= limit:
                 continue
-            cost = join(
-                setting,
-                poses[i, 0],
-                poses[i, 1],
-                poses[i, 2],
-                poses[j, 0],
-                poses[j, 1],
-                poses[j, 2],
-                limit,
-                ds,
-                dtheta,
-            )[0]
+            cost, _ = join(setting, a.x, a.y, a.yaw, b.x, b.y, b.yaw, limit, ds, dtheta)
             blocked = blocked + 1 if cost == inf else 0
             if cost < limit:
                 best[j] = best[i] + cost
@@ -113,7 +101,7 @@ def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int) -> in
         j = before[j]
     for k in range(n):
         j = order[n - 1 - k]
-        poses[k] = poses[j]
+        _set_pose(chain, k, _pose(chain, j))
         chain.step[k] = 0.3
         if k > 0:
             chain.cost[k - 1] = edge[j]
@@ -124,8 +112,8 @@ def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int) -> in
     return n
 
 
-@njit
-def _random(state: NDArray[np.uint64]) -> float:
+@inner
+def _random(state: Words) -> float:
     """Return a random number in [0, 1) (xorshift)."""
     word = state[0]
     word ^= (word << np.uint64(13)) & np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -135,114 +123,124 @@ def _random(state: NDArray[np.uint64]) -> float:
     return float(word >> np.uint64(11)) / 9007199254740992.0
 
 
-@njit
-def _join_poses(
-    setting: KernelProblem,
-    a: NDArray[np.float64],
-    b: NDArray[np.float64],
-    limit: float,
-    ds: NDArray[np.float64],
-    dtheta: NDArray[np.float64],
-) -> float:
-    return join(setting, a[0], a[1], a[2], b[0], b[1], b[2], limit, ds, dtheta)[0]
+@inner
+def _pose(chain: Chain, k: int) -> Pose:
+    return Pose(chain.poses[k, 0], chain.poses[k, 1], chain.poses[k, 2])
 
 
-@njit
-def _remove(chain: Chain, count: int, k: int) -> None:
-    for i in range(k, count - 1):
-        chain.poses[i] = chain.poses[i + 1]
-        chain.cost[i] = chain.cost[i + 1]
-        chain.kept[i] = chain.kept[i + 1]
-        chain.ds[i] = chain.ds[i + 1]
-        chain.dtheta[i] = chain.dtheta[i + 1]
-        chain.step[i] = chain.step[i + 1]
+@inner
+def _set_pose(chain: Chain, k: int, pose: Pose) -> None:
+    chain.poses[k, 0] = pose.x
+    chain.poses[k, 1] = pose.y
+    chain.poses[k, 2] = pose.yaw
 
 
-@njit
+@inner
+def _copy(chain: Chain, k: int, other: int) -> None:
+    """Set a place of the chain to what stands at another one."""
+    _set_pose(chain, k, _pose(chain, other))
+    chain.cost[k] = chain.cost[other]
+    chain.kept[k] = chain.kept[other]
+    chain.ds[k] = chain.ds[other]
+    chain.dtheta[k] = chain.dtheta[other]
+    chain.step[k] = chain.step[other]
+
+
+@inner
 def _try_move(
-    chain: Chain,
-    setting: KernelProblem,
-    k: int,
-    pose: NDArray[np.float64],
-    ds: NDArray[np.float64],
-    dtheta: NDArray[np.float64],
+    chain: Chain, setting: KernelProblem, k: int, pose: Pose, ds: Floats, dtheta: Floats
 ) -> bool:
     """Move pose `k` of the chain if that is cheaper and free."""
     old = chain.cost[k - 1] + chain.cost[k]
-    before = chain.poses[k - 1]
-    after = chain.poses[k + 1]
-    rest = _free(setting, pose, after)
-    if _free(setting, before, pose) + rest >= old:
+    a = _pose(chain, k - 1)
+    b = _pose(chain, k + 1)
+    steering = setting.steering
+    before = steer_energy(pose.x - a.x, pose.y - a.y, a.yaw, pose.yaw, steering)
+    rest = steer_energy(b.x - pose.x, b.y - pose.y, pose.yaw, b.yaw, steering)
+    if before + rest >= old:
         return False
-    first = _join_poses(setting, before, pose, old - rest, ds, dtheta)
-    if first == inf:
-        return False
-    second = _join_poses(setting, pose, after, old - first - 1e-9, ds, dtheta)
-    if second == inf:
-        return False
-    chain.poses[k] = pose
-    chain.cost[k - 1] = first
-    chain.cost[k] = second
+    # the way there, then the way on
+    costs = (inf, inf)
+    limit = old - rest
+    for part in range(2):
+        first = a if part == 0 else pose
+        last = pose if part == 0 else b
+        cost, _ = join(
+            setting, first.x, first.y, first.yaw, last.x, last.y, last.yaw, limit, ds, dtheta
+        )
+        if cost == inf:
+            return False
+        costs = (costs[1], cost)
+        limit = old - cost - 1e-9
+    _set_pose(chain, k, pose)
+    chain.cost[k - 1] = costs[0]
+    chain.cost[k] = costs[1]
     chain.kept[k - 1] = False
     chain.kept[k] = False
     return True
 
 
-@njit
+@inner
 def _insert(
     chain: Chain,
     setting: KernelProblem,
     count: int,
     k: int,
     fraction: float,
-    ds: NDArray[np.float64],
-    dtheta: NDArray[np.float64],
+    ds: Floats,
+    dtheta: Floats,
 ) -> int:
     """Put one more pose onto the motion from pose `k` to the next one; return the new number."""
-    a = chain.poses[k]
-    b = chain.poses[k + 1]
-    _, n = join(setting, a[0], a[1], a[2], b[0], b[1], b[2], inf, ds, dtheta)
-    if n == 0:
-        return count
-    total = 0.0
-    for i in range(n):
-        total += abs(ds[i]) + setting.half_track * abs(dtheta[i])
-    left = fraction * total
-    pose = a.copy()
-    for i in range(n):
-        size = abs(ds[i]) + setting.half_track * abs(dtheta[i])
-        part = min(left / size, 1.0) if size > 0 else 1.0
-        half = 0.5 * part * dtheta[i]
-        chord = part * ds[i] * (sin(half) / half if half != 0.0 else 1.0)
-        pose[0] += chord * cos(pose[2] + half)
-        pose[1] += chord * sin(pose[2] + half)
-        pose[2] += 2.0 * half
-        left -= part * size
-        if part < 1.0:
-            break
-    first = _join_poses(setting, a, pose, inf, ds, dtheta)
-    second = _join_poses(setting, pose, b, inf, ds, dtheta)
-    if first + second > chain.cost[k] * (1.0 + 1e-9) + 1e-9:
+    a = _pose(chain, k)
+    b = _pose(chain, k + 1)
+    pose = a
+    costs = (inf, inf)
+    # the whole motion, on which the pose is chosen; then the way there, and the way on
+    for part in range(3):
+        first = pose if part == 2 else a
+        last = pose if part == 1 else b
+        cost, n = join(
+            setting, first.x, first.y, first.yaw, last.x, last.y, last.yaw, inf, ds, dtheta
+        )
+        if part == 0:
+            if n == 0:
+                return count
+            pose = _along(setting, a, fraction, ds, dtheta, n)
+        costs = (costs[1], cost)
+    if costs[0] + costs[1] > chain.cost[k] * (1.0 + 1e-9) + 1e-9:
         return count
     for i in range(count, k + 1, -1):
-        chain.poses[i] = chain.poses[i - 1]
-        chain.cost[i] = chain.cost[i - 1]
-        chain.kept[i] = chain.kept[i - 1]
-        chain.ds[i] = chain.ds[i - 1]
-        chain.dtheta[i] = chain.dtheta[i - 1]
-        chain.step[i] = chain.step[i - 1]
-    chain.poses[k + 1] = pose
-    chain.cost[k] = first
-    chain.cost[k + 1] = second
+        _copy(chain, i, i - 1)
+    _set_pose(chain, k + 1, pose)
+    chain.cost[k] = costs[0]
+    chain.cost[k + 1] = costs[1]
     chain.kept[k + 1] = False
     chain.step[k + 1] = 0.3
     return count + 1
 
 
+@inner
+def _along(
+    setting: KernelProblem, start: Pose, fraction: float, ds: Floats, dtheta: Floats, n: int
+) -> Pose:
+    """Return the pose after a fraction of a motion, by its length and turning."""
+    total = 0.0
+    for i in range(n):
+        total += abs(ds[i]) + setting.half_track * abs(dtheta[i])
+    left = fraction * total
+    here = start
+    for i in range(n):
+        size = abs(ds[i]) + setting.half_track * abs(dtheta[i])
+        part = min(left / size, 1.0) if size > 0 else 1.0
+        here = arc_end(here, part * ds[i], part * dtheta[i])
+        left -= part * size
+        if part < 1.0:
+            break
+    return here
+
+
 @njit
-def polish(
-    chain: Chain, setting: KernelProblem, count: int, trials: int, state: NDArray[np.uint64]
-) -> int:
+def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state: Words) -> int:
     """Move, remove and insert poses at random where that is cheaper; return their number.
 
     Parameters
@@ -260,7 +258,6 @@ def polish(
     """
     ds = np.empty(MAX_SEGMENTS)
     dtheta = np.empty(MAX_SEGMENTS)
-    pose = np.empty(3)
     most = min(len(chain.cost) - 1, count + 4)
     for _ in range(trials):
         what = _random(state)
@@ -274,24 +271,28 @@ def polish(
         k = 1 + int(_random(state) * (count - 2))
         if what < 0.08:
             old = chain.cost[k - 1] + chain.cost[k]
-            cost = _join_poses(
-                setting, chain.poses[k - 1], chain.poses[k + 1], old * (1 + 1e-12), ds, dtheta
-            )
+            a = _pose(chain, k - 1)
+            b = _pose(chain, k + 1)
+            limit = old * (1 + 1e-12)
+            cost, _ = join(setting, a.x, a.y, a.yaw, b.x, b.y, b.yaw, limit, ds, dtheta)
             if cost < inf:
-                _remove(chain, count, k)
+                for i in range(k, count - 1):
+                    _copy(chain, i, i + 1)
                 chain.cost[k - 1] = cost
                 chain.kept[k - 1] = False
                 count -= 1
             continue
         step = chain.step[k]
-        pose[:] = chain.poses[k]
+        x = chain.poses[k, 0]
+        y = chain.poses[k, 1]
+        yaw = chain.poses[k, 2]
         kind = _random(state)
         if kind < 0.7:
-            pose[0] += step * (2.0 * _random(state) - 1.0)
-            pose[1] += step * (2.0 * _random(state) - 1.0)
+            x += step * (2.0 * _random(state) - 1.0)
+            y += step * (2.0 * _random(state) - 1.0)
         if kind > 0.3:
-            pose[2] += step / setting.half_track * (2.0 * _random(state) - 1.0)
-        if _try_move(chain, setting, k, pose, ds, dtheta):
+            yaw += step / setting.half_track * (2.0 * _random(state) - 1.0)
+        if _try_move(chain, setting, k, Pose(x, y, yaw), ds, dtheta):
             chain.step[k] = min(step * 1.6, LARGEST)
         else:
             chain.step[k] = max(step * 0.96, SMALLEST)
@@ -319,8 +320,8 @@ def unfold(
     chain: Chain,
     setting: KernelProblem,
     count: int,
-    ds: NDArray[np.float64],
-    dtheta: NDArray[np.float64],
+    ds: Floats,
+    dtheta: Floats,
 ) -> int:
     """Write the motions of a chain and return how many there are."""
     part_ds = np.empty(MAX_SEGMENTS)
@@ -332,10 +333,11 @@ def unfold(
             dtheta[n] = chain.dtheta[k]
             n += 1
             continue
-        a = chain.poses[k]
-        b = chain.poses[k + 1]
-        _, m = join(setting, a[0], a[1], a[2], b[0], b[1], b[2], inf, part_ds, part_dtheta)
-        ds[n : n + m] = part_ds[:m]
-        dtheta[n : n + m] = part_dtheta[:m]
+        a = _pose(chain, k)
+        b = _pose(chain, k + 1)
+        _, m = join(setting, a.x, a.y, a.yaw, b.x, b.y, b.yaw, inf, part_ds, part_dtheta)
+        for i in range(m):
+            ds[n + i] = part_ds[i]
+            dtheta[n + i] = part_dtheta[i]
         n += m
     return n

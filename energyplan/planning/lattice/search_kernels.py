@@ -7,13 +7,12 @@ straight along the heading, a pivot about either tread's ICR, or a spin.
 
 from __future__ import annotations
 
-from math import atan2, cos, floor, hypot, inf, pi, sin
+from math import atan2, floor, hypot, inf, pi
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from energyplan.compilation import njit
+from energyplan.compilation import inner, njit
+from energyplan.compilation.arrays import Floats, Ints, ShortInts
+from energyplan.path import Pose
 from energyplan.planning.scene.field import angle_between, pop, push
 from energyplan.planning.scene.guide_kernels import DistanceToGo, node_at
 from energyplan.planning.scene.motions import (
@@ -23,7 +22,8 @@ from energyplan.planning.scene.motions import (
     motion_cost,
     price,
 )
-from energyplan.terrain.collision import motion_free
+from energyplan.steering.arcs import arc_end
+from energyplan.terrain.collision import in_cells, motion_free
 
 RUNNING, FOUND, EXHAUSTED, FULL = 0, 1, 2, 3
 """Why a slice of the search ended."""
@@ -83,23 +83,23 @@ class Tree(NamedTuple):
         Cost of the best motion to the goal so far.
     """
 
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    heading: NDArray[np.int32]
-    g: NDArray[np.float64]
-    h: NDArray[np.float64]
-    parent: NDArray[np.int32]
-    ds: NDArray[np.float64]
-    dtheta: NDArray[np.float64]
-    key: NDArray[np.int64]
-    table: NDArray[np.int32]
-    heap_f: NDArray[np.float64]
-    heap_node: NDArray[np.int32]
-    counts: NDArray[np.int64]
-    best: NDArray[np.float64]
+    x: Floats
+    y: Floats
+    heading: ShortInts
+    g: Floats
+    h: Floats
+    parent: ShortInts
+    ds: Floats
+    dtheta: Floats
+    key: Ints
+    table: ShortInts
+    heap_f: Floats
+    heap_node: ShortInts
+    counts: Ints
+    best: Floats
 
 
-@njit
+@inner
 def _estimate(setting: KernelProblem, to_go: DistanceToGo, x: float, y: float, yaw: float) -> float:
     """Cost to go: the greater of the guide's way among obstacles and the motion without them."""
     space = setting.space
@@ -123,7 +123,7 @@ def _estimate(setting: KernelProblem, to_go: DistanceToGo, x: float, y: float, y
     # turn, drive, turn is never below the least cost: steering is asked only if it can be greater
     dx = setting.goal_x - x
     dy = setting.goal_y - y
-    above = round_obstacles - setting.steering[4] * hypot(dx, dy)
+    above = round_obstacles - setting.steering.per_metre * hypot(dx, dy)
     if above >= 0.0:
         straight = atan2(dy, dx)
         turning = inf
@@ -132,12 +132,12 @@ def _estimate(setting: KernelProblem, to_go: DistanceToGo, x: float, y: float, y
             turning = min(
                 turning, angle_between(yaw, heading) + angle_between(heading, setting.goal_yaw)
             )
-        if above >= setting.steering[5] * turning:
+        if above >= setting.steering.per_radian * turning:
             return round_obstacles
     return max(round_obstacles, free_energy(setting, x, y, yaw))
 
 
-@njit
+@inner
 def _find(tree: Tree, key: int) -> int:
     """Return the slot of a key in the hash table: its own, or the empty one where it belongs."""
     mask = len(tree.table) - 1
@@ -154,7 +154,7 @@ def rehash(tree: Tree, count: int) -> None:
         tree.table[_find(tree, tree.key[node])] = node
 
 
-@njit
+@inner
 def _key(space_x: float, space_y: float, lattice: Lattice, x: float, y: float, heading: int) -> int:
     column = floor((x - space_x) / lattice.cell) + (1 << 20)
     row = floor((y - space_y) / lattice.cell) + (1 << 20)
@@ -257,11 +257,11 @@ def grow(
                 if stop_at_first:
                     return FOUND
 
-        dx = x - space.x
-        dy = y - space.y
-        row = int((-space.sin * dx + space.cos * dy) / space.resolution)
-        column = int((space.cos * dx + space.sin * dy) / space.resolution)
-        room = float(space.clearance[row, column]) * space.resolution - setting.reach
+        here = in_cells(space, x, y)
+        room = (
+            float(space.clearance[int(here.row), int(here.column)]) * space.resolution
+            - setting.reach
+        )
         for motion in range(MOTIONS):
             ds = 0.0
             step = 0
@@ -279,10 +279,9 @@ def grow(
                 ds = room if motion == 8 else -room
             dtheta = step * lattice.turn
             heading = (index + step) % lattice.headings
-            mid = yaw + 0.5 * dtheta
-            chord = ds * (2.0 * sin(0.5 * dtheta) / dtheta if step != 0 else 1.0)
-            xx = x + chord * cos(mid)
-            yy = y + chord * sin(mid)
+            there = arc_end(Pose(x, y, yaw), ds, dtheta)
+            xx = there.x
+            yy = there.y
             if even:
                 gg = g + price(setting.prices, 0, half, ds, dtheta)
             else:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from energyplan.cost import EnergyCost
+from energyplan.cost.steering import StaticSteering
 from energyplan.errors import ModelError, PlanningError
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.planning.problem import PlanningProblem
@@ -202,15 +203,12 @@ class CompiledProblem:
             prices=self.prices,
             surface=surface,
             hills=self.hills,
-            steering=np.array(
-                [
-                    0.0,
-                    static.track,
-                    0.0,
-                    0.0,
-                    static.metre,
-                    static.metre * static.track + static.radian,
-                ]
+            steering=StaticSteering(
+                half_track=static.track,
+                longitudinal=0.0,
+                lateral=0.0,
+                per_metre=static.metre,
+                per_radian=static.metre * static.track + static.radian,
             ),
             half_track=problem.cost.half_track,
             reach=float(np.hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max))),

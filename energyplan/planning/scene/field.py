@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from math import atan2, inf, pi
+from math import atan2, hypot, inf, pi
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from energyplan.compilation import njit
+from energyplan.compilation import inner, njit
+from energyplan.compilation.arrays import (
+    ByteTable,
+    Floats,
+    FloatTable,
+    ShortInts,
+    SingleTable,
+)
+
+STEP_ROWS = np.array([0, 1, 0, -1, 1, 1, -1, -1, 1, 2, 2, 1, -1, -2, -2, -1])
+STEP_COLUMNS = np.array([1, 0, -1, 0, 1, -1, 1, -1, 2, 1, -1, -2, -2, -1, 1, 2])
+"""The 16 neighbours; the longest steps, a knight's moves, come last."""
 
 ROUNDING = 0.01
 """Distances that differ by less count as equal [cells]; far above single precision's error."""
@@ -29,16 +39,32 @@ class Field(NamedTuple):
         Distance to the goal beyond which the direction counts [m].
     """
 
-    distance: NDArray[np.float32]
-    direction: NDArray[np.float32]
+    distance: SingleTable
+    direction: SingleTable
     spacing: float
     far: float
 
 
-@njit
-def push(
-    heap_f: NDArray[np.float64], heap_node: NDArray[np.int32], size: int, f: float, node: int
-) -> int:
+@inner
+def longer_ints(values: ShortInts) -> ShortInts:
+    """Return an array twice as long that begins with the same values."""
+    out = np.empty(2 * len(values), np.int32)
+    for k in range(len(values)):
+        out[k] = values[k]
+    return out
+
+
+@inner
+def longer_floats(values: Floats) -> Floats:
+    """Return an array twice as long that begins with the same values."""
+    out = np.empty(2 * len(values))
+    for k in range(len(values)):
+        out[k] = values[k]
+    return out
+
+
+@inner
+def push(heap_f: Floats, heap_node: ShortInts, size: int, f: float, node: int) -> int:
     """Add an entry to a binary heap and return its new size."""
     k = size
     while k > 0:
@@ -53,8 +79,8 @@ def push(
     return size + 1
 
 
-@njit
-def pop(heap_f: NDArray[np.float64], heap_node: NDArray[np.int32], size: int) -> int:
+@inner
+def pop(heap_f: Floats, heap_node: ShortInts, size: int) -> int:
     """Remove the least entry of a binary heap (read it first) and return the new size."""
     size -= 1
     f = heap_f[size]
@@ -76,7 +102,7 @@ def pop(heap_f: NDArray[np.float64], heap_node: NDArray[np.int32], size: int) ->
     return size
 
 
-@njit
+@inner
 def angle_between(a: float, b: float) -> float:
     """Angle between two headings, 0 to pi."""
     turn = abs(a - b) % (2.0 * pi)
@@ -85,7 +111,7 @@ def angle_between(a: float, b: float) -> float:
 
 @njit
 def distance_field(
-    clearance: NDArray[np.float32],
+    clearance: SingleTable,
     stride: int,
     radius: float,
     row: int,
@@ -96,11 +122,11 @@ def distance_field(
     ahead: float,
     room: float,
     penalty: float,
-    surface: NDArray[np.uint8],
-    dearness: NDArray[np.float64],
-    height: NDArray[np.float64],
+    surface: ByteTable,
+    dearness: FloatTable,
+    height: FloatTable,
     steepest: float,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[SingleTable, SingleTable]:
     """Return the distance of a disc's centre from one point, over 16 neighbours.
 
     Parameters
@@ -144,30 +170,48 @@ def distance_field(
     columns = (clearance.shape[1] + stride - 1) // stride
     # Points in one row after another, with a rim that is closed, as is what a disc cannot reach.
     across = columns + 4
-    out = np.full((rows + 4) * across, np.float32(inf))
-    direction = np.zeros((rows, columns), np.float32)
-    closed = np.ones((rows + 4) * across, np.bool_)
-    tight = np.zeros((rows + 4) * across, np.bool_)
+    total = (rows + 4) * across
+    out = np.empty(total, np.float32)
+    parent = np.empty(total, np.int32)
+    target = np.empty(total, np.int32)
+    closed = np.empty(total, np.bool_)
+    reachable = np.empty(total, np.bool_)
+    tight = np.empty(total, np.bool_)
+    for node in range(total):
+        out[node] = inf
+        parent[node] = -1
+        target[node] = -1
+        closed[node] = True
+        reachable[node] = False
+        tight[node] = False
+    direction = np.empty((rows, columns), np.float32)
     for r in range(rows):
         for c in range(columns):
             near = clearance[r * stride, c * stride]
-            closed[(r + 2) * across + c + 2] = near < radius
-            tight[(r + 2) * across + c + 2] = near < room
-    reachable = ~closed
-    parent = np.full((rows + 4) * across, -1, np.int32)
-    target = np.full((rows + 4) * across, -1, np.int32)
-    steps_r = np.array([0, 1, 0, -1, 1, 1, -1, -1, 1, 2, 2, 1, -1, -2, -2, -1])
-    steps_c = np.array([1, 0, -1, 0, 1, -1, 1, -1, 2, 1, -1, -2, -2, -1, 1, 2])
-    steps = steps_r * across + steps_c
-    lengths = stride * np.hypot(steps_r, steps_c)
+            node = (r + 2) * across + c + 2
+            closed[node] = near < radius
+            reachable[node] = not closed[node]
+            tight[node] = near < room
+            direction[r, c] = 0.0
+    lengths = np.empty(16)
+    for k in range(16):
+        lengths[k] = stride * hypot(STEP_ROWS[k], STEP_COLUMNS[k])
     varied = surface.size > 1
     slopes = dearness.shape[1]
     even = not varied and slopes == 1
     # Buckets as wide as the shortest step: no node can lower another one of its own bucket, so that
     # their order within it does not matter. They are lists in `nodes`, linked by `older`.
-    width = stride * dearness.min()
-    ring = int(lengths.max() * dearness.max() * max(penalty, 1.0) / width) + 2
-    bucket = np.full(ring, -1, np.int32)
+    cheapest = inf
+    dearest = 0.0
+    for r in range(dearness.shape[0]):
+        for c in range(slopes):
+            cheapest = min(cheapest, dearness[r, c])
+            dearest = max(dearest, dearness[r, c])
+    width = stride * cheapest
+    ring = int(lengths[15] * dearest * max(penalty, 1.0) / width) + 2
+    bucket = np.empty(ring, np.int32)
+    for k in range(ring):
+        bucket[k] = -1
     capacity = 1 << 14
     nodes = np.empty(capacity, np.int32)
     older = np.empty(capacity, np.int32)
@@ -211,12 +255,12 @@ def distance_field(
         here = surface[r * stride, c * stride] if varied else 0
         factor = dearness[here, 0]
         for k in range(16):
-            there = node + steps[k]
+            there = node + STEP_ROWS[k] * across + STEP_COLUMNS[k]
             if closed[there]:
                 continue
             if not even:
-                rr = r + steps_r[k]
-                cc = c + steps_c[k]
+                rr = r + STEP_ROWS[k]
+                cc = c + STEP_COLUMNS[k]
                 at = 0
                 if slopes > 1:
                     steep = (height[r, c] - height[rr, cc]) / (lengths[k] * steepest)
@@ -228,16 +272,16 @@ def distance_field(
             if dd < out[there] - ROUNDING:
                 if k >= 8:
                     # a knight's move must not jump over an obstacle
-                    half_r = (2 * r + steps_r[k]) * stride // 2
-                    half_c = (2 * c + steps_c[k]) * stride // 2
+                    half_r = (2 * r + STEP_ROWS[k]) * stride // 2
+                    half_c = (2 * c + STEP_COLUMNS[k]) * stride // 2
                     if clearance[half_r, half_c] < radius:
                         continue
                 out[there] = dd
                 parent[there] = node
                 if count == capacity:
                     capacity *= 2
-                    nodes = np.concatenate((nodes, nodes))
-                    older = np.concatenate((older, older))
+                    nodes = longer_ints(nodes)
+                    older = longer_ints(older)
                 place = int(float(out[there]) / width) % ring
                 nodes[count] = there
                 older[count] = bucket[place]

@@ -14,14 +14,18 @@ so that no price is negative; between two slopes the price is linear.
 from __future__ import annotations
 
 from math import atan2, ceil, cos, hypot, inf, pi, sin
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import njit
+from energyplan.compilation import inner, njit
+from energyplan.compilation.arrays import READONLY, ByteTable, Floats, FloatTable
+from energyplan.cost.steering import StaticSteering
+from energyplan.path import Pose
+from energyplan.steering.arcs import arc_end, chord_factor
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy, steer_path
-from energyplan.terrain.collision import Body, Space, motion_free
+from energyplan.terrain.collision import Body, Space, in_cells, motion_free
 
 DIRECTIONS = 128
 """Rays of the price table; a multiple of 8."""
@@ -55,7 +59,7 @@ class Hills(NamedTuple):
         Length of the pieces that motions are priced in [m].
     """
 
-    heights: NDArray[np.float64]
+    heights: Annotated[NDArray[np.float64], 2, READONLY]
     x: float
     y: float
     cos: float
@@ -88,8 +92,8 @@ class KernelProblem(NamedTuple):
         Class of the surface in each cell; a single one where all are alike and level.
     hills : Hills
         Heights of the ground.
-    steering : ndarray
-        Parameters of the steering kernels.
+    steering : StaticSteering
+        The static cost that steering solves.
     half_track : float
         Half the slip track [m].
     reach : float
@@ -102,10 +106,10 @@ class KernelProblem(NamedTuple):
 
     space: Space
     body: Body
-    prices: NDArray[np.float64]
-    surface: NDArray[np.uint8]
+    prices: FloatTable
+    surface: ByteTable
     hills: Hills
-    steering: NDArray[np.float64]
+    steering: StaticSteering
     half_track: float
     reach: float
     least_metre: float
@@ -118,10 +122,8 @@ class KernelProblem(NamedTuple):
     goal_yaw: float
 
 
-@njit
-def price(
-    prices: NDArray[np.float64], kind: int, half_track: float, ds: float, dtheta: float
-) -> float:
+@inner
+def price(prices: FloatTable, kind: int, half_track: float, ds: float, dtheta: float) -> float:
     """Price of a motion on one class of surface."""
     turned = half_track * dtheta
     size = hypot(ds, turned)
@@ -138,19 +140,17 @@ def price(
     )
 
 
-@njit
+@inner
 def surface_at(setting: KernelProblem, x: float, y: float) -> int:
     """Class of the surface under a point, that of the nearest cell outside the map."""
-    space = setting.space
     rows, columns = setting.surface.shape
-    dx = x - space.x
-    dy = y - space.y
-    column = int((space.cos * dx + space.sin * dy) / space.resolution)
-    row = int((-space.sin * dx + space.cos * dy) / space.resolution)
+    here = in_cells(setting.space, x, y)
+    row = int(here.row)
+    column = int(here.column)
     return int(setting.surface[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)])
 
 
-@njit
+@inner
 def height_at(hills: Hills, x: float, y: float) -> float:
     """Height of a point, bilinear between the nodes; that of the raster's edge beyond it."""
     dx = x - hills.x
@@ -170,10 +170,12 @@ def height_at(hills: Hills, x: float, y: float) -> float:
 
 
 @njit
-def heights_of_points(hills: Hills, space: Space, stride: int) -> NDArray[np.float64]:
+def heights_of_points(hills: Hills, space: Space, stride: int) -> FloatTable:
     """Heights at every `stride`-th cell of a map [m]; a single one on level ground."""
     if hills.bins == 1:
-        return np.zeros((1, 1))
+        level = np.empty((1, 1))
+        level[0, 0] = 0.0
+        return level
     rows = (space.clearance.shape[0] + stride - 1) // stride
     columns = (space.clearance.shape[1] + stride - 1) // stride
     out = np.empty((rows, columns))
@@ -187,7 +189,7 @@ def heights_of_points(hills: Hills, space: Space, stride: int) -> NDArray[np.flo
     return out
 
 
-@njit
+@inner
 def sloping_cost(
     setting: KernelProblem, x: float, y: float, yaw: float, ds: float, dtheta: float
 ) -> float:
@@ -212,7 +214,7 @@ def sloping_cost(
     several = len(setting.prices) > hills.bins
     travel = (ds + hills.lateral * dtheta) / pieces
     turn = dtheta / pieces
-    chord = ds / pieces * (sin(0.5 * turn) / (0.5 * turn) if turn != 0.0 else 1.0)
+    chord = ds / pieces * chord_factor(turn)
     px = x + hills.lateral * sin(yaw)
     py = y - hills.lateral * cos(yaw)
     height = height_at(hills, px, py)
@@ -263,7 +265,7 @@ def motion_cost(
     pieces = max(ceil(2.0 * abs(ds) / setting.space.resolution), 1)
     piece_ds = ds / pieces
     piece_turn = dtheta / pieces
-    chord = piece_ds * (sin(0.5 * piece_turn) / (0.5 * piece_turn) if piece_turn != 0.0 else 1.0)
+    chord = piece_ds * chord_factor(piece_turn)
     total = 0.0
     last = -1
     unit = 0.0
@@ -295,37 +297,27 @@ def drive(
     x: float,
     y: float,
     yaw: float,
-    ds: NDArray[np.float64],
-    dtheta: NDArray[np.float64],
+    ds: Floats,
+    dtheta: Floats,
     count: int,
     limit: float,
 ) -> float:
     """Cost of a sequence of motions from a pose; infinite if one collides or it reaches `limit`."""
     total = 0.0
-    px = x
-    py = y
-    heading = yaw
+    here = Pose(x, y, yaw)
     for k in range(count):
-        total += motion_cost(setting, px, py, heading, ds[k], dtheta[k])
+        total += motion_cost(setting, here.x, here.y, here.yaw, ds[k], dtheta[k])
         if total >= limit:
             return inf
-        half = 0.5 * dtheta[k]
-        chord = ds[k] * (sin(half) / half if half != 0.0 else 1.0)
-        px += chord * cos(heading + half)
-        py += chord * sin(heading + half)
-        heading += dtheta[k]
+        here = arc_end(here, ds[k], dtheta[k])
     # collisions after the costs, which are cheaper to find out
-    px = x
-    py = y
-    heading = yaw
+    here = Pose(x, y, yaw)
     for k in range(count):
-        if not motion_free(setting.space, setting.body, px, py, heading, ds[k], dtheta[k], 0.0):
+        if not motion_free(
+            setting.space, setting.body, here.x, here.y, here.yaw, ds[k], dtheta[k], 0.0
+        ):
             return inf
-        half = 0.5 * dtheta[k]
-        chord = ds[k] * (sin(half) / half if half != 0.0 else 1.0)
-        px += chord * cos(heading + half)
-        py += chord * sin(heading + half)
-        heading += dtheta[k]
+        here = arc_end(here, ds[k], dtheta[k])
     return total
 
 
@@ -336,8 +328,8 @@ def spin_drive_spin(
     yaw0: float,
     yaw1: float,
     backwards: bool,
-    ds: NDArray[np.float64],
-    dtheta: NDArray[np.float64],
+    ds: Floats,
+    dtheta: Floats,
 ) -> int:
     """Write the motion that turns on the spot, drives straight, and turns on the spot."""
     way = atan2(dy, dx) + (pi if backwards else 0.0)
@@ -363,8 +355,8 @@ def join(
     to_y: float,
     to_yaw: float,
     limit: float,
-    ds: NDArray[np.float64],
-    dtheta: NDArray[np.float64],
+    ds: Floats,
+    dtheta: Floats,
 ) -> tuple[float, int]:
     """Join two poses by the cheapest free motion known, if it costs less than `limit`.
 
@@ -392,12 +384,13 @@ def join(
         if other < cost:
             cost = other
             count = n
-            ds[:n] = other_ds
-            dtheta[:n] = other_dtheta
+            for k in range(n):
+                ds[k] = other_ds[k]
+                dtheta[k] = other_dtheta[k]
     return cost, count
 
 
-@njit
+@inner
 def connection(setting: KernelProblem, x: float, y: float, yaw: float, limit: float) -> float:
     """Cost of the cheapest free motion known from a pose to the goal; infinite if there is none."""
     ds = np.empty(MAX_SEGMENTS)
@@ -420,13 +413,10 @@ def steering_cost(
     dtheta = np.empty(MAX_SEGMENTS)
     count = steer_path(dx, dy, yaw, to_yaw, setting.steering, ds, dtheta)
     total = 0.0
+    here = Pose(x, y, yaw)
     for k in range(count):
-        total += motion_cost(setting, x, y, yaw, ds[k], dtheta[k])
-        half = 0.5 * dtheta[k]
-        chord = ds[k] * (sin(half) / half if half != 0.0 else 1.0)
-        x += chord * cos(yaw + half)
-        y += chord * sin(yaw + half)
-        yaw += dtheta[k]
+        total += motion_cost(setting, here.x, here.y, here.yaw, ds[k], dtheta[k])
+        here = arc_end(here, ds[k], dtheta[k])
     return total
 
 
