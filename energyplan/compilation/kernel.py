@@ -87,9 +87,10 @@ def njit(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def inner(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a kernel that other kernels call, and Python never does.
+    """Compile a kernel for other kernels to call.
 
-    The wrapper that Python would call takes as long to compile as the kernel itself.
+    The wrapper that Python calls a kernel through takes as long to compile as the kernel itself, so
+    this one has none: called from Python it runs as plain Python.
 
     Parameters
     ----------
@@ -99,7 +100,7 @@ def inner(function: Callable[P, R]) -> Callable[P, R]:
     Returns
     -------
     callable
-        The compiled function; ``.py_func`` is the plain one, which Python can call.
+        The compiled function; ``.py_func`` is the plain one.
     """
     return _kernel(function, inner=True)
 
@@ -189,8 +190,8 @@ class InnerKernel(Kernel):
     inner = True
 
     def __call__(self, *args: object, **kwargs: object) -> object:
-        """Refuse to be called."""
-        raise TypeError(f"{self.name} is called by kernels only; from Python call its .py_func")
+        """Run the plain function: Python, which has no way into the machine code, seldom calls."""
+        return self.py_func(*args, **kwargs)
 
 
 def _numba_type(annotation: Any) -> Any:
