@@ -66,6 +66,9 @@ def kernel_modules() -> list[str]:
     return names
 
 
+_one_at_a_time = threading.Lock()
+
+
 def compile_kernels(*modules: str, processes: int | None = None) -> Preparation:
     """Compile all kernels of some modules, or load them from disk.
 
@@ -82,6 +85,11 @@ def compile_kernels(*modules: str, processes: int | None = None) -> Preparation:
     Preparation
         What was compiled.
     """
+    with _one_at_a_time:
+        return _compile(modules, processes)
+
+
+def _compile(modules: tuple[str, ...], processes: int | None) -> Preparation:
     begun = time.perf_counter()
     wanted = [
         kernel

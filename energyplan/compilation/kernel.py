@@ -209,6 +209,8 @@ def _numba_type(annotation: Any) -> Any:
                 "A" if STRIDED in about else "C",
                 readonly=READONLY in about,
             )
+    if isinstance(annotation, type) and issubclass(annotation, np.generic):
+        return numpy_support.from_dtype(np.dtype(annotation))
     if isinstance(annotation, type) and issubclass(annotation, tuple):
         fields = hints_of(annotation, include_extras=True)
         parts = [_numba_type(fields[name]) for name in annotation._fields]  # type: ignore[attr-defined]

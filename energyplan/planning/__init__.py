@@ -155,7 +155,7 @@ def plan(
     (1808, 0.0)
     """
     from energyplan.planning.bound import lower_bound
-    from energyplan.planning.lattice.planner import compiled as compile_kernels
+    from energyplan.planning.ready import compiled as compile_kernels
 
     declared = find(planner) if isinstance(planner, str) else planner
     name = planner if isinstance(planner, str) else planner.name

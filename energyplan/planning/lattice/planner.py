@@ -13,16 +13,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable
 from dataclasses import replace
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-import shapely
 from numpy.typing import ArrayLike
 
-from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, PlanningError, TimeLimitError
-from energyplan.path import FloatArray, Path, Pose
+from energyplan.path import FloatArray, Path
 from energyplan.planning.bound import EFFORT, Bound, lower_bound
 from energyplan.planning.budget import PACE, UNLIMITED, Budget
 from energyplan.planning.contract import Candidate
@@ -37,11 +34,11 @@ from energyplan.planning.lattice.search import (
 )
 from energyplan.planning.lattice.tight_ends import ease
 from energyplan.planning.problem import PlanningProblem, as_pose
+from energyplan.planning.ready import compiled
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.guide import distance_to_go, no_distance
 from energyplan.planning.scene.guide_kernels import DistanceToGo
 from energyplan.planning.scene.reachability import check_way, none_found
-from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 
 logger = logging.getLogger(__name__)
 
@@ -224,6 +221,7 @@ def energies(
         settings.append(
             query.setting._replace(goal_x=centre.x, goal_y=centre.y, goal_yaw=centre.yaw)
         )
+    compiled()
     lattice = coarse_lattice(query.setting)
     search = Search(query.setting, no_distance(), lattice, 0.0, aligned=True)
     budget = Budget(time_limit, effort=effort)
@@ -245,27 +243,6 @@ def energies(
                     out[k] = refiner.cost
                 out[k] += query.potential(as_pose(rows[k], "a goal"))
     return out
-
-
-@cache
-def compiled() -> None:
-    """Compile the kernels, or load them from disk, so that no time limit pays for it.
-
-    The first use ever takes about half a minute and says so in the log; later ones a second.
-    """
-    logger.info("compiling the planning kernels, once; the next process finds them on disk")
-    occupied = np.zeros((24, 48), bool)
-    occupied[:14, 22:26] = True
-    cost = EnergyCost.from_coefficients(200.0, 100.0, 0.2)
-    hall = OccupancyGrid(occupied, 0.1)
-    ground = SurfaceMap((Surface(shapely.box(1.0, 1.0, 2.0, 2.0), cost.model),))
-    task = PlanningProblem(hall, cost, Pose(0.8, 0.8, 0.0), Pose(4.0, 0.8, 0.0), ground)
-    work = _Improvement(CompiledProblem(task), Budget(), 0.0, 1)
-    work.first_plan()
-    work.raise_bound()
-    work.portfolio.run(Budget(), 0.0)
-    work.portfolio.finish(Budget(), 0.0)
-    way_along(work.setting, work._field(PENALTY))
 
 
 class _Improvement:

@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 from math import inf
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import njit
-
-Words = NDArray[np.uint64]
+from energyplan.compilation import inner, njit
+from energyplan.compilation.arrays import (
+    READONLY,
+    Ints,
+    IntTable,
+    SingleTable,
+    States,
+    WordBlock,
+    Words,
+    WordTable,
+)
 
 
 @njit
-def rows_of_bits(blocked: NDArray[np.bool_], pad: int) -> Words:
+def rows_of_bits(blocked: Annotated[NDArray[np.bool_], 2, READONLY], pad: int) -> WordTable:
     """Pack rows of cells into words, with `pad` empty words on either side of each row."""
     rows, columns = blocked.shape
     words = (columns + 63) // 64
-    out = np.zeros((rows, words + 2 * pad), np.uint64)
+    out = np.empty((rows, words + 2 * pad), np.uint64)
     for row in range(rows):
+        for w in range(words + 2 * pad):
+            out[row, w] = np.uint64(0)
         for column in range(columns):
             if blocked[row, column]:
                 out[row, pad + (column >> 6)] |= np.uint64(1) << np.uint64(column & 63)
@@ -26,20 +37,24 @@ def rows_of_bits(blocked: NDArray[np.bool_], pad: int) -> Words:
 
 
 @njit
-def run_levels(bits: Words, levels: int) -> Words:
+def run_levels(bits: WordTable, levels: int) -> WordBlock:
     """Return for each `k` the columns from which a run of ``2 ** k`` cells meets a blocked one."""
     rows, words = bits.shape
-    out = np.zeros((levels, rows, words), np.uint64)
-    out[0] = bits
+    out = np.empty((levels, rows, words), np.uint64)
+    for row in range(rows):
+        for w in range(words):
+            out[0, row, w] = bits[row, w]
     for k in range(1, levels):
         shift = 1 << (k - 1)
         for row in range(rows):
+            for w in range(words):
+                out[k, row, w] = np.uint64(0)
             _merge_shifted(out[k, row], out[k - 1, row], 0, 0, words)
             _merge_shifted(out[k, row], out[k - 1, row], shift, 0, words)
     return out
 
 
-@njit
+@inner
 def _merge_shifted(into: Words, row: Words, shift: int, start: int, end: int) -> None:
     """Set the bits of a row that lie `shift` columns further on; empty words lie beyond it."""
     skip = shift >> 6
@@ -60,7 +75,7 @@ def _merge_shifted(into: Words, row: Words, shift: int, start: int, end: int) ->
         into[last - 1] |= row[words - 1] >> bit
 
 
-@njit
+@inner
 def _transpose(a: Words) -> None:
     """Transpose a square of 64 by 64 bits: bit `c` of word `h` becomes bit `h` of word `c`."""
     j = 32
@@ -78,7 +93,7 @@ def _transpose(a: Words) -> None:
             mask = mask ^ (mask << np.uint64(j))
 
 
-@njit
+@inner
 def _keep_columns(row: Words, low: int, high: int, pad: int, columns: int) -> None:
     """Clear the bits of all columns but those from `low` to before `high`."""
     for w in range(len(row)):
@@ -93,16 +108,18 @@ def _keep_columns(row: Words, low: int, high: int, pad: int, columns: int) -> No
             row[w] &= ~(~np.uint64(0) << np.uint64(end - base))
 
 
-@njit
+@inner
 def _undecided(
-    clearance: NDArray[np.float32], row: int, inner: float, outer: float, pad: int, words: int
-) -> NDArray[np.int8]:
+    clearance: SingleTable, row: int, inner: float, outer: float, pad: int, words: int
+) -> States:
     """Tell of each word of a row: 1 free at all headings, 0 at none, -1 undecided.
 
     The discs lie about the poses: the `inner` one within the body, the body in the `outer` one.
     """
     columns = clearance.shape[1]
-    out = np.zeros(words, np.int8)
+    out = np.empty(words, np.int8)
+    for w in range(words):
+        out[w] = 0
     for w in range((columns + 63) // 64):
         least = np.float32(inf)
         most = np.float32(0.0)
@@ -120,19 +137,19 @@ def _undecided(
 
 @njit
 def free_rows(
-    masks: Words,
-    levels: Words,
-    clearance: NDArray[np.float32],
+    masks: WordTable,
+    levels: WordBlock,
+    clearance: SingleTable,
     pad: int,
     group: int,
     begin: int,
     end: int,
-    run_start: NDArray[np.int64],
-    run_row: NDArray[np.int64],
-    run_level: NDArray[np.int64],
-    run_first: NDArray[np.int64],
-    run_last: NDArray[np.int64],
-    limits: NDArray[np.int64],
+    run_start: Ints,
+    run_row: Ints,
+    run_level: Ints,
+    run_first: Ints,
+    run_last: Ints,
+    limits: IntTable,
     inner: float,
     outer: float,
     step: int,
@@ -171,7 +188,9 @@ def free_rows(
     touched = np.empty(words, np.uint64)
     square = np.empty(64, np.uint64)
     for first_row in range(begin, end, group):
-        planes[:] = 0
+        for h in range(headings):
+            for w in range(words):
+                planes[h, w] = np.uint64(0)
         for row in range(first_row, min(first_row + group, end)):
             known = _undecided(clearance, row, inner, outer, pad, words)
             for h in range(headings):

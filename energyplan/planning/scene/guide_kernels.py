@@ -9,14 +9,24 @@ So what is known are doors, and where the robot can turn around and where it has
 from __future__ import annotations
 
 from math import atan2, ceil, cos, floor, hypot, inf, pi
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import njit
+from energyplan.compilation import inner, njit
+from energyplan.compilation.arrays import (
+    READONLY,
+    Bytes,
+    Floats,
+    FloatTable,
+    ShortInts,
+    Singles,
+    Words,
+)
+from energyplan.planning.scene.field import STEP_COLUMNS, STEP_ROWS, longer_ints
 from energyplan.planning.scene.motions import Hills, height_at
-from energyplan.terrain.collision import Space
+from energyplan.terrain.collision import Space, in_cells
 
 HEADINGS = 64
 """Headings of a place: as many as a word has bits."""
@@ -54,11 +64,11 @@ class Places(NamedTuple):
         Distance between places [m].
     """
 
-    masks: NDArray[np.uint64]
-    first: NDArray[np.int32]
-    arcs: NDArray[np.uint64]
-    home: NDArray[np.int32]
-    room: NDArray[np.float32]
+    masks: Words
+    first: ShortInts
+    arcs: Words
+    home: ShortInts
+    room: Singles
     columns: int
     spacing: float
 
@@ -80,18 +90,18 @@ class DistanceToGo(NamedTuple):
     """
 
     places: Places
-    distance: NDArray[np.float32]
-    direction: NDArray[np.float32]
+    distance: Singles
+    direction: Singles
     far: float
 
 
-@njit
+@inner
 def _starts(mask: np.uint64) -> np.uint64:
     """Return the headings of a mask whose lower neighbour is not in it."""
     return mask & ~((mask << np.uint64(1)) | (mask >> np.uint64(63)))
 
 
-@njit
+@inner
 def _ones(word: np.uint64) -> np.int64:
     """Return how many bits are set."""
     word -= (word >> np.uint64(1)) & np.uint64(0x5555555555555555)
@@ -103,7 +113,9 @@ def _ones(word: np.uint64) -> np.int64:
 
 
 @njit
-def connect_places(masks: NDArray[np.uint64], space: Space, spacing: float) -> Places:
+def connect_places(
+    masks: Annotated[NDArray[np.uint64], 2, READONLY], space: Space, spacing: float
+) -> Places:
     """Return the nodes of free configurations.
 
     Parameters
@@ -118,9 +130,9 @@ def connect_places(masks: NDArray[np.uint64], space: Space, spacing: float) -> P
     rows, columns = masks.shape
     across = columns + 2 * RIM
     count = (rows + 2 * RIM) * across
-    flat = np.zeros(count, np.uint64)
-    first = np.zeros(count + 1, np.int32)
-    room = np.zeros(count, np.float32)
+    flat = np.empty(count, np.uint64)
+    first = np.empty(count + 1, np.int32)
+    room = np.empty(count, np.float32)
     nodes = 0
     for row in range(rows):
         for column in range(columns):
@@ -133,6 +145,8 @@ def connect_places(masks: NDArray[np.uint64], space: Space, spacing: float) -> P
     nodes = 0
     for place in range(count):
         first[place] = nodes
+        flat[place] = np.uint64(0)
+        room[place] = 0.0
         row = place // across - RIM
         column = place % across - RIM
         if row < 0 or row >= rows or column < 0 or column >= columns:
@@ -165,15 +179,14 @@ def connect_places(masks: NDArray[np.uint64], space: Space, spacing: float) -> P
     return Places(flat, first, arcs, home, room, columns, spacing)
 
 
-@njit
+@inner
 def place_of(places: Places, space: Space, x: float, y: float) -> int:
     """Return the place that a point of the world lies in, the nearest one outside the map."""
-    dx = x - space.x
-    dy = y - space.y
+    here = in_cells(space, x, y)
     across = places.columns + 2 * RIM
     rows = len(places.masks) // across - 2 * RIM
-    column = floor((space.cos * dx + space.sin * dy) / places.spacing)
-    row = floor((-space.sin * dx + space.cos * dy) / places.spacing)
+    column = floor(here.column * space.resolution / places.spacing)
+    row = floor(here.row * space.resolution / places.spacing)
     row = min(max(row, 0), rows - 1)
     column = min(max(column, 0), places.columns - 1)
     return (row + RIM) * across + column + RIM
@@ -213,12 +226,14 @@ def node_at(to_go: DistanceToGo, space: Space, x: float, y: float, yaw: float) -
 
 
 @njit
-def heights_of_places(places: Places, hills: Hills, space: Space) -> NDArray[np.float64]:
+def heights_of_places(places: Places, hills: Hills, space: Space) -> Floats:
     """Return the height of each place [m]; a single one on level ground."""
     if hills.bins == 1:
-        return np.zeros(1)
+        level = np.empty(1)
+        level[0] = 0.0
+        return level
     across = places.columns + 2 * RIM
-    out = np.zeros(len(places.masks))
+    out = np.empty(len(places.masks))
     for place in range(len(out)):
         along = (place % across - RIM + 0.5) * places.spacing
         up = (place // across - RIM + 0.5) * places.spacing
@@ -231,19 +246,19 @@ def heights_of_places(places: Places, hills: Hills, space: Space) -> NDArray[np.
 @njit
 def way_to_go(
     places: Places,
-    goals: NDArray[np.int32],
+    goals: ShortInts,
     stop: int,
     margin: float,
     slack: float,
     ahead: float,
     tight: float,
     penalty: float,
-    surface: NDArray[np.uint8],
-    dearness: NDArray[np.float64],
-    height: NDArray[np.float64],
+    surface: Bytes,
+    dearness: FloatTable,
+    height: Floats,
     steepest: float,
-    distance: NDArray[np.float32],
-    direction: NDArray[np.float32],
+    distance: Singles,
+    direction: Singles,
 ) -> None:
     """Write the distance of every node from the goal, over 16 neighbours.
 
@@ -279,12 +294,13 @@ def way_to_go(
         As in `DistanceToGo`.
     """
     across = places.columns + 2 * RIM
-    steps_r = np.array([0, 1, 0, -1, 1, 1, -1, -1, 1, 2, 2, 1, -1, -2, -2, -1])
-    steps_c = np.array([1, 0, -1, 0, 1, -1, 1, -1, 2, 1, -1, -2, -2, -1, 1, 2])
-    lengths = places.spacing * np.hypot(steps_r, steps_c)
-    steps = steps_r * across + steps_c
+    steps_r = STEP_ROWS
+    steps_c = STEP_COLUMNS
+    lengths = np.empty(STEPS)
+    for k in range(STEPS):
+        lengths[k] = places.spacing * hypot(steps_r[k], steps_c[k])
     # a knight's move passes between two places
-    beside = np.zeros((STEPS, 2), np.int64)
+    beside = np.empty((STEPS, 2), np.int64)
     for k in range(8, STEPS):
         for side in range(2):
             half_r = floor(0.5 * steps_r[k]) if side == 0 else ceil(0.5 * steps_r[k])
@@ -293,12 +309,13 @@ def way_to_go(
     # headings no further than so many steps from a direction or its opposite, and what a way to
     # and fro along them costs
     quarter = HEADINGS // 4
-    near = np.zeros((STEPS, quarter + 1), np.uint64)
+    near = np.empty((STEPS, quarter + 1), np.uint64)
     factors = np.empty(quarter + 1)
     turn = 2.0 * pi / HEADINGS
     for n in range(quarter + 1):
         factors[n] = 1.0 / cos(turn * max(n - 0.5, 0.0))
         for k in range(STEPS):
+            near[k, n] = np.uint64(0)
             for h in range(HEADINGS):
                 off = (h * turn - atan2(steps_r[k], steps_c[k])) % pi
                 if min(off, pi - off) <= turn * (n + 0.5) + 1e-9:
@@ -308,19 +325,30 @@ def way_to_go(
     even = not varied and slopes == 1
     # Buckets of nodes by the way through them, as wide as the shortest step, as lists in `nodes`
     # linked by `older`. A node that is lowered after its turn has another one.
-    cheapest = dearness.min()
+    cheapest = inf
+    dearest = 0.0
+    for r in range(dearness.shape[0]):
+        for c in range(slopes):
+            cheapest = min(cheapest, dearness[r, c])
+            dearest = max(dearest, dearness[r, c])
     width = places.spacing * cheapest
-    most = lengths.max() * (dearness.max() * max(penalty, 1.0) * factors[quarter] + cheapest)
+    most = lengths[STEPS - 1] * (dearest * max(penalty, 1.0) * factors[quarter] + cheapest)
     ring = int(most / width) + 2
-    bucket = np.full(ring, -1, np.int32)
+    bucket = np.empty(ring, np.int32)
+    for k in range(ring):
+        bucket[k] = -1
     capacity = 1 << 14
     nodes = np.empty(capacity, np.int32)
     older = np.empty(capacity, np.int32)
     total = len(places.arcs)
-    parent = np.full(total, -1, np.int32)
-    target = np.full(total, -1, np.int32)
-    closed = np.zeros(total, np.bool_)
-    distance[:] = inf
+    parent = np.empty(total, np.int32)
+    target = np.empty(total, np.int32)
+    closed = np.empty(total, np.bool_)
+    for node in range(total):
+        parent[node] = -1
+        target[node] = -1
+        closed[node] = False
+        distance[node] = inf
     rounding = ROUNDING * places.spacing
     stop_r = 0
     stop_c = 0
@@ -378,7 +406,7 @@ def way_to_go(
         here = int(surface[place]) if varied else 0
         factor = dearness[here, 0]
         for k in range(STEPS):
-            there = place + steps[k]
+            there = place + steps_r[k] * across + steps_c[k]
             common = arc & places.masks[there]
             if common == 0:
                 continue
@@ -410,8 +438,8 @@ def way_to_go(
                     closed[other] = False
                     if count == capacity:
                         capacity *= 2
-                        nodes = np.concatenate((nodes, nodes))
-                        older = np.concatenate((older, older))
+                        nodes = longer_ints(nodes)
+                        older = longer_ints(older)
                     way = dd + line * hypot(row + steps_r[k] - stop_r, column + steps_c[k] - stop_c)
                     slot = max(int(way / width), at_bucket) % ring
                     nodes[count] = other

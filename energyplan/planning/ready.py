@@ -1,0 +1,22 @@
+"""Kernels are there before the clock starts."""
+
+from __future__ import annotations
+
+from energyplan.compilation import compile_kernels
+
+PLANNING = (
+    "energyplan.planning",
+    "energyplan.terrain",
+    "energyplan.cost",
+    "energyplan.steering.kernels",
+)
+"""Where the kernels are that a planner may call, whatever the problem."""
+
+
+def compiled() -> None:
+    """Compile all kernels of planning, or load them from disk, so that no time limit pays for it.
+
+    Whatever kind of problem comes, its kernels are among them. It is called when the problem has
+    been checked: who starts in an obstacle is told so at once.
+    """
+    compile_kernels(*PLANNING)
