@@ -13,7 +13,8 @@ from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.bound import DETAILS, lower_bound, outline
 from energyplan.planning.bound import corners as kernels
-from energyplan.planning.bound.corners import HEADINGS, Rates, line_open
+from energyplan.planning.bound.corners import HEADINGS, Rates
+from energyplan.planning.bound.sight import line_open
 from energyplan.planning.bound.surface_excess import least_excess, least_steps
 from energyplan.planning.contract import ROUNDING
 from energyplan.planning.scene.compiled import CompiledProblem

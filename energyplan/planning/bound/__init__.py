@@ -17,7 +17,8 @@ import numpy as np
 import shapely
 
 from energyplan.path import FloatArray
-from energyplan.planning.bound.corners import Corners, Rates, least_over_corners
+from energyplan.planning.bound.corners import Rates, least_over_corners
+from energyplan.planning.bound.sight import Corners
 from energyplan.planning.bound.surface_excess import least_excess
 from energyplan.planning.scene.compiled import MARGIN, CompiledProblem
 from energyplan.planning.scene.guide import inscribed
