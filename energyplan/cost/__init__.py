@@ -21,16 +21,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from energyplan.cost import direction_table, speeds
+from energyplan.cost import direction_table, speeds, steering
 from energyplan.cost.bounds import LowerBound, lower_bound
 from energyplan.cost.coefficients import static_model
 from energyplan.cost.direction_table import SPECIAL, Corners, DirectionTable
-from energyplan.cost.steering import (
-    PolygonSteering,
-    StaticSteering,
-    polygon_steering,
-    static_steering,
-)
 from energyplan.errors import InvalidInputError, ModelError
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Path
@@ -471,8 +465,6 @@ class EnergyCost:
         return 0.0 if self.gauge.is_static else self._corners.error + self.gauge.error
 
     @cached_property
-    def steering_parameters(self) -> StaticSteering | PolygonSteering:
-        """What steering reads: two numbers where these describe the cost, else its corners."""
-        if self.gauge.is_static:
-            return static_steering(self.gauge, self.icr)
-        return polygon_steering(self.gauge, self._corners, self.icr)
+    def steering_parameters(self) -> steering.Steering:
+        """What steering reads."""
+        return steering.steering_of(self.gauge, self._corners, self.icr)

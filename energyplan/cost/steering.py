@@ -74,8 +74,13 @@ def polygon_steering(table: DirectionTable, corners: Corners, icr: TreadICR) -> 
     )
 
 
-def static_steering(table: DirectionTable, icr: TreadICR) -> StaticSteering:
-    """Return a static cost as the closed form reads it."""
+Steering = StaticSteering | PolygonSteering
+
+
+def steering_of(table: DirectionTable, corners: Corners, icr: TreadICR) -> Steering:
+    """Return a cost as steering reads it: in two numbers where these describe it."""
+    if not table.is_static:
+        return polygon_steering(table, corners, icr)
     C, x, y = map(float, (icr.half_track, *icr.centre))
     return StaticSteering(C, x, y, float(table.special[0]), float(table.special[4]) * C)
 
