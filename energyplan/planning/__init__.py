@@ -162,10 +162,11 @@ def plan(
     Budget(time_limit, effort=effort)  # says at once what is wrong with them
     _check_capable(name, declared, problem, effort is not None)
     problem.check_poses()
+    solve = declared.function
     compile_kernels()
     budget = Budget(time_limit, effort=effort)
     given = budget if declared.bound else budget.part(1.0 - _BOUND_SHARE)
-    found = declared.function(problem, given, **options)
+    found = solve(problem, given, **options)
     if not isinstance(found, Candidate):
         raise PlanningError(
             f"the planner {name!r} returned a {type(found).__name__}; correct it to return an "

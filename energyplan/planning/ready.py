@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+
 from energyplan.compilation import compile_kernels
 
 PLANNING = (
@@ -19,4 +21,5 @@ def compiled() -> None:
     Whatever kind of problem comes, its kernels are among them. It is called when the problem has
     been checked: who starts in an obstacle is told so at once.
     """
+    import_module("energyplan.planning.lattice.planner")  # knows all that planning may call
     compile_kernels(*PLANNING)
