@@ -1,8 +1,8 @@
 """Why a prediction differs from what was measured, and what to add so that it doesn't.
 
-Residual, effect, extended model, error before and after: effects of the catalogue are added one at
-a time, each only if it predicts blocks of driving that it was not fitted to, and the errors that
-are reported come from drives that were held out.
+Residual, effects, extended model, error before and after: sets of effects of the catalogue are
+compared by how they predict parts of the training drives that they were not fitted to, and the
+errors that are reported come from drives that took part in neither.
 """
 
 from __future__ import annotations
@@ -13,13 +13,23 @@ from dataclasses import replace
 import numpy as np
 
 from energyplan.diagnosis import advice as _advice
+from energyplan.diagnosis.adequacy import adequacy, energies
 from energyplan.diagnosis.fitting import PAPER, Part, Problem
 from energyplan.diagnosis.holdout import ErrorInterval, Prediction, interval, predict, score
 from energyplan.diagnosis.joint_fit import final_fit, size_error
 from energyplan.diagnosis.mass_centre import MassCentre, find_mass_centre
 from energyplan.diagnosis.residual import Dependence, dependences
-from energyplan.diagnosis.result import Diagnosis, Evidence, FoundEffect, Unexplained, Verdict
-from energyplan.diagnosis.selection import SIGNIFICANCE, Chosen, Selection, Selector, is_needless
+from energyplan.diagnosis.result import (
+    Adequacy,
+    Diagnosis,
+    EnergyPrediction,
+    Evidence,
+    Explanation,
+    FoundEffect,
+    Unexplained,
+    Verdict,
+)
+from energyplan.diagnosis.search import SIGNIFICANCE, Found, Search, without_mimics
 from energyplan.diagnosis.windows import Drive, prepared
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr
@@ -29,10 +39,13 @@ from energyplan.power.effects import Effect, catalogue, empirical_term
 from energyplan.vehicle import Vehicle
 
 __all__ = [
+    "Adequacy",
     "Dependence",
     "Diagnosis",
+    "EnergyPrediction",
     "ErrorInterval",
     "Evidence",
+    "Explanation",
     "FoundEffect",
     "Unexplained",
     "diagnose",
@@ -43,6 +56,9 @@ _TELLING = 0.1
 
 _MOSTLY = 0.3
 """Share from which on a channel is asked whether it makes the effects found unnecessary."""
+
+_SHOWN = 8
+"""Explanations that are reported."""
 
 Progress = Callable[[float, str], object]
 
@@ -66,14 +82,14 @@ def diagnose(
         Drives to learn from, 16 s each or longer. Four or more are left out one at a time in
         cross-validation; fewer are cut into blocks of 8 s.
     holdout : DriveLog or sequence of DriveLog
-        Drives that only serve to report errors, and to take back an effect that makes them worse.
+        Drives that only serve to report errors: they choose nothing.
     vehicle : Vehicle
         The robot. Its tread ICRs are identified from the training drives where those have yaw.
     effects : sequence of Effect, optional
         The catalogue to choose from; `energyplan.power.effects.catalogue` where not given.
     choose : bool
-        Choose from `effects`. False puts all of them into the model, whether they help or not, and
-        takes none back: for the question what a known effect does to the errors.
+        Choose from `effects`. False puts all of them into the model, whether they help or not: for
+        the question what a known effect does to the errors.
     max_effects : int
         Largest number of effects that are chosen.
     empirical : bool
@@ -120,12 +136,12 @@ def diagnose(
     vehicle = _with_icr(learned, vehicle)
     case = _Case(learned, held_out, vehicle, entries)
     report(0.1, "choosing effects")
-    selector = Selector(
+    search = Search(
         case.problem, entries, lambda share, text: report(0.1 + 0.7 * share, text), max_effects
     )
-    selection = selector.run() if choose else selector.take_all()
+    found = search.run() if choose else search.take_all()
     report(0.8, "judging on the hold-out drives")
-    return case.conclude(selection, choose, empirical, report)
+    return case.conclude(found, choose, empirical, report)
 
 
 def _logs(logs: DriveLog | Sequence[DriveLog], name: str) -> list[DriveLog]:
@@ -172,6 +188,8 @@ class _Case:
         entries: Sequence[Effect],
     ) -> None:
         self.entries = tuple(entries)
+        self.logs = (tuple(train), tuple(holdout))
+        self.notes: list[str] = []
         self.problem = Problem(prepared(train, vehicle), vehicle)
         self.paper = final_fit(self.problem, ()).model
         self.before = [predict(self.paper, (), Drive.of(log, vehicle)) for log in holdout]
@@ -192,19 +210,14 @@ class _Case:
         return found if found is not None and found.found else None
 
     def conclude(
-        self, selection: Selection, choose: bool, empirical: bool, report: Progress
+        self, searched: Found, choose: bool, empirical: bool, report: Progress
     ) -> Diagnosis:
-        """Judge what was selected on the hold-out drives and put it into words."""
-        before = self.before
-        chosen, withdrawn = list(selection.chosen), list[str]()
-        if choose:
-            chosen, withdrawn = self._vetted(selection, score(before))
-        if "time_offset" in withdrawn:
-            selection = replace(selection, problem=self.problem)
-        parts = tuple(choice.part for choice in chosen)
+        """Judge the most probable explanation on the hold-out drives and put it into words."""
+        before, best = self.before, searched.best
+        parts = best.parts
         told_before = dependences(self.problem, PAPER, ("power",))
         report(0.9, "testing the residual against every channel")
-        told_after = dependences(selection.problem, final_fit(selection.problem, parts).terms)
+        told_after = dependences(best.problem, final_fit(best.problem, parts).terms)
         left = [
             one for one in told_after
             if one.p_value < SIGNIFICANCE
@@ -215,22 +228,18 @@ class _Case:
         first = next((one for one in left if one.channel != "drive"), None)
         smooth = _smooth_part(first) if first is not None and first.knots else None
         if choose and first and smooth and first.explained_variance > _MOSTLY:
-            for choice in list(chosen):
-                parts = (*(other.part for other in chosen), smooth)
-                if is_needless(selection.problem, parts, choice.part):
-                    chosen.remove(choice)
-                    mimics.append(choice.part.effect.name)
-        parts = tuple(choice.part for choice in chosen)
+            parts, mimics = without_mimics(best.problem, parts, smooth)
+        chosen = parts
         if empirical and smooth:
             parts = (*parts, smooth)
-        fitted = final_fit(selection.problem, parts)
+        fitted = final_fit(best.problem, parts)
         after = [predict(fitted.model, parts, drive) for drive in self.held]
-        if choose and score(after).rmse > score(before).rmse:
-            withdrawn += [choice.part.effect.name for choice in chosen]
-            chosen, parts, selection = [], (), replace(selection, problem=self.problem)
-            fitted = final_fit(self.problem, parts)
-            after = [predict(fitted.model, parts, drive) for drive in self.held]
-        found = self._found(chosen, fitted.model, fitted.errors, selection, after)
+        undated = None
+        if any(one.change is not None for one in after):
+            undated = score(
+                [predict(fitted.model, parts, drive, dated=False) for drive in self.held]
+            )
+        found = self._found(chosen, fitted.model, fitted.errors, searched, after)
         unexplained = tuple(
             Unexplained(
                 one.channel, one.shape, one.explained_variance, one.p_value,
@@ -238,67 +247,84 @@ class _Case:
             )
             for one in left
         )  # fmt: skip
+        quality = adequacy(best.problem, fitted)
         names = [effect.name for effect in found]
-        used = [choice.part.effect for choice in chosen]
+        used = [part.effect for part in chosen]
+        errors = score(before), score(after)
         advice = [
             *_advice.mimic_advice(left, names, mimics),
+            *_advice.adequacy_advice(quality, bool(left)),
             *_advice.drive_advice(told_after, SIGNIFICANCE),
-            *_advice.rival_advice(chosen),
+            *_advice.rival_advice(found, {entry.name: entry for entry in self.entries}),
             *_advice.mass_advice(fitted.model, names),
             *_advice.log_advice(used),
-            *(
-                f"{name} helped on the training drives only and was taken back: record more drives"
-                for name in withdrawn
-            ),
-            *_advice.untested_advice(selection.untested, names),
+            *_advice.worse_advice(names, *errors),
+            *_advice.change_advice(undated),
+            *_advice.untested_advice(searched.untested, names),
+            *self.notes,
         ]
-        verdict: Verdict = "effect_found" if found else "unexplained" if left else "no_effect"
+        verdict: Verdict = "no_effect"
+        if found:
+            verdict = "effect_found"
+        elif left or not quality.adequate:
+            verdict = "unexplained"
         report(1.0, "done")
         return Diagnosis(
             verdict=verdict,
             effects=found,
-            model=_for_planners(fitted.model, used, score(after)),
-            before=score(before),
-            after=score(after),
+            model=_for_planners(fitted.model, used, errors[1]),
+            before=errors[0],
+            after=errors[1],
             before_interval=interval(before),
             after_interval=interval(after),
             unexplained=unexplained,
             advice=tuple(advice),
-            paper=replace(self.paper, residual=score(before)),
+            paper=replace(self.paper, residual=errors[0]),
             dependences_before=told_before,
             dependences_after=told_after,
-            withdrawn=(*withdrawn, *mimics),
+            withdrawn=tuple(mimics),
             predictions_before=tuple(one.power for one in before),
             predictions_after=tuple(one.power for one in after),
+            explanations=self._explanations(searched),
+            adequacy=quality,
+            predictions=energies(best.problem, fitted, after),
+            training=tuple(log.name for log in self.logs[0]),
+            judging=tuple(log.name for log in self.logs[1]),
+            choosing=self._choosing(),
+            set_aside=_set_aside([*self.logs[0], *self.logs[1]]),
+            after_undated=undated,
         )
 
-    def _vetted(self, selection: Selection, before: Residual) -> tuple[list[Chosen], list[str]]:
-        """Take back effects, the last one first, while the hold-out is worse with than without."""
-        chosen, withdrawn = list(selection.chosen), []
-        errors = [before.rmse]
-        for count in range(1, len(chosen) + 1):
-            parts = [choice.part for choice in chosen[:count]]
-            model = final_fit(selection.problem, parts).model
-            errors.append(score([predict(model, parts, drive) for drive in self.held]).rmse)
-        while chosen and errors[-1] > min(errors[:-1]):
-            withdrawn.append(chosen.pop().part.effect.name)
-            errors.pop()
-        return chosen, withdrawn
+    def _choosing(self) -> tuple[str, ...]:
+        """Name what chose: whole training drives, or blocks of them, each left out in turn."""
+        names = [log.name for log in self.logs[0]]
+        return tuple(names if len(names) >= 4 else (f"blocks of {name}" for name in names))
+
+    def _explanations(self, searched: Found) -> tuple[Explanation, ...]:
+        moved = () if self.mass_centre is None else ("centre_of_mass",)
+        return tuple(
+            Explanation(
+                (*moved, *one.names), one.probability,
+                _for_planners(final_fit(one.problem, one.parts).model,
+                              [part.effect for part in one.parts], None),
+            )
+            for one in searched.explanations[:_SHOWN]
+        )  # fmt: skip
 
     def _found(
         self,
-        chosen: Sequence[Chosen],
+        parts: Sequence[Part],
         model: PowerModel,
         errors: Mapping[str, float],
-        selection: Selection,
+        searched: Found,
         after: Sequence[Prediction],
     ) -> tuple[FoundEffect, ...]:
         found = []
         if self.mass_centre is not None:
             entry = next(entry for entry in self.entries if entry.name == "centre_of_mass")
             found.append(_mass_effect(entry, self.mass_centre))
-        for choice in chosen:
-            entry, params = choice.part.effect, dict(choice.part.params)
+        for part in parts:
+            entry, params = part.effect, dict(part.params)
             details = {**params, **{f"{k}_std_error": v for k, v in errors.items() if k in params}}
             details |= {
                 term.name: model.coefficient(term.name)
@@ -306,26 +332,38 @@ class _Case:
                 if len(entry.terms) > 1
             }
             if entry.acts == "change":
-                for drive in selection.problem.drives:
+                for drive in searched.best.problem.drives:
                     details |= _change_time(drive)
                 for one in after:
                     if one.change is not None:
                         details[f"time in {one.drive.name}"] = one.change
             value = entry.value(model) if entry.terms else params["delay"]
             error = size_error(entry, model) if entry.terms else errors["delay"]
-            trial = choice.trial
+            gain = searched.best.gains[searched.best.parts.index(part)]
             found.append(
                 FoundEffect(
                     entry.name, entry.symbol, value, entry.unit, error,
-                    Evidence(trial.gain, trial.gain_error, min(trial.p_value * trial.looks, 1.0)),
-                    tuple(rival.part.effect.name for rival in choice.rivals),
+                    Evidence(gain.improvement, gain.error, gain.p_value),
+                    searched.probability(entry.name), searched.rivals(entry.name),
                     details, entry.meaning, entry.planner,
                 )
             )  # fmt: skip
         return tuple(found)
 
 
-def _for_planners(model: PowerModel, used: Sequence[Effect], residual: Residual) -> PowerModel:
+def _set_aside(logs: Sequence[DriveLog]) -> dict[str, dict[str, int]]:
+    """Count what was left out or mended, by drive and reason."""
+    told: dict[str, dict[str, int]] = {}
+    for log in logs:
+        for item in log.set_aside:
+            reasons = told.setdefault(log.name, {})
+            reasons[item.reason] = reasons.get(item.reason, 0) + item.count
+    return told
+
+
+def _for_planners(
+    model: PowerModel, used: Sequence[Effect], residual: Residual | None
+) -> PowerModel:
     """Leave out what belongs to the log; a change happens at time 0, before any plan."""
     logged = {term.name for entry in used if entry.acts == "log" for term in entry.terms}
     keep = [k for k, term in enumerate(model.terms) if term.name not in logged]
@@ -358,6 +396,7 @@ def _mass_effect(entry: Effect, found: MassCentre) -> FoundEffect:
         entry.name, entry.symbol, size, entry.unit,
         float(np.sqrt(along @ found.covariance @ along)),
         Evidence(found.improvement, found.improvement_error, found.p_value),
+        1.0 - found.p_value,
         (),
         {
             "forward": found.forward, "left": found.left,

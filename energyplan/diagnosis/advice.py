@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import pi
 
 from energyplan.diagnosis.residual import Dependence
-from energyplan.diagnosis.selection import Chosen
-from energyplan.power import PowerModel
+from energyplan.diagnosis.result import Adequacy, FoundEffect
+from energyplan.power import PowerModel, Residual
 from energyplan.power.effects import Effect
 
 _MEAN_OF_NORMAL = (2 / pi) ** 0.5
@@ -16,21 +16,55 @@ _MEAN_OF_NORMAL = (2 / pi) ** 0.5
 _MASSES = ("grade", "linear_inertia", "specific_force")
 
 
-def rival_advice(chosen: Sequence[Chosen]) -> list[str]:
+def rival_advice(found: Sequence[FoundEffect], entries: Mapping[str, Effect]) -> list[str]:
     """Name the manoeuvre that separates each effect from its rivals."""
     lines = []
-    for choice in chosen:
-        if not choice.rivals:
+    for effect in found:
+        if not effect.rivals:
             continue
-        names = " or ".join(_plain(trial.part.effect.name) for trial in choice.rivals)
-        ways = [choice.part.effect.manoeuvre]
-        ways += [trial.part.effect.manoeuvre for trial in choice.rivals]
+        names = " or ".join(_plain(name) for name in effect.rivals)
+        ways = [entries[name].manoeuvre for name in (effect.name, *effect.rivals)]
         told = "; ".join(dict.fromkeys(way for way in ways if way))
         lines.append(
-            f"these drives cannot tell {_plain(choice.part.effect.name)} from {names}; "
+            f"these drives cannot tell {_plain(effect.name)} from {names}; "
             f"to tell them apart: {told}"
         )
     return lines
+
+
+def adequacy_advice(quality: Adequacy, named: bool) -> list[str]:
+    """Say that something is missing where more than noise is left."""
+    if quality.adequate:
+        return []
+    what = "lasts longer than noise would" if quality.coloured else "is larger than noise"
+    line = (
+        f"the model leaves {quality.residual:.3g} W on the training drives, where samples scatter "
+        f"by {quality.noise:.3g} W, and over two seconds {quality.slow_residual:.3g} W for "
+        f"{quality.slow_noise:.3g} W: what is left {what}, so something is missing"
+    )
+    return [line if named else f"{line}, and no channel tells what"]
+
+
+def worse_advice(effects: Sequence[str], before: Residual, after: Residual) -> list[str]:
+    """Say that the hold-out drives are predicted worse than without any effect."""
+    if not effects or after.rmse <= before.rmse:
+        return []
+    names = ", ".join(_plain(name) for name in effects)
+    return [
+        f"the hold-out drives are predicted worse with {names} (rmse {after.rmse:.3g} W) than "
+        f"without ({before.rmse:.3g} W): they differ from the training drives; record more of both"
+    ]
+
+
+def change_advice(undated: Residual | None) -> list[str]:
+    """Say what the error is where the time of a change is not taken from the judged drive."""
+    if undated is None:
+        return []
+    return [
+        "the time of the change in a hold-out drive was found in that drive, which nobody can "
+        f"foretell; without it the rmse is {undated.rmse:.3g} W and the energy is off by "
+        f"{100 * undated.energy_error:+.1f} %"
+    ]
 
 
 def mass_advice(model: PowerModel, effects: Sequence[str]) -> list[str]:

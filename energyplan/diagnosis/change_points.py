@@ -27,7 +27,7 @@ def _window_grams(problem: Problem, terms: Sequence[Term], values: FloatArray) -
     sums = []
     for drive, table, target in zip(problem.drives, *problem.tables(terms, values), strict=True):
         windows = drive.windows[0]
-        paper = [column(term, drive, problem.vehicle) for term in PAPER]
+        paper = [drive.seen(column(term, drive, problem.vehicle)) for term in PAPER]
         rows = windows.mean(np.column_stack([table, *paper, target]))
         products = np.einsum("ni,nj->nij", rows, rows)
         sums.append(np.concatenate([np.zeros((1, *products.shape[1:])), np.cumsum(products, 0)]))
@@ -162,7 +162,7 @@ def settle_change(
     )  # fmt: skip
     windows = drive.windows[0]
     residual = windows.mean(drive.power - base)
-    shift = windows.mean(np.asarray(step))
+    shift = windows.mean(drive.seen(np.asarray(step)))
     before, after = residual**2, (residual - shift) ** 2
     early = np.concatenate([[0.0], np.cumsum(before - after)])
     rising, falling = early, -early + early[-1]

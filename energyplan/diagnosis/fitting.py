@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.stats import f as fisher
 
 from energyplan.diagnosis.linear import is_lossy, linearise
@@ -25,6 +27,8 @@ FLOOR = 0.01
 """Error that is not worth an effect, as a fraction of the root mean square power."""
 
 _LOSS_ROUNDS = 12
+_SETTLED = 1e-6  # relative fall of the loss that is none
+_LEVELLING = 4  # rounds in which factors of runs and coefficients settle
 
 
 @dataclass(frozen=True)
@@ -34,7 +38,7 @@ class Part:
     effect: Effect
     params: tuple[tuple[str, float], ...] = ()
 
-    @property
+    @cached_property
     def terms(self) -> tuple[Term, ...]:
         """The effect's terms, with these parameters where they have them."""
         chosen = dict(self.params)
@@ -135,6 +139,71 @@ def fit(design: Design, errors: FloatArray, by_block: bool = False) -> Fit:
     return Fit(values, np.maximum(losses, 0.0), covariance, squares / design.counts)
 
 
+@dataclass(frozen=True)
+class RunSpread:
+    """How much runs differ as a whole, each by a factor of its power.
+
+    Parameters
+    ----------
+    deviation : float
+        Standard deviation of the factor between runs, beyond the scatter within them.
+    factors : tuple of float
+        Factor of each run, shrunk towards 1 as far as its own scatter leaves it open.
+    excess, variances : ndarray, shape (drives,)
+        Each run's own estimate of its factor, less 1, and the variance of that.
+    """
+
+    deviation: float
+    factors: tuple[float, ...]
+    excess: FloatArray
+    variances: FloatArray
+
+    @classmethod
+    def of(cls, design: Design, values: FloatArray) -> RunSpread | None:
+        """Compare runs by their longest windows (Paule's and Mandel's estimate).
+
+        Parameters
+        ----------
+        design : Design
+            Columns and power.
+        values : ndarray, shape (k,)
+            Coefficients that all runs share.
+
+        Returns
+        -------
+        RunSpread or None
+            None where there are fewer than three runs.
+
+        References
+        ----------
+        Paule and Mandel (1982), J. Res. NBS 87, 377-385.
+        """
+        table, owner = design.rows[-1], design.drives[design.blocks[-1]]
+        count = int(owner.max()) + 1
+        if count < 3:
+            return None
+        predicted, measured = table[:, :-1] @ values, table[:, -1]
+        square = np.bincount(owner, predicted**2, count)
+        product = np.bincount(owner, predicted * measured, count)
+        excess = product / np.maximum(square, 1e-300) - 1.0
+        scatter = measured - predicted * (1.0 + excess[owner])
+        windows = np.bincount(owner, minlength=count)
+        freedom = max(float(np.sum(np.maximum(windows - 1, 0))), 1.0)
+        noise = float(scatter @ scatter) / freedom
+        variances = np.maximum(noise / np.maximum(square, 1e-300), 1e-12)
+
+        def misfit(between: float) -> float:
+            weight = 1.0 / (variances + between)
+            return float(weight @ (excess - weight @ excess / weight.sum()) ** 2) - (count - 1)
+
+        between = 0.0
+        if misfit(0.0) > 0.0:
+            most = 2.0 * float(np.var(excess, ddof=1)) + 1e-12
+            between = float(brentq(misfit, 0.0, most)) if misfit(most) < 0.0 else most
+        shrunk = excess * between / (between + variances)
+        return cls(float(np.sqrt(between)), tuple((1.0 + shrunk).tolist()), excess, variances)
+
+
 def difference(one: FloatArray, other: FloatArray) -> tuple[float, float]:
     """Sum of the paired differences of block losses, and its standard error."""
     gap = one - other
@@ -172,10 +241,42 @@ class Problem:
             drives.append(drive.with_channels(changed=np.full(len(drive.t), float(state))))
         return Problem(drives, self.vehicle, self.memory)
 
-    def advanced(self, delay: float) -> Problem:
-        """Return the drives with their power moved ahead in time by `delay` [s]."""
-        drives = [drive.advanced(delay) for drive in self.drives]
+    def delayed(self, delay: float) -> Problem:
+        """Return the drives with their power taken to be logged `delay` late [s]."""
+        drives = [replace(drive, delay=delay) for drive in self.drives]
         return Problem(drives, self.vehicle, self.memory)
+
+    def with_factors(self, factors: Sequence[float]) -> Problem:
+        """Return the drives, each with a factor of its power."""
+        drives = [replace(d, factor=f) for d, f in zip(self.drives, factors, strict=True)]
+        return Problem(drives, self.vehicle, self.memory)
+
+    def levelled(self, terms: Sequence[Term]) -> Problem:
+        """Return the drives, each with the factor by which it differs as a whole.
+
+        A random effect of each run, as far as it is more than the scatter within runs (Henderson's
+        equations, the model and the factors in turn). Without it long runs decide what all share.
+
+        Parameters
+        ----------
+        terms : sequence of Term
+            Terms that no more than a factor is to come on top of.
+
+        Returns
+        -------
+        Problem
+            The same problem where there are fewer than three drives.
+        """
+        problem = self
+        for _ in range(_LEVELLING):
+            design = problem.design(terms)
+            values = fit(design, problem.reference(design)).values
+            plain = self.design(terms)
+            spread = RunSpread.of(plain, values)
+            if spread is None:
+                return self
+            problem = self.with_factors(spread.factors)
+        return problem
 
     def tables(
         self, terms: Sequence[Term], values: FloatArray
@@ -189,12 +290,12 @@ class Problem:
         for drive in self.drives:
             if is_lossy(drive, terms):
                 about = linearise(drive, self.vehicle, terms, values)
-                columns.append(about.columns)
-                targets.append(drive.power - about.power + about.columns @ values)
+                seen = drive.seen(np.column_stack([about.columns, about.power]))
+                columns.append(seen[:, :-1])
+                targets.append(drive.power - seen[:, -1] + seen[:, :-1] @ values)
             else:
-                columns.append(
-                    np.column_stack([column(term, drive, self.vehicle) for term in terms])
-                )
+                found = np.column_stack([column(term, drive, self.vehicle) for term in terms])
+                columns.append(drive.seen(found))
                 targets.append(drive.power)
         return columns, targets
 
@@ -227,18 +328,30 @@ class Problem:
             names = {term.name for term in terms}
             start = self.memory if names <= set(self.memory) else self._start(terms, errors)
         values = np.array([start.get(term.name, 0.0) for term in terms])
-        lossy = any(is_lossy(drive, terms) for drive in self.drives)
+        if not any(is_lossy(drive, terms) for drive in self.drives):
+            return Design.of(self.drives, *self.tables(terms, values))
+        best: tuple[float, FloatArray, Design] | None = None
         for _ in range(rounds):
             design = Design.of(self.drives, *self.tables(terms, values))
-            if not lossy:
-                break
             scale = np.ones(len(design.rows)) if errors is None else errors
-            before, values = values, solve(weighted(design, scale).sum(axis=0))
-            if np.allclose(values, before, rtol=1e-4):
+            gram = weighted(design, scale).sum(axis=0)
+            signed = np.append(values, -1.0)
+            loss = float(signed @ gram @ signed)
+            if best is not None and not loss < best[0]:
+                # Too far: the losses turned out otherwise than they seemed from where it started.
+                values = 0.5 * (values + best[1])
+                if np.allclose(values, best[1], rtol=1e-4):
+                    break
+                continue
+            settled = best is not None and loss > (1.0 - _SETTLED) * best[0]
+            best = (loss, values, design)
+            values = solve(gram)
+            if settled or np.allclose(values, best[1], rtol=1e-4):
                 break
-        if lossy:
-            self.memory |= {term.name: float(v) for term, v in zip(terms, values, strict=True)}
-        return design
+        if best is None:
+            return Design.of(self.drives, *self.tables(terms, values))
+        self.memory |= {t.name: float(v) for t, v in zip(terms, best[1], strict=True)}
+        return best[2]
 
     def _start(self, terms: Sequence[Term], errors: FloatArray | None) -> dict[str, float]:
         linear = [term for term in terms if term.kind != "loss"]
@@ -274,11 +387,10 @@ class Problem:
                 whole = np.append(values, np.zeros(len(extra)))
                 wanted = range(len(terms), len(whole))
                 about = linearise(drive, self.vehicle, [*terms, *extra], whole, wanted)
-                columns.append(about.columns)
+                columns.append(drive.seen(about.columns))
             else:
-                columns.append(
-                    np.column_stack([column(term, drive, self.vehicle) for term in extra])
-                )
+                found = np.column_stack([column(term, drive, self.vehicle) for term in extra])
+                columns.append(drive.seen(found))
         return window_means(self.drives, columns)
 
     def reference(self, design: Design) -> FloatArray:

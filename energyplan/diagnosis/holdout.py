@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from energyplan.diagnosis.change_points import settle_change
 from energyplan.diagnosis.fitting import Part
+from energyplan.diagnosis.linear import linearise
 from energyplan.diagnosis.windows import BLOCK, Drive
 from energyplan.fit.covariance import correlation_time
 from energyplan.path import FloatArray
@@ -35,6 +36,14 @@ class ErrorInterval:
     energy_error: tuple[float, float]
 
 
+def power_of(model: PowerModel, drive: Drive) -> FloatArray:
+    """Return the power of a drive by a model, with contacts that hold on a straight [W]."""
+    for term in model.terms:
+        for name in term.channels:
+            drive.motion.channel(name, f"the term {term.name!r}")
+    return linearise(drive, model.vehicle, model.terms, model.coefficients, ()).power
+
+
 @dataclass(frozen=True)
 class Prediction:
     """Predicted power of a drive.
@@ -54,7 +63,9 @@ class Prediction:
     change: float | None = None
 
 
-def predict(model: PowerModel, parts: Sequence[Part], drive: Drive) -> Prediction:
+def predict(
+    model: PowerModel, parts: Sequence[Part], drive: Drive, *, dated: bool = True
+) -> Prediction:
     """Predict a drive; when it changed state is found on the drive itself.
 
     Parameters
@@ -65,6 +76,9 @@ def predict(model: PowerModel, parts: Sequence[Part], drive: Drive) -> Predictio
         Effects in it.
     drive : Drive
         A drive that it was not fitted to.
+    dated : bool
+        False leaves the drive throughout in the state after the change, as a planner would: the
+        time of a change is not taken from the drive that is predicted.
 
     Returns
     -------
@@ -73,17 +87,20 @@ def predict(model: PowerModel, parts: Sequence[Part], drive: Drive) -> Predictio
     """
     for part in parts:
         if part.effect.name == "time_offset":
-            drive = drive.advanced(dict(part.params)["delay"])
+            drive = replace(drive, delay=dict(part.params)["delay"])
     whole = model.battery_side() if drive.battery else model
     steps = [
         k for k, term in enumerate(whole.terms) if term.name in ("slip_change", "traction_change")
     ]
     if not steps:
-        return Prediction(drive, whole.power(drive.motion))
+        return Prediction(drive, drive.seen(power_of(whole, drive)))
+    if not dated:
+        after = drive.with_channels(changed=np.ones(len(drive.t)))
+        return Prediction(after, after.seen(power_of(whole, after)))
     still = drive.with_channels(changed=np.zeros(len(drive.t)))
     settled = settle_change(
         drive,
-        whole.power(still.motion),
+        drive.seen(power_of(whole, still)),
         [whole.terms[k] for k in steps],
         whole.coefficients[steps],
         whole.vehicle,
@@ -91,16 +108,16 @@ def predict(model: PowerModel, parts: Sequence[Part], drive: Drive) -> Predictio
     changed = settled.motion.channels["changed"]
     at = np.flatnonzero(np.diff(changed))
     time = float(drive.t[at[0] + 1]) if len(at) else None
-    return Prediction(drive, whole.power(settled.motion), time)
+    return Prediction(drive, drive.seen(power_of(whole, settled)), time)
 
 
 def score(predictions: Sequence[Prediction]) -> Residual:
     """Return the statistics of measured minus predicted power."""
     parts = [one.drive.power - one.power for one in predictions]
     residual = np.concatenate(parts)
-    duration = sum(float(one.drive.t[-1]) for one in predictions)
-    measured = sum(float(np.trapezoid(one.drive.power, one.drive.t)) for one in predictions)
-    predicted = sum(float(np.trapezoid(one.power, one.drive.t)) for one in predictions)
+    duration = sum(float(one.drive.weights.sum()) for one in predictions)
+    measured = sum(float(one.drive.weights @ one.drive.power) for one in predictions)
+    predicted = sum(float(one.drive.weights @ one.power) for one in predictions)
     period = duration / max(len(residual) - len(parts), 1)
     stops = np.cumsum([len(part) for part in parts]).tolist()
     pieces = [slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
@@ -134,7 +151,7 @@ def interval(predictions: Sequence[Prediction], seed: int = 0) -> ErrorInterval:
         t = one.drive.t
         block = np.minimum((t / BLOCK).astype(int), max(int(t[-1] / BLOCK + 0.5), 1) - 1)
         r = one.drive.power - one.power
-        dt = np.gradient(t)
+        dt = one.drive.weights
         values = np.column_stack(
             [np.ones(len(r)), r**2, np.abs(r), r, one.drive.power * dt, one.power * dt]
         )

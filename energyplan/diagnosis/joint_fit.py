@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from energyplan.diagnosis.fitting import PAPER, Part, Problem, fit
+from energyplan.diagnosis.fitting import PAPER, Part, Problem, RunSpread, fit
+from energyplan.diagnosis.holdout import power_of
 from energyplan.diagnosis.windows import window_means
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Term
@@ -71,6 +72,12 @@ def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
         covariance = wide.covariance[:count, :count]
         deviation = np.sqrt(np.diag(wide.covariance)[count:])
         searched = dict(zip(moved, (float(d) for d in deviation), strict=True))
+    spread = RunSpread.of(problem.with_factors([1.0] * len(problem.drives)).design(terms),
+                          found.values)  # fmt: skip
+    if spread is not None:
+        # What all runs share is known no better than the mean of runs that differ.
+        level = spread.deviation**2 / len(problem.drives)
+        covariance = covariance + level * np.outer(found.values, found.values)
     model = PowerModel(
         problem.vehicle, tuple(terms), found.values, 0.5 * (covariance + covariance.T)
     )
@@ -89,7 +96,8 @@ def _derivatives(
                 problem.vehicle, tuple(terms), np.array([values[term.name] for term in terms])
             )
             found["delay"] = [
-                np.gradient(whole.power(drive.motion), drive.t) for drive in problem.drives
+                -np.gradient(drive.seen(power_of(whole, drive)), drive.t)
+                for drive in problem.drives
             ]
         for key, value in part.params:
             if key not in part.effect.grid or not part.terms:
@@ -102,7 +110,7 @@ def _derivatives(
                 )
                 coefficients = np.array([values[term.name] for term in moved.terms])
                 model = PowerModel(problem.vehicle, moved.terms, coefficients)
-                ends.append([model.power(drive.motion) for drive in problem.drives])
+                ends.append([drive.seen(model.power(drive.motion)) for drive in problem.drives])
             found[key] = [(a - b) / (2 * step) for a, b in zip(*ends, strict=True)]
     return found
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from energyplan.diagnosis.windows import Drive, field_of
+from energyplan.diagnosis.windows import Drive, field_of, held_field_of
 from energyplan.path import FloatArray
 from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS, Sides, Term
 from energyplan.vehicle import Vehicle
@@ -68,7 +68,7 @@ def linearise(
     Linear
         Power, and one column for each wanted term.
     """
-    motion = drive.motion
+    motion, held = drive.motion, drive.held
     names = {term.name for term in terms}
     losses = [
         (term, float(value)) for term, value in zip(terms, values, strict=True)
@@ -83,35 +83,41 @@ def linearise(
     total = Sides(np.zeros(motion.shape), np.zeros(motion.shape))
     for term, value in zip(terms, values, strict=True):
         if term.kind == "force":
-            total = total + field_of(term, drive, vehicle) * float(value)
+            total = total + held_field_of(term, drive, vehicle) * float(value)
 
     def lost(forces: Sides) -> FloatArray:
         power = np.zeros(motion.shape)
         for term, value in losses:
             if value != 0.0:
-                power = power + value * term.function(motion, vehicle, forces, **term.params).total
+                power = power + value * term.function(held, vehicle, forces, **term.params).total
         return np.asarray(power)
 
+    losing = any(value != 0.0 for _, value in losses)
     columns = []
     for k in range(len(terms)) if wanted is None else wanted:
         term = terms[k]
         if term.kind == "loss":
-            columns.append(term.function(motion, vehicle, total, **term.params).total)
+            columns.append(term.function(held, vehicle, total, **term.params).total)
         elif term.kind == "power":
             columns.append(field_of(term, drive, vehicle))
         else:
             force = field_of(term, drive, vehicle)
             own = force.left * motion.v_left + force.right * motion.v_right
-            if losses:
-                step = _step(force, total)
-                ahead, behind = lost(total + force * step), lost(total + force * -step)
+            if losing:
+                acting = held_field_of(term, drive, vehicle)
+                step = _step(acting, total)
+                ahead, behind = lost(total + acting * step), lost(total + acting * -step)
                 own = own + (ahead - behind) / (2 * step)
             columns.append(own)
-    power = total.left * motion.v_left + total.right * motion.v_right + lost(total)
+    power = lost(total)
     for term, value in zip(terms, values, strict=True):
-        if term.kind == "power":
-            power = power + value * field_of(term, drive, vehicle)
-    return Linear(np.asarray(power), np.column_stack(columns))
+        field = None if term.kind == "loss" else field_of(term, drive, vehicle)
+        if isinstance(field, Sides):
+            field = field.left * motion.v_left + field.right * motion.v_right
+        if field is not None:
+            power = power + value * field
+    table = np.column_stack(columns) if columns else np.zeros((len(drive.t), 0))
+    return Linear(np.asarray(power), table)
 
 
 def _step(force: Sides, total: Sides) -> float:

@@ -17,12 +17,15 @@ from scipy.stats import f as fisher
 
 from energyplan.diagnosis.fitting import Fit, Problem, difference, fit
 from energyplan.diagnosis.windows import Design, Drive, channels_of, window_means
+from energyplan.motion import CHANNELS
 from energyplan.path import FloatArray
 from energyplan.power import Sides, Term
 from energyplan.power.empirical import CARRIERS, DERIVED, carry, signal
 
 _KNOTS = 6
-_NOT_SIGNALS = {"changed", "p_left", "p_right", "power", "current", "voltage", "yaw_rate"}
+_NOT_SIGNALS = {"changed", "p_left", "p_right", "power", "yaw_rate"}
+_POWER_PARTS = ("current", "voltage")  # of a battery, a motor, a side: parts of power, no reasons
+_CONSEQUENCE = 0.9  # correlation with the measured power from which a channel is a part of it
 _PERIODS = (2.0, 60.0)  # of a periodic load [s]
 _WAVES = 12  # drives in which a periodic load is looked for
 _WINDOWS = 4  # longest windows that a drive needs to show how much it scatters
@@ -65,10 +68,18 @@ def signals(drives: Sequence[Drive]) -> list[str]:
     """Names of the signals that every drive has and that vary."""
     names = [*DERIVED, *sorted(channels_of(drives) - _NOT_SIGNALS)]
     kept = []
+    power = np.concatenate([drive.power for drive in drives])
     for name in names:
+        if name.startswith(_POWER_PARTS):
+            continue
         spread = np.ptp(np.concatenate([signal(drive.motion, name) for drive in drives]))
-        if spread > 1e-6:
-            kept.append(name)
+        if spread <= 1e-6:
+            continue
+        if name not in DERIVED and name not in CHANNELS:
+            values = np.concatenate([signal(drive.motion, name) for drive in drives])
+            if abs(np.corrcoef(values, power)[0, 1]) > _CONSEQUENCE:
+                continue
+        kept.append(name)
     return kept
 
 
@@ -102,7 +113,7 @@ def _shape_columns(
             if isinstance(part, Sides):
                 part = part.left * drive.motion.v_left + part.right * drive.motion.v_right
             columns.append(part)
-        tables.append(np.column_stack(columns))
+        tables.append(drive.seen(np.column_stack(columns)))
     return tables
 
 
@@ -144,7 +155,8 @@ def dependences(
             shape = np.insert(new.values[width:], skipped, 0.0)
             found.append(_dependence(name, carrier, knots, shape, now, new, width))
     found += _periodic(problem, now, errors, design)
-    settled = [*_holm(found), *_between_drives(now, design)]
+    plain = problem.with_factors([1.0] * len(problem.drives)).design(terms, errors)
+    settled = [*_holm(found), *_between_drives(now, plain)]
     return tuple(sorted(settled, key=lambda one: -one.explained_variance))
 
 

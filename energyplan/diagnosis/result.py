@@ -48,6 +48,8 @@ class FoundEffect:
         Its size.
     evidence : Evidence
         Why it was added.
+    probability : float
+        That it is there, over all explanations.
     rivals : tuple of str
         Effects that these drives cannot tell from it.
     details : mapping of str to float
@@ -62,6 +64,7 @@ class FoundEffect:
     unit: str
     std_error: float
     evidence: Evidence
+    probability: float = 1.0
     rivals: tuple[str, ...] = ()
     details: Mapping[str, float] = field(default_factory=dict)
     meaning: str = ""
@@ -72,6 +75,75 @@ class FoundEffect:
 
     def __getstate__(self) -> dict[str, object]:
         return {**vars(self), "details": dict(self.details)}
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A set of effects that may be the reason, as a whole.
+
+    Parameters
+    ----------
+    effects : tuple of str
+        Their names, the one that explains most first; none where the paper's model may do.
+    probability : float
+        That it is the right one, among those that the catalogue can give.
+    model : PowerModel
+        The model with these effects, fitted to the training drives.
+    """
+
+    effects: tuple[str, ...]
+    probability: float
+    model: PowerModel
+
+
+@dataclass(frozen=True)
+class Adequacy:
+    """What is left on the training drives, against the noise that no model can explain.
+
+    Parameters
+    ----------
+    noise : float
+        Of a sample: from neighbouring samples, or from standstill where that is larger [W].
+    residual : float
+        Root mean square residual of the extended model [W].
+    slow_noise, slow_residual : float
+        The same of means over two seconds [W].
+    coloured : bool
+        Whether more of the residual lasts than the noise would let last.
+    """
+
+    noise: float
+    residual: float
+    slow_noise: float
+    slow_residual: float
+    coloured: bool
+
+    @property
+    def adequate(self) -> bool:
+        """Whether the model leaves no more than noise: less than twice its size, and no colour."""
+        return self.residual <= 2.0 * self.noise and not self.coloured
+
+
+@dataclass(frozen=True)
+class EnergyPrediction:
+    """Energy of a drive that took no part.
+
+    Parameters
+    ----------
+    drive : str
+        Name of the drive.
+    energy : float
+        Predicted energy [J].
+    energy_interval : tuple of float
+        Ends of its 90 % interval: coefficients, noise, and by how much runs differ as a whole [J].
+    measured : float
+        Measured energy [J].
+    """
+
+    drive: str
+    energy: float
+    energy_interval: tuple[float, float]
+    measured: float
 
 
 @dataclass(frozen=True)
@@ -106,10 +178,11 @@ class Diagnosis:
     Parameters
     ----------
     verdict : {"effect_found", "no_effect", "unexplained"}
-        The answer in a word. ``unexplained``: no entry of the catalogue helps, and a channel still
-        explains part of the residual.
+        The answer in a word. ``no_effect``: the paper's model leaves no more than noise.
+        ``unexplained``: it leaves more, and no entry of the catalogue helps.
     effects : tuple of FoundEffect
-        In the order in which they were added.
+        Those of the most probable explanation: the one that explains most first, last what nearly
+        every robot has.
     model : PowerModel
         The extended model with covariance and hold-out residual, for planners as it is: a change
         counts as having happened, a cold drive as warm, and what belongs to the log is left out.
@@ -126,9 +199,24 @@ class Diagnosis:
     dependences_before, dependences_after : tuple of Dependence
         How the residual on the training drives depends on every signal, before and after.
     withdrawn : tuple of str
-        Effects that helped on the training drives but not on the hold-out, and were taken back.
+        Effects that helped only as long as an unexplained channel was left out.
     predictions_before, predictions_after : tuple of ndarray
         Predicted power of each hold-out drive [W].
+    explanations : tuple of Explanation
+        The sets of effects that these drives leave possible, the most probable one first.
+    adequacy : Adequacy
+        What is left, against noise.
+    predictions : tuple of EnergyPrediction
+        Energy of each hold-out drive by the extended model.
+    training, judging : tuple of str
+        Names of the drives that were learned from, and of those that only judged.
+    choosing : tuple of str
+        What chose among explanations: parts of the training drives, each predicted from the others.
+    set_aside : mapping of str to mapping of str to int
+        For each drive, how many samples were left out or mended, by reason.
+    after_undated : Residual or None
+        Error of the extended model where the time of a change within a hold-out drive is not taken
+        from that drive: the prediction in the narrow sense. None where there is no such time.
     """
 
     verdict: Verdict
@@ -146,6 +234,14 @@ class Diagnosis:
     withdrawn: tuple[str, ...]
     predictions_before: tuple[FloatArray, ...]
     predictions_after: tuple[FloatArray, ...]
+    explanations: tuple[Explanation, ...]
+    adequacy: Adequacy
+    predictions: tuple[EnergyPrediction, ...]
+    training: tuple[str, ...]
+    judging: tuple[str, ...]
+    choosing: tuple[str, ...]
+    set_aside: Mapping[str, Mapping[str, int]]
+    after_undated: Residual | None = None
 
     def _repr_html_(self) -> str:
         """Return the effects and both errors as tables, for notebooks."""

@@ -20,6 +20,7 @@ from energyplan.diagnosis.denoise import quiet
 from energyplan.diagnosis.window_kernels import block_grams
 from energyplan.errors import DriveLogError
 from energyplan.logs import DriveLog
+from energyplan.logs.checks import find_runs
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import Sides, Term
@@ -30,6 +31,9 @@ SCALES = (0.5, 2.0, 8.0)
 
 BLOCK = 8.0
 """Length of the blocks that cross-validation leaves out [s]."""
+
+BREAKAWAY = 0.0
+"""Yaw rate below which contacts hold [rad/s]: a third of the slip speeds at which they slide."""
 
 _KEPT = 24  # forces of terms kept a drive
 _MANY = 200_000  # samples that selection works on
@@ -51,6 +55,12 @@ class Drive:
         Measured total power [W].
     battery : bool
         Whether it was measured at the battery.
+    delay : float
+        By how much the logged power lags behind the motion [s].
+    factor : float
+        Power of this drive over that of the model: what differs from drive to drive as a whole.
+    breakaway : float
+        Yaw rate below which contacts hold [rad/s].
     fields : dict
         Forces of terms, kept for `field_of`.
     """
@@ -60,6 +70,9 @@ class Drive:
     motion: Motion
     power: FloatArray
     battery: bool = False
+    delay: float = 0.0
+    factor: float = 1.0
+    breakaway: float = BREAKAWAY
     fields: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
@@ -88,9 +101,54 @@ class Drive:
         """Return the drive with channels added to its motion."""
         return replace(self, motion=self.motion.with_channels(**channels), fields={})
 
-    def advanced(self, delay: float) -> Drive:
-        """Return the drive with its power moved ahead in time by `delay` [s]."""
-        return replace(self, power=np.interp(self.t + delay, self.t, self.power))
+    @cached_property
+    def runs(self) -> tuple[slice, ...]:
+        """Stretches without a gap."""
+        return tuple(find_runs(self.t))
+
+    @cached_property
+    def held(self) -> Motion:
+        """The motion for losses: contacts that hardly slip sideways hold, and carry no moment.
+
+        The moment of friction is anything up to its limit while they hold (docs/theory, section
+        6). Its power is nothing then, but a loss counts the force: with the sign of the least turn
+        a straight line would cost what a spin does.
+        """
+        motion = self.motion
+        mean = 0.5 * (motion.v_left + motion.v_right)
+        holds = np.abs(motion.omega) < self.breakaway
+        left, right = (np.where(holds, mean, v) for v in (motion.v_left, motion.v_right))
+        return replace(motion, v_left=left, v_right=right)
+
+    @cached_property
+    def weights(self) -> FloatArray:
+        """Time that each sample stands for [s]; gaps count for nothing."""
+        weights = np.zeros(len(self.t))
+        for run in self.runs:
+            half = 0.5 * np.diff(self.t[run])
+            weights[run][:-1] += half
+            weights[run][1:] += half
+        return weights
+
+    def seen(self, power: FloatArray) -> FloatArray:
+        """Return a predicted power, shape (n, ...), as the log shows it: late, and by the factor.
+
+        The prediction is shifted and the measurement left as it is: a shifted measurement is
+        smoother, and flatters whoever predicts it.
+        """
+        late = power
+        if self.delay != 0.0:
+            late = np.array(power)
+            for run in self.runs:
+                t = self.t[run]
+                if len(t) < 2:
+                    continue
+                at = t - self.delay
+                k = np.clip(np.searchsorted(t, at) - 1, 0, len(t) - 2)
+                share = np.clip((at - t[k]) / (t[k + 1] - t[k]), 0.0, 1.0)
+                share = share.reshape(-1, *[1] * (power.ndim - 1))
+                late[run] = power[run][k] * (1.0 - share) + power[run][k + 1] * share
+        return late if self.factor == 1.0 else late * self.factor
 
     def thinned(self, step: int) -> Drive:
         """Return every `step`-th sample of the drive."""
@@ -166,6 +224,17 @@ def field_of(term: Term, drive: Drive, vehicle: Vehicle) -> Any:
     return drive.fields[key]
 
 
+def held_field_of(term: Term, drive: Drive, vehicle: Vehicle) -> Sides:
+    """Return the force per unit of a term with contacts that hold, computed once a drive."""
+    key = ("held", term.name, tuple(term.params.items()), vehicle.slip_moment)
+    if key not in drive.fields:
+        if len(drive.fields) > _KEPT:
+            drive.fields.clear()
+        drive.fields[key] = term.function(drive.held, vehicle, **term.params)
+    found: Sides = drive.fields[key]
+    return found
+
+
 def column(term: Term, drive: Drive, vehicle: Vehicle) -> FloatArray:
     """Total power per unit of a linear term's coefficient at each sample [W per unit]."""
     value = field_of(term, drive, vehicle)
@@ -227,6 +296,17 @@ class Design:
         """Return the design with some of its columns."""
         keep = [*columns, -1]
         return replace(self, rows=tuple(table[:, keep] for table in self.rows))
+
+    def with_folds(self, most: int) -> Design:
+        """Return the design with blocks joined to `most` at most: whole drives from four on."""
+        whole = int(self.drives.max()) >= 3
+        number = self.drives if whole else np.arange(len(self.drives))
+        count = int(number.max()) + 1
+        if count > most:
+            number = number * most // count
+        groups, number = np.unique(number, return_inverse=True)
+        owner = np.array([self.drives[np.argmax(number == k)] for k in range(len(groups))])
+        return Design(self.rows, tuple(number[block] for block in self.blocks), owner)
 
     def of_drives(self, chosen: NDArray[np.intp]) -> Design:
         """Return the design of some drives only, given in ascending order."""

@@ -99,8 +99,19 @@ def diagnosis(told: Diagnosis) -> Document:
     return {
         "verdict": told.verdict,
         "effects": [plain(effect) for effect in told.effects],
+        "explanations": [
+            {"effects": list(one.effects), "probability": plain(one.probability)}
+            for one in told.explanations
+        ],
         "before": residual(told.before),
         "after": residual(told.after),
+        "after_undated": None if told.after_undated is None else residual(told.after_undated),
+        "training": list(told.training),
+        "choosing": list(told.choosing),
+        "judging": list(told.judging),
+        "adequacy": {**plain(told.adequacy), "adequate": told.adequacy.adequate},
+        "predictions": [plain(one) for one in told.predictions],
+        "set_aside": plain(told.set_aside),
         "unexplained": [plain(found) for found in told.unexplained],
         "advice": list(told.advice),
         "terms": terms(told.model),

@@ -53,17 +53,29 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
         "lead",
     )
     if told.effects:
-        page.heading("Effects, in the order in which they were added")
+        page.heading("Effects, the one that explains most first")
         page.table(
-            ("effect", "symbol", "value", "std. error", "unit", "p", "cannot be told from"),
+            ("effect", "symbol", "value", "std. error", "unit", "probability", "or it is"),
             [
                 (
                     effect.name.replace("_", " "), effect.symbol, effect.value, effect.std_error,
-                    effect.unit, effect.evidence.p_value, ", ".join(effect.rivals) or "-",
+                    effect.unit, effect.probability, ", ".join(effect.rivals) or "-",
                 )
                 for effect in told.effects
             ],
         )  # fmt: skip
+    if len(told.explanations) > 1:
+        page.heading("Explanations that these drives leave open")
+        page.table(
+            ("effects", "probability"),
+            [
+                (
+                    " and ".join(name.replace("_", " ") for name in one.effects) or "none",
+                    f"{one.probability:.2f}",
+                )
+                for one in told.explanations
+            ],
+        )
     page.heading("Error on the hold-out drives")
     rows = (
         ("before", told.before, told.before_interval),
@@ -80,6 +92,27 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
         ],
     )  # fmt: skip
     page.paragraph("In brackets: 95 % intervals from resampled blocks of the drives.")
+    page.table(
+        ("drive", "energy foretold [J]", "90 % interval [J]", "measured [J]"),
+        [
+            (
+                one.drive, number(one.energy),
+                f"{number(one.energy_interval[0])} to {number(one.energy_interval[1])}",
+                number(one.measured),
+            )
+            for one in told.predictions
+        ],
+    )  # fmt: skip
+    if told.set_aside:
+        page.heading("Samples that were set aside")
+        page.table(
+            ("drive", "reason", "samples"),
+            [
+                (drive, reason, count)
+                for drive, reasons in told.set_aside.items()
+                for reason, count in reasons.items()
+            ],
+        )
     for found in told.unexplained:
         page.paragraph(
             f"Unexplained: the residual depends on {found.channel} ({found.shape}); "

@@ -54,13 +54,37 @@ def diagnosis(told: Diagnosis) -> list[str]:
             f"effect: {effect.name.replace('_', ' ')}, {effect.symbol} = {number(effect.value)} "
             f"+- {number(effect.std_error, 2)} {effect.unit}"
         )
+        lines[-1] += f", probability {effect.probability:.2f}"
         if effect.rivals:
             lines.append(f"  these drives cannot tell it from: {', '.join(effect.rivals)}")
+    others = [one for one in told.explanations[1:] if one.probability >= 0.01]
+    lines += [
+        f"or, with probability {one.probability:.2f}: "
+        + (" and ".join(name.replace("_", " ") for name in one.effects) or "no effect")
+        for one in others
+    ]
     for name, misfit in (("before", told.before), ("after", told.after)):
         lines.append(
             f"hold-out {name}: rmse {number(misfit.rmse)} W, mae {number(misfit.mae)} W, "
             f"energy {100 * misfit.energy_error:+.2f} %"
         )
+    lines += [
+        f"{one.drive}: {number(one.energy)} J foretold (90 % interval "
+        f"{number(one.energy_interval[0])} to {number(one.energy_interval[1])}), "
+        f"{number(one.measured)} J measured"
+        for one in told.predictions
+    ]
+    quality = told.adequacy
+    lines.append(
+        f"left on the training drives: {number(quality.residual)} W, "
+        f"noise {number(quality.noise)} W"
+        + (", and it lasts longer than noise" if quality.coloured else "")
+    )
+    lines += [
+        f"set aside in {drive}: {count} samples: {reason}"
+        for drive, reasons in told.set_aside.items()
+        for reason, count in reasons.items()
+    ]
     lines += [
         f"unexplained: {found.channel} ({found.shape}), "
         f"{100 * found.explained_variance:.0f} % of the residual's variance"

@@ -87,6 +87,16 @@ def towing_force(motion: Motion, vehicle: Vehicle) -> Sides:
     return tread_forces(motion, longitudinal=np.ones(motion.shape))
 
 
+def towed_drag(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Force of something towed, a trailer or a sledge: against the body's own motion."""
+    return tread_forces(motion, longitudinal=np.sign(motion.v))
+
+
+def reverse_drag(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Traction resistance that is there backwards only."""
+    return Sides(-(motion.v_left < 0.0).astype(float), -(motion.v_right < 0.0).astype(float))
+
+
 # -- asymmetry ------------------------------------------------------------------------------------
 
 
@@ -110,6 +120,30 @@ def turn_asymmetry(motion: Motion, vehicle: Vehicle) -> Sides:
     return tread_forces(motion, moment=vehicle.slip_moment * np.sign(motion.omega) ** 2)
 
 
+def left_turn_drag_left(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Traction resistance of the left side that is there in left turns only."""
+    there = motion.omega > 0.0
+    return Sides(np.sign(motion.v_left) * there, np.zeros(motion.shape))
+
+
+def left_turn_drag_right(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Traction resistance of the right side that is there in left turns only."""
+    there = motion.omega > 0.0
+    return Sides(np.zeros(motion.shape), np.sign(motion.v_right) * there)
+
+
+def right_turn_drag_left(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Traction resistance of the left side that is there in right turns only."""
+    there = motion.omega < 0.0
+    return Sides(np.sign(motion.v_left) * there, np.zeros(motion.shape))
+
+
+def right_turn_drag_right(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Traction resistance of the right side that is there in right turns only."""
+    there = motion.omega < 0.0
+    return Sides(np.zeros(motion.shape), np.sign(motion.v_right) * there)
+
+
 # -- friction -------------------------------------------------------------------------------------
 
 
@@ -117,6 +151,16 @@ def slip_speed_friction(motion: Motion, vehicle: Vehicle) -> Sides:
     """Slip friction that grows with the slip speed, taken as yaw rate times mean slip radius."""
     radius = vehicle.slip_moment / float(vehicle.loads.sum())
     return tread_forces(motion, moment=vehicle.slip_moment * radius * motion.omega)
+
+
+def stribeck_friction(motion: Motion, vehicle: Vehicle, slip_speed: float = 0.1) -> Sides:
+    """Slip friction that is there at small slip speeds only and fades as they grow.
+
+    ``exp(-r |w| / slip_speed)`` with the mean slip radius ``r`` of the wheels (Stribeck).
+    """
+    radius = vehicle.slip_moment / float(vehicle.loads.sum())
+    fade = np.exp(-radius * np.abs(motion.omega) / slip_speed)
+    return tread_forces(motion, moment=vehicle.slip_moment * np.sign(motion.omega) * fade)
 
 
 def friction_mobilisation(motion: Motion, vehicle: Vehicle, radius: float = 1.0) -> Sides:
@@ -157,17 +201,25 @@ def traction_change(motion: Motion, vehicle: Vehicle, time: float = 0.0) -> Side
     return Sides(after * np.sign(motion.v_left), after * np.sign(motion.v_right))
 
 
-def _beyond(motion: Motion, direction: float, offset: float) -> FloatArray:
+def _beyond(motion: Motion, vehicle: Vehicle, direction: float, offset: float) -> FloatArray:
+    """Share of the weight beyond a line: wheels cross it one after the other."""
     x, y = motion.channel("x", "a change of place"), motion.channel("y", "a change of place")
-    along = x * np.cos(direction) + y * np.sin(direction)
-    return np.asarray(along > offset, float)
+    along = x * np.cos(direction) + y * np.sin(direction) - offset
+    if "yaw" not in motion.channels:
+        return np.asarray(along > 0.0, float)
+    turned = motion.channels["yaw"] - direction
+    ahead, aside = np.cos(turned), np.sin(turned)
+    share = np.zeros(motion.shape)
+    for (forward, left), load in zip(vehicle.contacts, vehicle.loads, strict=True):
+        share += load * (along + forward * ahead - left * aside > 0.0)
+    return np.asarray(share / float(vehicle.loads.sum()))
 
 
 def slip_beyond(
     motion: Motion, vehicle: Vehicle, direction: float = 0.0, offset: float = 0.0
 ) -> Sides:
     """Slip friction that is there only beyond a line on the ground."""
-    there = _beyond(motion, direction, offset)
+    there = _beyond(motion, vehicle, direction, offset)
     return tread_forces(motion, moment=vehicle.slip_moment * np.sign(motion.omega) * there)
 
 
@@ -175,7 +227,7 @@ def traction_beyond(
     motion: Motion, vehicle: Vehicle, direction: float = 0.0, offset: float = 0.0
 ) -> Sides:
     """Traction resistance that is there only beyond a line on the ground."""
-    there = _beyond(motion, direction, offset)
+    there = _beyond(motion, vehicle, direction, offset)
     return Sides(there * np.sign(motion.v_left), there * np.sign(motion.v_right))
 
 
@@ -236,6 +288,34 @@ AIR_DRAG = Term(
 TOWING_FORCE = Term(
     "towing_force", "F_t", "N", "force", towing_force, bounds=_ANY,
     meaning="a force that pulls one way, forwards or backwards",
+)  # fmt: skip
+TOWED_DRAG = Term(
+    "towed_drag", "F_d", "N", "force", towed_drag, bounds=_POSITIVE,
+    meaning="something towed that resists whichever way the body moves",
+)  # fmt: skip
+REVERSE_DRAG = Term(
+    "reverse_drag", "K_b", "N", "force", reverse_drag, bounds=_POSITIVE,
+    meaning="resistance of each side that is there backwards only",
+)  # fmt: skip
+LEFT_TURN_DRAG_LEFT = Term(
+    "left_turn_drag_left", "K_ll", "N", "force", left_turn_drag_left, bounds=_POSITIVE,
+    meaning="resistance of the left side in left turns only",
+)  # fmt: skip
+LEFT_TURN_DRAG_RIGHT = Term(
+    "left_turn_drag_right", "K_lr", "N", "force", left_turn_drag_right, bounds=_POSITIVE,
+    meaning="resistance of the right side in left turns only",
+)  # fmt: skip
+RIGHT_TURN_DRAG_LEFT = Term(
+    "right_turn_drag_left", "K_rl", "N", "force", right_turn_drag_left, bounds=_POSITIVE,
+    meaning="resistance of the left side in right turns only",
+)  # fmt: skip
+RIGHT_TURN_DRAG_RIGHT = Term(
+    "right_turn_drag_right", "K_rr", "N", "force", right_turn_drag_right, bounds=_POSITIVE,
+    meaning="resistance of the right side in right turns only",
+)  # fmt: skip
+STRIBECK = Term(
+    "stribeck_friction", "mu_s", "1", "force", stribeck_friction, {"slip_speed": 0.1},
+    bounds=(-2.0, 2.0), meaning="slip friction that is larger at small slip speeds",
 )  # fmt: skip
 TRACTION_ASYMMETRY = Term(
     "traction_asymmetry", "dK", "N", "force", traction_asymmetry, bounds=_ANY,

@@ -25,16 +25,23 @@ from energyplan.power.effect_terms import (
     DRAGGING_LEFT,
     DRAGGING_RIGHT,
     GRADE,
+    LEFT_TURN_DRAG_LEFT,
+    LEFT_TURN_DRAG_RIGHT,
     LINEAR_INERTIA,
     MOBILISATION,
     POWER_OFFSET,
+    REVERSE_DRAG,
+    RIGHT_TURN_DRAG_LEFT,
+    RIGHT_TURN_DRAG_RIGHT,
     SIDE_GAIN,
     SLIP_BEYOND,
     SLIP_CHANGE,
     SLIP_SPEED,
     SPECIFIC_FORCE,
+    STRIBECK,
     TILT_X,
     TILT_Y,
+    TOWED_DRAG,
     TOWING_FORCE,
     TRACTION_ASYMMETRY,
     TRACTION_BEYOND,
@@ -45,6 +52,7 @@ from energyplan.power.effect_terms import (
     WARM_UP,
 )
 from energyplan.power.empirical import empirical_term
+from energyplan.vehicle import Vehicle
 
 __all__ = [
     "AIR_DRAG", "ANGULAR_INERTIA", "COPPER_LOSS", "GRADE", "LINEAR_INERTIA", "SPECIFIC_FORCE",
@@ -84,6 +92,10 @@ class Effect:
     acts : {"motion", "change", "place", "kinematics", "log"}
         On the power of every motion, only after a change at an unknown time, only beyond a line on
         the ground, on how the robot moves, or on the log alone.
+    usual : bool
+        Whether nearly every robot has it, so that it needs no more evidence than any coefficient.
+    of_mass : tuple of float, optional
+        Range in which a size in kilograms is believed, in masses of the vehicle.
 
     Raises
     ------
@@ -103,6 +115,15 @@ class Effect:
     grid: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     size: Callable[[PowerModel], float] | None = None
     acts: Acts = "motion"
+    usual: bool = False
+    of_mass: tuple[float, float] | None = None
+
+    def limits(self, vehicle: Vehicle) -> tuple[float, float]:
+        """Return the range in which the effect's size is believed on a vehicle."""
+        if self.of_mass is None:
+            return self.plausible
+        low, high = (vehicle.mass * share for share in self.of_mass)
+        return max(low, self.plausible[0]), min(high, self.plausible[1])
 
     def __post_init__(self) -> None:
         if len(self.terms) > 1 and self.size is None:
@@ -215,7 +236,8 @@ _REPEAT = "repeat the same route at the end of the drive as at its start"
 
 _ENTRIES = (
     Effect.of(HOTEL, plausible=(0.0, 2000.0), manoeuvre=_STAND, planner="with the duration"),
-    Effect.of(GRADE, plausible=(1.0, 1e5), manoeuvre=_BOTH_WAYS, planner="with the map's slope"),
+    Effect.of(GRADE, plausible=(1.0, 1e5), manoeuvre=_BOTH_WAYS, planner="with the map's slope",
+              of_mass=(0.3, 3.0)),
     Effect(
         "tilted_plane", (TILT_X, TILT_Y), "angle", "rad",
         "ground that is one tilted plane, seen from the heading", _BOTH_WAYS,
@@ -224,10 +246,12 @@ _ENTRIES = (
     ),
     Effect.of(
         SPECIFIC_FORCE, plausible=(1.0, 1e5), channels=("accel_x",), manoeuvre=_RAMPS,
+        of_mass=(0.2, 3.0),
         planner="with the map's slope",
     ),
-    Effect.of(LINEAR_INERTIA, plausible=(1.0, 1e5), manoeuvre=_RAMPS, channels=()),
-    Effect.of(ANGULAR_INERTIA, plausible=(0.01, 1e5), manoeuvre=_SPIN, channels=()),
+    Effect.of(LINEAR_INERTIA, plausible=(1.0, 1e5), manoeuvre=_RAMPS, channels=(), usual=True,
+              of_mass=(0.2, 3.0)),
+    Effect.of(ANGULAR_INERTIA, plausible=(0.01, 1e5), manoeuvre=_SPIN, channels=(), usual=True),
     Effect.of(VISCOUS_LOSS, plausible=(0.0, 1e4), manoeuvre=_TWO_SPEEDS),
     Effect.of(AIR_DRAG, plausible=(0.0, 1e4), manoeuvre=_TWO_SPEEDS),
     Effect.of(
@@ -241,7 +265,7 @@ _ENTRIES = (
         "payload_change", (SLIP_CHANGE, TRACTION_CHANGE), "dm", "kg",
         "payload taken up or set down at some time",
         "weigh the robot, or climb the same ramp, before and after",
-        "as the state after it", (-1e5, 1e5), size=_payload, acts="change",
+        "as the state after it", (-1e5, 1e5), size=_payload, acts="change", of_mass=(-0.9, 2.0),
     ),
     Effect(
         "surface_change", (SLIP_CHANGE, TRACTION_CHANGE), "dmu", "1",
@@ -259,13 +283,23 @@ _ENTRIES = (
         "weigh the load under each wheel, or spin on the spot both ways", "with its tread ICRs",
         (0.0, 1.0), ("x", "y", "yaw"), acts="kinematics",
     ),
-    Effect.of(TRACTION_ASYMMETRY, plausible=(-1e4, 1e4), manoeuvre=_BOTH_WAYS),
     Effect.of(DRAGGING_LEFT, plausible=(0.0, 1e4), manoeuvre="lift that side and spin its wheels"),
     Effect.of(DRAGGING_RIGHT, plausible=(0.0, 1e4), manoeuvre="lift that side and spin its wheels"),
+    Effect.of(TRACTION_ASYMMETRY, plausible=(-1e4, 1e4), manoeuvre=_BOTH_WAYS),
     Effect.of(TURN_ASYMMETRY, plausible=(-1.0, 1.0), manoeuvre=_SPIN),
     Effect.of(SLIP_SPEED, plausible=(-2.0, 2.0), manoeuvre=_SPIN),
+    Effect.of(STRIBECK, plausible=(0.0, 2.0), manoeuvre=_SPIN,
+              grid={"slip_speed": (0.03, 0.08, 0.2)}),
     Effect.of(MOBILISATION, plausible=(-2.0, 2.0), manoeuvre=_TURNS,
               grid={"radius": (0.1, 0.3, 1.0, 3.0, 10.0)}),
+    Effect.of(TOWED_DRAG, plausible=(0.0, 1e4), manoeuvre="drive with and without what is towed"),
+    Effect.of(REVERSE_DRAG, plausible=(0.0, 1e4),
+              manoeuvre="drive one line forwards and backwards"),
+    *(
+        Effect.of(one, plausible=(0.0, 1e4), manoeuvre=_SPIN)
+        for one in (LEFT_TURN_DRAG_LEFT, LEFT_TURN_DRAG_RIGHT, RIGHT_TURN_DRAG_LEFT,
+                    RIGHT_TURN_DRAG_RIGHT)
+    ),
     Effect.of(TOWING_FORCE, plausible=(-1e4, 1e4),
               manoeuvre="drive one line forwards and backwards"),
     Effect(

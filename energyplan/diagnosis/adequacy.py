@@ -1,0 +1,153 @@
+"""Is what a model leaves no more than noise? Prediction intervals of energies (private)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import t as student
+
+from energyplan.diagnosis.denoise import speed_noise
+from energyplan.diagnosis.fitting import Problem, RunSpread
+from energyplan.diagnosis.holdout import Prediction, power_of
+from energyplan.diagnosis.joint_fit import FinalFit
+from energyplan.diagnosis.result import Adequacy, EnergyPrediction
+from energyplan.diagnosis.windows import Drive
+from energyplan.fit.covariance import autocorrelation
+from energyplan.path import FloatArray
+from energyplan.power import PowerModel
+
+_SLOW = 1  # scale at which colour is looked for: two seconds
+_FLOOR = 0.02
+"""What is no more than this fraction of the root mean square power is as good as nothing."""
+_RESTING = 20  # samples at rest that tell the noise
+_LEVEL = 0.9  # of the intervals of energies
+
+
+def predicted(model: PowerModel, drive: Drive) -> FloatArray:
+    """Power that a drive's log would show by a model [W]."""
+    whole = model.battery_side() if drive.battery else model
+    return drive.seen(power_of(whole, drive))
+
+
+def adequacy(problem: Problem, fitted: FinalFit) -> Adequacy:
+    """Compare what a model leaves of the training drives with their noise.
+
+    The noise of a sample is what neighbouring samples differ by beyond a smooth curve, or the
+    scatter at rest where that is larger; how much of it lasts is told by the samples at rest.
+
+    Parameters
+    ----------
+    problem : Problem
+        The drives.
+    fitted : FinalFit
+        The model.
+
+    Returns
+    -------
+    Adequacy
+        Both, of samples and of means over two seconds.
+    """
+    residuals, rests, whites, slow, counts = [], [], [], [], []
+    for drive in problem.drives:
+        residual = drive.power - predicted(fitted.model, drive)
+        residuals.append(residual)
+        if len(residual) > 4:
+            whites.append(speed_noise(drive.power))
+        still = (drive.motion.v_left == 0) & (drive.motion.v_right == 0)
+        if np.count_nonzero(still) >= _RESTING:
+            rests.append(residual[still] - residual[still].mean())
+        windows = drive.windows[_SLOW]
+        slow.append(windows.mean(residual))
+        counts.append(windows.counts)
+    every = np.concatenate(residuals)
+    size = float(np.sqrt(np.mean(np.concatenate([d.power for d in problem.drives]) ** 2)))
+    noise, repeats = float(np.median(whites)) if whites else 0.0, 1.0
+    if rests:
+        rest = np.concatenate(rests)
+        spread = float(rest.std())
+        if spread > 0:
+            stops = np.cumsum([len(part) for part in rests]).tolist()
+            pieces = [slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
+            repeats = autocorrelation(rest, pieces).repeats if spread > 0.5 * noise else 1.0
+        noise = max(noise, spread)
+    noise = max(noise, 0.5 * _FLOOR * size)
+    number = float(np.median(np.concatenate(counts)))
+    slow_noise = noise * float(np.sqrt(min(repeats / number, 1.0)))
+    means = np.concatenate(slow)
+    slow_residual = float(np.sqrt(np.mean(means**2)))
+    return Adequacy(
+        noise, float(np.sqrt(np.mean(every**2))), slow_noise, slow_residual,
+        bool(slow_residual > 2.0 * max(slow_noise, 0.5 * _FLOOR * size)),
+    )  # fmt: skip
+
+
+def energies(
+    problem: Problem, fitted: FinalFit, predictions: Sequence[Prediction]
+) -> tuple[EnergyPrediction, ...]:
+    """Predict the energy of drives that took no part, with intervals.
+
+    Their variance is that of the coefficients, that of what is left within a run, and that of what
+    differs from run to run as a whole, as far as the training drives show it.
+
+    Parameters
+    ----------
+    problem : Problem
+        Training drives.
+    fitted : FinalFit
+        The model.
+    predictions : sequence of Prediction
+        What it predicts.
+
+    Returns
+    -------
+    tuple of EnergyPrediction
+        One for each drive.
+    """
+    model = fitted.model
+    plain = problem.with_factors([1.0] * len(problem.drives))
+    design = plain.design(fitted.terms, None, model_values(model))
+    values = np.array(model.coefficients)
+    spread = RunSpread.of(design, values)
+    table, owner = design.rows[-1], design.drives[design.blocks[-1]]
+    factor = np.ones(len(problem.drives)) if spread is None else 1.0 + spread.excess
+    left = table[:, -1] - (table[:, :-1] @ values) * factor[owner]
+    length = problem.drives[0].windows[-1].length
+    density = float(np.mean(left**2)) * length  # of the residual's integral, by time [W^2 s]
+    count = len(problem.drives)
+    reach = float(student.ppf(0.5 + _LEVEL / 2, max(count - 1, 1) if spread else 30))
+    found = []
+    for one in predictions:
+        weights = one.drive.weights
+        energy = float(weights @ one.power)
+        columns = plain_columns(plain, fitted, one.drive)
+        gradient = weights @ columns
+        variance = density * float(weights.sum())
+        if model.covariance is not None:
+            variance += float(gradient @ model.covariance @ gradient)
+        if spread is not None:
+            variance += (spread.deviation * energy) ** 2
+        half = reach * float(np.sqrt(variance))
+        found.append(
+            EnergyPrediction(
+                one.drive.name, energy, (energy - half, energy + half),
+                float(weights @ one.drive.power),
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def model_values(model: PowerModel) -> dict[str, float]:
+    """Coefficients by name."""
+    return {t.name: float(v) for t, v in zip(model.terms, model.coefficients, strict=True)}
+
+
+def plain_columns(problem: Problem, fitted: FinalFit, drive: Drive) -> FloatArray:
+    """Return the derivatives of a drive's power by the coefficients, shape (n, k)."""
+    if any(t.name in ("slip_change", "traction_change") for t in fitted.terms):
+        drive = drive.with_channels(
+            changed=drive.motion.channels.get("changed", np.ones(len(drive.t)))
+        )
+    one = Problem([drive], problem.vehicle)
+    columns, _ = one.tables(fitted.terms, np.array(fitted.model.coefficients))
+    return columns[0]
