@@ -29,7 +29,7 @@ from energyplan.diagnosis.result import (
     Unexplained,
     Verdict,
 )
-from energyplan.diagnosis.search import SIGNIFICANCE, Found, Search, without_mimics
+from energyplan.diagnosis.search import SIGNIFICANCE, Found, Search, terms_of, without_mimics
 from energyplan.diagnosis.windows import Drive, prepared
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr
@@ -217,18 +217,18 @@ class _Case:
         parts = best.parts
         told_before = dependences(self.problem, PAPER, ("power",))
         report(0.9, "testing the residual against every channel")
+        mimics: list[str] = []
+        if choose:
+            parts, mimics = self._without_mimics(best.problem, parts)
         told_after = dependences(best.problem, final_fit(best.problem, parts).terms)
         left = [
             one for one in told_after
             if one.p_value < SIGNIFICANCE
             and one.explained_variance > max(_TELLING, 2 * one.std_error)
         ]  # fmt: skip
-        mimics: list[str] = []
         # What differs from drive to drive hides no channel that says more within each.
         first = next((one for one in left if one.channel != "drive"), None)
         smooth = _smooth_part(first) if first is not None and first.knots else None
-        if choose and first and smooth and first.explained_variance > _MOSTLY:
-            parts, mimics = without_mimics(best.problem, parts, smooth)
         chosen = parts
         if empirical and smooth:
             parts = (*parts, smooth)
@@ -294,6 +294,19 @@ class _Case:
             set_aside=_set_aside([*self.logs[0], *self.logs[1]]),
             after_undated=undated,
         )
+
+    def _without_mimics(
+        self, problem: Problem, parts: tuple[Part, ...]
+    ) -> tuple[tuple[Part, ...], list[str]]:
+        """Take out effects that only stand in for a smooth dependence that does better alone."""
+        usual = tuple(part for part in parts if part.effect.usual or not part.terms)
+        if len(usual) == len(parts):
+            return parts, []
+        shapes = dependences(problem, terms_of(usual))
+        best = next((one for one in shapes if one.knots), None)
+        if best is None or best.explained_variance < _MOSTLY or best.p_value > SIGNIFICANCE:
+            return parts, []
+        return without_mimics(problem, parts, _smooth_part(best))
 
     def _choosing(self) -> tuple[str, ...]:
         """Name what chose: whole training drives, or blocks of them, each left out in turn."""

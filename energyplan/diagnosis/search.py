@@ -865,7 +865,8 @@ def without_mimics(
     def loss(some: Sequence[Part]) -> Fit:
         return fit(problem.design(terms_of(some), errors), errors)
 
-    if not others or loss([*usual, smooth]).loss >= loss(parts).loss:
+    gap, error = difference(loss(parts).losses, loss([*usual, smooth]).losses)
+    if not others or gap <= max(error, WORTHWHILE * len(errors)):
         return parts, []
     kept, gone = list(parts), list[str]()
     for part in others:
