@@ -14,10 +14,12 @@ import numpy as np
 
 from energyplan.diagnosis import advice as _advice
 from energyplan.diagnosis.adequacy import adequacy, energies
+from energyplan.diagnosis.explanations import Found
 from energyplan.diagnosis.fitting import PAPER, Part, Problem
 from energyplan.diagnosis.holdout import ErrorInterval, Prediction, interval, predict, score
 from energyplan.diagnosis.joint_fit import final_fit, size_error
 from energyplan.diagnosis.mass_centre import MassCentre, find_mass_centre
+from energyplan.diagnosis.proposals import terms_of
 from energyplan.diagnosis.residual import Dependence, dependences
 from energyplan.diagnosis.result import (
     Adequacy,
@@ -29,7 +31,7 @@ from energyplan.diagnosis.result import (
     Unexplained,
     Verdict,
 )
-from energyplan.diagnosis.search import SIGNIFICANCE, Found, Search, terms_of, without_mimics
+from energyplan.diagnosis.search import SIGNIFICANCE, Search, without_mimics
 from energyplan.diagnosis.windows import Drive, prepared
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr
@@ -234,11 +236,10 @@ class _Case:
             parts = (*parts, smooth)
         fitted = final_fit(best.problem, parts)
         after = [predict(fitted.model, parts, drive) for drive in self.held]
-        undated = None
-        if any(one.change is not None for one in after):
-            undated = score(
-                [predict(fitted.model, parts, drive, dated=False) for drive in self.held]
-            )
+        foretold, undated = after, None
+        if any(part.effect.acts == "change" for part in parts):
+            foretold = [predict(fitted.model, parts, drive, dated=False) for drive in self.held]
+            undated = score(foretold)
         found = self._found(chosen, fitted.model, fitted.errors, searched, after)
         unexplained = tuple(
             Unexplained(
@@ -287,7 +288,7 @@ class _Case:
             predictions_after=tuple(one.power for one in after),
             explanations=self._explanations(searched),
             adequacy=quality,
-            predictions=energies(best.problem, fitted, after),
+            predictions=energies(best.problem, fitted, foretold),
             training=tuple(log.name for log in self.logs[0]),
             judging=tuple(log.name for log in self.logs[1]),
             choosing=self._choosing(),

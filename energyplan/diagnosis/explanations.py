@@ -1,0 +1,99 @@
+"""What the search weighs: sets of effects, what each effect is worth, probabilities (private)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from energyplan.diagnosis.fitting import Fit, Part, Problem
+from energyplan.path import FloatArray
+
+_RIVAL = 0.05  # probability of another explanation, over that of the best, that is worth naming
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A set of effects that may be the reason.
+
+    Parameters
+    ----------
+    parts : tuple of Part
+        The effects, the one that explains most first.
+    probability : float
+        That this set is the right one, among those of the catalogue.
+    problem : Problem
+        The drives, with delays, factors and times of changes as this set has them.
+    gains : tuple of Gain
+        What each effect of the set is worth in it.
+    """
+
+    parts: tuple[Part, ...]
+    probability: float
+    problem: Problem
+    gains: tuple[Gain, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(part.effect.name for part in self.parts)
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What an effect is worth beside the others of its set.
+
+    Parameters
+    ----------
+    improvement, error : float
+        Fall of the cross-validated error when it joins, mean over the scales, and its standard
+        error.
+    p_value : float
+        Of its coefficients being zero, times the number of candidates.
+    weight : float
+        By how much it raises the logarithm of the set's likelihood.
+    """
+
+    improvement: float
+    error: float
+    p_value: float
+    weight: float
+
+
+@dataclass(frozen=True)
+class Found:
+    """Outcome of the search: explanations, the most probable one first."""
+
+    explanations: tuple[Explanation, ...]
+    untested: tuple[tuple[str, str], ...]
+
+    @property
+    def best(self) -> Explanation:
+        """The most probable explanation."""
+        return self.explanations[0]
+
+    def rivals(self, name: str) -> tuple[str, ...]:
+        """Return the effects that may stand in for one of the best explanation."""
+        best = self.best
+        found: list[str] = []
+        for other in self.explanations[1:]:
+            new = set(other.names) - set(best.names)
+            gone = set(best.names) - set(other.names)
+            if name in gone and new and other.probability > _RIVAL * best.probability:
+                found += [one for one in other.names if one in new and one not in found]
+        return tuple(found)
+
+    def probability(self, name: str) -> float:
+        """Return the probability that an effect is there."""
+        return float(sum(one.probability for one in self.explanations if name in one.names))
+
+
+@dataclass
+class Evaluated:
+    """A set fitted as it is."""
+
+    counts: FloatArray
+    errors: FloatArray
+    fit: Fit
+    problem: Problem
+    sound: bool
+    parts: tuple[Part, ...]
+    gains: dict[int, Gain] = field(default_factory=dict)
