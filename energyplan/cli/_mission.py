@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,6 +25,10 @@ if TYPE_CHECKING:
 @app.command(epilog="Example: energyplan mission mission_warehouse.yaml --report mission.html")
 def mission(
     file: Annotated[Path, typer.Argument(help="Mission YAML file.")],
+    effort: Annotated[
+        int | None,
+        typer.Option(help="Units of work for each route in place of time."),
+    ] = None,
     report: Report = None,
     json: Json = False,
     strict: Strict = False,
@@ -36,6 +41,8 @@ def mission(
     from energyplan.output.pages import mission_page
 
     asked = read_mission(file)
+    if effort is not None:
+        asked = replace(asked, planning_effort=effort)
     with progress("evaluating the mission"):
         told = evaluate(asked)
     if report:

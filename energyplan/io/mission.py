@@ -144,6 +144,7 @@ class _Mission(_Strict):
     speed: Speed | None = None
     planner: str = "lattice"
     planning_time: Time | None = None
+    planning_effort: Annotated[int, Field(ge=1)] | None = None
 
 
 def read_mission(path: str | Path) -> Mission:
@@ -244,6 +245,7 @@ class _Reader:
             speed=spec.speed,
             planner=spec.planner,
             planning_time=spec.planning_time,
+            planning_effort=spec.planning_effort,
             name=spec.name,
             heights=heights,
         )  # fmt: skip

@@ -242,7 +242,7 @@ class Legs:
             *((shapely.to_wkb(ground.area), _told(ground.model)) for ground in grounds),
             *(shapely.to_wkb(area) for area in areas),
             _shaped(mission.heights),
-            mission.speed, mission.planner, self._planning_time,
+            mission.speed, mission.planner, self._planning_time, mission.planning_effort,
         )  # fmt: skip
         known = _routes.setdefault(mission.map, {})
         key = hashlib.sha256(repr(asked).encode()).digest()
@@ -268,10 +268,11 @@ class Legs:
         problem = PlanningProblem(
             mission.map, cost, here, there, surfaces=surfaces, heights=mission.heights
         )
-        for patience in (1.0, 10.0):
+        for patience in (1, 10):
             try:
-                limit = patience * self._planning_time
-                return _Route(plan(problem, planner=mission.planner, time_limit=limit).path)
+                limit, effort = patience * self._planning_time, mission.planning_effort
+                effort = None if effort is None else patience * effort
+                return _Route(plan(problem, mission.planner, limit, effort=effort).path)
             except TimeLimitError as error:
                 last = str(error)
             except PlanningError as error:

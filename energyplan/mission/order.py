@@ -119,6 +119,7 @@ def solve(
     problem: OrderProblem,
     *,
     time_limit: float = 10.0,
+    effort: int | None = None,
     progress: Callable[[float, float], None] | None = None,
 ) -> Order:
     """Find the order of greatest worth, and of least energy among those.
@@ -129,6 +130,8 @@ def solve(
         The problem.
     time_limit : float
         Time for the search beyond `EXACT` tasks [s].
+    effort : int, optional
+        Units of work for that search, in place of the time; see `energyplan.Budget`.
     progress : callable, optional
         Called with the seconds that have passed and the energy of the best order so far.
 
@@ -147,7 +150,7 @@ def solve(
         return solve_exactly(problem)
     from energyplan.mission.routing import solve_by_search
 
-    return solve_by_search(problem, time_limit=time_limit, progress=progress)
+    return solve_by_search(problem, time_limit=time_limit, effort=effort, progress=progress)
 
 
 def solve_exactly(problem: OrderProblem) -> Order:

@@ -16,6 +16,7 @@ import numpy as np
 from energyplan.mission.order import EXACT, Order, OrderProblem, solve
 from energyplan.mission.simulation import Condition, Walk
 from energyplan.path import FloatArray
+from energyplan.planning.budget import PACE
 
 _ROUNDS = 25
 _SEARCH_ROUNDS = 3
@@ -56,10 +57,12 @@ def best_stops(walk: Walk, progress: Callable[[str], None] | None = None) -> Sto
     """
     matrix = _Matrix(walk)
     exact = len(walk.mission.tasks) <= EXACT
+    counted = walk.mission.planning_effort is not None
+    effort = int(_SEARCH_TIME * PACE) if counted else None
     order = Order((), 0.0, 0.0, False)
     settled = False
     for turn in range(_ROUNDS if exact else _SEARCH_ROUNDS):
-        order = solve(matrix.problem(), time_limit=_SEARCH_TIME)
+        order = solve(matrix.problem(), time_limit=_SEARCH_TIME, effort=effort)
         if progress is not None:
             progress(
                 f"order {turn + 1}: {len(order.stops)} stops, {order.energy / 3600:.1f} Wh, "

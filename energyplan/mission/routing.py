@@ -15,10 +15,15 @@ _FAR = 10**12
 """Stands for an infinite energy or time in the solver's integers."""
 
 
+_SOLUTION = 50
+"""Units of work that an order which the search accepts counts as."""
+
+
 def solve_by_search(
     problem: OrderProblem,
     *,
     time_limit: float,
+    effort: int | None = None,
     progress: Callable[[float, float], None] | None = None,
 ) -> Order:
     """Find a good order by guided local search.
@@ -31,6 +36,8 @@ def solve_by_search(
         The problem.
     time_limit : float
         Time to search [s].
+    effort : int, optional
+        Units of work in place of the time.
     progress : callable, optional
         Called with the seconds that have passed and the energy of the best order so far.
 
@@ -50,7 +57,7 @@ def solve_by_search(
         raise MissingDependencyError(
             "a free order of many tasks needs OR-Tools; install energyplan[orienteering]"
         ) from error
-    return _Search(problem, pywrapcp, routing_enums_pb2).run(time_limit, progress)
+    return _Search(problem, pywrapcp, routing_enums_pb2).run(time_limit, effort, progress)
 
 
 class _Search:
@@ -78,7 +85,12 @@ class _Search:
     def _charge_times(self) -> np.ndarray:
         return np.asarray(self._problem.capacity / self._problem.charge_power)
 
-    def run(self, time_limit: float, progress: Callable[[float, float], None] | None) -> Order:
+    def run(
+        self,
+        time_limit: float,
+        effort: int | None,
+        progress: Callable[[float, float], None] | None,
+    ) -> Order:
         problem, n = self._problem, self._problem.tasks
         manager = self._solver.RoutingIndexManager(self._end + 1, 1, [0], [self._end])
         routing = self._solver.RoutingModel(manager)
@@ -114,7 +126,10 @@ class _Search:
         options.local_search_metaheuristic = (
             self._enums.LocalSearchMetaheuristic.GUIDED_LOCAL_SEARCH
         )
-        options.time_limit.FromMilliseconds(int(1000 * time_limit))
+        if effort is None:
+            options.time_limit.FromMilliseconds(int(1000 * time_limit))
+        else:
+            options.solution_limit = max(effort // _SOLUTION, 1)
         found = routing.SolveWithParameters(options)
         if found is None:
             return Order((), 0.0, 0.0, False)

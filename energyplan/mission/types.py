@@ -188,6 +188,9 @@ class Mission:
     planning_time : float, optional
         Time for each route [s]; where not given, a second where tasks are few and less where they
         are many.
+    planning_effort : int, optional
+        Units of work for each route, in place of the time: the same report on any machine; see
+        `energyplan.Budget`.
     name : str
         What to call the mission.
     heights : HeightMap, optional
@@ -221,6 +224,7 @@ class Mission:
     speed: float | None = None
     planner: str = "lattice"
     planning_time: float | None = None
+    planning_effort: int | None = None
     name: str = "mission"
     heights: HeightMap | None = None
 
@@ -287,7 +291,7 @@ class Mission:
         for key in ("coefficient_spread", "payload", "time"):
             value = getattr(self, key)
             _require(np.isfinite(value) and value >= 0, f"{key} is {value}; give 0 or more", key)
-        for key in ("planning_time", "speed"):
+        for key in ("planning_time", "planning_effort", "speed"):
             value = getattr(self, key)
             _require(value is None or value > 0, f"{key} is {value}; give more than 0", key)
         _require(

@@ -37,7 +37,7 @@ def known(name: str = "quadriga:empty:marble", spread: float = 0.0) -> PowerMode
 def mission(tasks: list[Task], **changes: Any) -> Mission:
     values: dict[str, Any] = {
         "model": known(), "map": hall(), "battery": Battery.preset("quadriga"),
-        "start": Pose(1.0, 5.0, 0.0), "tasks": tuple(tasks), "planning_time": 0.2,
+        "start": Pose(1.0, 5.0, 0.0), "tasks": tuple(tasks), "planning_effort": 10_000,
     }  # fmt: skip
     return Mission(**{**values, **changes})
 

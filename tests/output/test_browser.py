@@ -101,7 +101,7 @@ def mission() -> MissionReport:
     )
     start, battery = Pose(1.0, 5.0, 0.0), Battery.preset("quadriga")
     return evaluate(
-        Mission(MODEL, hall, battery, start, tasks, planning_time=0.2, coefficient_spread=0.05)
+        Mission(MODEL, hall, battery, start, tasks, planning_effort=10_000, coefficient_spread=0.05)
     )
 
 

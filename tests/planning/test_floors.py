@@ -7,7 +7,7 @@ import pytest
 
 from energyplan.cost import EnergyCost
 from energyplan.path import Path, Pose
-from energyplan.planning import PlanningProblem
+from energyplan.planning import Budget, PlanningProblem
 from energyplan.planning.lattice.search import Search, lattice_for
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.guide import distance_to_go, reached
@@ -73,7 +73,7 @@ def first_path(problem: PlanningProblem) -> tuple[CompiledProblem, Search]:
     to_go = distance_to_go(asked.setting, 8.0)
     for scale in (1.0, 0.5, 0.25, 0.125, 0.0625):
         search = Search(asked.setting, to_go, lattice_for(asked.setting, scale), 2.0)
-        search.run(np.inf, stop_at_first=True, expansions=EXPANSIONS)
+        search.run(Budget(), stop_at_first=True, expansions=EXPANSIONS)
         if search.found:
             break
     return asked, search

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 from dataclasses import replace
 
@@ -17,7 +18,10 @@ from energyplan.errors import (
     StartInCollisionError,
     TimeLimitError,
 )
+from energyplan.path import Path
 from energyplan.planning import PLANNERS, PlanningProblem, plan
+from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.scene.reachability import check_way, none_found
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid, SurfaceMap
 
@@ -104,3 +108,56 @@ def test_an_ompl_planner_says_how_near_it_got():
         plan(narrow, "rrtstar", effort=5000)
     x, y = numbers_after(str(told.value), "as near to the goal as")
     assert narrow.map.inside((x, y))
+
+
+# -- how certain it is ------------------------------------------------------------------------
+
+
+def gap(width: float) -> PlanningProblem:
+    """A wall with a gap [m] that leads nowhere else."""
+    occupied = np.zeros((160, 200), bool)
+    occupied[:, 96:104] = True
+    cells = round(width / 0.05)
+    occupied[70 : 70 + cells, 96:104] = False
+    return replace(OPEN, map=OccupancyGrid(occupied, 0.05))
+
+
+@pytest.mark.parametrize("width", [0.0, 0.4, 0.5])
+def test_no_path_is_proven_where_the_body_cannot_pass(width):
+    """Quadriga is 0.65 m wide: its disc does not pass 0.4 m."""
+    with pytest.raises(NoPathError, match="certainly") as told:
+        plan(gap(width), effort=200_000)
+    assert told.value.certainty == "proven"
+    again = pickle.loads(pickle.dumps(told.value))
+    assert (again.certainty, str(again)) == ("proven", str(told.value))
+
+
+def test_there_is_a_path_where_the_body_passes():
+    assert plan(gap(0.8), effort=200_000).energy > 0
+
+
+@pytest.mark.parametrize("yaw", np.linspace(0.0, 3.0, 7))
+def test_what_is_proven_has_no_path_at_any_width_that_is_driven(yaw):
+    """Free straight ways through ever narrower gaps of a turned map are never declared closed."""
+    for width in (0.65, 0.70, 0.75):
+        problem = gap(width)
+        turned = OccupancyGrid(problem.map.occupied, 0.05, (0.0, 0.0, yaw))
+        y = 0.05 * 70 + 0.5 * round(width / 0.05) * 0.05
+        c, s = np.cos(yaw), np.sin(yaw)
+        start, goal = ((c * x - s * y, s * x + c * y, yaw) for x in (2.0, 8.0))
+        asked = replace(problem, map=turned, start=start, goal=goal)
+        straight = Path(asked.start, [6.0], [0.0])
+        if turned.path_free(straight, asked.robot):
+            check_way(CompiledProblem(asked))
+            error = none_found(CompiledProblem(asked), 0.1, (0.0, 0.0))
+            assert error.certainty == "at_resolution"
+            assert error.resolution == 0.1
+            assert "finest" in str(error)
+
+
+def test_only_a_resolution_is_named_where_a_finer_search_might_find_one():
+    """A lattice of one size only, too coarse for a gap that the body barely passes."""
+    with pytest.raises(NoPathError, match="none was found in cells of") as told:
+        plan(replace(gap(0.65), start=(2, 2, 0.3)), effort=500_000, finest=1.0)
+    assert told.value.certainty == "at_resolution"
+    assert 0.05 <= told.value.resolution < 0.5

@@ -99,6 +99,7 @@ class Portfolio:
 
     def _finish(self, entrant: Refiner, budget: Budget, enough: float) -> None:
         entrant.polish(budget, enough=enough)
-        entrant.again(budget)
+        if not budget.over:
+            entrant.again(budget)
         entrant.polish(budget, enough=enough)
         self._offer(entrant)

@@ -166,13 +166,18 @@ class CompiledProblem:
             piece=cells if several else max(cells, 0.5 * heights.resolution),
         )
 
-    @property
-    def grown(self) -> Body:
-        """The footprint with the margin of planning, seen from the centre of the tread ICRs."""
+    @cached_property
+    def body(self) -> Body:
+        """The footprint, seen from the centre of the tread ICRs."""
         c_x, c_y = self.problem.cost.icr.centre
         (x_min, y_min), (x_max, y_max) = self.problem.robot.footprint.tolist()
-        grow = MARGIN * self.grid.resolution
-        return Body(x_min - c_x - grow, y_min - c_y - grow, x_max - c_x + grow, y_max - c_y + grow)
+        return Body(x_min - c_x, y_min - c_y, x_max - c_x, y_max - c_y)
+
+    @property
+    def grown(self) -> Body:
+        """That footprint with the margin of planning."""
+        body, grow = self.body, MARGIN * self.grid.resolution
+        return Body(body.x_min - grow, body.y_min - grow, body.x_max + grow, body.y_max + grow)
 
     def roomy(self, pose: Pose) -> bool:
         """Tell whether a pose is free with the margin of planning."""
@@ -187,11 +192,7 @@ class CompiledProblem:
     def setting(self) -> KernelProblem:
         """The problem as the kernels see it."""
         problem = self.problem
-        c_x, c_y = problem.cost.icr.centre
-        (x_min, y_min), (x_max, y_max) = problem.robot.footprint.tolist()
-        body = Body(x_min - c_x, y_min - c_y, x_max - c_x, y_max - c_y)
-        if self.ends_roomy:
-            body = self.grown
+        body = self.grown if self.ends_roomy else self.body
         surface = self.terrain.regions
         if self.hills.bins > 1 and surface.size == 1:
             surface = np.zeros(self.grid.shape, np.uint8)

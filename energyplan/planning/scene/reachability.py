@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from energyplan.errors import NoPathError
 from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.scene.guide import distance_to_go, reached
 
 
 def _parts(query: CompiledProblem) -> NDArray[np.int32]:
@@ -20,10 +21,8 @@ def _parts(query: CompiledProblem) -> NDArray[np.int32]:
     less half a diagonal. So the centre's way leads through such cells only, from each to one of
     the eight around it: two parts that do not touch are apart for certain.
     """
-    c_x, c_y = query.problem.cost.icr.centre
-    (x_min, y_min), (x_max, y_max) = query.problem.robot.footprint.tolist()
-    radius = max(min(c_x - x_min, x_max - c_x, c_y - y_min, y_max - c_y), 0.0)
-    grid = query.grid
+    body, grid = query.body, query.grid
+    radius = max(min(-body.x_min, body.x_max, -body.y_min, body.y_max), 0.0)
     # a thousandth of a cell is far above rounding
     least = radius - (sqrt(0.5) + 1e-3) * grid.resolution
 
@@ -84,6 +83,17 @@ def none_found(query: CompiledProblem, cell: float, near: tuple[float, float]) -
         check_way(query)
     except NoPathError as proven:
         return proven
+    kernel = query.setting._replace(body=query.body)
+    if not reached(distance_to_go(kernel), kernel):
+        return NoPathError(
+            _told(
+                query,
+                "the footprint cannot get through, whichever way it turns, so there certainly is "
+                "none",
+                near,
+            ),
+            certainty="proven",
+        )
     why = (
         f"none was found in cells of {cell:.3g} m, though a finer search might find one (the "
         "lattice planner's option finest halves them)"

@@ -1,0 +1,170 @@
+"""With effort in place of time the same query gives the same plan, bit for bit."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from worlds import cluttered, free_poses
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import InvalidInputError, TimeLimitError
+from energyplan.planning import Budget, Plan, PlanningProblem, plan
+from energyplan.planning.lattice.planner import energies
+from energyplan.power import PowerModel
+from energyplan.studies import compare
+from energyplan.terrain import Surface, SurfaceMap
+
+COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+MARBLE = SurfaceMap([Surface(shapely.box(2, 2, 7, 5), PowerModel.preset("quadriga:empty:marble"))])
+ANSWER = """
+import sys; sys.path.insert(0, {folder!r})
+from test_effort import PROBLEM, digest
+from energyplan.planning import plan
+for effort in (3_000, 30_000):
+    print(digest(plan(PROBLEM, effort=effort)))
+"""
+
+
+def problem(seed=4):
+    grid = cluttered(seed)
+    start, goal = free_poses(grid, 2, 11, COST.vehicle)
+    return PlanningProblem(grid, COST, start, goal, MARBLE)
+
+
+PROBLEM = problem()
+
+
+def digest(found: Plan) -> str:
+    """Every bit of a plan but the times."""
+    numbers = [
+        *found.path.start, found.energy, found.lower_bound, found.gap, found.cost, found.length,
+        found.turning, found.duration, found.potential, found.effort, *found.breakdown.values(),
+    ]  # fmt: skip
+    bits = np.concatenate([found.path.ds, found.path.dtheta, np.array(numbers, float)])
+    return hashlib.sha256(bits.tobytes()).hexdigest()
+
+
+def in_a_fresh_process(threads: int) -> list[str]:
+    folder = Path(__file__).parent
+    paths = [str(folder), str(folder.parent), os.environ.get("PYTHONPATH", "")]
+    given = {
+        "PYTHONPATH": os.pathsep.join(paths),
+        "NUMBA_NUM_THREADS": str(threads),
+        "OMP_NUM_THREADS": str(threads),
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", ANSWER.format(folder=str(folder))],
+        capture_output=True, text=True, check=True, env={**os.environ, **given},
+    )  # fmt: skip
+    return done.stdout.split()
+
+
+def test_the_same_bits_in_fresh_processes_with_any_number_of_threads_and_under_load(monkeypatch):
+    told = in_a_fresh_process(1)
+    assert in_a_fresh_process(2) == told
+    stop = threading.Event()
+
+    def burn() -> None:
+        while not stop.is_set():
+            np.linalg.svd(np.ones((60, 60)))
+
+    busy = [threading.Thread(target=burn) for _ in range(3)]
+    for thread in busy:
+        thread.start()
+    try:
+        # warm caches, a busy machine, other queries before it
+        plan(problem(2), effort=5_000)
+        assert [digest(plan(PROBLEM, effort=effort)) for effort in (3_000, 30_000)] == told
+    finally:
+        stop.set()
+        for thread in busy:
+            thread.join()
+
+
+def test_nothing_that_decides_reads_the_clock(monkeypatch):
+    """With a clock that jumps by an hour at each look the plan is the same."""
+    told = digest(plan(PROBLEM, effort=10_000))
+    hours = iter(range(0, 10**9, 3600))
+    monkeypatch.setattr(time, "perf_counter", lambda: float(next(hours)))
+    monkeypatch.setattr(time, "monotonic", lambda: float(next(hours)))
+    assert digest(plan(PROBLEM, effort=10_000)) == told
+    with pytest.raises(TimeLimitError):
+        plan(PROBLEM, time_limit=1.0)
+
+
+@pytest.mark.parametrize("name", ["roadmap", "rrtstar", "bitstar", "control_rrt"])
+def test_other_planners_too(name, monkeypatch):
+    roomy = replace(PROBLEM, map=cluttered(4).with_unknown_free())
+    hours = iter(range(0, 10**9, 3600))
+    monkeypatch.setattr(time, "perf_counter", lambda: float(next(hours)))
+    told = []
+    for _ in range(2):
+        try:
+            told.append(digest(plan(roomy, name, effort=40_000)))
+        except TimeLimitError as error:
+            told.append(str(error))
+    assert told[0] == told[1]
+
+
+def test_many_goals_and_comparisons():
+    goals = free_poses(PROBLEM.map, 6, 3, COST.vehicle)
+    first = energies(PROBLEM, goals, effort=20_000)
+    assert np.array_equal(first, energies(PROBLEM, goals, effort=20_000))
+    once, again = (compare(PROBLEM, effort=5_000) for _ in range(2))
+    assert digest(once.shortest) == digest(again.shortest)
+    assert digest(once.energy_optimal) == digest(again.energy_optimal)
+
+
+def test_more_effort_is_no_worse_and_effort_is_what_was_spent():
+    found = [plan(PROBLEM, effort=effort, gap=0.0) for effort in (2_000, 20_000, 60_000)]
+    assert found[0].energy >= found[1].energy * (1 - 1e-9) >= found[2].energy * (1 - 1e-9) ** 2
+    for plan_found, effort in zip(found, (2_000, 20_000, 60_000), strict=True):
+        # one step more than asked for at most: a slice of attempts or the shortcuts of a path
+        assert 0 < plan_found.effort <= effort + 3_000
+
+
+@pytest.mark.parametrize("effort", [0, -5, np.nan])
+def test_no_effort_is_refused(effort):
+    with pytest.raises(InvalidInputError, match=r"effort is .*; give a number of units"):
+        plan(PROBLEM, effort=effort)
+
+
+def test_parts_of_a_budget_spend_from_the_whole():
+    whole = Budget(effort=100)
+    half = whole.part(0.5)
+    half.spend(20)
+    assert (whole.spent, whole.left, half.left) == (20, 80, 30)
+    whole.spend(30)
+    assert half.over and not whole.over
+    assert whole.less(40).left == pytest.approx(10)
+    beside = whole.apart(30)
+    beside.spend(30)
+    assert beside.over and whole.left == 50
+    with pytest.raises(TimeLimitError, match="effort was over when half was done; give more"):
+        half.check("half was done")
+
+
+def test_a_budget_of_time_ends_with_it(monkeypatch):
+    now = [10.0]
+    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+    whole = Budget(2.0)
+    half, kept = whole.part(0.5), whole.less(0.5 * 50_000)
+    whole.spend(1e9)  # work does not count by the clock
+    assert not whole.over
+    now[0] = 11.1
+    assert half.over and not kept.over
+    now[0] = 11.6
+    assert kept.over and not whole.over
+    now[0] = 12.1
+    assert whole.over and whole.elapsed == pytest.approx(2.1)
+    assert Budget().left == np.inf
