@@ -14,7 +14,8 @@ from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.bound import DETAILS, lower_bound, outline
 from energyplan.planning.bound import corners as kernels
 from energyplan.planning.bound.corners import HEADINGS, Rates
-from energyplan.planning.bound.sight import line_open
+from energyplan.planning.bound.geodesic import Ends, ways_to_goal
+from energyplan.planning.bound.sight import line_open, no_links
 from energyplan.planning.bound.surface_excess import least_excess, least_steps
 from energyplan.planning.contract import ROUNDING
 from energyplan.planning.scene.compiled import CompiledProblem
@@ -177,9 +178,9 @@ def test_a_gate_forbids_only_what_cannot_cross_it():
     (x_min, y_min), (x_max, y_max) = vehicle.footprint.tolist()
     corners = outline(grid, 0.318)
     corner = corners.point[np.argmin(np.hypot(*(corners.point - (1.968, 2.0)).T))]
-    cost = np.zeros(HEADINGS)
+    closed = np.ones(HEADINGS, bool)
     body = Body(x_min, y_min, x_max, y_max)
-    kernels.gate(grid.space, body, corners, 0.0, *corner, 1.0, 0.0, cost, 1.0)
+    assert kernels.gate(grid.space, body, corners, 0.0, *corner, 1.0, 0.0, closed)
     # brute force over places on the gate and headings in between the nodes
     across = corner[0] + np.arange(0, 2.18 - corner[0], 0.01)
     headings = (np.arange(4 * HEADINGS) + 0.5) * SPACING / 4
@@ -187,10 +188,142 @@ def test_a_gate_forbids_only_what_cannot_cross_it():
     free = grid.footprint_free(poses, vehicle).reshape(len(across), -1).any(axis=0)
     for node in range(HEADINGS):
         around = free[(4 * node + np.arange(-4, 4)) % len(free)]
-        assert cost[node] == 0 or not around.any()
+        assert not (closed[node] and around.any())
     # along the wall nothing passes, and through it something does
-    assert cost[0] > 0
-    assert cost[HEADINGS // 4] == 0
+    assert closed[0]
+    assert not closed[HEADINGS // 4]
+
+
+# -- shortest ways ---------------------------------------------------------------------------------
+
+
+def shortest(grid, radius, start, goal):
+    """Length of the disc's shortest way, over the visibility graph of the grown blocked cells."""
+    cells = np.argwhere(grid.blocked)[:, ::-1] * grid.resolution
+    boxes = shapely.box(*cells.T, *(cells + grid.resolution).T)
+    area = shapely.union_all(shapely.buffer(boxes, radius, quad_segs=8))
+    inside = shapely.buffer(area, -1e-6)
+    shapely.prepare(inside)
+    points = np.vstack([start, goal, shapely.get_coordinates(shapely.simplify(area, 1e-3))])
+    one, two = np.triu_indices(len(points), 1)
+    lines = shapely.linestrings(np.stack([points[one], points[two]], axis=1))
+    seen = ~shapely.intersects(inside, lines)
+    graph = nx.Graph()
+    graph.add_nodes_from(range(len(points)))
+    length = np.hypot(*(points[one] - points[two]).T)
+    graph.add_weighted_edges_from(zip(one[seen], two[seen], length[seen], strict=True))
+    try:
+        return nx.dijkstra_path_length(graph, 0, 1)
+    except nx.NetworkXNoPath:
+        return np.inf
+
+
+def ways(grid, radius, start, goal, limit=1e3, effort=np.inf, detail=DETAILS[0]):
+    drawn = outline(grid, radius, detail)
+    ends = Ends(*start, *goal)
+    return ways_to_goal(grid.space, drawn, no_links(len(drawn.point)), ends, limit, effort)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_shortest_way_agrees_with_a_visibility_graph(seed):
+    rng = np.random.default_rng(seed)
+    occupied = np.zeros((60, 80), bool)
+    for _ in range(9):
+        row, column = rng.integers(4, 50), rng.integers(4, 70)
+        occupied[row : row + rng.integers(2, 12), column : column + rng.integers(2, 12)] = True
+    grid, radius = OccupancyGrid(occupied, 0.1), 0.3
+    free = rng.uniform((0.4, 0.4), (7.6, 5.6), (200, 2))
+    column, row = grid.to_cells(free).astype(int).T
+    free = free[grid.clearance[row, column] > radius + 0.1]
+    bent = 0
+    for start, goal in zip(free[:12:2], free[1:12:2], strict=True):
+        exact = shortest(grid, radius, start, goal)
+        for detail in DETAILS:
+            found = ways(grid, radius, start, goal, detail=detail).least
+            # outlines lie inside of what they stand for
+            assert found <= exact + 1e-6
+            assert found >= min(exact, 1e3) * (1 - 0.6 * detail.slack) - 0.02
+        bent += exact > np.hypot(*(goal - start)) + 1e-3
+        # what is known when the search is stopped is less, and never more
+        for effort in (0.0, 1e3, 1e4, 1e5):
+            assert ways(grid, radius, start, goal, effort=effort).least <= exact + 1e-6
+    assert bent >= 2
+
+
+def test_gaps_that_the_disc_does_not_pass_are_closed_however_coarse_the_outline():
+    for cells, passes in ((11, False), (12, False), (13, True)):
+        occupied = np.zeros((120, 160), bool)
+        occupied[:, 78:82] = True
+        occupied[60 : 60 + cells, 78:82] = False
+        occupied[5:25, 78:82] = False  # another way
+        grid = OccupancyGrid(occupied, 0.05)
+        for detail in DETAILS:
+            for exact in (True, False):
+                with pytest.MonkeyPatch.context() as patch:
+                    if not exact:
+                        patch.setattr("energyplan.planning.bound.MOST_RUNS", 0)
+                    found = ways(grid, 0.32, (2.0, 3.3), (6.0, 3.3), detail=detail).least
+                    assert (found < 4.3) == passes
+                    assert passes or found > 5.5
+
+
+def test_the_disc_of_the_bound_is_no_larger_than_the_robot():
+    """A door that the robot clears by half a millimetre a side: no margin of planning fits."""
+    cost = EnergyCost.from_coefficients(200.0, 80.0, 0.2)
+    wide = np.array([[-0.4, -0.3245], [0.4, 0.3245]])
+    cost = EnergyCost(replace(cost.model, vehicle=replace(cost.vehicle, footprint=wide)))
+    occupied = np.zeros((100, 100), bool)
+    occupied[:, 50] = True
+    occupied[44:57, 50] = False
+    grid = OccupancyGrid(occupied, 0.05)
+    path = Path(Pose(1.0, 2.525, 0.0), [3.0], [0.0])
+    assert grid.path_free(path, cost.vehicle)
+    query = CompiledProblem(PlanningProblem(grid, cost, path.start, path.end))
+    assert lower_bound(query, 3 * cost.energy(path)).value <= cost.energy(path)
+
+
+def hall_of_pillars(rows=25, columns=90):
+    """A hall of many pillars with three walls across, so that the way winds along all of it."""
+    occupied = np.zeros((rows * 40, columns * 10), bool)
+    for k in range(3):
+        column = (k + 1) * columns * 10 // 4
+        occupied[: -30 if k % 2 == 0 else None, column : column + 2] = True
+        if k % 2:
+            occupied[:30, column : column + 2] = False
+    rng = np.random.default_rng(4)
+    for row, column in rng.integers((40, 10), (rows * 40 - 40, columns * 10 - 10), (300, 2)):
+        occupied[row : row + 2, column : column + 2] = True
+    return OccupancyGrid(occupied, 0.05)
+
+
+def test_the_bound_never_gives_up(monkeypatch):
+    """However many corners there are, the way of the disc is counted."""
+    monkeypatch.setattr("energyplan.planning.bound.MOST_CORNERS", 100)
+    grid = hall_of_pillars()
+    start, goal = (2.0, 1.0, 0.0), (43.0, 1.0, 0.0)
+    query = CompiledProblem(PlanningProblem(grid, COST, start, goal))
+    found = lower_bound(query, 1e6)
+    # up along the first wall, down along the second, up along the third, and down again
+    corners = np.array([(2, 1), (11.25, 48.5), (22.5, 1.5), (33.75, 48.5), (43, 1)])
+    least = np.hypot(*np.diff(corners, axis=0).T).sum()
+    assert found.value >= 0.99 * 226.0 * least
+    # and stopped at once it still knows more than that the goal is 41 m away
+    assert lower_bound(query, 1e6, 1e6).value > 1.05 * 226.0 * 41.0
+
+
+def test_what_is_kept_with_a_map_changes_no_bound():
+    poses = free_poses(cluttered(1), 12, 1, COST.vehicle)
+    efforts = (1e4, 1e5, 1e6)
+    fresh, kept = [], []
+    grid = cluttered(1)
+    for effort in efforts:
+        for start, goal in zip(poses[::2], poses[1::2], strict=True):
+            new = CompiledProblem(PlanningProblem(cluttered(1), COST, start, goal))
+            old = CompiledProblem(PlanningProblem(grid, COST, start, goal))
+            fresh.append(lower_bound(new, 1e5, effort))
+            kept.append(lower_bound(old, 1e5, effort))
+    assert fresh == kept
+    assert not all(bound.final for bound in fresh)
 
 
 # -- dear surfaces ---------------------------------------------------------------------------------

@@ -8,7 +8,8 @@ it is a bound is derived in docs/planning.md.
 
 from __future__ import annotations
 
-from math import cos, pi, sqrt
+from math import cos, hypot, pi, remainder, sqrt
+from threading import Lock
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -18,9 +19,10 @@ import shapely
 
 from energyplan.path import FloatArray
 from energyplan.planning.bound.corners import Rates, least_over_corners
-from energyplan.planning.bound.sight import Corners
+from energyplan.planning.bound.geodesic import Ends, ways_to_goal
+from energyplan.planning.bound.sight import Outline, gaps, no_links, squares_of_edges
 from energyplan.planning.bound.surface_excess import least_excess
-from energyplan.planning.scene.compiled import MARGIN, CompiledProblem
+from energyplan.planning.scene.compiled import MARGIN, SHORT_TRACK, CompiledProblem
 from energyplan.planning.scene.guide import inscribed
 from energyplan.planning.scene.motions import KernelProblem, free_energy
 from energyplan.terrain import OccupancyGrid
@@ -30,10 +32,16 @@ MOST_RUNS = 6000
 """Runs of blocked cells up to which obstacles are grown as polygons, in less than a second."""
 
 EFFORT = 5e7
-"""Steps of the search over corners after which what is known by then is taken: below 0.1 s."""
+"""Steps of the searches over corners after which what is known by then is taken: below 0.1 s."""
 
-MOST_CORNERS = 4000
-"""Corners near the way above which a coarser outline is taken, or only the bound in the open."""
+MOST_CORNERS = 2500
+"""Corners near the way above which a coarser outline is taken."""
+
+BEYOND = 1.001
+"""How much more than the cost of the best path a bound is sought for: one above it is a fault."""
+
+WAYS_SHARE = 0.6
+"""Part of the steps that the shortest ways may take; the headings have what is left."""
 
 
 class Detail(NamedTuple):
@@ -51,12 +59,27 @@ class Detail(NamedTuple):
     slack: float
 
 
-DETAILS = (Detail(8, 0.01), Detail(4, 0.03))
-"""The finer outline closes gaps that the disc does not pass, the coarser one has fewer corners."""
+DETAILS = (Detail(8, 0.01), Detail(4, 0.03), Detail(4, 0.1), Detail(2, 0.25))
+"""The finer an outline, the closer it is to the disc's ways; the coarser, the fewer corners."""
 
 
-_outlines: WeakKeyDictionary[OccupancyGrid, dict[tuple[float, Detail], Corners]]
-_outlines = WeakKeyDictionary()
+class Sights:
+    """An outline, and what is known of the lines between its corners.
+
+    Parameters
+    ----------
+    outline : Outline
+        The outline.
+    """
+
+    def __init__(self, outline: Outline) -> None:
+        self.outline = outline
+        self.links = no_links(len(outline.point))
+        self.lock = Lock()
+
+
+_sights: WeakKeyDictionary[OccupancyGrid, dict[tuple[float, Detail], Sights]]
+_sights = WeakKeyDictionary()
 
 
 class _Rings(NamedTuple):
@@ -105,7 +128,16 @@ def _level_set(grid: OccupancyGrid, radius: float) -> _Rings:
     return _Rings([np.asarray(line) for line in lines], radius - 2.0 * error, radius)
 
 
-def outline(grid: OccupancyGrid, radius: float, detail: Detail = DETAILS[0]) -> Corners:
+def sights(grid: OccupancyGrid, radius: float, detail: Detail) -> Sights:
+    """Return the outline of a map for a disc, made once, with what is known of its corners."""
+    known = _sights.setdefault(grid, {})
+    key = radius, detail
+    if key not in known:
+        known[key] = Sights(outline(grid, radius, detail))
+    return known[key]
+
+
+def outline(grid: OccupancyGrid, radius: float, detail: Detail = DETAILS[0]) -> Outline:
     """Return an outline that lies within the obstacles grown by `radius`, and its convex corners.
 
     It is simplified, which moves it by at most a tolerance, so the obstacles grow by that less.
@@ -121,12 +153,9 @@ def outline(grid: OccupancyGrid, radius: float, detail: Detail = DETAILS[0]) -> 
 
     Returns
     -------
-    Corners
+    Outline
         The corners and edges, in the world.
     """
-    known = _outlines.setdefault(grid, {})
-    if (radius, detail) in known:
-        return known[radius, detail]
     tolerance = detail.slack * radius
     drawn = _grown(grid, radius - tolerance, detail.arc) or _level_set(grid, radius - tolerance)
     point, before, after = [np.empty((0, 2))], [np.empty((0, 2))], [np.empty((0, 2))]
@@ -145,18 +174,24 @@ def outline(grid: OccupancyGrid, radius: float, detail: Detail = DETAILS[0]) -> 
         after.append(corner[2:][convex])
 
     def world(parts: list[FloatArray]) -> FloatArray:
-        return grid.to_world(np.concatenate(parts))
+        return np.ascontiguousarray(grid.to_world(np.concatenate(parts)))
 
-    found = Corners(
+    inside = max(drawn.low - tolerance, 0.0)
+    across = np.unique(gaps(grid.space, radius, inside), axis=0)
+    first.append(across[:, :2])
+    last.append(across[:, 2:])
+    edges = np.hstack([world(first), world(last)])
+    squares = squares_of_edges(grid.space, edges)
+    return Outline(
         world(point),
         world(before),
         world(after),
-        np.hstack([world(first), world(last)]),
-        max(drawn.low - tolerance, 0.0),
+        edges,
+        squares.first,
+        squares.listed,
+        inside,
         drawn.high + tolerance,
     )
-    known[radius, detail] = found
-    return found
 
 
 class Bound(NamedTuple):
@@ -174,7 +209,7 @@ def lower_bound(query: CompiledProblem, cost: float, effort: float = EFFORT) -> 
     query : CompiledProblem
         The problem.
     cost : float
-        Cost of a path that is known: the bound need not be better.
+        Cost of a path that is known: the bound need not be better by more than a little.
     effort : float
         Steps, of about 2 ns each, after which to take what is known by then.
 
@@ -186,44 +221,69 @@ def lower_bound(query: CompiledProblem, cost: float, effort: float = EFFORT) -> 
     setting = query.setting
     free = float(free_energy(setting, setting.start_x, setting.start_y, setting.start_yaw))
     radius = inscribed(setting) - MARGIN * query.grid.resolution
-    if free >= cost or radius <= 0:
+    limit = BEYOND * cost
+    if free >= limit or radius <= 0:
         return Bound(free, True)
-    excess = least_excess(query, radius, cost)
-    if free >= cost - excess:
-        return Bound(max(free, cost), True)
-    among, final = _among_obstacles(query.grid, setting, radius, free, cost - excess, effort)
+    excess = least_excess(query, radius, limit)
+    # what dear surfaces add comes on top of the rates alone
+    direct = free if excess == 0.0 else _without_obstacles(setting)
+    among, final = _among_obstacles(query.grid, setting, radius, direct, limit - excess, effort)
     return Bound(max(free, among + excess), final)
+
+
+def _without_obstacles(kernel: KernelProblem) -> float:
+    """Return the least cost between the two poses where metres and radians are paid apart."""
+    metre, radian = kernel.least_metre, kernel.least_radian
+    if radian <= metre * SHORT_TRACK:
+        return metre * hypot(kernel.goal_x - kernel.start_x, kernel.goal_y - kernel.start_y)
+    steering = kernel.steering._replace(half_track=SHORT_TRACK, per_metre=metre, per_radian=radian)
+    apart = kernel._replace(steering=steering)
+    return float(free_energy(apart, kernel.start_x, kernel.start_y, kernel.start_yaw))
 
 
 def _among_obstacles(
     grid: OccupancyGrid,
-    setting: KernelProblem,
+    kernel: KernelProblem,
     radius: float,
     free: float,
     cost: float,
     effort: float,
 ) -> Bound:
-    ends = np.array([(setting.start_x, setting.start_y), (setting.goal_x, setting.goal_y)])
-    for detail in DETAILS:
-        found = outline(grid, radius, detail)
-        # corners by which the way alone costs more than the path that is known
-        way = sum(np.hypot(*(found.point - end).T) for end in ends)
-        near = setting.least_metre * way < cost
-        if near.sum() <= MOST_CORNERS:
-            break
-    else:
-        return Bound(free, False)
-    corners = found._replace(
-        point=np.concatenate([found.point[near], ends]),
-        before=np.concatenate([found.before[near], ends]),
-        after=np.concatenate([found.after[near], ends]),
-    )
-    rates = Rates(
-        setting.least_metre, setting.least_radian, setting.start_yaw, setting.goal_yaw, free
-    )
-    body, margin = setting.body, MARGIN * grid.resolution
+    ends = Ends(kernel.start_x, kernel.start_y, kernel.goal_x, kernel.goal_y)
+    turn = abs(remainder(kernel.goal_yaw - kernel.start_yaw, 2.0 * pi))
+    # ways of that length cost more than the path that is known
+    longest = (cost - kernel.least_radian * turn) / kernel.least_metre
+    found = _fine_enough(grid, radius, ends, longest)
+    body, margin = kernel.body, MARGIN * grid.resolution
     true_body = Body(
         body.x_min + margin, body.y_min + margin, body.x_max - margin, body.y_max - margin
     )
-    value, final = least_over_corners(setting.space, true_body, corners, rates, cost, effort)
-    return Bound(float(value), bool(final))
+    rates = Rates(kernel.least_metre, kernel.least_radian, kernel.start_yaw, kernel.goal_yaw, free)
+    with found.lock:
+        ways = ways_to_goal(
+            kernel.space, found.outline, found.links, ends, longest, WAYS_SHARE * effort
+        )
+        found.links = ways.links
+        least = least_over_corners(
+            kernel.space, true_body, found.outline, ends, ways, rates, cost, effort - ways.steps
+        )
+        found.links = least.links
+    return Bound(float(least.value), bool(least.final))
+
+
+def _fine_enough(grid: OccupancyGrid, radius: float, ends: Ends, longest: float) -> Sights:
+    """Return the finest outline that has few corners near ways of that length."""
+    found = sights(grid, radius, DETAILS[-1])
+    for detail in DETAILS[:-1]:
+        # from the coarsest to this one corners grow in number as the tolerance falls, or slower
+        many = (DETAILS[-1].slack / detail.slack) ** 0.6 * _near(found.outline, ends, longest)
+        if many <= MOST_CORNERS:
+            return sights(grid, radius, detail)
+    return found
+
+
+def _near(outline: Outline, ends: Ends, longest: float) -> int:
+    """Return how many corners could lie on a way of that length."""
+    x, y = outline.point.T
+    way = np.hypot(x - ends.start_x, y - ends.start_y) + np.hypot(x - ends.goal_x, y - ends.goal_y)
+    return int(np.count_nonzero(way < longest))

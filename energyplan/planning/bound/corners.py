@@ -14,8 +14,16 @@ from typing import NamedTuple
 import numpy as np
 
 from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import Floats, FloatTable
-from energyplan.planning.bound.sight import Corners, line_open
+from energyplan.compilation.arrays import (
+    Flags,
+    FlagTable,
+    Floats,
+    FloatTable,
+    ShortInts,
+    ShortIntTable,
+)
+from energyplan.planning.bound.geodesic import Ends, Ways
+from energyplan.planning.bound.sight import Links, Outline, linked, side
 from energyplan.planning.scene.field import (
     angle_between,
     longer_floats,
@@ -37,8 +45,8 @@ STEP = 0.02
 LONG = 3.0
 """Length from which a gate forbids no heading [m]."""
 
-UNKNOWN, CLOSED, OPEN = -1, -2, -3
-"""What is known of a line that is not in use."""
+FRESH, FREE, BARRED = 0, 1, 2
+"""What is known of the gates of a line: nothing, that all headings pass, that some do not."""
 
 
 class Rates(NamedTuple):
@@ -59,21 +67,6 @@ class Rates(NamedTuple):
     start: float
     goal: float
     direct: float
-
-
-@inner
-def _side(corners: Corners, k: int, ux: float, uy: float) -> int:
-    """Side of a line through a corner on which the obstacle lies: 1 left, -1 right, 0 both."""
-    x = corners.point[k, 0]
-    y = corners.point[k, 1]
-    one = ux * (corners.before[k, 1] - y) - uy * (corners.before[k, 0] - x)
-    two = ux * (corners.after[k, 1] - y) - uy * (corners.after[k, 0] - x)
-    tiny = 1e-9
-    if one >= -tiny and two >= -tiny:
-        return 1
-    if one <= tiny and two <= tiny:
-        return -1
-    return 0
 
 
 @inner
@@ -166,38 +159,37 @@ def along_line(
 def gate(
     space: Space,
     body: Body,
-    corners: Corners,
+    outline: Outline,
     goal_yaw: float,
     x: float,
     y: float,
     ux: float,
     uy: float,
-    cost: Floats,
-    turn: float,
-) -> None:
-    """Raise the cost of the headings with which the body cannot cross a gate.
+    closed: Flags,
+) -> bool:
+    """Mark the headings with which the body cannot cross a gate; tell whether there are any.
 
     A gate is a ray from a corner, up to the next obstacle. Where it leads into the open or is long,
     it forbids nothing.
 
     Parameters
     ----------
-    space, body, corners : Space, Body, Corners
+    space, body, outline : Space, Body, Outline
         Obstacles, the body, and the outline for the disc inside it.
     goal_yaw : float
         Heading of node 0.
     x, y, ux, uy : float
         Corner and direction of the ray.
-    cost : ndarray, shape (HEADINGS,)
-        Least cost by heading; see `along_line`.
-    turn : float
-        Cost of the turn from one node to the next.
+    closed : ndarray of bool, shape (HEADINGS,)
+        Filled: whether no pose between the neighbours of a node can cross.
     """
-    n = len(cost)
+    n = len(closed)
     spacing = 2.0 * pi / n
     res = space.resolution
     rows, columns = space.clearance.shape
     reach = hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max))
+    for j in range(n):
+        closed[j] = False
     length = 0.0
     while True:
         here = in_cells(space, x + length * ux, y + length * uy)
@@ -208,8 +200,8 @@ def gate(
         off = hypot(here.column - column - 0.5, here.row - row - 0.5) * res
         near = float(space.clearance[row, column]) * res
         if near - off > reach or length > LONG:
-            return
-        if near + off < corners.inside - 1e-9:
+            return False
+        if near + off < outline.inside - 1e-9:
             break
         length += STEP
     # a body that is smaller by what a place and a heading stand for
@@ -218,35 +210,132 @@ def gate(
     open_between = np.empty(n, np.bool_)
     for j in range(n):
         open_between[j] = False
+    left = n
     for k in range(int(length / STEP) + 2):
         px = x + k * STEP * ux
         py = y + k * STEP * uy
-        for j in range(n):
-            if not open_between[j]:
-                open_between[j] = pose_free(space, small, px, py, goal_yaw + (j + 0.5) * spacing)
+        for j in range(n if left > 0 else 0):
+            if not open_between[j] and pose_free(
+                space, small, px, py, goal_yaw + (j + 0.5) * spacing
+            ):
+                open_between[j] = True
+                left -= 1
+    any_closed = False
     for j in range(n):
-        if not (open_between[j - 1] or open_between[j]):
+        closed[j] = not (open_between[j - 1] or open_between[j])
+        any_closed = any_closed or closed[j]
+    return any_closed
+
+
+@inner
+def _pass_gate(cost: Floats, closed: Flags, turn: float) -> None:
+    """Raise the cost of the headings that a gate does not let through."""
+    for j in range(len(cost)):
+        if closed[j]:
             cost[j] = inf
     spread(cost, turn)
 
 
+class Lines(NamedTuple):
+    """Lines between corners in use, one a row.
+
+    Attributes
+    ----------
+    before : ndarray, shape (lines, HEADINGS)
+        Least cost by heading before each.
+    tail, head : ndarray of int, shape (lines,)
+        Where each begins and ends: a corner, `n` for the start, ``n + 1`` for the goal.
+    waiting : ndarray of bool, shape (lines,)
+        Whether each is to be looked at.
+    gates : ndarray of int, shape (2, lines)
+        What is known of the first and the second gate of each.
+    closed : ndarray of bool, shape (2 lines, HEADINGS)
+        Headings that these do not let through, those of one line after the other.
+    """
+
+    before: FloatTable
+    tail: ShortInts
+    head: ShortInts
+    waiting: Flags
+    gates: ShortIntTable
+    closed: FlagTable
+
+
 @inner
-def _all_infinite(rows: int) -> FloatTable:
-    out = np.empty((rows, HEADINGS))
+def _no_lines(rows: int) -> Lines:
+    before = np.empty((rows, HEADINGS))
+    gates = np.empty((2, rows), np.int32)
+    waiting = np.empty(rows, np.bool_)
     for k in range(rows):
+        gates[0, k] = FRESH
+        gates[1, k] = FRESH
+        waiting[k] = False
         for j in range(HEADINGS):
-            out[k, j] = inf
+            before[k, j] = inf
+    return Lines(
+        before, np.empty(rows, np.int32), np.empty(rows, np.int32), waiting, gates,
+        np.empty((2 * rows, HEADINGS), np.bool_),
+    )  # fmt: skip
+
+
+@inner
+def _more_lines(lines: Lines) -> Lines:
+    rows = len(lines.tail)
+    more = _no_lines(2 * rows)
+    for k in range(rows):
+        more.tail[k] = lines.tail[k]
+        more.head[k] = lines.head[k]
+        more.waiting[k] = lines.waiting[k]
+        for which in range(2):
+            more.gates[which, k] = lines.gates[which, k]
+        for j in range(HEADINGS):
+            more.before[k, j] = lines.before[k, j]
+            more.closed[2 * k, j] = lines.closed[2 * k, j]
+            more.closed[2 * k + 1, j] = lines.closed[2 * k + 1, j]
+    return more
+
+
+@inner
+def _unused(count: int) -> ShortInts:
+    out = np.empty(count, np.int32)
+    for k in range(count):
+        out[k] = -1
     return out
+
+
+class Least(NamedTuple):
+    """What the search over corners found.
+
+    Attributes
+    ----------
+    value : float
+        The bound.
+    final : bool
+        Whether the search came to its end.
+    links : Links
+        What is known of the corners now.
+    """
+
+    value: float
+    final: bool
+    links: Links
 
 
 @njit
 def least_over_corners(
-    space: Space, body: Body, corners: Corners, rates: Rates, limit: float, effort: float
-) -> tuple[float, bool]:
+    space: Space,
+    body: Body,
+    outline: Outline,
+    ends: Ends,
+    ways: Ways,
+    rates: Rates,
+    limit: float,
+    effort: float,
+) -> Least:
     """Return a lower bound on the cost of going from start to goal, at most `limit`.
 
     A* over lines between corners, each with its costs by heading. A taut way turns at a corner
-    only around the obstacle there.
+    only around the obstacle there. What is left to go is estimated by the shortest way.
 
     Parameters
     ----------
@@ -254,24 +343,27 @@ def least_over_corners(
         Obstacles.
     body : Body
         The robot.
-    corners : Corners
-        Corners, start and goal.
+    outline : Outline
+        Outline of the obstacles.
+    ends : Ends
+        Start and goal.
+    ways : Ways
+        Shortest ways to the goal.
     rates : Rates
         Costs.
     limit : float
         Costs at or above are of no interest.
     effort : float
-        Number of steps, of about a nanosecond each, at which to stop with what is known by then.
+        Number of steps, of some nanoseconds each, at which to stop with what is known by then.
 
     Returns
     -------
-    tuple of float and bool
-        The bound, and whether the search came to its end.
+    Least
+        The bound.
     """
-    n = len(corners.point)
-    start = n - 2
-    goal = n - 1
-    point = corners.point
+    n = len(outline.point)
+    start = n
+    goal = n + 1
     turn = rates.radian * 2.0 * pi / HEADINGS
     to_goal = np.empty(HEADINGS)
     cost = np.empty(HEADINGS)
@@ -279,21 +371,19 @@ def least_over_corners(
         heading = rates.goal + j * 2.0 * pi / HEADINGS
         to_goal[j] = rates.radian * angle_between(heading, rates.goal)
         cost[j] = rates.radian * angle_between(heading, rates.start)
-    state = np.empty((n, n), np.int32)
-    for v in range(n):
-        for at in range(n):
-            state[v, at] = UNKNOWN
-    capacity = 256
-    before = _all_infinite(capacity)
-    tail = np.empty(capacity, np.int32)
-    head = np.empty(capacity, np.int32)
-    waiting = np.empty(capacity, np.bool_)
-    room = 1 << 16
+    if ways.direct:
+        limit = min(limit, rates.direct)
+    links = ways.links
+    lines = _no_lines(256)
+    of_link = _unused(len(links.seen))
+    of_start = _unused(n)
+    of_goal = _unused(n)
+    room = 1 << 12
     heap_f = np.empty(room)
     heap_node = np.empty(room, np.int32)
     count = 0
     size = 0
-    work = 0.0
+    steps = 0.0
     at = start
     about = 0
     ix = 0.0
@@ -302,101 +392,120 @@ def least_over_corners(
         lowest = inf
         for j in range(HEADINGS):
             lowest = min(lowest, cost[j] + to_goal[j])
-        gx = point[goal, 0]
-        gy = point[goal, 1]
-        work += 5.0 * n
-        for v in range(n if lowest < limit else 0):
-            dx = point[v, 0] - point[at, 0]
-            dy = point[v, 1] - point[at, 1]
+        many = 0
+        begin = 0
+        if lowest < limit:
+            if at == start:
+                many = n
+            else:
+                known = links.first[at] >= 0
+                links = linked(space, outline, links, at)
+                if not known:
+                    steps += links.steps[at]
+                if len(of_link) < len(links.seen):
+                    longer = _unused(len(links.seen))
+                    for k in range(len(of_link)):
+                        longer[k] = of_link[k]
+                    of_link = longer
+                begin = int(links.first[at])
+                many = links.number[at] + 1
+        x = ends.start_x if at == start else outline.point[at, 0]
+        y = ends.start_y if at == start else outline.point[at, 1]
+        steps += 10.0 * many
+        for i in range(many):
+            # the last one is the goal, except from the start, where it is known already
+            v = i if at == start else goal if i == many - 1 else int(links.seen[begin + i])
+            if v == goal:
+                if ways.at_goal[at] == inf:
+                    continue
+                dx = ends.goal_x - x
+                dy = ends.goal_y - y
+                rest = ways.at_goal[at]
+            else:
+                if at == start and ways.from_start[v] == inf:
+                    continue
+                dx = outline.point[v, 0] - x
+                dy = outline.point[v, 1] - y
+                rest = hypot(dx, dy) + ways.to_goal[v]
             length = hypot(dx, dy)
-            if v == start or state[at, v] == CLOSED or length < 1e-12:
-                continue
-            rest = length + hypot(gx - point[v, 0], gy - point[v, 1])
-            straight_on = at == start and v == goal
-            if (rates.direct if straight_on else lowest + rates.metre * rest) >= limit:
+            if lowest + rates.metre * rest >= limit:
                 continue
             if at != start and (
-                (ix * dy - iy * dx) * about < -1e-9 * length or _side(corners, at, dx, dy) != about
+                (ix * dy - iy * dx) * about < -1e-9 * length or side(outline, at, dx, dy) != about
             ):
                 continue
-            if state[at, v] == UNKNOWN:
-                work += 2000.0
-                good = (at == start or _side(corners, at, dx, dy) != 0) and (
-                    v == goal or _side(corners, v, dx, dy) != 0
-                )
-                good = good and line_open(
-                    space, corners, point[at, 0], point[at, 1], point[v, 0], point[v, 1]
-                )
-                if not good:
-                    state[at, v] = CLOSED
-                    state[v, at] = CLOSED
-                    continue
-                state[at, v] = OPEN
-                if state[v, at] == UNKNOWN:
-                    state[v, at] = OPEN
-            if straight_on:
-                limit = rates.direct
-                continue
-            line = int(state[at, v])
+            line = int(
+                of_start[v] if at == start else of_goal[at] if v == goal else of_link[begin + i]
+            )
             if line < 0:
-                if count == capacity:
-                    capacity *= 2
-                    fewer = before
-                    before = _all_infinite(capacity)
-                    for k in range(count):
-                        for j in range(HEADINGS):
-                            before[k, j] = fewer[k, j]
-                    tail = longer_ints(tail)
-                    head = longer_ints(head)
-                    known = waiting
-                    waiting = np.empty(capacity, np.bool_)
-                    for k in range(count):
-                        waiting[k] = known[k]
+                if count == len(lines.tail):
+                    lines = _more_lines(lines)
                 line = count
                 count += 1
-                state[at, v] = line
-                tail[line] = at
-                head[line] = v
+                if at == start:
+                    of_start[v] = line
+                elif v == goal:
+                    of_goal[at] = line
+                else:
+                    of_link[begin + i] = line
+                lines.tail[line] = at
+                lines.head[line] = v
             better = inf
             for j in range(HEADINGS):
-                if cost[j] < before[line, j] - 1e-9:
-                    before[line, j] = cost[j]
+                if cost[j] < lines.before[line, j] - 1e-9:
+                    lines.before[line, j] = cost[j]
                     better = min(better, cost[j] + to_goal[j])
+            steps += 300.0
             f = better + rates.metre * rest
             if f < limit:
                 if size + 1 >= room:
                     room *= 2
                     heap_f = longer_floats(heap_f)
                     heap_node = longer_ints(heap_node)
-                waiting[line] = True
+                lines.waiting[line] = True
                 size = push(heap_f, heap_node, size, f, line)
         line = -1
         f = limit
         while size > 0 and line < 0:
             f = heap_f[0]
-            if waiting[heap_node[0]]:
+            if lines.waiting[heap_node[0]]:
                 line = int(heap_node[0])
             size = pop(heap_f, heap_node, size)
         if line < 0 or f >= limit:
-            return limit, True
-        if work > effort:
-            return float(f), False
-        waiting[line] = False
-        u = int(tail[line])
-        at = int(head[line])
-        ix = point[at, 0] - point[u, 0]
-        iy = point[at, 1] - point[u, 1]
+            return Least(limit, True, links)
+        if steps > effort:
+            return Least(f, False, links)
+        lines.waiting[line] = False
+        u = int(lines.tail[line])
+        at = int(lines.head[line])
+        ux = ends.start_x if u == start else outline.point[u, 0]
+        uy = ends.start_y if u == start else outline.point[u, 1]
+        x = ends.goal_x if at == goal else outline.point[at, 0]
+        y = ends.goal_y if at == goal else outline.point[at, 1]
+        ix = x - ux
+        iy = y - uy
         length = hypot(ix, iy)
-        behind = 0 if u == start else _side(corners, u, ix, iy)
-        about = 0 if at == goal else _side(corners, at, ix, iy)
+        behind = 0 if u == start else side(outline, u, ix, iy)
+        about = 0 if at == goal else side(outline, at, ix, iy)
         for j in range(HEADINGS):
-            cost[j] = before[line, j]
-        work += 30000.0
-        if u != start:
-            gate(
-                space, body, corners, rates.goal,
-                point[u, 0], point[u, 1], behind * iy / length, -behind * ix / length, cost, turn,
-            )  # fmt: skip
+            cost[j] = lines.before[line, j]
+        steps += 15000.0
+        if lines.gates[0, line] == FRESH:
+            steps += 30000.0
+            lines.gates[0, line] = FREE
+            lines.gates[1, line] = FREE
+            if u != start and gate(
+                space, body, outline, rates.goal,
+                ux, uy, behind * iy / length, -behind * ix / length, lines.closed[2 * line],
+            ):  # fmt: skip
+                lines.gates[0, line] = BARRED
+            if at != goal and gate(
+                space, body, outline, rates.goal,
+                x, y, about * iy / length, -about * ix / length, lines.closed[2 * line + 1],
+            ):  # fmt: skip
+                lines.gates[1, line] = BARRED
+        if lines.gates[0, line] == BARRED:
+            _pass_gate(cost, lines.closed[2 * line], turn)
         cost = along_line(
             cost,
             atan2(iy, ix),
@@ -410,7 +519,5 @@ def least_over_corners(
             for j in range(HEADINGS):
                 cost[j] = inf
             continue
-        gate(
-            space, body, corners, rates.goal,
-            point[at, 0], point[at, 1], about * iy / length, -about * ix / length, cost, turn,
-        )  # fmt: skip
+        if lines.gates[1, line] == BARRED:
+            _pass_gate(cost, lines.closed[2 * line + 1], turn)
