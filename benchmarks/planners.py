@@ -2,20 +2,24 @@
 
     python benchmarks/planners.py                       every table, small: less than two minutes
     python benchmarks/planners.py MAP.yaml --pairs 100  first plan, gap, shortest route
+    python benchmarks/planners.py --pairs-file PAIRS.json  the same on pairs of poses from a file
     python benchmarks/planners.py MAP.yaml --rivals 10  0.1 s of ours against 10 s of OMPL's
     python benchmarks/planners.py MAP.yaml --many       one search for many goals
     python benchmarks/planners.py --sizes 4096 [--plot sizes.png]
 
-Without maps, those of the project are used. All times are wall time on this machine, kernels
-compiled beforehand.
+A file of pairs names its `map`, which lies beside it, and the `model`; of its `pairs` each has
+`start`, `goal` and the least energy known, `best_known_energy` [J]. Without maps, those of the
+project are used. All times are wall time on this machine, kernels compiled beforehand.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import resource
 import sys
 import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,6 +48,37 @@ def problems(grid: OccupancyGrid, count: int, seed: int = 0) -> list[PlanningPro
         poses.extend(tried[grid.footprint_free(tried, COST.vehicle)])
     pairs = zip(poses[::2], poses[1::2], strict=False)
     return [PlanningProblem(grid, COST, a, b) for a, b in list(pairs)[:count]]
+
+
+def known_pairs(path: Path) -> None:
+    """Print a table of the pairs in a file: first plan, excess over the best known, gap, work."""
+    given = json.loads(path.read_text())
+    grid = read_map(path.parent / given["map"])
+    cost = EnergyCost(PowerModel.preset(given["model"]))
+    for limit in (0.1, 1.0):
+        first, gap, excess, work = [], [], [], []
+        for pair in given["pairs"]:
+            problem = PlanningProblem(grid, cost, pair["start"], pair["goal"])
+            if not first:
+                with suppress(PlanningError):
+                    plan(problem, time_limit=limit)  # what is kept with the map
+            begun = time.process_time()
+            try:
+                found = plan(problem, time_limit=limit)
+            except PlanningError:
+                continue
+            work.append(time.process_time() - begun)
+            first.append(1e3 * found.first_time)
+            gap.append(100 * found.gap)
+            excess.append(100 * (found.energy / pair["best_known_energy"] - 1))
+        print(
+            f"{path.stem}, {limit:g} s: {len(gap)} of {len(given['pairs'])} found; "
+            f"first {np.median(first):.0f} / {max(first):.0f} ms (median / worst); "
+            f"excess over the best known {np.median(excess):.2f} / {max(excess):.2f} %; "
+            f"gap {np.median(gap):.2f} / {np.quantile(gap, 0.9):.2f} / {max(gap):.2f} % (median / "
+            f"nine in ten / worst); CPU time {np.median(work):.2f} / {max(work):.2f} s",
+            flush=True,
+        )
 
 
 def warm_up() -> None:
@@ -190,6 +225,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("maps", nargs="*", type=Path)
     parser.add_argument("--pairs", type=int, default=None, help="pairs of poses on each map")
+    parser.add_argument("--pairs-file", type=Path, metavar="PAIRS.json")
     parser.add_argument("--time", type=float, default=1.0, help="time for each plan [s]")
     parser.add_argument("--rivals", type=int, default=0, metavar="PAIRS")
     parser.add_argument("--rival-time", type=float, default=10.0)
@@ -203,6 +239,9 @@ def main() -> None:
     if given.pairs and not given.maps:
         grids["yard"] = yard(2000)
     warm_up()
+    if given.pairs_file:
+        known_pairs(given.pairs_file)
+        return
     if (given.pairs and not (given.rivals or given.many)) or not chosen:
         count = given.pairs or 6
         print(f"{count} random pairs, {given.time:g} s each")

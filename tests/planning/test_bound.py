@@ -11,7 +11,7 @@ from energyplan.cost import EnergyCost
 from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, plan
-from energyplan.planning.bound import DETAILS, lower_bound, outline
+from energyplan.planning.bound import DETAILS, EFFORT, lower_bound, outline
 from energyplan.planning.bound import corners as kernels
 from energyplan.planning.bound.corners import HEADINGS, Rates
 from energyplan.planning.bound.geodesic import Ends, ways_to_goal
@@ -302,13 +302,13 @@ def test_the_bound_never_gives_up(monkeypatch):
     grid = hall_of_pillars()
     start, goal = (2.0, 1.0, 0.0), (43.0, 1.0, 0.0)
     query = CompiledProblem(PlanningProblem(grid, COST, start, goal))
-    found = lower_bound(query, 1e6)
     # up along the first wall, down along the second, up along the third, and down again
     corners = np.array([(2, 1), (11.25, 48.5), (22.5, 1.5), (33.75, 48.5), (43, 1)])
-    least = np.hypot(*np.diff(corners, axis=0).T).sum()
-    assert found.value >= 0.99 * 226.0 * least
-    # and stopped at once it still knows more than that the goal is 41 m away
-    assert lower_bound(query, 1e6, 1e6).value > 1.05 * 226.0 * 41.0
+    least = 226.0 * np.hypot(*np.diff(corners, axis=0).T).sum()
+    assert lower_bound(query, 1.2 * least, 4 * EFFORT).value >= 0.99 * least
+    # stopped earlier it knows part of that, and more than that the goal is 41 m away
+    assert lower_bound(query, 1.2 * least).value > 2.0 * 226.0 * 41.0
+    assert lower_bound(query, 1.2 * least, 1e6).value > 1.05 * 226.0 * 41.0
 
 
 def test_what_is_kept_with_a_map_changes_no_bound():
