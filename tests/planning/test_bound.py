@@ -14,6 +14,7 @@ from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.bound import DETAILS, EFFORT, lower_bound, outline
 from energyplan.planning.bound import corners as kernels
 from energyplan.planning.bound.corners import HEADINGS, Rates
+from energyplan.planning.bound.gates import gate
 from energyplan.planning.bound.geodesic import Ends, ways_to_goal
 from energyplan.planning.bound.sight import line_open, no_links
 from energyplan.planning.bound.surface_excess import least_excess, least_steps
@@ -180,7 +181,7 @@ def test_a_gate_forbids_only_what_cannot_cross_it():
     corner = corners.point[np.argmin(np.hypot(*(corners.point - (1.968, 2.0)).T))]
     closed = np.ones(HEADINGS, bool)
     body = Body(x_min, y_min, x_max, y_max)
-    assert kernels.gate(grid.space, body, corners, 0.0, *corner, 1.0, 0.0, closed)
+    assert gate(grid.space, body, corners, 0.0, *corner, 1.0, 0.0, closed)
     # brute force over places on the gate and headings in between the nodes
     across = corner[0] + np.arange(0, 2.18 - corner[0], 0.01)
     headings = (np.arange(4 * HEADINGS) + 0.5) * SPACING / 4

@@ -8,7 +8,7 @@ taut along this line can have got there.
 
 from __future__ import annotations
 
-from math import atan2, cos, floor, hypot, inf, pi, sin
+from math import atan2, cos, hypot, inf, pi, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,7 @@ from energyplan.compilation.arrays import (
     ShortInts,
     ShortIntTable,
 )
+from energyplan.planning.bound.gates import gate
 from energyplan.planning.bound.geodesic import Ends, Ways
 from energyplan.planning.bound.sight import Links, Outline, linked, side
 from energyplan.planning.scene.field import (
@@ -31,19 +32,13 @@ from energyplan.planning.scene.field import (
     pop,
     push,
 )
-from energyplan.terrain.collision import Body, Space, in_cells, pose_free
+from energyplan.terrain.collision import Body, Space
 
 HEADINGS = 256
 """Nodes of the heading."""
 
 SWEEPS = (0.0, pi / 6, pi / 3, pi / 2, 2 * pi / 3, pi)
 """Limits of the classes of ways along a line, by how far their headings spread [rad]."""
-
-STEP = 0.02
-"""Distance between the places tried on a gate [m]."""
-
-LONG = 3.0
-"""Length from which a gate forbids no heading [m]."""
 
 FRESH, FREE, BARRED = 0, 1, 2
 """What is known of the gates of a line: nothing, that all headings pass, that some do not."""
@@ -153,78 +148,6 @@ def along_line(
         for j in range(n):
             out[j] = min(out[j], max(past[j], least))
     return out
-
-
-@inner
-def gate(
-    space: Space,
-    body: Body,
-    outline: Outline,
-    goal_yaw: float,
-    x: float,
-    y: float,
-    ux: float,
-    uy: float,
-    closed: Flags,
-) -> bool:
-    """Mark the headings with which the body cannot cross a gate; tell whether there are any.
-
-    A gate is a ray from a corner, up to the next obstacle. Where it leads into the open or is long,
-    it forbids nothing.
-
-    Parameters
-    ----------
-    space, body, outline : Space, Body, Outline
-        Obstacles, the body, and the outline for the disc inside it.
-    goal_yaw : float
-        Heading of node 0.
-    x, y, ux, uy : float
-        Corner and direction of the ray.
-    closed : ndarray of bool, shape (HEADINGS,)
-        Filled: whether no pose between the neighbours of a node can cross.
-    """
-    n = len(closed)
-    spacing = 2.0 * pi / n
-    res = space.resolution
-    rows, columns = space.clearance.shape
-    reach = hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max))
-    for j in range(n):
-        closed[j] = False
-    length = 0.0
-    while True:
-        here = in_cells(space, x + length * ux, y + length * uy)
-        column = floor(here.column)
-        row = floor(here.row)
-        if row < 0 or column < 0 or row >= rows or column >= columns:
-            break
-        off = hypot(here.column - column - 0.5, here.row - row - 0.5) * res
-        near = float(space.clearance[row, column]) * res
-        if near - off > reach or length > LONG:
-            return False
-        if near + off < outline.inside - 1e-9:
-            break
-        length += STEP
-    # a body that is smaller by what a place and a heading stand for
-    less = 0.5 * STEP + 0.5 * spacing * reach
-    small = Body(body.x_min + less, body.y_min + less, body.x_max - less, body.y_max - less)
-    open_between = np.empty(n, np.bool_)
-    for j in range(n):
-        open_between[j] = False
-    left = n
-    for k in range(int(length / STEP) + 2):
-        px = x + k * STEP * ux
-        py = y + k * STEP * uy
-        for j in range(n if left > 0 else 0):
-            if not open_between[j] and pose_free(
-                space, small, px, py, goal_yaw + (j + 0.5) * spacing
-            ):
-                open_between[j] = True
-                left -= 1
-    any_closed = False
-    for j in range(n):
-        closed[j] = not (open_between[j - 1] or open_between[j])
-        any_closed = any_closed or closed[j]
-    return any_closed
 
 
 @inner
