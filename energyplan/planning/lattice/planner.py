@@ -13,6 +13,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -33,12 +34,13 @@ from energyplan.planning.lattice.search import (
     way_along,
 )
 from energyplan.planning.lattice.tight_ends import ease
+from energyplan.planning.parallel import side_by_side
 from energyplan.planning.problem import PlanningProblem, as_pose
 from energyplan.planning.ready import compiled
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
-from energyplan.planning.scene.guide import distance_to_go, no_distance
+from energyplan.planning.scene.guide import distance_to_go, no_distance, places_for
 from energyplan.planning.scene.guide_kernels import DistanceToGo
-from energyplan.planning.scene.reachability import check_way, none_found
+from energyplan.planning.scene.reachability import check_configurations, none_found
 
 logger = logging.getLogger(__name__)
 
@@ -99,8 +101,11 @@ MOST_LEFT = 60.0
 STEPS = 12_000
 """Steps of that search that count as a unit of work."""
 
-POINT = 0.01
-"""Units of work that a point of a field counts as."""
+TURNS = 50
+"""Turns of nodes, where distances to go are found, that count as a unit of work."""
+
+FIRST_TURN = 4000
+"""Expansions of the search for a first path before a finer one joins it; then twice as many."""
 
 
 def plan(
@@ -119,8 +124,8 @@ def plan(
     problem : PlanningProblem
         The problem.
     budget : Budget
-        What planning may spend. What is done once comes on top of a time limit: up to half a second
-        for the prices of a cost that depends on speed.
+        What planning may spend. What is done once comes on top of a time limit: the map's free
+        configurations, and up to half a second for the prices of a cost that depends on speed.
     gap : float
         Planning ends early when the plan costs at most this fraction more than the lower bound.
     seed : int
@@ -145,6 +150,7 @@ def plan(
         If the budget was over before a first plan.
     """
     query = CompiledProblem(problem)
+    budget.beside(lambda: places_for(query.setting))
     known = query.drivable(initial)
     # a path between tight ends may prove not to be free: then planning is done anew
     work = _Improvement(query, budget if query.ends_roomy else budget.part(0.5), gap, seed)
@@ -284,32 +290,42 @@ class _Improvement:
         self.portfolio.enter(Segments(path.ds - lateral * path.dtheta, path.dtheta))
 
     def first_plan(self, finest: float = 1.0) -> None:
-        """Find a first path, on finer lattices where the first one has none."""
-        field = self._field(PENALTY)
-        start = Search(self.setting, field, lattice_for(self.setting), FIRST_WEIGHT)
-        if not np.isfinite(start.tree.h[0]):
-            check_way(self.query)
+        """Find a first path; lattices twice as fine join one by one while none is found."""
+        to_go = self._field(PENALTY)
+        check_configurations(self.query, to_go)
         if np.isfinite(self.cost):
             return
-        scale = 1.0
-        while True:
-            search = Search(self.setting, field, lattice_for(self.setting, scale), FIRST_WEIGHT)
-            status = kernels.RUNNING
-            if not self.budget.over:
-                status = search.run(self.budget, stop_at_first=True)
-            if search.found:
+        scale, turn = 1.0, FIRST_TURN
+        searches: list[Search] = []
+        while not self.budget.over:
+            if scale >= finest:
+                lattice = lattice_for(self.setting, scale)
+                searches.append(Search(self.setting, to_go, lattice, FIRST_WEIGHT))
+                last = searches[-1]
+                scale *= 0.5
+            tasks = [partial(Search.run, s, stop_at_first=True, expansions=turn) for s in searches]
+            states = side_by_side(self.budget, tasks, turn)
+            found = [search for search in searches if search.found]
+            for search in found:
                 self.portfolio.enter(search.segments())
+            if found:
                 return
-            if status != kernels.EXHAUSTED:
-                x, y = search.nearest
-                raise TimeLimitError(
-                    f"no path was found in {self.budget.name}: {int(search.tree.counts[2])} places "
-                    f"were searched in cells of {search.lattice.cell:.3g} m, the one nearest to "
-                    f"the goal at ({x:.2f}, {y:.2f}); give more {self.budget.remedy}"
-                )
-            scale *= 0.5
-            if scale < finest:
-                raise none_found(self.query, search.lattice.cell, search.nearest)
+            pairs = zip(searches, states, strict=True)
+            searches = [search for search, state in pairs if state != kernels.EXHAUSTED]
+            if not searches and scale < finest:
+                raise none_found(self.query, last.lattice.cell, last.nearest)
+            turn *= 2
+        told = "none was searched for"
+        if searches:
+            x, y = searches[-1].nearest
+            told = (
+                f"{sum(int(search.tree.counts[2]) for search in searches)} places were searched "
+                f"in cells down to {searches[-1].lattice.cell:.3g} m, the one nearest to the goal "
+                f"at ({x:.2f}, {y:.2f})"
+            )
+        raise TimeLimitError(
+            f"no path was found in {self.budget.name}: {told}; give more {self.budget.remedy}"
+        )
 
     def improve(self) -> None:
         """Make the path cheaper until the budget is over, the gap closed, or nothing is gained."""
@@ -324,13 +340,10 @@ class _Improvement:
                 continue
             most = MOST << number
             self.portfolio.run(searching, self.enough)
-            pending, self.searches = self.searches, []
-            for search, known in pending:
-                if not searching.over and not self.done:
-                    self._advance(search, known, searching, most)
-            for guide in guides:
-                if not searching.over and not self.done:
-                    self._advance(self._search(scale, weight, guide), np.inf, searching, most)
+            if not searching.over and not self.done:
+                self._distances({guide.penalty for guide in guides}, searching)
+                fresh = [self._search(scale, weight, guide) for guide in guides]
+                self._advance(fresh, searching, most)
         self.portfolio.run(budget, self.enough)
         self.portfolio.finish(budget, self.enough)
         gains = True
@@ -359,10 +372,20 @@ class _Improvement:
 
     def _field(self, penalty: float) -> DistanceToGo:
         """Return the distance to go, with tight places counted longer."""
-        if penalty not in self.fields:
-            self.fields[penalty] = distance_to_go(self.setting, penalty)
-            self.budget.spend(POINT * self.setting.space.clearance.size)
+        self._distances({penalty}, self.budget)
         return self.fields[penalty]
+
+    def _distances(self, penalties: set[float], budget: Budget) -> None:
+        """Find the distances to go with tight places counted so many times longer."""
+
+        def find(penalty: float, own: Budget) -> DistanceToGo:
+            found = distance_to_go(self.setting, penalty)
+            own.spend(found.work / TURNS)
+            return found
+
+        missing = sorted(penalties - set(self.fields))
+        tasks = [partial(find, penalty) for penalty in missing]
+        self.fields.update(zip(missing, side_by_side(budget, tasks, budget.left), strict=True))
 
     def _search(self, scale: float, weight: float, guide: Guide) -> Search:
         """Return a search that has yet to begin."""
@@ -373,11 +396,18 @@ class _Improvement:
         lattice = lattice_for(setting, scale)
         return Search(setting, field, lattice, weight, aligned=guide.aligned)
 
-    def _advance(self, search: Search, known: float, budget: Budget, most: int) -> None:
-        """Run a search for a while; take what it finds into the portfolio."""
-        status = search.run(budget, search.weight >= FIRST_WEIGHT, most)
-        found = float(search.tree.best[0])
-        if found < known:
-            self.portfolio.enter(search.segments())
-        if status == kernels.RUNNING:
-            self.searches.append((search, found))
+    def _advance(self, fresh: list[Search], budget: Budget, most: int) -> None:
+        """Run all searches for a while; take what they find into the portfolio."""
+        known = [*self.searches, *((search, np.inf) for search in fresh)]
+
+        def run(search: Search, own: Budget) -> int:
+            return search.run(own, search.weight >= FIRST_WEIGHT, most)
+
+        states = side_by_side(budget, [partial(run, search) for search, _ in known], most)
+        self.searches = []
+        for (search, before), state in zip(known, states, strict=True):
+            found = float(search.tree.best[0])
+            if found < before:
+                self.portfolio.enter(search.segments())
+            if state == kernels.RUNNING:
+                self.searches.append((search, found))

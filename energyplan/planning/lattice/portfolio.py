@@ -6,10 +6,13 @@ dearer. So all of them are refined a little, the better ones more, and the best 
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from energyplan.planning.budget import Budget
 from energyplan.planning.lattice.refine import Refiner
+from energyplan.planning.parallel import side_by_side
 from energyplan.planning.scene.compiled import Segments
 from energyplan.planning.scene.motions import KernelProblem
 
@@ -21,6 +24,9 @@ KEPT = 4
 
 LEADING = 2
 """How many of them get another turn."""
+
+AGAIN = 2
+"""How often the best path is refined anew, each time with other random numbers, at once."""
 
 HOPE = 1.03
 """Cost after its turns, in units of the best one, above which a path is given up."""
@@ -73,33 +79,48 @@ class Portfolio:
             Cost at which to stop.
         """
         fresh, self._fresh = self._fresh, []
-        for entrant in fresh:
-            entrant.polish(budget, enough=enough, most=TURN)
+        self._turn(fresh, budget, enough)
         self._kept = sorted(self._kept + fresh, key=lambda entrant: entrant.cost)[:KEPT]
         if fresh:
-            for entrant in self._kept[:LEADING]:
-                entrant.polish(budget, enough=enough, most=TURN)
+            self._turn(self._kept[:LEADING], budget, enough)
         for entrant in self._kept:
             self._offer(entrant)
 
+    def _turn(self, entrants: list[Refiner], budget: Budget, enough: float) -> None:
+        """Refine some paths a little, side by side."""
+
+        def polish(entrant: Refiner, own: Budget) -> None:
+            entrant.polish(own, enough=enough, most=TURN)
+
+        side_by_side(budget, [partial(polish, entrant) for entrant in entrants], TURN)
+
     def finish(self, budget: Budget, enough: float) -> None:
-        """Refine those kept until little is gained, the cheapest first; see `run`."""
-        for entrant in sorted(self._kept, key=lambda entrant: entrant.cost):
-            if entrant.cost > HOPE * self.cost:
-                break
-            self._finish(entrant, budget, enough)
+        """Refine those kept until little is gained; see `run`."""
+        hopeful = [entrant for entrant in self._kept if entrant.cost <= HOPE * self.cost]
+        self._finish(hopeful, budget, enough)
         self._kept = []
 
     def again(self, budget: Budget, enough: float) -> None:
         """Refine the best motions once more, with other random numbers."""
-        self.rounds += 1
-        entrant = Refiner(self.setting, self.best, self._seed + self.rounds)
-        entrant.shortcut(budget)
-        self._finish(entrant, budget, enough)
+        entrants = []
+        for _ in range(AGAIN):
+            self.rounds += 1
+            entrants.append(Refiner(self.setting, self.best, self._seed + self.rounds))
+        self._finish(entrants, budget, enough, cut=True)
 
-    def _finish(self, entrant: Refiner, budget: Budget, enough: float) -> None:
-        entrant.polish(budget, enough=enough)
-        if not budget.over:
-            entrant.again(budget)
-        entrant.polish(budget, enough=enough)
-        self._offer(entrant)
+    def _finish(
+        self, entrants: list[Refiner], budget: Budget, enough: float, cut: bool = False
+    ) -> None:
+        """Refine some paths until little is gained, side by side."""
+
+        def run(entrant: Refiner, own: Budget) -> None:
+            if cut:
+                entrant.shortcut(own)
+            entrant.polish(own, enough=enough)
+            if not own.over:
+                entrant.again(own)
+            entrant.polish(own, enough=enough)
+
+        side_by_side(budget, [partial(run, entrant) for entrant in entrants], budget.left)
+        for entrant in entrants:
+            self._offer(entrant)

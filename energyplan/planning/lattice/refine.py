@@ -19,6 +19,9 @@ from energyplan.steering.kernels import MAX_SEGMENTS
 POSES = 60
 """Largest number of poses among which shortcuts are sought."""
 
+ATTEMPT, PAIR = 0.35, 0.08
+"""Units of work that an attempt counts as, and the square of the number of poses of a shortcut."""
+
 TRIALS = 400
 """Attempts between two looks at the budget."""
 
@@ -85,7 +88,7 @@ class Refiner:
 
     def shortcut(self, budget: Budget) -> None:
         """Leave out the poses without which the path is cheaper."""
-        budget.spend(0.5 * self.count * self.count)
+        budget.spend(PAIR * self.count * self.count)
         self.count = int(kernels.shortcut(self.chain, self.setting, self.count, self.count))
 
     def again(self, budget: Budget) -> None:
@@ -108,7 +111,7 @@ class Refiner:
         Parameters
         ----------
         budget : Budget
-            What may be spent: a unit for each attempt.
+            What may be spent.
         patience : int
             Attempts in which the cost must fall by a ten-thousandth.
         enough : float
@@ -121,7 +124,7 @@ class Refiner:
             self.count = int(
                 kernels.polish(self.chain, self.setting, self.count, TRIALS, self._state)
             )
-            budget.spend(TRIALS)
+            budget.spend(ATTEMPT * TRIALS)
             since += TRIALS
             spent += TRIALS
             if self.count < 3 or (most is not None and spent >= most):

@@ -43,6 +43,9 @@ TIGHT = 0.5
 REACH = 1.2
 """How much further than the start the field reaches."""
 
+EXPANSION = 0.3
+"""Units of work that an expansion counts as."""
+
 SLICE = 500
 """Expansions between two looks at the budget."""
 
@@ -244,7 +247,7 @@ class Search:
         Parameters
         ----------
         budget : Budget
-            What the search may spend: a unit for each expansion.
+            What the search may spend.
         stop_at_first : bool
             Whether any motion to the goal will do.
         expansions : int, optional
@@ -264,10 +267,10 @@ class Search:
                 self.to_go,
                 self.lattice,
                 self.weight,
-                int(min(SLICE, max(limit - before, 1), max(budget.left, 1))),
+                int(min(SLICE, max(limit - before, 1), max(budget.left / EXPANSION, 1))),
                 stop_at_first,
             )
-            budget.spend(int(self.tree.counts[2]) - before)
+            budget.spend(EXPANSION * (int(self.tree.counts[2]) - before))
             if status == kernels.FULL:
                 self._enlarge()
             elif status != kernels.RUNNING:

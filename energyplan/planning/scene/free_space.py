@@ -8,7 +8,6 @@ of the exact collision test, so a bit says what that test says of the pose.
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -18,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from energyplan.planning.parallel import workers
 from energyplan.planning.scene import free_space_kernels as kernels
 from energyplan.terrain.collision import Body, Space
 
@@ -82,11 +82,6 @@ class FreeSpace:
     masks: Words
     spacing: float
     enlarged: bool
-
-
-def workers() -> int:
-    """Return how many threads work side by side."""
-    return max(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1, 1)
 
 
 def runs_of(

@@ -7,6 +7,7 @@ import weakref
 import numpy as np
 from numpy.typing import NDArray
 
+from energyplan.planning.scene.compiled import MARGIN
 from energyplan.planning.scene.free_space import free_space
 from energyplan.planning.scene.guide_kernels import (
     RIM,
@@ -55,7 +56,14 @@ def places_for(kernel: KernelProblem, enlarged: bool = False) -> Places:
     kept = _known[name]
     key = kernel.body, enlarged
     if key not in kept:
-        found = free_space(space, kernel.body, enlarged=enlarged)
+        body = kernel.body
+        if enlarged:
+            # the true footprint, which the margin of planning made larger
+            grown = MARGIN * space.resolution
+            body = Body(
+                body.x_min + grown, body.y_min + grown, body.x_max - grown, body.y_max - grown
+            )
+        found = free_space(space, body, enlarged=enlarged)
         kept[key] = connect_places(found.masks, space, found.spacing)
     return kept[key]
 
@@ -100,7 +108,7 @@ def no_distance() -> DistanceToGo:
         1,
         1.0,
     )
-    return DistanceToGo(places, np.zeros(0, np.float32), np.zeros(0, np.float32), 0.0)
+    return DistanceToGo(places, np.zeros(0, np.float32), np.zeros(0, np.float32), 0.0, 0)
 
 
 def reached(to_go: DistanceToGo, kernel: KernelProblem) -> bool:
@@ -115,14 +123,14 @@ def _guide(kernel: KernelProblem, penalty: float, enlarged: bool) -> DistanceToG
     # where it turns for nothing within this distance, reversing can be cheaper
     far = 2.0 * kernel.least_radian / kernel.least_metre
     distance = np.zeros(len(places.arcs), np.float32)
-    to_go = DistanceToGo(places, distance, np.zeros(len(places.arcs), np.float32), far)
+    to_go = DistanceToGo(places, distance, np.zeros(len(places.arcs), np.float32), far, 0)
     goal = node_at(to_go, space, kernel.goal_x, kernel.goal_y, kernel.goal_yaw)
     start = node_at(to_go, space, kernel.start_x, kernel.start_y, kernel.start_yaw)
     straight = kernel.prices.reshape(-1, hills.bins, DIRECTIONS + 1)
     # what is uphill forwards is downhill for one who faces the other way
     cheapest = np.minimum(straight[..., 0], straight[:, ::-1, DIRECTIONS // 2])
     disc = inscribed(kernel)
-    way_to_go(
+    work = way_to_go(
         places,
         np.array([goal] if goal >= 0 else [], np.int32),
         start,
@@ -138,7 +146,7 @@ def _guide(kernel: KernelProblem, penalty: float, enlarged: bool) -> DistanceToG
         to_go.distance,
         to_go.direction,
     )
-    return to_go
+    return to_go._replace(work=work)
 
 
 def _surface(places: Places, kernel: KernelProblem) -> NDArray[np.uint8]:

@@ -87,12 +87,15 @@ class DistanceToGo(NamedTuple):
         Direction in which the way to the goal sets out, in the frame of the grid [rad].
     far : float
         Distance to go beyond which the direction counts [m].
+    work : int
+        Turns of nodes that it took.
     """
 
     places: Places
     distance: Singles
     direction: Singles
     far: float
+    work: int
 
 
 @inner
@@ -259,8 +262,8 @@ def way_to_go(
     steepest: float,
     distance: Singles,
     direction: Singles,
-) -> None:
-    """Write the distance of every node from the goal, over 16 neighbours.
+) -> int:
+    """Write the distance of every node from the goal, over 16 neighbours; return the work.
 
     Nodes come by their distance and the straight line to where the distances are needed.
 
@@ -454,3 +457,4 @@ def way_to_go(
                 row = int(places.home[node]) // across
                 column = int(places.home[node]) % across
                 distance[node] = max(limit - line * hypot(row - stop_r, column - stop_c), 0.0)
+    return count

@@ -11,6 +11,7 @@ from scipy import ndimage
 from energyplan.errors import NoPathError
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.guide import distance_to_go, reached
+from energyplan.planning.scene.guide_kernels import RIM, DistanceToGo
 
 
 def _parts(query: CompiledProblem) -> NDArray[np.int32]:
@@ -67,6 +68,40 @@ def check_way(query: CompiledProblem) -> None:
     )
 
 
+def check_configurations(query: CompiledProblem, to_go: DistanceToGo) -> None:
+    """Check that the footprint may get from start to goal.
+
+    Parameters
+    ----------
+    query : CompiledProblem
+        The problem.
+    to_go : DistanceToGo
+        Its distance to go, as `distance_to_go` returns it.
+
+    Raises
+    ------
+    NoPathError
+        If it certainly cannot; the message names the place nearest to the goal that it gets to.
+    """
+    setting = query.setting
+    if reached(to_go, setting):
+        return
+    check_way(query)
+    back = setting._replace(
+        start_x=setting.goal_x, start_y=setting.goal_y, start_yaw=setting.goal_yaw,
+        goal_x=setting.start_x, goal_y=setting.start_y, goal_yaw=setting.start_yaw,
+    )  # fmt: skip
+    away = distance_to_go(back)
+    homes = away.places.home[np.isfinite(away.distance)]
+    row, column = np.divmod(homes, away.places.columns + 2 * RIM)
+    cells = np.column_stack([column, row]) - RIM + 0.5
+    place = query.grid.to_world(cells * away.places.spacing / query.grid.resolution)
+    end = np.array(query.problem.goal[:2])
+    x, y = place[np.argmin(np.hypot(*(place - end).T))].tolist()
+    why = "the footprint cannot get through, whichever way it turns, so there certainly is none"
+    raise NoPathError(_told(query, why, (x, y)), certainty="proven")
+
+
 def none_found(query: CompiledProblem, cell: float, near: tuple[float, float]) -> NoPathError:
     """Return the error that says that none was found at a resolution, or that there is none.
 
@@ -83,17 +118,6 @@ def none_found(query: CompiledProblem, cell: float, near: tuple[float, float]) -
         check_way(query)
     except NoPathError as proven:
         return proven
-    kernel = query.setting._replace(body=query.body)
-    if not reached(distance_to_go(kernel), kernel):
-        return NoPathError(
-            _told(
-                query,
-                "the footprint cannot get through, whichever way it turns, so there certainly is "
-                "none",
-                near,
-            ),
-            certainty="proven",
-        )
     why = (
         f"none was found in cells of {cell:.3g} m, though a finer search might find one (the "
         "lattice planner's option finest halves them)"
