@@ -1,0 +1,95 @@
+"""Work side by side: the same with effort, however many threads there are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import NoPathError, TimeLimitError
+from energyplan.planning import PlanningProblem, parallel, plan
+from energyplan.planning.budget import Budget
+from energyplan.planning.parallel import side_by_side
+from energyplan.power import PowerModel
+from energyplan.terrain import OccupancyGrid
+
+COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+
+
+def rooms(door: float) -> OccupancyGrid:
+    """Return three rooms in a row with doors of some width, in cells of 5 cm."""
+    occupied = np.zeros((120, 240), bool)
+    half = round(door / 0.05 / 2)
+    for column, row in ((78, 30), (158, 90)):
+        occupied[:, column : column + 3] = True
+        occupied[row - half : row + half, column : column + 3] = False
+    occupied[40:80, 110:130] = True
+    return OccupancyGrid(occupied, 0.05)
+
+
+@pytest.mark.parametrize("effort", [6_000, 25_000])
+def test_with_effort_a_plan_does_not_depend_on_the_threads(monkeypatch, effort):
+    problem = PlanningProblem(rooms(0.9), COST, (1, 4, 0), (11, 1, 2))
+    made = []
+    for threads in (1, 2, 5):
+        monkeypatch.setattr(parallel, "workers", lambda threads=threads: threads)
+        made.append(plan(problem, effort=effort))
+    for other in made[1:]:
+        assert np.array_equal(other.path.ds, made[0].path.ds)
+        assert np.array_equal(other.path.dtheta, made[0].path.dtheta)
+        assert other.lower_bound == made[0].lower_bound
+
+
+def test_tasks_spend_in_their_order_and_no_more_than_there_is():
+    budget = Budget(effort=100)
+
+    def task(units):
+        def run(own):
+            while not own.over:
+                own.spend(units)
+            return own.spent
+
+        return run
+
+    assert side_by_side(budget, [task(1), task(3), task(5)], 30) == [30, 30, 30]
+    assert budget.spent == 90
+    assert side_by_side(budget, [task(1), task(1)], 30) == [5, 5]
+    assert budget.over
+    assert side_by_side(budget, [], 30) == []
+
+
+def test_what_is_made_once_comes_on_top_of_the_time_only():
+    counted = Budget(effort=10)
+    assert counted.beside(lambda: 7) == 7
+    assert counted.left == 10
+
+
+def test_a_door_too_narrow_is_proven_closed_and_a_tight_one_is_not():
+    start, goal = (1, 4, 0), (11, 1, 2)
+    with pytest.raises(NoPathError, match="certainly") as told:
+        plan(PlanningProblem(rooms(0.5), COST, start, goal), effort=20_000)
+    assert told.value.certainty == "proven"
+    # a door of 0.7 m lets 0.64 m pass
+    assert plan(PlanningProblem(rooms(0.7), COST, start, goal), effort=20_000).length > 10
+
+
+def test_a_body_that_no_corner_lets_round_is_proven_stuck_where_the_disc_is_not():
+    from energyplan.vehicle import Vehicle
+
+    free = np.zeros((80, 80), bool)
+    free[5:45, 5:13] = free[37:45, 5:75] = True
+    robot = Vehicle.from_geometry(
+        "long", mass=40.0, wheelbase=1.2, track=0.5, length=2.4, width=0.6
+    )
+    problem = PlanningProblem(
+        OccupancyGrid(~free, 0.1), COST, (0.9, 2.0, np.pi / 2), (6.0, 4.1, 0), vehicle=robot
+    )
+    with pytest.raises(NoPathError, match="however it turns") as told:
+        plan(problem, effort=20_000)
+    assert told.value.certainty == "proven"
+
+
+def test_too_little_effort_says_what_was_searched():
+    problem = PlanningProblem(rooms(0.7), COST, (1, 4, 0), (11, 1, 2))
+    with pytest.raises(TimeLimitError, match="effort"):
+        plan(problem, effort=120)
