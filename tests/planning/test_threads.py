@@ -84,7 +84,7 @@ def test_a_body_that_no_corner_lets_round_is_proven_stuck_where_the_disc_is_not(
     problem = PlanningProblem(
         OccupancyGrid(~free, 0.1), COST, (0.9, 2.0, np.pi / 2), (6.0, 4.1, 0), vehicle=robot
     )
-    with pytest.raises(NoPathError, match="however it turns") as told:
+    with pytest.raises(NoPathError, match="whichever way it turns") as told:
         plan(problem, effort=20_000)
     assert told.value.certainty == "proven"
 

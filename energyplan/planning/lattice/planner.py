@@ -296,13 +296,9 @@ class _Improvement:
         if np.isfinite(self.cost):
             return
         scale, turn = 1.0, FIRST_TURN
-        searches: list[Search] = []
+        every = [Search(self.setting, to_go, lattice_for(self.setting), FIRST_WEIGHT)]
+        searches = every.copy()
         while not self.budget.over:
-            if scale >= finest:
-                lattice = lattice_for(self.setting, scale)
-                searches.append(Search(self.setting, to_go, lattice, FIRST_WEIGHT))
-                last = searches[-1]
-                scale *= 0.5
             tasks = [partial(Search.run, s, stop_at_first=True, expansions=turn) for s in searches]
             states = side_by_side(self.budget, tasks, turn)
             found = [search for search in searches if search.found]
@@ -312,19 +308,20 @@ class _Improvement:
                 return
             pairs = zip(searches, states, strict=True)
             searches = [search for search, state in pairs if state != kernels.EXHAUSTED]
-            if not searches and scale < finest:
-                raise none_found(self.query, last.lattice.cell, last.nearest)
+            scale *= 0.5
+            if scale >= finest:
+                lattice = lattice_for(self.setting, scale)
+                every.append(Search(self.setting, to_go, lattice, FIRST_WEIGHT))
+                searches.append(every[-1])
+            elif not searches:
+                raise none_found(self.query, every[-1].lattice.cell, every[-1].nearest)
             turn *= 2
-        told = "none was searched for"
-        if searches:
-            x, y = searches[-1].nearest
-            told = (
-                f"{sum(int(search.tree.counts[2]) for search in searches)} places were searched "
-                f"in cells down to {searches[-1].lattice.cell:.3g} m, the one nearest to the goal "
-                f"at ({x:.2f}, {y:.2f})"
-            )
+        (x, y), cell = every[-1].nearest, every[-1].lattice.cell
+        places = sum(int(search.tree.counts[2]) for search in every)
         raise TimeLimitError(
-            f"no path was found in {self.budget.name}: {told}; give more {self.budget.remedy}"
+            f"no path was found in {self.budget.name}: {places} places were searched in cells "
+            f"down to {cell:.3g} m, the one nearest to the goal at ({x:.2f}, {y:.2f}); give more "
+            f"{self.budget.remedy}"
         )
 
     def improve(self) -> None:
