@@ -16,6 +16,7 @@ from energyplan.cli.common import (
     app,
     progress,
     verdict,
+    writes_folder,
 )
 
 if TYPE_CHECKING:
@@ -30,6 +31,12 @@ def mission(
         typer.Option(help="Units of work for each route in place of time."),
     ] = None,
     report: Report = None,
+    trajectories: Annotated[
+        Path | None,
+        typer.Option(
+            callback=writes_folder, help="Write every leg as t,x,y,yaw,v,omega to this folder."
+        ),
+    ] = None,
     json: Json = False,
     strict: Strict = False,
 ) -> None:
@@ -45,6 +52,12 @@ def mission(
         asked = replace(asked, planning_effort=effort)
     with progress("evaluating the mission"):
         told = evaluate(asked)
+    if trajectories:
+        from energyplan.io.trajectory import write_trajectory
+
+        trajectories.mkdir(parents=True, exist_ok=True)
+        for k, leg in enumerate(told.trajectories, start=1):
+            write_trajectory(leg, trajectories / f"leg_{k:02d}.csv")
     if report:
         atomic_write(report, mission_page(told).html())
     answer(documents.mission(told), text.mission(told), json=json)

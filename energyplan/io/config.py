@@ -83,6 +83,7 @@ class _Vehicle(_Strict):
     battery_power: Limit | None = None
     battery_return: Limit | None = None
     usual_speed: Limit | None = None
+    tracking_tolerance: Number | None = None
 
 
 class _Column(_Strict):
@@ -136,8 +137,8 @@ def read_vehicle(source: str | Path) -> Vehicle:
     A file gives ``contacts``, ``loads`` (or ``mass`` with ``cog``) and ``footprint``; or
     ``wheelbase``, ``track``, ``length``, ``width`` and ``mass`` of a symmetric vehicle; or
     ``preset`` with whatever differs from it. ``icr``, ``motor``, ``drive_efficiency``,
-    ``regen_efficiency``, ``max_yaw_rate``, ``battery_power``, ``battery_return`` and
-    ``usual_speed`` may go with each. SI units. A motor without an acceleration limit gets
+    ``regen_efficiency``, ``max_yaw_rate``, ``battery_power``, ``battery_return``,
+    ``usual_speed`` and ``tracking_tolerance`` may go with each. SI units. A motor without an acceleration limit gets
     `DEFAULT_ACCELERATION`. A project's file is read for the vehicle that it holds.
 
     Parameters
@@ -342,7 +343,7 @@ def _vehicle(spec: _Vehicle, document: Document, loc: tuple[int | str, ...]) -> 
 
 _NUMBERS = (
     "drive_efficiency", "regen_efficiency", "max_yaw_rate", "battery_power", "battery_return",
-    "usual_speed",
+    "usual_speed", "tracking_tolerance",
 )  # fmt: skip
 """Keys of a vehicle that hold one number each."""
 

@@ -123,6 +123,32 @@ def read_trajectory(file: str | File) -> Trajectory:
     return Trajectory(t, x, y, np.unwrap(yaw), v, omega)
 
 
+def read_drive(file: str | File, longitudinal: float = 0.0) -> Trajectory | Path:
+    """Read a trajectory, or a path where the table has no times.
+
+    Parameters
+    ----------
+    file : str or pathlib.Path
+        A table as `read_trajectory` or `read_path` reads.
+    longitudinal : float
+        x coordinate of a path's reference point in the body frame [m].
+
+    Returns
+    -------
+    Trajectory or Path
+        A trajectory if there is a column ``t``.
+
+    Raises
+    ------
+    PathError
+        As the two.
+    """
+    table = read_table(file, PathError)
+    if {"t", "v", "omega"} & (set(table.columns) | set(table.text)):
+        return read_trajectory(file)
+    return read_path(file, longitudinal)
+
+
 def _complete(table: Table, name: str) -> FloatArray:
     """Return a column without holes or absurd values."""
     values = table.column(name)

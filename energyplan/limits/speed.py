@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,11 +45,30 @@ SLOPED = 0.5
 SLOWEST = 0.05
 """Slowest cruising speed that the least energy may ask for, over the motors' speed limit."""
 
+FITTED = 0.5
+"""Largest jump of a tread's share at which arcs that join poses count as one curve."""
+
 CELLS, FINEST = 400, 0.002
 """Cells that the straights and arcs of a smooth curve are cut into, and their least length [m]."""
 
 DEAREST = 1e6
 """Highest price of time that the search for a duration tries [W]."""
+
+
+class Rounding(NamedTuple):
+    """How corners are driven through; the arguments of that name of `profile`."""
+
+    smooth: float
+    tolerance: float
+
+
+def corner_rounding(tolerance: float) -> Rounding:
+    """Return how a vehicle of that tracking tolerance [m] drives through corners.
+
+    Without a tolerance it stops at corners, and drives through the small bends between poses that
+    stand for a curve, within 5 mm.
+    """
+    return Rounding(1.0, tolerance) if tolerance > 0 else Rounding(FITTED, 0.005)
 
 
 def profile(

@@ -107,6 +107,11 @@ class _Evaluation:
             proven=self.proven,
             timeline=self._timeline(end),
             paths=tuple(drives),
+            trajectories=tuple(
+                piece.leg.trajectory
+                for piece in end.pieces
+                if piece.leg is not None and piece.leg.trajectory is not None
+            ),
         )
 
     # -- the way ----------------------------------------------------------------------------------

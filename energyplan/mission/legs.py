@@ -16,7 +16,7 @@ import shapely
 from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitError
-from energyplan.limits.speed import profile
+from energyplan.limits.speed import corner_rounding, profile
 from energyplan.mission.bounds import shortest_ways
 from energyplan.mission.energy import Estimate, Grounds
 from energyplan.mission.types import Mission
@@ -333,10 +333,11 @@ class Legs:
             motor = model.vehicle.motor
             if speed is not None:
                 motor = replace(motor, speed=min(speed, motor.speed))
+            smooth, tolerance = corner_rounding(0.0)
             objective: Literal["energy", "time"] = "energy" if speed is None else "time"
             route.timed[key] = profile(
                 route.path, model, vehicle=replace(model.vehicle, motor=motor),
-                objective=objective, surfaces=surfaces, heights=mission.heights, period=_PERIOD,
+                smooth=smooth, tolerance=tolerance, objective=objective, surfaces=surfaces, heights=mission.heights, period=_PERIOD,
             )  # fmt: skip
         return route.timed[key]
 

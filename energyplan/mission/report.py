@@ -10,7 +10,7 @@ import pandas as pd
 
 from energyplan import html
 from energyplan.mission.types import Mission
-from energyplan.path import FloatArray, Path
+from energyplan.path import FloatArray, Path, Trajectory
 
 Verdict = Literal["reachable", "unreachable"]
 Reason = Literal["none", "no_path", "motor", "battery", "blocked_by_earlier"]
@@ -114,6 +114,8 @@ class MissionReport:
         The mission over time.
     paths : tuple of Path
         The drives.
+    trajectories : tuple of Trajectory
+        The same, timed, each from time 0; without those in which the robot stays where it is.
     """
 
     mission: Mission
@@ -129,6 +131,7 @@ class MissionReport:
     proven: bool
     timeline: Timeline
     paths: tuple[Path, ...]
+    trajectories: tuple[Trajectory, ...] = ()
 
     def _repr_html_(self) -> str:
         """Return the tasks as a table, flagged ones first, for notebooks."""

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from energyplan.mission import MissionReport
     from energyplan.physics import Driven
     from energyplan.planning import Plan
+    from energyplan.planning.driven import Driven
     from energyplan.power import PowerModel, Residual
     from energyplan.studies.comparison import Comparison
     from energyplan.studies.energy_map import Contour, EnergyMap
@@ -115,6 +116,18 @@ def diagnosis(told: Diagnosis) -> Document:
         "unexplained": [plain(found) for found in told.unexplained],
         "advice": list(told.advice),
         "terms": terms(told.model),
+    }
+
+
+def driven(told: Driven | None) -> Document:
+    """Return what driving a plan takes; null where the motors cannot."""
+    if told is None:
+        return dict.fromkeys(("energy_driven", "duration", "speed", "breakdown_driven"))
+    return {
+        "energy_driven": plain(told.energy),
+        "duration": plain(told.duration),
+        "speed": plain(told.speed),
+        "breakdown_driven": plain(told.breakdown),
     }
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from energyplan.mission import MissionReport
     from energyplan.physics import Driven
     from energyplan.planning import Plan
+    from energyplan.planning.driven import Driven
     from energyplan.studies.comparison import Comparison
     from energyplan.studies.energy_map import Contour, EnergyMap
 
@@ -131,6 +132,24 @@ def start(made: Start) -> list[str]:
     for check in made.checks:
         lines.append(f"{'ok' if check.ok else 'WRONG'}: {check}")
     return [*lines, *(f"note: {note}" for note in made.notes)]
+def driven(made: Plan, told: Driven | None) -> list[str]:
+    """Return what driving a plan takes, beside what its path takes."""
+    if told is None:
+        return []
+    more = told.energy - made.energy
+    parts = {
+        name: joules - made.breakdown.get(name, 0.0) for name, joules in told.breakdown.items()
+    }
+    telling = [
+        f"{name.replace('_', ' ')} {'+' if joules > 0 else '-'}{number(abs(joules))} J"
+        for name, joules in parts.items()
+        if abs(joules) > 0.002 * abs(told.energy)
+    ]
+    return [
+        f"driven: {number(told.energy, 5)} J in {number(told.duration)} s at "
+        f"{number(told.speed)} m/s: {number(abs(more))} J {'more' if more >= 0 else 'less'} than "
+        f"the path at steady speed" + (f" ({', '.join(telling)})" if telling else "")
+    ]
 
 
 def plan(made: Plan, objective: str) -> list[str]:

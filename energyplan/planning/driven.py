@@ -15,10 +15,12 @@ import numpy as np
 
 from energyplan.cost import EnergyCost
 from energyplan.limits.drive import Drive, Ground
-from energyplan.limits.speed import profile
+from energyplan.limits.speed import corner_rounding, profile
 from energyplan.path import Path, Trajectory
+from energyplan.planning.problem import PlanningProblem
 from energyplan.power import PowerModel
-from energyplan.terrain import HeightMap, SurfaceMap
+from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
+from energyplan.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,8 @@ def drive_path(
     surfaces: SurfaceMap | None = None,
     heights: HeightMap | None = None,
     *,
-    smooth: float = 0.0,
+    tolerance: float | None = None,
+    grid: OccupancyGrid | None = None,
     period: float = 0.05,
 ) -> Driven:
     """Time a path as its cost assumes, and integrate what driving it takes.
@@ -72,8 +75,13 @@ def drive_path(
         Grounds with power models of their own.
     heights : HeightMap, optional
         Heights of the ground; level where not given.
-    smooth, period : float
-        As in `energyplan.limits.speed.profile`.
+    tolerance : float, optional
+        How far corners may be rounded [m]; the vehicle's tracking tolerance where not given.
+    grid : OccupancyGrid, optional
+        Obstacles. Corners are rounded less, or not at all, where the footprint, moved aside by as
+        much anywhere along the path, would touch one.
+    period : float
+        Largest time between two samples [s].
 
     Returns
     -------
@@ -106,9 +114,14 @@ def drive_path(
         objective = "time"
         motor = replace(vehicle.motor, speed=min(cost.speed, vehicle.motor.speed))
         vehicle = replace(vehicle, motor=motor)
+    asked = vehicle.tracking_tolerance if tolerance is None else tolerance
+    smooth, within = corner_rounding(asked)
+    if grid is not None and not _free_beside(path, vehicle, grid, within):
+        free = [part for part in (0.5, 0.2) if _free_beside(path, vehicle, grid, part * within)]
+        smooth, within = (smooth, free[0] * within) if free else (0.0, 0.0)
     made = profile(
-        path, model, vehicle=vehicle, objective=objective, smooth=smooth, period=period,
-        channels=cost.channels, surfaces=surfaces, heights=heights,
+        path, model, vehicle=vehicle, objective=objective, smooth=smooth, tolerance=within,
+        period=period, channels=cost.channels, surfaces=surfaces, heights=heights,
     )  # fmt: skip
     drive = Drive(made, Ground(model, surfaces, heights), cost.channels)
     return Driven(
@@ -119,6 +132,24 @@ def drive_path(
     )
 
 
+def _free_beside(path: Path, vehicle: Vehicle, grid: OccupancyGrid, offset: float) -> bool:
+    """Tell whether the footprint is free along a path, moved aside by `offset` [m]."""
+    poses = path.poses(0.05, 0.05)
+    around = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    moved = np.repeat(poses[None], len(around), axis=0)
+    moved[..., 0] += offset * np.cos(around)[:, None]
+    moved[..., 1] += offset * np.sin(around)[:, None]
+    return bool(np.all(grid.footprint_free(moved.reshape(-1, 3), vehicle)))
+
+
 def _counted(model: PowerModel, cost: EnergyCost) -> PowerModel:
     """Return the model with the losses on the way from the battery, where the cost counts them."""
     return model.battery_side() if cost.battery else model
+
+
+def drive_plan(problem: PlanningProblem, path: Path, tolerance: float | None = None) -> Driven:
+    """Time a path of a problem, and integrate what driving it takes; see `drive_path`."""
+    return drive_path(
+        path, problem.cost, problem.surfaces, problem.heights, tolerance=tolerance,
+        grid=problem.map,
+    )  # fmt: skip

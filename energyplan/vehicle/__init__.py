@@ -208,6 +208,9 @@ class Vehicle:
     usual_speed : float
         Speed of the faster tread at which the vehicle is usually driven [m/s]; as fast as its
         limits allow where infinite.
+    tracking_tolerance : float
+        How far the vehicle may leave its path [m]: corners are rounded so far, where the ground is
+        free, instead of stopping at them. With 0 it stops.
 
     Raises
     ------
@@ -227,6 +230,7 @@ class Vehicle:
     battery_power: float = np.inf
     battery_return: float = np.inf
     usual_speed: float = np.inf
+    tracking_tolerance: float = 0.0
 
     def __post_init__(self) -> None:
         for name, width in (("contacts", 2), ("footprint", 2)):
@@ -272,14 +276,22 @@ class Vehicle:
         )
         for name in ("max_yaw_rate", "battery_power", "usual_speed"):
             _require(getattr(self, name) > 0, f"{name} is {getattr(self, name)}; must be positive")
+        for name in ("battery_return", "tracking_tolerance"):
+            _require(getattr(self, name) >= 0, f"{name} is {getattr(self, name)}; give 0 or more")
         _require(
-            self.battery_return >= 0, f"battery_return is {self.battery_return}; give watts >= 0"
+            bool(np.isfinite(self.tracking_tolerance)),
+            "tracking_tolerance is infinite; give metres",
         )
 
     @property
     def mass(self) -> float:
         """Mass that rests on the wheels [kg]."""
         return float(self.loads.sum() / GRAVITY)
+
+    @property
+    def driving_speed(self) -> float:
+        """Tread speed at which it is driven where nothing else is asked for [m/s]."""
+        return min(self.usual_speed, self.motor.speed)
 
     @property
     def yaw_inertia(self) -> float:
@@ -322,6 +334,7 @@ class Vehicle:
         battery_power: float = np.inf,
         battery_return: float = np.inf,
         usual_speed: float = np.inf,
+        tracking_tolerance: float = 0.0,
     ) -> Vehicle:
         """Build a four-wheeled vehicle that is symmetric about its centre.
 
@@ -343,7 +356,7 @@ class Vehicle:
             Limits of each side's motor.
         drive_efficiency, regen_efficiency, max_yaw_rate : float
             As in `Vehicle`.
-        battery_power, battery_return, usual_speed : float
+        battery_power, battery_return, usual_speed, tracking_tolerance : float
             As in `Vehicle`.
 
         Returns
@@ -374,6 +387,7 @@ class Vehicle:
             battery_power=battery_power,
             battery_return=battery_return,
             usual_speed=usual_speed,
+            tracking_tolerance=tracking_tolerance,
         )
 
     @classmethod
