@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn
 
 import typer
 
@@ -23,12 +25,14 @@ from energyplan.cli.common import (
     warn,
     writes,
 )
-from energyplan.errors import (
-    NoPathError,
-)
+from energyplan.errors import InfeasibleMotionError, InvalidInputError, NoPathError
 
 if TYPE_CHECKING:
-    from energyplan.planning import PlanningProblem
+    from energyplan.cost import EnergyCost
+    from energyplan.planning import Plan, PlanningProblem
+    from energyplan.planning.driven import Driven
+    from energyplan.terrain import HeightMap, SurfaceMap
+    from energyplan.vehicle import Vehicle
 
 MapFile = Annotated[Path, typer.Option("--map", help="map_server YAML file.")]
 Start = Annotated[str, typer.Option(help="X,Y,YAW; YAW in radians, or like 90deg.")]
@@ -45,6 +49,28 @@ Effort = Annotated[
 OutPath = Annotated[
     Path | None,
     typer.Option("--out", callback=writes(*TABLES), help="Write the path to this CSV file."),
+]
+OutTrajectory = Annotated[
+    Path | None,
+    typer.Option(
+        "--trajectory",
+        callback=writes(*TABLES),
+        help="Time the path within the limits and write t,x,y,yaw,v,omega to this CSV file.",
+    ),
+]
+Speed = Annotated[
+    str | None,
+    typer.Option(
+        help="Tread speed to price and drive at [m/s], or 'cheapest'; by default the vehicle's "
+        "usual speed, else as fast as its motors go."
+    ),
+]
+Tolerance = Annotated[
+    float | None,
+    typer.Option(
+        help="How far the robot may leave its path to round corners [m]; by default the "
+        "vehicle's tracking tolerance."
+    ),
 ]
 Plot = Annotated[
     Path | None,
@@ -64,27 +90,87 @@ def _problem(
     heights: Path | None,
     battery: bool,
     objective: str,
+    speed: str | None,
+    tolerance: float | None,
 ) -> PlanningProblem:
+    from energyplan.io.maps import read_map
+    from energyplan.planning import PlanningProblem
+
+    ground = _ground(model, surfaces, heights, battery, speed, tolerance)
+    return PlanningProblem(
+        read_map(map_file), ground.cost, parse_pose(start), parse_pose(goal),
+        surfaces=ground.surfaces, objective=objective, heights=ground.heights,
+    )  # fmt: skip
+
+
+class _Ground(NamedTuple):
+    """What is driven on, and what motions cost there."""
+
+    cost: EnergyCost
+    surfaces: SurfaceMap | None
+    heights: HeightMap | None
+
+
+def _ground(
+    model: str,
+    surfaces: Path | None,
+    heights: Path | None,
+    battery: bool,
+    speed: str | None,
+    tolerance: float | None,
+) -> _Ground:
     from energyplan.cost import EnergyCost
     from energyplan.io.config import read_model
     from energyplan.io.geojson import read_surfaces
     from energyplan.io.heights import read_heights
-    from energyplan.io.maps import read_map
-    from energyplan.planning import PlanningProblem
     from energyplan.power.effects import reads_slope, with_weight
     from energyplan.terrain import with_weights
 
     power = read_model(model)
+    if tolerance is not None:
+        power = replace(power, vehicle=replace(power.vehicle, tracking_tolerance=tolerance))
     ground = read_surfaces(surfaces) if surfaces else None
     hills = read_heights(heights) if heights else None
     if hills is not None:
         if not reads_slope(power):
             warn(f"no term of {power.name} reads slopes: {power.vehicle.mass:.4g} kg are added")
         power, ground = with_weight(power), with_weights(ground) if ground else None
-    return PlanningProblem(
-        read_map(map_file), EnergyCost(power, battery=battery), parse_pose(start), parse_pose(goal),
-        surfaces=ground, objective=objective, heights=hills,
-    )  # fmt: skip
+    cost = EnergyCost(power, battery=battery, speed=_speed(speed, power.vehicle))
+    return _Ground(cost, ground, hills)
+
+
+def _speed(text: str | None, vehicle: Vehicle) -> float | None:
+    """Return the tread speed to drive at; None stands for the cheapest."""
+    if text is None:
+        usual = vehicle.driving_speed
+        return usual if math.isfinite(usual) else None
+    if text == "cheapest":
+        return None
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = math.nan
+    if not 0 < speed < math.inf:
+        raise InvalidInputError(
+            f"speed {text!r} is neither metres per second > 0 nor 'cheapest'; write it like 0.6"
+        )
+    return speed
+
+
+def _driven(made: Plan, trajectory: Path | None) -> Driven | None:
+    """Drive a plan and write its trajectory; None with a word why where it cannot be driven."""
+    from energyplan.io.trajectory import write_trajectory
+
+    try:
+        told = made.driven
+    except (InfeasibleMotionError, InvalidInputError) as error:
+        if trajectory:
+            raise
+        warn(f"the path cannot be timed: {error}")
+        return None
+    if trajectory:
+        write_trajectory(told.trajectory, trajectory)
+    return told
 
 
 @app.command(
@@ -103,7 +189,10 @@ def plan(
     objective: Objective = "energy",
     time_limit: TimeLimit = 1.0,
     effort: Effort = None,
+    speed: Speed = None,
+    tolerance: Tolerance = None,
     out: OutPath = None,
+    trajectory: OutTrajectory = None,
     plot: Plot = None,
     json: Json = False,
     strict: Strict = False,
@@ -113,17 +202,21 @@ def plan(
     from energyplan.output import documents, text
     from energyplan.planning import plan as run
 
-    problem = _problem(map_file, model, start, goal, surfaces, heights, battery, objective)
+    problem = _problem(
+        map_file, model, start, goal, surfaces, heights, battery, objective, speed, tolerance
+    )
     try:
         with progress("planning"):
             made = run(problem, planner=planner, time_limit=time_limit, effort=effort)
     except NoPathError as error:
         _no_path(error, json, strict)
+    told = _driven(made, trajectory)
     if out:
         write_path(made.path, out)
     if plot:
         _draw(problem, {planner: made.path}, plot)
-    answer(documents.plan(made), text.plan(made, objective), json=json)
+    document = {**documents.plan(made), **documents.driven(told)}
+    answer(document, [*text.plan(made, objective), *text.driven(made, told)], json=json)
 
 
 @app.command(
@@ -142,7 +235,10 @@ def compare(
     objective: Objective = "energy",
     time_limit: TimeLimit = 1.0,
     effort: Effort = None,
+    speed: Speed = None,
+    tolerance: Tolerance = None,
     out: OutPath = None,
+    trajectory: OutTrajectory = None,
     plot: Plot = None,
     report: Report = None,
     json: Json = False,
@@ -155,12 +251,15 @@ def compare(
     from energyplan.output.pages import comparison_page
     from energyplan.studies.comparison import compare as run
 
-    problem = _problem(map_file, model, start, goal, surfaces, heights, battery, objective)
+    problem = _problem(
+        map_file, model, start, goal, surfaces, heights, battery, objective, speed, tolerance
+    )
     try:
         with progress("planning"):
             made = run(problem, planner=planner, time_limit=time_limit, effort=effort)
     except NoPathError as error:
         _no_path(error, json, strict)
+    best, shortest = _driven(made.energy_optimal, trajectory), _driven(made.shortest, None)
     if out:
         write_path(made.energy_optimal.path, out)
     if plot:
@@ -168,7 +267,13 @@ def compare(
         _draw(problem, both, plot)
     if report:
         atomic_write(report, comparison_page(made, problem).html())
-    answer(documents.comparison(made), text.comparison(made), json=json)
+    document = documents.comparison(made)
+    document["energy_optimal"] |= documents.driven(best)
+    document["shortest"] |= documents.driven(shortest)
+    lines = text.comparison(made)
+    lines += [f"least energy, {line}" for line in text.driven(made.energy_optimal, best)]
+    lines += [f"shortest, {line}" for line in text.driven(made.shortest, shortest)]
+    answer(document, lines, json=json)
 
 
 def _no_path(error: NoPathError, json: bool, strict: bool) -> NoReturn:
@@ -192,21 +297,46 @@ def _draw(problem: PlanningProblem, paths: dict[str, Any], file: Path) -> None:
 
 @app.command(epilog="Example: energyplan check trajectory.csv --model quadriga:full:concrete")
 def check(
-    trajectory: Annotated[Path, typer.Argument(help="CSV with columns t,x,y,yaw,v,omega.")],
+    trajectory: Annotated[
+        Path,
+        typer.Argument(
+            help="CSV with columns t,x,y,yaw,v,omega; or x,y,yaw, a path, which is timed."
+        ),
+    ],
     model: ModelName,
     vehicle: Annotated[
         str | None, typer.Option(help="Whose limits hold; the model's vehicle by default.")
     ] = None,
+    surfaces: Surfaces = None,
+    heights: Heights = None,
+    battery: Battery = False,
+    speed: Speed = None,
+    tolerance: Tolerance = None,
     json: Json = False,
     strict: Strict = False,
 ) -> None:
     """Tell whether the motors can drive a trajectory; where not, and how fast they could."""
-    from energyplan.io.config import read_model, read_vehicle
-    from energyplan.io.trajectory import read_trajectory
+    from energyplan.io.config import read_vehicle
+    from energyplan.io.trajectory import read_drive
     from energyplan.limits.feasibility import check as run
     from energyplan.output import documents, text
+    from energyplan.path import Trajectory
+    from energyplan.planning.driven import counted, drive_path
 
-    law, limits = read_model(model), read_vehicle(vehicle) if vehicle else None
-    report = run(read_trajectory(trajectory), law, limits)
+    cost, ground, hills = _ground(model, surfaces, heights, battery, speed, tolerance)
+    limits = read_vehicle(vehicle) if vehicle else None
+    found = read_drive(trajectory, cost.icr.longitudinal)
+    if not isinstance(found, Trajectory):
+        if limits is not None:
+            usual = _speed(speed, limits)
+            cost = replace(cost, speed=usual)
+        found = drive_path(found, cost, ground, hills, vehicle=limits).trajectory
+    elif speed is not None or tolerance is not None:
+        raise InvalidInputError(
+            f"{trajectory} is a trajectory, whose speeds are given; leave --speed and --tolerance "
+            "out, or give a path of x,y,yaw"
+        )
+    law, ground = counted(cost, ground)
+    report = run(found, law, limits, surfaces=ground, heights=hills)
     answer(documents.feasibility(report), text.feasibility(report), json=json)
     verdict(report.feasible, strict)

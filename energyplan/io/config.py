@@ -138,8 +138,9 @@ def read_vehicle(source: str | Path) -> Vehicle:
     ``wheelbase``, ``track``, ``length``, ``width`` and ``mass`` of a symmetric vehicle; or
     ``preset`` with whatever differs from it. ``icr``, ``motor``, ``drive_efficiency``,
     ``regen_efficiency``, ``max_yaw_rate``, ``battery_power``, ``battery_return``,
-    ``usual_speed`` and ``tracking_tolerance`` may go with each. SI units. A motor without an acceleration limit gets
-    `DEFAULT_ACCELERATION`. A project's file is read for the vehicle that it holds.
+    ``usual_speed`` and ``tracking_tolerance`` may go with each. SI units. A motor
+    without an acceleration limit gets `DEFAULT_ACCELERATION`. A project's file is read for the
+    vehicle that it holds.
 
     Parameters
     ----------

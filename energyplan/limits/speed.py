@@ -287,7 +287,9 @@ class _Task:
             if section.through.any():
                 parts.append(self._curve(section, runs, limits))
             else:
-                task = replace(self, course=section, kinds=self.kinds[runs])
+                # Where nothing is rounded there is no change of curvature to pay for.
+                straight = replace(self.runs, drift=np.zeros_like(self.runs.drift))
+                task = replace(self, course=section, kinds=self.kinds[runs], runs=straight)
                 parts.append(section.sample(task.phases(limits, objective, None), period))
             first.append(runs.stop)
         made = joined(parts, first[:-1])
@@ -384,6 +386,7 @@ def _drift(reach: FloatArray, shape: FloatArray, jump: FloatArray) -> FloatArray
     A jump between two runs is spread over the distance `reach` on either side. The factor
     ``1 + 2 jump`` covers what straight interpolation across it leaves out.
     """
-    rate = np.diff(shape, axis=0) * ((jump > 0) * (1 + 2 * jump) / (2 * reach))[:, None]
+    share = np.divide(1 + 2 * jump, 2 * reach, out=np.zeros_like(jump), where=jump > 0)
+    rate = np.diff(shape, axis=0) * share[:, None]
     none = np.zeros((1, 2))
     return np.hstack([np.vstack([none, rate]), np.vstack([rate, none])])

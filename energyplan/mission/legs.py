@@ -132,6 +132,14 @@ class Legs:
             other._legs, other._costs = {}, {}
         return other
 
+    @property
+    def _speed(self) -> float | None:
+        """Tread speed to drive at [m/s]: the mission's, the vehicle's usual, or the cheapest."""
+        usual = self.mission.model.vehicle.usual_speed
+        if self.mission.speed is None and np.isfinite(usual):
+            return usual
+        return self.mission.speed
+
     # -- places -----------------------------------------------------------------------------------
 
     @property
@@ -159,7 +167,7 @@ class Legs:
                 ]
                 surfaces = replace(surfaces, surfaces=tuple(laden))
             model = grounds.model(0, payload)
-            cost = EnergyCost(model, battery=True, speed=mission.speed)
+            cost = EnergyCost(model, battery=True, speed=self._speed)
             self._costs[payload] = cost, surfaces
         return self._costs[payload]
 
@@ -242,7 +250,7 @@ class Legs:
             *((shapely.to_wkb(ground.area), _told(ground.model)) for ground in grounds),
             *(shapely.to_wkb(area) for area in areas),
             _shaped(mission.heights),
-            mission.speed, mission.planner, self._planning_time, mission.planning_effort,
+            self._speed, mission.planner, self._planning_time, mission.planning_effort,
         )  # fmt: skip
         known = _routes.setdefault(mission.map, {})
         key = hashlib.sha256(repr(asked).encode()).digest()
@@ -321,7 +329,7 @@ class Legs:
 
     def _timed(self, route: _Route, payload: float) -> Trajectory:
         """Return the route's trajectory of least energy, or the quickest at the speed asked."""
-        mission, speed = self.mission, self.mission.speed
+        mission, speed = self.mission, self._speed
         cost, surfaces = self.cost(payload)
         model = cost.model.battery_side()
         if surfaces is not None:
@@ -337,7 +345,8 @@ class Legs:
             objective: Literal["energy", "time"] = "energy" if speed is None else "time"
             route.timed[key] = profile(
                 route.path, model, vehicle=replace(model.vehicle, motor=motor),
-                smooth=smooth, tolerance=tolerance, objective=objective, surfaces=surfaces, heights=mission.heights, period=_PERIOD,
+                objective=objective, smooth=smooth, tolerance=tolerance, surfaces=surfaces,
+                heights=mission.heights, period=_PERIOD,
             )  # fmt: skip
         return route.timed[key]
 

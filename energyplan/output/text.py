@@ -145,10 +145,13 @@ def driven(made: Plan, told: Driven | None) -> list[str]:
         for name, joules in parts.items()
         if abs(joules) > 0.002 * abs(told.energy)
     ]
+    beside = "as much as"
+    if abs(more) > 1e-6 * abs(told.energy):
+        beside = f"{number(abs(more))} J {'more' if more >= 0 else 'less'} than"
     return [
         f"driven: {number(told.energy, 5)} J in {number(told.duration)} s at "
-        f"{number(told.speed)} m/s: {number(abs(more))} J {'more' if more >= 0 else 'less'} than "
-        f"the path at steady speed" + (f" ({', '.join(telling)})" if telling else "")
+        f"{number(told.speed)} m/s, {beside} the path at steady speed"
+        + (f" ({', '.join(telling)})" if telling else "")
     ]
 
 

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 
 import numpy as np
 
 from energyplan.errors import InvalidInputError, InvalidPathError, LowerBoundError
 from energyplan.path import Path, wrap_angle
+from energyplan.planning.driven import drive_plan
 from energyplan.planning.problem import OBJECTIVES, Plan, PlanningProblem
 from energyplan.planning.scene.compiled import CompiledProblem
 
@@ -234,6 +236,7 @@ def priced_plan(
         planning_time=planning_time,
         first_time=planning_time if first_time is None else first_time,
         planner=planner,
+        drive=partial(drive_plan, problem, path),
         breakdown=price.by_term,
         potential=potential,
         effort=round(effort),

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from energyplan.cost import EnergyCost
+from energyplan.errors import InfeasibleMotionError
 from energyplan.limits.drive import Drive, Ground
 from energyplan.limits.speed import corner_rounding, profile
 from energyplan.path import Path, Trajectory
@@ -56,6 +57,7 @@ def drive_path(
     surfaces: SurfaceMap | None = None,
     heights: HeightMap | None = None,
     *,
+    vehicle: Vehicle | None = None,
     tolerance: float | None = None,
     grid: OccupancyGrid | None = None,
     period: float = 0.05,
@@ -75,6 +77,8 @@ def drive_path(
         Grounds with power models of their own.
     heights : HeightMap, optional
         Heights of the ground; level where not given.
+    vehicle : Vehicle, optional
+        Whose limits apply; that of the cost's model where not given.
     tolerance : float, optional
         How far corners may be rounded [m]; the vehicle's tracking tolerance where not given.
     grid : OccupancyGrid, optional
@@ -104,11 +108,8 @@ def drive_path(
     >>> round(found.energy, 3), round(found.duration, 3)
     (542.4, 3.2)
     """
-    model = _counted(cost.model, cost)
-    if surfaces is not None:
-        grounds = (replace(s, model=_counted(s.model, cost)) for s in surfaces.surfaces)
-        surfaces = replace(surfaces, surfaces=tuple(grounds))
-    vehicle = cost.vehicle
+    model, surfaces = counted(cost, surfaces)
+    vehicle = cost.vehicle if vehicle is None else vehicle
     objective: Literal["time", "energy"] = "energy"
     if cost.speed is not None:
         objective = "time"
@@ -119,10 +120,19 @@ def drive_path(
     if grid is not None and not _free_beside(path, vehicle, grid, within):
         free = [part for part in (0.5, 0.2) if _free_beside(path, vehicle, grid, part * within)]
         smooth, within = (smooth, free[0] * within) if free else (0.0, 0.0)
-    made = profile(
-        path, model, vehicle=vehicle, objective=objective, smooth=smooth, tolerance=within,
-        period=period, channels=cost.channels, surfaces=surfaces, heights=heights,
-    )  # fmt: skip
+
+    def timed(smooth: float) -> Trajectory:
+        return profile(
+            path, model, vehicle=vehicle, objective=objective, smooth=smooth, tolerance=within,
+            period=period, channels=cost.channels, surfaces=surfaces, heights=heights,
+        )  # fmt: skip
+
+    try:
+        made = timed(smooth)
+    except InfeasibleMotionError:
+        if smooth == 0.0:
+            raise
+        made = timed(0.0)  # a corner that cannot be rounded can be stopped at
     drive = Drive(made, Ground(model, surfaces, heights), cost.channels)
     return Driven(
         trajectory=made,
@@ -142,9 +152,21 @@ def _free_beside(path: Path, vehicle: Vehicle, grid: OccupancyGrid, offset: floa
     return bool(np.all(grid.footprint_free(moved.reshape(-1, 3), vehicle)))
 
 
-def _counted(model: PowerModel, cost: EnergyCost) -> PowerModel:
-    """Return the model with the losses on the way from the battery, where the cost counts them."""
-    return model.battery_side() if cost.battery else model
+class Counted(NamedTuple):
+    """Power models whose power is the energy that a cost counts."""
+
+    model: PowerModel
+    surfaces: SurfaceMap | None
+
+
+def counted(cost: EnergyCost, surfaces: SurfaceMap | None = None) -> Counted:
+    """Return the cost's model and the surfaces; at the battery if the cost counts there."""
+    if not cost.battery:
+        return Counted(cost.model, surfaces)
+    if surfaces is not None:
+        grounds = (replace(s, model=s.model.battery_side()) for s in surfaces.surfaces)
+        surfaces = replace(surfaces, surfaces=tuple(grounds))
+    return Counted(cost.model.battery_side(), surfaces)
 
 
 def drive_plan(problem: PlanningProblem, path: Path, tolerance: float | None = None) -> Driven:

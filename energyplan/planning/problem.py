@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +14,7 @@ from numpy.typing import ArrayLike
 from energyplan import html
 from energyplan.cost import EnergyCost
 from energyplan.errors import (
+    EnergyPlanError,
     GoalInCollisionError,
     InvalidInputError,
     OutsideMapError,
@@ -20,6 +23,9 @@ from energyplan.errors import (
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap, Terrain
 from energyplan.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from energyplan.planning.driven import Driven
 
 OBJECTIVES = ("energy", "length", "time")
 """What a plan can be asked to make least."""
@@ -197,7 +203,7 @@ class Plan:
     length, turning : float
         Distance travelled [m] and total turning [rad].
     duration : float
-        Time at the speed the cost assumes [s].
+        Time at the speed the cost assumes, without starts and stops [s]; `driven` knows them.
     planning_time : float
         Time that planning took [s].
     first_time : float
@@ -209,6 +215,10 @@ class Plan:
     potential : float
         What the difference in height between start and goal makes of the cost and its lower
         bound, whichever way is taken; zero on level ground.
+    effort : int
+        Units of work that were spent.
+    drive : callable
+        Drives the path; `driven` asks it.
     """
 
     path: Path
@@ -225,6 +235,41 @@ class Plan:
     breakdown: Mapping[str, float] = field(default_factory=dict)
     potential: float = 0.0
     effort: int = 0
+    drive: Callable[[], Driven] | None = field(default=None, repr=False, compare=False)
+
+    def __getstate__(self) -> dict[str, object]:
+        # What drives the path holds the map; the drive itself is small.
+        with suppress(EnergyPlanError):
+            _ = self.driven
+        return {**vars(self), "drive": None}
+
+    @cached_property
+    def driven(self) -> Driven:
+        """The path timed within the limits, and what driving it takes; made when first asked for.
+
+        Raises
+        ------
+        InfeasibleMotionError
+            If the motors cannot drive the path at any speed.
+        InvalidInputError
+            If nothing limits the speed, or whoever made the plan did not say how to drive it.
+        """
+        if self.drive is None:
+            raise InvalidInputError(
+                "this plan was made without a way to drive it; use drive_plan of "
+                "energyplan.planning.driven"
+            )
+        return self.drive()
+
+    @property
+    def energy_driven(self) -> float:
+        """What driving the path takes, from standstill to standstill [J]; see `driven`."""
+        return self.driven.energy
+
+    @property
+    def speed(self) -> float:
+        """Tread speed that straight driving was priced at [m/s]; see `driven`."""
+        return self.driven.speed
 
     def _repr_html_(self) -> str:
         """Return energy, bound and breakdown as a table, for notebooks."""
