@@ -1,0 +1,143 @@
+"""From map to trajectory in one step, and one energy for plan, check, mission and an integral."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from limits.fine_integral import fine_energy
+
+from energyplan import cli
+from energyplan.io.config import write_model, write_vehicle
+from energyplan.io.trajectory import read_trajectory
+from energyplan.power import PowerModel
+from energyplan.power.effects import term
+
+SIZE = {
+    "slip_friction": 0.6, "traction_resistance": 100.0, "hotel_load": 40.0, "viscous_loss": 30.0,
+    "linear_inertia": 83.0, "angular_inertia": 7.0, "regeneration_efficiency": 0.8,
+}  # fmt: skip
+LAW = PowerModel(
+    replace(PowerModel.preset("quadriga:empty:concrete").vehicle, drive_efficiency=0.9),
+    tuple(term(name) for name in SIZE), np.array(list(SIZE.values())), name="own",
+)  # fmt: skip
+
+Run = Callable[..., dict]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    def call(*arguments: object, code: int = 0) -> dict:
+        monkeypatch.setattr("sys.argv", ["energyplan", *(str(a) for a in arguments), "--json"])
+        with pytest.raises(SystemExit) as left:
+            cli.main()
+        printed = capsys.readouterr()
+        assert int(left.value.code or 0) == code, printed.err
+        return json.loads(printed.out) if code == 0 else {"error": printed.err}
+
+    return call
+
+
+@pytest.fixture
+def hall(tmp_path: Path) -> list[object]:
+    """Write a hall of 8 m with a wall in it; return the options of a plan round the wall."""
+    from PIL import Image
+
+    free = np.full((80, 80), 254, np.uint8)
+    free[30:, 38:42] = 0
+    Image.fromarray(free).save(tmp_path / "hall.png")
+    text = "image: hall.png\nresolution: 0.1\norigin: [0, 0, 0]\n"
+    text += "occupied_thresh: 0.65\nfree_thresh: 0.196\nnegate: 0\n"
+    (tmp_path / "hall.yaml").write_text(text)
+    write_model(LAW, tmp_path / "own.yaml")
+    return [
+        "--map", tmp_path / "hall.yaml", "--model", tmp_path / "own.yaml", "--start", "1.5,2,0",
+        "--goal", "6.5,2,-90deg", "--effort", 3000,
+    ]  # fmt: skip
+
+
+def test_one_step_from_map_to_trajectory_and_one_energy(
+    run: Run, hall: list[object], tmp_path: Path
+) -> None:
+    model = tmp_path / "own.yaml"
+    for battery in ([], ["--battery"]):
+        told = run("plan", *hall, "--speed", 0.7, "--trajectory", tmp_path / "t.csv",
+                   "--out", tmp_path / "p.csv", *battery)  # fmt: skip
+        made = read_trajectory(tmp_path / "t.csv")
+        assert told["speed"] == pytest.approx(0.7)
+        assert told["duration"] == pytest.approx(made.duration)
+        assert told["energy_driven"] > told["energy"]
+        assert sum(told["breakdown_driven"].values()) == pytest.approx(told["energy_driven"])
+        alone = fine_energy(made, LAW.vehicle, SIZE, battery=bool(battery))
+        assert told["energy_driven"] == pytest.approx(alone, rel=1e-5)
+        checked = run("check", tmp_path / "t.csv", "--model", model, *battery)
+        assert checked["feasible"]
+        assert checked["energy"] == pytest.approx(told["energy_driven"], rel=1e-9)
+        timed = run("check", tmp_path / "p.csv", "--model", model, "--speed", 0.7, *battery)
+        assert timed["feasible"]
+        assert timed["energy"] == pytest.approx(told["energy_driven"], rel=1e-6)
+
+
+def test_a_mission_leg_takes_what_the_plan_says(
+    run: Run, hall: list[object], tmp_path: Path
+) -> None:
+    (tmp_path / "mission.yaml").write_text(
+        "name: there\nmodel: own.yaml\nmap: hall.yaml\nsoc: 90 %\nspeed: 0.7 m/s\n"
+        "battery: {preset: quadriga}\nconfidence: 50 %\n"
+        "start: [1.5, 2.0, 0]\ntasks:\n- {name: far, pose: [6.5, 2.0, -90deg]}\n"
+    )
+    legs = tmp_path / "legs"
+    told = run("mission", tmp_path / "mission.yaml", "--trajectories", legs)
+    total = 0.0
+    for leg in sorted(legs.iterdir()):
+        made = read_trajectory(leg)
+        alone = fine_energy(made, LAW.vehicle, SIZE, battery=True)
+        checked = run("check", leg, "--model", tmp_path / "own.yaml", "--battery")
+        assert checked["feasible"]
+        assert checked["energy"] == pytest.approx(alone, rel=1e-5)
+        total += alone
+    assert len(list(legs.iterdir())) == 2  # there and back
+    assert told["energy"] == pytest.approx(total, rel=1e-3)
+
+
+def test_the_usual_speed_is_the_default_and_the_cheapest_a_choice(
+    run: Run, hall: list[object], tmp_path: Path
+) -> None:
+    fast = run("plan", *hall)
+    assert fast["speed"] == pytest.approx(1.2)
+    cheapest = run("plan", *hall, "--speed", "cheapest")
+    assert cheapest["energy_driven"] < fast["energy_driven"]
+    assert cheapest["speed"] < 1.2
+    slow = replace(LAW, vehicle=replace(LAW.vehicle, usual_speed=0.4))
+    write_model(slow, tmp_path / "own.yaml")
+    assert run("plan", *hall)["speed"] == pytest.approx(0.4)
+
+
+def test_both_routes_of_a_comparison_are_driven(run: Run, hall: list[object]) -> None:
+    told = run("compare", *hall)
+    for name in ("energy_optimal", "shortest"):
+        assert told[name]["energy_driven"] > 0
+        assert told[name]["duration"] > 0
+
+
+def test_inputs_that_say_nothing_are_refused(run: Run, hall: list[object], tmp_path: Path) -> None:
+    assert "neither metres per second" in run("plan", *hall, "--speed", "fast", code=2)["error"]
+    run("plan", *hall, "--trajectory", tmp_path / "t.csv")
+    message = run(
+        "check", tmp_path / "t.csv", "--model", tmp_path / "own.yaml", "--speed", 1, code=2
+    )["error"]
+    assert "is a trajectory" in message
+    weak = replace(LAW.vehicle, motor=replace(LAW.vehicle.motor, force=50.0))
+    write_model(replace(LAW, vehicle=weak), tmp_path / "own.yaml")
+    assert run("plan", *hall)["energy_driven"] is None
+    refused = run("plan", *hall, "--trajectory", tmp_path / "none.csv", code=2)["error"]
+    assert "no speed is feasible" in refused
+    assert not (tmp_path / "none.csv").exists()
+    write_vehicle(LAW.vehicle, tmp_path / "robot.yaml")
+    report = run("check", tmp_path / "t.csv", "--model", tmp_path / "own.yaml",
+                 "--vehicle", tmp_path / "robot.yaml")  # fmt: skip
+    assert report["feasible"]
