@@ -30,7 +30,7 @@ from energyplan.errors import InfeasibleMotionError, InvalidInputError, NoPathEr
 if TYPE_CHECKING:
     from energyplan.cost import EnergyCost
     from energyplan.planning import Plan, PlanningProblem
-    from energyplan.planning.driven import Driven
+    from energyplan.planning.driven import DrivenPath
     from energyplan.terrain import HeightMap, SurfaceMap
     from energyplan.vehicle import Vehicle
 
@@ -157,7 +157,7 @@ def _speed(text: str | None, vehicle: Vehicle) -> float | None:
     return speed
 
 
-def _driven(made: Plan, trajectory: Path | None) -> Driven | None:
+def _driven(made: Plan, trajectory: Path | None) -> DrivenPath | None:
     """Drive a plan and write its trajectory; None with a word why where it cannot be driven."""
     from energyplan.io.trajectory import write_trajectory
 
@@ -215,8 +215,8 @@ def plan(
         write_path(made.path, out)
     if plot:
         _draw(problem, {planner: made.path}, plot)
-    document = {**documents.plan(made), **documents.driven(told)}
-    answer(document, [*text.plan(made, objective), *text.driven(made, told)], json=json)
+    document = {**documents.plan(made), **documents.driven_path(told)}
+    answer(document, [*text.plan(made, objective), *text.driven_path(made, told)], json=json)
 
 
 @app.command(
@@ -268,11 +268,11 @@ def compare(
     if report:
         atomic_write(report, comparison_page(made, problem).html())
     document = documents.comparison(made)
-    document["energy_optimal"] |= documents.driven(best)
-    document["shortest"] |= documents.driven(shortest)
+    document["energy_optimal"] |= documents.driven_path(best)
+    document["shortest"] |= documents.driven_path(shortest)
     lines = text.comparison(made)
-    lines += [f"least energy, {line}" for line in text.driven(made.energy_optimal, best)]
-    lines += [f"shortest, {line}" for line in text.driven(made.shortest, shortest)]
+    lines += [f"least energy, {line}" for line in text.driven_path(made.energy_optimal, best)]
+    lines += [f"shortest, {line}" for line in text.driven_path(made.shortest, shortest)]
     answer(document, lines, json=json)
 
 

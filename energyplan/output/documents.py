@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from energyplan.mission import MissionReport
     from energyplan.physics import Driven
     from energyplan.planning import Plan
-    from energyplan.planning.driven import Driven
+    from energyplan.planning.driven import DrivenPath
     from energyplan.power import PowerModel, Residual
     from energyplan.studies.comparison import Comparison
     from energyplan.studies.energy_map import Contour, EnergyMap
@@ -119,7 +119,7 @@ def diagnosis(told: Diagnosis) -> Document:
     }
 
 
-def driven(told: Driven | None) -> Document:
+def driven_path(told: DrivenPath | None) -> Document:
     """Return what driving a plan takes; null where the motors cannot."""
     if told is None:
         return dict.fromkeys(("energy_driven", "duration", "speed", "breakdown_driven"))

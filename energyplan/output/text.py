@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from energyplan.mission import MissionReport
     from energyplan.physics import Driven
     from energyplan.planning import Plan
-    from energyplan.planning.driven import Driven
+    from energyplan.planning.driven import DrivenPath
     from energyplan.studies.comparison import Comparison
     from energyplan.studies.energy_map import Contour, EnergyMap
 
@@ -132,7 +132,9 @@ def start(made: Start) -> list[str]:
     for check in made.checks:
         lines.append(f"{'ok' if check.ok else 'WRONG'}: {check}")
     return [*lines, *(f"note: {note}" for note in made.notes)]
-def driven(made: Plan, told: Driven | None) -> list[str]:
+
+
+def driven_path(made: Plan, told: DrivenPath | None) -> list[str]:
     """Return what driving a plan takes, beside what its path takes."""
     if told is None:
         return []

@@ -25,7 +25,7 @@ from energyplan.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
-class Driven:
+class DrivenPath:
     """A path as it is driven.
 
     Parameters
@@ -61,7 +61,7 @@ def drive_path(
     tolerance: float | None = None,
     grid: OccupancyGrid | None = None,
     period: float = 0.05,
-) -> Driven:
+) -> DrivenPath:
     """Time a path as its cost assumes, and integrate what driving it takes.
 
     Where the cost has a speed, the path is driven as quickly as the limits and that speed allow;
@@ -89,7 +89,7 @@ def drive_path(
 
     Returns
     -------
-    Driven
+    DrivenPath
         The trajectory and its energy.
 
     Raises
@@ -134,7 +134,7 @@ def drive_path(
             raise
         made = timed(0.0)  # a corner that cannot be rounded can be stopped at
     drive = Drive(made, Ground(model, surfaces, heights), cost.channels)
-    return Driven(
+    return DrivenPath(
         trajectory=made,
         energy=drive.energy(),
         breakdown=drive.breakdown(),
@@ -169,7 +169,7 @@ def counted(cost: EnergyCost, surfaces: SurfaceMap | None = None) -> Counted:
     return Counted(cost.model.battery_side(), surfaces)
 
 
-def drive_plan(problem: PlanningProblem, path: Path, tolerance: float | None = None) -> Driven:
+def drive_plan(problem: PlanningProblem, path: Path, tolerance: float | None = None) -> DrivenPath:
     """Time a path of a problem, and integrate what driving it takes; see `drive_path`."""
     return drive_path(
         path, problem.cost, problem.surfaces, problem.heights, tolerance=tolerance,

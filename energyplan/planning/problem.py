@@ -25,7 +25,7 @@ from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap, Terrain
 from energyplan.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from energyplan.planning.driven import Driven
+    from energyplan.planning.driven import DrivenPath
 
 OBJECTIVES = ("energy", "length", "time")
 """What a plan can be asked to make least."""
@@ -235,7 +235,7 @@ class Plan:
     breakdown: Mapping[str, float] = field(default_factory=dict)
     potential: float = 0.0
     effort: int = 0
-    drive: Callable[[], Driven] | None = field(default=None, repr=False, compare=False)
+    drive: Callable[[], DrivenPath] | None = field(default=None, repr=False, compare=False)
 
     def __getstate__(self) -> dict[str, object]:
         # What drives the path holds the map; the drive itself is small.
@@ -244,7 +244,7 @@ class Plan:
         return {**vars(self), "drive": None}
 
     @cached_property
-    def driven(self) -> Driven:
+    def driven(self) -> DrivenPath:
         """The path timed within the limits, and what driving it takes; made when first asked for.
 
         Raises
