@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -133,11 +134,15 @@ def _terms(terms: str | None, without: str | None) -> list[Term]:
 )
 def diagnose(
     logs: Logs,
-    holdout: Annotated[
-        list[Path],
-        typer.Option(metavar="LOG...", help="Drives kept for judging: all up to the next option."),
-    ],
     vehicle: VehicleName,
+    holdout: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="LOG...",
+            help="Drives kept for judging: all up to the next option. Without any, the last two "
+            "fifths of each drive.",
+        ),
+    ] = None,
     out: OutModel = None,
     report: Report = None,
     columns: Columns = None,
@@ -153,12 +158,14 @@ def diagnose(
     from energyplan.output.pages import diagnosis_page
 
     robot = read_vehicle(vehicle)
-    _apart(logs, holdout)
+    _apart(logs, holdout or [])
     training = read_logs(logs, columns, topics, vehicle)
-    judging = read_logs(holdout, columns, topics, vehicle)
-    parts = {"training": _names(training), "judging": _names(judging)}
+    judging = read_logs(holdout, columns, topics, vehicle) if holdout else []
     for note in (*notes([*training, *judging]), *contradictions([*training, *judging], robot)):
         warn(note)
+    if not judging:
+        training, judging = _split(training)
+    parts = {"training": _names(training), "judging": _names(judging)}
     with progress("diagnosing") as update:
         told = run(training, holdout=judging, vehicle=robot, progress=update)
     if out:
@@ -180,6 +187,17 @@ def _apart(logs: list[Path], holdout: list[Path]) -> None:
                 raise InvalidInputError(
                     f"{path.name} is learned from and held out; give it to one of them"
                 )
+
+
+def _split(drives: list[DriveLog]) -> tuple[list[DriveLog], list[DriveLog]]:
+    """Cut each drive in two: what to learn from, and what to judge on."""
+    cuts = [float(drive.t[0] + 0.6 * (drive.t[-1] - drive.t[0])) for drive in drives]
+    first = [drive.segment(float(drive.t[0]), cut) for drive, cut in zip(drives, cuts, strict=True)]
+    last = [
+        drive.segment(cut, math.nextafter(float(drive.t[-1]), math.inf))
+        for drive, cut in zip(drives, cuts, strict=True)
+    ]
+    return first, last
 
 
 def _names(drives: list[DriveLog]) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -18,14 +18,43 @@ from energyplan.cli.common import (
     verdict,
     writes_folder,
 )
+from energyplan.errors import InvalidInputError
 
-if TYPE_CHECKING:
-    pass
+
+def _task(text: str) -> dict[str, str]:
+    """Return what a task's option says, as a mission's file would hold it."""
+    name, _, rest = text.partition("=")
+    parts = [part.strip() for part in rest.split(",")]
+    if not name.strip() or not 3 <= len(parts) <= 5:
+        raise InvalidInputError(
+            f"task {text!r} cannot be read; write NAME=X,Y,YAW[,DWELL[,POWER]], such as "
+            "meter=3.9,2,90deg,5 min,30 W"
+        )
+    task = {"name": name.strip(), "pose": ",".join(parts[:3])}
+    return task | dict(zip(("dwell", "power"), parts[3:], strict=False))
 
 
 @app.command(epilog="Example: energyplan mission mission_warehouse.yaml --report mission.html")
 def mission(
-    file: Annotated[Path, typer.Argument(help="Mission YAML file.")],
+    file: Annotated[
+        Path | None,
+        typer.Argument(help="Mission YAML file; else options tell it."),
+    ] = None,
+    map_file: Annotated[Path | None, typer.Option("--map", help="map_server YAML file.")] = None,
+    model: Annotated[str | None, typer.Option(help="Model: a preset or a YAML file.")] = None,
+    battery: Annotated[str | None, typer.Option(help="Battery: the name of a preset.")] = None,
+    start: Annotated[str | None, typer.Option(help="X,Y,YAW.")] = None,
+    task: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TASK...",
+            help="NAME=X,Y,YAW[,DWELL[,POWER]], as meter=3.9,2,90deg,5 min,30 W: all up to the "
+            "next option.",
+        ),
+    ] = None,
+    soc: Annotated[str, typer.Option(help="State of charge at the start.")] = "100 %",
+    reserve: Annotated[str, typer.Option(help="What must be left at the end.")] = "20 %",
+    back: Annotated[bool, typer.Option("--return", help="Return to the start.")] = False,
     effort: Annotated[
         int | None,
         typer.Option(help="Units of work for each route in place of time."),
@@ -42,12 +71,32 @@ def mission(
 ) -> None:
     """Budget a mission's battery, and flag the tasks that cannot be reached, with the reason."""
     from energyplan.io.files import atomic_write
-    from energyplan.io.mission import read_mission
+    from energyplan.io.mission import mission_from, read_mission
     from energyplan.mission import evaluate
     from energyplan.output import documents, text
     from energyplan.output.pages import mission_page
 
-    asked = read_mission(file)
+    told_by = {"map": map_file, "model": model, "battery": battery, "start": start, "task": task}
+    if file is not None:
+        clash = [f"--{name}" for name, value in told_by.items() if value]
+        if clash:
+            raise InvalidInputError(f"{', '.join(clash)} and a mission's file: give one of them")
+        asked = read_mission(file)
+    else:
+        missing = [f"--{name}" for name, value in told_by.items() if not value]
+        if missing:
+            raise InvalidInputError(
+                f"without a mission's file {', '.join(missing)} must be given; docs/missions tells "
+                "what a file may hold"
+            )
+        asked = mission_from(
+            {
+                "name": "mission", "model": model, "map": str(map_file), "battery": battery,
+                "start": start, "soc": soc, "reserve": reserve,
+                "return_to": "start" if back else "any",
+                "tasks": [_task(text) for text in task or []],
+            }
+        )  # fmt: skip
     if effort is not None:
         asked = replace(asked, planning_effort=effort)
     with progress("evaluating the mission"):

@@ -196,7 +196,7 @@ def files_behind(source: str | Path) -> list[Path]:
     Parameters
     ----------
     source : str or Path
-        A file or a folder; of any other name nothing is behind.
+        A file, or as a Path a folder; behind any other name, or other text, is nothing.
 
     Returns
     -------
@@ -205,7 +205,13 @@ def files_behind(source: str | Path) -> list[Path]:
         of bags, and the file of inertial readings beside a Husky's wheel file.
     """
     found: dict[Path, None] = {}
-    _follow(Path(source), found)
+    try:
+        if isinstance(source, Path) and source.is_dir():
+            found = {inner: None for inner in sorted(source.iterdir()) if inner.is_file()}
+        elif is_file(source):
+            _follow(Path(source), found)
+    except OSError:
+        return []
     return list(found)
 
 
@@ -226,17 +232,8 @@ def strings_behind(source: str | Path) -> set[str]:
 
 
 def _follow(file: Path, found: dict[Path, None]) -> None:
-    if file in found or len(found) >= _MOST_FILES:
-        return
-    try:
-        if file.is_dir():
-            for inner in sorted(file.iterdir()):
-                if inner.is_file():
-                    found[inner] = None
-            return
-        if not file.is_file():
-            return
-    except (OSError, ValueError):
+    """Take a file, and those that it names."""
+    if file in found or len(found) >= _MOST_FILES or not is_file(file):
         return
     found[file] = None
     beside = file.with_name(file.name.replace("pro_", "imu_", 1))  # of a Husky's wheel file

@@ -106,7 +106,7 @@ def read_log(
     if is_bag(path):
         return read_bag(path, topics, progress=progress)
     if isinstance(columns, str) and columns.endswith((".yaml", ".yml")):
-        columns = read_columns(columns)
+        return DriveLog.read(path, read_columns(columns), others=False)
     if columns is None and is_husky(path):
         return read_husky(path)
     return DriveLog.read(path, columns)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from math import inf, radians
@@ -173,12 +173,35 @@ def read_mission(path: str | Path) -> Mission:
     return _Reader(load(path, MissionError), Path(path).parent).mission()
 
 
+def mission_from(values: Mapping[str, Any]) -> Mission:
+    """Build a mission from what a mission's file would hold.
+
+    Parameters
+    ----------
+    values : mapping of str to object
+        The keys of such a file; names of files count from the working folder.
+
+    Returns
+    -------
+    Mission
+        The mission.
+
+    Raises
+    ------
+    MissionError
+        If a key is missing or makes no sense.
+    """
+    given = Document("mission", dict(values), {}, MissionError)
+    return _Reader(given, Path(), anywhere=True).mission()
+
+
 class _Reader:
     """Builds a mission; whatever goes wrong gets its place in the file."""
 
-    def __init__(self, document: Document, folder: Path) -> None:
+    def __init__(self, document: Document, folder: Path, anywhere: bool = False) -> None:
         self._document = document
         self._folder = folder
+        self._anywhere = anywhere  # a file may name what lies beside it, a person whatever he likes
         self._spec = document.check(_Mission)
 
     def mission(self) -> Mission:
@@ -263,7 +286,10 @@ class _Reader:
     # -- parts ------------------------------------------------------------------------------------
 
     def _file(self, name: str) -> Path:
-        file = beside(self._folder / self._document.source, "name of a file", name)
+        if self._anywhere:
+            file = Path(name)
+        else:
+            file = beside(self._folder / self._document.source, "name of a file", name)
         if is_file(file):
             return file
         try:

@@ -137,6 +137,9 @@ def _start_table(file: Path, known: Given) -> Start:
         if is_wheel_rate(unit) and channel.startswith("v_"):
             unit = ""  # takes a radius, below
         columns[channel] = column_from(channel, one.name, unit or None)
+    for channel in ("slope", "temperature", "payload"):
+        if channel in table.columns and channel not in columns:
+            columns[channel] = Column(channel)
     columns = _with_units(table, columns, found, known)
     log = _read_signed(file, columns)
     used = {name for one in log.columns.values() for name in (one.source, one.times) if name}
@@ -235,6 +238,8 @@ def _with_units(
         rank = sum(choice.units.index(unit) for choice, unit in zip(choices, each, strict=True))
         # The measures may be what is wrong: they only decide where the log alone does not.
         cost = strain(evidence, Measures()) + 0.2 * strain(evidence, measures) + 0.01 * rank
+        # A heading in another unit does not turn with the treads at all.
+        cost += 0.5 * bool(np.isnan(evidence.slip_track))
         if best is None or cost < best[0] - 1e-9:
             best = cost, chosen
     chosen = best[1] if best else {}
@@ -329,7 +334,7 @@ def _read_signed(file: Path, columns: dict[str, Column]) -> _Read:
     made = dict(columns)
     for _ in range(4):
         try:
-            return _Read(DriveLog.read(file, made), made, tuple(notes))
+            return _Read(DriveLog.read(file, made, others=False), made, tuple(notes))
         except DriveLogError as problem:
             text = str(problem)
             if "wrong sign" in text:
@@ -348,7 +353,7 @@ def _read_signed(file: Path, columns: dict[str, Column]) -> _Read:
                 one = made[name]
                 made[name] = column_from(name, one.source, _negative(one.unit), one.times)
             notes.append(f"{' and '.join(turned)} counted the other way and was turned round")
-    return _Read(DriveLog.read(file, made), made, tuple(notes))
+    return _Read(DriveLog.read(file, made, others=False), made, tuple(notes))
 
 
 def _negative(unit: str) -> str:

@@ -112,7 +112,10 @@ class DriveLog:
 
     @classmethod
     def read(
-        cls, path: str | Path, columns: str | Mapping[str, str | Column] | None = None
+        cls,
+        path: str | Path,
+        columns: str | Mapping[str, str | Column] | None = None,
+        others: bool = True,
     ) -> DriveLog:
         """Read a log from a file.
 
@@ -124,6 +127,8 @@ class DriveLog:
             Which column serves as which channel, and its unit where it is not the library's:
             ``"v_left=velL,yaw=heading[deg]"``, or the same as a mapping; `parse_columns` tells all
             that can be written. Columns that bear a channel's name need no mention.
+        others : bool
+            Whether to take columns of numbers that are not mentioned, as channels of their own.
 
         Returns
         -------
@@ -140,7 +145,7 @@ class DriveLog:
             If a Parquet file is read without pyarrow.
         """
         table = read_table(path, DriveLogError)
-        chosen = choose_columns(table, columns)
+        chosen = choose_columns(table, columns, others)
         log = cls.from_columns(chosen.channels, table.source, table.place)
         if chosen.unread:
             note = f"columns of text are left out: {', '.join(chosen.unread[:10])}"

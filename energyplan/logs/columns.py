@@ -358,7 +358,9 @@ class Chosen(NamedTuple):
     unread: list[str]
 
 
-def choose_columns(table: Table, columns: str | Mapping[str, str | Column] | None) -> Chosen:
+def choose_columns(
+    table: Table, columns: str | Mapping[str, str | Column] | None, others: bool = True
+) -> Chosen:
     """Take a log's channels from a table.
 
     Parameters
@@ -368,6 +370,8 @@ def choose_columns(table: Table, columns: str | Mapping[str, str | Column] | Non
     columns : str or mapping of str to str or Column, optional
         As in `parse_columns`; columns that bear a channel's name, and any others of numbers, need
         no mention.
+    others : bool
+        Whether to take those that are not mentioned.
 
     Returns
     -------
@@ -383,11 +387,12 @@ def choose_columns(table: Table, columns: str | Mapping[str, str | Column] | Non
     taken = {name for column in wanted.values() for name in (column.source, column.times)}
     for name in (*table.columns, *table.text):
         useful = name in table.columns or name in UNITS
-        if useful and name not in wanted and name not in taken:
+        if others and useful and name not in wanted and name not in taken:
             wanted[name] = Column(name)
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is out of range anyway
         channels = {channel: _taken(table, column) for channel, column in wanted.items()}
-    return Chosen(channels, [name for name in table.text if name not in channels])
+    unread = [name for name in table.text if others and name not in channels]
+    return Chosen(channels, unread)
 
 
 def _taken(table: Table, column: Column) -> FloatArray:

@@ -100,6 +100,27 @@ def test_every_command_refuses_to_replace_what_it_reads(
         assert "lost" in refused(folder, capsys, *case)
 
 
+def test_only_what_is_read_is_guarded(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An empty text, or one that happens to name a folder, is no input."""
+    (folder / "kept.yaml").write_text("kind: project")
+    (folder / "own").mkdir()
+    for name in ("", "own", "."):
+        code, _, error = run(capsys, "start", "a.csv", "--track", 0.5, "--name", name, "--out",
+                             "kept.yaml")  # fmt: skip
+        assert code == 0, error
+
+
+def test_one_drive_is_cut_into_what_is_learned_from_and_what_is_judged_on(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, error = run(capsys, "diagnose", "a.csv", "--vehicle", "robot.yaml", "--json")
+    assert code == 0, error
+    told = json.loads(out)
+    (learned,), (judged,) = told["training"], told["judging"]
+    cut = learned.rpartition(" to ")[2].removesuffix(" s")
+    assert judged.startswith(f"a.csv from {cut} to ")
+
+
 def test_two_outputs_are_two_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "two.png").symlink_to("route.csv")
     error = refused(folder, capsys, *PLAN, "--out", "route.csv", "--plot", "two.png")

@@ -66,10 +66,14 @@ def table(log: ep.DriveLog, style: str) -> pd.DataFrame:
             "current": -log.power / volts, "yaw": np.degrees(at["yaw"]), "x": jitter["x"],
             "y": jitter["y"], "imu_gyro_z": -at["yaw_rate"],
         })  # fmt: skip
+    if style == "heading":  # nothing but wrapped degrees tells the turning
+        heading = np.degrees(np.angle(np.exp(1j * at["yaw"])))
+        return pd.DataFrame({"t": at["t"], "velL": at["v_left"], "velR": at["v_right"],
+                             "heading": heading, "p_total": log.power})  # fmt: skip
     raise AssertionError(style)
 
 
-@pytest.mark.parametrize("style", ["rates", "units", "battery"])
+@pytest.mark.parametrize("style", ["rates", "units", "battery", "heading"])
 def test_columns_and_units_are_guessed_so_that_all_agrees(tmp_path: Path, style: str) -> None:
     log = drive()
     file = tmp_path / "own.csv"
@@ -78,8 +82,11 @@ def test_columns_and_units_are_guessed_so_that_all_agrees(tmp_path: Path, style:
     assert made.sound, made.checks
     assert len(made.checks) >= 5
     read = ep.DriveLog.read(file, dict(made.project.columns))
-    for name in ("v_left", "v_right", "yaw_rate"):
+    for name in {"v_left", "v_right", "yaw_rate"} & set(read.channels):
         np.testing.assert_allclose(read.channel(name), log.channel(name), atol=1e-6)
+    if read.has("yaw"):
+        turned = np.exp(1j * (read.channel("yaw") - log.channel("yaw")))
+        np.testing.assert_allclose(turned, 1.0, atol=1e-6)
     np.testing.assert_allclose(read.power, log.power, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(read.t - read.t[0], log.t - log.t[0], atol=1e-5)
     assert not {"cmd_left", "motor temp [degC]"} & {c.source for c in made.project.columns.values()}
