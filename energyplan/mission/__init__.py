@@ -19,7 +19,7 @@ from energyplan.mission.energy import Estimate
 from energyplan.mission.legs import Legs
 from energyplan.mission.order_refinement import best_stops
 from energyplan.mission.report import MissionReport, Reason, TaskReport, Timeline
-from energyplan.mission.simulation import Attempt, Condition, Walk
+from energyplan.mission.simulation import Attempt, Condition, Course, Walk, best_course
 from energyplan.mission.types import Charger, Mission, Task
 
 __all__ = ["Charger", "Mission", "MissionReport", "Task", "TaskReport", "Timeline", "evaluate"]
@@ -117,10 +117,21 @@ class _Evaluation:
     # -- the way ----------------------------------------------------------------------------------
 
     def _given(self) -> Condition:
-        state = self.walk.start
+        course = best_course(self.walk)
+        for task, before, attempt in course.steps:
+            self.attempts[task] = _Try(before, attempt, tuple(self.done))
+            self.done.append(task)
         for k in range(len(self.mission.tasks)):
-            state = self._do(state, k)
-        return state
+            if k not in self.attempts:
+                before, done = self._before(course, k)
+                self.attempts[k] = _Try(before, self.walk.attempt_charged(before, k), done)
+        return course.state
+
+    def _before(self, course: Course, task: int) -> tuple[Condition, tuple[int, ...]]:
+        """Return where the robot stands when a task that was left out would have its turn."""
+        earlier = [step for step in course.steps if step[0] < task]
+        state = earlier[-1][2].after if earlier else self.walk.start
+        return state, tuple(step[0] for step in earlier)
 
     def _free(self) -> Condition:
         found = best_stops(self.walk, self.progress)
@@ -176,7 +187,9 @@ class _Evaluation:
 
     def _task(self, k: int) -> TaskReport:
         task = self.mission.tasks[k]
-        before, attempt, _ = self.attempts[k]
+        before, attempt, earlier = self.attempts[k]
+        if attempt.reason == "none" and k not in self.done:
+            return self._left_out(k, attempt, earlier)
         if attempt.reason == "none":
             used = _between(before, attempt.after)
             return TaskReport(
@@ -203,11 +216,24 @@ class _Evaluation:
             detail=told.detail,
         )
 
+    def _left_out(self, k: int, attempt: Attempt, earlier: tuple[int, ...]) -> TaskReport:
+        """Report a task that could be done, but for which a later one could then not be."""
+        task = self.mission.tasks[k]
+        used = _between(self.attempts[k].before, attempt.after)
+        later = [self.mission.tasks[d].name for d in self.done if d not in earlier]
+        names = ", ".join(repr(name) for name in later) or "the way to the end"
+        return TaskReport(
+            task.name, "unreachable", "blocked_by_earlier", True, used.mean,
+            used.upper(self.walk.quantile), attempt.after.expected.soc, 0.0,
+            self._remedy(k, "blocked_by_earlier", attempt),
+            f"left out, since with it the battery would not last for {names}",
+        )  # fmt: skip
+
     def _remedy(self, k: int, reason: Reason, told: Attempt) -> str:
         if reason == "no_path":
             return f"clear the way or move the task: {told.detail}"
         if told.reason == "late":
-            hints = ["widen its time window"]
+            hints = self._sooner(k, told)
         elif told.reason == "payload":
             hints = ["put a task before it that takes the payload on board"]
         elif told.reason == "motor":
@@ -227,6 +253,17 @@ class _Evaluation:
         if told.reason == "motor" and self.mission.payload > 0:
             hints.append("leave payload behind")
         return ", or ".join(hints)
+
+    def _sooner(self, k: int, told: Attempt) -> list[str]:
+        """Tell what brings the robot there in time: speed, or a wider window."""
+        hints = []
+        top = self.mission.vehicle.motor.speed
+        if np.isfinite(top) and (self.mission.speed is None or self.mission.speed < top):
+            tasks = (*self.attempts[k].earlier, k)
+            if self._works(tasks, replace(self.mission, speed=float(top))):
+                hints.append(f"drive at up to {top:.3g} m/s")
+        late = told.after.time - self.mission.tasks[k].window[1]
+        return [*hints, f"let it begin {np.ceil(late):.0f} s later"]
 
     def _drop(self, k: int) -> list[str]:
         """Name an earlier task without which this one can be done, the least worth first."""
@@ -318,7 +355,8 @@ _REASONS: dict[str, Reason] = {
     "no_path": "no_path",
     "motor": "motor",
     "battery": "battery",
-    "late": "motor",
+    "late": "late",
+    "time": "time_limit",
     "payload": "blocked_by_earlier",
 }
 

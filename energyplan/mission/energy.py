@@ -219,6 +219,40 @@ class Grounds:
             total = total + self._one(part.region, part.motion, part.weight, payload)
         return total
 
+    def spread(self, trajectory: Trajectory, payload: float) -> FloatArray:
+        """Return the standard deviation of the power in each interval [W], shape (n - 1,).
+
+        It tells where along a trajectory the uncertainty of its energy arises: energies may
+        cancel, uncertainties of powers do not.
+        """
+        joules = np.zeros(len(trajectory) - 1)
+        for part in self.drive(trajectory, payload).quadrature():
+            model = self.model(part.region, payload)
+            watts = model.battery_side().power(part.motion)
+            squares = (self._holdout_error(part.region, payload) * watts) ** 2
+            for step in self.directions(part.region, payload).T:
+                if step.any():
+                    more, less = (
+                        model.with_coefficients(model.coefficients + sign * step)
+                        .battery_side()
+                        .power(part.motion)
+                        for sign in (1.0, -1.0)
+                    )
+                    squares += (0.5 * (more - less)) ** 2
+            np.add.at(joules, part.interval, (part.weight * np.sqrt(squares)).sum(axis=-1))
+        return np.asarray(joules / np.diff(trajectory.t))
+
+    def _holdout_error(self, region: int, payload: float) -> float:
+        """Return the relative error of the energy that a model made on the hold-out."""
+        source = self._sources[self._source_of[region]]
+        known = [m.residual is not None for m in source.models]
+        if not any(known):
+            return 0.0
+        weights = self._weights(source, payload)[known]
+        weights = weights / weights.sum() if weights.sum() > 0 else weights + 1 / len(weights)
+        errors = [abs(m.residual.energy_error) for m in source.models if m.residual is not None]
+        return float(weights @ errors)
+
     def power(self, trajectory: Trajectory, payload: float) -> FloatArray:
         """Return the mean power of each interval of a trajectory [W], shape (n - 1,)."""
         drive = self.drive(trajectory, payload)
@@ -255,8 +289,9 @@ class Grounds:
                 [m.residual is not None for m in source.models]
             ]
             weights = weights / weights.sum() if weights.sum() > 0 else weights + 1 / len(weights)
-            error = weights @ [abs(r.energy_error) for r in residuals]
-            sensitivity[source.first + source.size - 1] = error * mean
+            sensitivity[source.first + source.size - 1] = (
+                self._holdout_error(region, payload) * mean
+            )
             strength = weights @ [2 * r.rmse**2 * r.correlation_time for r in residuals]
             noise = float(strength * weight.sum())
         return Estimate(mean, sensitivity, noise)

@@ -45,10 +45,12 @@ class Leg:
         When the robot is where; None where it does not move, or cannot.
     power : ndarray, shape (n,)
         Mean power of each interval of the trajectory [W].
+    spread : ndarray, shape (n,)
+        Standard deviation of the power of each interval [W].
     energy : Estimate
         Its energy; infinite where it cannot be driven.
     trouble : str
-        ``""``, ``"no_path"`` or ``"motor"``.
+        ``""``, ``"no_path"``, ``"motor"``, or ``"time"`` where planning took too long.
     detail : str
         What the trouble is.
     """
@@ -56,6 +58,7 @@ class Leg:
     path: Path
     trajectory: Trajectory | None
     power: FloatArray
+    spread: FloatArray
     energy: Estimate
     trouble: str = ""
     detail: str = ""
@@ -285,7 +288,7 @@ class Legs:
                 last = str(error)
             except PlanningError as error:
                 return _Route(still, "no_path", str(error))
-        return _Route(still, "no_path", last)
+        return _Route(still, "time", last)
 
     @property
     def _planning_time(self) -> float:
@@ -315,7 +318,7 @@ class Legs:
         if route.trouble:
             return _stuck(path, nothing, route.trouble, route.detail)
         if not len(path):
-            return Leg(path, None, np.zeros(0), nothing)
+            return Leg(path, None, np.zeros(0), np.zeros(0), nothing)
         try:
             trajectory = self._timed(route, payload)
         except InfeasibleMotionError as error:
@@ -324,6 +327,7 @@ class Legs:
             path,
             trajectory,
             grounds.power(trajectory, payload),
+            grounds.spread(trajectory, payload),
             grounds.estimate(trajectory, payload),
         )
 
@@ -367,4 +371,4 @@ def _told(model: PowerModel) -> tuple[object, ...]:
 
 
 def _stuck(path: Path, nothing: Estimate, trouble: str, detail: str) -> Leg:
-    return Leg(path, None, np.zeros(0), replace(nothing, mean=np.inf), trouble, detail)
+    return Leg(path, None, np.zeros(0), np.zeros(0), replace(nothing, mean=np.inf), trouble, detail)

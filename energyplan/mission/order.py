@@ -1,8 +1,9 @@
 """The best order and subset of tasks on an energy matrix: prizes against a budget.
 
-Up to `EXACT` tasks the answer is exact: labels (charge left, energy, time) over every subset and
-last stop, of which only those that no other one dominates are kept (the dynamic programme of Held
-and Karp, with resources). Beyond that OR-Tools searches.
+The answer is exact for few tasks: labels (charge left, energy, time) over every subset and last
+stop, of which only those that no other one dominates are kept (the dynamic programme of Held and
+Karp, with resources). Where neither chargers nor windows matter one label a subset and stop is
+enough, so that more tasks are exact (`exact_size`). Beyond that OR-Tools searches.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ import numpy as np
 
 from energyplan.path import FloatArray
 
-EXACT = 9
-"""Largest number of tasks that is solved exactly."""
+EXACT_PLAIN, EXACT_LABELLED = 15, 10
+"""Largest numbers of tasks that are solved exactly: without and with chargers or windows."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,12 @@ class OrderProblem:
         return len(self.prize)
 
     @property
+    def labelled(self) -> bool:
+        """Whether charge and time decide beside energy, so that several labels may be needed."""
+        timed = np.any(np.isfinite(self.window[:, 1])) or np.any(self.window[:, 0] > 0)
+        return bool(timed or len(self.capacity))
+
+    @property
     def worth(self) -> FloatArray:
         """Prizes, with those of required tasks above the sum of all others."""
         return self.prize + np.where(self.required, 1.0 + self.prize.sum(), 0.0)
@@ -108,6 +115,11 @@ class Order:
     proven: bool
 
 
+def exact_size(labelled: bool) -> int:
+    """Return the largest number of tasks that is solved exactly."""
+    return EXACT_LABELLED if labelled else EXACT_PLAIN
+
+
 class _Label(NamedTuple):
     left: float
     energy: float
@@ -129,7 +141,7 @@ def solve(
     problem : OrderProblem
         The problem.
     time_limit : float
-        Time for the search beyond `EXACT` tasks [s].
+        Time for the search where there are too many tasks for an exact answer [s].
     effort : int, optional
         Units of work for that search, in place of the time; see `energyplan.Budget`.
     progress : callable, optional
@@ -144,10 +156,10 @@ def solve(
     Raises
     ------
     MissingDependencyError
-        If there are more than `EXACT` tasks and OR-Tools is not installed.
+        If there are too many tasks for an exact answer and OR-Tools is not installed.
     """
-    if problem.tasks <= EXACT:
-        return solve_exactly(problem)
+    if problem.tasks <= exact_size(problem.labelled):
+        return solve_exactly(problem) if problem.labelled else solve_plainly(problem)
     from energyplan.mission.routing import solve_by_search
 
     return solve_by_search(problem, time_limit=time_limit, effort=effort, progress=progress)
@@ -181,10 +193,13 @@ def solve_exactly(problem: OrderProblem) -> Order:
         done = [k for k in range(n) if mask >> k & 1]
         load = problem.payload + float(problem.payload_change[done].sum())
         matrix, finish = problem.energy(load), problem.finish(load)
-        for node, labels in list(here.items()):
-            for label in labels:
-                for charger in _charged(problem, matrix, node, label):
-                    _keep(here.setdefault(charger.stops[-1], []), charger, timed)
+        pending = [(node, label) for node, labels in here.items() for label in labels]
+        while pending:  # chargers may lead to chargers
+            node, label = pending.pop()
+            for charger in _charged(problem, matrix, node, label):
+                place = charger.stops[-1]
+                if _keep(here.setdefault(place, []), charger, timed):
+                    pending.append((place, charger))
         value = float(worth[done].sum())
         for node, labels in here.items():
             for label in labels:
@@ -225,7 +240,7 @@ def _charged(problem: OrderProblem, matrix: FloatArray, node: int, label: _Label
     grown = []
     for c in range(len(problem.capacity)):
         spent = float(matrix[node, first + c])
-        if node >= first or spent > label.left:
+        if node == first + c or spent > label.left:
             continue
         left = label.left - spent
         full = max(left, float(problem.capacity[c]))
@@ -235,13 +250,82 @@ def _charged(problem: OrderProblem, matrix: FloatArray, node: int, label: _Label
     return grown
 
 
-def _keep(labels: list[_Label], new: _Label, timed: bool) -> None:
+def _keep(labels: list[_Label], new: _Label, timed: bool) -> bool:
     """Add a label unless another is as good in every respect; drop those that it beats."""
 
     def as_good(a: _Label, b: _Label) -> bool:
         return a.left >= b.left and a.energy <= b.energy and (not timed or a.time <= b.time)
 
     if any(as_good(old, new) for old in labels):
-        return
+        return False
     labels[:] = [old for old in labels if not as_good(new, old)]
     labels.append(new)
+    return True
+
+
+def solve_plainly(problem: OrderProblem) -> Order:
+    """Find the best order where energy alone decides: without chargers and windows.
+
+    Parameters
+    ----------
+    problem : OrderProblem
+        The problem.
+
+    Returns
+    -------
+    Order
+        The best order; proven.
+    """
+    n = problem.tasks
+    masks = np.arange(2**n)
+    least = np.full((2**n, n), np.inf)  # energy of having done a subset, by its last task
+    before = np.full((2**n, n), -1, np.int8)
+    # of two ways to do the same the one of less energy leaves more charge, so one label suffices
+    loads = problem.payload + (masks[:, None] >> np.arange(n) & 1) @ problem.payload_change
+    known: dict[float, tuple[FloatArray, FloatArray]] = {}
+
+    def at(mask: int) -> tuple[FloatArray, FloatArray]:
+        load = float(loads[mask])
+        if load not in known:
+            known[load] = problem.energy(load), problem.finish(load)
+        return known[load]
+
+    best, best_worth, best_energy = (0, -1), 0.0, float(at(0)[1][0])
+    worth = problem.worth
+    feasible = best_energy <= problem.budget
+    if not feasible:
+        best_worth, best_energy = -1.0, np.inf
+    for mask in range(2**n):
+        here = least[mask]
+        if mask and not np.isfinite(here).any():
+            continue
+        matrix, finish = at(mask)
+        if mask:
+            total = here + finish[1 : n + 1]
+            last = int(np.argmin(total))
+            value = float(worth[(mask >> np.arange(n) & 1).astype(bool)].sum())
+            if total[last] <= problem.budget and (-value, total[last]) < (-best_worth, best_energy):
+                best, best_worth, best_energy = (mask, last), value, float(total[last])
+            ways = here[:, None] + matrix[1 : n + 1, 1 : n + 1]
+            came = np.argmin(ways, axis=0)
+            reached = ways[came, np.arange(n)]
+        else:
+            came, reached = np.full(n, -1), matrix[0, 1 : n + 1]
+        reached = reached + problem.service
+        light = loads[mask] + problem.payload_change < -1e-3
+        free = (mask >> np.arange(n) & 1 == 0) & ~light & (reached <= problem.budget)
+        (k,) = np.nonzero(free)
+        grown = mask | 1 << k
+        better = reached[k] < least[grown, k]
+        k, grown = k[better], grown[better]
+        least[grown, k], before[grown, k] = reached[k], came[k]
+    if best_worth < 0:
+        return Order((), 0.0, 0.0, True)
+    stops: list[int] = []
+    mask, last = best
+    while last >= 0:
+        stops.append(last + 1)
+        mask, last = mask ^ 1 << last, int(before[mask, last])
+    stops.reverse()
+    prize = float(problem.prize[[s - 1 for s in stops]].sum()) if stops else 0.0
+    return Order(tuple(stops), prize, best_energy, True)

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from energyplan.mission.order import EXACT, Order, OrderProblem, solve
+from energyplan.mission.order import Order, OrderProblem, exact_size, solve
 from energyplan.mission.simulation import Condition, Walk
 from energyplan.path import FloatArray
 from energyplan.planning.budget import PACE
@@ -22,6 +22,7 @@ _ROUNDS = 25
 _SEARCH_ROUNDS = 3
 _SEARCH_TIME = 2.0
 _LEVELS = 3
+_MOST_LOADS = 64
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def best_stops(walk: Walk, progress: Callable[[str], None] | None = None) -> Sto
         The stops.
     """
     matrix = _Matrix(walk)
-    exact = len(walk.mission.tasks) <= EXACT
+    exact = matrix.exact
     counted = walk.mission.planning_effort is not None
     effort = int(_SEARCH_TIME * PACE) if counted else None
     order = Order((), 0.0, 0.0, False)
@@ -74,7 +75,7 @@ def best_stops(walk: Walk, progress: Callable[[str], None] | None = None) -> Sto
                 break
             continue
         matrix.plan(order.stops)
-    return Stops(order.stops, settled and order.proven)
+    return Stops(order.stops, settled and order.proven and matrix.true)
 
 
 class _Matrix:
@@ -86,6 +87,14 @@ class _Matrix:
         change = np.array([task.payload for task in mission.tasks])
         low = max(mission.payload + float(change[change < 0].sum()), 0.0)
         high = mission.payload + float(change[change > 0].sum())
+        timed = any(task.window != (0.0, np.inf) for task in mission.tasks)
+        self.exact = len(mission.tasks) <= exact_size(timed or bool(mission.chargers))
+        loads = {mission.payload}
+        for step in change[change != 0]:
+            loads |= {round(load + step, 6) for load in loads}
+        loads = {load for load in loads if load >= 0}
+        # few loads are priced each for itself; of many, some are, and the others lie in between
+        self._each = self.exact and len(loads) <= _MOST_LOADS
         count = 1 if low == high else _LEVELS
         self._levels = np.linspace(low, high, count)
         self._bounds = np.array([walk.legs.lower_bounds(float(p)) for p in self._levels])
@@ -106,14 +115,22 @@ class _Matrix:
         speed = float(np.minimum(cost.cheapest_speed(0.0), 10.0))
         return max(float(cost.per_metre(0.0)) * speed, 1.0)
 
+    @property
+    def true(self) -> bool:
+        """Whether the energies of an order are those of its legs at each payload."""
+        return self._each or len(self._levels) == 1
+
     # -- energies ---------------------------------------------------------------------------------
 
     def _known(self, payload: float) -> FloatArray:
         """Energies with one payload: at the bound where planned, from below where not."""
         if payload not in self._cache:
             walk, legs = self._walk, self._walk.legs
-            level = int(np.argmin(np.abs(self._levels - payload)))
-            matrix = self._bounds[level] * self._inflation
+            if self._each:
+                matrix = self._walk.legs.lower_bounds(payload).copy()
+            else:
+                level = int(np.argmin(np.abs(self._levels - payload)))
+                matrix = self._bounds[level] * self._inflation
             for i, j in np.argwhere(np.ones_like(matrix)):
                 if legs.planned(int(i), int(j)):
                     energy = legs.leg(int(i), int(j), payload).energy
@@ -124,9 +141,11 @@ class _Matrix:
 
     def _energy(self, payload: float) -> FloatArray:
         """Energies with any payload, interpolated between the levels."""
+        if self._each:
+            return self._known(round(payload, 6))
         known = self._interpolated(payload)
         # the search beyond knows no energy that comes back
-        return np.maximum(known, 0.0) if len(self._walk.mission.tasks) > EXACT else known
+        return known if self.exact else np.maximum(known, 0.0)
 
     def _interpolated(self, payload: float) -> FloatArray:
         levels = self._levels
@@ -225,7 +244,7 @@ class _Matrix:
                 bound = self._bounds[-1][i, j]
                 if np.isfinite(leg.energy.mean) and bound > 0:
                     ratios.append(leg.energy.upper(self._walk.quantile) / bound)
-        if len(self._walk.mission.tasks) > EXACT and ratios:
+        if not self.exact and ratios:
             # A search cannot wait for all bounds to become true: let them be typical instead.
             self._inflation = float(np.median(ratios))
         self._cache.clear()

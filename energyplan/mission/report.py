@@ -13,7 +13,7 @@ from energyplan.mission.types import Mission
 from energyplan.path import FloatArray, Path, Trajectory
 
 Verdict = Literal["reachable", "unreachable"]
-Reason = Literal["none", "no_path", "motor", "battery", "blocked_by_earlier"]
+Reason = Literal["none", "no_path", "motor", "battery", "blocked_by_earlier", "late", "time_limit"]
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,9 @@ class TaskReport:
     verdict : {"reachable", "unreachable"}
         Whether the robot can do it and still get to a safe place with its reserve, at the
         confidence asked.
-    reason : {"none", "no_path", "motor", "battery", "blocked_by_earlier"}
-        Why not.
+    reason : {"none", "no_path", "motor", "battery", "blocked_by_earlier", "late", "time_limit"}
+        Why not; `late` is a window missed, `time_limit` a route that was not found in the time
+        for planning.
     reachable_alone : bool
         Whether it would be reachable as the mission's only task.
     energy, energy_upper : float

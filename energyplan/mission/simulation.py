@@ -162,7 +162,9 @@ class Walk:
             return None
         if leg.trajectory is None:
             return replace(state, node=goal)
-        moved = self._draw(state, "drive", goal, leg.trajectory.t, leg.power, leg.energy, leg)
+        moved = self._draw(
+            state, "drive", goal, leg.trajectory.t, leg.power, leg.spread, leg.energy, leg
+        )
         return replace(moved, node=goal)
 
     def stay(self, state: Condition, kind: str, duration: float, power: float = 0.0) -> Condition:
@@ -173,7 +175,7 @@ class Walk:
         energy = replace(idle, mean=idle.mean + power * duration)
         t = np.linspace(0.0, duration, max(int(duration / _STEP), 1) + 1)
         flat = np.full(len(t) - 1, energy.mean / duration)
-        return self._draw(state, kind, state.node, t, flat, energy)
+        return self._draw(state, kind, state.node, t, flat, np.ones(len(flat)), energy)
 
     def _draw(
         self,
@@ -182,16 +184,15 @@ class Walk:
         goal: int,
         t: FloatArray,
         power: FloatArray,
+        spread: FloatArray,
         energy: Estimate,
         leg: Leg | None = None,
     ) -> Condition:
         spent = state.spent + energy
         more = spent.upper(self.quantile) - state.spent.upper(self.quantile)
-        span = float(t[-1] - t[0])
-        if energy.mean > 0:
-            raised = power * (more / energy.mean)
-        else:
-            raised = power + (more - energy.mean) / span
+        # what it may take beyond the expectation is drawn where the power is uncertain
+        shares = spread if spread.any() else np.ones(len(spread))
+        raised = power + (more - energy.mean) * shares / float(shares @ np.diff(t))
         clock = state.time + t - t[0]
         expected, soc = self._run(state.expected, clock, power)
         worst, soc_lower = self._run(state.worst, clock, raised)
@@ -293,14 +294,33 @@ class Walk:
         best = self.attempt(state, task)
         if best.reason != "battery":
             return best
-        for charger in self.legs.chargers:
-            docked = self.drive(state, charger) if charger != state.node else state
-            if docked is None or not self.holds(docked):
-                continue
-            tried = self.attempt(self.charge(docked), task)
+        for charged in self.charged(state):
+            tried = self.attempt(charged, task)
             if self._rank(tried) < self._rank(best):
                 best = tried
         return best
+
+    def charged(self, state: Condition) -> list[Condition]:
+        """Return the conditions after charging, at chargers reached directly or over others.
+
+        Of several ways to a charger the one of least energy is kept, and the quickest.
+        """
+        kept: dict[int, list[Condition]] = {}
+        pending = [state]
+        while pending:
+            here = pending.pop(0)
+            for charger in self.legs.chargers:
+                if charger == here.node and here is not state:
+                    continue
+                docked = self.drive(here, charger) if charger != here.node else here
+                if docked is None or not self.holds(docked):
+                    continue
+                full, known = self.charge(docked), kept.setdefault(charger, [])
+                if not any(_as_good(other, full) for other in known):
+                    known[:] = [other for other in known if not _as_good(full, other)]
+                    known.append(full)
+                    pending.append(full)
+        return [full for known in kept.values() for full in known]
 
     def _rank(self, attempt: Attempt) -> tuple[bool, float]:
         """Sort what works by energy before what does not by what is missing."""
@@ -320,12 +340,10 @@ class Walk:
         direct, _ = self._nearest(state, ends)
         if direct is not None and self.holds(direct):
             return direct
-        for charger in self.legs.chargers:
-            docked = self.drive(state, charger)
-            if docked is not None and self.holds(docked):
-                last, _ = self._nearest(self.charge(docked), ends)
-                if last is not None and self.holds(last):
-                    return last
+        for charged in self.charged(state):
+            last, _ = self._nearest(charged, ends)
+            if last is not None and self.holds(last):
+                return last
         return None
 
     def _nearest(self, state: Condition, places: tuple[int, ...]) -> tuple[Condition | None, Leg]:
@@ -367,6 +385,94 @@ class Walk:
             f"with the way back to {self.legs.names[safe.node]} it may take "
             f"{need / 3600:.0f} Wh, {missing / 3600:.0f} Wh more than there is above the reserve"
         )
+
+
+def _as_good(one: Condition, other: Condition) -> bool:
+    """Tell whether one condition at a place is as good as another in every respect."""
+    return (
+        one.total.mean <= other.total.mean + _ROUNDING
+        and one.time <= other.time + _INSTANT
+        and one.worst.soc >= other.worst.soc - _ROUNDING
+        and one.payload == other.payload
+        and one.node == other.node
+    )
+
+
+@dataclass(frozen=True)
+class Course:
+    """A way through the tasks in the order given.
+
+    Parameters
+    ----------
+    state : Condition
+        Where it ends.
+    worth : float
+        Worth of what was done.
+    steps : tuple of (int, Condition, Attempt)
+        The tasks done, each with the condition before it and its attempt.
+    """
+
+    state: Condition
+    worth: float = 0.0
+    steps: tuple[tuple[int, Condition, Attempt], ...] = ()
+
+    @property
+    def rank(self) -> tuple[float, tuple[int, ...]]:
+        """Sort by worth, then by who comes first in the order given; the best one is least."""
+        return -self.worth, tuple(step[0] for step in self.steps)
+
+    def beats(self, other: Course) -> bool:
+        """Tell whether nothing speaks for the other one."""
+        return self.rank <= other.rank and _as_good(self.state, other.state)
+
+
+def best_course(walk: Walk) -> Course:
+    """Do the tasks in the order given; charge before any of them, leave out what is worth less.
+
+    Tasks are done one after the other as long as the battery lasts. Where it does not, all ways
+    are followed side by side: with and without a charge before each task, with and without the
+    task. Of two at the same place, the one that is worse in every respect is dropped.
+
+    Parameters
+    ----------
+    walk : Walk
+        The mission.
+
+    Returns
+    -------
+    Course
+        The way of greatest worth from which the mission can end; of those the one that does the
+        tasks that come first, with the least energy. Where none can end, the one of greatest worth.
+    """
+    tasks = walk.mission.tasks
+    whole = sum(task.prize for task in tasks) + 1.0
+    worths = [task.prize + whole * task.required for task in tasks]
+    direct = Course(walk.start)
+    for k in range(len(tasks)):
+        attempt = walk.attempt(direct.state, k)
+        if attempt.reason != "none":
+            break
+        step = (k, direct.state, attempt)
+        direct = Course(attempt.after, direct.worth + worths[k], (*direct.steps, step))
+    else:
+        if walk.finish(direct.state) is not None:
+            return direct
+    courses = [Course(walk.start)]
+    for k in range(len(tasks)):
+        grown = list(courses)
+        for course in courses:
+            for before in (course.state, *walk.charged(course.state)):
+                attempt = walk.attempt(before, k)
+                if attempt.reason == "none":
+                    step = (k, course.state, attempt)
+                    worth = course.worth + worths[k]
+                    grown.append(Course(attempt.after, worth, (*course.steps, step)))
+        courses = []
+        for course in sorted(grown, key=lambda c: (c.rank, c.state.total.mean)):
+            if not any(kept.beats(course) for kept in courses):
+                courses.append(course)
+    ranked = sorted(courses, key=lambda c: (c.rank, c.state.total.mean))
+    return next((c for c in ranked if walk.finish(c.state) is not None), ranked[0])
 
 
 _SAGS = {

@@ -320,7 +320,7 @@ def test_time_windows():
     assert report.task("wait").start == pytest.approx(120.0)
     assert report.task("gone").reason == "blocked_by_earlier"
     assert report.task("gone").remedy.startswith("drop 'wait'")
-    assert report.task("never").reason == "motor"
+    assert report.task("never").reason == "late"
     assert not report.task("never").reachable_alone
 
 

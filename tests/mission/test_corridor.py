@@ -1,0 +1,157 @@
+"""Missions in a corridor, whose answers are sums of straight drives: 180 J a metre."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+import pytest
+
+from energyplan.battery import Battery
+from energyplan.mission import Charger, Mission, Task, evaluate
+from energyplan.mission.order import OrderProblem, solve_exactly, solve_plainly
+from energyplan.path import Pose
+from energyplan.power import PowerModel
+from energyplan.power.effects import with_weight
+from energyplan.terrain import HeightMap, OccupancyGrid
+
+METRE = 180.0
+"""Energy of a metre [J]: 90 N on each side."""
+
+
+def tiny(energy: float) -> Battery:
+    """An ideal battery that holds so much energy [J] at 10 V."""
+    ocv = np.array([10.0, 10.0])
+    return Battery("tiny", energy / 10.0, np.array([0.0, 1.0]), ocv, 0.0)
+
+
+def corridor(energy: float, tasks: dict[str, float], start: float, **changes: Any) -> Mission:
+    """A mission along a corridor of 35 m with tasks at so many metres, at the expectation."""
+    values: dict[str, Any] = {
+        "model": PowerModel.preset("quadriga:empty:marble"),
+        "map": OccupancyGrid(np.zeros((30, 350), bool), 0.1),
+        "battery": tiny(energy), "start": Pose(start, 1.5, 0.0), "planning_time": 0.2,
+        "tasks": tuple(Task(name, Pose(x, 1.5, 0.0)) for name, x in tasks.items()),
+        "reserve": 0.0, "confidence": 0.5,
+    }  # fmt: skip
+    return Mission(**{**values, **changes})
+
+
+def charger(x: float, name: str) -> Charger:
+    return Charger(name, Pose(x, 1.5, 0.0), power=500.0, until=1.0)
+
+
+@pytest.mark.parametrize("order", ["given", "free"])
+def test_two_chargers_in_a_row_are_tried(order: str) -> None:
+    """10 m to the first, 10 m to the second, 4 m to the task: no hop may take more than 16.5 m."""
+    asked = corridor(
+        2970.0, {"end": 29.0}, 5.0, order=order, chargers=(charger(15, "near"), charger(25, "far"))
+    )
+    report = evaluate(asked)
+    assert report.task("end").verdict == "reachable"
+    assert report.order == ("near", "far", "end")
+    # the way ends at the charger 4 m back
+    assert report.energy == pytest.approx(METRE * (10 + 10 + 4 + 4), rel=1e-3)
+
+
+@pytest.mark.parametrize("order", ["given", "free"])
+def test_charging_ahead_of_need(order: str) -> None:
+    """After the first task the charger is out of reach, before it it is not."""
+    asked = corridor(
+        9000.0, {"near": 25.0, "far": 27.0}, 15.0, soc=0.47, order=order,
+        chargers=(charger(5, "dock"),),
+    )  # fmt: skip
+    report = evaluate(asked)
+    assert [task.verdict for task in report.tasks] == ["reachable", "reachable"]
+    assert report.order == ("dock", "near", "far")
+
+
+@pytest.mark.parametrize("order", ["given", "free"])
+def test_an_optional_task_gives_way_to_a_required_one(order: str) -> None:
+    """10 m to the left and back, 10 m to the right and back; the battery holds 33 m."""
+    asked = corridor(6000.0, {"optional": 5.0, "required": 25.0}, 15.0, order=order)
+    optional, required = asked.tasks
+    report = evaluate(replace(asked, tasks=(replace(optional, required=False), required)))
+    assert report.task("required").verdict == "reachable"
+    told = report.task("optional")
+    assert (told.verdict, told.reason) == ("unreachable", "blocked_by_earlier")
+    assert report.feasible
+
+
+def test_a_window_missed_is_late_and_the_remedies_hold() -> None:
+    asked = corridor(1e6, {"soon": 25.0}, 5.0, speed=0.25)
+    (task,) = asked.tasks
+    asked = replace(asked, tasks=(replace(task, window=(0.0, 60.0)),))
+    told = evaluate(asked).task("soon")
+    assert (told.verdict, told.reason) == ("unreachable", "late")
+    assert "drive at up to" in told.remedy
+    assert "s later" in told.remedy
+    later = float(told.remedy.split("begin ")[1].split(" s")[0])
+    waited = replace(asked, tasks=(replace(task, window=(0.0, 60.0 + later)),))
+    assert evaluate(waited).task("soon").verdict == "reachable"
+    faster = replace(asked, speed=float(asked.vehicle.motor.speed))
+    assert evaluate(faster).task("soon").verdict == "reachable"
+
+
+def test_energies_that_cancel_do_not_blow_the_power_up() -> None:
+    """Up and down a hill the energy nearly cancels; the uncertainty of the power does not."""
+    x = np.linspace(0, 35, 71)
+    hill = np.interp(x, [0, 7, 11, 24, 35], [0.0, 0.0, 0.3, -1.1, -1.1])
+    model = with_weight(PowerModel.preset("quadriga:empty:marble"))
+    asked = corridor(
+        1e6, {"below": 25.0}, 5.0, model=model, heights=HeightMap(np.tile(hill, (8, 1)), 0.5),
+        confidence=0.95, coefficient_spread=0.05, return_to="any",
+    )  # fmt: skip
+    report = evaluate(asked)
+    line = report.timeline
+    there = line.t <= report.task("below").start
+    # the charge at the bound never falls faster than a quarter above what is expected at most
+    moving = np.diff(line.t[there]) > 0
+    step = np.diff(line.t[there])[moving]
+    fall = -np.diff(line.soc[there])[moving] / step
+    bound = -np.diff(line.soc_lower[there])[moving] / step
+    assert bound.max() < 1.35 * fall.max()
+    assert report.energy_upper > report.energy
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_orders_without_chargers_are_the_best_of_all(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    n = 6
+    points = random.uniform(0, 10, (n + 2, 2))
+    matrix = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    change = np.round(random.uniform(-2, 3, n), 1)
+    prize, required = random.uniform(0, 3, n), random.random(n) < 0.3
+    service = random.uniform(0, 2, n)
+    budget = float(random.uniform(12, 45))
+
+    def energy(load: float) -> np.ndarray:
+        return matrix * (1.0 + 0.05 * max(load, 0.0))
+
+    problem = OrderProblem(
+        energy=energy, finish=lambda load: energy(load)[:, -1], time=matrix,
+        finish_time=matrix[:, -1], service=service, service_time=np.zeros(n), payload=2.0,
+        payload_change=change, prize=prize, required=required,
+        window=np.tile([0.0, np.inf], (n, 1)), budget=budget, capacity=np.zeros(0),
+        charge_power=np.zeros(0),
+    )  # fmt: skip
+    best = (-1.0, np.inf)
+    for count in range(n + 1):
+        for order in permutations(range(n), count):
+            load, node, spent, good = 2.0, 0, 0.0, True
+            for k in order:
+                spent += energy(load)[node, k + 1] + service[k]
+                load += change[k]
+                node, good = k + 1, good and spent <= budget and load >= -1e-3
+            total = spent + energy(load)[node, -1]
+            if good and total <= budget:
+                worth = round(float(problem.worth[list(order)].sum()), 9)
+                if (-worth, total) < (-best[0], best[1]):
+                    best = (worth, total)
+    for found in (solve_plainly(problem), solve_exactly(problem)):
+        assert found.proven
+        assert sum(problem.worth[s - 1] for s in found.stops) == pytest.approx(max(best[0], 0.0))
+        if best[0] >= 0:
+            assert found.energy == pytest.approx(best[1])
