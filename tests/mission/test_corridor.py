@@ -32,7 +32,7 @@ def corridor(energy: float, tasks: dict[str, float], start: float, **changes: An
     values: dict[str, Any] = {
         "model": PowerModel.preset("quadriga:empty:marble"),
         "map": OccupancyGrid(np.zeros((30, 350), bool), 0.1),
-        "battery": tiny(energy), "start": Pose(start, 1.5, 0.0), "planning_time": 0.2,
+        "battery": tiny(energy), "start": Pose(start, 1.5, 0.0), "planning_effort": 10_000,
         "tasks": tuple(Task(name, Pose(x, 1.5, 0.0)) for name, x in tasks.items()),
         "reserve": 0.0, "confidence": 0.5,
     }  # fmt: skip
