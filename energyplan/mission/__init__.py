@@ -16,10 +16,11 @@ import numpy as np
 
 from energyplan.battery import Battery
 from energyplan.mission.energy import Estimate
+from energyplan.mission.given_order import Course, best_course
 from energyplan.mission.legs import Legs
 from energyplan.mission.order_refinement import best_stops
 from energyplan.mission.report import MissionReport, Reason, TaskReport, Timeline
-from energyplan.mission.simulation import Attempt, Condition, Course, Walk, best_course
+from energyplan.mission.simulation import Attempt, Condition, Walk
 from energyplan.mission.types import Charger, Mission, Task
 
 __all__ = ["Charger", "Mission", "MissionReport", "Task", "TaskReport", "Timeline", "evaluate"]

@@ -316,8 +316,8 @@ class Walk:
                 if docked is None or not self.holds(docked):
                     continue
                 full, known = self.charge(docked), kept.setdefault(charger, [])
-                if not any(_as_good(other, full) for other in known):
-                    known[:] = [other for other in known if not _as_good(full, other)]
+                if not any(as_good(other, full) for other in known):
+                    known[:] = [other for other in known if not as_good(full, other)]
                     known.append(full)
                     pending.append(full)
         return [full for known in kept.values() for full in known]
@@ -387,8 +387,8 @@ class Walk:
         )
 
 
-def _as_good(one: Condition, other: Condition) -> bool:
-    """Tell whether one condition at a place is as good as another in every respect."""
+def as_good(one: Condition, other: Condition) -> bool:
+    """Tell whether a condition is as good as another at the same place in every respect."""
     return (
         one.total.mean <= other.total.mean + _ROUNDING
         and one.time <= other.time + _INSTANT
@@ -396,83 +396,6 @@ def _as_good(one: Condition, other: Condition) -> bool:
         and one.payload == other.payload
         and one.node == other.node
     )
-
-
-@dataclass(frozen=True)
-class Course:
-    """A way through the tasks in the order given.
-
-    Parameters
-    ----------
-    state : Condition
-        Where it ends.
-    worth : float
-        Worth of what was done.
-    steps : tuple of (int, Condition, Attempt)
-        The tasks done, each with the condition before it and its attempt.
-    """
-
-    state: Condition
-    worth: float = 0.0
-    steps: tuple[tuple[int, Condition, Attempt], ...] = ()
-
-    @property
-    def rank(self) -> tuple[float, tuple[int, ...]]:
-        """Sort by worth, then by who comes first in the order given; the best one is least."""
-        return -self.worth, tuple(step[0] for step in self.steps)
-
-    def beats(self, other: Course) -> bool:
-        """Tell whether nothing speaks for the other one."""
-        return self.rank <= other.rank and _as_good(self.state, other.state)
-
-
-def best_course(walk: Walk) -> Course:
-    """Do the tasks in the order given; charge before any of them, leave out what is worth less.
-
-    Tasks are done one after the other as long as the battery lasts. Where it does not, all ways
-    are followed side by side: with and without a charge before each task, with and without the
-    task. Of two at the same place, the one that is worse in every respect is dropped.
-
-    Parameters
-    ----------
-    walk : Walk
-        The mission.
-
-    Returns
-    -------
-    Course
-        The way of greatest worth from which the mission can end; of those the one that does the
-        tasks that come first, with the least energy. Where none can end, the one of greatest worth.
-    """
-    tasks = walk.mission.tasks
-    whole = sum(task.prize for task in tasks) + 1.0
-    worths = [task.prize + whole * task.required for task in tasks]
-    direct = Course(walk.start)
-    for k in range(len(tasks)):
-        attempt = walk.attempt(direct.state, k)
-        if attempt.reason != "none":
-            break
-        step = (k, direct.state, attempt)
-        direct = Course(attempt.after, direct.worth + worths[k], (*direct.steps, step))
-    else:
-        if walk.finish(direct.state) is not None:
-            return direct
-    courses = [Course(walk.start)]
-    for k in range(len(tasks)):
-        grown = list(courses)
-        for course in courses:
-            for before in (course.state, *walk.charged(course.state)):
-                attempt = walk.attempt(before, k)
-                if attempt.reason == "none":
-                    step = (k, course.state, attempt)
-                    worth = course.worth + worths[k]
-                    grown.append(Course(attempt.after, worth, (*course.steps, step)))
-        courses = []
-        for course in sorted(grown, key=lambda c: (c.rank, c.state.total.mean)):
-            if not any(kept.beats(course) for kept in courses):
-                courses.append(course)
-    ranked = sorted(courses, key=lambda c: (c.rank, c.state.total.mean))
-    return next((c for c in ranked if walk.finish(c.state) is not None), ranked[0])
 
 
 _SAGS = {
