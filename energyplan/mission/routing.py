@@ -22,7 +22,7 @@ _SOLUTION = 50
 def solve_by_search(
     problem: OrderProblem,
     *,
-    time_limit: float,
+    time_limit: float = 10.0,
     effort: int | None = None,
     progress: Callable[[float, float], None] | None = None,
 ) -> Order:
