@@ -284,6 +284,11 @@ def _simplify(hull: FloatArray, tolerance: float) -> tuple[FloatArray, float]:
         a, b = hull[i % n], hull[j % n]
         normal = np.array([b[1] - a[1], a[0] - b[0]])
         between = np.arange(i + 1, j) % n
+        if a @ normal <= 1e-6 * (a @ a):  # half a turn or more: the chord does not bound it
+            middle = (i + j) // 2
+            keep.add(middle % n)
+            stack += [(i, middle), (middle, j)]
+            continue
         excess = hull[between] @ normal / (a @ normal) - 1.0
         worst = int(np.argmax(excess))
         if excess[worst] <= tolerance:

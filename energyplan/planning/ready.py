@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 
 from energyplan.compilation import compile_kernels
+from energyplan.cost import EnergyCost
+from energyplan.cost.steering import StaticSteering
 
 PLANNING = (
     "energyplan.planning",
@@ -15,11 +17,14 @@ PLANNING = (
 """Where the kernels are that a planner may call, whatever the problem."""
 
 
-def compiled() -> None:
+def compiled(cost: EnergyCost | None = None) -> None:
     """Compile all kernels of planning, or load them from disk, so that no time limit pays for it.
+
+    Those of exact steering are among them where a `cost` is given that is not static.
 
     Whatever kind of problem comes, its kernels are among them. It is called when the problem has
     been checked: who starts in an obstacle is told so at once.
     """
     import_module("energyplan.planning.lattice.planner")  # knows all that planning may call
-    compile_kernels(*PLANNING)
+    static = cost is None or isinstance(cost.steering_parameters, StaticSteering)
+    compile_kernels(*PLANNING, *(() if static else ("energyplan.steering.polygon",)))

@@ -4,6 +4,7 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
+from random_models import random_model
 from worlds import cluttered, free_poses
 
 from energyplan import steering
@@ -20,7 +21,8 @@ from energyplan.planning.bound.sight import line_open, no_links
 from energyplan.planning.bound.surface_excess import least_excess, least_steps
 from energyplan.planning.contract import ROUNDING
 from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.power import PowerModel
+from energyplan.power import HOTEL, PowerModel
+from energyplan.power.effects import term
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 from energyplan.terrain.collision import Body
 
@@ -484,3 +486,40 @@ def test_little_effort_gives_a_lower_bound_and_says_so():
         assert part.value <= whole.value
         unfinished += not part.final
     assert unfinished
+
+
+# -- models of every kind --------------------------------------------------------------------------
+
+
+def arc_problem(cost, length, radius):
+    """A problem on an empty map that one arc solves, and what the arc costs."""
+    room = OccupancyGrid(np.zeros((200, 240), bool), 0.1)
+    arc = Path(Pose(3.0, 10.0, 0.3), [length], [length / radius], cost.icr.longitudinal)
+    assert room.path_free(arc, cost.vehicle)
+    return PlanningProblem(room, cost, arc.start, arc.end), cost.energy(arc)
+
+
+@pytest.mark.parametrize("radius", [8.0, 30.0, -100.0])
+def test_where_turning_gets_cheaper_with_the_radius_no_arc_beats_bound_or_plan(radius):
+    model = PowerModel.preset("quadriga:empty:concrete")
+    mobilised = replace(term("friction_mobilisation"), params={"radius": 10.0})
+    slower = model.with_term(HOTEL, 100.0).with_term(term("slip_speed_friction"), 0.2)
+    for made in (model.with_term(mobilised, 0.627), slower):
+        problem, least = arc_problem(EnergyCost(made), 5.0, radius)
+        found = plan(problem, effort=3_000)
+        assert found.lower_bound <= least
+        assert found.energy <= least * 1.001
+        assert found.lower_bound >= 0.9 * least
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_plan_and_no_arc_of_a_random_model_beats_the_bound(seed):
+    cost = random_model(seed)
+    if cost is None:
+        pytest.skip("no model: some motion would cost nothing")
+    rng = np.random.default_rng(seed)
+    for radius in 10.0 ** rng.uniform(0.0, 3.0, 4):
+        problem, least = arc_problem(cost, 6.0, rng.choice([-1, 1]) * radius)
+        bound = lower_bound(CompiledProblem(problem), 2.0 * least).value
+        assert bound <= least * (1 + 1e-9)
+    assert bound <= plan(problem, effort=1_000).energy * (1 + 1e-9)

@@ -34,6 +34,7 @@ from energyplan.planning.lattice.search import (
     way_along,
 )
 from energyplan.planning.lattice.tight_ends import ease
+from energyplan.planning.lattice.wide_arcs import with_wide_arcs
 from energyplan.planning.parallel import side_by_side
 from energyplan.planning.problem import PlanningProblem, as_pose
 from energyplan.planning.ready import compiled
@@ -169,7 +170,7 @@ def plan(
         inner = plan(eased.problem, budget, gap=gap, seed=seed, finest=finest)
         path = eased.whole(inner.path)
     # what the tables made of the cost of a known path is not what the models make of it
-    path = min([path, *known], key=query.value)
+    path = with_wide_arcs(query, min([path, *known], key=query.value))
     return Candidate(path, query.potential(problem.goal) + work.bound, first)
 
 
