@@ -33,7 +33,7 @@ def battery() -> None:
     run = pack.simulate(t, power)
     month = time.perf_counter() - begun
     print(f"battery: {len(t) / 1e6:.2f} million samples (a month at 1 Hz)  {month:6.2f} s")
-    arguments = (pack.soc_points, pack.ocv_points, pack._parameters(), np.empty((5, 3600)))
+    arguments = (pack.soc_points, pack.ocv_points, pack.circuit(), np.empty((5, 3600)))
     times = []
     for kernel in (discharge, discharge.py_func):
         begun = time.perf_counter()

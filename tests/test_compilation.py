@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
+import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -11,8 +15,10 @@ from pathlib import Path
 import pytest
 
 import energyplan
-from energyplan.compilation import cache_folder
+from energyplan import cli
+from energyplan.compilation import cache_folder, kernel_modules
 from energyplan.compilation.cache import source_digest
+from energyplan.compilation.kernel import KERNELS
 
 PACKAGE = Path(energyplan.__file__).parent
 
@@ -29,14 +35,13 @@ def run(
     code: str, *, path: Path = PACKAGE.parent, **environment: str
 ) -> subprocess.CompletedProcess:
     """Run a program in a process of its own."""
-    outside = {k: v for k, v in os.environ.items() if k not in ("HOME", "XDG_CACHE_HOME")}
     return subprocess.run(
         [sys.executable, "-P", "-c", code],
-        env={**outside, "PYTHONPATH": str(path), **environment},
+        env={**os.environ, "PYTHONPATH": str(path), **environment},
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=300,
     )
 
 
@@ -174,3 +179,250 @@ def test_the_digest_is_that_of_one_source() -> None:
     here = source_digest(PACKAGE / "planning" / "scene" / "field.py")
     assert here == source_digest(PACKAGE / "planning" / "scene" / "field.py")
     assert here != source_digest(PACKAGE / "planning" / "scene" / "motions.py")
+
+
+# -- ahead of the first call ----------------------------------------------------------------------
+
+MANY = """
+from energyplan.compilation import compile_kernels, on_compile
+from energyplan.compilation import ahead
+import energyplan.many
+steps = []
+on_compile(steps.append)
+made = compile_kernels("energyplan.many", "energyplan.deep", processes=2)
+print(len(made.compiled), made.found, made.processes, made.kept, energyplan.many.top(1.0))
+print(*sorted(k.name.rpartition(".")[2] for k in made.compiled))
+print(all(s.total == len(made.compiled) for s in steps), len(steps), [s.done for s in steps][-1:])
+"""
+"""Seven kernels: one calls five, each of which calls the seventh."""
+
+
+@pytest.fixture
+def many(copy: Path) -> Path:
+    parts = "".join(
+        f"@inner\ndef part{k}(x: float) -> float:\n    return {k}.0 * deep(x)\n\n\n"
+        for k in range(5)
+    )
+    total = " + ".join(f"part{k}(x)" for k in range(5))
+    (copy / "energyplan" / "many.py").write_text(
+        "from energyplan.compilation import inner, njit\nfrom energyplan.deep import deep\n\n\n"
+        f"{parts}@njit\ndef top(x: float) -> float:\n    return {total}\n"
+    )
+    return copy
+
+
+def test_kernels_are_compiled_ahead_side_by_side(many: Path, tmp_path: Path) -> None:
+    kept = str(tmp_path / "kept")
+    first = run(MANY, path=many, ENERGYPLAN_CACHE_DIR=kept).stdout.splitlines()
+    assert first[0] == "7 0 2 True 20.0"
+    assert first[1] == "deep part0 part1 part2 part3 part4 top"
+    assert first[2] == "True 8 [7]"  # each as it begins, and the end
+    again = run(MANY, path=many, ENERGYPLAN_CACHE_DIR=kept).stdout.splitlines()
+    assert again[0] == "0 7 1 True 20.0"
+
+
+def test_without_a_second_process_the_first_does_it_all(many: Path, tmp_path: Path) -> None:
+    for nobody in ("/nowhere/python", "/bin/false"):
+        code = f"import sys\nsys.executable = {nobody!r}\n" + MANY
+        found = run(
+            code, path=many, ENERGYPLAN_CACHE_DIR=str(tmp_path / nobody[1:].replace("/", ""))
+        )
+        assert found.stdout.startswith("7 0 2 True 20.0\n"), found.stderr
+
+
+def test_where_nothing_can_be_kept_one_process_compiles(many: Path, unwritable: str) -> None:
+    found = run(MANY, path=many, ENERGYPLAN_CACHE_DIR=unwritable)
+    assert found.stdout.startswith("7 0 1 False 20.0\n"), found.stderr
+    assert found.stderr.count("KernelCacheWarning") == 1
+
+
+def test_two_programs_may_compile_at_once(many: Path, tmp_path: Path) -> None:
+    environment = {
+        **os.environ, "PYTHONPATH": str(many), "ENERGYPLAN_CACHE_DIR": str(tmp_path / "kept")
+    }  # fmt: skip
+    both = [
+        subprocess.Popen(
+            [sys.executable, "-P", "-c", MANY],
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for _ in range(2)
+    ]
+    for process in both:
+        out, err = process.communicate(timeout=120)
+        assert out.splitlines()[0].endswith("True 20.0"), err
+        assert err == ""
+    assert not list((tmp_path / "kept").rglob("tmp*"))
+
+
+def test_a_terminal_is_told_what_is_compiled(many: Path, tmp_path: Path) -> None:
+    pty = pytest.importorskip("pty")
+    theirs, ours = pty.openpty()
+    code = (
+        "from energyplan.cli.common import progress\n"
+        "with progress('planning'):\n"
+        "    from energyplan.compilation import compile_kernels\n"
+        "    import energyplan.many\n"
+        "    compile_kernels('energyplan.many', processes=1)\n"
+    )
+    environment = {
+        **os.environ, "PYTHONPATH": str(many), "ENERGYPLAN_CACHE_DIR": str(tmp_path / "kept"),
+        "TERM": "xterm", "COLUMNS": "100",
+    }  # fmt: skip
+    with subprocess.Popen(
+        [sys.executable, "-P", "-c", code], env=environment, stderr=ours, stdout=subprocess.DEVNULL
+    ) as process:
+        os.close(ours)
+        seen = b""
+        with contextlib.suppress(OSError):  # at its end a terminal says so
+            while part := os.read(theirs, 4096):
+                seen += part
+        os.close(theirs)
+    assert process.returncode == 0
+    assert re.search(rb"preparing, once: \d of 7 kernels", seen), seen
+
+
+def test_every_kernel_has_one_signature() -> None:
+    """An annotation that stands for no one type would have the kernel compiled at its call."""
+    for name in kernel_modules():
+        importlib.import_module(name)
+    assert len(KERNELS) > 100
+    assert [kernel.name for kernel in KERNELS.values() if kernel.declared is None] == []
+
+
+def test_warmup_compiles_and_tells_what(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ENERGYPLAN_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(
+        "energyplan.compilation.kernel_modules", lambda: ["energyplan.planning.scene.field"]
+    )
+    monkeypatch.setattr(sys, "argv", ["energyplan", "warmup", "--json"])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert end.value.code == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["folder"] == str(tmp_path)
+    assert told["kept"] is True
+    assert len(told["compiled"]) + told["found"] > 0
+
+
+# -- nothing is compiled while the clock runs -----------------------------------------------------
+
+WATCH = """
+import sys
+import numpy as np
+import shapely
+import energyplan as ep
+from numba.core import event
+from energyplan.compilation.kernel import KERNELS
+from energyplan.planning import ready
+from energyplan.planning.lattice.planner import energies
+from energyplan.power import HOTEL
+from energyplan.terrain import HeightMap, Surface, SurfaceMap
+
+MODEL = ep.PowerModel.preset("quadriga:empty:concrete")
+COST = ep.EnergyCost(MODEL)
+HOTEL_COST = ep.EnergyCost(MODEL.with_term(HOTEL, 80.0))
+UPHILL = ep.EnergyCost(ep.power.effects.with_weight(MODEL))
+
+
+class Listener(event.Listener):
+    seen = []
+    def on_start(self, e):
+        self.seen.append(e.data["dispatcher"].py_func.__qualname__)
+    def on_end(self, e):
+        pass
+
+
+def problem(cost=COST, size=100, resolution=0.1, **more):
+    blocked = np.zeros((size, size), bool)
+    blocked[size // 3 : size // 3 + 3, : 2 * size // 3] = True
+    far = size * resolution - 1.5
+    grid = ep.OccupancyGrid(blocked, resolution)
+    return ep.PlanningProblem(grid, cost, (1.5, 1.5, 0.0), (1.5, far, 2.0), **more)
+
+
+rough = ep.PowerModel.preset("quadriga:full:concrete")
+surfaces = SurfaceMap((Surface(shapely.box(0.0, 4.0, 9.0, 6.0), rough),))
+hill = HeightMap(0.2 * np.add.outer(np.arange(24), np.zeros(24)) ** 0.5, 0.5)
+KINDS = {
+    "plain": lambda: problem(),
+    "surfaces": lambda: problem(surfaces=surfaces),
+    "heights": lambda: problem(UPHILL, heights=hill),
+    "speed": lambda: problem(HOTEL_COST),
+    "length": lambda: problem(objective="length"),
+    "time": lambda: problem(objective={"energy": 1.0, "time": 20.0}),
+    "big": lambda: problem(size=500, resolution=0.2),
+}
+planner = sys.argv[1]
+kind = KINDS[sys.argv[2]]()
+late = []
+at_rest = []
+original = ready.compile_kernels
+
+
+def watched(*modules):
+    made = original(*modules)
+    Listener.seen.clear()
+    at_rest[:] = [{name: set(kernel.overloads) for name, kernel in KERNELS.items()}]
+    return made
+
+
+ready.compile_kernels = watched
+event.register("numba:compile", Listener())
+if planner == "energies":
+    rows = [kind.goal, (*kind.goal[:2], 0.5)]
+    assert len(energies(kind, rows, effort=40_000)) == 2  # the hash table grows twice
+elif planner == "compare":
+    assert ep.compare(kind, effort=20_000).saving >= -1e-9
+else:
+    assert ep.plan(kind, planner=planner, effort=20_000).energy > 0
+late = [n for n, k in KERNELS.items() if set(k.overloads) - at_rest[0].get(n, set())]
+print("late:", *late, *Listener.seen)
+"""
+"""Plan, and print what was loaded or compiled after the planner said that all is ready."""
+
+WAYS = [
+    *(("lattice", kind) for kind in ("plain", "surfaces", "heights", "speed", "length", "time")),
+    ("energies", "big"), ("compare", "surfaces"), ("roadmap", "plain"), ("bitstar", "surfaces"),
+    ("control_rrt", "speed"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("planner", "kind"), WAYS)
+def test_nothing_is_compiled_while_the_clock_runs(planner: str, kind: str) -> None:
+    found = run(WATCH.replace("sys.argv[1]", repr(planner)).replace("sys.argv[2]", repr(kind)))
+    assert found.stdout == "late:\n", found.stdout + found.stderr
+
+
+AT_OBSTACLE = """
+import numpy as np
+import energyplan as ep
+from energyplan.compilation import on_compile
+compiled = []
+on_compile(lambda what: compiled.append(what.name))
+blocked = np.zeros((60, 60), bool)
+blocked[20:40, 20:40] = True
+cost = ep.EnergyCost(ep.PowerModel.preset("quadriga:empty:concrete"))
+grid = ep.OccupancyGrid(blocked, 0.1)
+try:
+    ep.plan(ep.PlanningProblem(grid, cost, (3, 3, 0), (5, 5, 0)), planner=NAME)
+except ep.errors.StartInCollisionError as error:
+    print("told", *{name.rpartition(".")[0] for name in compiled})
+"""
+
+
+@pytest.mark.parametrize("planner", ["lattice", "bitstar"])
+def test_who_starts_in_an_obstacle_is_told_so_at_once(planner: str, tmp_path: Path) -> None:
+    code = AT_OBSTACLE.replace("NAME", repr(planner))
+    found = run(code, ENERGYPLAN_CACHE_DIR=str(tmp_path))
+    told, *modules = found.stdout.split()
+    assert told == "told", found.stderr
+    assert set(modules) <= {
+        "energyplan.terrain.collision",
+        "energyplan.terrain._distance",
+        "energyplan.cost.direction_table",
+    }

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from energyplan.battery._kernel import discharge
+from energyplan.battery._kernel import Circuit, discharge
 from energyplan.battery._tables import CHEMISTRIES, PRESETS
 from energyplan.errors import BatteryError, UnknownNameError
 from energyplan.path import FloatArray
@@ -263,7 +263,7 @@ class Battery:
         _require(0 <= soc <= 1, f"soc is {soc}; give a fraction in [0, 1]")
         out = np.empty((5, len(times)))
         start, curve = (float(soc), float(polarisation)), (self.soc_points, self.ocv_points)
-        died, why, left = discharge(times, load, *start, *curve, self._parameters(), out)
+        died, why, left = discharge(times, load, *start, *curve, self.circuit(), out)
         return BatteryRun(times, out[0], out[1], out[2], out[3], out[4], died, _REASONS[why], left)
 
     def usable_energy(self, power: ArrayLike, soc: ArrayLike = 1.0) -> FloatArray:
@@ -315,23 +315,27 @@ class Battery:
         current = 2.0 * power / (emf + np.sqrt(np.where(possible, root, 0.0)))
         return np.where(possible, current, np.inf)
 
-    def _parameters(self) -> FloatArray:
+    def circuit(self) -> Circuit:
+        """Return the constants that the kernel reads."""
         factor = self._resistance_factor
-        return np.array(
-            [
-                self.available_capacity,
-                factor * self.resistance,
-                factor * self.pair_resistance,
-                self.pair_time,
-                self.peukert,
-                self.rated_current,
-                self.charge_efficiency,
-                self.cutoff_voltage,
-                self.cutoff_soc,
-                self.max_voltage,
-                self.max_discharge_current,
-                self.max_charge_current,
-            ]
+        return Circuit(
+            *(
+                float(value)
+                for value in (
+                    self.available_capacity,
+                    factor * self.resistance,
+                    factor * self.pair_resistance,
+                    self.pair_time,
+                    self.peukert,
+                    self.rated_current,
+                    self.charge_efficiency,
+                    self.cutoff_voltage,
+                    self.cutoff_soc,
+                    self.max_voltage,
+                    self.max_discharge_current,
+                    self.max_charge_current,
+                )
+            )
         )
 
     # -- ready-made -----------------------------------------------------------------------------

@@ -8,10 +8,12 @@ sub-steps so short that neither the state of charge (`_MAX_STEP`) nor the pair's
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from energyplan.compilation import njit
-from energyplan.path import FloatArray
+from energyplan.compilation.arrays import Column, FloatTable
 
 _MAX_STEP = 1e-3
 """Largest change of the state of charge in one sub-step."""
@@ -20,16 +22,53 @@ NONE, VOLTAGE, CHARGE, CURRENT = 0, 1, 2, 3
 """Why a battery gave up: it did not, voltage cut-off, empty, current limit."""
 
 
+class Circuit(NamedTuple):
+    """Constants of a pack.
+
+    Attributes
+    ----------
+    capacity : float
+        Charge [C].
+    resistance : float
+        Series resistance [ohm].
+    pair_resistance, pair_time : float
+        Resistance [ohm] and time constant [s] of the resistance-capacitance pair.
+    peukert, rated : float
+        Peukert's exponent, and the current above which it counts [A].
+    efficiency : float
+        Fraction of the charge that charging keeps.
+    least_voltage, least_charge : float
+        Voltage [V] and state of charge at which it cuts off.
+    most_voltage : float
+        Largest voltage [V].
+    most_current, most_charging : float
+        Largest discharge and charge current [A].
+    """
+
+    capacity: float
+    resistance: float
+    pair_resistance: float
+    pair_time: float
+    peukert: float
+    rated: float
+    efficiency: float
+    least_voltage: float
+    least_charge: float
+    most_voltage: float
+    most_current: float
+    most_charging: float
+
+
 @njit
 def discharge(
-    t: FloatArray,
-    power: FloatArray,
+    t: Column,
+    power: Column,
     soc: float,
     u1: float,
-    soc_points: FloatArray,
-    ocv_points: FloatArray,
-    p: FloatArray,
-    out: FloatArray,
+    soc_points: Column,
+    ocv_points: Column,
+    circuit: Circuit,
+    out: FloatTable,
 ) -> tuple[float, int, float]:
     """Run a power profile through the battery.
 
@@ -43,10 +82,8 @@ def discharge(
         Voltage of the resistance-capacitance pair at ``t[0]`` [V].
     soc_points, ocv_points : ndarray, shape (m,)
         Open-circuit voltage of the pack [V] over state of charge.
-    p : ndarray, shape (12,)
-        Capacity [C], series resistance [ohm], resistance [ohm] and time constant [s] of the
-        pair, Peukert exponent, rated current [A], charge efficiency, cut-off voltage [V] and
-        state of charge, largest voltage [V], largest discharge and charge current [A].
+    circuit : Circuit
+        The other constants of the pack.
     out : ndarray, shape (5, n)
         Filled with state of charge, voltage [V] and current [A] at each sample, and energy [J]
         lost in the battery and burnt on brake resistors since the start.
@@ -57,8 +94,11 @@ def discharge(
         Instant of the brown-out [s], infinite if there was none, its reason, and the pair's
         voltage at the end [V].
     """
-    capacity, r0, r1, tau, peukert, rated = p[0], p[1], p[2], p[3], p[4], p[5]
-    efficiency, v_cut, soc_cut, v_max, i_max, c_max = p[6], p[7], p[8], p[9], p[10], p[11]
+    capacity, r0 = circuit.capacity, circuit.resistance
+    r1, tau = circuit.pair_resistance, circuit.pair_time
+    peukert, rated, efficiency = circuit.peukert, circuit.rated, circuit.efficiency
+    v_cut, soc_cut, v_max = circuit.least_voltage, circuit.least_charge, circuit.most_voltage
+    i_max, c_max = circuit.most_current, circuit.most_charging
     n, m = len(t), len(soc_points)
     lost, braked = 0.0, 0.0
     died, reason = np.inf, NONE

@@ -43,6 +43,8 @@ class Preparation(NamedTuple):
         The kernels that were compiled.
     found : int
         Number of kernels that were on disk, or loaded, already.
+    kept : bool
+        Whether machine code can be kept on disk.
     processes : int
         Number of processes that took part.
     seconds : float
@@ -51,6 +53,7 @@ class Preparation(NamedTuple):
 
     compiled: tuple[Compiled, ...]
     found: int
+    kept: bool
     processes: int
     seconds: float
 
@@ -99,10 +102,11 @@ def _compile(modules: tuple[str, ...], processes: int | None) -> Preparation:
     outer = [kernel for kernel in wanted if not kernel.inner]
     missing = _missing(outer)
     compiled: list[Compiled] = []
-    count = 1
+    count, kept = 1, True
     if missing:
         count = _processes() if processes is None else max(processes, 1)
-        count = 1 if len(missing) <= FEW or not can_be_kept() else min(count, len(missing))
+        kept = can_be_kept()
+        count = 1 if len(missing) <= FEW or not kept else min(count, len(missing))
         jobs = _Jobs(missing)
         helpers = [threading.Thread(target=_help, args=(jobs,)) for _ in range(count - 1)]
         for helper in helpers:
@@ -117,10 +121,11 @@ def _compile(modules: tuple[str, ...], processes: int | None) -> Preparation:
             for helper in helpers:
                 helper.join()
         compiled = jobs.compiled
+        say_compiling(Compiling("", len(compiled), len(compiled)))
     for kernel in outer:
         kernel.prepare()
     found = len(wanted) - len(compiled)
-    return Preparation(tuple(compiled), found, count, time.perf_counter() - begun)
+    return Preparation(tuple(compiled), found, kept, count, time.perf_counter() - begun)
 
 
 def _processes() -> int:

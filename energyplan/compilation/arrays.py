@@ -28,3 +28,9 @@ WordBlock = Annotated[NDArray[np.uint64], 3]
 Flags = Annotated[NDArray[np.bool_], 1]
 FlagTable = Annotated[NDArray[np.bool_], 2]
 """A table has two dimensions, a block three."""
+
+Column = Annotated[NDArray[np.float64], 1, STRIDED, READONLY]
+AnyTable = Annotated[NDArray[np.float64], 2, STRIDED, READONLY]
+AnyBlock = Annotated[NDArray[np.float64], 3, STRIDED, READONLY]
+AnyInts = Annotated[NDArray[np.int64], 1, STRIDED, READONLY]
+"""What is read alone may have any layout, as the columns of a table do."""

@@ -31,7 +31,7 @@ class Compiling(NamedTuple):
     Attributes
     ----------
     name : str
-        Module and name of the kernel.
+        Module and name of the kernel; empty when all those compiled ahead are done.
     done, total : int
         How many kernels of those compiled ahead are done, and their number; both zero where a
         kernel is compiled because it was called.
@@ -129,10 +129,12 @@ class Kernel(CPUDispatcher):
         options = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True}
         super().__init__(function, targetoptions={**options, "no_cpython_wrapper": self.inner})
         self.name = f"{function.__module__}.{function.__qualname__}"
+        self._announced = False
         self._cache = KernelCache(function, self._missed)
 
     def _missed(self, name: str) -> None:
-        say_compiling(Compiling(name))
+        if not self._announced:
+            say_compiling(Compiling(name))
 
     @cached_property
     def declared(self) -> tuple[Any, ...] | None:
@@ -159,7 +161,9 @@ class Kernel(CPUDispatcher):
     def prepare(self) -> None:
         """Compile it for its declared types, or load it from disk."""
         if self.declared is not None:
+            self._announced = True  # whoever compiles ahead says so
             super().compile(self.declared)
+            self._announced = False
 
     def compile(self, sig: Any) -> Any:
         """Compile it for the declared types; for others only where these cannot be converted."""

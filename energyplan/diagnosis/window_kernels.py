@@ -7,14 +7,13 @@ go straight into the sum of their block.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from energyplan.compilation import njit
-from energyplan.path import FloatArray
+from energyplan.compilation.arrays import AnyInts, AnyTable, FloatBlock
 
 
 @njit
-def block_grams(table: FloatArray, block: NDArray[np.intp], count: int) -> FloatArray:
+def block_grams(table: AnyTable, block: AnyInts, count: int) -> FloatBlock:
     """Gram matrix of the rows of each block, shape (count, k, k)."""
     rows, width = table.shape
     total = np.zeros((count, width, width))
@@ -30,7 +29,7 @@ def block_grams(table: FloatArray, block: NDArray[np.intp], count: int) -> Float
     return total
 
 
-def block_grams_reference(table: FloatArray, block: NDArray[np.intp], count: int) -> FloatArray:
+def block_grams_reference(table: AnyTable, block: AnyInts, count: int) -> FloatBlock:
     """Return the same in NumPy: what tests hold `block_grams` against."""
     total = np.zeros((count, table.shape[1], table.shape[1]))
     np.add.at(total, block, np.einsum("ni,nj->nij", table, table))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from energyplan.compilation import njit
-from energyplan.path import FloatArray
+from energyplan.compilation.arrays import AnyTable, Column, FloatBlock, Floats, FloatTable
 
 # Matrices of the state: information and covariance of the coefficients.
 INFORMATION, COVARIANCE = range(2)
@@ -65,7 +65,7 @@ _RIDGE = 1e-6
 
 
 @njit
-def inverse(matrix: FloatArray, result: FloatArray) -> None:
+def inverse(matrix: FloatTable, result: FloatTable) -> None:
     """Invert a small positive definite matrix, by Gauss and Jordan without pivoting."""
     p = len(matrix)
     work = matrix.copy()
@@ -86,7 +86,7 @@ def inverse(matrix: FloatArray, result: FloatArray) -> None:
 
 
 @njit
-def _form(left: FloatArray, matrix: FloatArray, right: FloatArray) -> float:
+def _form(left: Column, matrix: FloatTable, right: Column) -> float:
     """Bilinear form ``left' matrix right``."""
     total = 0.0
     for i in range(len(left)):
@@ -96,7 +96,7 @@ def _form(left: FloatArray, matrix: FloatArray, right: FloatArray) -> float:
 
 
 @njit
-def look(matrices: FloatArray, vectors: FloatArray, ring: FloatArray, scalars: FloatArray) -> None:
+def look(matrices: FloatBlock, vectors: FloatTable, ring: FloatTable, scalars: Floats) -> None:
     """Test the residuals of the last 1, 2, 4 and 8 s for a change of the coefficients.
 
     The score test: what the residuals say about the coefficients is compared with the variance
@@ -146,14 +146,14 @@ def look(matrices: FloatArray, vectors: FloatArray, ring: FloatArray, scalars: F
 
 @njit
 def advance(
-    phi: FloatArray,
+    phi: Column,
     power: float,
     dt: float,
-    matrices: FloatArray,
-    vectors: FloatArray,
-    ring: FloatArray,
-    scalars: FloatArray,
-    settings: FloatArray,
+    matrices: FloatBlock,
+    vectors: FloatTable,
+    ring: FloatTable,
+    scalars: Floats,
+    settings: Floats,
 ) -> bool:
     """Take in one sample.
 
@@ -265,9 +265,7 @@ def advance(
 
 
 @njit
-def restart(
-    matrices: FloatArray, vectors: FloatArray, ring: FloatArray, scalars: FloatArray
-) -> None:
+def restart(matrices: FloatBlock, vectors: FloatTable, ring: FloatTable, scalars: Floats) -> None:
     """Forget all but the coefficients and the noise."""
     p = vectors.shape[1]
     matrices[:] = 0.0
@@ -280,14 +278,14 @@ def restart(
 
 @njit
 def advance_all(
-    design: FloatArray,
-    power: FloatArray,
-    dt: FloatArray,
-    matrices: FloatArray,
-    vectors: FloatArray,
-    ring: FloatArray,
-    scalars: FloatArray,
-    settings: FloatArray,
+    design: AnyTable,
+    power: Column,
+    dt: Column,
+    matrices: FloatBlock,
+    vectors: FloatTable,
+    ring: FloatTable,
+    scalars: Floats,
+    settings: Floats,
 ) -> int:
     """Take in samples up to and with one that reveals a change.
 

@@ -7,14 +7,13 @@ per run and one row per rung of its ladder.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from energyplan.compilation import njit
-from energyplan.path import FloatArray
+from energyplan.compilation.arrays import AnyTable, Column, Floats, FloatTable, Ints
 
 
 @njit
-def interpolate(x: float, known: FloatArray, value: FloatArray) -> float:
+def interpolate(x: float, known: Column, value: Column) -> float:
     """Value at `x` of the piecewise linear function through the non-decreasing `known`."""
     low, high = 0, len(known) - 1
     if x <= known[low]:
@@ -33,11 +32,11 @@ def interpolate(x: float, known: FloatArray, value: FloatArray) -> float:
 
 @njit
 def limit_corners(
-    square: FloatArray,
-    climb: FloatArray,
-    descent: FloatArray,
-    length: FloatArray,
-    nodes: FloatArray,
+    square: AnyTable,
+    climb: AnyTable,
+    descent: AnyTable,
+    length: Column,
+    nodes: Floats,
 ) -> None:
     """Lower the rates at the corners to what can be reached: a pass forwards, one backwards."""
     for k in range(len(length)):
@@ -54,7 +53,7 @@ def limit_corners(
 
 @njit
 def ramp(
-    square: FloatArray, gain: FloatArray, first: float, last: float, out: FloatArray, count: int
+    square: Column, gain: Column, first: float, last: float, out: FloatTable, count: int
 ) -> int:
     """Append the phases from rate `first` to `last`; columns distance, rate, gain, time.
 
@@ -90,16 +89,16 @@ def ramp(
 
 @njit
 def lay_run(
-    square: FloatArray,
-    up: FloatArray,
-    down: FloatArray,
-    climb: FloatArray,
-    descent: FloatArray,
+    square: Column,
+    up: Column,
+    down: Column,
+    climb: Column,
+    descent: Column,
     length: float,
     first: float,
     last: float,
     cruise: float,
-    out: FloatArray,
+    out: FloatTable,
 ) -> int:
     """Lay one run from rate `first` over `cruise` to `last`; returns the number of phases."""
     begin = interpolate(first, square, climb)
@@ -125,15 +124,15 @@ def lay_run(
 
 @njit
 def lay_phases(
-    square: FloatArray,
-    up: FloatArray,
-    down: FloatArray,
-    climb: FloatArray,
-    descent: FloatArray,
-    length: FloatArray,
-    nodes: FloatArray,
-    cruise: FloatArray,
-) -> tuple[NDArray[np.int_], FloatArray]:
+    square: AnyTable,
+    up: AnyTable,
+    down: AnyTable,
+    climb: AnyTable,
+    descent: AnyTable,
+    length: Column,
+    nodes: Column,
+    cruise: Column,
+) -> tuple[Ints, FloatTable]:
     """Run, and rows at, rate, gain and time, of every phase of every run."""
     runs, most = len(length), 2 * up.shape[0] + 1
     run = np.empty(runs * most, np.int64)

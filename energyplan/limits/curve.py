@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from energyplan.compilation import njit
+from energyplan.compilation.arrays import AnyTable, Column
 from energyplan.errors import InfeasibleMotionError
 from energyplan.limits.motor import Limits, relative
 from energyplan.motion import Motion
@@ -52,7 +53,7 @@ class Points(NamedTuple):
 
 @njit
 def _kept(
-    before: FloatArray, after: FloatArray, first: float, last: float,
+    before: Column, after: Column, first: float, last: float,
     length: float, most: float, up: float, down: float,
 ) -> bool:  # fmt: skip
     """Whether a cell driven from rate `first` to `last` keeps all accelerations."""
@@ -68,7 +69,7 @@ def _kept(
 
 @njit
 def _farthest(
-    before: FloatArray, after: FloatArray, first: float, cap: float,
+    before: Column, after: Column, first: float, cap: float,
     length: float, most: float, up: float, down: float,
 ) -> float:  # fmt: skip
     """Largest last rate of a cell, at most `cap`, after the rate `first`; negative if none."""
@@ -109,8 +110,8 @@ def _farthest(
 
 @njit
 def fastest_rates(
-    sides: FloatArray, length: FloatArray, top: FloatArray, most: float,
-    up: FloatArray, down: FloatArray,
+    sides: AnyTable, length: Column, top: Column, most: float,
+    up: Column, down: Column,
 ) -> FloatArray:  # fmt: skip
     """Greatest rates at the points, within `top`; negative at a point that cannot be passed.
 

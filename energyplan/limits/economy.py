@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.compilation import njit
+from energyplan.compilation.arrays import AnyBlock, AnyInts, AnyTable, Column
 from energyplan.limits.acceleration_table import Ladder, Runs
 from energyplan.path import FloatArray
 
@@ -24,11 +25,11 @@ TIE = 1e-9
 
 @njit
 def cheapest(
-    gains: FloatArray,
-    power: FloatArray,
-    rate: FloatArray,
-    kind: NDArray[np.int_],
-    nu: FloatArray,
+    gains: AnyBlock,
+    power: AnyBlock,
+    rate: AnyTable,
+    kind: AnyInts,
+    nu: Column,
     price: float,
     tie: float,
 ) -> FloatArray:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from energyplan.compilation import njit
-from energyplan.path import FloatArray
+from energyplan.compilation.arrays import AnyInts, Column, Floats, Ints
 
 SHARE = 1e-9
 """Fraction of a piece's middle speed below which a speed counts as none: what rounding leaves."""
@@ -17,8 +16,8 @@ EDGE = 1e-12
 
 @njit
 def cut_intervals(
-    v: FloatArray, omega: FloatArray, left: float, right: float, first: int, last: int
-) -> tuple[NDArray[np.int_], FloatArray, FloatArray]:
+    v: Column, omega: Column, left: float, right: float, first: int, last: int
+) -> tuple[Ints, Floats, Floats]:
     """Cut the intervals [first, last) where v, omega or a tread's speed passes through zero.
 
     Interval k lies between samples k and k + 1, and speeds run straight in it. Returns the
@@ -66,19 +65,19 @@ def _onesided(value: float, middle: float) -> float:
 
 @njit
 def piece_nodes(
-    t: FloatArray,
-    x: FloatArray,
-    y: FloatArray,
-    yaw: FloatArray,
-    v: FloatArray,
-    omega: FloatArray,
+    t: Column,
+    x: Column,
+    y: Column,
+    yaw: Column,
+    v: Column,
+    omega: Column,
     left: float,
     right: float,
-    interval: NDArray[np.int_],
-    begin: FloatArray,
-    end: FloatArray,
+    interval: AnyInts,
+    begin: Column,
+    end: Column,
     scale: float,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats, Floats]:
     """Motion at the begin, the middle and the end of pieces, driven `scale` times as fast.
 
     Tread speeds, acceleration, yaw acceleration, x, y and yaw, each of shape (m, 3). A speed that
@@ -127,8 +126,8 @@ def piece_nodes(
 
 @njit
 def intervals(
-    t: FloatArray, value: FloatArray, limit: float, tolerance: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    t: Column, value: Column, limit: float, tolerance: float
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Start, end, peak and time of the peak of each interval where `value` exceeds `limit`.
 
     The value runs straight between samples; `t` may hold a time twice, where it jumps. An
@@ -158,7 +157,7 @@ def intervals(
 
 
 @njit
-def energy_drawn(t: FloatArray, power: FloatArray) -> FloatArray:
+def energy_drawn(t: Column, power: Column) -> Floats:
     """Energy drawn up to each sample, where `power` runs straight between samples."""
     energy = np.zeros(len(t))
     for k in range(1, len(t)):
@@ -167,7 +166,7 @@ def energy_drawn(t: FloatArray, power: FloatArray) -> FloatArray:
 
 
 @njit
-def window_mean(t: FloatArray, power: FloatArray, window: float) -> FloatArray:
+def window_mean(t: Column, power: Column, window: float) -> Floats:
     """Mean power over the window that ends at each sample; before the first one it was zero."""
     mean = np.empty(len(t))
     drawn, gone, j = 0.0, 0.0, 0
@@ -188,7 +187,7 @@ def window_mean(t: FloatArray, power: FloatArray, window: float) -> FloatArray:
 
 
 @njit
-def shortest_window(t: FloatArray, power: FloatArray, budget: float) -> float:
+def shortest_window(t: Column, power: Column, budget: float) -> float:
     """Length of the shortest window, ending at a sample, in which `budget` joules are drawn.
 
     Infinite where the whole drive draws no more than the budget. Driven s times as fast, a drive

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from energyplan.compilation import inner, njit
 from energyplan.compilation.arrays import (
     READONLY,
+    AnyTable,
+    Column,
     Flags,
-    Floats,
-    FloatTable,
     ShortIntTable,
     SingleTable,
 )
@@ -199,7 +199,7 @@ def pose_free(space: Space, body: Body, x: float, y: float, yaw: float) -> bool:
 
 
 @njit
-def poses_free(space: Space, body: Body, poses: FloatTable) -> Flags:
+def poses_free(space: Space, body: Body, poses: AnyTable) -> Flags:
     """Tell for each row (x, y, yaw) whether the body is free there."""
     out = np.empty(len(poses), np.bool_)
     for k in range(len(poses)):
@@ -329,9 +329,9 @@ def motion_free(
 def first_collision(
     space: Space,
     body: Body,
-    vertices: FloatTable,
-    ds: Floats,
-    dtheta: Floats,
+    vertices: AnyTable,
+    ds: Column,
+    dtheta: Column,
     longitudinal: float,
 ) -> int:
     """Return the index of the first segment along which the body is not free, or -1.
@@ -357,9 +357,9 @@ def first_collision(
 def motions_free(
     space: Space,
     body: Body,
-    starts: FloatTable,
-    ds: Floats,
-    dtheta: Floats,
+    starts: AnyTable,
+    ds: Column,
+    dtheta: Column,
     longitudinal: float,
 ) -> Flags:
     """Tell of many motions, each from its own pose (x, y, yaw), which are free."""

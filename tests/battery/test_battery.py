@@ -222,7 +222,7 @@ def test_kernel_equals_its_plain_twin(seed, soc, name, gap):
     power = drive_profile(60, seed)
     outs = [np.empty((5, 60)), np.empty((5, 60))]
     results = [
-        kernel(t, power, soc, 0.1, pack.soc_points, pack.ocv_points, pack._parameters(), out)
+        kernel(t, power, soc, 0.1, pack.soc_points, pack.ocv_points, pack.circuit(), out)
         for kernel, out in zip((discharge, discharge.py_func), outs, strict=True)
     ]
     assert results[0] == pytest.approx(results[1])
