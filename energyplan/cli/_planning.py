@@ -46,6 +46,12 @@ Effort = Annotated[
     int | None,
     typer.Option(help="Units of work in place of the time: the same plan on any machine."),
 ]
+Clearance = Annotated[
+    float, typer.Option(help="Distance that the footprint keeps from obstacles [m].")
+]
+Keepout = Annotated[
+    Path | None, typer.Option(help="map_server YAML whose occupied cells are kept out of.")
+]
 OutPath = Annotated[
     Path | None,
     typer.Option("--out", callback=writes(*TABLES), help="Write the path to this CSV file."),
@@ -92,14 +98,19 @@ def _problem(
     objective: str,
     speed: str | None,
     tolerance: float | None,
+    clearance: float,
+    keepout: Path | None,
 ) -> PlanningProblem:
     from energyplan.io.maps import read_map
     from energyplan.planning import PlanningProblem
 
     ground = _ground(model, surfaces, heights, battery, speed, tolerance)
+    grid = read_map(map_file)
+    if keepout:
+        grid = grid.with_mask(read_map(keepout))
     return PlanningProblem(
-        read_map(map_file), ground.cost, parse_pose(start), parse_pose(goal),
-        surfaces=ground.surfaces, objective=objective, heights=ground.heights,
+        grid, ground.cost, parse_pose(start), parse_pose(goal), surfaces=ground.surfaces,
+        objective=objective, heights=ground.heights, clearance=clearance,
     )  # fmt: skip
 
 
@@ -185,6 +196,8 @@ def plan(
     surfaces: Surfaces = None,
     heights: Heights = None,
     battery: Battery = False,
+    clearance: Clearance = 0.0,
+    keepout: Keepout = None,
     planner: Planner = "lattice",
     objective: Objective = "energy",
     time_limit: TimeLimit = 1.0,
@@ -203,7 +216,18 @@ def plan(
     from energyplan.planning import plan as run
 
     problem = _problem(
-        map_file, model, start, goal, surfaces, heights, battery, objective, speed, tolerance
+        map_file,
+        model,
+        start,
+        goal,
+        surfaces,
+        heights,
+        battery,
+        objective,
+        speed,
+        tolerance,
+        clearance,
+        keepout,
     )
     try:
         with progress("planning"):
@@ -231,6 +255,8 @@ def compare(
     surfaces: Surfaces = None,
     heights: Heights = None,
     battery: Battery = False,
+    clearance: Clearance = 0.0,
+    keepout: Keepout = None,
     planner: Planner = "lattice",
     objective: Objective = "energy",
     time_limit: TimeLimit = 1.0,
@@ -252,7 +278,18 @@ def compare(
     from energyplan.studies.comparison import compare as run
 
     problem = _problem(
-        map_file, model, start, goal, surfaces, heights, battery, objective, speed, tolerance
+        map_file,
+        model,
+        start,
+        goal,
+        surfaces,
+        heights,
+        battery,
+        objective,
+        speed,
+        tolerance,
+        clearance,
+        keepout,
     )
     try:
         with progress("planning"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -88,11 +88,14 @@ class PlanningProblem:
     heights : HeightMap, optional
         Heights of the ground where it slopes. All power models need a term that reads the slope,
         such as the grade (`energyplan.power.effects.with_weight`).
+    clearance : float
+        Distance that the footprint keeps from obstacles on every side, at start and goal too [m].
+        A path of least energy grazes them otherwise.
 
     Raises
     ------
     InvalidInputError
-        If a pose or the objective is malformed.
+        If a pose, the objective or the clearance is malformed.
     """
 
     map: OccupancyGrid
@@ -103,8 +106,13 @@ class PlanningProblem:
     objective: str | Mapping[str, float] = "energy"
     vehicle: Vehicle | None = None
     heights: HeightMap | None = None
+    clearance: float = 0.0
 
     def __post_init__(self) -> None:
+        if not 0.0 <= self.clearance < np.inf:
+            raise InvalidInputError(
+                f"the clearance is {self.clearance} m; give a distance of 0 m or more"
+            )
         object.__setattr__(self, "start", as_pose(self.start, "start"))
         object.__setattr__(self, "goal", as_pose(self.goal, "goal"))
         objective_weights(self.objective)
@@ -114,10 +122,14 @@ class PlanningProblem:
         """The ground: map, surfaces and heights together."""
         return Terrain.of(self.map, self.surfaces, self.heights)
 
-    @property
+    @cached_property
     def robot(self) -> Vehicle:
-        """The vehicle whose footprint is used."""
-        return self.cost.vehicle if self.vehicle is None else self.vehicle
+        """The vehicle whose footprint is used, which has grown by the clearance."""
+        vehicle = self.cost.vehicle if self.vehicle is None else self.vehicle
+        if self.clearance == 0.0:
+            return vehicle
+        grow = self.clearance * np.array([[-1.0, -1.0], [1.0, 1.0]])
+        return replace(vehicle, footprint=vehicle.footprint + grow)
 
     @property
     def weights(self) -> dict[str, float]:
@@ -149,7 +161,8 @@ class PlanningProblem:
                 )
             if not bool(grid.footprint_free(np.array([pose]), self.robot)[0]):
                 where = _nearest_free(grid, self.robot, pose)
-                raise error(f"the footprint at the {place} touches an obstacle; {where}")
+                within = f", grown by the clearance of {self.clearance:g} m," * (self.clearance > 0)
+                raise error(f"the footprint{within} at the {place} touches an obstacle; {where}")
 
 
 def _nearest_free(grid: OccupancyGrid, vehicle: Vehicle, pose: Pose) -> str:

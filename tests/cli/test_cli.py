@@ -15,6 +15,7 @@ import energyplan as ep
 from energyplan import cli, simulate
 from energyplan.html import number
 from energyplan.io.bundled import bundled
+from energyplan.io.maps import write_map
 from energyplan.io.trajectory import write_log, write_trajectory
 from energyplan.path import Trajectory
 from energyplan.power import HOTEL, PowerModel
@@ -296,3 +297,19 @@ def test_range_tells_how_far_an_energy_leads(run: Run, tmp_path: Path) -> None:
     assert both.json["area"] < result.json["area"]
     assert_refused(run(*options, "--energy", -3), "positive")
     assert_refused(run(*options, "--out", tmp_path / "range.tif"), ".asc")
+
+
+def test_plan_keeps_a_clearance_and_out_of_a_mask(run: Run, tmp_path: Path) -> None:
+    hall = ep.OccupancyGrid(np.zeros((60, 120), bool), 0.1)
+    mask = np.zeros((30, 10), bool)
+    mask[:, 4:6] = True
+    write_map(hall, tmp_path / "hall.yaml")
+    # as Nav2's filters: another resolution, another origin
+    write_map(ep.OccupancyGrid(mask, 0.15, (5.0, 0.6, 0.0)), tmp_path / "mask.yaml")
+    options = ("plan", "--map", tmp_path / "hall.yaml", "--model", "quadriga:empty:concrete",
+               "--start", "2,3,0", "--goal", "10,3,0", "--effort", 4000, "--json")  # fmt: skip
+    straight = run(*options).json
+    around = run(*options, "--keepout", tmp_path / "mask.yaml").json
+    wider = run(*options, "--keepout", tmp_path / "mask.yaml", "--clearance", 0.2).json
+    assert straight["energy"] < around["energy"] < wider["energy"]
+    assert_refused(run(*options, "--clearance", -1), "clearance")
