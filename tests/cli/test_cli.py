@@ -301,7 +301,7 @@ def test_range_tells_how_far_an_energy_leads(run: Run, tmp_path: Path) -> None:
 
 def test_plan_keeps_a_clearance_and_out_of_a_mask(run: Run, tmp_path: Path) -> None:
     hall = ep.OccupancyGrid(np.zeros((60, 120), bool), 0.1)
-    mask = np.zeros((30, 10), bool)
+    mask = np.zeros((24, 10), bool)
     mask[:, 4:6] = True
     write_map(hall, tmp_path / "hall.yaml")
     # as Nav2's filters: another resolution, another origin
