@@ -216,19 +216,9 @@ def plan(
     from energyplan.planning import plan as run
 
     problem = _problem(
-        map_file,
-        model,
-        start,
-        goal,
-        surfaces,
-        heights,
-        battery,
-        objective,
-        speed,
-        tolerance,
-        clearance,
-        keepout,
-    )
+        map_file, model, start, goal, surfaces, heights, battery, objective, speed, tolerance,
+        clearance, keepout,
+    )  # fmt: skip
     try:
         with progress("planning"):
             made = run(problem, planner=planner, time_limit=time_limit, effort=effort)
@@ -278,19 +268,9 @@ def compare(
     from energyplan.studies.comparison import compare as run
 
     problem = _problem(
-        map_file,
-        model,
-        start,
-        goal,
-        surfaces,
-        heights,
-        battery,
-        objective,
-        speed,
-        tolerance,
-        clearance,
-        keepout,
-    )
+        map_file, model, start, goal, surfaces, heights, battery, objective, speed, tolerance,
+        clearance, keepout,
+    )  # fmt: skip
     try:
         with progress("planning"):
             made = run(problem, planner=planner, time_limit=time_limit, effort=effort)

@@ -312,4 +312,6 @@ def test_plan_keeps_a_clearance_and_out_of_a_mask(run: Run, tmp_path: Path) -> N
     around = run(*options, "--keepout", tmp_path / "mask.yaml").json
     wider = run(*options, "--keepout", tmp_path / "mask.yaml", "--clearance", 0.2).json
     assert straight["energy"] < around["energy"] < wider["energy"]
-    assert_refused(run(*options, "--clearance", -1), "clearance")
+    refused = run(*options, "--clearance", -1)
+    assert refused.code == 2
+    assert "clearance is -1.0 m" in refused.err
