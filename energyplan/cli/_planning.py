@@ -104,13 +104,14 @@ def _problem(
     from energyplan.io.maps import read_map
     from energyplan.planning import PlanningProblem
 
+    ends = parse_pose(start), parse_pose(goal)
     ground = _ground(model, surfaces, heights, battery, speed, tolerance)
     grid = read_map(map_file)
     if keepout:
         grid = grid.with_mask(read_map(keepout))
     return PlanningProblem(
-        grid, ground.cost, parse_pose(start), parse_pose(goal), surfaces=ground.surfaces,
-        objective=objective, heights=ground.heights, clearance=clearance,
+        grid, ground.cost, *ends, surfaces=ground.surfaces, objective=objective,
+        heights=ground.heights, clearance=clearance,
     )  # fmt: skip
 
 

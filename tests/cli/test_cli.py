@@ -295,7 +295,9 @@ def test_range_tells_how_far_an_energy_leads(run: Run, tmp_path: Path) -> None:
     assert picture.read_text().count("<svg") == 1
     both = run(*options, "--energy", 1500, "--return")
     assert both.json["area"] < result.json["area"]
-    assert_refused(run(*options, "--energy", -3), "positive")
+    refused = run(*options, "--energy", -3)
+    assert refused.code == 2
+    assert "the energy is -3.0 J; give a positive number" in refused.err
     assert_refused(run(*options, "--out", tmp_path / "range.tif"), ".asc")
 
 
