@@ -235,6 +235,8 @@ class _Evaluation:
             return f"clear the way or move the task: {told.detail}"
         if told.reason == "late":
             hints = self._sooner(k, told)
+        elif told.reason == "time":
+            hints = ["give more planning_time or planning_effort"]
         elif told.reason == "payload":
             hints = ["put a task before it that takes the payload on board"]
         elif told.reason == "motor":
