@@ -83,7 +83,7 @@ def profile(
     lateral_acceleration: float = np.inf,
     start_speed: float = 0.0,
     end_speed: float = 0.0,
-    smooth: float = 0.0,
+    smooth: ArrayLike = 0.0,
     tolerance: float = 0.02,
     channels: Mapping[str, ArrayLike] | None = None,
     surfaces: SurfaceMap | None = None,
@@ -114,11 +114,12 @@ def profile(
         Largest ``|v omega|`` [m/s^2].
     start_speed, end_speed : float
         Speed of the faster tread at the start and at the end [m/s].
-    smooth : float
-        Corners at which the share of either tread in the speed of the faster one changes by no
-        more than this count as part of a smooth curve and are driven through [1]. With 0 every
-        change of curvature is a corner at which the robot stops; 0.5 suits paths fitted to poses;
-        with 1 a straight goes over into a pivot without a stop. Reversals and spins are stops.
+    smooth : array_like, shape () or (n - 1,)
+        For all corners, or for each between two segments of the path. Corners at which the share of
+        either tread in the speed of the faster one changes by no more than this count as part of a
+        smooth curve and are driven through [1]. With 0 every change of curvature is a corner at
+        which the robot stops; 0.5 suits paths fitted to poses; with 1 a straight goes over into a
+        pivot without a stop. Reversals and spins are stops.
     tolerance : float
         How far the robot may leave the path where it drives through a corner [m].
     channels : mapping of str to array_like, shape () or (n,), optional
@@ -169,11 +170,16 @@ def profile(
     reachability analysis"; docs/theory, sections 2 and 3.
     """
     for name, value in (
-        ("start_speed", start_speed), ("end_speed", end_speed), ("smooth", smooth),
-        ("tolerance", tolerance),
+        ("start_speed", start_speed), ("end_speed", end_speed), ("tolerance", tolerance),
     ):  # fmt: skip
         if not (np.isfinite(value) and value >= 0):
             raise InvalidInputError(f"{name} is {value}; give a number >= 0")
+    rounded = np.asarray(smooth, float)
+    if rounded.shape not in ((), (max(len(path) - 1, 0),)) or not np.all(rounded >= 0):
+        raise InvalidInputError(
+            f"smooth is {rounded.tolist()}; give a number >= 0, or one for each of the path's "
+            f"{max(len(path) - 1, 0)} corners"
+        )
     if objective not in ("time", "energy"):
         raise InvalidInputError(f"objective is {objective!r}; give 'time' or 'energy'")
     for name, value in (("period", period), ("duration", 1.0 if duration is None else duration)):
@@ -187,10 +193,17 @@ def profile(
     )
     known, ground = dict(channels or {}), Ground(model, surfaces, heights)
     if heights is not None:
-        path = path.subdivide(max(SLOPED, 0.5 * heights.resolution), 0.2)
+        most = max(SLOPED, 0.5 * heights.resolution), 0.2
+        if rounded.ndim:
+            each = zip(path.ds, path.dtheta, strict=True)
+            parts = [len(Path(path.start, ds, turn).subdivide(*most)) for ds, turn in each]
+            rounded = np.repeat(np.append(rounded, 0.0), parts)[:-1]
+            last = np.cumsum(parts)[:-1] - 1
+            rounded[last] = np.asarray(smooth, float)
+        path = path.subdivide(*most)
         known["slope"] = heights.slopes(path)
     task = _Task.build(
-        path, ground.leading(path), limits, known, smooth, tolerance, (start_speed, end_speed)
+        path, ground.leading(path), limits, known, rounded, tolerance, (start_speed, end_speed)
     )
 
     def solve(within: Limits) -> Sampled:
@@ -221,7 +234,7 @@ class _Task:
         model: PowerModel,
         limits: Limits,
         channels: Mapping[str, ArrayLike],
-        smooth: float,
+        smooth: ArrayLike,
         tolerance: float,
         ends: tuple[float, float],
     ) -> _Task:
@@ -259,8 +272,10 @@ class _Task:
         share, given = share[begin], given[begin]
         jump = np.max(np.abs(np.diff(share, axis=0)), axis=1, initial=0.0)
         # The faster tread cannot turn round at a jump of 1 or less.
-        smooth = min(smooth, 1.0) if tolerance > 0 else 0.0
-        through = (jump > SAME) & (jump <= smooth + SAME)
+        most = np.minimum(smooth, 1.0) if tolerance > 0 else np.zeros(())
+        if most.ndim:
+            most = most[np.flatnonzero(moves)[begin[1:]] - 1]
+        through = (jump > SAME) & (jump <= most + SAME)
         corner = np.concatenate([ends[:1], np.where((jump <= SAME) | through, np.inf, 0), ends[1:]])
         shape = np.column_stack([whole.ds / length, whole.dtheta / length])
         drift = _drift(rounding(length, shape, tolerance), shape, jump * through)

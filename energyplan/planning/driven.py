@@ -12,16 +12,20 @@ from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import InfeasibleMotionError
 from energyplan.limits.drive import Drive, Ground
 from energyplan.limits.speed import corner_rounding, profile
-from energyplan.path import Path, Trajectory
+from energyplan.path import FloatArray, Path, Trajectory
 from energyplan.planning.problem import PlanningProblem
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
 from energyplan.vehicle import Vehicle
+
+NEAR = 0.5
+"""How far about a corner the footprint must be free for it to be rounded [m]."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +86,8 @@ def drive_path(
     tolerance : float, optional
         How far corners may be rounded [m]; the vehicle's tracking tolerance where not given.
     grid : OccupancyGrid, optional
-        Obstacles. Corners are rounded less, or not at all, where the footprint, moved aside by as
-        much anywhere along the path, would touch one.
+        Obstacles. The robot stops at corners about which the footprint, moved aside by the
+        tolerance, would touch one.
     period : float
         Largest time between two samples [s].
 
@@ -117,22 +121,22 @@ def drive_path(
         vehicle = replace(vehicle, motor=motor)
     asked = vehicle.tracking_tolerance if tolerance is None else tolerance
     smooth, within = corner_rounding(asked)
-    if grid is not None and not _free_beside(path, vehicle, grid, within):
-        free = [part for part in (0.5, 0.2) if _free_beside(path, vehicle, grid, part * within)]
-        smooth, within = (smooth, free[0] * within) if free else (0.0, 0.0)
+    corners: FloatArray = np.full(max(len(path) - 1, 0), smooth)
+    if grid is not None:
+        corners *= _free_about(path, vehicle, grid, within)
 
-    def timed(smooth: float) -> Trajectory:
+    def timed(smooth: FloatArray) -> Trajectory:
         return profile(
             path, model, vehicle=vehicle, objective=objective, smooth=smooth, tolerance=within,
             period=period, channels=cost.channels, surfaces=surfaces, heights=heights,
         )  # fmt: skip
 
     try:
-        made = timed(smooth)
+        made = timed(corners)
     except InfeasibleMotionError:
-        if smooth == 0.0:
+        if not corners.any():
             raise
-        made = timed(0.0)  # a corner that cannot be rounded can be stopped at
+        made = timed(0.0 * corners)  # a corner that cannot be rounded can be stopped at
     drive = Drive(made, Ground(model, surfaces, heights), cost.channels)
     return DrivenPath(
         trajectory=made,
@@ -142,14 +146,23 @@ def drive_path(
     )
 
 
-def _free_beside(path: Path, vehicle: Vehicle, grid: OccupancyGrid, offset: float) -> bool:
-    """Tell whether the footprint is free along a path, moved aside by `offset` [m]."""
-    poses = path.poses(0.05, 0.05)
+def _free_about(
+    path: Path, vehicle: Vehicle, grid: OccupancyGrid, offset: float
+) -> NDArray[np.bool_]:
+    """Tell about which corners of a path the footprint is free when moved aside by `offset` [m]."""
+    c = vehicle.icr.half_track
+    fine = path.subdivide(0.05, 0.05)
+    along = np.append(0.0, np.cumsum(np.abs(fine.ds) + c * np.abs(fine.dtheta)))
     around = np.linspace(0, 2 * np.pi, 8, endpoint=False)
-    moved = np.repeat(poses[None], len(around), axis=0)
+    moved = np.repeat(fine.vertices[None], len(around), axis=0)
     moved[..., 0] += offset * np.cos(around)[:, None]
     moved[..., 1] += offset * np.sin(around)[:, None]
-    return bool(np.all(grid.footprint_free(moved.reshape(-1, 3), vehicle)))
+    free = grid.footprint_free(moved.reshape(-1, 3), vehicle).reshape(len(around), -1).all(axis=0)
+    blocked = np.append(0, np.cumsum(~free))
+    corner = np.cumsum(np.abs(path.ds) + c * np.abs(path.dtheta))[:-1]
+    first = np.searchsorted(along, corner - NEAR)
+    last = np.searchsorted(along, corner + NEAR, side="right")
+    return np.asarray(blocked[last] == blocked[first])
 
 
 class Counted(NamedTuple):

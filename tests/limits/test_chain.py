@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from limits.fine_integral import fine_energy, random_case
 
+from energyplan.errors import InvalidInputError
 from energyplan.limits.drive import Drive, Ground
 from energyplan.limits.feasibility import check
 from energyplan.limits.speed import profile
@@ -152,3 +153,35 @@ def test_a_corner_is_rounded_within_the_tolerance_and_saves_the_stop():
         off = np.hypot(x[-1] - path.end.x, y[-1] - path.end.y)
         assert off <= 2 * 2 * tolerance + 1e-3
         assert yaw[-1] == pytest.approx(path.end.yaw, abs=0.02)
+
+
+def test_a_corner_is_rounded_only_where_it_may_be_and_where_the_footprint_is_free():
+    from energyplan.cost import EnergyCost
+    from energyplan.planning.driven import drive_path
+    from energyplan.terrain import HeightMap, OccupancyGrid
+
+    model = PowerModel.preset("quadriga:empty:concrete")
+    c = model.vehicle.icr.left
+    path = Path(Pose(1.5, 4, 0), [3.0, 1.2 * c, 2.0, 0.8 * c, 1.0], [0.0, 1.2, 0.0, -0.8, 0.0])
+
+    def stops(made):
+        still = np.hypot(made.v, made.omega) < 1e-9
+        return np.count_nonzero(still[1:-1])
+
+    assert stops(profile(path, model)) == 4
+    for heights in (None, HeightMap(np.zeros((20, 20)), 1.0)):
+        made = profile(path, model, smooth=[1, 1, 0, 1], tolerance=0.05, heights=heights)
+        assert stops(made) == 1
+        assert check(made, model, heights=heights).feasible
+    cells = np.zeros((120, 120), bool)
+    cost = EnergyCost(model)
+    cost = replace(cost, speed=1.2)
+    free = drive_path(path, cost, tolerance=0.05, grid=OccupancyGrid(cells, 0.1))
+    assert stops(free.trajectory) == 0
+    # A post 3 cm beside the robot where it begins to turn: that corner stays a stop.
+    cells[44, 40] = True
+    near = drive_path(path, cost, tolerance=0.1, grid=OccupancyGrid(cells, 0.1))
+    assert 0 < stops(near.trajectory) < 4
+    assert near.duration > free.duration
+    with pytest.raises(InvalidInputError, match="corners"):
+        profile(path, model, smooth=[1.0, 0.0])
