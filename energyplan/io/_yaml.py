@@ -51,7 +51,8 @@ class Document:
         while known and known not in self.lines:
             known = known[:-1]
         name = ".".join(str(part) for part in place)
-        where = f"{self.source}, line {self.lines.get(known, 1)}"
+        # what no file holds, such as the options of a command, has no lines
+        where = f"{self.source}, line {self.lines.get(known, 1)}" if self.lines else self.source
         return self.error(f"{where}{f', {name}' if name else ''}: {problem}")
 
     def check(self, schema: type[M], loc: Loc = ()) -> M:
