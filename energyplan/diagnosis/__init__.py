@@ -34,8 +34,9 @@ from energyplan.diagnosis.result import (
 from energyplan.diagnosis.search import SIGNIFICANCE, Search, without_mimics
 from energyplan.diagnosis.windows import Drive, prepared
 from energyplan.errors import InvalidInputError, NotIdentifiableError
-from energyplan.fit import fit_icr
+from energyplan.fit import fit_icr, identify
 from energyplan.logs import DriveLog
+from energyplan.logs.plausible import yaw_rate_offset
 from energyplan.power import PowerModel, Residual
 from energyplan.power.effects import Effect, catalogue, empirical_term
 from energyplan.vehicle import Vehicle
@@ -192,9 +193,12 @@ class _Case:
         self.entries = tuple(entries)
         self.logs = (tuple(train), tuple(holdout))
         self.notes: list[str] = []
+        train, holdout = (self._in_step(logs) for logs in self.logs)
         self.problem = Problem(prepared(train, vehicle), vehicle)
-        self.paper = final_fit(self.problem, ()).model
-        self.before = [predict(self.paper, (), Drive.of(log, vehicle)) for log in holdout]
+        self.paper = self._identified(train, vehicle)
+        self.before = [
+            predict(self.paper, (), Drive.of(log, self.paper.vehicle)) for log in holdout
+        ]
         self.mass_centre = self._mass_centre(vehicle)
         if self.mass_centre is not None:
             cog = (self.mass_centre.forward, self.mass_centre.left)
@@ -203,6 +207,29 @@ class _Case:
             )
             self.problem = Problem(prepared(train, vehicle), vehicle)
         self.held = [Drive.of(log, vehicle) for log in holdout]
+
+    def _in_step(self, logs: Sequence[DriveLog]) -> list[DriveLog]:
+        """Move an accelerometer's channel to the wheels' clock, as far as the gyroscope tells."""
+        moved = []
+        for log in logs:
+            offset = yaw_rate_offset(log) if {"yaw_rate", "accel_x"} <= set(log.channels) else None
+            if offset is not None and offset.certain:
+                by = -offset.seconds
+                self.notes.append(
+                    f"{log.name}: yaw_rate is {abs(by):.2f} s {'ahead of' if by > 0 else 'behind'} "
+                    "the wheels; it and accel_x, which shares its clock, were moved by as much"
+                )
+                log = log.shifted(yaw_rate=by, accel_x=by)
+            moved.append(log)
+        return moved
+
+    def _identified(self, train: Sequence[DriveLog], vehicle: Vehicle) -> PowerModel:
+        """Return the paper's model as `identify` gives it, or what the drives tell of it."""
+        try:
+            return identify(train, vehicle).model
+        except NotIdentifiableError as reason:
+            self.notes.append(str(reason))
+            return final_fit(self.problem, ()).model
 
     def _mass_centre(self, vehicle: Vehicle) -> MassCentre | None:
         if not any(entry.name == "centre_of_mass" for entry in self.entries):
@@ -235,7 +262,11 @@ class _Case:
         if empirical and smooth:
             parts = (*parts, smooth)
         fitted = final_fit(best.problem, parts)
+        if not parts and self.mass_centre is None and len(self.logs[0]) < 3:
+            fitted = replace(fitted, model=self.paper)  # nothing found: the paper's, as it is
         after = [predict(fitted.model, parts, drive) for drive in self.held]
+        if fitted.model is self.paper:
+            after = list(before)
         foretold, undated = after, None
         if any(part.effect.acts == "change" for part in parts):
             foretold = [predict(fitted.model, parts, drive, dated=False) for drive in self.held]

@@ -62,12 +62,15 @@ class Fit:
         Jackknife over the blocks.
     errors : ndarray, shape (scales,)
         Cross-validated mean square error at each scale [W^2].
+    blocks : int
+        Blocks that say something of the coefficients.
     """
 
     values: FloatArray
     losses: FloatArray
     covariance: FloatArray
     errors: FloatArray
+    blocks: int
 
     @property
     def loss(self) -> float:
@@ -76,7 +79,7 @@ class Fit:
 
     def p_value(self, which: Sequence[int]) -> float:
         """Probability of coefficients this far from zero by chance (Hotelling's T^2)."""
-        count, width = len(self.losses), len(which)
+        count, width = max(self.blocks, 2), len(which)
         value = self.values[list(which)]
         block = self.covariance[np.ix_(list(which), list(which))]
         squared = float(value @ np.linalg.pinv(block, hermitian=True) @ value)
@@ -136,7 +139,8 @@ def fit(design: Design, errors: FloatArray, by_block: bool = False) -> Fit:
     signed = np.column_stack([held, -np.ones(len(held))])
     losses = np.einsum("bi,bij,bj->b", signed, grams, signed)
     squares = np.einsum("bi,sbij,bj->s", signed, design.grams, signed)
-    return Fit(values, np.maximum(losses, 0.0), covariance, squares / design.counts)
+    telling = int(np.count_nonzero(design.telling))
+    return Fit(values, np.maximum(losses, 0.0), covariance, squares / design.counts, telling)
 
 
 @dataclass(frozen=True)

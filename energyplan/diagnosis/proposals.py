@@ -227,7 +227,7 @@ class Proposals:
                 possible = np.all((values >= low) & (values <= high), axis=-1)
                 signed = np.concatenate([held, -np.ones((*held.shape[:-1], 1))], axis=-1)
                 squares = np.einsum("bfi,sfbij,bfj->sb", signed, part, signed, optimize=True)
-                score = self.likelihood(squares / design.counts[:, None], design.counts)
+                score = self.likelihood(squares / design.counts[:, None], design.evidence)
                 found[some] = np.where(possible, score, -np.inf)
         prior = [sum(candidates[one].prior for one in chosen) for chosen in sets]
         return np.asarray(found + np.array(prior))

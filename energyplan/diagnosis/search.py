@@ -123,7 +123,7 @@ class Search(Proposals):
         errors = problem.reference(design)
         found = fit(design, errors)
         sound = self._plausible(problem, parts, found)
-        return Evaluated(design.counts, errors, found, problem, sound, tuple(parts))
+        return Evaluated(design.evidence, errors, found, problem, sound, tuple(parts))
 
     def _plausible(self, problem: Problem, parts: Sequence[Part], found: Fit) -> bool:
         """Tell whether coefficients are possible, and what the robot draws at rest too."""
@@ -176,7 +176,9 @@ class Search(Proposals):
 
         def loss(delay: float) -> float:
             design = problem.delayed(float(delay)).design(terms)
-            return -float(self.likelihood(fit(design, np.ones(len(WEIGHTS))).errors, design.counts))
+            return -float(
+                self.likelihood(fit(design, np.ones(len(WEIGHTS))).errors, design.evidence)
+            )
 
         losses = [loss(delay) for delay in _DELAYS]
         k = int(np.argmin(losses))
@@ -235,8 +237,10 @@ class Search(Proposals):
         now = chosen
         while now:
             full = self._evaluate(now, candidates, delay)
-            looks = float(len(self.effects))
-            chance = {k: self._p_value(full, candidates[k].part, looks) for k in now}
+            looks = {
+                k: 1.0 if candidates[k].part.effect.usual else float(len(self.effects)) for k in now
+            }
+            chance = {k: self._p_value(full, candidates[k].part, looks[k]) for k in now}
             weak = max(now, key=lambda k: chance[k])
             if chance[weak] < SIGNIFICANCE:
                 gains = {
@@ -244,7 +248,7 @@ class Search(Proposals):
                         full,
                         self._evaluate(tuple(j for j in now if j != k), candidates, delay),
                         candidates[k].part,
-                        looks,
+                        looks[k],
                     )
                     for k in now
                 }

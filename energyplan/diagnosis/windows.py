@@ -35,6 +35,7 @@ BLOCK = 8.0
 BREAKAWAY = 0.0
 """Yaw rate below which contacts hold [rad/s]: a third of the slip speeds at which they slide."""
 
+_IDLE = 0.01  # share of the usual size of a block's columns below which it says nothing
 _KEPT = 24  # forces of terms kept a drive
 _MANY = 200_000  # samples that selection works on
 
@@ -333,6 +334,19 @@ class Design:
     def counts(self) -> FloatArray:
         """Number of windows at each scale."""
         return np.array([len(table) for table in self.rows], float)
+
+    @cached_property
+    def telling(self) -> NDArray[np.bool_]:
+        """Blocks that say something: those of a robot at rest are no evidence of anything."""
+        power = np.abs(np.diagonal(self.grams[0], axis1=-2, axis2=-1)[:, :2])
+        share = power / np.maximum(power.mean(axis=0), 1e-300)
+        found: NDArray[np.bool_] = np.any(share > _IDLE, axis=1)
+        return found
+
+    @property
+    def evidence(self) -> FloatArray:
+        """Number of windows at each scale in blocks that say something."""
+        return np.asarray(self.counts * float(np.mean(self.telling)))
 
 
 def window_means(drives: Sequence[Drive], columns: Sequence[FloatArray]) -> list[FloatArray]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -14,6 +15,9 @@ from energyplan.logs._smooth import derivative
 from energyplan.logs.checks import gap_limit
 from energyplan.logs.contradictions import find_contradictions, turning_against
 from energyplan.path import FloatArray
+
+if TYPE_CHECKING:  # which imports this module
+    from energyplan.logs import DriveLog
 
 LARGEST_OFFSET = 2.0
 """Longest time offset between channels that is looked for [s]."""
@@ -147,6 +151,13 @@ def find_offset(
         int(np.sign(weights[best, 0])),
         count * step,
     )
+
+
+def yaw_rate_offset(log: DriveLog) -> Offset | None:
+    """Return the time offset of a log's yaw rate against its tread speeds, if the drive tells."""
+    difference = log.channel("v_right") - log.channel("v_left")
+    rate = log.channel("yaw_rate")
+    return find_offset("yaw_rate", log.t, rate, [difference], _enough(log.runs), centred=False)
 
 
 def _enough(runs: Sequence[slice]) -> list[slice]:

@@ -246,7 +246,7 @@ _ENTRIES = (
     ),
     Effect.of(
         SPECIFIC_FORCE, plausible=(1.0, 1e5), channels=("accel_x",), manoeuvre=_RAMPS,
-        of_mass=(0.2, 3.0),
+        of_mass=(0.2, 3.0), usual=True,
         planner="with the map's slope",
     ),
     Effect.of(LINEAR_INERTIA, plausible=(1.0, 1e5), manoeuvre=_RAMPS, channels=(), usual=True,
@@ -290,7 +290,7 @@ _ENTRIES = (
     Effect.of(SLIP_SPEED, plausible=(-2.0, 2.0), manoeuvre=_SPIN),
     Effect.of(STRIBECK, plausible=(0.0, 2.0), manoeuvre=_SPIN,
               grid={"slip_speed": (0.03, 0.08, 0.2)}),
-    Effect.of(MOBILISATION, plausible=(-2.0, 2.0), manoeuvre=_TURNS,
+    Effect.of(MOBILISATION, plausible=(-2.0, 2.0), manoeuvre=_TURNS, usual=True,
               grid={"radius": (0.1, 0.3, 1.0, 3.0, 10.0)}),
     Effect.of(TOWED_DRAG, plausible=(0.0, 1e4), manoeuvre="drive with and without what is towed"),
     Effect.of(REVERSE_DRAG, plausible=(0.0, 1e4),

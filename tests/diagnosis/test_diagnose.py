@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from energyplan import DriveLog, EnergyCost, diagnose, simulate
+from energyplan import DriveLog, EnergyCost, diagnose, identify, simulate
 from energyplan.diagnosis import Dependence, Diagnosis, residual
 from energyplan.diagnosis import windows as _design
 from energyplan.diagnosis.denoise import quiet, speed_noise
@@ -22,6 +22,7 @@ from energyplan.diagnosis.residual import dependences, in_words
 from energyplan.diagnosis.window_kernels import block_grams, block_grams_reference
 from energyplan.diagnosis.windows import Design, Drive
 from energyplan.errors import DriveLogError, InvalidInputError
+from energyplan.fit import fit_residual
 from energyplan.fit.identifiability import linearise as reference_linearise
 from energyplan.motion import Motion
 from energyplan.power import HOTEL, SLIP, TABLE_II, TRACTION, PowerModel, Sides, Term
@@ -620,3 +621,14 @@ def test_without_a_hidden_effect_only_the_inertia_that_is_there_is_found(
     assert linear.std_error < 0.05 * mass
     assert told.after.rmse < 0.85 * told.before.rmse
     assert told.after.rmse <= 1.15 * oracle.after.rmse
+
+
+def test_identify_and_diagnosis_agree_on_the_papers_model_and_its_errors() -> None:
+    log = simulate.identification_drive(PAPER, seed=1, **NOISE)
+    unseen = simulate.validation_drive(PAPER, seed=2, **NOISE)
+    found, told = identify(log, VEHICLE), diagnose(log, unseen, VEHICLE)
+    for term in ("traction_resistance", "slip_friction"):
+        assert told.paper.coefficient(term) == found.model.coefficient(term)
+        assert told.paper.std_error(term) == found.std_error[term]
+        assert told.model.coefficient(term) == found.model.coefficient(term)
+    assert told.before.rmse == pytest.approx(fit_residual(found.model, unseen).rmse, rel=0.05)
