@@ -332,8 +332,8 @@ class _Case:
     ) -> tuple[tuple[Part, ...], list[str]]:
         """Take out effects that only stand in for a smooth dependence that does better alone."""
         usual = tuple(part for part in parts if part.effect.usual or not part.terms)
-        if len(usual) == len(parts):
-            return parts, []
+        if not any(part.effect.acts in ("change", "place") for part in parts):
+            return parts, []  # only what was looked for at any time or place fits anything
         shapes = dependences(problem, terms_of(usual))
         best = next((one for one in shapes if one.knots), None)
         if best is None or best.explained_variance < _MOSTLY or best.p_value > SIGNIFICANCE:

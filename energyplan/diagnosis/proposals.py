@@ -154,7 +154,9 @@ class Proposals:
         # Changes last: they are numbered only once their times are known.
         for effect in sorted(self.effects, key=lambda effect: effect.acts == "change"):
             parts = self.variants(effect)
-            prior = (0.0 if effect.usual else RARE) - np.log(len(parts))
+            prior = RARE - np.log(len(parts))
+            if effect.usual:  # the less so, the more of it has to be searched
+                prior = 0.5 * RARE - np.log(len(parts)) if effect.grid else 0.0
             prior += OF_LOG if effect.acts == "log" else 0.0
             if effect.acts == "change":
                 if marked is None:

@@ -32,7 +32,11 @@ from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import Effect
 
 SIGNIFICANCE = 0.01
-"""Chance of a false find that is accepted, over all candidates together."""
+"""Chance that a channel is called a reason where it is none, over all channels together."""
+
+_CHANCE = 0.05
+"""Chance of an effect's coefficients, over all candidates together, that is accepted of one that
+predicts unseen blocks better and outweighs its prior: three gates, each of which it must pass."""
 
 WORTHWHILE = 0.05
 """Smallest fall of the cross-validated error, mean over the scales, that is worth an effect."""
@@ -166,7 +170,7 @@ class Search(Proposals):
     def _acceptable(self, gain: Gain, prior: float) -> bool:
         return (
             gain.improvement > max(WORTHWHILE, gain.error)
-            and gain.p_value < SIGNIFICANCE
+            and gain.p_value < _CHANCE
             and gain.weight + prior > 0.0
         )
 
@@ -242,7 +246,7 @@ class Search(Proposals):
             }
             chance = {k: self._p_value(full, candidates[k].part, looks[k]) for k in now}
             weak = max(now, key=lambda k: chance[k])
-            if chance[weak] < SIGNIFICANCE:
+            if chance[weak] < _CHANCE:
                 gains = {
                     k: self._gain(
                         full,
@@ -426,10 +430,10 @@ def without_mimics(
         return fit(problem.design(terms_of(some), errors), errors)
 
     gap, error = difference(loss(parts).losses, loss([*usual, smooth]).losses)
-    if not others or gap <= max(error, WORTHWHILE * len(errors)):
+    if gap <= max(error, WORTHWHILE * len(errors)):
         return parts, []
     kept, gone = list(parts), list[str]()
-    for part in others:
+    for part in [*others, *(part for part in usual if part.terms)]:
         rest = [other for other in kept if other is not part]
         gap, error = difference(loss([*rest, smooth]).losses, loss([*kept, smooth]).losses)
         if gap <= max(error, WORTHWHILE * len(errors)):
