@@ -13,7 +13,12 @@ from importlib import import_module
 
 import numpy as np
 
-from energyplan.errors import InvalidInputError, InvalidPathError, LowerBoundError
+from energyplan.errors import (
+    InvalidInputError,
+    InvalidPathError,
+    LowerBoundError,
+    MissingDependencyError,
+)
 from energyplan.path import Path, wrap_angle
 from energyplan.planning.driven import drive_plan
 from energyplan.planning.problem import OBJECTIVES, Plan, PlanningProblem
@@ -99,7 +104,15 @@ class Planner:
         if not isinstance(self.run, str):
             return self.run
         module, _, name = self.run.partition(":")
-        found: Callable[..., Candidate] = getattr(import_module(module), name)
+        try:
+            found: Callable[..., Candidate] = getattr(import_module(module), name)
+        except ModuleNotFoundError as error:
+            if error.name is None or error.name.startswith("energyplan"):
+                raise
+            raise MissingDependencyError(
+                f"the planner {name!r} needs the package {error.name}; install it with pip install "
+                f"{error.name.partition('.')[0]}, or use 'lattice'"
+            ) from None
         return found
 
     def lacks(self, problem: PlanningProblem, counted: bool) -> list[str]:

@@ -201,7 +201,7 @@ def test_check_answers_no_and_strict_says_so(run: Run, tmp_path: Path) -> None:
 
 def test_plan_and_compare(run: Run, tmp_path: Path) -> None:
     options = ("--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
-               "--start", "1.2,2,90deg", "--goal", "3.9,2,90deg", "--time-limit", 1.0)  # fmt: skip
+               "--start", "1.2,2,90deg", "--goal", "3.9,2,90deg", "--effort", 50_000)  # fmt: skip
     out, plot = tmp_path / "path.csv", tmp_path / "path.png"
     result = run("plan", *options, "--out", out, "--plot", plot, "--json")
     assert result.code == 0

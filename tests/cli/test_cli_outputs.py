@@ -200,7 +200,7 @@ def test_an_answer_that_cannot_be_printed_is_one_line() -> None:
 def test_pictures_are_of_the_kind_that_they_are_called(
     folder: Path, capsys: pytest.CaptureFixture[str], suffix: str, start: bytes
 ) -> None:
-    code, _, error = run(capsys, *PLAN, "--time-limit", 0.2, "--plot", f"route{suffix}")
+    code, _, error = run(capsys, *PLAN, "--effort", 10_000, "--plot", f"route{suffix}")
     assert code == 0, error
     assert (folder / f"route{suffix}").read_bytes().startswith(start)
 

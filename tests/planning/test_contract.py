@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path as File
 
@@ -15,6 +16,7 @@ from energyplan.errors import (
     InvalidInputError,
     InvalidPathError,
     LowerBoundError,
+    MissingDependencyError,
     PlanningError,
     UnsupportedPlannerError,
 )
@@ -187,6 +189,16 @@ def test_an_installed_plugin(tmp_path, monkeypatch):
         ep.plan(PROBLEM, "crow", far=7.0)
     with pytest.raises(PlanningError, match=r"'fly' of .* is a function; .*Planner"):
         ep.plan(PROBLEM, "fly")
+
+
+def test_a_planner_whose_package_is_absent_says_so(monkeypatch):
+    ours = ("ompl", "energyplan.planning.ompl")
+    for name in [name for name in sys.modules if name.startswith(ours)]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "ompl", None)
+    with pytest.raises(MissingDependencyError, match="'rrtstar' needs the package ompl; install"):
+        ep.plan(PROBLEM, "rrtstar", effort=100)
+    assert ep.plan(PROBLEM, effort=5000).energy == pytest.approx(1808.0)
 
 
 def test_all_that_are_listed_can_be_used():

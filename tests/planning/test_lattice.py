@@ -111,7 +111,7 @@ def test_free_space_plan_is_the_exact_steering_motion():
         start, goal = (
             np.array([*rng.uniform(2, 8, 2), rng.uniform(-np.pi, np.pi)]) for _ in range(2)
         )
-        found = plan(PlanningProblem(room(), COST, start, goal))
+        found = plan(PlanningProblem(room(), COST, start, goal), effort=50_000)
         exact = float(steering.energy(start, goal, COST))
         assert found.energy == pytest.approx(exact, rel=1e-9)
         assert found.lower_bound == pytest.approx(exact, rel=1e-9)
@@ -201,7 +201,7 @@ def test_initial_path_is_never_made_worse():
     grid = room()
     start, goal = (2, 5, 0), (8, 5, 0)
     known = Path(start, [3.0, 3.0], [0.0, 0.0])
-    found = plan(PlanningProblem(grid, COST, start, goal), initial=[known])
+    found = plan(PlanningProblem(grid, COST, start, goal), initial=[known], effort=50_000)
     assert found.energy <= COST.energy(known) * (1 + 1e-12)
 
 

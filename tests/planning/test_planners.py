@@ -38,7 +38,7 @@ def problem(**changes):
 
 def test_start_in_collision_names_a_free_pose_nearby():
     with pytest.raises(StartInCollisionError, match="nearest free pose") as told:
-        plan(problem(start=(4.6, 2, 0)))
+        plan(problem(start=(4.6, 2, 0)), effort=50_000)
     assert "(4.600, 2.000, 0.0 deg)" in str(told.value)
     near = nearest_free(walled(True), COST.vehicle, problem(start=(4.6, 2, 0)).start)
     assert near is not None
@@ -49,12 +49,12 @@ def test_start_in_collision_names_a_free_pose_nearby():
 
 def test_goal_in_collision():
     with pytest.raises(GoalInCollisionError, match=r"goal \(5.000"):
-        plan(problem(goal=(5, 2, 0)))
+        plan(problem(goal=(5, 2, 0)), effort=50_000)
 
 
 def test_outside_the_map_says_what_it_covers():
     with pytest.raises(OutsideMapError, match="x from 0 to 10 m and y from 0 to 8 m"):
-        plan(problem(goal=(12, 2, 0)))
+        plan(problem(goal=(12, 2, 0)), effort=50_000)
 
 
 def test_no_path():
@@ -69,7 +69,7 @@ def test_keep_out_area_closes_the_door():
 
 
 def test_time_limit_before_a_first_plan():
-    plan(problem())  # compile first
+    plan(problem(), effort=50_000)  # compile first
     with pytest.raises(TimeLimitError, match="time_limit"):
         plan(problem(), time_limit=1e-6)
 
@@ -91,7 +91,7 @@ def test_malformed_problems_are_refused(changes):
 
 def test_unknown_planner_names_those_there_are():
     with pytest.raises(UnknownNameError, match="lattice"):
-        plan(problem(), "nonsense")
+        plan(problem(), "nonsense", effort=50_000)
 
 
 def test_plan_reports_what_the_model_says_of_its_path():

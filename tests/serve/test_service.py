@@ -60,7 +60,9 @@ def test_a_plan_is_that_of_the_library(client: TestClient) -> None:
     assert answer.status_code == 200, answer.text
     grid = ep.read_map(ROOT / "maps" / "warehouse.yaml")
     cost = ep.EnergyCost(ep.PowerModel.preset(MODEL))
-    expected = documents.plan(ep.plan(ep.PlanningProblem(grid, cost, (2, 2, 0), (5, 2, 0))))
+    expected = documents.plan(
+        ep.plan(ep.PlanningProblem(grid, cost, (2, 2, 0), (5, 2, 0)), effort=50_000)
+    )
     told = answer.json()
     assert set(told) == set(expected)
     assert told["energy"] == pytest.approx(expected["energy"], rel=1e-9)  # a straight line

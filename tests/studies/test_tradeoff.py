@@ -102,9 +102,9 @@ def test_other_planners_trade_as_well(planner):
 
 def test_what_cannot_be_traded_is_refused():
     with pytest.raises(InvalidInputError, match="time_values is empty"):
-        pareto(AHEAD, [])
+        pareto(AHEAD, [], effort=50_000)
     with pytest.raises(InvalidInputError, match="time_value"):
-        pareto(AHEAD, [-1.0])
+        pareto(AHEAD, [-1.0], effort=50_000)
     free = replace(MODEL, vehicle=replace(MODEL.vehicle, motor=MotorLimits()))
     with pytest.raises(InvalidInputError, match="speed limit"):
         pareto(replace(AHEAD, cost=EnergyCost(free)), effort=10_000)
