@@ -94,7 +94,7 @@ def run(out: Path, say: Callable[[str], None]) -> list[Path]:
     _identification(demo)
     say("2/6 diagnosing a residual")
     _diagnosis(demo)
-    say("3/6 planning (the first time, this compiles the kernels: up to a minute)")
+    say("3/6 planning (the first time, this compiles kernels: up to half a minute)")
     made = _routes(demo)
     say("4/6 checking motor limits")
     _limits(demo, made)
