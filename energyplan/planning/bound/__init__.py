@@ -16,6 +16,7 @@ from weakref import WeakKeyDictionary
 import contourpy
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from energyplan.path import FloatArray
 from energyplan.planning.bound.corners import Rates, least_over_corners
@@ -194,6 +195,10 @@ def outline(grid: OccupancyGrid, radius: float, detail: Detail = DETAILS[0]) -> 
     )
 
 
+Spent = dict[int, NDArray[np.bool_]]
+"""The corners of outlines whose lines were counted as effort."""
+
+
 class Bound(NamedTuple):
     """What a path costs at least, and whether more effort or a better path cannot raise it."""
 
@@ -201,7 +206,9 @@ class Bound(NamedTuple):
     final: bool
 
 
-def lower_bound(query: CompiledProblem, cost: float, effort: float = EFFORT) -> Bound:
+def lower_bound(
+    query: CompiledProblem, cost: float, effort: float = EFFORT, spent: Spent | None = None
+) -> Bound:
     """Return a lower bound on the cost of every path from start to goal.
 
     Parameters
@@ -211,7 +218,10 @@ def lower_bound(query: CompiledProblem, cost: float, effort: float = EFFORT) -> 
     cost : float
         Cost of a path that is known: the bound need not be better by more than a little.
     effort : float
-        Steps, of about 2 ns each, after which to take what is known by then.
+        Steps, of some nanoseconds each, after which to take what is known by then.
+    spent : dict, optional
+        What earlier calls for the same problem were charged for, so that this one is not; empty at
+        the first.
 
     Returns
     -------
@@ -227,7 +237,9 @@ def lower_bound(query: CompiledProblem, cost: float, effort: float = EFFORT) -> 
     excess = least_excess(query, radius, limit)
     # what dear surfaces add comes on top of the rates alone
     direct = free if excess == 0.0 else _without_obstacles(setting)
-    among, final = _among_obstacles(query.grid, setting, radius, direct, limit - excess, effort)
+    among, final = _among_obstacles(
+        query.grid, setting, radius, direct, limit - excess, effort, {} if spent is None else spent
+    )
     return Bound(max(free, among + excess), final)
 
 
@@ -248,6 +260,7 @@ def _among_obstacles(
     free: float,
     cost: float,
     effort: float,
+    spent: Spent,
 ) -> Bound:
     ends = Ends(kernel.start_x, kernel.start_y, kernel.goal_x, kernel.goal_y)
     turn = abs(remainder(kernel.goal_yaw - kernel.start_yaw, 2.0 * pi))
@@ -259,13 +272,22 @@ def _among_obstacles(
         body.x_min + margin, body.y_min + margin, body.x_max - margin, body.y_max - margin
     )
     rates = Rates(kernel.least_metre, kernel.least_radian, kernel.start_yaw, kernel.goal_yaw, free)
+    paid = spent.setdefault(id(found), np.zeros(len(found.outline.point), bool))
     with found.lock:
         ways = ways_to_goal(
-            kernel.space, found.outline, found.links, ends, longest, WAYS_SHARE * effort
+            kernel.space, found.outline, found.links, paid, ends, longest, WAYS_SHARE * effort
         )
         found.links = ways.links
         least = least_over_corners(
-            kernel.space, true_body, found.outline, ends, ways, rates, cost, effort - ways.steps
+            kernel.space,
+            true_body,
+            found.outline,
+            paid,
+            ends,
+            ways,
+            rates,
+            cost,
+            effort - ways.steps,
         )
         found.links = least.links
     return Bound(float(least.value), bool(least.final))

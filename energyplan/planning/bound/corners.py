@@ -249,6 +249,7 @@ def least_over_corners(
     space: Space,
     body: Body,
     outline: Outline,
+    paid: Flags,
     ends: Ends,
     ways: Ways,
     rates: Rates,
@@ -268,6 +269,8 @@ def least_over_corners(
         The robot.
     outline : Outline
         Outline of the obstacles.
+    paid : ndarray of bool, shape (n,)
+        Corners whose lines were counted as steps already; more are.
     ends : Ends
         Start and goal.
     ways : Ways
@@ -321,9 +324,9 @@ def least_over_corners(
             if at == start:
                 many = n
             else:
-                known = links.first[at] >= 0
                 links = linked(space, outline, links, at)
-                if not known:
+                if not paid[at]:
+                    paid[at] = True
                     steps += links.steps[at]
                 if len(of_link) < len(links.seen):
                     longer = _unused(len(links.seen))

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import Floats
+from energyplan.compilation.arrays import Flags, Floats
 from energyplan.planning.bound.sight import Links, Outline, linked, side, sight
 from energyplan.planning.scene.field import longer_floats, longer_ints, pop, push
 from energyplan.terrain.collision import Space
@@ -79,7 +79,13 @@ def _seen_from(
 
 @njit
 def ways_to_goal(
-    space: Space, outline: Outline, links: Links, ends: Ends, limit: float, effort: float
+    space: Space,
+    outline: Outline,
+    links: Links,
+    paid: Flags,
+    ends: Ends,
+    limit: float,
+    effort: float,
 ) -> Ways:
     """Return the shortest ways to the goal from all corners that a short way can touch.
 
@@ -94,6 +100,8 @@ def ways_to_goal(
         Their outline, grown by the disc.
     links : Links
         What is known of the lines between corners; more is found out.
+    paid : ndarray of bool, shape (n,)
+        Corners whose lines were counted as steps already; more are.
     ends : Ends
         Start and goal.
     limit : float
@@ -147,7 +155,9 @@ def ways_to_goal(
         here = to_goal[at]
         least = min(least, here + from_start[at])
         links = linked(space, outline, links, at)
-        steps += links.steps[at]
+        if not paid[at]:
+            paid[at] = True
+            steps += links.steps[at]
         begin = int(links.first[at])
         for i in range(begin, begin + links.number[at]):
             v = int(links.seen[i])

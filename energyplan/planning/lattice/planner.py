@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from energyplan.errors import InvalidInputError, PlanningError, TimeLimitError
 from energyplan.path import FloatArray, Path
-from energyplan.planning.bound import EFFORT, Bound, lower_bound
+from energyplan.planning.bound import EFFORT, Bound, Spent, lower_bound
 from energyplan.planning.budget import PACE, UNLIMITED, Budget
 from energyplan.planning.contract import Candidate
 from energyplan.planning.lattice import search_kernels as kernels
@@ -93,7 +93,7 @@ POLISH = 800
 SEARCH_SHARE = 0.6
 """Part of the time left after the first plan that the searches may take."""
 
-BOUND_SHARE = 0.1
+BOUND_SHARE = 0.15
 """Part of that time for the bound, and once more where that did not bring it to its end."""
 
 MOST_LEFT = 60.0
@@ -264,6 +264,7 @@ class _Improvement:
         self.fields: dict[float, DistanceToGo] = {}
         self.searches: list[tuple[Search, float]] = []
         self._bound = Bound(0.0, False)
+        self._spent: Spent = {}
 
     @property
     def bound(self) -> float:
@@ -354,7 +355,7 @@ class _Improvement:
 
     def raise_bound(self, units: float = EFFORT / STEPS) -> None:
         """Search for a better lower bound; what is known of the best cost makes that easier."""
-        value, final = lower_bound(self.query, self.cost, STEPS * units)
+        value, final = lower_bound(self.query, self.cost, STEPS * units, self._spent)
         if not final:
             self.budget.spend(units)
         self._bound = Bound(max(value, self.bound), final)
