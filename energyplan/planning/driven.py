@@ -64,6 +64,7 @@ def drive_path(
     vehicle: Vehicle | None = None,
     tolerance: float | None = None,
     grid: OccupancyGrid | None = None,
+    body: Vehicle | None = None,
     period: float = 0.05,
 ) -> DrivenPath:
     """Time a path as its cost assumes, and integrate what driving it takes.
@@ -88,6 +89,8 @@ def drive_path(
     grid : OccupancyGrid, optional
         Obstacles. The robot stops at corners about which the footprint, moved aside by the
         tolerance, would touch one.
+    body : Vehicle, optional
+        Whose footprint that is; that of the vehicle whose limits apply where not given.
     period : float
         Largest time between two samples [s].
 
@@ -123,7 +126,7 @@ def drive_path(
     smooth, within = corner_rounding(asked)
     corners: FloatArray = np.full(max(len(path) - 1, 0), smooth)
     if grid is not None:
-        corners *= _free_about(path, vehicle, grid, within)
+        corners *= _free_about(path, vehicle if body is None else body, grid, within)
 
     def timed(smooth: FloatArray) -> Trajectory:
         return profile(
@@ -186,5 +189,5 @@ def drive_plan(problem: PlanningProblem, path: Path, tolerance: float | None = N
     """Time a path of a problem, and integrate what driving it takes; see `drive_path`."""
     return drive_path(
         path, problem.cost, problem.surfaces, problem.heights, tolerance=tolerance,
-        grid=problem.map,
+        grid=problem.terrain.obstacles, body=problem.robot,
     )  # fmt: skip
