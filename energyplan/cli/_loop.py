@@ -1,4 +1,4 @@
-"""The commands that drive a robot in a physics engine: drive."""
+"""The commands that drive a robot in a physics engine: drive, close-the-loop."""
 
 from __future__ import annotations
 
@@ -8,17 +8,22 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from energyplan.cli._planning import Heights, MapFile, Start, Surfaces, _problem
 from energyplan.cli.common import (
     TABLES,
     Json,
     ModelName,
+    OutModel,
+    Report,
     Strict,
     answer,
     app,
     progress,
+    read_logs,
     verdict,
     writes,
 )
+from energyplan.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from energyplan.physics import Effect, Robot
@@ -138,3 +143,74 @@ def drive(
     secret = hidden is not None
     answer(documents.driven(made, secret=secret), text.driven(made, secret=secret), json=json)
     verdict(made.arrived, strict)
+
+
+@app.command(
+    epilog="Example: energyplan close-the-loop --map warehouse.yaml --model quadriga:full:concrete "
+    "--start 2,2,0 --goal 20,12,90deg --hidden 4 --report loop.html"
+)
+def close_the_loop(
+    map_file: MapFile,
+    model: ModelName,
+    start: Start,
+    goal: Start,
+    surfaces: Surfaces = None,
+    heights: Heights = None,
+    logs: Annotated[
+        Path | None,
+        typer.Option(help="Folder of a real robot's logs, by name one for each round."),
+    ] = None,
+    effect: Effects = None,
+    hidden: Hidden = None,
+    truth: Truth = None,
+    rounds: Annotated[int, typer.Option(help="How many times round at most.")] = 3,
+    tolerance: Annotated[
+        float, typer.Option(help="Relative error of the energy that counts as none.")
+    ] = 0.01,
+    speed: Annotated[
+        float | None, typer.Option(help="Largest tread speed on the routes [m/s].")
+    ] = None,
+    time_limit: Annotated[float, typer.Option(help="Time for each plan [s].")] = 5.0,
+    out: OutModel = None,
+    report: Report = None,
+    json: Json = False,
+    strict: Strict = False,
+) -> None:
+    """Plan, drive, diagnose with all drives so far, and plan again, until the energy is right."""
+    from energyplan.io.config import write_model
+    from energyplan.io.files import atomic_write
+    from energyplan.output import documents, text
+    from energyplan.output.pages import loop_page
+    from energyplan.physics import EngineDrives, Ground, Robot, close_loop, switch_on
+    from energyplan.physics.loop import Source
+
+    problem = _problem(
+        map_file, model, start, goal, surfaces, heights, True, "energy", None, None
+    )
+    source: Source
+    if logs is not None:
+        if effect or hidden is not None:
+            raise InvalidInputError("--logs are of a real robot; leave out --effect and --hidden")
+        if not logs.is_dir():
+            raise InvalidInputError(f"{str(logs)!r} is no folder; give one that holds the logs")
+        files = sorted(file for file in logs.iterdir() if file.suffix in TABLES)
+        source = read_logs(files, None, "husky")
+    else:
+        robot = Robot.from_model(problem.cost.model)
+        middle = (
+            0.5 * (problem.start.x + problem.goal.x),
+            0.5 * (problem.start.y + problem.goal.y),
+        )
+        effects = chosen_effects(robot, effect, hidden, truth, middle)
+        source = EngineDrives(switch_on(robot, effects), Ground(problem.surfaces, problem.heights))
+    with progress("closing the loop") as update:
+        made = close_loop(
+            problem, source, rounds=rounds, tolerance=tolerance, speed=speed,
+            time_limit=time_limit, progress=update,
+        )  # fmt: skip
+    if out:
+        write_model(made.model, out)
+    if report:
+        atomic_write(report, loop_page(made, problem).html())
+    answer(documents.loop(made), text.loop(made), json=json)
+    verdict(made.closed, strict)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from energyplan.io.start import Start
     from energyplan.limits.feasibility import FeasibilityReport
     from energyplan.mission import MissionReport
-    from energyplan.physics import Driven
+    from energyplan.physics import Driven, Loop
     from energyplan.planning import Plan
     from energyplan.planning.driven import DrivenPath
     from energyplan.power import PowerModel, Residual
@@ -213,4 +213,18 @@ def driven(made: Driven, secret: bool = False) -> Document:
             for name, told, taken in made.terms
             if told or not secret
         ],
+    }
+
+
+def loop(made: Loop) -> Document:
+    """Return what ``energyplan close-the-loop --json`` prints."""
+    keys = ("energy_told", "energy_interval", "energy_taken", "error", "effects", "length", "note")
+    return {
+        "rounds": [
+            {key: plain(getattr(now, key)) for key in keys}
+            | {"arrived": plain(now.driven.arrived) if now.driven else None}
+            for now in made.rounds
+        ],
+        "closed": made.closed,
+        "terms": terms(made.model),
     }

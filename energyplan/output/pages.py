@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from energyplan.diagnosis import Diagnosis
     from energyplan.logs import DriveLog
     from energyplan.mission import MissionReport
+    from energyplan.physics import Loop
     from energyplan.planning import PlanningProblem
     from energyplan.power import Residual
     from energyplan.studies.comparison import Comparison
@@ -281,3 +282,39 @@ def _with_interval(residual: Residual, interval: object, key: str, scale: float 
     low, high = getattr(interval, key)
     value = getattr(residual, key)
     return f"{number(scale * value, 3)} ({number(scale * low, 3)} to {number(scale * high, 3)})"
+
+
+def loop_page(made: Loop, problem: PlanningProblem) -> Page:
+    """Return the report of a closed loop; `problem` is what was planned."""
+    page = Page("Plan, drive, learn, plan again")
+    first, last = made.rounds[0], made.rounds[-1]
+    page.paragraph(
+        f"The energy told was off by {100 * first.error:+.1f} % in the first round and by "
+        f"{100 * last.error:+.1f} % in round {len(made.rounds)}. "
+        f"The last drive took {number(last.energy_taken)} J, the first one "
+        f"{number(first.energy_taken)} J.",
+        "lead",
+    )
+    page.table(
+        ("round", "told [J]", "95 % interval [J]", "taken [J]", "error", "length [m]", "found"),
+        [
+            (
+                k, now.energy_told,
+                " to ".join(number(v) for v in now.energy_interval or ()) or "-",
+                now.energy_taken, f"{100 * now.error:+.1f} %", now.length,
+                ", ".join(
+                    f"{e.name.replace('_', ' ')} {number(e.value)} {e.unit}" for e in now.effects
+                ) or now.note or "-",
+            )
+            for k, now in enumerate(made.rounds, 1)
+        ],
+    )  # fmt: skip
+    paths = {f"round {k}": now.plan.path for k, now in enumerate(made.rounds, 1)}
+    shown = dict(list(paths.items())[:1] + list(paths.items())[-1:])
+    areas = problem.surfaces.polygons if problem.surfaces else ()
+    page.picture(plots.routes(problem.map, shown, surfaces=areas), "The first and the last route.")
+    for k, now in enumerate(made.rounds, 1):
+        if now.driven is not None:
+            page.heading(f"Round {k}: where the energy went")
+            page.table(("term", "told [J]", "taken [J]"), now.driven.terms)
+    return page

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from energyplan.io.start import Start
     from energyplan.limits.feasibility import FeasibilityReport
     from energyplan.mission import MissionReport
-    from energyplan.physics import Driven
+    from energyplan.physics import Driven, Loop
     from energyplan.planning import Plan
     from energyplan.planning.driven import DrivenPath
     from energyplan.studies.comparison import Comparison
@@ -257,3 +257,24 @@ def driven(made: Driven, secret: bool = False) -> list[str]:
         f"{math.degrees(made.heading_error):.1f} deg off on the way"
     )
     return lines
+
+
+def loop(made: Loop) -> list[str]:
+    """Return what ``energyplan close-the-loop`` prints."""
+    lines = []
+    for k, now in enumerate(made.rounds, 1):
+        span = ""
+        if now.energy_interval:
+            span = " ({} to {} J)".format(*(number(value, 5) for value in now.energy_interval))
+        lines.append(
+            f"round {k}: route of {number(now.length)} m, told {number(now.energy_told, 5)} J{span}"
+            f", taken {number(now.energy_taken, 5)} J ({100 * now.error:+.1f} %)"
+        )
+        lines += [
+            f"  found: {e.name.replace('_', ' ')}, {number(e.value)} +- {number(e.std_error, 2)} "
+            f"{e.unit}"
+            for e in now.effects
+        ]
+        lines += [f"  {now.note}"] if now.note else []
+    last = "the energy told was right" if made.closed else "not closed: drive on"
+    return [*lines, last]

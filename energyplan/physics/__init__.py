@@ -2,18 +2,37 @@
 
 `drive` follows a trajectory with a tracking controller and tells the energy that was taken beside
 the one that a model tells. `Effect` switches on what the model does not know. `Sensors` makes a
-drive log of it. The extra ``physics`` installs the engine.
+drive log of it. `close_loop` plans, drives, diagnoses and plans again. The extra ``physics``
+installs the engine.
 """
 
 from energyplan.physics.driving import Driven, drive, energy_told
 from energyplan.physics.effects import EFFECTS, Effect, draw_effects, switch_on
 from energyplan.physics.engine import Engine
+from energyplan.physics.loop import EngineDrives, Loop, Round, close_loop
 from energyplan.physics.record import Run, State
 from energyplan.physics.robot import Border, Ground, Robot
 from energyplan.physics.sensors import Sensors
 from energyplan.physics.tracking import Tracking
 
 __all__ = [
-    "EFFECTS", "Border", "Driven", "Effect", "Engine", "Ground", "Robot", "Run", "Sensors", "State",
-    "Tracking", "draw_effects", "drive", "energy_told", "switch_on",
+    "EFFECTS",
+    "Border",
+    "Driven",
+    "Effect",
+    "Engine",
+    "EngineDrives",
+    "Ground",
+    "Loop",
+    "Robot",
+    "Round",
+    "Run",
+    "Sensors",
+    "State",
+    "Tracking",
+    "close_loop",
+    "draw_effects",
+    "drive",
+    "energy_told",
+    "switch_on",
 ]  # fmt: skip

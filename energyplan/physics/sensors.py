@@ -135,7 +135,7 @@ class Sensors:
         }
         if np.any(run.slope != 0.0):
             channels["slope"] = mean(run.slope)
-        for channel in sorted(set(self.without) - set(channels)):
+        for channel in sorted(set(self.without) - {*channels, "slope"}):
             raise UnknownNameError("channel of this drive", channel, channels)
         kept = {key: values for key, values in channels.items() if key not in self.without}
         return DriveLog(kept, name)

@@ -1,0 +1,185 @@
+"""The loop closed in the physics engine: energy told beside energy taken, before and after a round.
+
+    python benchmarks/loop.py none 40           # no hidden effect: 40 pairs on four maps
+    python benchmarks/loop.py hidden 60         # one or two hidden effects
+    python benchmarks/loop.py one 60            # one hidden effect, each kind in turn
+    python benchmarks/loop.py routes 10         # effects that change which route is best
+
+Each line is printed as soon as it is measured; a Markdown table comes last. Needs the extra
+``physics``. The 60 hidden runs take about half an hour on one core.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+
+import energyplan as ep
+from energyplan.errors import EnergyPlanError
+from energyplan.io.bundled import bundled
+from energyplan.limits.speed import profile
+from energyplan.physics import EFFECTS, Effect, Robot, draw_effects, drive, switch_on
+from energyplan.physics.loop import SPEED_SHARE, EngineDrives, Loop, close_loop
+from energyplan.vehicle import predict_icr
+
+ICR = ep.TreadICR.symmetric(predict_icr(0.475, 0.5))
+VEHICLE = ep.Vehicle.preset("quadriga:full").with_mass(147.1).with_icr(ICR)
+MODEL = ep.PowerModel.paper(VEHICLE, K=118.0, mu=0.647)
+ROBOT = Robot.from_model(MODEL)
+
+
+def maps() -> list[ep.OccupancyGrid]:
+    """Return the bundled warehouse, and three halls with boxes that stand about."""
+    found = [ep.read_map(bundled("warehouse.yaml"))]
+    for seed in (1, 2, 3):
+        rng = np.random.default_rng(seed)
+        boxes = [
+            shapely.affinity.rotate(shapely.box(x, y, x + w, y + h), angle)
+            for x, y, w, h, angle in zip(
+                rng.uniform(2, 16, 9), rng.uniform(2, 12, 9), rng.uniform(0.5, 3.0, 9),
+                rng.uniform(0.5, 3.0, 9), rng.uniform(0, 90, 9), strict=True,
+            )
+        ]  # fmt: skip
+        walls = shapely.box(0, 0, 20, 15).boundary.buffer(0.2)
+        found.append(
+            ep.OccupancyGrid.from_polygons([walls, *boxes], (-0.5, -0.5, 20.5, 15.5), 0.05)
+        )
+    return found
+
+
+class Pair(NamedTuple):
+    """A map with a start and a goal on it."""
+
+    grid: ep.OccupancyGrid
+    start: ep.Pose
+    goal: ep.Pose
+
+
+def pair(grids: list[ep.OccupancyGrid], seed: int) -> Pair:
+    """Draw a pair of free poses at least eight metres apart."""
+    rng = np.random.default_rng([seed, 7])
+    grid = grids[seed % len(grids)]
+    rows, columns = grid.shape
+    while True:
+        cells = rng.uniform(0, 1, (2, 2)) * (columns, rows)
+        points, yaw = grid.to_world(cells), rng.uniform(-np.pi, np.pi, 2)
+        poses = np.column_stack([points, yaw])
+        apart = np.hypot(*(points[1] - points[0]))
+        roomy = np.all(grid.clearance_at(points) > 0.7)
+        if apart > 8 and roomy and np.all(grid.footprint_free(poses, VEHICLE)):
+            return Pair(grid, ep.Pose(*poses[0].tolist()), ep.Pose(*poses[1].tolist()))
+
+
+def without(count: int) -> None:
+    """No hidden effect: error of the energy told, and of the saving over the shortest route."""
+    grids, errors, savings = maps(), list[float](), list[float]()
+    speed = SPEED_SHARE * VEHICLE.motor.speed
+    motor = replace(VEHICLE.motor, speed=speed, acceleration=0.5)
+    slow = replace(VEHICLE, motor=motor)
+    for k in range(count):
+        case = pair(grids, k)
+        problem = ep.PlanningProblem(case.grid, ep.EnergyCost(MODEL), case.start, case.goal)
+        try:
+            made = ep.compare(problem, time_limit=5.0)
+        except EnergyPlanError as reason:
+            print(f"pair {k}: {reason}", flush=True)
+            continue
+        both = [
+            drive(profile(p.path, MODEL, vehicle=slow), ROBOT, MODEL)
+            for p in (made.energy_optimal, made.shortest)
+        ]
+        errors += [b.error for b in both]
+        told, taken = (1 - getattr(both[0], key) / getattr(both[1], key)
+                       for key in ("energy_told", "energy_taken"))  # fmt: skip
+        savings.append(told - taken)
+        print(
+            f"pair {k}: errors {100 * both[0].error:+.2f} % {100 * both[1].error:+.2f} %, saving "
+            f"told {100 * told:.1f} %, taken {100 * taken:.1f} %, "
+            f"arrived {[b.arrived for b in both]}",
+            flush=True,
+        )
+    e, s = np.abs(errors), np.abs(savings)
+    print(f"\n{len(e)} drives: |error| <= 1.5 % in {100 * np.mean(e <= 0.015):.0f} %, median "
+          f"{100 * np.median(e):.2f} %, worst {100 * e.max():.2f} %")  # fmt: skip
+    print(f"{len(s)} pairs: saving within 1.5 points in {100 * np.mean(s <= 0.015):.0f} %, worst "
+          f"{100 * s.max():.2f} points")  # fmt: skip
+
+
+def closed(effects: tuple[Effect, ...], case: Pair, rounds: int = 2) -> Loop:
+    """Close the loop about a robot with effects that the model does not know."""
+    problem = ep.PlanningProblem(case.grid, ep.EnergyCost(MODEL), case.start, case.goal)
+    source = EngineDrives(switch_on(ROBOT, effects))
+    return close_loop(problem, source, rounds=rounds, tolerance=0.0, time_limit=5.0)
+
+
+def hidden(count: int, single: bool) -> None:
+    """Hidden effects: error before and after one round, what was found, which takes less."""
+    grids, rows = maps(), list[tuple[str, str, float, float, float]]()
+    kinds = list(EFFECTS)
+    for k in range(count):
+        case = pair(grids, k)
+        middle = (np.array(case.start[:2]) + np.array(case.goal[:2])) / 2
+        names = (kinds[k % len(kinds)],) if single else None
+        effects = draw_effects(ROBOT, k, 1 if single else None, names, around=middle)
+        label = ", ".join(f"{e.name} {e.size:.3g}" for e in effects)
+        try:
+            made = closed(effects, case)
+        except EnergyPlanError as reason:
+            print(f"{k}: {label}: {type(reason).__name__}: {reason}", flush=True)
+            continue
+        first, last = made.rounds[0], made.rounds[-1]
+        found = ", ".join(e.name for e in first.effects) or first.note or "-"
+        saved = 1 - last.energy_taken / first.energy_taken
+        rows.append((label, found, first.error, last.error, saved))
+        print(f"{k}: {label}: {100 * first.error:+.1f} % -> {100 * last.error:+.1f} %, found "
+              f"{found}; second route takes {100 * saved:+.1f} % less", flush=True)  # fmt: skip
+    print("\n| hidden | found | error before | after | second route saves |\n|---|---|---|---|---|")
+    for label, found, before, after, saved in rows:
+        print(f"| {label} | {found} | {100 * before:+.1f} % | {100 * after:+.1f} % | "
+              f"{100 * saved:+.1f} % |")  # fmt: skip
+    after = np.abs([row[3] for row in rows])
+    print(f"\n{len(rows)} runs: after one round within 3 % in {100 * np.mean(after <= 0.03):.0f} %,"
+          f" within 6 % in {100 * np.mean(after <= 0.06):.0f} %, median "
+          f"{100 * np.median(after):.1f} %")  # fmt: skip
+
+
+def routes(count: int) -> None:
+    """Effects that change which route is best: whether the second one takes less."""
+    grids = maps()
+    cases = [
+        (Effect("surface_border", 0.3, {"direction": 0.0, "offset": 10.0}),),
+        (Effect("viscous_loss", 250.0),),
+        (Effect("dragging_wheel_left", 150.0),),
+        (Effect("tilted_plane", 0.07, {"direction": 1.0}), Effect("regeneration_efficiency", 1.0)),
+    ]
+    saved = []
+    for k in range(count):
+        effects = cases[k % len(cases)]
+        label = ", ".join(f"{e.name} {e.size:.3g}" for e in effects)
+        try:
+            made = closed(effects, pair(grids, 100 + k))
+        except EnergyPlanError as reason:
+            print(f"{k}: {label}: {reason}", flush=True)
+            continue
+        first, last = made.rounds[0], made.rounds[-1]
+        saved.append(1 - last.energy_taken / first.energy_taken)
+        print(f"{k}: {label}: taken {first.energy_taken:.0f} J, then {last.energy_taken:.0f} J "
+              f"({100 * saved[-1]:+.1f} % less), length {first.length:.1f} m, then "
+              f"{last.length:.1f} m", flush=True)  # fmt: skip
+    print(f"\nthe second route takes less in {100 * np.mean(np.array(saved) > 0):.0f} % of "
+          f"{len(saved)}, median {100 * np.median(saved):.1f} %")  # fmt: skip
+
+
+if __name__ == "__main__":
+    what = sys.argv[1] if len(sys.argv) > 1 else "none"
+    number = int(sys.argv[2]) if len(sys.argv) > 2 else 4
+    if what == "none":
+        without(number)
+    elif what == "routes":
+        routes(number)
+    else:
+        hidden(number, single=what == "one")

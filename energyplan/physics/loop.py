@@ -1,0 +1,411 @@
+"""The loop closed: plan, drive, find the residual, learn, plan again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from energyplan import html
+from energyplan.diagnosis import diagnose
+from energyplan.errors import (
+    DriveLogError,
+    InvalidInputError,
+    MissingChannelError,
+    NotIdentifiableError,
+)
+from energyplan.fit import identify
+from energyplan.limits.speed import profile
+from energyplan.logs import DriveLog
+from energyplan.motion import Motion
+from energyplan.path import FloatArray, Trajectory
+from energyplan.physics.belief import Belief, believed
+from energyplan.physics.driving import Driven, drive, energy_told
+from energyplan.physics.robot import Ground, Robot
+from energyplan.physics.sensors import Sensors
+from energyplan.planning import Plan, PlanningProblem, plan
+from energyplan.power import PowerModel, Sides
+from energyplan.power.effects import reads_slope
+from energyplan.vehicle import Vehicle
+
+SPEED_SHARE = 0.6
+"""Share of the largest tread speed that routes are timed to, so that the controller has room."""
+SHARP = 0.1
+"""Width of an interval over its energy beyond which being within it proves nothing."""
+SHORTEST = 18.0
+"""Shortest drive that diagnosis learns from, with some to spare [s]."""
+NORMAL = 1.96
+"""Half width of a 95 % interval in standard deviations."""
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Found:
+    """An effect in the model of the next round: its name, size, standard error and unit."""
+
+    name: str
+    value: float
+    std_error: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Round:
+    """One time round the loop.
+
+    Parameters
+    ----------
+    energy_told : float
+        What the model of this round tells for the drive, before it [J].
+    energy_interval : tuple of float, optional
+        Its 95 % interval [J]; None where the model has no covariance.
+    energy_taken : float
+        What was measured [J].
+    plan : Plan
+        The route of this round.
+    model : PowerModel
+        The model that told.
+    effects : tuple of Found
+        What the diagnosis of all drives so far found, this one included.
+    log : DriveLog
+        The drive.
+    driven : Driven, optional
+        The drive in the engine; None where the log is real.
+    note : str
+        Why nothing was learned, if so.
+    """
+
+    energy_told: float
+    energy_interval: tuple[float, float] | None
+    energy_taken: float
+    plan: Plan
+    model: PowerModel
+    effects: tuple[Found, ...]
+    log: DriveLog
+    driven: Driven | None = None
+    note: str = ""
+
+    @property
+    def length(self) -> float:
+        """Length of the route [m]."""
+        return self.plan.length
+
+    @property
+    def error(self) -> float:
+        """What was told over what was taken, minus one."""
+        return self.energy_told / self.energy_taken - 1.0
+
+    @property
+    def within(self) -> bool:
+        """Whether what was taken lies in the interval of what was told, and that one says much."""
+        if self.energy_interval is None:
+            return False
+        low, high = self.energy_interval
+        return high - low <= SHARP * self.energy_told and low <= self.energy_taken <= high
+
+
+@dataclass(frozen=True)
+class Loop:
+    """What came of closing the loop.
+
+    Parameters
+    ----------
+    rounds : tuple of Round
+        The rounds, in their order.
+    model : PowerModel
+        What is believed in the end.
+    closed : bool
+        Whether the last energy told was right: within its interval, or within the tolerance.
+    """
+
+    rounds: tuple[Round, ...]
+    model: PowerModel
+    closed: bool
+
+    def _repr_html_(self) -> str:
+        """Return the rounds as a table, for notebooks."""
+        rows = [
+            (k, r.energy_told, r.energy_taken, f"{100 * r.error:+.1f} %", r.length,
+             ", ".join(e.name for e in r.effects) or "-")
+            for k, r in enumerate(self.rounds, 1)
+        ]  # fmt: skip
+        return html.result(
+            "closed" if self.closed else "not closed",
+            ("round", "told [J]", "taken [J]", "error", "length [m]", "found"),
+            rows,
+        )
+
+
+# -- where drives come from -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class EngineDrives:
+    """Drives in the engine: each round's route, followed by the tracking controller.
+
+    Parameters
+    ----------
+    robot : Robot
+        What is true.
+    ground : Ground, optional
+        The true ground.
+    sensors : Sensors, optional
+        How drives are recorded. Where not given, an inclinometer and an accelerometer are there
+        only if the ground has heights: a slope that is not on the map has to be found.
+    """
+
+    robot: Robot
+    ground: Ground | None = None
+    sensors: Sensors | None = None
+
+    def __call__(self, trajectory: Trajectory, model: PowerModel, count: int) -> Driven:
+        """Drive a route; `model` serves the controller, `count` numbers the drive."""
+        return drive(trajectory, self.robot, model, ground=self.ground)
+
+    def log(self, driven: Driven, count: int) -> DriveLog:
+        """Return a drive as the sensors record it; every drive has noise of its own."""
+        level = self.ground is None or self.ground.heights is None
+        sensors = self.sensors or Sensors(without=("accel_x", "slope") if level else ())
+        sensors = replace(sensors, seed=sensors.seed + 1000 * count)
+        return sensors.log(driven.run, f"round {count}")
+
+
+Source = EngineDrives | Sequence[DriveLog]
+"""The engine; or logs of a real robot, one for each round."""
+
+
+# -- the loop -------------------------------------------------------------------------------------
+
+
+def close_loop(
+    problem: PlanningProblem,
+    source: Source,
+    *,
+    rounds: int = 3,
+    tolerance: float = 0.01,
+    before: Sequence[DriveLog] = (),
+    speed: float | None = None,
+    time_limit: float = 5.0,
+    planner: str = "lattice",
+    progress: Progress | None = None,
+) -> Loop:
+    """Plan, drive, diagnose with all logs so far, and plan again.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        From where to where; its cost holds the model of the first round.
+    source : EngineDrives or sequence of DriveLog
+        The engine, or logs of a real robot: the first serves the first round, and so on. A log
+        need not follow the route. Its energy is told from its own motion by the model of the
+        round, which has not seen it.
+    rounds : int
+        How many times round at most.
+    tolerance : float
+        Relative error of the energy that counts as none.
+    before : sequence of DriveLog
+        Drives made earlier, to learn from beside those of the rounds.
+    speed : float, optional
+        Largest tread speed on the routes [m/s]; `SPEED_SHARE` of what the motors reach where not
+        given.
+    time_limit : float
+        Time for each plan [s].
+    planner : str
+        Planner.
+    progress : callable, optional
+        Called with a fraction and a text.
+
+    Returns
+    -------
+    Loop
+        The rounds. The loop ends when an energy was told right, or the rounds or logs are over.
+
+    Raises
+    ------
+    InvalidInputError
+        If an option is out of range, or there is no log.
+    """
+    if rounds < 1 or not tolerance >= 0:
+        raise InvalidInputError(
+            f"rounds is {rounds} and tolerance {tolerance}; give rounds >= 1 and tolerance >= 0"
+        )
+    count = rounds if isinstance(source, EngineDrives) else min(rounds, len(source))
+    if count == 0:
+        raise InvalidInputError("there is no log to close the loop with; give one or more")
+    report = progress or (lambda fraction, text: None)
+    model, base = problem.cost.model, problem.robot
+    limit = speed or _usual_speed(problem)
+    logs, done = list(before), list[Round]()
+    for k in range(count):
+        report(k / count, f"round {k + 1}: planning")
+        belief = believed(model, problem)
+        made = plan(belief.planned(limit), planner=planner, time_limit=time_limit)
+        report((k + 0.3) / count, f"round {k + 1}: driving")
+        driven = None
+        if isinstance(source, EngineDrives):
+            trajectory = timed(made, belief, limit)
+            driven = source(trajectory, belief.model, k + 1)
+            log = source.log(driven, k + 1)
+            energy = sum(energy_told(trajectory, belief.model, belief.ground).values())
+            motion = _followed(trajectory, belief)
+            weights = np.diff(trajectory.t)
+        else:
+            log = source[k]
+            motion, weights = log.motion(model.vehicle.icr), log.weights
+            energy = float(weights @ model.battery_side().power(motion))
+        interval = _interval(energy, model, motion, weights)
+        logs.append(log)
+        now = Round(energy, interval, log.energy, made, model, (), log, driven)
+        right = now.within or abs(now.error) <= tolerance
+        if right:
+            done.append(now)
+            return Loop(tuple(done), model, True)
+        report((k + 0.6) / count, f"round {k + 1}: diagnosing")
+        try:
+            learned = learn(logs, base)
+        except (NotIdentifiableError, DriveLogError) as reason:
+            done.append(replace(now, note=f"nothing learned: {reason}"))
+            continue
+        model = learned.model
+        done.append(replace(now, effects=learned.effects, note=learned.note))
+    return Loop(tuple(done), model, False)
+
+
+class Learned(NamedTuple):
+    """A model of all drives so far, the effects in it, and what is to be said of it."""
+
+    model: PowerModel
+    effects: tuple[Found, ...]
+    note: str = ""
+
+
+def learn(logs: Sequence[DriveLog], vehicle: Vehicle) -> Learned:
+    """Diagnose all drives so far: the last part of each is held out, the rest is learned from.
+
+    Where there is too little to hold any of it out, only the paper's parameters are identified.
+
+    Parameters
+    ----------
+    logs : sequence of DriveLog
+        The drives.
+    vehicle : Vehicle
+        The vehicle.
+
+    Returns
+    -------
+    Learned
+        Model and effects.
+
+    Raises
+    ------
+    NotIdentifiableError
+        If the drives tell nothing of some parameter.
+    """
+    train: list[DriveLog] = []
+    held: list[DriveLog] = []
+    for log in logs:
+        parts = int(log.duration // SHORTEST)
+        blocks = log.blocks(log.duration / parts) if parts > 1 else [log]
+        train += blocks[:-1] or blocks
+        held += blocks[-1:] if parts > 1 else []
+    if not held and len(train) > 1:
+        held = [train.pop()]
+    if held:
+        told = diagnose(train, held, vehicle)
+        found = tuple(Found(e.name, e.value, e.std_error, e.unit) for e in told.effects)
+        return Learned(told.model, found)
+    model = identify(train, vehicle).model
+    note = (
+        f"one drive of {train[0].duration:.0f} s is too short to look for effects; "
+        "its own resistance and friction were identified"
+    )
+    return Learned(model, (), note)
+
+
+# -- details --------------------------------------------------------------------------------------
+
+
+def _usual_speed(problem: PlanningProblem) -> float:
+    top = problem.cost.vehicle.motor.speed
+    if not np.isfinite(top):
+        raise InvalidInputError(
+            f"{problem.cost.vehicle.name} has no largest tread speed; give the speed to drive at"
+        )
+    return SPEED_SHARE * top
+
+
+def timed(made: Plan, belief: Belief, speed: float) -> Trajectory:
+    """Time a plan to tread speeds that leave the controller room.
+
+    Parameters
+    ----------
+    made : Plan
+        The plan.
+    belief : Belief
+        Model and ground.
+    speed : float
+        Largest tread speed [m/s].
+
+    Returns
+    -------
+    Trajectory
+        The route over time.
+    """
+    vehicle = belief.model.vehicle
+    acceleration = min(0.5 * vehicle.motor.acceleration, 0.5)
+    motor = replace(vehicle.motor, speed=speed, acceleration=acceleration)
+    slope: dict[str, FloatArray | float] = {"slope": 0.0}
+    path = made.path
+    if belief.ground.heights is not None:
+        path = belief.ground.heights.cut(path)
+        slope["slope"] = belief.ground.heights.slopes(path)
+    law = replace(belief.model, vehicle=vehicle)
+    return profile(path, law, vehicle=replace(vehicle, motor=motor), channels=slope, smooth=0.0)
+
+
+def _followed(trajectory: Trajectory, belief: Belief) -> Motion:
+    """Return the motion in the middle of each step of a trajectory."""
+    step = np.diff(trajectory.t)
+
+    def middle(values: FloatArray) -> FloatArray:
+        return np.asarray(0.5 * (values[1:] + values[:-1]))
+
+    x, y, yaw = middle(trajectory.x), middle(trajectory.y), middle(trajectory.yaw)
+    channels = {
+        "t": middle(trajectory.t), "x": x, "y": y, "yaw": yaw,
+        "accel": np.diff(trajectory.v) / step, "yaw_accel": np.diff(trajectory.omega) / step,
+    }  # fmt: skip
+    heights = belief.asked.heights
+    if heights is not None:
+        channels["slope"] = heights.slope(np.column_stack([x, y, yaw]))
+    elif reads_slope(belief.model) and not belief.ground.heights:
+        channels["slope"] = np.zeros(len(x))
+    icr = belief.model.vehicle.icr
+    return Motion.from_twist(middle(trajectory.v), middle(trajectory.omega), icr, **channels)
+
+
+def _interval(
+    energy: float, model: PowerModel, motion: Motion, weights: FloatArray
+) -> tuple[float, float] | None:
+    """Interval of an energy from the covariance of the model and from its residual."""
+    if model.covariance is None:
+        return None
+
+    def total(column: Sides | FloatArray) -> float:
+        power = column.total if isinstance(column, Sides) else column
+        return float(weights @ np.broadcast_to(power, weights.shape))
+
+    try:
+        gradient = np.array([total(column) for column in model.regressors(motion)])
+    except MissingChannelError:
+        return None
+    variance = float(gradient @ model.covariance @ gradient)
+    if model.residual is not None:
+        misfit, duration = model.residual, float(weights.sum())
+        correlated = 2.0 * max(misfit.correlation_time, 0.05) * duration
+        variance += misfit.rmse**2 * correlated + (misfit.bias * duration) ** 2
+    half = NORMAL * float(np.sqrt(variance))
+    return energy - half, energy + half

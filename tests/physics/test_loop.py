@@ -1,0 +1,118 @@
+"""The loop closed about a robot that hides something from its model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from shapely import box
+
+import energyplan as ep
+from energyplan import simulate
+from energyplan.errors import InvalidInputError
+from energyplan.output import documents, text
+from energyplan.output.pages import loop_page
+from energyplan.physics import Effect, EngineDrives, Loop, Robot, close_loop, switch_on
+from energyplan.physics.belief import believed
+from energyplan.physics.loop import Round, learn
+from energyplan.power.effects import term
+from energyplan.vehicle import predict_icr
+
+pytest.importorskip("mujoco")
+
+ICR = ep.TreadICR.symmetric(predict_icr(0.475, 0.5))
+VEHICLE = ep.Vehicle.preset("quadriga:full").with_mass(147.1).with_icr(ICR)
+MODEL = ep.PowerModel.paper(VEHICLE, K=118.0, mu=0.647)
+HALL = ep.OccupancyGrid.from_polygons(
+    [box(0, 0, 14, 12).boundary.buffer(0.2), box(4, 3, 10, 9)], (-1, -1, 15, 13), 0.1
+)
+PROBLEM = ep.PlanningProblem(
+    HALL, ep.EnergyCost(MODEL), ep.Pose(1.5, 1.5, 0.0), ep.Pose(12.0, 10.5, np.pi)
+)
+
+
+def closed(*effects: Effect, rounds: int = 2) -> Loop:
+    source = EngineDrives(switch_on(Robot.from_model(MODEL), effects))
+    return close_loop(PROBLEM, source, rounds=rounds, tolerance=0.0, time_limit=20.0)
+
+
+def test_nothing_hidden() -> None:
+    made = closed(rounds=1)
+    assert abs(made.rounds[0].error) < 0.015
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effect", "near"),
+    [
+        (Effect("viscous_loss", 100.0), 0.03),
+        (Effect("dragging_wheel_left", 60.0), 0.03),
+        (Effect("payload", 30.0), 0.03),
+        # The treads push against each other, which no model without this preload knows.
+        (Effect("drive_efficiency", 0.25), 0.06),
+    ],
+    ids=["viscous_loss", "dragging_wheel_left", "payload", "drive_efficiency"],
+)
+def test_after_one_round_the_energy_told_is_right(effect: Effect, near: float) -> None:
+    made = closed(effect)
+    first, last = made.rounds
+    assert first.driven is not None and last.driven is not None
+    assert first.driven.arrived and last.driven.arrived
+    assert abs(first.error) > 0.06
+    assert abs(last.error) < near
+    document = documents.loop(made)
+    assert set(document["rounds"][0]) >= {
+        "energy_told", "energy_interval", "energy_taken", "effects", "length",
+    }  # fmt: skip
+    assert text.loop(made)[0].startswith("round 1")
+    assert "round" in loop_page(made, PROBLEM).html()
+
+
+def test_real_logs_take_the_place_of_the_engine() -> None:
+    from energyplan.power import HOTEL
+
+    truth = MODEL.with_term(HOTEL, 60.0)
+    logs = [simulate.drive(truth, "survey", seed=k, power_noise=2.0) for k in (1, 2)]
+    made = close_loop(PROBLEM, logs, rounds=5, time_limit=20.0)
+    assert len(made.rounds) == 2
+    assert made.rounds[0].error < -0.2
+    assert abs(made.rounds[1].error) < 0.03
+    assert made.rounds[0].driven is None
+
+
+def test_what_was_found_of_the_ground_is_put_on_the_map() -> None:
+    mass = VEHICLE.mass
+    tilted = MODEL.with_term(term("tilt_x"), mass * np.sin(0.05)).with_term(term("tilt_y"), 0.0)
+    belief = believed(tilted, PROBLEM)
+    assert not belief.model.has("tilt_x")
+    assert belief.ground.heights is not None
+    slope = belief.ground.heights.slope(np.array([5.0, 5.0, 0.0]))
+    assert float(slope) == pytest.approx(0.05, rel=1e-6)
+    beyond = replace(term("slip_beyond"), params={"direction": 0.0, "offset": 7.0})
+    belief = believed(MODEL.with_term(beyond, 0.2), PROBLEM)
+    assert belief.ground.surfaces is not None
+    assert belief.ground.surfaces.region_at([(6.9, 5.0), (7.1, 5.0)]).tolist() == [0, 1]
+    there = belief.ground.surfaces.surfaces[0].model
+    assert there.coefficient("slip_friction") == pytest.approx(0.847)
+
+
+def test_an_interval_that_says_nothing_closes_nothing() -> None:
+    some = Round(1000.0, (100.0, 1900.0), 1050.0, None, MODEL, (), None)  # type: ignore[arg-type]
+    assert not some.within
+    assert replace(some, energy_interval=(960.0, 1055.0)).within
+    assert not replace(some, energy_interval=(960.0, 1040.0)).within
+
+
+def test_bad_input_is_named() -> None:
+    with pytest.raises(InvalidInputError, match="no log"):
+        close_loop(PROBLEM, [])
+    with pytest.raises(InvalidInputError, match="rounds"):
+        close_loop(PROBLEM, EngineDrives(Robot.from_model(MODEL)), rounds=0)
+
+
+def test_one_short_drive_tells_resistance_and_friction() -> None:
+    short = simulate.drive(MODEL, "survey", duration=30.0, power_noise=2.0)
+    learned = learn([short], VEHICLE)
+    assert "too short" in learned.note
+    assert learned.model.coefficient("traction_resistance") == pytest.approx(118.0, rel=0.05)
