@@ -184,9 +184,7 @@ def close_the_loop(
     from energyplan.physics import EngineDrives, Ground, Robot, close_loop, switch_on
     from energyplan.physics.loop import Source
 
-    problem = _problem(
-        map_file, model, start, goal, surfaces, heights, True, "energy", None, None
-    )
+    problem = _problem(map_file, model, start, goal, surfaces, heights, True, "energy", None, None)
     source: Source
     if logs is not None:
         if effect or hidden is not None:
