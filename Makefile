@@ -8,7 +8,7 @@ NIGHTLY_READY := $(VENV)/.nightly-ready
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 OUT ?= demo
 
-.PHONY: demo test shuffled lint docs fuzz mutate lowest pictures bench lock clean
+.PHONY: demo test shuffled lint docs fuzz mutate lowest pictures loop bench lock clean
 
 demo: $(READY)
 	$(BIN)/energyplan demo --out $(OUT)
@@ -56,6 +56,12 @@ MUTATE ?= *
 mutate: $(NIGHTLY_READY)
 	@set -f; $(BIN)/python tests/mutation.py --mutations $(MUTATIONS) $(MUTATE)
 
+# Nightly: 60 robots with hidden effects in the physics engine, and 40 without.
+LOOP ?= 60
+loop: $(READY)
+	$(BIN)/python benchmarks/loop.py none 40
+	$(BIN)/python benchmarks/loop.py hidden $(LOOP)
+
 # The pictures of the README and the documentation, drawn by the demo and the examples.
 pictures: demo
 	mkdir -p docs/pictures
@@ -63,6 +69,7 @@ pictures: demo
 	$(BIN)/python examples/plan_depot.py --goal 20,12,90 --out $(OUT)/plan_depot
 	cp $(OUT)/plan_depot/pareto.png docs/pictures/
 	$(BIN)/python docs/draw.py
+	$(BIN)/python docs/animate.py
 
 # Every figure of the benchmark pages, measured on this machine. Takes a while.
 bench: $(READY)

@@ -4,6 +4,7 @@
     python benchmarks/loop.py hidden 60         # one or two hidden effects
     python benchmarks/loop.py one 60            # one hidden effect, each kind in turn
     python benchmarks/loop.py routes 10         # effects that change which route is best
+    python benchmarks/loop.py design 10         # designed drives against random ones
 
 Each line is printed as soon as it is measured; a Markdown table comes last. Needs the extra
 ``physics``. The 60 hidden runs take about half an hour on one core.
@@ -22,8 +23,12 @@ import energyplan as ep
 from energyplan.errors import EnergyPlanError
 from energyplan.io.bundled import bundled
 from energyplan.limits.speed import profile
-from energyplan.physics import EFFECTS, Effect, Robot, draw_effects, drive, switch_on
+from energyplan.physics import EFFECTS, Effect, Robot, Sensors, draw_effects, drive, switch_on
+from energyplan.physics.design import SETTLED, Explanation, design
 from energyplan.physics.loop import SPEED_SHARE, EngineDrives, Loop, close_loop
+from energyplan.physics.manoeuvres import Option, joined, manoeuvres
+from energyplan.power import Sides
+from energyplan.power.effects import term
 from energyplan.vehicle import predict_icr
 
 ICR = ep.TreadICR.symmetric(predict_icr(0.475, 0.5))
@@ -174,11 +179,66 @@ def routes(count: int) -> None:
           f"{len(saved)}, median {100 * np.median(saved):.1f} %")  # fmt: skip
 
 
+PAIRS = (
+    (("viscous_loss", 60.0), "air_drag"),
+    (("air_drag", 60.0), "viscous_loss"),
+    (("drive_efficiency", 0.2), "viscous_loss"),
+    (("hotel_load", 30.0), "viscous_loss"),
+    (("towing_force", 30.0), "dragging_wheel_left"),
+)
+"""A hidden effect with its size, and what it may be taken for."""
+
+
+def designed(count: int, duration: float = 30.0, noise: float = 20.0) -> None:
+    """Two explanations are left: how often a designed drive settles which, and a random one."""
+    inertia = [(term("linear_inertia"), 147.1), (term("angular_inertia"), VEHICLE.yaw_inertia)]
+    base = MODEL
+    for part, value in inertia:
+        base = base.with_term(part, value)
+    start = ep.Pose(3.0, 3.0, 0.0)
+    family = [
+        made
+        for m in manoeuvres(VEHICLE, 0.6, 1.5)
+        if (made := Option.of(m, VEHICLE, start, 0.5).trajectory).duration <= duration
+    ]
+    right = {"designed": 0, "random": 0}
+    for k in range(count):
+        (true, size), other = PAIRS[k % len(PAIRS)]
+        names = (true, other)
+        options = [Explanation((true,), values={true: size}), Explanation((other,))]
+        plan = design(MODEL, options, duration=duration, speed=0.6, noise=noise)
+        rng = np.random.default_rng(k)
+        some: list[ep.Trajectory] = []
+        while True:
+            more = family[int(rng.integers(len(family)))]
+            if sum(part.duration for part in some) + more.duration > duration:
+                break
+            some.append(more)
+        robot = Effect(true, size).on(ROBOT)
+        for kind, asked in (("designed", plan.trajectory), ("random", joined(some or family[:1]))):
+            run = drive(asked, robot, MODEL).run
+            log = Sensors(power_noise=noise / np.sqrt(2), seed=k).log(run)
+            motion = log.motion(VEHICLE.icr)
+            misfit = []
+            for name in names:
+                columns = base.with_term(term(name), 0.0).regressors(motion)
+                rows = np.column_stack([c.total if isinstance(c, Sides) else c for c in columns])
+                fit = np.linalg.lstsq(rows, log.power, rcond=None)[0]
+                misfit.append(float(np.sum((log.power - rows @ fit) ** 2)))
+            odds = (misfit[1] - misfit[0]) / (2 * noise**2)
+            right[kind] += odds > SETTLED
+            print(f"{k}: {true}, not {other}: {kind} drive, log odds {odds:.1f}", flush=True)
+    print(f"\nsettled by a drive of {duration:g} s at {noise:g} W of noise: designed "
+          f"{right['designed']} of {count}, random {right['random']} of {count}")  # fmt: skip
+
+
 if __name__ == "__main__":
     what = sys.argv[1] if len(sys.argv) > 1 else "none"
     number = int(sys.argv[2]) if len(sys.argv) > 2 else 4
     if what == "none":
         without(number)
+    elif what == "design":
+        designed(number)
     elif what == "routes":
         routes(number)
     else:

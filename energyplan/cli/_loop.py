@@ -1,14 +1,14 @@
-"""The commands that drive a robot in a physics engine: drive, close-the-loop."""
+"""The commands that drive a robot in a physics engine: drive, close-the-loop, design."""
 
 from __future__ import annotations
 
 import json as jsonlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from energyplan.cli._planning import Heights, MapFile, Start, Surfaces, _problem
+from energyplan.cli._planning import Heights, MapFile, Start, Surfaces
 from energyplan.cli.common import (
     TABLES,
     Json,
@@ -18,6 +18,7 @@ from energyplan.cli.common import (
     Strict,
     answer,
     app,
+    parse_pose,
     progress,
     read_logs,
     verdict,
@@ -26,7 +27,8 @@ from energyplan.cli.common import (
 from energyplan.errors import InvalidInputError
 
 if TYPE_CHECKING:
-    from energyplan.physics import Effect, Robot
+    from energyplan.physics import Effect, Ground, Robot
+    from energyplan.power import PowerModel
 
 Effects = Annotated[
     list[str] | None,
@@ -70,6 +72,23 @@ def chosen_effects(
     return chosen
 
 
+def _believed(model: str, surfaces: Path | None, heights: Path | None) -> tuple[PowerModel, Ground]:
+    """Return the model and the ground that options name; on heights every model has a weight."""
+    from energyplan.io.config import read_model
+    from energyplan.io.geojson import read_surfaces
+    from energyplan.io.heights import read_heights
+    from energyplan.physics import Ground
+    from energyplan.power.effects import with_weight
+    from energyplan.terrain import with_weights
+
+    law = read_model(model)
+    regions = read_surfaces(surfaces) if surfaces else None
+    if heights is None:
+        return law, Ground(regions)
+    hills = read_heights(heights)
+    return with_weight(law), Ground(with_weights(regions) if regions else None, hills)
+
+
 @app.command(
     epilog="Example: energyplan drive trajectory.csv --model quadriga:full:concrete "
     "--effect viscous_loss=60 --out log.csv"
@@ -111,24 +130,13 @@ def drive(
     strict: Strict = False,
 ) -> None:
     """Drive a trajectory in a physics engine, and compare the energy told with the one taken."""
-    from energyplan.io.config import read_model
-    from energyplan.io.geojson import read_surfaces
-    from energyplan.io.heights import read_heights
     from energyplan.io.trajectory import read_trajectory, write_log
     from energyplan.output import documents, text
-    from energyplan.physics import Ground, Robot, Sensors, switch_on
+    from energyplan.physics import Robot, Sensors, switch_on
     from energyplan.physics import drive as run
-    from energyplan.power.effects import with_weight
-    from energyplan.terrain import with_weights
 
-    law, asked = read_model(model), read_trajectory(trajectory)
-    ground = Ground(
-        read_surfaces(surfaces) if surfaces else None, read_heights(heights) if heights else None
-    )
-    if ground.heights is not None:
-        law = with_weight(law)
-        regions = with_weights(ground.surfaces) if ground.surfaces else None
-        ground = Ground(regions, ground.heights)
+    asked = read_trajectory(trajectory)
+    law, ground = _believed(model, surfaces, heights)
     sensors = Sensors(
         rate=rate, power_noise=noise, speed_noise=speed_noise, speed_step=speed_step,
         current_step=current_step, delay=delay, unsigned=unsigned, measured=measured, seed=seed,
@@ -177,14 +185,21 @@ def close_the_loop(
     strict: Strict = False,
 ) -> None:
     """Plan, drive, diagnose with all drives so far, and plan again, until the energy is right."""
+    from energyplan.cost import EnergyCost
     from energyplan.io.config import write_model
     from energyplan.io.files import atomic_write
+    from energyplan.io.maps import read_map
     from energyplan.output import documents, text
     from energyplan.output.pages import loop_page
-    from energyplan.physics import EngineDrives, Ground, Robot, close_loop, switch_on
+    from energyplan.physics import EngineDrives, Robot, close_loop, switch_on
     from energyplan.physics.loop import Source
+    from energyplan.planning import PlanningProblem
 
-    problem = _problem(map_file, model, start, goal, surfaces, heights, True, "energy", None, None)
+    law, ground = _believed(model, surfaces, heights)
+    problem = PlanningProblem(
+        read_map(map_file), EnergyCost(law, battery=True), parse_pose(start), parse_pose(goal),
+        surfaces=ground.surfaces, heights=ground.heights,
+    )  # fmt: skip
     source: Source
     if logs is not None:
         if effect or hidden is not None:
@@ -200,7 +215,7 @@ def close_the_loop(
             0.5 * (problem.start.y + problem.goal.y),
         )
         effects = chosen_effects(robot, effect, hidden, truth, middle)
-        source = EngineDrives(switch_on(robot, effects), Ground(problem.surfaces, problem.heights))
+        source = EngineDrives(switch_on(robot, effects), ground)
     with progress("closing the loop") as update:
         made = close_loop(
             problem, source, rounds=rounds, tolerance=tolerance, speed=speed,
@@ -212,3 +227,62 @@ def close_the_loop(
         atomic_write(report, loop_page(made, problem).html())
     answer(documents.loop(made), text.loop(made), json=json)
     verdict(made.closed, strict)
+
+
+@app.command(
+    epilog="Example: energyplan design --model quadriga:full:concrete --report diagnosis.json "
+    "--duration 40 --out next.csv"
+)
+def design(
+    model: ModelName,
+    report: Annotated[
+        Path | None,
+        typer.Option(help="What diagnose --json printed: the explanations that are left."),
+    ] = None,
+    map_file: Annotated[
+        Path | None, typer.Option("--map", help="map_server YAML file; an empty square if absent.")
+    ] = None,
+    square: Annotated[float, typer.Option(help="Side of the empty square [m].")] = 6.0,
+    start: Annotated[
+        str | None, typer.Option(help="X,Y,YAW; the roomiest place where not given.")
+    ] = None,
+    duration: Annotated[float, typer.Option(help="Longest time of the drive [s].")] = 60.0,
+    speed: Annotated[float | None, typer.Option(help="Largest tread speed [m/s].")] = None,
+    noise: Annotated[
+        float, typer.Option(help="Standard deviation of what no model explains [W].")
+    ] = 5.0,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", callback=writes(*TABLES), help="Write the trajectory to this CSV file."
+        ),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Design the next drive: the one that best tells apart the explanations that are left."""
+    from energyplan.io.config import read_model
+    from energyplan.io.maps import read_map
+    from energyplan.io.trajectory import write_trajectory
+    from energyplan.output import documents, text
+    from energyplan.physics.design import design as run
+    from energyplan.physics.design import explanations_of
+
+    law = read_model(model)
+    explanations = explanations_of(_document(report)) if report else ()
+    made = run(
+        law, explanations, grid=read_map(map_file) if map_file else None, square=square,
+        start=parse_pose(start) if start else None, duration=duration, speed=speed, noise=noise,
+    )  # fmt: skip
+    if out:
+        write_trajectory(made.trajectory, out)
+    answer(documents.design(made), text.design(made), json=json)
+
+
+def _document(file: Path) -> dict[str, Any]:
+    try:
+        found = jsonlib.loads(file.read_text(encoding="utf-8"))
+    except ValueError:
+        found = None
+    if not isinstance(found, dict):
+        raise InvalidInputError(f"{file} is no JSON document; give what diagnose --json printed")
+    return found

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from energyplan.limits.feasibility import FeasibilityReport
     from energyplan.mission import MissionReport
     from energyplan.physics import Driven, Loop
+    from energyplan.physics.design import Design
     from energyplan.planning import Plan
     from energyplan.planning.driven import DrivenPath
     from energyplan.power import PowerModel, Residual
@@ -227,4 +228,21 @@ def loop(made: Loop) -> Document:
         ],
         "closed": made.closed,
         "terms": terms(made.model),
+    }
+
+
+def design(made: Design) -> Document:
+    """Return what ``energyplan design --json`` prints."""
+    return {
+        "separates": [
+            {"true": pair.true, "other": pair.other, "log_odds": plain(pair.log_odds)}
+            for pair in made.separates
+        ],
+        "probabilities_expected": [
+            {"explanation": label, "if_true": plain(value)}
+            for label, value in made.probabilities_expected
+        ],
+        "manoeuvres": list(made.manoeuvres),
+        "duration": plain(made.trajectory.duration),
+        "sentence": made.sentence,
     }

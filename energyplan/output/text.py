@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from energyplan.limits.feasibility import FeasibilityReport
     from energyplan.mission import MissionReport
     from energyplan.physics import Driven, Loop
+    from energyplan.physics.design import Design
     from energyplan.planning import Plan
     from energyplan.planning.driven import DrivenPath
     from energyplan.studies.comparison import Comparison
@@ -278,3 +279,12 @@ def loop(made: Loop) -> list[str]:
         lines += [f"  {now.note}"] if now.note else []
     last = "the energy told was right" if made.closed else "not closed: drive on"
     return [*lines, last]
+
+
+def design(made: Design) -> list[str]:
+    """Return what ``energyplan design`` prints."""
+    expected = [
+        f"if it is {label}: {100 * value:.0f} % sure of it after the drive"
+        for label, value in made.probabilities_expected
+    ]
+    return [f"{made.trajectory.duration:.0f} s: {made.sentence}", *expected]

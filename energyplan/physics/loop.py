@@ -317,7 +317,7 @@ def learn(logs: Sequence[DriveLog], vehicle: Vehicle) -> Learned:
         told = diagnose(train, held, vehicle)
         found = tuple(Found(e.name, e.value, e.std_error, e.unit) for e in told.effects)
         return Learned(told.model, found)
-    model = identify(train, vehicle).model
+    model = identify(train, vehicle, method="huber").model
     note = (
         f"one drive of {train[0].duration:.0f} s is too short to look for effects; "
         "its own resistance and friction were identified"

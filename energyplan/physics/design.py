@@ -1,0 +1,390 @@
+"""Which drive next: the one that best separates the explanations that are left."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from energyplan.errors import InvalidInputError, MissingChannelError
+from energyplan.motion import Motion
+from energyplan.path import FloatArray, Pose, Trajectory
+from energyplan.physics.manoeuvres import STEP, Option, fits, joined, manoeuvres, roomiest
+from energyplan.power import PowerModel, Sides, Term
+from energyplan.power.effects import catalogue
+from energyplan.power.effects import term as known_term
+from energyplan.terrain import OccupancyGrid
+
+SETTLED = 3.0
+"""Log-likelihood ratio from which two explanations count as told apart: odds of twenty to one."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Effects that may be there beside the model's own terms.
+
+    Parameters
+    ----------
+    effects : tuple of str
+        Names of effects of the catalogue or of terms; none for the model as it is.
+    probability : float
+        How probable it is now; they need not add up to one.
+    values : mapping of str to float
+        Sizes of its terms where they are known.
+    """
+
+    effects: tuple[str, ...]
+    probability: float = 1.0
+    values: Mapping[str, float] | None = None
+
+    @property
+    def label(self) -> str:
+        """Its effects in words."""
+        return " and ".join(name.replace("_", " ") for name in self.effects) or "no effect"
+
+    def terms(self) -> tuple[Term, ...]:
+        """Return the terms that its effects add.
+
+        Raises
+        ------
+        UnknownNameError
+            If an effect is unknown.
+        """
+        entries = catalogue()
+        found: list[Term] = []
+        for name in self.effects:
+            found += entries[name].terms if name in entries else (known_term(name),)
+        return tuple(found)
+
+
+@dataclass(frozen=True)
+class Separation:
+    """How well a drive tells two explanations apart.
+
+    Parameters
+    ----------
+    true, other : str
+        The explanation that is true, and the one that it is told from.
+    log_odds : float
+        Expected log-likelihood ratio, after the other one was fitted as well as it can be.
+    """
+
+    true: str
+    other: str
+    log_odds: float
+
+
+@dataclass(frozen=True)
+class Design:
+    """A drive that was designed.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        The drive, from rest to rest.
+    manoeuvres : tuple of str
+        What it consists of.
+    separates : tuple of Separation
+        What it tells apart, every ordered pair.
+    probabilities_expected : tuple of tuple of str and float
+        For every explanation, how probable it will be after the drive if it is true.
+    sentence : str
+        The drive in words.
+    """
+
+    trajectory: Trajectory
+    manoeuvres: tuple[str, ...]
+    separates: tuple[Separation, ...]
+    probabilities_expected: tuple[tuple[str, float], ...]
+    sentence: str
+
+
+def design(
+    model: PowerModel,
+    explanations: Sequence[Explanation] = (),
+    *,
+    grid: OccupancyGrid | None = None,
+    square: float = 6.0,
+    start: Pose | None = None,
+    duration: float = 60.0,
+    speed: float | None = None,
+    acceleration: float = 0.5,
+    noise: float = 5.0,
+    correlation_time: float = 0.3,
+) -> Design:
+    """Design the drive that best separates explanations, or narrows the model's parameters.
+
+    Manoeuvres are added one after the other, each the one that gains the most per second
+    (T-optimality; D-optimality of the model's own terms where fewer than two explanations are
+    given). What another explanation can absorb by being fitted anew does not count.
+
+    Parameters
+    ----------
+    model : PowerModel
+        What is known; explanations add to its terms.
+    explanations : sequence of Explanation
+        What may be there. Sizes that are not given are as strong as the first
+        explanation's, and that one's a sixth of the power.
+    grid : OccupancyGrid, optional
+        The map; an empty square where not given.
+    square : float
+        Side of the empty square [m].
+    start : Pose, optional
+        Where to begin; the middle of the largest free place of the map where not given.
+    duration : float
+        Longest time that the drive may take [s].
+    speed : float, optional
+        Largest tread speed [m/s]; 0.6 of what the motors reach where not given.
+    acceleration : float
+        Tread acceleration [m/s^2].
+    noise, correlation_time : float
+        Standard deviation [W] and correlation time [s] of what no model explains.
+
+    Returns
+    -------
+    Design
+        The drive.
+
+    Raises
+    ------
+    InvalidInputError
+        If an option is out of range, or there is no free place.
+
+    Examples
+    --------
+    >>> model = PowerModel.preset("quadriga:full:concrete")
+    >>> made = design(model, [Explanation(("viscous_loss",), values={"viscous_loss": 60.0}),
+    ...                       Explanation(("air_drag",))], duration=40.0)
+    >>> made.trajectory.duration <= 40.0, min(p for _, p in made.probabilities_expected) > 0.9
+    (True, True)
+
+    References
+    ----------
+    Atkinson and Fedorov (1975), "The design of experiments for discriminating between two rival
+    models"; docs/theory, section 7.
+    """
+    values = {"square": square, "duration": duration, "acceleration": acceleration, "noise": noise,
+              "correlation_time": correlation_time}  # fmt: skip
+    for name, value in values.items():
+        if not (np.isfinite(value) and value > 0):
+            raise InvalidInputError(f"{name} is {value}; give a positive number")
+    vehicle = model.vehicle
+    top = speed or 0.6 * vehicle.motor.speed
+    if not (np.isfinite(top) and top > 0):
+        raise InvalidInputError(f"{vehicle.name} has no largest tread speed; give the speed")
+    grid = grid or OccupancyGrid.from_polygons([], (0.0, 0.0, square, square))
+    here = start or roomiest(grid, vehicle)
+    question = _Question(model, tuple(explanations), noise, correlation_time)
+    options = [
+        option
+        for reach in (1.5, 4.0)
+        for option in (
+            Option.of(m, vehicle, here, acceleration) for m in manoeuvres(vehicle, top, reach)
+        )
+        if option.trajectory.duration <= duration and fits(grid, vehicle, option.trajectory)
+    ]
+    if not options:
+        raise InvalidInputError(
+            f"no manoeuvre fits in {duration:g} s about ({here.x:.2f}, {here.y:.2f}); give more "
+            "time or a freer place"
+        )
+    chosen: list[Option] = []
+    gram, clock = question.zero, 0.0
+    # Only where a term reads the time do products depend on when a manoeuvre begins.
+    early = [question.gram(option.trajectory, 0.0) for option in options]
+    probe = question.gram(options[-1].trajectory, 100.0)
+    timeless = bool(np.allclose(probe, early[-1], rtol=1e-9))
+    while True:
+        worth = [
+            (question.gain(gram, found) / option.trajectory.duration, k, found)
+            for k, option in enumerate(options)
+            if clock + option.trajectory.duration <= duration
+            for more in [early[k] if timeless else question.gram(option.trajectory, clock)]
+            for found in [gram + more]
+        ]
+        if not worth:
+            break
+        best = max(worth, key=lambda entry: (entry[0], -entry[1]))
+        if not best[0] > 0:
+            break
+        chosen.append(options[best[1]])
+        clock += chosen[-1].trajectory.duration
+        gram = best[2]
+    if not chosen:
+        chosen = [options[0]]
+        gram = question.gram(options[0].trajectory, 0.0)
+    trajectory = joined([option.trajectory for option in chosen])
+    pairs = question.separations(gram)
+    names = tuple(option.manoeuvre.name for option in chosen)
+    return Design(
+        trajectory, names, pairs, question.probabilities(pairs), _sentence(names, pairs)
+    )  # fmt: skip
+
+
+def explanations_of(report: Mapping[str, Any]) -> tuple[Explanation, ...]:
+    """Return what a diagnosis left open, from the document that ``diagnose --json`` printed.
+
+    Parameters
+    ----------
+    report : mapping
+        The document, with ``explanations`` or with ``effects`` and their ``rivals``.
+
+    Returns
+    -------
+    tuple of Explanation
+        The explanations, the likeliest first.
+
+    Raises
+    ------
+    InvalidInputError
+        If the document holds neither.
+    """
+    try:
+        sizes = {e["name"]: float(e["value"]) for e in report.get("effects", ())}
+        if report.get("explanations"):
+            found = [
+                Explanation(tuple(e["effects"]), float(e["probability"]), sizes)
+                for e in report["explanations"]
+            ]
+            return tuple(sorted(found, key=lambda e: -e.probability))
+        own = tuple(e["name"] for e in report["effects"])
+        found = [Explanation(own, 1.0, sizes)]
+        for entry in report["effects"]:
+            others = tuple(name for name in own if name != entry["name"])
+            found += [
+                Explanation((*others, str(rival)), 1.0, sizes) for rival in entry.get("rivals", ())
+            ]
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise InvalidInputError(
+            "the report is not what `energyplan diagnose --json` prints; give that document"
+        ) from None
+    return tuple(found)
+
+
+# -- the criterion --------------------------------------------------------------------------------
+
+
+class _Question:
+    """Explanations as columns of one matrix of regressors, of which only products are kept."""
+
+    def __init__(
+        self, model: PowerModel, explanations: tuple[Explanation, ...], noise: float, tau: float
+    ) -> None:
+        own = [term.name for term in model.terms]
+        self._terms = [[term.name for term in e.terms()] for e in explanations]
+        extra = {t.name: t for e in explanations for t in e.terms() if t.name not in own}
+        whole = model
+        for term in extra.values():
+            whole = whole.with_term(term, 0.0)
+        self._model, self.explanations = whole, explanations
+        self._names = [term.name for term in whole.terms]
+        self._own = [self._names.index(name) for name in own]
+        self._weight = STEP / max(STEP, 2 * tau) / noise**2
+        self._coefficients = model.coefficients
+        self.zero = np.zeros((len(self._names), len(self._names)))
+
+    def gram(self, trajectory: Trajectory, clock: float) -> FloatArray:
+        """Return the products of all regressors on a drive that begins at a time [s]."""
+        motion = Motion.from_trajectory(
+            trajectory, self._model.vehicle.icr, t=trajectory.t + clock,
+            accel_x=np.gradient(trajectory.v, trajectory.t),
+        )  # fmt: skip
+        if any(name.startswith("tilt_") for name in self._names):
+            channels = {k: v for k, v in motion.channels.items() if k != "slope"}
+            motion = Motion(motion.v_left, motion.v_right, motion.icr, channels)
+        try:
+            columns = self._model.regressors(motion)
+        except MissingChannelError as problem:
+            raise InvalidInputError(f"no drive is designed for it: {problem}") from None
+        rows = np.column_stack([c.total if isinstance(c, Sides) else c for c in columns])
+        return np.asarray(self._weight * rows.T @ rows)
+
+    def _columns(self, k: int) -> list[int]:
+        extra = [self._names.index(name) for name in self._terms[k]]
+        return list(dict.fromkeys([*self._own, *extra]))
+
+    def _sizes(self, gram: FloatArray, k: int) -> FloatArray:
+        """Return coefficients of an explanation; unknown ones are as strong as the first."""
+        explanation = self.explanations[k]
+        known = dict(explanation.values or {})
+        full = np.zeros(len(self._names))
+        full[self._own] = self._coefficients
+        missing = []
+        for name in self._terms[k]:
+            j = self._names.index(name)
+            if name in known:
+                full[j] = known[name]
+            elif j not in self._own:
+                missing.append(j)
+        if missing and k:
+            # As much energy of the deviation as the first explanation's own terms have.
+            first = self._sizes(gram, 0)
+            extra = [i for i in range(len(full)) if i not in self._own]
+            amount = float(first[extra] @ gram[np.ix_(extra, extra)] @ first[extra])
+            for j in missing:
+                if gram[j, j] > 0:
+                    full[j] = np.sqrt(max(amount, 0.0) / gram[j, j])
+        elif missing:
+            scale = float(self._coefficients @ gram[np.ix_(self._own, self._own)]
+                          @ self._coefficients)  # fmt: skip
+            for j in missing:
+                if gram[j, j] > 0:
+                    full[j] = 0.15 * np.sqrt(max(scale, 0.0) / gram[j, j])
+        return full
+
+    def separations(self, gram: FloatArray) -> tuple[Separation, ...]:
+        """Return the expected log-likelihood ratio of every ordered pair."""
+        found = []
+        for i, true in enumerate(self.explanations):
+            size = self._sizes(gram, i)
+            for j, other in enumerate(self.explanations):
+                if i == j:
+                    continue
+                columns = self._columns(j)
+                block = gram[np.ix_(columns, columns)]
+                cross = gram[columns] @ size
+                # Scaled, so that the cut of what the drive does not show means the same for all.
+                unit = np.sqrt(np.maximum(np.diag(block), 1e-300))
+                solved = np.linalg.pinv(block / np.outer(unit, unit), rcond=1e-9) @ (cross / unit)
+                left = float(size @ gram @ size - (cross / unit) @ solved)
+                found.append(Separation(true.label, other.label, max(left, 0.0) / 2))
+        return tuple(found)
+
+    def gain(self, before: FloatArray, after: FloatArray) -> float:
+        """Return what a manoeuvre adds to the criterion."""
+        return self._criterion(after) - self._criterion(before)
+
+    def _criterion(self, gram: FloatArray) -> float:
+        if len(self.explanations) > 1:
+            odds = np.array([pair.log_odds for pair in self.separations(gram)])
+            # Concave, so that a pair which is told apart makes room for the others.
+            return float(np.sum(np.log1p(odds)))
+        scale = np.where(self._coefficients != 0, np.abs(self._coefficients), 1.0)
+        own = gram[np.ix_(self._own, self._own)] * np.outer(scale, scale)
+        return float(np.linalg.slogdet(np.eye(len(own)) + own)[1])
+
+    def probabilities(self, pairs: Sequence[Separation]) -> tuple[tuple[str, float], ...]:
+        """Return how probable each explanation will be if it is true."""
+        prior = {e.label: max(e.probability, 1e-12) for e in self.explanations}
+        found = []
+        for label, weight in prior.items():
+            rest = sum(prior[p.other] * np.exp(-p.log_odds) for p in pairs if p.true == label)
+            found.append((label, float(weight / (weight + rest))))
+        return tuple(found)
+
+
+def _sentence(names: Sequence[str], pairs: Sequence[Separation]) -> str:
+    counts: dict[str, int] = {}
+    for name in names:
+        counts[name] = counts.get(name, 0) + 1
+    what = "; ".join(name if n == 1 else f"{name}, {n} times" for name, n in counts.items())
+    open_pairs = {frozenset((p.true, p.other)) for p in pairs if p.log_odds < SETTLED}
+    text = f"{what[0].upper()}{what[1:]}."
+    if not pairs:
+        return text + " This narrows the parameters most."
+    if not open_pairs:
+        return text + " This tells all explanations apart."
+    named = "; ".join(" from ".join(sorted(pair)) for pair in sorted(open_pairs, key=sorted))
+    return text + f" It is not expected to tell apart: {named}."

@@ -1,0 +1,90 @@
+"""The next drive, designed: what it promises against what other drives would do."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path as File
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+
+import energyplan as ep
+from energyplan import cli
+from energyplan.errors import InvalidInputError
+from energyplan.io.trajectory import read_trajectory
+from energyplan.physics.design import Explanation, design, explanations_of
+
+MODEL = ep.PowerModel.preset("quadriga:full:concrete")
+SPEEDS = (Explanation(("viscous_loss",), values={"viscous_loss": 60.0}), Explanation(("air_drag",)))
+
+
+def test_a_slow_and_a_fast_part_tell_viscous_loss_from_drag() -> None:
+    made = design(MODEL, SPEEDS, duration=40.0)
+    assert made.trajectory.duration <= 40.0
+    assert min(value for _, value in made.probabilities_expected) > 0.95
+    assert all(pair.log_odds > 3 for pair in made.separates)
+    for values in (made.trajectory.v, made.trajectory.omega):
+        assert values[0] == values[-1] == 0.0
+
+
+def test_the_designed_drive_stays_in_the_free_space() -> None:
+    made = design(MODEL, SPEEDS, duration=30.0, square=4.0)
+    hall = ep.OccupancyGrid.from_polygons([], (0.0, 0.0, 4.0, 4.0))
+    assert np.all(hall.footprint_free(made.trajectory.poses, MODEL.vehicle))
+
+
+def test_more_time_separates_more() -> None:
+    short, long = (design(MODEL, SPEEDS, duration=d) for d in (25.0, 50.0))
+    assert sum(p.log_odds for p in long.separates) > sum(p.log_odds for p in short.separates)
+
+
+def test_what_no_drive_can_tell_is_said() -> None:
+    """Hotel load and an offset of the sensor are one column."""
+    made = design(MODEL, [Explanation(("hotel_load",)), Explanation(("power_offset",))])
+    assert all(pair.log_odds < 0.01 for pair in made.separates)
+    assert dict(made.probabilities_expected)["hotel load"] == pytest.approx(0.5, abs=0.01)
+    assert "not expected to tell apart" in made.sentence
+
+
+def test_without_explanations_the_parameters_are_narrowed() -> None:
+    made = design(MODEL, duration=30.0)
+    assert made.separates == ()
+    assert np.abs(made.trajectory.omega).max() > 0.2  # friction needs turns,
+    assert np.abs(made.trajectory.v).max() > 0.2  # and resistance straights
+
+
+def test_reports() -> None:
+    found = {"name": "viscous_loss", "value": 60.0, "rivals": ["air_drag"]}
+    pair = explanations_of({"effects": [found]})
+    assert [e.effects for e in pair] == [("viscous_loss",), ("air_drag",)]
+    listed = [{"effects": ["air_drag"], "probability": 0.3}, {"effects": [], "probability": 0.7}]
+    pair = explanations_of({"effects": [], "explanations": listed})
+    assert [e.probability for e in pair] == [0.7, 0.3]
+    for bad in ({}, {"effects": [3]}, {"effects": 3}):
+        with pytest.raises(InvalidInputError, match="diagnose --json"):
+            explanations_of(bad)
+
+
+def test_bad_input_is_named() -> None:
+    with pytest.raises(InvalidInputError, match="duration"):
+        design(MODEL, duration=0.0)
+    with pytest.raises(InvalidInputError, match="no manoeuvre fits"):
+        design(MODEL, SPEEDS, duration=1.0)
+    with pytest.raises(InvalidInputError, match="room"):
+        design(MODEL, square=0.5)
+
+
+def test_command(tmp_path: File, capsys: pytest.CaptureFixture[str]) -> None:
+    report, out = tmp_path / "diagnosis.json", tmp_path / "next.csv"
+    effect = {"name": "viscous_loss", "value": 60.0, "rivals": ["air_drag"]}
+    report.write_text(json.dumps({"effects": [effect]}))
+    words = ["energyplan", "design", "--model", "quadriga:full:concrete", "--report", str(report),
+             "--duration", "30", "--out", str(out), "--json"]  # fmt: skip
+    with patch.object(sys, "argv", words), pytest.raises(SystemExit) as end:
+        cli.main()
+    assert not end.value.code
+    told = json.loads(capsys.readouterr().out)
+    assert told["separates"] and told["probabilities_expected"]
+    assert read_trajectory(out).duration == pytest.approx(told["duration"], abs=1e-6)
