@@ -1,6 +1,6 @@
 """Animate the least-energy and the shortest route, driven in the physics engine, as a GIF.
 
-    python docs/animate.py [FILE.gif]
+Usage: ``python docs/animate.py [FILE.gif]``
 """
 
 from __future__ import annotations
