@@ -281,6 +281,8 @@ def design(
 def _document(file: Path) -> dict[str, Any]:
     try:
         found = jsonlib.loads(file.read_text(encoding="utf-8"))
+    except OSError as problem:
+        raise InvalidInputError(f"{file} cannot be read: {problem.strerror}") from None
     except ValueError:
         found = None
     if not isinstance(found, dict):
