@@ -124,8 +124,6 @@ class Command(TyperCommand):
         inputs = [v for v in (*values, ctx.meta.get(_PROJECT)) if isinstance(v, str | Path)]
         refuse_overwriting(list(outputs.values()), inputs)
         _presets.set(presets_named(inputs))
-        for name, source in _presets.get().items():
-            warn(f"preset {name}: not measured on this robot, but taken from {source}")
         return super().invoke(ctx)
 
 
@@ -343,6 +341,8 @@ def answer(document: dict[str, Any], lines: list[str], *, json: bool) -> None:
     ]
     if presets:
         document = {**document, "preset": presets}
+    for one in presets:  # with the answer: an error stays one line
+        warn(f"preset {one['name']}: not measured on this robot, but taken from {one['source']}")
     if json:
         say(jsonlib.dumps(document, indent=1, allow_nan=False))
     else:
