@@ -301,7 +301,12 @@ class _Improvement:
         every = [Search(self.setting, to_go, lattice_for(self.setting), FIRST_WEIGHT)]
         searches = every.copy()
         while not self.budget.over:
-            tasks = [partial(Search.run, s, stop_at_first=True, expansions=turn) for s in searches]
+            # a finer lattice has shorter turns, since most paths are found on the first
+            shares = [search.lattice.cell / every[0].lattice.cell for search in searches]
+            tasks = [
+                partial(Search.run, search, stop_at_first=True, expansions=int(turn * share))
+                for search, share in zip(searches, shares, strict=True)
+            ]
             states = side_by_side(self.budget, tasks, turn)
             found = [search for search in searches if search.found]
             for search in found:
