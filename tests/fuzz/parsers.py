@@ -32,7 +32,7 @@ def compiled() -> list[str]:
     return [
         ".".join(("energyplan", *file.relative_to(root).with_suffix("").parts))
         for file in root.rglob("*.py")
-        if "compilation import njit" in file.read_text()
+        if "compilation import" in file.read_text()
     ]
 
 
