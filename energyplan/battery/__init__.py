@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan.battery._kernel import Circuit, discharge
 from energyplan.battery._tables import CHEMISTRIES, PRESETS
+from energyplan.battery.model import BatteryModel, BatteryRun, BrownOut
 from energyplan.errors import BatteryError, UnknownNameError
 from energyplan.path import FloatArray
 
-BrownOut = Literal["none", "voltage", "charge", "current"]
+__all__ = ["Battery", "BatteryModel", "BatteryRun", "BrownOut"]
+
 _REASONS: tuple[BrownOut, ...] = ("none", "voltage", "charge", "current")
 _REFERENCE_TEMPERATURE = 25.0
 
@@ -21,46 +22,6 @@ _REFERENCE_TEMPERATURE = 25.0
 def _require(condition: bool, message: str) -> None:
     if not condition:
         raise BatteryError(message)
-
-
-@dataclass(frozen=True)
-class BatteryRun:
-    """What a power profile does to a battery.
-
-    After a brown-out the battery is off: it delivers and takes back nothing.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Time [s].
-    soc, voltage, current : ndarray, shape (n,)
-        State of charge, terminal voltage [V] and current [A], positive when discharging, at the
-        beginning of each sample.
-    lost, braked : ndarray, shape (n,)
-        Energy that the battery's resistances turned into heat since the start, and returned
-        energy that it could not take and the brake resistors had to [J].
-    brown_out : float
-        Instant at which the battery gave up [s]; infinite if it did not.
-    reason : {"none", "voltage", "charge", "current"}
-        Why: voltage below cut-off under the load, empty, or more current than it may deliver.
-    polarisation : float
-        Voltage of the RC pair at the end [V]; what a next run starts with.
-    """
-
-    t: FloatArray
-    soc: FloatArray
-    voltage: FloatArray
-    current: FloatArray
-    lost: FloatArray
-    braked: FloatArray
-    brown_out: float
-    reason: BrownOut
-    polarisation: float = 0.0
-
-    @property
-    def soc_end(self) -> float:
-        """State of charge at the end."""
-        return float(self.soc[-1])
 
 
 @dataclass(frozen=True)
@@ -207,6 +168,12 @@ class Battery:
         return self.capacity * self.health * float(warm)
 
     @property
+    def full_energy(self) -> float:
+        """Energy between full and empty at this temperature and age, nothing being lost [J]."""
+        grid = np.linspace(0.0, 1.0, 101)
+        return self.available_capacity * float(np.trapezoid(self.ocv(grid), grid))
+
+    @property
     def _resistance_factor(self) -> float:
         cold = max(_REFERENCE_TEMPERATURE - self.temperature, 0.0)
         return (1.0 + self.resistance_coefficient * cold) / self.health
@@ -214,6 +181,41 @@ class Battery:
     def ocv(self, soc: ArrayLike) -> FloatArray:
         """Open-circuit voltage [V] at a state of charge."""
         return np.asarray(np.interp(np.asarray(soc, float), self.soc_points, self.ocv_points))
+
+    def larger(self, energy: float) -> Battery:
+        """Return a battery of the same make that holds so much more energy when full.
+
+        It has more strings in parallel: resistances fall and currents rise with the capacity.
+
+        Parameters
+        ----------
+        energy : float
+            How much more [J]; less where negative.
+
+        Returns
+        -------
+        Battery
+            The larger battery.
+
+        Raises
+        ------
+        BatteryError
+            If nothing would be left.
+        """
+        factor = 1.0 + energy / self.full_energy
+        _require(
+            factor > 0,
+            f"battery {self.name} holds {self.full_energy:g} J; {-energy:g} J less leaves nothing",
+        )
+        return replace(
+            self,
+            capacity=self.capacity * factor,
+            resistance=self.resistance / factor,
+            pair_resistance=self.pair_resistance / factor,
+            rated_current=self.rated_current * factor,
+            max_discharge_current=self.max_discharge_current * factor,
+            max_charge_current=self.max_charge_current * factor,
+        )
 
     # -- what it can do -------------------------------------------------------------------------
 

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.battery import Battery
 from energyplan.mission.energy import Estimate
 from energyplan.mission.given_order import Course, best_course
 from energyplan.mission.legs import Legs
@@ -313,12 +312,12 @@ class _Evaluation:
         battery = self.mission.battery
 
         def works(energy: float) -> bool:
-            return self._works(tasks, replace(self.mission, battery=_larger(battery, energy)))
+            return self._works(tasks, replace(self.mission, battery=battery.larger(energy)))
 
         low, high = 0.0, max(shortfall, 3600.0)
         while not works(high):
             low, high = high, 2 * high
-            if high > _MOST * battery.capacity * float(battery.ocv(1.0)):
+            if high > _MOST * battery.full_energy:
                 return []
         while high - low > max(0.02 * high, 3600.0):
             middle = 0.5 * (low + high)
@@ -370,20 +369,4 @@ def _between(before: Condition, after: Condition) -> Estimate:
         after.total.mean - before.total.mean,
         after.total.sensitivity - before.total.sensitivity,
         after.total.noise - before.total.noise,
-    )
-
-
-def _larger(battery: Battery, energy: float) -> Battery:
-    """Return a battery of the same make that holds so much more energy [J] when full."""
-    grid = np.linspace(0.0, 1.0, 101)
-    whole = battery.available_capacity * float(np.trapezoid(battery.ocv(grid), grid))
-    factor = 1.0 + energy / whole
-    return replace(
-        battery,
-        capacity=battery.capacity * factor,
-        resistance=battery.resistance / factor,
-        pair_resistance=battery.pair_resistance / factor,
-        rated_current=battery.rated_current * factor,
-        max_discharge_current=battery.max_discharge_current * factor,
-        max_charge_current=battery.max_charge_current * factor,
     )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from energyplan.battery import Battery
+from energyplan.battery import BatteryModel
 from energyplan.errors import MissionError
 from energyplan.path import Pose
 from energyplan.planning.problem import nearest_free
@@ -148,8 +148,8 @@ class Mission:
         Power model, with the vehicle, where no surface says otherwise.
     map : OccupancyGrid
         Obstacles.
-    battery : Battery
-        The battery.
+    battery : BatteryModel
+        The battery: a `Battery`, or any class with what a `BatteryModel` has.
     start : Pose
         Where the robot is.
     tasks : sequence of Task
@@ -206,7 +206,7 @@ class Mission:
 
     model: PowerModel
     map: OccupancyGrid
-    battery: Battery
+    battery: BatteryModel
     start: Pose
     tasks: tuple[Task, ...]
     chargers: tuple[Charger, ...] = ()
