@@ -377,6 +377,33 @@ def test_a_dear_strip_with_a_way_around_it_is_not_charged():
     assert least_excess(CompiledProblem(problem), 0.3, 1e6) > 100
 
 
+@pytest.mark.parametrize("resolution", [0.05, 0.1, 0.2])
+@pytest.mark.parametrize("inset", [-1.0, 0.0, 1e-9, 0.05])
+@pytest.mark.parametrize("lateral", [0.0, 0.15])
+def test_a_dear_surface_that_ends_at_the_edge_of_the_map_is_charged(resolution, inset, lateral):
+    # the narrow rim of cheap ground that may be left is no place for the robot
+    marble, concrete = (PowerModel.preset(f"quadriga:empty:{g}") for g in ("marble", "concrete"))
+    icr = replace(marble.vehicle.icr, left=marble.vehicle.icr.left + 2 * lateral)
+    marble, concrete = (
+        replace(model, vehicle=replace(model.vehicle, icr=icr)) for model in (marble, concrete)
+    )
+    area = shapely.box(inset, inset, 10.0 - inset, 10.0 - inset)
+    cells = round(10.0 / resolution)
+    grid = OccupancyGrid(np.zeros((cells, cells), bool), resolution)
+    surfaces = SurfaceMap((Surface(area, concrete),))
+    cost = EnergyCost(marble)
+    query = CompiledProblem(PlanningProblem(grid, cost, (1, 5, 0), (9, 5, 0), surfaces))
+    assert abs(cost.icr.centre[1]) == pytest.approx(lateral, abs=1e-3)
+    radius = 0.32 - lateral
+    per_metre = float(query.least_prices.metre_excess()[1])
+    excess = least_excess(query, radius, 1e6)
+    # the neighbourhoods of the ends are not charged
+    near = 2 * resolution * (1 + np.ceil(lateral / resolution))
+    rim = max(inset, 0.0) + resolution
+    charged = radius - lateral > rim + np.sqrt(2) * resolution
+    assert (8.0 - near) * per_metre * charged <= excess <= 8.0 * per_metre
+
+
 def test_cells_are_joined_on_large_maps(monkeypatch):
     strip = shapely.difference(shapely.box(-1, -1, 21, 11), shapely.box(8, -2, 12, 12))
     query = CompiledProblem(two_grounds(strip))

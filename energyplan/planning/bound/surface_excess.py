@@ -23,6 +23,9 @@ from energyplan.terrain import OccupancyGrid, SurfaceMap
 MOST_CELLS = 250_000
 """Cells above which they are joined to larger ones."""
 
+ROUNDING = 1e-3
+"""Far above what rounding makes of a clearance [cells]."""
+
 _cells: WeakKeyDictionary[OccupancyGrid, tuple[SurfaceMap, NDArray[np.intp]]]
 _cells = WeakKeyDictionary()
 
@@ -56,13 +59,19 @@ def least_excess(query: CompiledProblem, radius: float, limit: float) -> float:
         known = surfaces, _certain_regions(surfaces, grid, query.setting.surface)
         _cells[grid] = known
     per_metre = np.append(dear, 0.0)[known[1]]
-    clear = grid.space.clearance * grid.resolution >= radius - sqrt(0.5) * grid.resolution
+    # clearance of a cell's centre [m]; a point of the cell has up to half a diagonal more
+    clearance = grid.space.clearance * grid.resolution + sqrt(0.5) * grid.resolution
+    clear = clearance >= radius
+    # the reference point lies within the disc: what its ground would cost at an edge of a surface
+    # that runs along a wall, or along the map's edge, is of no matter
+    lateral = abs(query.problem.cost.icr.centre[1])
+    per_metre[clearance < radius - lateral - ROUNDING * grid.resolution] = np.inf
     factor = max(ceil(sqrt(per_metre.size / MOST_CELLS)), 1)
     per_metre = _blocks(per_metre, factor, np.inf).min(axis=(1, 3))
     passable = np.asarray(_blocks(clear, factor, False).any(axis=(1, 3)))
     size = factor * grid.resolution
     # the ground lies under the reference point, the cells are those of the treads' centre
-    reach = 1 + ceil(abs(query.problem.cost.icr.centre[1]) / size)
+    reach = 1 + ceil(lateral / size)
     least = ndimage.minimum_filter(per_metre, 2 * reach + 1, mode="nearest")
     setting = query.setting
     ends = [(setting.start_x, setting.start_y), (setting.goal_x, setting.goal_y)]
@@ -86,11 +95,12 @@ def _certain_regions(
     """Return the region of each cell that lies in one as a whole, -1 for those near an edge."""
     crossed = np.zeros(grid.shape, bool)
     for points in surfaces.edge_points(0.4 * grid.resolution):
-        column, row = np.floor(grid.to_cells(points)).astype(int).T
-        inside = (row >= 0) & (column >= 0) & (row < grid.shape[0]) & (column < grid.shape[1])
-        crossed[row[inside], column[inside]] = True
-    # between two points an edge may cut the corner of a cell beside theirs
-    crossed = ndimage.binary_dilation(crossed, np.ones((3, 3), bool))
+        at = grid.to_cells(points)
+        # all that lies on an edge is within a fifth of a cell of one of these points
+        for aside in ((-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)):
+            column, row = np.floor(at + aside).astype(int).T
+            inside = (row >= 0) & (column >= 0) & (row < grid.shape[0]) & (column < grid.shape[1])
+            crossed[row[inside], column[inside]] = True
     return np.where(crossed, -1, region.astype(np.intp))
 
 
