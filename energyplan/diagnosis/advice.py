@@ -115,11 +115,11 @@ def mimic_advice(
 def drive_advice(dependences: Sequence[Dependence], significance: float) -> list[str]:
     """Say that drives differ as a whole, where they do, and what no model can then reach."""
     return [
-        f"{one.shape}, beyond their own scatter (p = {one.p_value:.1g}): the ground, the load or a "
-        "temperature differed and is in no channel; no model of these channels that was identified "
-        "on other drives can be expected to come closer to an unseen one's energy than "
-        f"{100 * _MEAN_OF_NORMAL * one.values[0]:.1f} % on average: log what differed, or identify "
-        "on the spot"
+        f"{one.shape}, by more than the scatter within them explains (p = {one.p_value:.1g}): the "
+        "ground, the load or a temperature differed, and no channel of the logs recorded it. A "
+        "model identified on some drives will miss the energy of another one at "
+        f"least {100 * _MEAN_OF_NORMAL * one.values[0]:.1f} % on average: log what differed, or "
+        "identify again where the robot drives"
         for one in dependences
         if one.channel == "drive" and one.p_value < significance
     ]

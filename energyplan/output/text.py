@@ -206,7 +206,7 @@ def feasibility(report: FeasibilityReport) -> list[str]:
         for found in report.violations
     ]
     lines += [
-        f"largest feasible speed: {number(report.max_speed_scale)} of this one",
+        f"largest feasible speed: {number(report.max_speed_scale)} times that of this trajectory",
         report.reason,
         f"energy: {number(report.energy)} J",
     ]
