@@ -117,7 +117,7 @@ def drive_advice(dependences: Sequence[Dependence], significance: float) -> list
     return [
         f"{one.shape}, by more than the scatter within them explains (p = {one.p_value:.1g}): the "
         "ground, the load or a temperature differed, and no channel of the logs recorded it. A "
-        "model identified on some drives will miss the energy of another one at "
+        "model identified on some drives misses the energy of another one by at "
         f"least {100 * _MEAN_OF_NORMAL * one.values[0]:.1f} % on average: log what differed, or "
         "identify again where the robot drives"
         for one in dependences

@@ -115,7 +115,7 @@ class FeasibilityReport:
         ]
         title = (
             f"{'feasible' if self.feasible else 'not feasible'}, {html.number(self.energy)} J, "
-            f"largest feasible speed {html.number(self.max_speed_scale)} times that of the trajectory"
+            f"largest feasible speed {html.number(self.max_speed_scale)} times that driven"
         )
         header = ("limit exceeded", "side", "from [s]", "to [s]", "peak", "limit")
         return html.result(title, header, rows, [self.reason])
