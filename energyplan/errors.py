@@ -79,6 +79,18 @@ class MissionError(InvalidInputError):
         self.place = tuple(place)
 
 
+class MessageError(InvalidInputError):
+    """A ROS message is malformed; the message names the field and the remedy."""
+
+
+class FrameError(MessageError):
+    """A pose is in a frame that cannot be brought into the map's, or the robot's is not known."""
+
+
+class NoViapointsError(MessageError):
+    """A request to plan through poses names none."""
+
+
 class NotIdentifiableError(EnergyPlanError):
     """The data cannot tell a parameter; the message says what to drive instead."""
 

@@ -1,0 +1,343 @@
+"""Nav2's actions ComputePathToPose and ComputePathThroughPoses: requests, answers, error codes.
+
+The codes are those of nav2_msgs since Iron; Humble's results have no code, and what a result does
+not have is not filled in.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import (
+    EnergyPlanError,
+    FrameError,
+    GoalInCollisionError,
+    NoPathError,
+    NoViapointsError,
+    OutsideMapError,
+    StartInCollisionError,
+    TimeLimitError,
+    UnsupportedPlannerError,
+)
+from energyplan.path import Pose
+from energyplan.planning import Plan, PlanningProblem, plan, planners
+from energyplan.ros.messages import (
+    Factory,
+    field,
+    path_to_message,
+    pose_from_message,
+    pose_from_transform,
+)
+from energyplan.terrain import OccupancyGrid
+
+
+class ToPoseError(IntEnum):
+    """Error codes of nav2_msgs/action/ComputePathToPose."""
+
+    NONE = 0
+    UNKNOWN = 200
+    INVALID_PLANNER = 201
+    TF_ERROR = 202
+    START_OUTSIDE_MAP = 203
+    GOAL_OUTSIDE_MAP = 204
+    START_OCCUPIED = 205
+    GOAL_OCCUPIED = 206
+    TIMEOUT = 207
+    NO_VALID_PATH = 208
+
+
+class ThroughPosesError(IntEnum):
+    """Error codes of nav2_msgs/action/ComputePathThroughPoses."""
+
+    NONE = 0
+    UNKNOWN = 300
+    INVALID_PLANNER = 301
+    TF_ERROR = 302
+    START_OUTSIDE_MAP = 303
+    GOAL_OUTSIDE_MAP = 304
+    START_OCCUPIED = 305
+    GOAL_OCCUPIED = 306
+    TIMEOUT = 307
+    NO_VALID_PATH = 308
+    NO_VIAPOINTS_GIVEN = 309
+
+
+Codes = type[ToPoseError] | type[ThroughPosesError]
+
+_NAMES: tuple[tuple[type[EnergyPlanError], str], ...] = (
+    (NoViapointsError, "NO_VIAPOINTS_GIVEN"),
+    (UnsupportedPlannerError, "INVALID_PLANNER"),
+    (FrameError, "TF_ERROR"),
+    (StartInCollisionError, "START_OCCUPIED"),
+    (GoalInCollisionError, "GOAL_OCCUPIED"),
+    (TimeLimitError, "TIMEOUT"),
+    (NoPathError, "NO_VALID_PATH"),
+)
+
+
+def codes_of(request: Any) -> Codes:
+    """Return the error codes of the action that a goal belongs to."""
+    return ThroughPosesError if hasattr(request, "goals") else ToPoseError
+
+
+def error_code(
+    error: EnergyPlanError, codes: Codes, problem: PlanningProblem | None = None
+) -> ToPoseError | ThroughPosesError:
+    """Return the code of Nav2's planner server for an error of the library.
+
+    Parameters
+    ----------
+    error : EnergyPlanError
+        The error.
+    codes : type
+        `ToPoseError` or `ThroughPosesError`.
+    problem : PlanningProblem, optional
+        What was to be planned: it tells whether start or goal lies outside the map.
+
+    Returns
+    -------
+    ToPoseError or ThroughPosesError
+        The code; ``UNKNOWN`` for what Nav2 has no name for, such as a malformed message.
+    """
+    if isinstance(error, OutsideMapError) and problem is not None:
+        on_map = problem.terrain.obstacles.inside(problem.start[:2])
+        return codes["GOAL_OUTSIDE_MAP" if bool(on_map) else "START_OUTSIDE_MAP"]
+    for kind, name in _NAMES:
+        if isinstance(error, kind):
+            return codes[name]
+    return codes["UNKNOWN"]
+
+
+def request_to_problems(
+    request: Any,
+    grid: OccupancyGrid,
+    cost: EnergyCost,
+    *,
+    frame: str = "map",
+    robot: Pose | None = None,
+    lookup: Callable[[str], Any] | None = None,
+    **options: Any,
+) -> tuple[PlanningProblem, ...]:
+    """Return what a goal of ComputePathToPose or ComputePathThroughPoses asks for.
+
+    Parameters
+    ----------
+    request : object
+        The action's goal, of Humble or newer. ``goals`` may be a list or a nav_msgs/Goals;
+        ``viapoints`` of newer goals of ComputePathToPose are driven through in order.
+    grid : OccupancyGrid
+        The map.
+    cost : EnergyCost
+        Cost of motions.
+    frame : str
+        Frame of the map.
+    robot : Pose, optional
+        The robot's pose in the map's frame, where the request does not bring a start.
+    lookup : callable, optional
+        Takes a frame's name, and returns the geometry_msgs/TransformStamped that brings what is in
+        it into the map's frame; for poses in other frames.
+    **options : object
+        Further fields of `PlanningProblem`.
+
+    Returns
+    -------
+    tuple of PlanningProblem
+        One problem for each leg, in order.
+
+    Raises
+    ------
+    FrameError
+        If a pose cannot be brought into the map's frame, or the robot's pose is not known.
+    NoViapointsError
+        If a request through poses has no goals.
+    MessageError
+        If a field is missing or malformed.
+    """
+
+    def pose(message: Any) -> Pose:
+        name = str(field(message, "header.frame_id"))
+        if lookup is None or name.lstrip("/") == frame.lstrip("/"):
+            return pose_from_message(message, frame)
+        x, y, yaw = pose_from_message(message)
+        base = pose_from_transform(lookup(name))
+        c, s = np.cos(base.yaw), np.sin(base.yaw)
+        return Pose(
+            float(base.x + c * x - s * y), float(base.y + s * x + c * y), float(base.yaw + yaw)
+        )
+
+    if hasattr(request, "goals"):
+        goals = request.goals.goals if hasattr(request.goals, "goals") else request.goals
+        if len(goals) == 0:
+            raise NoViapointsError("the request has no goals; give at least one")
+    else:
+        between = getattr(request, "viapoints", ())
+        between = between.goals if hasattr(between, "goals") else between
+        goals = [*between, field(request, "goal")]
+    if field(request, "use_start"):
+        start = pose(field(request, "start"))
+    elif robot is not None:
+        start = robot
+    else:
+        raise FrameError("the robot's pose is not known; give a start, and set use_start")
+    stops = [start, *(pose(goal) for goal in goals)]
+    return tuple(
+        PlanningProblem(grid, cost, here, there, **options) for here, there in pairwise(stops)
+    )
+
+
+def planner_of(planner_id: str, default: str = "lattice") -> str:
+    """Return the library's planner for Nav2's ``planner_id``.
+
+    Parameters
+    ----------
+    planner_id : str
+        A planner's name, or empty or ``"GridBased"``, which is what Nav2 asks for by default.
+    default : str
+        Planner for these two.
+
+    Returns
+    -------
+    str
+        Name of the planner.
+
+    Raises
+    ------
+    UnsupportedPlannerError
+        If there is no such planner.
+    """
+    name = default if planner_id in ("", "GridBased") else planner_id
+    if name not in planners():
+        raise UnsupportedPlannerError(
+            f"there is no planner {name!r}; known: {', '.join(planners())}"
+        )
+    return name
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What became of a request.
+
+    Attributes
+    ----------
+    plans : tuple of Plan
+        A plan for each leg; none after an error.
+    code : ToPoseError or ThroughPosesError
+        Nav2's error code.
+    message : str
+        What went wrong, and what helps; empty if nothing did.
+    planning_time : float
+        Time spent [s].
+    """
+
+    plans: tuple[Plan, ...]
+    code: ToPoseError | ThroughPosesError
+    message: str
+    planning_time: float
+
+    @property
+    def energy(self) -> float:
+        """Energy of all legs [J]."""
+        return float(sum(plan.energy for plan in self.plans))
+
+    @property
+    def lower_bound(self) -> float:
+        """What no paths through the same poses can cost less than, in the objective's unit."""
+        return float(sum(plan.lower_bound for plan in self.plans))
+
+
+def answer(
+    request: Any,
+    grid: OccupancyGrid,
+    cost: EnergyCost,
+    *,
+    planner: str = "lattice",
+    time_limit: float = 1.0,
+    effort: int | None = None,
+    **options: Any,
+) -> Answer:
+    """Plan what a request asks for; every error of the library becomes a code and a message.
+
+    Parameters
+    ----------
+    request : object
+        Goal of ComputePathToPose or ComputePathThroughPoses.
+    grid : OccupancyGrid
+        The map.
+    cost : EnergyCost
+        Cost of motions.
+    planner : str
+        Planner where the request names none.
+    time_limit : float
+        Time for all legs together [s].
+    effort : int, optional
+        Units of work for all legs together, in place of the time limit.
+    **options : object
+        What `request_to_problems` takes besides.
+
+    Returns
+    -------
+    Answer
+        The plans, or why there are none.
+    """
+    began = time.perf_counter()
+    codes = codes_of(request)
+    problem = None
+    plans: list[Plan] = []
+    try:
+        name = planner_of(str(field(request, "planner_id")), planner)
+        problems = request_to_problems(request, grid, cost, **options)
+        for problem in problems:
+            problem.check_poses()
+        for problem in problems:
+            share = None if effort is None else max(effort // len(problems), 1)
+            plans.append(plan(problem, name, time_limit / len(problems), effort=share))
+    except EnergyPlanError as error:
+        spent = time.perf_counter() - began
+        return Answer((), error_code(error, codes, problem), str(error), spent)
+    return Answer(tuple(plans), codes["NONE"], "", time.perf_counter() - began)
+
+
+def fill_result(result: Any, answer: Answer, frame: str, stamp: Any, factory: Factory) -> Any:
+    """Fill in the result of an action.
+
+    Parameters
+    ----------
+    result : object
+        The result; of its fields ``path``, ``planning_time``, ``error_code`` and ``error_msg``
+        those are set that it has.
+    answer : Answer
+        What became of the request.
+    frame : str
+        Frame of the map.
+    stamp : object
+        A builtin_interfaces/Time.
+    factory : callable
+        Gives a message's class by its name, see `path_to_message`.
+
+    Returns
+    -------
+    object
+        The same result.
+    """
+    seconds = int(answer.planning_time)
+    rest = min(round((answer.planning_time - seconds) * 1e9), 10**9 - 1)
+    duration = factory("builtin_interfaces/msg/Duration")
+    path = path_to_message([plan.path for plan in answer.plans], frame, stamp, factory)
+    values: Sequence[tuple[str, Any]] = (
+        ("path", path),
+        ("planning_time", duration(sec=seconds, nanosec=rest)),
+        ("error_code", int(answer.code)),
+        ("error_msg", answer.message),
+    )
+    for name, value in values:
+        if hasattr(result, name):
+            setattr(result, name, value)
+    return result

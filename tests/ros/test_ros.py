@@ -1,0 +1,374 @@
+"""Messages of ROS 2, serialised as on the wire and back, and what the library makes of them."""
+
+from __future__ import annotations
+
+import importlib.util
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import energyplan as ep
+from energyplan import ros
+from energyplan.errors import (
+    EnergyPlanError,
+    FrameError,
+    GoalInCollisionError,
+    InvalidInputError,
+    MapError,
+    MessageError,
+    NoPathError,
+    OutsideMapError,
+    StartInCollisionError,
+    TimeLimitError,
+    UnsupportedPlannerError,
+    VehicleError,
+)
+from energyplan.path import wrap_angle
+
+pytest.importorskip("rosbags", reason="the messages' definitions need the extra bags")
+spec = importlib.util.spec_from_file_location(
+    "ros_definitions", __file__.replace("test_ros.py", "definitions.py")
+)
+assert spec is not None and spec.loader is not None
+definitions = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(definitions)
+
+DISTRIBUTIONS = ("humble", "jazzy", "kilted")
+COST = ep.EnergyCost(ep.PowerModel.preset("quadriga:empty:concrete"))
+TO_POSE = "nav2_msgs/action/ComputePathToPose_Goal"
+THROUGH = "nav2_msgs/action/ComputePathThroughPoses_Goal"
+
+
+class Wire:
+    """Makes messages of one distribution, and sends them through CDR."""
+
+    def __init__(self, distribution: str) -> None:
+        self.distribution = distribution
+        self.store = definitions.store(distribution)
+        self.stamp = self.make("builtin_interfaces/msg/Time", sec=7, nanosec=5)
+
+    def make(self, kind: str, **fields: Any) -> Any:
+        return self.store.types[kind](**fields)
+
+    def sent(self, message: Any) -> Any:
+        kind = message.__msgtype__
+        return self.store.deserialize_cdr(self.store.serialize_cdr(message, kind), kind)
+
+    def header(self, frame: str = "map") -> Any:
+        return self.make("std_msgs/msg/Header", stamp=self.stamp, frame_id=frame)
+
+    def turn(self, yaw: float, tilt: float = 0.0) -> Any:
+        """Return the rotation by a tilt about the body's y after a yaw about z."""
+        c, s = np.cos(tilt / 2), np.sin(tilt / 2)
+        return self.make(
+            "geometry_msgs/msg/Quaternion",
+            x=float(-np.sin(yaw / 2) * s), y=float(np.cos(yaw / 2) * s),
+            z=float(np.sin(yaw / 2) * c), w=float(np.cos(yaw / 2) * c),
+        )  # fmt: skip
+
+    def pose(self, x: float, y: float, yaw: float, tilt: float = 0.0) -> Any:
+        point = self.make("geometry_msgs/msg/Point", x=x, y=y, z=0.3)
+        return self.make("geometry_msgs/msg/Pose", position=point, orientation=self.turn(yaw, tilt))
+
+    def stamped(self, x: float, y: float, yaw: float, frame: str = "map") -> Any:
+        return self.make(
+            "geometry_msgs/msg/PoseStamped", header=self.header(frame), pose=self.pose(x, y, yaw)
+        )
+
+    def map(self, cells: Any, origin: Any = (0.0, 0.0, 0.0), **fields: Any) -> Any:
+        cells = np.asarray(cells)
+        info = {
+            "map_load_time": self.stamp, "resolution": 0.1, "width": cells.shape[1],
+            "height": cells.shape[0], "origin": self.pose(*origin),
+        }  # fmt: skip
+        return self.make(
+            "nav_msgs/msg/OccupancyGrid",
+            header=self.header(),
+            info=self.make("nav_msgs/msg/MapMetaData", **(info | fields)),
+            data=cells.astype(np.int8).ravel(),
+        )
+
+    def to_pose(self, goal: Any, start: Any = None, planner_id: str = "") -> Any:
+        return self.make(
+            TO_POSE, goal=goal, start=start or self.stamped(0, 0, 0), planner_id=planner_id,
+            use_start=start is not None,
+        )  # fmt: skip
+
+    def through(self, goals: list[Any], start: Any) -> Any:
+        if self.distribution == "kilted":
+            goals = self.make("nav_msgs/msg/Goals", header=self.header(), goals=goals)
+        return self.make(THROUGH, goals=goals, start=start, planner_id="GridBased", use_start=True)
+
+
+@pytest.fixture(scope="module", params=DISTRIBUTIONS)
+def wire(request: pytest.FixtureRequest) -> Wire:
+    return Wire(request.param)
+
+
+@pytest.fixture(scope="module")
+def jazzy() -> Wire:
+    return Wire("jazzy")
+
+
+HALL = np.zeros((80, 80), int)
+HALL[:, 78:] = 100
+
+
+def test_a_map_comes_with_its_turned_origin_and_unknown_cells(wire: Wire) -> None:
+    cells = [[0, 100, -1], [64, 65, 0]]
+    grid = ros.grid_from_message(wire.sent(wire.map(cells, (3.0, -2.0, 2.5))))
+    np.testing.assert_array_equal(grid.occupied, [[False, True, False], [False, True, False]])
+    np.testing.assert_array_equal(grid.unknown, [[False, False, True], [False, False, False]])
+    np.testing.assert_allclose(grid.origin, (3.0, -2.0, 2.5), atol=1e-12)
+    assert grid.resolution == pytest.approx(0.1, rel=1e-7)
+    # the middle of the cell in row 1, column 2
+    expected = np.array([3.0, -2.0]) + 0.1 * np.array(
+        [2.5 * np.cos(2.5) - 1.5 * np.sin(2.5), 2.5 * np.sin(2.5) + 1.5 * np.cos(2.5)]
+    )
+    np.testing.assert_allclose(grid.to_world((2.5, 1.5)), expected, atol=1e-7)
+    assert grid.blocked[0, 2]
+    free = ros.grid_from_message(wire.map(cells), unknown_is_free=True)
+    assert not free.blocked[0, 2]
+    inflated = ros.grid_from_message(wire.map([[99, 100]]), occupied_from=100)
+    np.testing.assert_array_equal(inflated.occupied, [[False, True]])
+
+
+def test_a_costmap_is_blocked_where_lethal_alone(wire: Wire) -> None:
+    metadata = wire.make(
+        "nav2_msgs/msg/CostmapMetaData", map_load_time=wire.stamp, update_time=wire.stamp,
+        layer="master", resolution=0.05, size_x=5, size_y=1, origin=wire.pose(0, 0, 0),
+    )  # fmt: skip
+    data = np.array([0, 252, 253, 254, 255], np.uint8)
+    message = wire.make("nav2_msgs/msg/Costmap", header=wire.header(), metadata=metadata, data=data)
+    grid = ros.grid_from_message(wire.sent(message))
+    np.testing.assert_array_equal(grid.occupied, [[False, False, False, True, False]])
+    np.testing.assert_array_equal(grid.unknown, [[False, False, False, False, True]])
+    inscribed = ros.grid_from_message(message, occupied_from=253)
+    np.testing.assert_array_equal(inscribed.occupied, [[False, False, True, True, False]])
+
+
+def test_lists_and_arrays_are_data_too(jazzy: Wire) -> None:
+    import array
+
+    message = jazzy.map([[0, 100], [-1, 0]])
+    whole = ros.grid_from_message(message)
+    for data in ([0, 100, -1, 0], array.array("b", [0, 100, -1, 0])):
+        message.data = data
+        np.testing.assert_array_equal(ros.grid_from_message(message).blocked, whole.blocked)
+
+
+@pytest.mark.parametrize(
+    ("fields", "data", "error", "text"),
+    [
+        ({"width": 3}, None, MessageError, "3 by 2 cells, but data has 4"),
+        ({"width": 0, "height": 0}, [], MessageError, "0 by 0 cells"),
+        ({"resolution": 0.0}, None, MapError, "resolution is 0.0 m"),
+        ({"resolution": float("nan")}, None, MessageError, "resolution .* finite"),
+        ({"width": None}, None, MessageError, "give numbers"),
+        ({}, [0, 0, 101, 0], MessageError, r"data\[2\] is 101"),
+        ({}, [0, -2, 0, 0], MessageError, r"data\[1\] is -2"),
+        ({}, [0.5, 0, 0, 0], MessageError, "whole numbers"),
+        ({}, [[0], [0, 1]], MessageError, "no row of numbers"),
+    ],
+)
+def test_bad_maps_are_named(
+    jazzy: Wire, fields: dict[str, Any], data: Any, error: type[Exception], text: str
+) -> None:
+    message = jazzy.map(np.zeros((2, 2)), **fields)
+    if data is not None:
+        message.data = data
+    with pytest.raises(error, match=text):
+        ros.grid_from_message(message)
+
+
+def test_a_tilted_map_and_an_unset_quaternion_are_refused(jazzy: Wire) -> None:
+    tilted = jazzy.map(HALL, origin=(0.0, 0.0, 1.0, 0.1))
+    with pytest.raises(MessageError, match="tilted"):
+        ros.grid_from_message(tilted)
+    unset = jazzy.pose(1.0, 2.0, 0.0)
+    unset.orientation.w = 0.0
+    with pytest.raises(MessageError, match="length 0"):
+        ros.pose_from_message(unset)
+    with pytest.raises(InvalidInputError, match="occupied_from is 0"):
+        ros.grid_from_message(jazzy.map(HALL), occupied_from=0)
+    with pytest.raises(MessageError, match="no field 'info'"):
+        ros.grid_from_message(unset)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.0, 3.1, -3.1, np.pi])
+@pytest.mark.parametrize("tilt", [0.0, 0.2])
+def test_a_heading_comes_back_also_on_a_slope(wire: Wire, yaw: float, tilt: float) -> None:
+    message = wire.sent(wire.pose(1.5, -2.0, yaw, tilt))
+    found = ros.pose_from_message(message)
+    assert (found.x, found.y) == (1.5, -2.0)
+    assert float(wrap_angle(found.yaw - yaw + 1.0)) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_poses_that_are_not_finite_or_in_another_frame_are_refused(jazzy: Wire) -> None:
+    with pytest.raises(MessageError, match=r"position.x.*finite"):
+        ros.pose_from_message(jazzy.pose(float("nan"), 0.0, 0.0))
+    assert ros.pose_from_message(jazzy.stamped(1, 2, 0, "/map"), "map") == (1, 2, 0)
+    with pytest.raises(FrameError, match="'odom', expected 'map'"):
+        ros.pose_from_message(jazzy.stamped(1, 2, 0, "odom"), "map")
+
+
+def test_a_footprint_becomes_the_rectangle_around_it(wire: Wire) -> None:
+    corners = [(0.5, 0.0), (0.0, 0.3), (-0.4, 0.1), (0.0, -0.3)]
+    points = [wire.make("geometry_msgs/msg/Point32", x=x, y=y, z=0.0) for x, y in corners]
+    polygon = wire.sent(wire.make("geometry_msgs/msg/Polygon", points=points))
+    found = ros.footprint_from_message(polygon, COST.vehicle)
+    np.testing.assert_allclose(found.footprint, [[-0.4, -0.3], [0.5, 0.3]], atol=1e-7)
+    stamped = wire.make(
+        "geometry_msgs/msg/PolygonStamped", header=wire.header("map"), polygon=polygon
+    )
+    with pytest.raises(FrameError, match="robot's own frame"):
+        ros.footprint_from_message(stamped, COST.vehicle, "base_link")
+    polygon.points = points[:2]
+    with pytest.raises(MessageError, match="2 corners"):
+        ros.footprint_from_message(polygon, COST.vehicle)
+    polygon.points = [points[0]] * 3
+    with pytest.raises(VehicleError, match="x_max > x_min"):
+        ros.footprint_from_message(polygon, COST.vehicle)
+
+
+def test_a_path_comes_back_from_the_wire(wire: Wire) -> None:
+    path = ep.Path((1.0, 2.0, 3.0), ds=[1.0, 0.0, -0.5], dtheta=[0.4, 2.0, 0.0])
+    second = ep.Path(path.end, ds=[0.3], dtheta=[0.1])
+    message = wire.sent(
+        ros.path_to_message([path, second], "map", wire.stamp, wire.store.types.__getitem__)
+    )
+    assert message.header.frame_id == "map" and message.header.stamp.sec == 7
+    assert all(p.header.frame_id == "map" for p in message.poses)
+    poses = np.array([ros.pose_from_message(p, "map") for p in message.poses])
+    steps = np.diff(poses, axis=0)
+    assert np.hypot(steps[:, 0], steps[:, 1]).max() <= 0.05 + 1e-12
+    assert np.abs(wrap_angle(steps[:, 2])).max() <= 0.1 + 1e-12
+    assert np.abs(steps).max(axis=1).min() > 0  # the pose between two legs is there once
+    again = ep.Path.from_poses(poses)
+    assert again.length == pytest.approx(path.length + second.length, rel=1e-9)
+    assert again.turning == pytest.approx(path.turning + second.turning, rel=1e-9)
+
+
+def test_a_goal_is_planned_and_its_result_sent(wire: Wire) -> None:
+    grid = ros.grid_from_message(wire.sent(wire.map(HALL)))
+    request = wire.sent(wire.to_pose(wire.stamped(5, 4, 0.5), wire.stamped(2, 2, 0)))
+    found = ros.answer(request, grid, COST, effort=20_000)
+    assert found.code == ros.ToPoseError.NONE and found.message == ""
+    same = ep.plan(ep.PlanningProblem(grid, COST, (2, 2, 0), (5, 4, 0.5)), effort=20_000)
+    assert found.energy == pytest.approx(same.energy, rel=1e-9)
+    assert found.lower_bound <= found.energy * (1 + 1e-9)
+    result = empty_result(wire)
+    assert ros.fill_result(result, found, "map", wire.stamp, wire.store.types.__getitem__) is result
+    result = wire.sent(result)
+    np.testing.assert_allclose(
+        ros.pose_from_message(result.path.poses[-1], "map"), (5, 4, 0.5), atol=1e-6
+    )
+    took = result.planning_time.sec + 1e-9 * result.planning_time.nanosec
+    assert took == pytest.approx(found.planning_time, abs=2e-9)
+    assert hasattr(result, "error_code") is (wire.distribution != "humble")
+
+
+def empty_result(wire: Wire) -> Any:
+    more = {} if wire.distribution == "humble" else {"error_code": 9, "error_msg": "?"}
+    return wire.make(
+        "nav2_msgs/action/ComputePath_Result",
+        path=wire.make("nav_msgs/msg/Path", header=wire.header(), poses=[]),
+        planning_time=wire.make("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
+        **more,
+    )
+
+
+def test_goals_are_driven_through_in_order(wire: Wire) -> None:
+    grid = ros.grid_from_message(wire.map(HALL))
+    goals = [wire.stamped(4, 2, 0), wire.stamped(4, 4, 1.57)]
+    request = wire.sent(wire.through(goals, wire.stamped(2, 2, 0)))
+    found = ros.answer(request, grid, COST, effort=40_000)
+    assert found.code == ros.ThroughPosesError.NONE, found.message
+    assert len(found.plans) == 2
+    assert found.energy == pytest.approx(sum(p.energy for p in found.plans))
+    ends = [p.path.end for p in found.plans]
+    np.testing.assert_allclose(ends, [(4, 2, 0), (4, 4, 1.57)], atol=1e-6)
+    nowhere = ros.answer(wire.sent(wire.through([], wire.stamped(2, 2, 0))), grid, COST)
+    assert nowhere.code == 309 and "at least one" in nowhere.message
+
+
+def test_viapoints_of_newer_goals_come_before_the_goal(jazzy: Wire) -> None:
+    grid = ros.grid_from_message(jazzy.map(HALL))
+    request = SimpleNamespace(
+        goal=jazzy.stamped(4, 4, 0), start=jazzy.stamped(2, 2, 0), planner_id="", use_start=True,
+        viapoints=[jazzy.stamped(3, 2, 0)],
+    )  # fmt: skip
+    problems = ros.request_to_problems(request, grid, COST)
+    assert [(p.start, p.goal) for p in problems] == [
+        ((2, 2, 0), (3, 2, 0)), ((3, 2, 0), (4, 4, 0)),
+    ]  # fmt: skip
+
+
+def test_poses_in_other_frames_are_brought_into_the_maps(wire: Wire) -> None:
+    transform = wire.make(
+        "geometry_msgs/msg/TransformStamped", header=wire.header("map"), child_frame_id="odom",
+        transform=wire.make(
+            "geometry_msgs/msg/Transform",
+            translation=wire.make("geometry_msgs/msg/Vector3", x=1.0, y=2.0, z=0.0),
+            rotation=wire.turn(np.pi / 2),
+        ),
+    )  # fmt: skip
+    frames = {"odom": wire.sent(transform)}
+    grid = ros.grid_from_message(wire.map(HALL))
+    request = wire.to_pose(wire.stamped(2, -1, 0.5, "odom"))
+    robot = ros.pose_from_transform(frames["odom"])
+    (problem,) = ros.request_to_problems(
+        request, grid, COST, robot=robot, lookup=frames.__getitem__, clearance=0.1
+    )
+    np.testing.assert_allclose(problem.start, (1, 2, np.pi / 2), atol=1e-12)
+    np.testing.assert_allclose(problem.goal, (2, 4, np.pi / 2 + 0.5), atol=1e-12)
+    assert problem.clearance == 0.1
+    assert ros.answer(request, grid, COST, robot=robot).code == 202  # no way to transform
+    assert ros.answer(wire.to_pose(wire.stamped(2, 2, 0)), grid, COST).code == 202  # no start
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "planner", "code"),
+    [
+        ((-1, 2, 0), (9, 2, 0), "", 203),
+        ((2, 2, 0), (9, 2, 0), "", 204),
+        ((7.7, 2, 0), (4, 2, 0), "", 205),
+        ((2, 2, 0), (7.7, 2, 0), "", 206),
+        ((2, 2, 0), (4, 2, 0), "NavfnPlanner", 201),
+        ((2, 2, 0), (float("inf"), 2, 0), "", 200),
+    ],
+)
+def test_what_cannot_be_has_nav2s_code(
+    jazzy: Wire, start: Any, goal: Any, planner: str, code: int
+) -> None:
+    grid = ros.grid_from_message(jazzy.map(HALL))
+    request = jazzy.to_pose(jazzy.stamped(*goal), jazzy.stamped(*start), planner)
+    found = ros.answer(jazzy.sent(request), grid, COST)
+    assert (found.code, found.plans) == (code, ()) and found.message
+    result = ros.fill_result(
+        empty_result(jazzy), found, "map", jazzy.stamp, jazzy.store.types.__getitem__
+    )
+    assert jazzy.sent(result).error_code == code and len(result.path.poses) == 0
+
+
+def test_a_wall_leaves_no_valid_path(jazzy: Wire) -> None:
+    walled = HALL.copy()
+    walled[:, 40] = 100
+    grid = ros.grid_from_message(jazzy.map(walled))
+    request = jazzy.to_pose(jazzy.stamped(6, 2, 0), jazzy.stamped(2, 2, 0))
+    assert ros.answer(request, grid, COST, effort=50_000).code == 208
+
+
+@pytest.mark.parametrize("codes", [ros.ToPoseError, ros.ThroughPosesError])
+def test_every_error_has_a_code(codes: Any) -> None:
+    base = codes.UNKNOWN
+    for error, code in (
+        (EnergyPlanError("?"), base), (MessageError("?"), base),
+        (UnsupportedPlannerError("?"), base + 1), (FrameError("?"), base + 2),
+        (StartInCollisionError("?"), base + 5), (GoalInCollisionError("?"), base + 6),
+        (TimeLimitError("?"), base + 7), (NoPathError("?"), base + 8),
+    ):  # fmt: skip
+        assert ros.error_code(error, codes) == code
+    assert ros.error_code(OutsideMapError("?"), codes) == base
