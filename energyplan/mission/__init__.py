@@ -9,7 +9,6 @@ energy at its bound.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,14 +17,20 @@ from energyplan.mission.energy import Estimate
 from energyplan.mission.given_order import Course, best_course
 from energyplan.mission.legs import Legs
 from energyplan.mission.order_refinement import best_stops
+from energyplan.mission.remedies import Remedy
 from energyplan.mission.report import MissionReport, Reason, TaskReport, Timeline
 from energyplan.mission.simulation import Attempt, Condition, Walk
 from energyplan.mission.types import Charger, Mission, Task
 
-__all__ = ["Charger", "Mission", "MissionReport", "Task", "TaskReport", "Timeline", "evaluate"]
+__all__ = [
+    "Charger", "Mission", "MissionReport", "Remedy", "Task", "TaskReport", "Timeline", "evaluate",
+]  # fmt: skip
 
 _CANDIDATES = 5
 """How many earlier tasks are tried as the one to drop."""
+
+_CONFIRMED = 8
+"""Remedies of a free order of so many tasks are confirmed by solving it anew."""
 
 _MOST = 10.0
 """Batteries beyond so many times the one on board are not proposed."""
@@ -72,9 +77,14 @@ class _Try(NamedTuple):
 class _Evaluation:
     """One mission on its way to a report."""
 
-    def __init__(self, mission: Mission, progress: Callable[[str], None] | None) -> None:
+    def __init__(
+        self,
+        mission: Mission,
+        progress: Callable[[str], None] | None = None,
+        legs: Legs | None = None,
+    ) -> None:
         self.mission = mission
-        self.legs = Legs(mission, progress)
+        self.legs = Legs(mission, progress) if legs is None else legs
         self.walk = Walk(self.legs)
         self.progress = progress
         self.attempts: dict[int, _Try] = {}
@@ -83,7 +93,7 @@ class _Evaluation:
 
     def report(self) -> MissionReport:
         """Do the tasks, find the way home, and explain what is left out."""
-        state = self._given() if self.mission.order == "given" else self._free()
+        state = self.go()
         last = self.walk.finish(state)
         tasks = tuple(self._task(k) for k in range(len(self.mission.tasks)))
         missed = [
@@ -115,6 +125,10 @@ class _Evaluation:
         )
 
     # -- the way ----------------------------------------------------------------------------------
+
+    def go(self) -> Condition:
+        """Do the tasks that can be done."""
+        return self._given() if self.mission.order == "given" else self._free()
 
     def _given(self) -> Condition:
         course = best_course(self.walk)
@@ -203,6 +217,7 @@ class _Evaluation:
         reason: Reason = "blocked_by_earlier" if blocked else _REASONS[told.reason]
         lacking = told.reason == "battery"
         used = _between(before if blocked else self.walk.start, told.after)
+        remedies, remedy = self._remedy(k, reason, told)
         return TaskReport(
             name=task.name,
             verdict="unreachable",
@@ -212,8 +227,9 @@ class _Evaluation:
             energy_upper=used.upper(self.walk.quantile) if lacking else np.nan,
             soc_after=told.after.expected.soc if lacking else np.nan,
             shortfall=self.walk.shortfall(told.safe) if lacking else 0.0,
-            remedy=self._remedy(k, reason, told),
+            remedy=remedy,
             detail=told.detail,
+            remedies=remedies,
         )
 
     def _left_out(self, k: int, attempt: Attempt, earlier: tuple[int, ...]) -> TaskReport:
@@ -222,60 +238,66 @@ class _Evaluation:
         used = _between(self.attempts[k].before, attempt.after)
         later = [self.mission.tasks[d].name for d in self.done if d not in earlier]
         names = ", ".join(repr(name) for name in later) or "the way to the end"
+        remedies, remedy = self._remedy(k, "blocked_by_earlier", attempt)
         return TaskReport(
             task.name, "unreachable", "blocked_by_earlier", True, used.mean,
-            used.upper(self.walk.quantile), attempt.after.expected.soc, 0.0,
-            self._remedy(k, "blocked_by_earlier", attempt),
-            f"left out, since with it the battery would not last for {names}",
+            used.upper(self.walk.quantile), attempt.after.expected.soc, 0.0, remedy,
+            f"left out, since with it the battery would not last for {names}", remedies=remedies,
         )  # fmt: skip
 
-    def _remedy(self, k: int, reason: Reason, told: Attempt) -> str:
+    def _remedy(self, k: int, reason: Reason, told: Attempt) -> tuple[tuple[Remedy, ...], str]:
+        """Return what makes a task reachable, and the sentence that says so."""
         if reason == "no_path":
-            return f"clear the way or move the task: {told.detail}"
+            return (), f"clear the way or move the task: {told.detail}"
+        remedies, advice = self._drop(k) if reason == "blocked_by_earlier" else [], ""
         if told.reason == "late":
-            hints = self._sooner(k, told)
+            remedies += self._sooner(k, told)
         elif told.reason == "time":
-            hints = ["give more planning_time or planning_effort"]
+            advice = "give more planning_time or planning_effort"
         elif told.reason == "payload":
-            hints = ["put a task before it that takes the payload on board"]
+            advice = "put a task before it that takes the payload on board"
         elif told.reason == "motor":
-            hints = [f"take another route or a stronger drive: {told.detail}"]
+            advice = f"take another route or a stronger drive: {told.detail}"
+            if self.mission.payload > 0:
+                advice += ", or leave payload behind"
         elif told.reason == "no_path":
-            hints = [f"clear the way back: {told.detail}"]
+            advice = f"clear the way back: {told.detail}"
         else:
-            tasks = (*self.attempts[k].earlier, k) if reason == "blocked_by_earlier" else (k,)
-            hints = [
+            earlier = self.attempts[k].earlier if reason == "blocked_by_earlier" else ()
+            tasks = (*earlier, k)
+            remedies += [
                 *self._slower(tasks, told.safe.worst.failure),
                 *self._charge_first(tasks),
                 *self._larger_battery(tasks, self.walk.shortfall(told.safe)),
                 *self._smaller_reserve(tasks),
-            ] or [told.detail]
-        if reason == "blocked_by_earlier":
-            hints = [*self._drop(k), *hints]
-        if told.reason == "motor" and self.mission.payload > 0:
-            hints.append("leave payload behind")
-        return ", or ".join(hints)
+            ]
+        hints = [*map(str, remedies), *([advice] if advice else [])]
+        return tuple(remedies), ", or ".join(hints) or told.detail
 
-    def _sooner(self, k: int, told: Attempt) -> list[str]:
+    def _sooner(self, k: int, told: Attempt) -> list[Remedy]:
         """Tell what brings the robot there in time: speed, or a wider window."""
-        hints = []
-        top = self.mission.vehicle.motor.speed
-        if np.isfinite(top) and (self.mission.speed is None or self.mission.speed < top):
-            tasks = (*self.attempts[k].earlier, k)
-            if self._works(tasks, replace(self.mission, speed=float(top))):
-                hints.append(f"drive at up to {top:.3g} m/s")
-        late = told.after.time - self.mission.tasks[k].window[1]
-        return [*hints, f"let it begin {np.ceil(late):.0f} s later"]
+        task, tasks = self.mission.tasks[k], (*self.attempts[k].earlier, k)
+        top = float(self.mission.vehicle.motor.speed)
+        faster = np.isfinite(top) and (self.mission.speed is None or self.mission.speed < top)
+        speeds = [Remedy("speed", top, "m/s")] if faster else []
+        in_turn = self.attempts[k].attempt
+        times = [a.after.time for a in (told, in_turn) if a.reason == "late"]
+        late = sorted({float(np.ceil(time - task.window[1])) for time in times})
+        windows = [Remedy("window", s, "s", task.name) for s in (*late, 2 * late[-1])]
+        return [*self._first(tasks, speeds), *self._first(tasks, windows)]
 
-    def _drop(self, k: int) -> list[str]:
-        """Name an earlier task without which this one can be done, the least worth first."""
-        tasks = self.mission.tasks
-        earlier = self.attempts[k].earlier
-        ranked = sorted(earlier, key=lambda d: (tasks[d].required, tasks[d].prize, -d))
+    def _drop(self, k: int) -> list[Remedy]:
+        """Name a task without which this one can be done, the least worth first."""
+        tasks, (_, attempt, earlier) = self.mission.tasks, self.attempts[k]
+        others = self.done if attempt.reason == "none" else earlier
+        ranked = sorted(others, key=lambda d: (tasks[d].required, tasks[d].prize, -d))
         for dropped in ranked[:_CANDIDATES]:
             rest = [d for d in earlier if d != dropped]
-            if self._follow(self.walk, [*rest, k]):
-                return [f"drop {tasks[dropped].name!r} before it"]
+            remedy = Remedy("drop", task=tasks[dropped].name)
+            if tasks[dropped].required and not tasks[k].required:
+                continue
+            if self._follow(self.walk, [*rest, k]) and self._holds(k, remedy):
+                return [remedy]
         return []
 
     def _follow(self, walk: Walk, tasks: Sequence[int]) -> bool:
@@ -287,70 +309,80 @@ class _Evaluation:
             state = attempt.after
         return True
 
-    def _charge_first(self, tasks: Sequence[int]) -> list[str]:
+    def _charge_first(self, tasks: Sequence[int]) -> list[Remedy]:
         """Tell the state of charge with which to leave so that the task can be done."""
         if self.mission.soc >= 1:
             return []
         levels = np.arange(np.ceil(100 * self.mission.soc) + 1, 101) / 100
+        remedies = [Remedy("charge", float(level), "1") for level in levels]
         low, high = 0, len(levels) - 1
-        if not self._works(tasks, replace(self.mission, soc=float(levels[high]))):
+        if high < 0 or not self._works(tasks, remedies[high]):
             return []
         while low < high:
             middle = (low + high) // 2
-            if self._works(tasks, replace(self.mission, soc=float(levels[middle]))):
-                high = middle
-            else:
-                low = middle + 1
-        return [f"charge to {100 * levels[high]:.0f} % before leaving"]
+            low, high = (
+                (low, middle) if self._works(tasks, remedies[middle]) else (middle + 1, high)
+            )
+        return [remedies[high]]
 
-    def _larger_battery(self, tasks: Sequence[int], shortfall: float) -> list[str]:
-        """Tell how much more the battery has to hold.
+    def _larger_battery(self, tasks: Sequence[int], shortfall: float) -> list[Remedy]:
+        """Tell how much more the battery has to hold, in whole watt-hours.
 
         That is more than is missing: part of it is reserve, and the load draws charge on top of
         energy.
         """
-        battery = self.mission.battery
 
-        def works(energy: float) -> bool:
-            return self._works(tasks, replace(self.mission, battery=battery.larger(energy)))
+        def remedy(hours: int) -> Remedy:
+            return Remedy("capacity", 3600.0 * hours, "J")
 
-        low, high = 0.0, max(shortfall, 3600.0)
-        while not works(high):
+        low, high = 0, max(int(np.ceil(shortfall / 3600)), 1)
+        while not self._works(tasks, remedy(high)):
             low, high = high, 2 * high
-            if high > _MOST * battery.full_energy:
+            if 3600 * high > _MOST * self.mission.battery.full_energy:
                 return []
-        while high - low > max(0.02 * high, 3600.0):
-            middle = 0.5 * (low + high)
-            low, high = (low, middle) if works(middle) else (middle, high)
-        return [f"a battery with {np.ceil(high / 3600):.0f} Wh more"]
+        while high - low > max(0.02 * high, 1):
+            middle = (low + high) // 2
+            low, high = (low, middle) if self._works(tasks, remedy(middle)) else (middle, high)
+        return [remedy(high)]
 
-    def _smaller_reserve(self, tasks: Sequence[int]) -> list[str]:
-        least = self.mission.battery.cutoff_soc
-        for share in (0.75, 0.5, 0.25):
-            reserve = max(round(share * self.mission.reserve, 3), least)
-            if reserve < self.mission.reserve and self._works(
-                tasks, replace(self.mission, reserve=reserve)
-            ):
-                return [f"a reserve of {100 * reserve:.0f} %"]
-        return []
+    def _smaller_reserve(self, tasks: Sequence[int]) -> list[Remedy]:
+        least, now = self.mission.battery.cutoff_soc, self.mission.reserve
+        reserves = [max(round(share * now, 3), least) for share in (0.75, 0.5, 0.25)]
+        return self._first(tasks, [Remedy("reserve", r, "1") for r in reserves if r < now])
 
-    def _slower(self, tasks: Sequence[int], failure: str) -> list[str]:
+    def _slower(self, tasks: Sequence[int], failure: str) -> list[Remedy]:
         """Tell whether another speed helps: that of least energy, or one of less power."""
-        given, top = self.mission.speed, self.mission.vehicle.motor.speed
-        speeds: list[float | None] = [] if given is None else [None]
+        given, top = self.mission.speed, float(self.mission.vehicle.motor.speed)
+        remedies = [] if given is None else [Remedy("cheapest_speed")]
         if failure in ("voltage", "current") and np.isfinite(top):
-            speeds += [share * min(top, given or top) for share in (0.75, 0.5, 0.25)]
-        for speed in speeds:
-            if self._works(tasks, replace(self.mission, speed=speed)):
-                return [
-                    f"drive at no more than {speed:.3g} m/s"
-                    if speed is not None
-                    else f"drive at the speed of least energy instead of {given:.3g} m/s"
-                ]
-        return []
+            most = min(top, given or top)
+            remedies += [Remedy("speed", share * most, "m/s") for share in (0.75, 0.5, 0.25)]
+        return self._first(tasks, remedies)
 
-    def _works(self, tasks: Sequence[int], changed: Mission) -> bool:
-        return self._follow(Walk(self.legs.under(changed)), tasks)
+    def _first(self, tasks: Sequence[int], remedies: Sequence[Remedy]) -> list[Remedy]:
+        """Return the first of some remedies that works, if any does."""
+        return next(([remedy] for remedy in remedies if self._works(tasks, remedy)), [])
+
+    def _works(self, tasks: Sequence[int], remedy: Remedy) -> bool:
+        """Tell whether the last of some tasks can be done after the others with a remedy."""
+        changed = self.mission.with_remedy(remedy)
+        return self._follow(Walk(self.legs.under(changed)), tasks) and self._holds(
+            tasks[-1], remedy
+        )
+
+    def _holds(self, k: int, remedy: Remedy) -> bool:
+        """Tell whether the whole mission with a remedy does the task.
+
+        Others that the remedy makes possible must not take from it what it gains.
+        """
+        if self.mission.order == "free" and len(self.mission.tasks) > _CONFIRMED:
+            return True
+        changed = self.mission.with_remedy(remedy)
+        legs = None if remedy.kind == "drop" else self.legs.under(changed)
+        again = _Evaluation(changed, legs=legs)
+        again.go()
+        name = self.mission.tasks[k].name
+        return any(changed.tasks[d].name == name for d in again.done)
 
 
 _REASONS: dict[str, Reason] = {

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from energyplan import html
+from energyplan.mission.remedies import Remedy
 from energyplan.mission.types import Mission
 from energyplan.path import FloatArray, Path, Trajectory
 
@@ -45,6 +46,8 @@ class TaskReport:
         Why not, in one sentence with figures.
     start : float
         When it begins [s]; nan where it does not.
+    remedies : tuple of Remedy
+        What `remedy` says that can be applied by a program: each was tried.
     """
 
     name: str
@@ -58,6 +61,7 @@ class TaskReport:
     remedy: str
     detail: str = ""
     start: float = np.nan
+    remedies: tuple[Remedy, ...] = ()
 
 
 @dataclass(frozen=True)

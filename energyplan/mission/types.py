@@ -6,12 +6,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from energyplan.battery import BatteryModel
 from energyplan.errors import MissionError
+from energyplan.mission.remedies import Remedy
 from energyplan.path import Pose
 from energyplan.planning.problem import nearest_free
 from energyplan.power import PowerModel
@@ -408,6 +409,34 @@ class Mission:
             time=self.time if time is None else time,
         )
         return mission if model is None else _corrected(mission, model)
+
+    def with_remedy(self, remedy: Remedy) -> Mission:
+        """Return the mission with a remedy of its report applied.
+
+        Raises
+        ------
+        MissionError
+            If it names a task that the mission does not have, or what it asks for is out of range.
+        """
+        names = [task.name for task in self.tasks]
+        if remedy.kind in ("drop", "window"):
+            _require(remedy.task in names, f"no task is called {remedy.task!r}")
+        if remedy.kind == "drop":
+            return replace(self, tasks=tuple(t for t in self.tasks if t.name != remedy.task))
+        if remedy.kind == "cheapest_speed":
+            return replace(self, speed=None)
+        _require(remedy.amount is not None, f"the remedy {remedy.kind!r} has no amount")
+        amount = float(remedy.amount or 0.0)
+        if remedy.kind == "window":
+            k = names.index(remedy.task)
+            first, last = self.tasks[k].window
+            later = replace(self.tasks[k], window=(first, last + amount))
+            return replace(self, tasks=(*self.tasks[:k], later, *self.tasks[k + 1 :]))
+        if remedy.kind == "capacity":
+            return replace(self, battery=self.battery.larger(amount))
+        key = {"charge": "soc"}.get(remedy.kind, remedy.kind)
+        changes: dict[str, Any] = {key: amount}
+        return replace(self, **changes)
 
 
 def _corrected(mission: Mission, model: PowerModel) -> Mission:

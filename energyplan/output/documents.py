@@ -188,7 +188,7 @@ def mission(report: MissionReport) -> Document:
     """Return what ``energyplan mission --json`` prints."""
     keys = (
         "name", "verdict", "reason", "reachable_alone", "energy", "energy_upper", "soc_after",
-        "shortfall", "remedy",
+        "shortfall", "remedy", "remedies",
     )  # fmt: skip
     return {
         "tasks": [{key: plain(getattr(task, key)) for key in keys} for task in report.tasks],

@@ -306,7 +306,7 @@ def test_driving_slower_spares_a_weak_battery():
     low = mission(task, battery=sagging, speed=0.3)
     told = evaluate(low).task("go")
     assert told.reason == "battery"
-    assert "drive at no more than 0.225 m/s" in told.remedy
+    assert "drive at up to 0.225 m/s" in told.remedy
     assert evaluate(replace(low, speed=0.225)).feasible
 
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import get_args
 
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
-from test_corridor import METRE, charger, corridor
+from test_corridor import METRE, charger, corridor, tiny
 
 from energyplan.battery import BatteryRun
-from energyplan.mission import evaluate
-from energyplan.path import FloatArray
+from energyplan.errors import MissionError
+from energyplan.mission import Mission, Remedy, Task, evaluate
+from energyplan.mission.remedies import RemedyKind
+from energyplan.path import FloatArray, Pose
+from energyplan.power import HOTEL, PowerModel
 
 
 @dataclass(frozen=True)
@@ -59,3 +63,71 @@ def test_the_remedy_of_a_battery_of_ones_own_is_sized_by_it() -> None:
     assert told.reason == "battery"
     assert told.shortfall == pytest.approx(8640 - 5000, rel=1e-3)
     assert "a battery with 2 Wh more" in told.remedy
+
+
+TASKS = {"a": 11.0, "b": 17.0, "c": 29.0}
+"""Places along the corridor [m]; the start is at 5 m."""
+
+
+def troubled() -> dict[str, Mission]:
+    """Missions with tasks that cannot be done, each for another reason."""
+    asked = {
+        "far": corridor(5000.0, {"end": 29.0}, 5.0),
+        "reserve": corridor(9500.0, {"end": 29.0}, 5.0, reserve=0.2),
+        "charge": corridor(9000.0, {"end": 29.0}, 5.0, soc=0.6),
+        "row": corridor(7000.0, TASKS, 5.0),
+        "back and forth": corridor(11000.0, {"a": 29.0, "b": 6.0, "c": 28.0}, 5.0),
+        "short of all": corridor(1500.0, TASKS, 5.0, soc=0.9, reserve=0.1),
+        "current": corridor(
+            1e5, TASKS, 5.0, speed=1.0, battery=replace(tiny(1e5), max_discharge_current=9.0)
+        ),
+        "wasteful": corridor(
+            12000.0, TASKS, 5.0, speed=0.3,
+            model=PowerModel.preset("quadriga:empty:marble").with_term(HOTEL, 60.0),
+        ),
+    }  # fmt: skip
+    hurried = corridor(1e6, {"soon": 25.0}, 5.0, speed=0.25)
+    soon = replace(hurried.tasks[0], window=(0.0, 60.0))
+    long = Task("long", Pose(29.0, 1.5, 0.0), dwell=100.0)
+    asked["late"] = replace(hurried, tasks=(soon,))
+    asked["late in turn"] = replace(hurried, tasks=(long, soon), speed=0.5)
+    weighed = corridor(6000.0, {"optional": 5.0, "required": 25.0}, 15.0)
+    optional, required = weighed.tasks
+    asked["given up"] = replace(weighed, tasks=(replace(optional, required=False), required))
+    return asked
+
+
+@pytest.mark.parametrize("order", ["given", "free"])
+@pytest.mark.parametrize("name", list(troubled()))
+def test_every_remedy_that_is_told_holds(name: str, order: str) -> None:
+    asked = replace(troubled()[name], order=order)
+    told = [task for task in evaluate(asked).tasks if task.verdict == "unreachable"]
+    for task in told:
+        assert task.remedies, task
+        for remedy in task.remedies:
+            assert str(remedy) in task.remedy
+            again = evaluate(asked.with_remedy(remedy)).task(task.name)
+            assert again.verdict == "reachable", (task.name, remedy)
+    if order == "given":
+        assert told
+
+
+def test_each_kind_of_remedy_is_told_of_some_mission() -> None:
+    kinds = {
+        remedy.kind
+        for asked in troubled().values()
+        for task in evaluate(asked).tasks
+        for remedy in task.remedies
+    }
+    assert kinds == set(get_args(RemedyKind))
+
+
+def test_a_capacity_that_is_told_is_needed() -> None:
+    """24 m there and back take 8640 J; 5000 J are on board: 1.01 Wh are missing."""
+    (remedy,) = (r for r in evaluate(troubled()["far"]).tasks[0].remedies if r.kind == "capacity")
+    assert (remedy.amount, remedy.unit) == (2 * 3600.0, "J")
+
+
+def test_a_remedy_for_another_mission_is_refused() -> None:
+    with pytest.raises(MissionError, match="no task is called 'x'"):
+        troubled()["far"].with_remedy(Remedy("drop", task="x"))
