@@ -12,8 +12,10 @@ from energyplan import html
 from energyplan.diagnosis import diagnose
 from energyplan.errors import (
     DriveLogError,
+    InfeasibleMotionError,
     InvalidInputError,
     MissingChannelError,
+    ModelError,
     NotIdentifiableError,
 )
 from energyplan.fit import identify
@@ -221,7 +223,8 @@ def close_loop(
     Returns
     -------
     Loop
-        The rounds. The loop ends when an energy was told right, or the rounds or logs are over.
+        The rounds. The loop ends when an energy was told right, the rounds or logs are over, or
+        nothing can be planned with what was learned, which is left out then with a note.
 
     Raises
     ------
@@ -241,12 +244,21 @@ def close_loop(
     logs, done = list(before), list[Round]()
     for k in range(count):
         report(k / count, f"round {k + 1}: planning")
-        belief = believed(model, problem)
-        made = plan(belief.planned(limit), planner=planner, time_limit=time_limit)
-        report((k + 0.3) / count, f"round {k + 1}: driving")
         driven = None
+        try:
+            belief = believed(model, problem)
+            made = plan(belief.planned(limit), planner=planner, time_limit=time_limit)
+            if isinstance(source, EngineDrives):
+                trajectory = timed(made, belief, limit)
+        except (InfeasibleMotionError, ModelError) as reason:
+            if not done:
+                raise
+            note = f"what was learned is left out, as nothing can be planned with it: {reason}"
+            done[-1] = replace(done[-1], effects=(), note=note)
+            model = done[-1].model
+            break
+        report((k + 0.3) / count, f"round {k + 1}: driving")
         if isinstance(source, EngineDrives):
-            trajectory = timed(made, belief, limit)
             driven = source(trajectory, belief.model, k + 1)
             log = source.log(driven, k + 1)
             energy = sum(energy_told(trajectory, belief.model, belief.ground).values())

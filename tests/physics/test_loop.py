@@ -10,12 +10,12 @@ from shapely import box
 
 import energyplan as ep
 from energyplan import simulate
-from energyplan.errors import InvalidInputError
+from energyplan.errors import InfeasibleMotionError, InvalidInputError
 from energyplan.output import documents, text
 from energyplan.output.pages import loop_page
 from energyplan.physics import Effect, EngineDrives, Loop, Robot, close_loop, switch_on
 from energyplan.physics.belief import believed
-from energyplan.physics.loop import Round, learn
+from energyplan.physics.loop import Learned, Round, learn
 from energyplan.power.effects import term
 from energyplan.vehicle import predict_icr
 
@@ -102,6 +102,29 @@ def test_an_interval_that_says_nothing_closes_nothing() -> None:
     assert not some.within
     assert replace(some, energy_interval=(960.0, 1055.0)).within
     assert not replace(some, energy_interval=(960.0, 1040.0)).within
+
+
+def test_a_model_that_no_motor_could_drive_ends_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    stuck = MODEL.with_term(term("dragging_wheel_left"), 1e4)
+    monkeypatch.setattr("energyplan.physics.loop.learn", lambda logs, vehicle: Learned(stuck, ()))
+    made = close_loop(
+        PROBLEM,
+        EngineDrives(switch_on(Robot.from_model(MODEL), [Effect("payload", 30.0)])),
+        rounds=2,
+        tolerance=0.0,
+        time_limit=2.0,
+    )
+    (only,) = made.rounds
+    assert not made.closed
+    assert "nothing can be planned with it" in only.note
+    assert made.model is not stuck
+    assert "force" in only.note or "power" in only.note
+    with pytest.raises(InfeasibleMotionError):  # nothing was learned yet: the model given is wrong
+        close_loop(
+            replace(PROBLEM, cost=ep.EnergyCost(MODEL.with_term(term("dragging_wheel_left"), 1e4))),
+            EngineDrives(Robot.from_model(MODEL)),
+            time_limit=2.0,
+        )
 
 
 def test_bad_input_is_named() -> None:
