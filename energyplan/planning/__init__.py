@@ -112,7 +112,7 @@ def plan(
         Name of the planner, see `planners`; or a planner of one's own.
     time_limit : float
         Time to plan [s]. Planning ends earlier where the planner can tell that nothing is left
-        to gain.
+        to gain. What is made once for a map is no part of it: its first plan takes longer.
     effort : int, optional
         Units of work to plan with, in place of the time limit: the same plan comes of it on any
         machine and under any load. 50 000 take about a second; see `Budget`.
@@ -156,6 +156,7 @@ def plan(
     """
     from energyplan.planning.bound import lower_bound
     from energyplan.planning.ready import compiled as compile_kernels
+    from energyplan.planning.ready import prepare
 
     declared = find(planner) if isinstance(planner, str) else planner
     name = planner if isinstance(planner, str) else planner.name
@@ -164,6 +165,7 @@ def plan(
     problem.check_poses()
     solve = declared.function
     compile_kernels(problem.cost)
+    prepare(problem, guided=declared.bound)
     budget = Budget(time_limit, effort=effort)
     given = budget if declared.bound else budget.part(1.0 - _BOUND_SHARE)
     found = solve(problem, given, **options)

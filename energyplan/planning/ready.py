@@ -1,4 +1,4 @@
-"""Kernels are there before the clock starts."""
+"""Kernels, and what is made once for a map, are there before the clock starts."""
 
 from __future__ import annotations
 
@@ -7,6 +7,10 @@ from importlib import import_module
 from energyplan.compilation import compile_kernels
 from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
+from energyplan.planning.bound import prepare_bound
+from energyplan.planning.problem import PlanningProblem
+from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.scene.guide import places_for
 
 PLANNING = (
     "energyplan.planning",
@@ -28,3 +32,24 @@ def compiled(cost: EnergyCost | None = None) -> None:
     import_module("energyplan.planning.lattice.planner")  # knows all that planning may call
     static = cost is None or isinstance(cost.steering_parameters, StaticSteering)
     compile_kernels(*PLANNING, *(() if static else ("energyplan.steering.polygon",)))
+
+
+def prepare(problem: PlanningProblem, *, guided: bool = True) -> None:
+    """Make what is made once for a map, so that no time limit pays for it.
+
+    These are the distances to obstacles, the surface in each cell, the free configurations of the
+    footprint and how they join, and the outlines for the lower bound. All are kept with the map,
+    and a second problem on it finds them there. What comes of a plan does not depend on whether
+    they were.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        The problem, whose poses have been checked.
+    guided : bool
+        Whether the planner looks at the free configurations.
+    """
+    query = CompiledProblem(problem)
+    if guided:
+        places_for(query.setting)
+    prepare_bound(query)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib
 import os
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, TimeLimitError
 from energyplan.planning import Budget, Plan, PlanningProblem, plan
 from energyplan.planning.lattice.planner import energies
+from energyplan.planning.ready import prepare
 from energyplan.power import PowerModel
 from energyplan.studies import compare
 from energyplan.terrain import Surface, SurfaceMap
@@ -114,6 +116,47 @@ def test_other_planners_too(name, monkeypatch):
         except TimeLimitError as error:
             told.append(str(error))
     assert told[0] == told[1]
+
+
+def test_what_is_made_once_for_a_map_is_there_before_the_clock_starts(monkeypatch):
+    clocks = []
+    made = []
+
+    class Clock(Budget):
+        def __init__(self, *args, **kwargs):
+            super().__init__(*args, **kwargs)
+            clocks.append(len(made))
+
+    def watched(name):
+        module, function = name.rsplit(".", 1)
+        original = getattr(importlib.import_module(module), function)
+
+        def wrapper(*args, **kwargs):
+            made.append(function)
+            return original(*args, **kwargs)
+
+        monkeypatch.setattr(name, wrapper)
+
+    fresh = problem()
+    told = digest(plan(fresh, effort=3_000))
+    monkeypatch.setattr("energyplan.planning.Budget", Clock)
+    watched("energyplan.planning.scene.guide.free_space")
+    watched("energyplan.planning.scene.guide.connect_places")
+    watched("energyplan.planning.bound.outline")
+    watched("energyplan.planning.bound.surface_excess._certain_regions")
+    query = problem()
+    assert digest(plan(query, effort=3_000)) == told
+    # the first one only checks the numbers
+    assert clocks == [0, len(made)]
+    assert set(made) == {"free_space", "connect_places", "outline", "_certain_regions"}
+    made.clear()
+    assert digest(plan(query, effort=3_000)) == told
+    assert made == []
+    # whether they were there makes no difference
+    prepare(ready := problem())
+    made.clear()
+    assert digest(plan(ready, effort=3_000)) == told
+    assert made == []
 
 
 def test_many_goals_and_comparisons():

@@ -8,6 +8,8 @@ it is a bound is derived in docs/planning.md.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from math import cos, hypot, pi, remainder, sqrt
 from threading import Lock
 from typing import NamedTuple
@@ -22,7 +24,8 @@ from energyplan.path import FloatArray
 from energyplan.planning.bound.corners import Rates, least_over_corners
 from energyplan.planning.bound.geodesic import Ends, ways_to_goal
 from energyplan.planning.bound.sight import Outline, gaps, no_links, squares_of_edges
-from energyplan.planning.bound.surface_excess import least_excess
+from energyplan.planning.bound.surface_excess import certain_regions, least_excess
+from energyplan.planning.parallel import workers
 from energyplan.planning.scene.compiled import MARGIN, SHORT_TRACK, CompiledProblem
 from energyplan.planning.scene.guide import inscribed
 from energyplan.planning.scene.motions import KernelProblem, free_energy
@@ -37,6 +40,11 @@ EFFORT = 5e7
 
 MOST_CORNERS = 2500
 """Corners near the way above which a coarser outline is taken."""
+
+DETOURS = (1.1, 2.0)
+"""How much longer than the straight line the ways are for which outlines are made ahead.
+
+What a plan outside of these needs is made when it does."""
 
 BEYOND = 1.001
 """How much more than the cost of the best path a bound is sought for: one above it is a fault."""
@@ -243,6 +251,32 @@ def lower_bound(
     return Bound(max(free, among + excess), final)
 
 
+def prepare_bound(query: CompiledProblem) -> None:
+    """Make what the bound needs of a map and keeps with it: surfaces by cell, and outlines.
+
+    What a plan will cost says which outlines are needed; those for all likely costs are made.
+
+    Parameters
+    ----------
+    query : CompiledProblem
+        The problem.
+    """
+    setting, grid = query.setting, query.grid
+    radius = inscribed(setting) - MARGIN * grid.resolution
+    if radius <= 0:
+        return
+    surfaces = query.problem.surfaces
+    if surfaces is not None:
+        certain_regions(query, surfaces)
+    ends = Ends(setting.start_x, setting.start_y, setting.goal_x, setting.goal_y)
+    apart = hypot(ends.goal_x - ends.start_x, ends.goal_y - ends.start_y)
+    coarsest = sights(grid, radius, DETAILS[-1]).outline
+    finest = _finest(coarsest, ends, DETOURS[0] * apart)
+    last = _finest(coarsest, ends, DETOURS[1] * apart)
+    with ThreadPoolExecutor(workers()) as pool:
+        list(pool.map(partial(sights, grid, radius), DETAILS[finest : last + 1]))
+
+
 def _without_obstacles(kernel: KernelProblem) -> float:
     """Return the least cost between the two poses where metres and radians are paid apart."""
     metre, radian = kernel.least_metre, kernel.least_radian
@@ -295,13 +329,18 @@ def _among_obstacles(
 
 def _fine_enough(grid: OccupancyGrid, radius: float, ends: Ends, longest: float) -> Sights:
     """Return the finest outline that has few corners near ways of that length."""
-    found = sights(grid, radius, DETAILS[-1])
-    for detail in DETAILS[:-1]:
+    coarsest = sights(grid, radius, DETAILS[-1])
+    return sights(grid, radius, DETAILS[_finest(coarsest.outline, ends, longest)])
+
+
+def _finest(coarsest: Outline, ends: Ends, longest: float) -> int:
+    """Return which detail is the finest that has few corners near ways of that length."""
+    near = _near(coarsest, ends, longest)
+    for k, detail in enumerate(DETAILS[:-1]):
         # from the coarsest to this one corners grow in number as the tolerance falls, or slower
-        many = (DETAILS[-1].slack / detail.slack) ** 0.6 * _near(found.outline, ends, longest)
-        if many <= MOST_CORNERS:
-            return sights(grid, radius, detail)
-    return found
+        if (DETAILS[-1].slack / detail.slack) ** 0.6 * near <= MOST_CORNERS:
+            return k
+    return len(DETAILS) - 1
 
 
 def _near(outline: Outline, ends: Ends, longest: float) -> int:

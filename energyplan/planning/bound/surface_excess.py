@@ -54,11 +54,7 @@ def least_excess(query: CompiledProblem, radius: float, limit: float) -> float:
     if dear.max() <= 1e-9 * query.least.metre:
         return 0.0
     grid = query.grid
-    known = _cells.get(grid)
-    if known is None or known[0] is not surfaces:
-        known = surfaces, _certain_regions(surfaces, grid, query.setting.surface)
-        _cells[grid] = known
-    per_metre = np.append(dear, 0.0)[known[1]]
+    per_metre = np.append(dear, 0.0)[certain_regions(query, surfaces)]
     # clearance of a cell's centre [m]; a point of the cell has up to half a diagonal more
     clearance = grid.space.clearance * grid.resolution + sqrt(0.5) * grid.resolution
     clear = clearance >= radius
@@ -89,10 +85,22 @@ def _blocks(cells: NDArray[np.generic], factor: int, fill: float) -> NDArray[np.
     return padded.reshape(rows, factor, columns, factor)
 
 
+def certain_regions(query: CompiledProblem, surfaces: SurfaceMap) -> NDArray[np.intp]:
+    """Return the region of each cell that lies in one as a whole, -1 for those near an edge.
+
+    It is made once for a map and its surfaces.
+    """
+    grid = query.grid
+    known = _cells.get(grid)
+    if known is None or known[0] is not surfaces:
+        known = surfaces, _certain_regions(surfaces, grid, query.setting.surface)
+        _cells[grid] = known
+    return known[1]
+
+
 def _certain_regions(
     surfaces: SurfaceMap, grid: OccupancyGrid, region: NDArray[np.uint8]
 ) -> NDArray[np.intp]:
-    """Return the region of each cell that lies in one as a whole, -1 for those near an edge."""
     crossed = np.zeros(grid.shape, bool)
     for points in surfaces.edge_points(0.4 * grid.resolution):
         at = grid.to_cells(points)
