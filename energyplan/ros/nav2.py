@@ -20,6 +20,7 @@ from energyplan.errors import (
     EnergyPlanError,
     FrameError,
     GoalInCollisionError,
+    MessageError,
     NoPathError,
     NoViapointsError,
     OutsideMapError,
@@ -122,7 +123,7 @@ def request_to_problems(
     cost: EnergyCost,
     *,
     frame: str = "map",
-    robot: Pose | None = None,
+    base: str = "base_link",
     lookup: Callable[[str], Any] | None = None,
     **options: Any,
 ) -> tuple[PlanningProblem, ...]:
@@ -139,11 +140,12 @@ def request_to_problems(
         Cost of motions.
     frame : str
         Frame of the map.
-    robot : Pose, optional
-        The robot's pose in the map's frame, where the request does not bring a start.
+    base : str
+        Frame of the robot's body, whose pose is the start where the request does not bring one.
     lookup : callable, optional
         Takes a frame's name, and returns the geometry_msgs/TransformStamped that brings what is in
-        it into the map's frame; for poses in other frames.
+        it into the map's frame; raises FrameError where it cannot. For poses in other frames, and
+        for the robot's own.
     **options : object
         Further fields of `PlanningProblem`.
 
@@ -183,8 +185,8 @@ def request_to_problems(
         goals = [*between, field(request, "goal")]
     if field(request, "use_start"):
         start = pose(field(request, "start"))
-    elif robot is not None:
-        start = robot
+    elif lookup is not None:
+        start = pose_from_transform(lookup(base))
     else:
         raise FrameError("the robot's pose is not known; give a start, and set use_start")
     stops = [start, *(pose(goal) for goal in goals)]
@@ -255,7 +257,7 @@ class Answer:
 
 def answer(
     request: Any,
-    grid: OccupancyGrid,
+    grid: OccupancyGrid | None,
     cost: EnergyCost,
     *,
     planner: str = "lattice",
@@ -269,8 +271,8 @@ def answer(
     ----------
     request : object
         Goal of ComputePathToPose or ComputePathThroughPoses.
-    grid : OccupancyGrid
-        The map.
+    grid : OccupancyGrid, optional
+        The map; None where none has come yet, which is an error of the answer.
     cost : EnergyCost
         Cost of motions.
     planner : str
@@ -292,6 +294,8 @@ def answer(
     problem = None
     plans: list[Plan] = []
     try:
+        if grid is None:
+            raise MessageError("no map has come yet; publish one, or name its topic")
         name = planner_of(str(field(request, "planner_id")), planner)
         problems = request_to_problems(request, grid, cost, **options)
         for problem in problems:

@@ -315,18 +315,20 @@ def test_poses_in_other_frames_are_brought_into_the_maps(wire: Wire) -> None:
             rotation=wire.turn(np.pi / 2),
         ),
     )  # fmt: skip
-    frames = {"odom": wire.sent(transform)}
+    frames = {"odom": wire.sent(transform), "base": wire.sent(transform)}
     grid = ros.grid_from_message(wire.map(HALL))
     request = wire.to_pose(wire.stamped(2, -1, 0.5, "odom"))
-    robot = ros.pose_from_transform(frames["odom"])
     (problem,) = ros.request_to_problems(
-        request, grid, COST, robot=robot, lookup=frames.__getitem__, clearance=0.1
+        request, grid, COST, base="base", lookup=frames.__getitem__, clearance=0.1
     )
     np.testing.assert_allclose(problem.start, (1, 2, np.pi / 2), atol=1e-12)
     np.testing.assert_allclose(problem.goal, (2, 4, np.pi / 2 + 0.5), atol=1e-12)
     assert problem.clearance == 0.1
-    assert ros.answer(request, grid, COST, robot=robot).code == 202  # no way to transform
+    started = wire.to_pose(wire.stamped(2, -1, 0.5, "odom"), wire.stamped(2, 2, 0))
+    assert ros.answer(started, grid, COST).code == 202  # no way to transform
     assert ros.answer(wire.to_pose(wire.stamped(2, 2, 0)), grid, COST).code == 202  # no start
+    none = ros.answer(started, None, COST)
+    assert none.code == 200 and "no map" in none.message
 
 
 @pytest.mark.parametrize(

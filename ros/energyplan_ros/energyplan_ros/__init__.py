@@ -1,0 +1,1 @@
+"""Nav2 planning actions answered by energyplan."""
