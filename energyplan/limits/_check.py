@@ -78,7 +78,7 @@ class LimitedDrive:
         return [bound for bound in bounds if np.isfinite(bound.limit)]
 
     def survey(self, scale: float = 1.0) -> Survey:
-        """Evaluate every limit at the begin, the middle and the end of every piece."""
+        """Evaluate every limit at the beginning, the middle and the end of every piece."""
         drive = self.drive
         watch = _Watch()
         energy = 0.0

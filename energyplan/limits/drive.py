@@ -159,7 +159,7 @@ class Part(NamedTuple):
     which : ndarray of int, shape (m,)
         Which of all pieces these are.
     motion : Motion, shape (m, 3)
-        Motion at the begin, the middle and the end of each piece.
+        Motion at the beginning, the middle and the end of each piece.
     """
 
     model: PowerModel
@@ -272,7 +272,7 @@ class Drive:
             yield Part(model, int(region), np.flatnonzero(here), motion)
 
     def _poses(self, pieces: Pieces) -> FloatArray:
-        """Poses at the begin, in the middle and at the end of pieces, shape (m, 3, 3)."""
+        """Poses at the beginning, in the middle and at the end of pieces, shape (m, 3, 3)."""
         path = self.trajectory
         nodes = piece_nodes(
             path.t, path.x, path.y, path.yaw, path.v, path.omega, 1.0, 1.0, *pieces, 1.0

@@ -2,7 +2,7 @@
 
 Every limit is tested per side through the whole power model: a total never shows an overloaded
 outer motor. Between samples speeds run straight (`energyplan.limits.drive`); what they ask for is
-evaluated at the begin, the middle and the end of each interval and runs straight in between, so
+evaluated at the beginning, the middle and the end of each interval and runs straight in between, so
 that a violated interval begins and ends where it crosses its limit.
 
 Inertia counts towards forces and power exactly if the model has inertia terms; the acceleration
