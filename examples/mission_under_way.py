@@ -14,7 +14,7 @@ from energyplan.mission import MissionReport, evaluate
 def tell(title: str, report: MissionReport) -> None:
     """Print what can be done."""
     print(
-        f"{title}: {'feasible' if report.feasible else 'not feasible'}, "
+        f"{title}: {report.headline}; "
         f"ends at {100 * report.soc_end:.0f} % (at least {100 * report.soc_end_lower:.0f} %)"
     )
     for task in report.table.itertuples():

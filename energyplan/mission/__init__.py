@@ -18,12 +18,13 @@ from energyplan.mission.given_order import Course, best_course
 from energyplan.mission.legs import Legs
 from energyplan.mission.order_refinement import best_stops
 from energyplan.mission.remedies import Remedy
-from energyplan.mission.report import MissionReport, Reason, TaskReport, Timeline
+from energyplan.mission.report import MissionReport, Reason, Stop, TaskReport, Timeline
 from energyplan.mission.simulation import Attempt, Condition, Walk
 from energyplan.mission.types import Charger, Mission, Task
 
 __all__ = [
-    "Charger", "Mission", "MissionReport", "Remedy", "Task", "TaskReport", "Timeline", "evaluate",
+    "Charger", "Mission", "MissionReport", "Remedy", "Stop", "Task", "TaskReport", "Timeline",
+    "evaluate",
 ]  # fmt: skip
 
 _CANDIDATES = 5
@@ -122,6 +123,7 @@ class _Evaluation:
                 for piece in end.pieces
                 if piece.leg is not None and piece.leg.trajectory is not None
             ),
+            route=self._route(end),
         )
 
     # -- the way ----------------------------------------------------------------------------------
@@ -183,6 +185,36 @@ class _Evaluation:
         still = [node for node in done if node not in stops]
         return tuple(self.legs.names[node] for node in (*still, *stops))
 
+    def _arrival(self, task: int) -> float:
+        """Return when the robot got to a task that is done [s]."""
+        after = self.attempts[task].attempt.after
+        arrival = after.time
+        for piece in reversed(after.pieces):
+            if piece.goal != task + 1 or piece.kind not in ("wait", "work"):
+                break
+            arrival = float(piece.t[0])
+        return arrival
+
+    def _route(self, end: Condition) -> tuple[Stop, ...]:
+        """Return the stops: the start, tasks and charges in the order of their times, the end."""
+        names, poses, start = self.legs.names, self.legs.poses, self.walk.start
+        stops = []
+        for k in self.done:
+            after = self.attempts[k].attempt.after
+            charge = after.expected.soc, after.worst.soc
+            times = self._arrival(k), after.time
+            stops.append(Stop(names[k + 1], "task", poses[k + 1], *times, *charge))
+        for piece in end.pieces:
+            if piece.kind == "charge":
+                times, charge = piece.t[[0, -1]].tolist(), (piece.soc[-1], piece.soc_lower[-1])
+                node = piece.goal
+                stops.append(Stop(names[node], "charge", poses[node], *times, *map(float, charge)))
+        stops.sort(key=lambda stop: stop.arrival)
+        first = Stop(names[0], "start", poses[0], start.time, start.time, *[start.expected.soc] * 2)
+        charge = end.expected.soc, end.worst.soc
+        last = Stop(names[end.node], "end", poses[end.node], end.time, end.time, *charge)
+        return (first, *stops, last)
+
     def _timeline(self, end: Condition) -> Timeline:
         columns: list[list[np.ndarray]] = [[] for _ in range(8)]
         for piece in end.pieces:
@@ -209,6 +241,8 @@ class _Evaluation:
             return TaskReport(
                 task.name, "reachable", "none", True, used.mean, used.upper(self.walk.quantile),
                 attempt.after.expected.soc, 0.0, "", "", attempt.after.time - task.dwell,
+                arrival=self._arrival(k), departure=attempt.after.time,
+                soc_lower=attempt.after.worst.soc,
             )  # fmt: skip
         alone = attempt if not self.done else self.walk.attempt_charged(self.walk.start, k)
         blocked = alone.reason == "none"

@@ -11,9 +11,10 @@ import pandas as pd
 from energyplan import html
 from energyplan.mission.remedies import Remedy
 from energyplan.mission.types import Mission
-from energyplan.path import FloatArray, Path, Trajectory
+from energyplan.path import FloatArray, Path, Pose, Trajectory
 
 Verdict = Literal["reachable", "unreachable"]
+StopKind = Literal["start", "task", "charge", "end"]
 Reason = Literal["none", "no_path", "motor", "battery", "blocked_by_earlier", "late", "time_limit"]
 
 
@@ -48,6 +49,10 @@ class TaskReport:
         When it begins [s]; nan where it does not.
     remedies : tuple of Remedy
         What `remedy` says that can be applied by a program: each was tried.
+    arrival, departure : float
+        When the robot gets there and leaves [s]; nan where the task is not done.
+    soc_lower : float
+        State of charge at the bound when it is done; nan where it cannot be.
     """
 
     name: str
@@ -62,6 +67,36 @@ class TaskReport:
     detail: str = ""
     start: float = np.nan
     remedies: tuple[Remedy, ...] = ()
+    arrival: float = np.nan
+    departure: float = np.nan
+    soc_lower: float = np.nan
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A place at which the robot stops, and when.
+
+    Parameters
+    ----------
+    name : str
+        The place: a task, a charger, or where the mission starts or ends.
+    kind : {"start", "task", "charge", "end"}
+        What it stops for.
+    pose : Pose
+        Where [m], [rad].
+    arrival, departure : float
+        When it gets there and leaves [s].
+    soc, soc_lower : float
+        State of charge on leaving, expected and at the bound.
+    """
+
+    name: str
+    kind: StopKind
+    pose: Pose
+    arrival: float
+    departure: float
+    soc: float
+    soc_lower: float
 
 
 @dataclass(frozen=True)
@@ -121,6 +156,8 @@ class MissionReport:
         The drives.
     trajectories : tuple of Trajectory
         The same, timed, each from time 0; without those in which the robot stays where it is.
+    route : tuple of Stop
+        The stops with their times, from the start to the end.
     """
 
     mission: Mission
@@ -137,6 +174,30 @@ class MissionReport:
     timeline: Timeline
     paths: tuple[Path, ...]
     trajectories: tuple[Trajectory, ...] = ()
+    route: tuple[Stop, ...] = ()
+
+    @property
+    def headline(self) -> str:
+        """What comes of the mission, in one sentence that agrees with `feasible`."""
+        out = [
+            asked.required
+            for told, asked in zip(self.tasks, self.mission.tasks, strict=True)
+            if told.verdict == "unreachable"
+        ]
+        count = len(self.tasks)
+        tasks = "the only task" if count == 1 else f"{len(out)} of {count} tasks"
+        if any(out):
+            required = "" if all(out) else f", {sum(out)} of them required"
+            return f"not feasible as asked: {tasks} cannot be done{required}"
+        left = f"{tasks}, optional, {'is' if len(out) == 1 else 'are'} left out" if out else ""
+        if not self.feasible:
+            return "; ".join(
+                filter(None, ("not feasible as asked: it cannot end where it must", left))
+            )
+        if not out:
+            return "the task can be done" if count == 1 else f"all {count} tasks can be done"
+        needed = any(task.required for task in self.mission.tasks)
+        return f"all required tasks can be done; {left}" if needed else left
 
     def _repr_html_(self) -> str:
         """Return the tasks as a table, flagged ones first, for notebooks."""
@@ -146,7 +207,7 @@ class MissionReport:
             for task in map(self.task, self.table["name"])
         ]  # fmt: skip
         title = (
-            f"{self.mission.name}: {'feasible' if self.feasible else 'not feasible as asked'}, "
+            f"{self.mission.name}: {self.headline}; "
             f"{html.number(self.energy / 3600)} Wh, ends with {100 * self.soc_end:.0f} % of charge"
         )
         header = ("task", "verdict", "reason", "energy [Wh]", "charge after [%]", "remedy")

@@ -188,15 +188,18 @@ def mission(report: MissionReport) -> Document:
     """Return what ``energyplan mission --json`` prints."""
     keys = (
         "name", "verdict", "reason", "reachable_alone", "energy", "energy_upper", "soc_after",
-        "shortfall", "remedy", "remedies",
+"shortfall", "remedy", "remedies", "arrival", "departure", "soc_lower",
+    )  # fmt: skip
+    whole = (
+        "headline", "order", "route", "energy", "energy_upper", "soc_end", "duration", "feasible",
+        "proven",
     )  # fmt: skip
     return {
-        "tasks": [{key: plain(getattr(task, key)) for key in keys} for task in report.tasks],
-        "order": list(report.order),
-        "energy": plain(report.energy),
-        "energy_upper": plain(report.energy_upper),
-        "soc_end": plain(report.soc_end),
-        "feasible": bool(report.feasible),
+        "tasks": [
+            {**{key: plain(getattr(task, key)) for key in keys}, "pose": plain(asked.pose)}
+            for task, asked in zip(report.tasks, report.mission.tasks, strict=True)
+        ],
+        **{key: plain(getattr(report, key)) for key in whole},
     }
 
 

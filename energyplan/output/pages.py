@@ -227,7 +227,7 @@ def mission_page(told: MissionReport) -> Page:
     page = Page(f"Mission {told.mission.name}")
     flagged = [task for task in told.tasks if task.verdict == "unreachable"]
     page.paragraph(
-        f"{len(told.tasks) - len(flagged)} of {len(told.tasks)} tasks can be done. It takes "
+        f"{told.headline[0].upper()}{told.headline[1:]}. It takes "
         f"{told.duration / 60:.0f} minutes and {number(told.energy / 3600)} Wh, at "
         f"{100 * told.mission.confidence:.0f} % confidence no more than "
         f"{number(told.energy_upper / 3600)} Wh, and ends at {told.end} with "

@@ -215,7 +215,7 @@ def feasibility(report: FeasibilityReport) -> list[str]:
 
 def mission(told: MissionReport) -> list[str]:
     """Return what ``energyplan mission`` prints."""
-    lines = ["mission feasible" if told.feasible else "mission not feasible as asked"]
+    lines = [told.headline]
     for task in map(told.task, told.table["name"]):
         line = f"{task.name}: {task.verdict}"
         if task.verdict == "unreachable":

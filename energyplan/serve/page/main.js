@@ -160,8 +160,7 @@ async function evaluate(event) {
 }
 
 function verdicts(told) {
-  const done = told.tasks.filter((task) => task.verdict === "reachable").length;
-  say(`${done} of ${told.tasks.length} tasks can be done.`, done < told.tasks.length);
+  say(`${told.headline}.`, told.tasks.some((task) => task.verdict !== "reachable"));
   told.tasks.forEach((task, k) => tasks[k].mark(task.verdict === "reachable" ? "done" : "out"));
   $("verdicts").replaceChildren(table(["task", "verdict", "energy", "charge after"], told.tasks.map((task) => [
     task.name,

@@ -1,0 +1,94 @@
+"""What a mission's report says in text, on the page and in JSON: headline, route, times."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_corridor import METRE, charger, corridor
+
+from energyplan.mission import MissionReport, Task, evaluate
+from energyplan.output import documents, text
+from energyplan.output.pages import mission_page
+from energyplan.path import Pose
+
+
+def optional(report: MissionReport, names: str) -> MissionReport:
+    """The mission again, with only the tasks named by a letter required."""
+    tasks = [replace(task, required=task.name in names) for task in report.mission.tasks]
+    return evaluate(replace(report.mission, tasks=tuple(tasks)))
+
+
+HEADLINES = [
+    (1e6, "abc", "all 3 tasks can be done", True),
+    (1e6, "", "all 3 tasks can be done", True),
+    (5000.0, "ab", "all required tasks can be done; 1 of 3 tasks, optional, is left out", True),
+    (3000.0, "a", "all required tasks can be done; 2 of 3 tasks, optional, are left out", True),
+    (3000.0, "", "2 of 3 tasks, optional, are left out", True),
+    (5000.0, "abc", "not feasible as asked: 1 of 3 tasks cannot be done", False),
+    (3000.0, "ab", "not feasible as asked: 2 of 3 tasks cannot be done, 1 of them required", False),
+]
+
+
+@pytest.mark.parametrize(("energy", "required", "headline", "feasible"), HEADLINES)
+def test_headline_counts_and_flags_agree(
+    energy: float, required: str, headline: str, feasible: bool
+) -> None:
+    """Tasks at 6, 12 and 24 m from the start: there and back 2160, 4320, 8640 J."""
+    asked = evaluate(corridor(energy, {"a": 11.0, "b": 17.0, "c": 29.0}, 5.0))
+    report = optional(asked, required)
+    document = documents.mission(report)
+    assert (report.headline, report.feasible) == (headline, feasible)
+    assert (document["headline"], document["feasible"]) == (headline, feasible)
+    assert text.mission(report)[0] == headline
+    assert headline[1:] in mission_page(report).html()
+    left = sum(task["verdict"] == "unreachable" for task in document["tasks"])
+    assert (f"{left} of 3" in headline) == (left > 0)
+
+
+def test_headline_of_a_single_task() -> None:
+    assert evaluate(corridor(1e6, {"a": 11.0}, 5.0)).headline == "the task can be done"
+    assert (
+        evaluate(corridor(1e3, {"a": 11.0}, 5.0)).headline
+        == "not feasible as asked: the only task cannot be done"
+    )
+
+
+def test_route_and_times_are_those_of_the_drive() -> None:
+    """5 m at 0.5 m/s to a window at 60 s, 30 s of work; charge; 10 s of work; home."""
+    tasks = (
+        Task("early", Pose(10.0, 1.5, 0.0), dwell=30.0, window=(60.0, 1e4)),
+        Task("far", Pose(25.0, 1.5, 0.0), dwell=10.0),
+    )
+    docked = corridor(5000.0, {"x": 9.0}, 5.0, speed=0.5, chargers=(charger(15, "dock"),))
+    asked = replace(docked, tasks=tasks)
+    report = evaluate(asked)
+    early, far = report.tasks
+    assert (early.start, early.departure) == (60.0, 90.0)
+    assert 10.0 < early.arrival < 20.0  # the robot has to speed up and slow down
+    assert early.soc_lower == pytest.approx(1 - METRE * 5 / 5000, rel=1e-3)
+    assert far.departure - far.arrival == pytest.approx(10.0)
+    names = [(stop.name, stop.kind) for stop in report.route]
+    assert names[0] == ("start", "start")
+    assert [name for name in names if name[1] == "task"] == [("early", "task"), ("far", "task")]
+    assert names[-1] == (report.end, "end")
+    assert ("dock", "charge") in names
+    times = [t for stop in report.route for t in (stop.arrival, stop.departure)]
+    assert np.all(np.diff(times) >= -1e-9)
+    assert report.route[-1].arrival == pytest.approx(report.duration)
+    assert report.route[-1].soc == report.soc_end
+    document = documents.mission(report)
+    assert document["route"][0] == {
+        "name": "start", "kind": "start", "pose": [5.0, 1.5, 0.0], "arrival": 0.0,
+        "departure": 0.0, "soc": 1.0, "soc_lower": 1.0,
+    }  # fmt: skip
+    assert document["tasks"][0]["pose"] == [10.0, 1.5, 0.0]
+    assert document["tasks"][0]["arrival"] == early.arrival
+    assert document["duration"] == report.duration
+    assert document["proven"] is True
+
+
+def test_what_is_not_done_has_no_times() -> None:
+    (task,) = documents.mission(evaluate(corridor(1e3, {"a": 11.0}, 5.0)))["tasks"]
+    assert (task["arrival"], task["departure"], task["soc_lower"]) == (None, None, None)
