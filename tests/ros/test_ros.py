@@ -374,3 +374,11 @@ def test_every_error_has_a_code(codes: Any) -> None:
     ):  # fmt: skip
         assert ros.error_code(error, codes) == code
     assert ros.error_code(OutsideMapError("?"), codes) == base
+
+
+@pytest.mark.parametrize(("last", "code"), [((9, 2, 0), 304), ((7.7, 2, 0), 306)])
+def test_a_later_goal_that_cannot_be_is_a_goals_fault(jazzy: Wire, last: Any, code: int) -> None:
+    grid = ros.grid_from_message(jazzy.map(HALL))
+    goals = [jazzy.stamped(*pose) for pose in ((4, 2, 0), last, (4, 4, 0))]
+    found = ros.answer(jazzy.through(goals, jazzy.stamped(2, 2, 0)), grid, COST)
+    assert (found.code, found.plans) == (code, ())
