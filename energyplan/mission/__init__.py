@@ -124,6 +124,7 @@ class _Evaluation:
                 if piece.leg is not None and piece.leg.trajectory is not None
             ),
             route=self._route(end),
+            uncertainty=self.legs.grounds.by_source(end.total),
         )
 
     # -- the way ----------------------------------------------------------------------------------

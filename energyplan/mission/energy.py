@@ -119,6 +119,29 @@ class Grounds:
         return sum(source.size for source in self._sources)
 
     @property
+    def labels(self) -> tuple[str, ...]:
+        """What each shared unknown belongs to, shape (size,)."""
+        labels: list[str] = []
+        for source in self._sources:
+            name = source.models[0].name
+            drawn = sum(len(root.T) for root in source.roots)
+            labels += [f"coefficients of {name}"] * drawn
+            labels += ["coefficient_spread"] * len(source.models[0].terms)
+            labels.append(f"hold-out error of {name}")
+        return tuple(labels)
+
+    def by_source(self, energy: Estimate) -> dict[str, float]:
+        """Return the standard deviation that each source of doubt alone gives an energy [J].
+
+        The largest comes first; their squares add up to the variance.
+        """
+        squares = {"noise of the drive": energy.noise}
+        for label, value in zip(self.labels, energy.sensitivity, strict=True):
+            squares[label] = squares.get(label, 0.0) + float(value) ** 2
+        ranked = sorted(squares.items(), key=lambda item: -item[1])
+        return {label: float(np.sqrt(square)) for label, square in ranked if square > 0}
+
+    @property
     def nothing(self) -> Estimate:
         """No energy at all."""
         return Estimate(0.0, np.zeros(self.size))

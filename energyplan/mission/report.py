@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -158,6 +159,8 @@ class MissionReport:
         The same, timed, each from time 0; without those in which the robot stays where it is.
     route : tuple of Stop
         The stops with their times, from the start to the end.
+    uncertainty : mapping of str to float
+        Standard deviation that each source of doubt alone gives the energy [J], the largest first.
     """
 
     mission: Mission
@@ -175,6 +178,7 @@ class MissionReport:
     paths: tuple[Path, ...]
     trajectories: tuple[Trajectory, ...] = ()
     route: tuple[Stop, ...] = ()
+    uncertainty: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def headline(self) -> str:

@@ -200,6 +200,10 @@ def mission(report: MissionReport) -> Document:
             for task, asked in zip(report.tasks, report.mission.tasks, strict=True)
         ],
         **{key: plain(getattr(report, key)) for key in whole},
+        "uncertainty": [
+            {"source": source, "energy": plain(energy)}
+            for source, energy in report.uncertainty.items()
+        ],
     }
 
 

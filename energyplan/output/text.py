@@ -227,6 +227,9 @@ def mission(told: MissionReport) -> list[str]:
         f"energy: {number(told.energy / 3600)} Wh, at most {number(told.energy_upper / 3600)} Wh; "
         f"state of charge at the end {100 * told.soc_end:.0f} %"
     )
+    if told.uncertainty:
+        parts = (f"{name} {number(e / 3600, 2)} Wh" for name, e in told.uncertainty.items())
+        lines.append(f"one standard deviation of the energy by source: {', '.join(parts)}")
     return lines
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from energyplan.mission import MissionReport, Task, evaluate
 from energyplan.output import documents, text
 from energyplan.output.pages import mission_page
 from energyplan.path import Pose
+from energyplan.power import PowerModel, Residual
 
 
 def optional(report: MissionReport, names: str) -> MissionReport:
@@ -92,3 +94,34 @@ def test_route_and_times_are_those_of_the_drive() -> None:
 def test_what_is_not_done_has_no_times() -> None:
     (task,) = documents.mission(evaluate(corridor(1e3, {"a": 11.0}, 5.0)))["tasks"]
     assert (task["arrival"], task["departure"], task["soc_lower"]) == (None, None, None)
+
+
+def test_sources_of_doubt_add_up_to_the_bound() -> None:
+    residual = Residual(rmse=15.0, mae=12.0, bias=0.0, energy_error=0.03, correlation_time=2.0)
+    model = PowerModel.preset("quadriga:empty:marble")
+    model = model.with_coefficients(model.coefficients, np.diag((0.04 * model.coefficients) ** 2))
+    asked = corridor(
+        1e6, {"a": 25.0}, 5.0, model=replace(model, residual=residual), confidence=0.95,
+        coefficient_spread=0.05,
+    )  # fmt: skip
+    report = evaluate(asked)
+    told = report.uncertainty
+    # 40 m straight: all energy is that of one coefficient
+    assert told["coefficient_spread"] == pytest.approx(0.05 * 40 * METRE, rel=1e-3)
+    assert told[f"coefficients of {model.name}"] == pytest.approx(0.04 * 40 * METRE, rel=1e-3)
+    assert told[f"hold-out error of {model.name}"] == pytest.approx(0.03 * 40 * METRE, rel=1e-3)
+    assert told["noise of the drive"] == pytest.approx(
+        np.sqrt(2 * 15.0**2 * 2.0 * report.duration), rel=1e-3
+    )
+    assert list(told.values()) == sorted(told.values(), reverse=True)
+    std = np.sqrt(sum(value**2 for value in told.values()))
+    margin = NormalDist().inv_cdf(0.95) * std
+    assert report.energy_upper - report.energy == pytest.approx(margin, rel=1e-6)
+    listed = documents.mission(report)["uncertainty"]
+    assert listed[0] == {"source": "coefficient_spread", "energy": told["coefficient_spread"]}
+    assert "coefficient_spread" in text.mission(report)[-1]
+
+
+def test_without_doubt_no_source_is_listed() -> None:
+    report = evaluate(corridor(1e6, {"a": 11.0}, 5.0))
+    assert documents.mission(report)["uncertainty"] == []
