@@ -64,7 +64,7 @@ def read_husky(
     imu: str | Path | None = None,
     *,
     drive: HuskyDrive | None = None,
-    blind: Literal["keep", "drop"] = "drop",
+    blind: Literal["keep", "drop"] = "keep",
     largest_offset: float = 2.0,
 ) -> DriveLog:
     """Read a drive of a Husky.
@@ -84,10 +84,10 @@ def read_husky(
         The file ``imu_NN.csv``; the one beside `wheels` where not given and there is one.
     drive : HuskyDrive, optional
         The drive train.
-    blind : {"drop", "keep"}
-        What to do with samples of arcs in which the inner motor reads nothing: ``drop`` leaves them
-        out, so that identified parameters are those of the ground; ``keep`` takes the inner motor's
-        power as zero, for the question what a drive draws that takes no power back.
+    blind : {"keep", "drop"}
+        What to do with samples of arcs in which the inner motor reads nothing: ``keep`` takes the
+        inner motor's power as zero, which predicts best what whole drives draw; ``drop`` leaves
+        them out, up to half of a log, so that identified parameters are those of the ground.
     largest_offset : float
         Longest clock offset looked for [s].
 

@@ -84,7 +84,7 @@ def test_clock_offset_is_found_and_set_right(tmp_path, model, lag):
 def test_power_comes_back_but_for_what_the_sensors_cannot_see(tmp_path, model):
     truth = identification_drive(model, duration=200.0)
     file = write_drive(tmp_path, truth, 0.2)
-    kept, dropped = read_husky(file, blind="keep"), read_husky(file)
+    kept, dropped = read_husky(file, blind="keep"), read_husky(file, blind="drop")
     for name in ("p_left", "p_right"):
         drawn = np.maximum(np.interp(kept.t, truth.t, truth.channels[name]), 0.0)
         # Half the dead band at the tread speed, and half a speed step at the force.
@@ -202,7 +202,9 @@ def test_parameters_agree_with_the_currents_of_spins_and_straights(shared_data, 
     K = TRAIN.power_per_current * np.median(current[straight])
     force = TRAIN.power_per_current * np.median(current[spin]) - K
 
-    found = identify([read_husky(file) for file in files], Vehicle.preset("husky_a200")).model
+    # what a motor gives back is not measured: without those samples the fit is that of the ground
+    logs = [read_husky(file, blind="drop") for file in files]
+    found = identify(logs, Vehicle.preset("husky_a200")).model
     mu = force * found.vehicle.icr.slip_track / found.vehicle.slip_moment
     assert found.coefficient("traction_resistance") == pytest.approx(K, rel=0.15)
     assert found.coefficient("slip_friction") == pytest.approx(mu, rel=0.15)
