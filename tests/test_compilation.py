@@ -35,9 +35,10 @@ def run(
     code: str, *, path: Path = PACKAGE.parent, **environment: str
 ) -> subprocess.CompletedProcess:
     """Run a program in a process of its own."""
+    inherited = {k: v for k, v in os.environ.items() if k != "ENERGYPLAN_CACHE_DIR"}
     return subprocess.run(
         [sys.executable, "-P", "-c", code],
-        env={**os.environ, "PYTHONPATH": str(path), **environment},
+        env={**inherited, "PYTHONPATH": str(path), **environment},
         capture_output=True,
         text=True,
         check=False,
@@ -153,8 +154,10 @@ def test_the_command_line_says_it_in_one_line(unwritable: str, tmp_path: Path) -
     found = run(code + "\nmain()", ENERGYPLAN_CACHE_DIR=unwritable)
     assert found.returncode == 0
     assert found.stdout.startswith("{")
-    (line,) = found.stderr.splitlines()
-    assert line.startswith("energyplan: compiled kernels cannot be kept in " + unwritable)
+    told = [line for line in found.stderr.splitlines() if "kernels" in line]
+    assert len(told) == 1
+    assert told[0].startswith("energyplan: compiled kernels cannot be kept in " + unwritable)
+    assert "Warning" not in found.stderr
 
 
 def test_the_folder_is_where_the_environment_says(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -230,8 +230,7 @@ def close_the_loop(
 
 
 @app.command(
-    epilog="Example: energyplan design --model quadriga:full:concrete --report diagnosis.json "
-    "--duration 40 --out next.csv"
+    epilog="Example: energyplan design --model quadriga:full:concrete --duration 40 --out next.csv"
 )
 def design(
     model: ModelName,

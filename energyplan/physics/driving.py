@@ -176,7 +176,7 @@ def drive(
     >>> from energyplan.limits.speed import profile
     >>> from energyplan.path import Path
     >>> model = PowerModel.preset("quadriga:empty:concrete")
-    >>> path = Path(Pose(0, 0, 0), ds=[2.0, 0.0], dtheta=[0.0, 1.0])
+    >>> path = Path(Pose(0, 0, 0), ds=[8.0, 0.0], dtheta=[0.0, 1.0])
     >>> made = drive(profile(path, model), Robot.from_model(model), model)
     >>> made.arrived, abs(made.error) < 0.02
     (True, True)

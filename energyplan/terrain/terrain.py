@@ -176,6 +176,7 @@ class Terrain:
 
     Examples
     --------
+    >>> from energyplan.path import Pose
     >>> hall = OccupancyGrid(np.zeros((100, 100), bool), resolution=0.1)
     >>> cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
     >>> straight = Path(Pose(1, 1, 0), ds=[5.0], dtheta=[0.0])
