@@ -354,7 +354,7 @@ def test_drives_that_differ_as_a_whole_are_told_with_what_no_model_can_reach() -
     assert found.values[0] == pytest.approx(float(np.std(factors[:-1], ddof=1)), abs=0.005)
     told = diagnose(logs[:-1], logs[-1], VEHICLE)
     (line,) = (line for line in told.advice if line.startswith("drives differ as a whole"))
-    average = float(line.split("energy than ")[1].split(" %")[0])
+    average = float(line.split("at least ")[1].split(" %")[0])
     assert average == pytest.approx(100 * np.sqrt(2 / np.pi) * found.values[0], abs=0.3)
 
 
