@@ -10,6 +10,7 @@ the noise of the drive itself is each leg's own.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,6 +55,21 @@ class Estimate:
     def upper(self, quantile: float) -> float:
         """Return the mean plus so many standard deviations [J]."""
         return self.mean + quantile * self.std
+
+
+class _Holdout(NamedTuple):
+    """What a model missed on drives that it was not fitted to.
+
+    Parameters
+    ----------
+    error : float
+        Relative error of the energy.
+    strength : float
+        Variance of the energy per second of driving [J^2/s].
+    """
+
+    error: float
+    strength: float
 
 
 @dataclass(frozen=True)
@@ -252,7 +268,7 @@ class Grounds:
         for part in self.drive(trajectory, payload).quadrature():
             model = self.model(part.region, payload)
             watts = model.battery_side().power(part.motion)
-            squares = (self._holdout_error(part.region, payload) * watts) ** 2
+            squares = (self._holdout(part.region, payload).error * watts) ** 2
             for step in self.directions(part.region, payload).T:
                 if step.any():
                     more, less = (
@@ -265,16 +281,18 @@ class Grounds:
             np.add.at(joules, part.interval, (part.weight * np.sqrt(squares)).sum(axis=-1))
         return np.asarray(joules / np.diff(trajectory.t))
 
-    def _holdout_error(self, region: int, payload: float) -> float:
-        """Return the relative error of the energy that a model made on the hold-out."""
+    def _holdout(self, region: int, payload: float) -> _Holdout:
+        """Return what a model missed on the hold-out; models between payloads are weighed."""
         source = self._sources[self._source_of[region]]
-        known = [m.residual is not None for m in source.models]
-        if not any(known):
-            return 0.0
-        weights = self._weights(source, payload)[known]
+        residuals = [m.residual for m in source.models if m.residual is not None]
+        if not residuals:
+            return _Holdout(0.0, 0.0)
+        weights = self._weights(source, payload)[[m.residual is not None for m in source.models]]
         weights = weights / weights.sum() if weights.sum() > 0 else weights + 1 / len(weights)
-        errors = [abs(m.residual.energy_error) for m in source.models if m.residual is not None]
-        return float(weights @ errors)
+        return _Holdout(
+            float(weights @ [abs(r.energy_error) for r in residuals]),
+            float(weights @ [2 * r.rmse**2 * r.correlation_time for r in residuals]),
+        )
 
     def power(self, trajectory: Trajectory, payload: float) -> FloatArray:
         """Return the mean power of each interval of a trajectory [W], shape (n - 1,)."""
@@ -305,18 +323,9 @@ class Grounds:
             if step.any():
                 change = 0.5 * (energy(values + step) - energy(values - step))
                 sensitivity[source.first + j] = change
-        noise = 0.0
-        residuals = [m.residual for m in source.models if m.residual is not None]
-        if residuals:
-            weights = self._weights(source, payload)[
-                [m.residual is not None for m in source.models]
-            ]
-            weights = weights / weights.sum() if weights.sum() > 0 else weights + 1 / len(weights)
-            sensitivity[source.first + source.size - 1] = (
-                self._holdout_error(region, payload) * mean
-            )
-            strength = weights @ [2 * r.rmse**2 * r.correlation_time for r in residuals]
-            noise = float(strength * weight.sum())
+        missed = self._holdout(region, payload)
+        sensitivity[source.first + source.size - 1] = missed.error * mean
+        noise = missed.strength * float(weight.sum())
         return Estimate(mean, sensitivity, noise)
 
 
