@@ -20,7 +20,8 @@ from energyplan.mission.order_refinement import best_stops
 from energyplan.mission.remedies import Remedy
 from energyplan.mission.report import MissionReport, Reason, Stop, TaskReport, Timeline
 from energyplan.mission.simulation import Attempt, Condition, Walk
-from energyplan.mission.types import Charger, Mission, Task
+from energyplan.mission.tasks import Charger, Task
+from energyplan.mission.types import Mission
 
 __all__ = [
     "Charger", "Mission", "MissionReport", "Remedy", "Stop", "Task", "TaskReport", "Timeline",

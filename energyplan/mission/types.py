@@ -1,4 +1,4 @@
-"""What a mission consists of, checked where it is built."""
+"""A mission: tasks to do with one battery, checked where it is built."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ import numpy as np
 
 from energyplan.battery import BatteryModel
 from energyplan.errors import MissionError
+from energyplan.mission.checks import checked_pose, require
 from energyplan.mission.remedies import Remedy
+from energyplan.mission.tasks import Charger, Task
 from energyplan.path import Pose
 from energyplan.planning.problem import nearest_free
 from energyplan.power import PowerModel
@@ -25,118 +27,6 @@ if TYPE_CHECKING:
 
 OrderRule = Literal["given", "free"]
 ReturnRule = Literal["start", "charger", "any"]
-
-
-def _require(condition: object, message: str, *place: str | int) -> None:
-    if not condition:
-        raise MissionError(message, place)
-
-
-def _pose(value: Iterable[float], whose: str, *place: str | int) -> Pose:
-    row = np.asarray(list(value), float)
-    _require(
-        row.shape == (3,) and bool(np.all(np.isfinite(row))),
-        f"{whose}: the pose is {row.tolist()}; give x, y [m] and yaw [rad], all finite",
-        *place,
-    )
-    return Pose(*(float(v) for v in row))
-
-
-@dataclass(frozen=True)
-class Task:
-    """Something to be done at a place.
-
-    Parameters
-    ----------
-    name : str
-        Name, unique in the mission.
-    pose : Pose
-        Where it is done.
-    dwell : float
-        How long it takes there [s].
-    power : float
-        Power of the tool meanwhile [W].
-    payload : float
-        What is taken on board (positive) or left behind (negative) when it is done [kg].
-    prize : float
-        What it is worth, where not all tasks fit.
-    required : bool
-        Whether the mission fails without it.
-    window : tuple of float
-        Earliest and latest time at which it may begin [s].
-
-    Raises
-    ------
-    MissionError
-        If a value is not finite or out of its range.
-    """
-
-    name: str
-    pose: Pose
-    dwell: float = 0.0
-    power: float = 0.0
-    payload: float = 0.0
-    prize: float = 1.0
-    required: bool = True
-    window: tuple[float, float] = (0.0, np.inf)
-
-    def __post_init__(self) -> None:
-        label = f"task {self.name!r}"
-        _require(self.name, "a task has no name; give each its own", "name")
-        object.__setattr__(self, "pose", _pose(self.pose, label, "pose"))
-        for key in ("dwell", "power", "prize"):
-            value = getattr(self, key)
-            _require(
-                np.isfinite(value) and value >= 0, f"{label}: {key} is {value}; give 0 or more", key
-            )
-        _require(np.isfinite(self.payload), f"{label}: payload is {self.payload}", "payload")
-        _require(
-            len(self.window) == 2 and 0 <= self.window[0] <= self.window[1],
-            f"{label}: the window {self.window} is empty; give earliest and latest start [s]",
-            "window",
-        )
-
-
-@dataclass(frozen=True)
-class Charger:
-    """A place where the battery is charged.
-
-    Parameters
-    ----------
-    name : str
-        Name, unique in the mission.
-    pose : Pose
-        Where the robot docks.
-    power : float
-        Power at the battery's terminals [W].
-    until : float
-        State of charge at which the robot leaves.
-
-    Raises
-    ------
-    MissionError
-        If a value is not finite or out of its range.
-    """
-
-    name: str
-    pose: Pose
-    power: float
-    until: float = 0.95
-
-    def __post_init__(self) -> None:
-        label = f"charger {self.name!r}"
-        _require(self.name, "a charger has no name; give each its own", "name")
-        object.__setattr__(self, "pose", _pose(self.pose, label, "pose"))
-        _require(
-            np.isfinite(self.power) and self.power > 0,
-            f"{label}: power is {self.power}; give watts > 0",
-            "power",
-        )
-        _require(
-            0 < self.until <= 1,
-            f"{label}: until is {self.until}; give a state of charge in (0, 1]",
-            "until",
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,12 +122,12 @@ class Mission:
     def __post_init__(self) -> None:
         object.__setattr__(self, "tasks", tuple(self.tasks))
         object.__setattr__(self, "chargers", tuple(self.chargers))
-        object.__setattr__(self, "start", _pose(self.start, "start", "start"))
-        home = self.start if self.home is None else _pose(self.home, "home", "home")
+        object.__setattr__(self, "start", checked_pose(self.start, "start", "start"))
+        home = self.start if self.home is None else checked_pose(self.home, "home", "home")
         object.__setattr__(self, "home", home)
         models = {key: MappingProxyType(dict(v)) for key, v in self.payload_models.items()}
         object.__setattr__(self, "payload_models", MappingProxyType(models))
-        _require(self.tasks, "the mission has no task; list at least one", "tasks")
+        require(self.tasks, "the mission has no task; list at least one", "tasks")
         self._check_names()
         self._check_numbers()
         self._check_models()
@@ -253,7 +143,7 @@ class Mission:
         named = [("tasks", k, task.name) for k, task in enumerate(self.tasks)]
         named += [("chargers", k, charger.name) for k, charger in enumerate(self.chargers)]
         for kind, k, name in named:
-            _require(
+            require(
                 name not in seen, f"the name {name!r} stands twice; give each place its own",
                 kind, k, "name",
             )  # fmt: skip
@@ -261,29 +151,29 @@ class Mission:
 
     def _check_numbers(self) -> None:
         fraction = "give a fraction"
-        _require(0 <= self.soc <= 1, f"soc is {self.soc}; {fraction} in [0, 1]", "soc")
-        _require(
+        require(0 <= self.soc <= 1, f"soc is {self.soc}; {fraction} in [0, 1]", "soc")
+        require(
             0 <= self.reserve < 1, f"reserve is {self.reserve}; {fraction} in [0, 1)", "reserve"
         )
-        _require(
+        require(
             self.reserve < self.soc,
             f"the reserve {self.reserve:g} is not below the state of charge {self.soc:g}; charge "
             "first, or lower the reserve",
             "reserve",
         )
-        _require(
+        require(
             self.reserve >= self.battery.cutoff_soc,
             f"the reserve {self.reserve:g} is below {self.battery.cutoff_soc:g}, at which the "
             "battery is cut off",
             "reserve",
         )
-        _require(
+        require(
             0.5 <= self.confidence < 1,
             f"confidence is {self.confidence}; {fraction} in [0.5, 1)",
             "confidence",
         )
         for k, charger in enumerate(self.chargers):
-            _require(
+            require(
                 charger.until > self.reserve,
                 f"charger {charger.name!r} stops at {charger.until:g}, not above the reserve "
                 f"{self.reserve:g}",
@@ -291,19 +181,17 @@ class Mission:
             )  # fmt: skip
         for key in ("coefficient_spread", "payload", "time"):
             value = getattr(self, key)
-            _require(np.isfinite(value) and value >= 0, f"{key} is {value}; give 0 or more", key)
+            require(np.isfinite(value) and value >= 0, f"{key} is {value}; give 0 or more", key)
         for key in ("planning_time", "planning_effort", "speed"):
             value = getattr(self, key)
-            _require(value is None or value > 0, f"{key} is {value}; give more than 0", key)
-        _require(
-            self.order in ("given", "free"), f"order is {self.order!r}: given or free", "order"
-        )
-        _require(
+            require(value is None or value > 0, f"{key} is {value}; give more than 0", key)
+        require(self.order in ("given", "free"), f"order is {self.order!r}: given or free", "order")
+        require(
             self.return_to in ("start", "charger", "any"),
             f"return_to is {self.return_to!r}; choose start, charger or any",
             "return_to",
         )
-        _require(
+        require(
             self.return_to != "charger" or self.chargers,
             "the mission must end at a charger but has none; list one, or return to the start",
             "return_to",
@@ -314,7 +202,7 @@ class Mission:
             return
         grounds = self.surfaces.surfaces if self.surfaces is not None else ()
         for model in (self.model, *(surface.model for surface in grounds)):
-            _require(
+            require(
                 reads_slope(model),
                 f"no term of the model {model.name!r} reads the slope; add the weight with "
                 "energyplan.power.effects.with_weight(model)",
@@ -397,7 +285,7 @@ class Mission:
         """
         names = set(done)
         unknown = names - {task.name for task in self.tasks}
-        _require(not unknown, f"no task is called {', '.join(sorted(unknown))}")
+        require(not unknown, f"no task is called {', '.join(sorted(unknown))}")
         left = tuple(task for task in self.tasks if task.name not in names)
         carried = self.payload + sum(t.payload for t in self.tasks if t.name in names)
         mission = replace(
@@ -420,12 +308,12 @@ class Mission:
         """
         names = [task.name for task in self.tasks]
         if remedy.kind in ("drop", "window"):
-            _require(remedy.task in names, f"no task is called {remedy.task!r}")
+            require(remedy.task in names, f"no task is called {remedy.task!r}")
         if remedy.kind == "drop":
             return replace(self, tasks=tuple(t for t in self.tasks if t.name != remedy.task))
         if remedy.kind == "cheapest_speed":
             return replace(self, speed=None)
-        _require(remedy.amount is not None, f"the remedy {remedy.kind!r} has no amount")
+        require(remedy.amount is not None, f"the remedy {remedy.kind!r} has no amount")
         amount = float(remedy.amount or 0.0)
         if remedy.kind == "window":
             k = names.index(remedy.task)

@@ -1,0 +1,107 @@
+"""What a robot does on a mission, and where it charges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from energyplan.mission.checks import checked_pose, require
+from energyplan.path import Pose
+
+
+@dataclass(frozen=True)
+class Task:
+    """Something to be done at a place.
+
+    Parameters
+    ----------
+    name : str
+        Name, unique in the mission.
+    pose : Pose
+        Where it is done.
+    dwell : float
+        How long it takes there [s].
+    power : float
+        Power of the tool meanwhile [W].
+    payload : float
+        What is taken on board (positive) or left behind (negative) when it is done [kg].
+    prize : float
+        What it is worth, where not all tasks fit.
+    required : bool
+        Whether the mission fails without it.
+    window : tuple of float
+        Earliest and latest time at which it may begin [s].
+
+    Raises
+    ------
+    MissionError
+        If a value is not finite or out of its range.
+    """
+
+    name: str
+    pose: Pose
+    dwell: float = 0.0
+    power: float = 0.0
+    payload: float = 0.0
+    prize: float = 1.0
+    required: bool = True
+    window: tuple[float, float] = (0.0, np.inf)
+
+    def __post_init__(self) -> None:
+        label = f"task {self.name!r}"
+        require(self.name, "a task has no name; give each its own", "name")
+        object.__setattr__(self, "pose", checked_pose(self.pose, label, "pose"))
+        for key in ("dwell", "power", "prize"):
+            value = getattr(self, key)
+            require(
+                np.isfinite(value) and value >= 0, f"{label}: {key} is {value}; give 0 or more", key
+            )
+        require(np.isfinite(self.payload), f"{label}: payload is {self.payload}", "payload")
+        require(
+            len(self.window) == 2 and 0 <= self.window[0] <= self.window[1],
+            f"{label}: the window {self.window} is empty; give earliest and latest start [s]",
+            "window",
+        )
+
+
+@dataclass(frozen=True)
+class Charger:
+    """A place where the battery is charged.
+
+    Parameters
+    ----------
+    name : str
+        Name, unique in the mission.
+    pose : Pose
+        Where the robot docks.
+    power : float
+        Power at the battery's terminals [W].
+    until : float
+        State of charge at which the robot leaves.
+
+    Raises
+    ------
+    MissionError
+        If a value is not finite or out of its range.
+    """
+
+    name: str
+    pose: Pose
+    power: float
+    until: float = 0.95
+
+    def __post_init__(self) -> None:
+        label = f"charger {self.name!r}"
+        require(self.name, "a charger has no name; give each its own", "name")
+        object.__setattr__(self, "pose", checked_pose(self.pose, label, "pose"))
+        require(
+            np.isfinite(self.power) and self.power > 0,
+            f"{label}: power is {self.power}; give watts > 0",
+            "power",
+        )
+        require(
+            0 < self.until <= 1,
+            f"{label}: until is {self.until}; give a state of charge in (0, 1]",
+            "until",
+        )
