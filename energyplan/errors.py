@@ -136,6 +136,10 @@ class TimeLimitError(PlanningError):
     """The time limit passed before a first plan was found."""
 
 
+class CancelledError(EnergyPlanError):
+    """Nobody waits for the result any more."""
+
+
 class InvalidPathError(PlanningError):
     """What a planner returned is no answer to the problem; the message says what is wrong."""
 

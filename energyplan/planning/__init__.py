@@ -12,7 +12,7 @@ from importlib.metadata import entry_points
 from typing import Any
 
 from energyplan.errors import PlanningError, UnknownNameError, UnsupportedPlannerError
-from energyplan.planning.budget import Budget
+from energyplan.planning.budget import Budget, cancellable
 from energyplan.planning.contract import Candidate, Planner, check_path, priced_plan
 from energyplan.planning.problem import OBJECTIVES, Plan, PlanningProblem
 from energyplan.planning.scene.compiled import CompiledProblem
@@ -24,6 +24,7 @@ __all__ = [
     "Plan",
     "Planner",
     "PlanningProblem",
+    "cancellable",
     "plan",
     "planners",
 ]

@@ -7,11 +7,13 @@ the same plan on any machine, under any load: nothing reads the clock.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from math import inf, isfinite
 from typing import TypeVar
 
-from energyplan.errors import InvalidInputError, TimeLimitError
+from energyplan.errors import CancelledError, InvalidInputError, TimeLimitError
 
 Made = TypeVar("Made")
 
@@ -19,6 +21,36 @@ PACE = 50_000
 """Units of work that count as a second where the two are compared.
 
 A unit is about 20 microseconds of one core: three expansions of a search, or attempts at a path."""
+
+_unwanted: ContextVar[Callable[[], bool]] = ContextVar("unwanted", default=lambda: False)
+
+
+@contextmanager
+def cancellable(unwanted: Callable[[], bool]) -> Iterator[None]:
+    """End all planning inside as soon as its result is unwanted.
+
+    Budgets made inside ask at every piece of work, in whichever thread it is done.
+
+    Parameters
+    ----------
+    unwanted : callable
+        Tells whether to end; called often, from several threads.
+
+    Raises
+    ------
+    CancelledError
+        From within the planning, when `unwanted` says so.
+
+    Examples
+    --------
+    >>> with cancellable(lambda: False):
+    ...     Budget(effort=1000).spend(10)
+    """
+    token = _unwanted.set(unwanted)
+    try:
+        yield
+    finally:
+        _unwanted.reset(token)
 
 
 class Budget:
@@ -58,6 +90,7 @@ class Budget:
             )
         self._begun = time.perf_counter()
         self._spent = [0.0]
+        self._unwanted = _unwanted.get()
         self.effort = effort
         """Units of work to spend; None by the clock."""
         counted = effort is not None
@@ -89,8 +122,16 @@ class Budget:
         return time.perf_counter() - self._begun
 
     def spend(self, units: float) -> None:
-        """Count work that was done."""
+        """Count work that was done.
+
+        Raises
+        ------
+        CancelledError
+            If nobody wants the result any more; see `cancellable`.
+        """
         self._spent[0] += units
+        if self._unwanted():
+            raise CancelledError("the planning was cancelled")
 
     def _until(self, end: float) -> Budget:
         other = object.__new__(Budget)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from typing import TypeVar
 
 from energyplan.planning.budget import Budget
@@ -58,7 +59,8 @@ def side_by_side(
         results = [run(k) for k in range(len(tasks))]
     else:
         with ThreadPoolExecutor(threads) as pool:
-            results = list(pool.map(run, range(len(tasks))))
+            contexts = [copy_context() for _ in tasks]
+            results = list(pool.map(lambda k: contexts[k].run(run, k), range(len(tasks))))
     for own in counted:
         budget.spend(own.spent)
     return results

@@ -25,6 +25,7 @@ from energyplan import __version__
 from energyplan.cost import EnergyCost
 from energyplan.diagnosis import diagnose
 from energyplan.errors import (
+    CancelledError,
     EnergyPlanError,
     InvalidInputError,
     MissingDependencyError,
@@ -49,7 +50,7 @@ from energyplan.serve.requests import (
     PlanRequest,
 )
 from energyplan.serve.store import KINDS, Store, UnknownFileError
-from energyplan.serve.work import BusyError, CancelledError, Job, Pool
+from energyplan.serve.work import BusyError, Job, Pool
 from energyplan.studies.comparison import compare
 
 STATUS: tuple[tuple[type[Exception], int], ...] = (

@@ -9,15 +9,12 @@ from collections.abc import AsyncIterator, Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-from energyplan.errors import EnergyPlanError
+from energyplan.errors import CancelledError, EnergyPlanError
+from energyplan.planning.budget import cancellable
 
 
 class BusyError(EnergyPlanError):
     """As much work waits as may wait; try again later."""
-
-
-class CancelledError(EnergyPlanError):
-    """Nobody waits for the answer any more."""
 
 
 class Job:
@@ -114,7 +111,8 @@ class Pool:
                 if job.cancelled.is_set():
                     raise CancelledError("the request was cancelled")
                 job.say("started")
-                job.future.set_result(work(job))
+                with cancellable(job.cancelled.is_set):
+                    job.future.set_result(work(job))
             except BaseException as error:  # noqa: BLE001  whoever waits is told
                 job.future.set_exception(error)
             finally:

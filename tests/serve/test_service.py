@@ -233,6 +233,24 @@ def test_as_much_waits_as_may_wait() -> None:
     pool.close()
 
 
+def test_a_plan_that_nobody_waits_for_ends() -> None:
+    pool, begun = Pool(workers=1, waiting=1), threading.Event()
+    grid = ep.read_map(ROOT / "maps" / "warehouse.yaml")
+    cost = ep.EnergyCost(ep.PowerModel.preset(MODEL))
+    aisles = ep.PlanningProblem(grid, cost, (2, 2, 0), (20, 12, 1.5))
+
+    def work(job: Job) -> ep.Plan:
+        begun.set()
+        return ep.plan(aisles, effort=10**9, gap=0.0)
+
+    job = pool.submit(work)
+    assert begun.wait(300)
+    job.cancelled.set()
+    with pytest.raises(ep.errors.CancelledError):
+        job.future.result(300)
+    pool.close()
+
+
 def test_others_are_served_only_with_a_token(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match="give --token"):
         run(folder, host="0.0.0.0")
