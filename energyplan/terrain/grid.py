@@ -17,6 +17,7 @@ from energyplan.terrain import _distance
 from energyplan.terrain import collision as _collision
 from energyplan.terrain.heights import ORIGIN
 from energyplan.terrain.surfaces import FARTHEST
+from energyplan.terrain.updates import place_of_patch, updated_space, window_of
 from energyplan.vehicle import Vehicle
 
 BoolArray = NDArray[np.bool_]
@@ -146,6 +147,59 @@ class OccupancyGrid:
             float(self.resolution),
         )
 
+    def updated(
+        self, occupied: ArrayLike, row: int, column: int, unknown: ArrayLike | None = None
+    ) -> OccupancyGrid:
+        """Return this map with a patch of its cells replaced.
+
+        What was made of this map is kept where nothing changes and made anew near what does, so
+        that a small patch costs little. The result is the same as that of a new map.
+
+        Parameters
+        ----------
+        occupied : array_like of bool, shape (m, n)
+            Occupied cells of the patch.
+        row, column : int
+            Cell of this map that cell (0, 0) of the patch stands for.
+        unknown : array_like of bool, shape (m, n), optional
+            Cells of the patch of which nothing is known; none if left out.
+
+        Returns
+        -------
+        OccupancyGrid
+            The map as it is now.
+
+        Raises
+        ------
+        MapError
+            If the patch does not lie on the map, or shapes or types are wrong.
+
+        Examples
+        --------
+        >>> hall = OccupancyGrid(np.zeros((40, 40), bool), resolution=0.1)
+        >>> closed = hall.updated(np.ones((1, 40), bool), row=20, column=0)
+        >>> int(closed.occupied.sum()), int(hall.occupied.sum())
+        (40, 0)
+        """
+        patch = _frozen_bool(occupied, "the patch")
+        hidden = _frozen_bool(
+            np.zeros(patch.shape, bool) if unknown is None else unknown, "unknown"
+        )
+        if hidden.shape != patch.shape:
+            raise MapError(f"unknown has shape {hidden.shape}, the patch {patch.shape}; give one")
+        place = place_of_patch(patch.shape, self.shape, row, column)
+        cells = self.occupied.copy()
+        cells[place] = patch
+        known = self.unknown
+        if known is not None or hidden.any():
+            known = np.zeros(self.shape, bool) if known is None else known.copy()
+            known[place] = hidden
+        new = replace(self, occupied=cells, unknown=known)
+        if "space" in self.__dict__:
+            window = window_of(new.blocked[place] != self.blocked[place], row, column)
+            new.__dict__["space"] = updated_space(self.space, new.blocked, window)
+        return new
+
     def with_unknown_free(self, free: bool = True) -> OccupancyGrid:
         """Return this map with its unknown cells free to enter, or not."""
         return replace(self, unknown_is_free=free)
@@ -163,8 +217,7 @@ class OccupancyGrid:
         OccupancyGrid
             The map with more cells occupied.
         """
-        touched = self._touched(areas)
-        return replace(self, occupied=self.occupied | touched)
+        return replace(self, occupied=self.occupied | self.touched_by(areas))
 
     def with_mask(self, mask: OccupancyGrid) -> OccupancyGrid:
         """Return this map with every cell occupied that a keep-out mask blocks.
@@ -203,14 +256,12 @@ class OccupancyGrid:
             touched[row] = inside & (far[line, column] <= near + off)
         return replace(self, occupied=self.occupied | touched)
 
-    def _touched(self, areas: BaseGeometry | Iterable[BaseGeometry]) -> BoolArray:
-        """Return the cells that some geometry touches, shape (rows, columns)."""
+    def touched_by(self, areas: BaseGeometry | Iterable[BaseGeometry]) -> BoolArray:
+        """Return the cells that some area in the world [m] touches, shape (rows, columns)."""
         geometries = [areas] if isinstance(areas, BaseGeometry) else list(areas)
         touched = np.zeros(self.shape, bool)
         rows, columns = self.shape
-        for geometry in geometries:
-            if geometry.is_empty:
-                continue
+        for geometry in (g for g in geometries if not g.is_empty):
             cells = shapely.transform(geometry, self.to_cells)
             left, low, right, high = cells.bounds
             first, last = max(int(left) - 1, 0), min(int(right) + 2, columns)

@@ -237,6 +237,35 @@ class Terrain:
         found: Made = self._tables[key]
         return found
 
+    def updated(
+        self, occupied: ArrayLike, row: int, column: int, unknown: ArrayLike | None = None
+    ) -> Terrain:
+        """Return this ground with a patch of its map replaced; see `OccupancyGrid.updated`.
+
+        Parameters
+        ----------
+        occupied, row, column, unknown
+            As for `OccupancyGrid.updated`.
+
+        Returns
+        -------
+        Terrain
+            The ground as it is now. What was made of this one is kept where nothing changes.
+        """
+        new = Terrain.of(
+            self.grid.updated(occupied, row, column, unknown), self.surfaces, self.heights
+        )
+        if "regions" in self.__dict__:
+            new.__dict__["regions"] = self.regions
+        if self.ground.keep_out:
+            height, width = np.shape(occupied)
+            kept_out = self._kept_out[row : row + height, column : column + width]
+            new.__dict__["_kept_out"] = self._kept_out
+            new.__dict__["obstacles"] = self.obstacles.updated(
+                np.asarray(occupied) | kept_out, row, column, unknown
+            )
+        return new
+
     # -- what lies where --------------------------------------------------------------------------
 
     @property
@@ -247,8 +276,14 @@ class Terrain:
     @cached_property
     def obstacles(self) -> OccupancyGrid:
         """The grid, with what must be kept out of occupied."""
-        kept_out = self.ground.keep_out
-        return self.grid.with_blocked(kept_out) if kept_out else self.grid
+        if not self.ground.keep_out:
+            return self.grid
+        return replace(self.grid, occupied=self.grid.occupied | self._kept_out)
+
+    @cached_property
+    def _kept_out(self) -> NDArray[np.bool_]:
+        """The cells that an area to keep out of touches, shape (rows, columns)."""
+        return self.grid.touched_by(self.ground.keep_out)
 
     @property
     def bare(self) -> Terrain:

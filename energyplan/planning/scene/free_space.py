@@ -17,9 +17,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from energyplan.compilation.arrays import SingleTable
 from energyplan.planning.parallel import workers
 from energyplan.planning.scene import free_space_kernels as kernels
 from energyplan.terrain.collision import Body, Space
+from energyplan.terrain.updates import Window
 
 HEADINGS = 64
 """Headings, the first along the map's columns: as many as a word has bits."""
@@ -222,15 +224,75 @@ def free_space(
         The free configurations.
     """
     group, parts = _grouping(space, body)
-    rows, columns = space.clearance.shape
-    resolution = space.resolution
+    masks = _masks(space.clearance, space.resolution, body, group, parts, enlarged, threads)
+    masks.setflags(write=False)
+    return FreeSpace(masks, space.resolution * group / parts, enlarged)
+
+
+def updated_free_space(former: FreeSpace, space: Space, body: Body, window: Window) -> FreeSpace:
+    """Return the free configurations of a body on a map that differs within a window.
+
+    Parameters
+    ----------
+    former : FreeSpace
+        The free configurations of this body on the map before.
+    space : Space
+        The map now.
+    body : Body
+        The body [m].
+    window : Window
+        Where its blocked cells may differ.
+
+    Returns
+    -------
+    FreeSpace
+        What `free_space` returns for the map now.
+    """
+    group, parts = _grouping(space, body)
+    reach = ceil(_reach(body) / space.resolution) + 2
+    shape = space.clearance.shape
+    # whole places whose poses may touch the window, and all cells that these touch
+    near = window.grown(reach, shape)
+    first = near.first_row // group, near.first_column // group
+    end = -(-near.end_row // group), -(-near.end_column // group)
+    inner = Window(first[0] * group, end[0] * group, first[1] * group, end[1] * group)
+    wide = -(-reach // group) * group
+    used = inner.grown(wide, shape)
+    part = np.ascontiguousarray(space.clearance[used.slices])
+    fresh = _masks(part, space.resolution, body, group, parts, former.enlarged, None)
+    masks = former.masks.copy()
+    row, column = used.first_row // group * parts, used.first_column // group * parts
+    rows, columns = slice(first[0] * parts, end[0] * parts), slice(first[1] * parts, end[1] * parts)
+    masks[rows, columns] = fresh[
+        rows.start - row : rows.stop - row, columns.start - column : columns.stop - column
+    ]
+    masks.setflags(write=False)
+    return FreeSpace(masks, former.spacing, former.enlarged)
+
+
+def _reach(body: Body) -> float:
+    """Return how far the farthest corner of a body is from its reference point [m]."""
+    return hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max))
+
+
+def _masks(
+    clearance: SingleTable,
+    resolution: float,
+    body: Body,
+    group: int,
+    parts: int,
+    enlarged: bool,
+    threads: int | None,
+) -> Words:
+    """Return the words of a map, given its clearances [cells]; see `FreeSpace`."""
+    rows, columns = clearance.shape
     turn = 2 * pi / HEADINGS
     centred = body.x_min == -body.x_max and body.y_min == -body.y_max
     # a body that looks the same from behind fits in a heading and its opposite alike
     headings = HEADINGS // 2 if centred else HEADINGS
     masks = np.zeros((-(-rows // group) * parts, -(-columns // group) * parts), np.uint64)
-    blocked = space.clearance == 0
-    reach = hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max)) / resolution
+    blocked = clearance == 0
+    reach = _reach(body) / resolution
     inscribed = max(min(-body.x_min, body.x_max, -body.y_min, body.y_max), 0.0) / resolution
     pad = ceil((reach + 2.0) / 64) + 1
     levels = max(ceil(2 * reach + 3).bit_length(), 1)
@@ -255,7 +317,7 @@ def free_space(
                 kernels.free_rows,
                 masks,
                 runs_of_map,
-                space.clearance,
+                clearance,
                 pad,
                 group,
                 run_start=np.cumsum([0, *(len(t.row) for t in tables)]),
@@ -273,5 +335,4 @@ def free_space(
             )
             ends = np.minimum(bands[1:], rows).tolist()
             list(pool.map(work, bands[:-1].tolist(), ends))
-    masks.setflags(write=False)
-    return FreeSpace(masks, resolution * group / parts, enlarged)
+    return masks

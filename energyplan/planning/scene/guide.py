@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import weakref
-
 import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.planning.scene.compiled import MARGIN
-from energyplan.planning.scene.free_space import free_space
+from energyplan.planning.scene.free_space import FreeSpace, free_space, updated_free_space
 from energyplan.planning.scene.guide_kernels import (
     RIM,
     DistanceToGo,
@@ -20,6 +18,7 @@ from energyplan.planning.scene.guide_kernels import (
 )
 from energyplan.planning.scene.motions import DIRECTIONS, KernelProblem
 from energyplan.terrain.collision import Body
+from energyplan.terrain.updates import Window, tables_of
 
 AHEAD = 1.5
 """How far ahead the guide looks for the direction of the way [m]."""
@@ -33,8 +32,6 @@ REACH = 1.2
 SLACK = 4.0
 """And how much beyond that, in lengths of the body."""
 
-_known: dict[int, dict[tuple[Body, bool], Places]] = {}
-
 
 def places_for(kernel: KernelProblem, enlarged: bool = False) -> Places:
     """Return the free configurations of a problem as nodes, made once for a map and a body.
@@ -47,25 +44,27 @@ def places_for(kernel: KernelProblem, enlarged: bool = False) -> Places:
         Whether the body counts as free wherever it may be, between the poses tested as well: then
         what is not connected has no path.
     """
-    space = kernel.space
-    # they live as long as the map's own table of clearances
-    name = id(space.clearance)
-    if name not in _known:
-        _known[name] = {}
-        weakref.finalize(space.clearance, _known.pop, name, None)
-    kept = _known[name]
-    key = kernel.body, enlarged
-    if key not in kept:
-        body = kernel.body
-        if enlarged:
-            # the true footprint, which the margin of planning made larger
-            grown = MARGIN * space.resolution
-            body = Body(
-                body.x_min + grown, body.y_min + grown, body.x_max - grown, body.y_max - grown
-            )
-        found = free_space(space, body, enlarged=enlarged)
-        kept[key] = connect_places(found.masks, space, found.spacing)
-    return kept[key]
+    space, body = kernel.space, kernel.body
+    fitting = body
+    if enlarged:
+        # the true footprint, which the margin of planning made larger
+        grown = MARGIN * space.resolution
+        fitting = Body(
+            body.x_min + grown, body.y_min + grown, body.x_max - grown, body.y_max - grown
+        )
+
+    def make() -> Places:
+        found = free_space(space, fitting, enlarged=enlarged)
+        return connect_places(found.masks, space, found.spacing)
+
+    def update(former: Places, window: Window) -> Places:
+        shape = len(former.masks) // (former.columns + 2 * RIM), former.columns + 2 * RIM
+        masks = former.masks.reshape(shape)[RIM:-RIM, RIM:-RIM]
+        known = FreeSpace(masks, former.spacing, enlarged)
+        found = updated_free_space(known, space, fitting, window)
+        return connect_places(found.masks, space, found.spacing)
+
+    return tables_of(space).get(("places", body, enlarged), make, update)
 
 
 def inscribed(kernel: KernelProblem) -> float:

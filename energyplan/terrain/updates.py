@@ -1,0 +1,239 @@
+"""Tables of a map that changes in part: kept where nothing changed, made anew near what did."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from math import ceil
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from energyplan.errors import MapError
+from energyplan.terrain import _distance
+from energyplan.terrain.collision import Space, next_blocked
+
+Made = TypeVar("Made")
+
+_CLOSE = 1e-3
+"""What counts as near beside a distance [cells]; far above rounding."""
+
+
+class Window(NamedTuple):
+    """A rectangle of cells: rows and columns from the first to before the end."""
+
+    first_row: int
+    end_row: int
+    first_column: int
+    end_column: int
+
+    def grown(self, cells: int, shape: tuple[int, ...]) -> Window:
+        """Return this window with so many more cells on every side, as far as the map reaches."""
+        return Window(
+            max(self.first_row - cells, 0),
+            min(self.end_row + cells, shape[0]),
+            max(self.first_column - cells, 0),
+            min(self.end_column + cells, shape[1]),
+        )
+
+    def joined(self, other: Window) -> Window:
+        """Return the least window that holds this one and another."""
+        return Window(
+            min(self.first_row, other.first_row),
+            max(self.end_row, other.end_row),
+            min(self.first_column, other.first_column),
+            max(self.end_column, other.end_column),
+        )
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Its rows and columns, to index with."""
+        return slice(self.first_row, self.end_row), slice(self.first_column, self.end_column)
+
+
+def window_of(mask: NDArray[np.bool_], row: int = 0, column: int = 0) -> Window | None:
+    """Return the least window that holds all cells that are set; None if none is.
+
+    The mask begins at a `row` and `column` of the map.
+    """
+    rows = np.flatnonzero(mask.any(axis=1))
+    if len(rows) == 0:
+        return None
+    columns = np.flatnonzero(mask[rows[0] : rows[-1] + 1].any(axis=0))
+    return Window(
+        row + int(rows[0]), row + int(rows[-1]) + 1,
+        column + int(columns[0]), column + int(columns[-1]) + 1,
+    )  # fmt: skip
+
+
+def place_of_patch(
+    patch: tuple[int, ...], shape: tuple[int, int], row: int, column: int
+) -> tuple[slice, slice]:
+    """Return the rows and columns of a map that a patch stands for, given the shapes of both.
+
+    Raises
+    ------
+    MapError
+        If it does not lie on the map.
+    """
+    (rows, columns), (height, width) = shape, patch
+    if not (0 <= row <= rows - height and 0 <= column <= columns - width):
+        raise MapError(
+            f"a patch of {height} x {width} cells at row {row}, column {column} does not lie on "
+            f"the map of {rows} x {columns} cells; cut it to the map"
+        )
+    return slice(row, row + height), slice(column, column + width)
+
+
+class _Former(NamedTuple):
+    """A table of an earlier map, and where the map changed since."""
+
+    table: Any
+    window: Window
+
+
+@dataclass(eq=False)
+class Tables:
+    """What was made of a map's blocked cells, and what was made of them before they changed.
+
+    Of each table only the last one is kept, however often the map changes.
+    """
+
+    made: dict[Hashable, Any] = field(default_factory=dict)
+    former: dict[Hashable, _Former] = field(default_factory=dict)
+
+    def get(
+        self,
+        key: Hashable,
+        make: Callable[[], Made],
+        update: Callable[[Made, Window], Made] | None = None,
+    ) -> Made:
+        """Return a table: the one that is kept, a former one brought up to date, or a new one.
+
+        Parameters
+        ----------
+        key : hashable
+            What tells the table from all others: who makes it, and from what.
+        make : callable
+            Makes it from nothing.
+        update : callable, optional
+            Makes it from the table of an earlier map, which differs from this one within a window
+            only. It must not change that table, and the result must be what `make` would return.
+
+        Returns
+        -------
+        object
+            The table.
+        """
+        if key not in self.made:
+            old = self.former.pop(key, None)
+            keep = old is not None and update is not None
+            self.made[key] = update(old.table, old.window) if keep else make()  # type: ignore[misc, union-attr]
+        found: Made = self.made[key]
+        return found
+
+    def after(self, window: Window | None) -> Tables:
+        """Return the tables of a map that differs within a window; None if nowhere."""
+        if window is None:
+            return Tables(dict(self.made), dict(self.former))
+        former = {
+            key: _Former(old.table, old.window.joined(window)) for key, old in self.former.items()
+        }
+        former.update({key: _Former(table, window) for key, table in self.made.items()})
+        return Tables({}, former)
+
+
+_tables: dict[int, Tables] = {}
+
+
+def tables_of(space: Space) -> Tables:
+    """Return the tables of a map; they live as long as its clearances."""
+    name = id(space.clearance)
+    if name not in _tables:
+        _keep(space, Tables())
+    return _tables[name]
+
+
+def _keep(space: Space, tables: Tables) -> None:
+    name = id(space.clearance)
+    _tables[name] = tables
+    weakref.finalize(space.clearance, _tables.pop, name, None)
+
+
+def updated_space(space: Space, blocked: NDArray[np.bool_], window: Window | None) -> Space:
+    """Return the space of a map whose blocked cells differ within a window.
+
+    Parameters
+    ----------
+    space : Space
+        The space before.
+    blocked : ndarray of bool, shape (rows, columns)
+        The blocked cells now.
+    window : Window or None
+        Where they differ; None if nowhere.
+
+    Returns
+    -------
+    Space
+        What would be made anew of the blocked cells. Tables of the former space are at hand for it.
+    """
+    following, clearance = space.next_blocked.copy(), space.clearance.copy()
+    if window is not None:
+        rows = slice(window.first_row, window.end_row)
+        following[rows] = next_blocked(np.ascontiguousarray(blocked[rows]))
+        _update_clearance(clearance, blocked, window)
+    made = space._replace(next_blocked=following, clearance=clearance)
+    _keep(made, tables_of(space).after(window))
+    return made
+
+
+def _update_clearance(
+    clearance: NDArray[np.float32], blocked: NDArray[np.bool_], window: Window
+) -> None:
+    """Write distances anew where they may differ: where the window is no farther than they are."""
+    shape = clearance.shape
+    seen = window.grown(ceil(float(clearance.max())) + 1, shape)
+    row = np.arange(seen.first_row, seen.end_row) + 0.5
+    column = np.arange(seen.first_column, seen.end_column) + 0.5
+    up = np.maximum(np.maximum(window.first_row - row, row - window.end_row), 0.0)
+    along = np.maximum(np.maximum(window.first_column - column, column - window.end_column), 0.0)
+    before = clearance[seen.slices]
+    near = up[:, None] ** 2 + along[None, :] ** 2 <= (before.astype(float) + _CLOSE) ** 2
+    write = window_of(near, seen.first_row, seen.first_column)
+    if write is None:
+        return
+    near = near[
+        write.first_row - seen.first_row : write.end_row - seen.first_row,
+        write.first_column - seen.first_column : write.end_column - seen.first_column,
+    ]
+    margin = ceil(float(clearance[write.slices].max())) + 2
+    while True:
+        used = write.grown(margin, shape)
+        fresh = _distance.clearance(np.ascontiguousarray(blocked[used.slices]))
+        inner = fresh[
+            write.first_row - used.first_row : write.end_row - used.first_row,
+            write.first_column - used.first_column : write.end_column - used.first_column,
+        ]
+        # what is nearer than the cells left out is right; the map's own edge counts as blocked
+        if np.all(inner[near] < _to_cut(write, used, shape)[near]):
+            break
+        margin *= 2
+    clearance[write.slices][near] = inner[near]
+
+
+def _to_cut(write: Window, used: Window, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return the distance from cells to the nearest side of a window that is not the map's edge."""
+    row = np.arange(write.first_row, write.end_row) + 0.5
+    column = np.arange(write.first_column, write.end_column) + 0.5
+    up, along = np.full(len(row), np.inf), np.full(len(column), np.inf)
+    if used.first_row > 0:
+        up = np.minimum(up, row - used.first_row)
+    if used.end_row < shape[0]:
+        up = np.minimum(up, used.end_row - row)
+    if used.first_column > 0:
+        along = np.minimum(along, column - used.first_column)
+    if used.end_column < shape[1]:
+        along = np.minimum(along, used.end_column - column)
+    return np.asarray(np.minimum(up[:, None], along[None, :]))
