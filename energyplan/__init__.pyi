@@ -20,6 +20,7 @@ from .limits import feasibility as feasibility
 from .limits import speed as speed
 from .limits.feasibility import FeasibilityReport as FeasibilityReport
 from .limits.feasibility import check as check
+from .live import watch as watch
 from .logs import DriveLog as DriveLog
 from .mission import Charger as Charger
 from .mission import Mission as Mission

@@ -11,13 +11,23 @@ from typing import Annotated, TextIO
 
 import typer
 
-from energyplan.cli import _fitting, _loop, _mission, _planning, _range, _serve, _start, _warmup
+from energyplan.cli import (
+    _fitting,
+    _loop,
+    _mission,
+    _planning,
+    _range,
+    _serve,
+    _start,
+    _warmup,
+    _watch,
+)
 from energyplan.cli.common import INTERRUPTED, Json, answer, app, warn, writes_folder
 from energyplan.errors import EnergyPlanError, MissingDependencyError, TimeLimitError
 
 __all__ = ["app", "main"]
 
-_COMMANDS = (_start, _fitting, _planning, _range, _mission, _loop, _serve, _warmup)
+_COMMANDS = (_start, _fitting, _planning, _range, _mission, _loop, _serve, _warmup, _watch)
 """Modules that register commands when they are imported."""
 
 

@@ -341,12 +341,17 @@ def answer(document: dict[str, Any], lines: list[str], *, json: bool) -> None:
     ]
     if presets:
         document = {**document, "preset": presets}
-    for one in presets:  # with the answer: an error stays one line
-        warn(f"preset {one['name']}: not measured on this robot, but taken from {one['source']}")
+    warn_of_presets()  # with the answer: an error stays one line
     if json:
         say(jsonlib.dumps(document, indent=1, allow_nan=False))
     else:
         say("\n".join(lines))
+
+
+def warn_of_presets() -> None:
+    """Say which ready-made models the command in hand uses."""
+    for name, source in _presets.get().items():
+        warn(f"preset {name}: not measured on this robot, but taken from {source}")
 
 
 def verdict(yes: bool, strict: bool) -> None:

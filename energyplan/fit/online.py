@@ -84,6 +84,8 @@ class OnlineIdentifier:
         Standard deviation of a coefficient on an unknown surface, as a fraction of its value.
     battery : bool
         Whether the power that will be given was measured at the battery.
+    period : float, optional
+        Time between samples [s]; where not given, the first two samples or the first log tell it.
 
     Raises
     ------
@@ -117,8 +119,11 @@ class OnlineIdentifier:
         material: float = 0.05,
         spread: float = 0.5,
         battery: bool = False,
+        period: float | None = None,
     ) -> None:
         settings = {"memory": memory, "false_alarms": false_alarms, "spread": spread}
+        if period is not None:
+            settings["period"] = period
         for label, value in settings.items():
             if not (np.isfinite(value) and value > 0):
                 raise InvalidInputError(f"{label} is {value}; give a positive number")
@@ -144,6 +149,8 @@ class OnlineIdentifier:
         self._t, self._changes = np.nan, list[SurfaceChange]()
         self._period = np.nan
         self._start()
+        if period is not None:
+            self._begin(-np.inf, period)
 
     def _start(self) -> None:
         """Set the state from the prior model."""
@@ -220,11 +227,12 @@ class OnlineIdentifier:
                 self._t = t
                 return False
             self._begin(t, t - self._t)
+        dt = min(t - self._t, 4.0 * self._period)
         if self._ramps:
-            channels = {**self._accelerations(v_left, v_right, t - self._t), **channels}
+            channels = {**self._accelerations(v_left, v_right, dt), **channels}
         phi, target = self._sample(v_left, v_right, power, channels)
         changed = kernel.advance(
-            phi, target, t - self._t, self._matrices, self._vectors, self._ring, self._scalars,
+            phi, target, dt, self._matrices, self._vectors, self._ring, self._scalars,
             self._settings,
         )  # fmt: skip
         self._t = t

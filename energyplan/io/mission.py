@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from math import inf, radians
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -17,6 +16,7 @@ from energyplan.battery import Battery
 from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
 from energyplan.io._limited import beside
 from energyplan.io._yaml import Document, Loc, load
+from energyplan.io.amounts import amount
 from energyplan.io.bundled import bundled
 from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.files import is_file
@@ -32,38 +32,12 @@ from energyplan.vehicle import Vehicle
 
 T = TypeVar("T")
 
-_UNITS: dict[str, dict[str, float]] = {
-    "time": {"s": 1.0, "min": 60.0, "h": 3600.0},
-    "power": {"W": 1.0, "kW": 1e3},
-    "charge": {"C": 1.0, "Ah": 3600.0},
-    "energy": {"J": 1.0, "Wh": 3600.0, "kWh": 3.6e6},
-    "mass": {"kg": 1.0, "g": 1e-3},
-    "fraction": {"%": 0.01},
-    "speed": {"m/s": 1.0, "km/h": 1 / 3.6},
-    "angle": {"rad": 1.0, "deg": radians(1.0)},
-}
-_AMOUNT = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z/%]*)\s*")
-
-
-def _amount(kind: str, value: Any) -> Any:
-    """Read ``5 min``, ``20 %`` or a plain number in SI units."""
-    if not isinstance(value, str):
-        return value
-    found = _AMOUNT.fullmatch(value)
-    units = _UNITS[kind]
-    if value == "inf" or found is None:
-        return value
-    if found[2] and found[2] not in units:
-        raise ValueError(f"the unit of a {kind} is one of {', '.join(units)}, or none for SI")
-    return float(found[1]) * units.get(found[2], 1.0)
-
-
-Time = Annotated[float, BeforeValidator(partial(_amount, "time"))]
-Power = Annotated[float, BeforeValidator(partial(_amount, "power"))]
-Amps = Annotated[float, BeforeValidator(partial(_amount, "charge"))]
-Mass = Annotated[float, BeforeValidator(partial(_amount, "mass"))]
-Speed = Annotated[float, BeforeValidator(partial(_amount, "speed"))]
-Fraction = Annotated[float, BeforeValidator(partial(_amount, "fraction"))]
+Time = Annotated[float, BeforeValidator(partial(amount, "time"))]
+Power = Annotated[float, BeforeValidator(partial(amount, "power"))]
+Amps = Annotated[float, BeforeValidator(partial(amount, "charge"))]
+Mass = Annotated[float, BeforeValidator(partial(amount, "mass"))]
+Speed = Annotated[float, BeforeValidator(partial(amount, "speed"))]
+Fraction = Annotated[float, BeforeValidator(partial(amount, "fraction"))]
 PoseText = str | list[float | str]
 
 
@@ -340,7 +314,7 @@ class _Reader:
             if len(value) != 3:
                 raise ValueError(f"{len(value)} numbers")
             x, y = float(value[0]), float(value[1])
-            return Pose(x, y, float(_amount("angle", value[2])))
+            return Pose(x, y, float(amount("angle", value[2])))
         except ValueError as problem:
             raise self._document.fail(
                 loc, f"{value} is no pose ({problem}); give x, y [m] and yaw [rad] or as 90deg"
@@ -353,8 +327,8 @@ class _Reader:
             return value
         try:
             if value.strip().endswith("%"):
-                return float(_amount("fraction", value))
-            energy = float(_amount("energy", value))
+                return float(amount("fraction", value))
+            energy = float(amount("energy", value))
         except ValueError as problem:
             raise self._document.fail(
                 ("reserve",), f"{problem}; give a fraction, a percentage or an energy"

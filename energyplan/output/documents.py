@@ -15,9 +15,10 @@ from energyplan.logs.columns import UNITS
 if TYPE_CHECKING:
     from energyplan.diagnosis import Diagnosis
     from energyplan.errors import NoPathError
-    from energyplan.fit import Identification
+    from energyplan.fit import ICREstimate, Identification
     from energyplan.io.start import Start
     from energyplan.limits.feasibility import FeasibilityReport
+    from energyplan.live import Event
     from energyplan.mission import MissionReport
     from energyplan.physics import Driven, Loop
     from energyplan.physics.design import Design
@@ -75,6 +76,16 @@ def identification(found: Identification) -> Document:
         "icr": {**icr, "std_error": plain(found.icr_std_error)},
         "residual": residual(found.residual),
         "warnings": list(found.warnings),
+    }
+
+
+def icr(found: ICREstimate) -> Document:
+    """Return what ``energyplan icr --json`` prints."""
+    values = {key: getattr(found.icr, key) for key in ("left", "right", "longitudinal")}
+    return {
+        "icr": {**values, "std_error": plain(found.std_error)},
+        "turning": plain(found.turning),
+        "source": found.source,
     }
 
 
@@ -205,6 +216,22 @@ def mission(report: MissionReport) -> Document:
             for source, energy in report.uncertainty.items()
         ],
     }
+
+
+def event(told: Event) -> Document:
+    """Return an event of ``energyplan watch --json``."""
+    named: Document = {"event": type(told).__name__.lower()}
+    for item in fields(told):
+        value = getattr(told, item.name)
+        if item.name in ("model", "before"):
+            named |= {"terms": terms(value)}
+        elif item.name == "models":
+            named["models"] = [{"name": one.name, "terms": terms(one)} for one in value]
+        elif item.name == "report":
+            named["mission"] = None if value is None else mission(value)
+        else:
+            named[item.name] = plain(value)
+    return named
 
 
 def driven(made: Driven, secret: bool = False) -> Document:

@@ -12,16 +12,18 @@ from energyplan.output.documents import terms
 if TYPE_CHECKING:
     from energyplan.diagnosis import Diagnosis
     from energyplan.errors import NoPathError
-    from energyplan.fit import Identification
+    from energyplan.fit import ICREstimate, Identification
     from energyplan.fit.hoisted import InternalFriction
     from energyplan.io.logs import LogInfo
     from energyplan.io.start import Start
     from energyplan.limits.feasibility import FeasibilityReport
+    from energyplan.live import Event
     from energyplan.mission import MissionReport
     from energyplan.physics import Driven, Loop
     from energyplan.physics.design import Design
     from energyplan.planning import Plan
     from energyplan.planning.driven import DrivenPath
+    from energyplan.power import PowerModel
     from energyplan.studies.comparison import Comparison
     from energyplan.studies.energy_map import Contour, EnergyMap
 
@@ -133,6 +135,50 @@ def start(made: Start) -> list[str]:
     for check in made.checks:
         lines.append(f"{'ok' if check.ok else 'WRONG'}: {check}")
     return [*lines, *(f"note: {note}" for note in made.notes)]
+
+
+def icr(found: ICREstimate) -> list[str]:
+    """Return what ``energyplan icr`` prints."""
+    lines = [
+        f"{name}: {number(getattr(found.icr, name), 4)} m +- {number(error, 2)}"
+        for name, error in found.std_error.items()
+    ]
+    return [*lines, f"from {found.source}, {number(found.turning)} rad of turning"]
+
+
+def event(told: Event) -> list[str]:
+    """Return the line of an event of ``energyplan watch``."""
+    from energyplan.live import Changed, Done, Learned, Reassessed, Trouble
+
+    if isinstance(told, Trouble):
+        often = f" ({told.count} times more)" if told.count > 1 else ""
+        return [f"{told.place}: {told.reason}{often}"]
+    if isinstance(told, Learned):
+        return [f"{told.t:.1f} s: {_coefficients(told.model)}; {told.samples} samples"]
+    if isinstance(told, Changed):
+        return [
+            f"{told.t:.1f} s: the ground changed about {told.onset:.1f} s (chi-squared "
+            f"{number(told.statistic)}); it was {_coefficients(told.before)}"
+        ]
+    if isinstance(told, Done):
+        return [f"{told.t:.1f} s: task {told.task} is done"]
+    if isinstance(told, Reassessed):
+        report = told.report
+        said = "all tasks are done" if report is None else "; ".join(mission(report))
+        return [f"{told.t:.1f} s: charge {100 * told.soc:.1f} %; {said}"]
+    aside = ", ".join(f"{count} x {reason}" for reason, count in told.set_aside.items())
+    return [
+        f"the end: {told.samples} samples, {told.changes} changes of ground"
+        + (f"; told: {aside}" if aside else "")
+    ]
+
+
+def _coefficients(model: PowerModel) -> str:
+    return ", ".join(
+        f"{row['symbol']} = {number(row['value'])} +- {number(row['std_error'], 2)} "
+        f"{row['unit'].replace('1', '')}".rstrip()
+        for row in terms(model)
+    )
 
 
 def driven_path(made: Plan, told: DrivenPath | None) -> list[str]:

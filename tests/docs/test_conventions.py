@@ -88,7 +88,7 @@ def test_the_public_names_are_these() -> None:
         "TreadICR", "Vehicle", "battery", "check", "compare", "diagnose", "energy_map", "errors",
         "evaluate", "feasibility", "identify", "pareto", "plan", "plots", "read_heights",
         "read_map", "read_mission", "read_model", "read_surfaces", "read_vehicle", "simulate",
-        "speed", "steering", "write_model",
+        "speed", "steering", "watch", "write_model",
     ]  # fmt: skip
 
 

@@ -78,11 +78,12 @@ def material(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "other.csv": simulate.validation_drive(truth, seed=3, **noise),
         "drive1.csv": simulate.identification_drive(truth, seed=4, **noise),
         "drive2.csv": simulate.validation_drive(truth, seed=5, **noise),
+        "spin.csv": simulate.drive(MODEL, "spin", seed=7, **noise),
         "drive3.csv": simulate.validation_drive(truth, seed=6, **noise),
     }
     for name, same in zip(("monday", "tuesday", "wednesday"), list(drives)[1:4], strict=True):
         drives[f"{name}.csv"] = drives[same]
-    for name, same in zip("abc", list(drives)[3:6], strict=True):
+    for name, same in zip("abc", ("drive1.csv", "drive2.csv", "drive3.csv"), strict=True):
         drives[f"{name}.csv"] = drives[same]
     for name, log in drives.items():
         write_log(log, place / name)

@@ -1,0 +1,234 @@
+"""The commands that learn while driving: watch, icr."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from energyplan.cli.common import (
+    YAML,
+    Columns,
+    Json,
+    Logs,
+    OutModel,
+    Topics,
+    VehicleName,
+    answer,
+    app,
+    progress,
+    read_logs,
+    say,
+    warn_of_presets,
+    writes,
+)
+from energyplan.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from energyplan.live import Event, Line, Restart
+
+_POLL = 0.2
+"""Time between two looks at a file that does not grow [s]."""
+
+
+@app.command(
+    epilog="Example: energyplan watch drive.csv --vehicle husky_a200 --once --out model.yaml"
+)
+def watch(
+    log: Annotated[str, typer.Argument(help="A CSV log that grows, or - for standard input.")],
+    model: Annotated[
+        str | None, typer.Option(help="Model to begin with: a preset or a YAML file.")
+    ] = None,
+    vehicle: Annotated[
+        str | None, typer.Option(help="Vehicle of which no model is known: preset or YAML file.")
+    ] = None,
+    mission: Annotated[
+        Path | None, typer.Option(help="Mission that is under way: its YAML file.")
+    ] = None,
+    columns: Columns = None,
+    once: Annotated[
+        bool, typer.Option("--once", help="End at the end of the file, and follow it no further.")
+    ] = False,
+    every: Annotated[float, typer.Option(help="Time between two reports [s].")] = 10.0,
+    mission_every: Annotated[
+        float, typer.Option(help="Time between two looks at the mission's rest [s].")
+    ] = 60.0,
+    near: Annotated[
+        float, typer.Option(help="Within so far of a task's place a robot that stands does it [m].")
+    ] = 0.5,
+    soc: Annotated[
+        str | None, typer.Option(help="State of charge at the log's start; else the mission's.")
+    ] = None,
+    done: Annotated[
+        list[str] | None, typer.Option(metavar="NAME...", help="Tasks that were done before.")
+    ] = None,
+    out: OutModel = None,
+    json: Json = False,
+) -> None:
+    """Follow a drive: learn its model, say when the ground changes, look at the mission's rest.
+
+    One line for each event; with --json each is a JSON document. Ctrl-C ends it.
+    """
+    from energyplan.io.config import read_model, read_vehicle, write_model
+    from energyplan.io.mission import read_mission
+    from energyplan.live import Ended, Learned, follow, lines_of
+    from energyplan.live import watch as events
+    from energyplan.live.watcher import Settings
+    from energyplan.output import documents, text
+
+    if model and vehicle:
+        raise InvalidInputError("--model and --vehicle: a model has its vehicle; give one of them")
+    if not (model or vehicle or mission):
+        raise InvalidInputError("nothing tells the robot; give --model, --vehicle or --mission")
+    for name, given in (("--soc", soc), ("--done", done)):
+        if given is not None and mission is None:
+            raise InvalidInputError(f"{name} goes with --mission; give both or neither")
+    prior = read_model(model) if model else read_vehicle(vehicle) if vehicle else None
+    settings = Settings(
+        every, mission_every, near, None if soc is None else _number("--soc", "fraction", soc),
+        tuple(done or ()),
+    )  # fmt: skip
+    asked = read_mission(mission) if mission else None
+    lines = lines_of(sys.stdin.buffer) if log == "-" else follow(log, None if once else _wait)
+    warn_of_presets()
+    learned: Any = None
+    try:
+        with _until_interrupted(lines) as wanted:
+            for event in events(
+                wanted, prior, asked, columns=_mapping(columns), name=log, settings=settings
+            ):
+                _tell(event, json, documents.event, text.event)
+                if isinstance(event, Learned | Ended):
+                    learned = event.model if isinstance(event, Learned) else learned
+                    if out and learned is not None:
+                        write_model(learned, out)
+    except BrokenPipeError:
+        # Whoever read has seen enough; Python, when it ends, must not try to write once more.
+        sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115
+        if out and learned is not None:
+            write_model(learned, out)
+
+
+def _number(option: str, kind: str, text: str) -> float:
+    """Return the amount that an option gives."""
+    from energyplan.io.amounts import UNITS, amount
+
+    try:
+        return float(amount(kind, text))
+    except ValueError:
+        units = ", ".join(UNITS[kind])
+        raise InvalidInputError(
+            f"{option} {text!r} is no number; write one, with its unit if it is not SI: {units}"
+        ) from None
+
+
+def _mapping(columns: str | None) -> Any:
+    """Return a column mapping, from its file if it is one."""
+    from energyplan.io.project import read_columns
+
+    return read_columns(columns) if columns and columns.endswith(YAML) else columns
+
+
+def _wait() -> bool:
+    time.sleep(_POLL)
+    return True
+
+
+def _tell(event: Event, json: bool, document: Any, lines: Any) -> None:
+    if json:
+        say(jsonlib.dumps(document(event), allow_nan=False))
+    else:
+        say("\n".join(lines(event)))
+    sys.stdout.flush()
+
+
+@contextmanager
+def _until_interrupted(
+    lines: Iterable[Line | Restart],
+) -> Iterator[Iterator[Line | Restart]]:
+    """Let Ctrl-C end the lines, so that what follows from them is still told."""
+    stopped = waiting = False
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        nonlocal stopped
+        stopped = True
+        if waiting:
+            raise KeyboardInterrupt
+
+    def wanted() -> Iterator[Line | Restart]:
+        nonlocal waiting
+        source = iter(lines)
+        while not stopped:
+            waiting = True
+            try:
+                line = next(source, None)
+            except KeyboardInterrupt:
+                return
+            finally:
+                waiting = False
+            if line is None:
+                return
+            yield line
+
+    try:
+        before = signal.signal(signal.SIGINT, stop)
+    except ValueError:  # not the main thread, which alone gets signals
+        yield wanted()
+        return
+    try:
+        yield wanted()
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@app.command(epilog="Example: energyplan icr spin.csv --vehicle husky_a200 --spin --angle 3600deg")
+def icr(
+    logs: Logs,
+    vehicle: VehicleName,
+    spin: Annotated[
+        bool, typer.Option("--spin", help="The log is one spin on the spot, the paper's way.")
+    ] = False,
+    angle: Annotated[
+        str | None,
+        typer.Option(help="With --spin: angle turned through, as 3600deg; else the log's yaw."),
+    ] = None,
+    angle_error: Annotated[
+        str, typer.Option(help="With --angle: its standard error, as 5deg.")
+    ] = "0deg",
+    out: Annotated[
+        Path | None,
+        typer.Option(callback=writes(*YAML), help="Write the vehicle with them to this YAML file."),
+    ] = None,
+    columns: Columns = None,
+    topics: Topics = None,
+    json: Json = False,
+) -> None:
+    """Find a robot's tread ICRs, from a spin on the spot or from any drives with yaw or pose."""
+    from energyplan.fit import fit_icr, icr_from_spin
+    from energyplan.io.config import read_vehicle, write_vehicle
+    from energyplan.output import documents, text
+
+    robot = read_vehicle(vehicle)
+    if angle is not None and not spin:
+        raise InvalidInputError("--angle goes with --spin; give both or neither")
+    if spin and len(logs) > 1:
+        raise InvalidInputError("--spin takes one log; cut the spin out, or leave --spin out")
+    drives = read_logs(logs, columns, topics, vehicle)
+    with progress("identifying"):
+        if spin:
+            turned = None if angle is None else _number("--angle", "angle", angle)
+            found = icr_from_spin(drives[0], turned, _number("--angle-error", "angle", angle_error))
+        else:
+            found = fit_icr(drives, robot.icr)
+    if out:
+        write_vehicle(robot.with_icr(found.icr), out)
+    answer(documents.icr(found), text.icr(found), json=json)

@@ -1,0 +1,231 @@
+"""Samples from lines of a table, one by one; what cannot be used is told."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from math import isfinite, nan
+
+from energyplan.errors import DriveLogError
+from energyplan.live.events import Trouble
+from energyplan.live.lines import Line, Restart
+from energyplan.logs.checks import LIMITS, needed_channels
+from energyplan.logs.columns import Column, parse_columns
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a log holds.
+
+    Parameters
+    ----------
+    channels : tuple of str
+        Its channels.
+    battery_side : bool
+        Whether its power was measured at the battery.
+    """
+
+    channels: tuple[str, ...]
+    battery_side: bool
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One sample.
+
+    Parameters
+    ----------
+    place : str
+        Where it stands, such as ``"line 12"``.
+    t : float
+        Time [s].
+    v_left, v_right : float
+        Tread speeds [m/s].
+    power : float
+        Measured power [W].
+    channels : mapping of str to float
+        Further readings, finite ones only.
+    """
+
+    place: str
+    t: float
+    v_left: float
+    v_right: float
+    power: float
+    channels: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class _Table:
+    """How the lines are to be read."""
+
+    names: tuple[str, ...]
+    separator: str
+    columns: Mapping[str, Column]
+    power: tuple[str, ...]
+    needed: tuple[str, ...]
+
+
+def read_samples(
+    lines: Iterable[Line | Restart],
+    columns: str | Mapping[str, str | Column] | None = None,
+    needed: Collection[str] = (),
+    name: str = "log",
+) -> Iterator[Header | Sample | Trouble]:
+    """Read samples from lines, the first of which names the columns.
+
+    Parameters
+    ----------
+    lines : iterable of Line or Restart
+        The lines.
+    columns : str or mapping, optional
+        Which column serves as which channel, as for `DriveLog.read`.
+    needed : collection of str
+        Further channels without which a sample is of no use.
+    name : str
+        What to call the log in messages.
+
+    Yields
+    ------
+    Header, Sample or Trouble
+        The header first; then samples, and what could not be used.
+
+    Raises
+    ------
+    DriveLogError
+        If the first line names no columns, or a channel is missing.
+    """
+    table: _Table | None = None
+    fresh = True  # whether the next line may name the columns
+    for line in lines:
+        if isinstance(line, Restart):
+            yield Trouble(name, f"{line.reason}; it is read from its beginning")
+            fresh = True
+            continue
+        place = f"line {line.number}"
+        if not line.text.strip():
+            continue
+        if table is None or (fresh and not _numbers(line.text, table)):
+            table, fresh = _table(line, columns, needed, name), False
+            yield Header(tuple(table.columns), table.power == ("voltage", "current"))
+            continue
+        fresh = False
+        yield _sample(line, table, place)
+
+
+def _table(
+    line: Line,
+    columns: str | Mapping[str, str | Column] | None,
+    needed: Collection[str],
+    label: str,
+) -> _Table:
+    text = line.text.removeprefix("\ufeff")
+    separator = max(",;\t", key=text.count)
+    names = tuple(cell.strip() for cell in _cells(text, separator))
+    if not line.whole:
+        raise DriveLogError(f"{label}, line {line.number} is cut off; it must name the columns")
+    if "\0" in text or all(_number(cell) is not None for cell in names):
+        raise DriveLogError(
+            f"{label}, line {line.number} names no columns; put a line of column names first"
+        )
+    if len(set(names)) < len(names):
+        twice = next(one for one in names if names.count(one) > 1)
+        raise DriveLogError(f"{label}, line {line.number} names the column {twice!r} twice")
+    chosen = parse_columns(columns, names)
+    for channel, column in chosen.items():
+        for source in (column.source, column.times):
+            if source is not None and source not in names:
+                raise DriveLogError(
+                    f"{label}: {channel} is to come from {source!r}, which is no column; the "
+                    f"columns are {', '.join(names)}"
+                )
+    taken = {one for column in chosen.values() for one in (column.source, column.times)}
+    own = {one: Column(one) for one in names if one and one not in chosen and one not in taken}
+    chosen = {**chosen, **own}
+    basic = needed_channels(chosen, label)
+    missing = [channel for channel in needed if channel not in chosen]
+    if missing:
+        raise DriveLogError(
+            f"{label}: the model needs {', '.join(missing)}; map a column to it, such as "
+            f"{missing[0]}=NAME, or give a model without it"
+        )
+    return _Table(names, separator, chosen, basic[3:], (*basic, *needed))
+
+
+def _cells(text: str, separator: str) -> list[str]:
+    try:
+        return next(csv.reader([text], delimiter=separator, skipinitialspace=True), [])
+    except csv.Error:
+        return []
+
+
+def _number(cell: str) -> float | None:
+    """Return a number, or the seconds since 1970 of an instant by ISO 8601; None for neither."""
+    text = cell.strip()
+    try:
+        return float(text)
+    except ValueError:
+        pass
+    if len(text) < 10 or text[4] != "-":
+        return None
+    try:
+        instant = datetime.fromisoformat(text)
+    except ValueError:
+        return None
+    return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).timestamp()
+
+
+def _numbers(text: str, table: _Table) -> bool:
+    """Tell whether a line holds readings rather than names."""
+    cells = _cells(text, table.separator)
+    return any(_number(cell) is not None for cell in cells)
+
+
+def _sample(line: Line, table: _Table, place: str) -> Sample | Trouble:
+    """Return the sample of a line, or why there is none."""
+    if not line.whole:
+        return Trouble(place, "the line is cut off; set aside")
+    cells = _cells(line.text, table.separator)
+    if len(cells) != len(table.names):
+        return Trouble(
+            place, f"cells are missing or too many (there are {len(table.names)} columns); set "
+            "aside"
+        )  # fmt: skip
+    if table.separator != ",":
+        cells = [cell.replace(",", ".") for cell in cells]
+    raw = dict(zip(table.names, map(_number, cells), strict=True))
+    values = {channel: _reading(column, raw) for channel, column in table.columns.items()}
+    for channel in table.needed:
+        value = values[channel]
+        if not isfinite(value):
+            return Trouble(place, f"{channel} is no number; set aside")
+        if not _possible(channel, value):
+            low, high, unit = LIMITS[channel]
+            return Trouble(place, f"{channel} is beyond {low:g} to {high:g} {unit}; set aside")
+    power = [values[channel] for channel in table.power]
+    further = {
+        channel: value
+        for channel, value in values.items()
+        if channel not in ("t", "v_left", "v_right", *table.power)
+        and isfinite(value)
+        and _possible(channel, value)
+    }
+    return Sample(
+        place, values["t"], values["v_left"], values["v_right"],
+        power[0] * power[1] if table.power == ("voltage", "current") else sum(power), further,
+    )  # fmt: skip
+
+
+def _possible(channel: str, value: float) -> bool:
+    low, high, _ = LIMITS.get(channel, (value, value, ""))
+    return low <= value <= high
+
+
+def _reading(column: Column, raw: Mapping[str, float | None]) -> float:
+    value = raw[column.source]
+    other = 1.0 if column.times is None else raw[column.times]
+    if value is None or other is None:
+        return nan
+    return value * other * column.scale.factor + column.scale.offset

@@ -1,0 +1,448 @@
+"""Watches a drive: learns online, notes changes of ground, keeps an eye on the mission."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from math import hypot, inf, isfinite
+from typing import Any
+
+import numpy as np
+
+from energyplan.errors import EnergyPlanError, InvalidInputError
+from energyplan.fit.online import OnlineIdentifier
+from energyplan.live.events import Changed, Done, Ended, Event, Learned, Reassessed, Trouble
+from energyplan.live.lines import Line, Restart
+from energyplan.live.samples import Header, Sample, read_samples
+from energyplan.logs.columns import Column
+from energyplan.mission import Mission, evaluate
+from energyplan.motion import Motion
+from energyplan.path import FloatArray, Pose, wrap_angle
+from energyplan.power import PowerModel
+from energyplan.vehicle import Vehicle
+
+_FIRST = 20
+"""Samples that tell the time between samples."""
+
+_RESTART = 10
+"""Samples in a row, older than one before them, that tell that the clock was set."""
+
+_BACKWARD = "time does not go forward; set aside"
+
+_STILL = 0.02
+"""Speed of the treads below which a robot stands [m/s]."""
+
+_FACING = 0.6
+"""Largest difference of heading at which a robot is at a task's pose [rad]."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a drive is watched.
+
+    Parameters
+    ----------
+    every : float
+        Time between two reports of what was learned [s].
+    mission_every : float
+        Time between two looks at the rest of the mission, where nothing happens [s].
+    near : float
+        Distance to a task's place within which a robot that stands does the task [m].
+    soc : float, optional
+        State of charge at the first sample; the mission's where not given.
+    done : tuple of str
+        Tasks that were done before.
+
+    Raises
+    ------
+    InvalidInputError
+        If a value is out of range.
+    """
+
+    every: float = 10.0
+    mission_every: float = 60.0
+    near: float = 0.5
+    soc: float | None = None
+    done: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for label in ("every", "mission_every", "near"):
+            value = getattr(self, label)
+            if not value > 0:
+                raise InvalidInputError(f"{label} is {value}; give a positive number")
+        if self.soc is not None and not 0 <= self.soc <= 1:
+            raise InvalidInputError(f"soc is {self.soc}; give a fraction in [0, 1]")
+        object.__setattr__(self, "done", tuple(self.done))
+
+
+def watch(
+    lines: Iterable[Line | Restart],
+    prior: PowerModel | Vehicle | None = None,
+    mission: Mission | None = None,
+    *,
+    columns: str | Mapping[str, str | Column] | None = None,
+    name: str = "log",
+    settings: Settings | None = None,
+) -> Iterator[Event]:
+    """Watch a drive: learn the power model, note changes of ground, look at the mission's rest.
+
+    Each ground that the mission's map tells apart has a model of its own, so that driving from one
+    to the other is no change.
+
+    Parameters
+    ----------
+    lines : iterable of Line or Restart
+        The log's lines, as from `follow` and `lines_of`.
+    prior : PowerModel or Vehicle, optional
+        Where to start learning; the mission's models where not given.
+    mission : Mission, optional
+        The mission that is under way. Its pose comes from the channels ``x``, ``y`` and ``yaw``,
+        the charge from ``soc``, or else from the energy that was drawn.
+    columns : str or mapping, optional
+        Which column serves as which channel, as for `DriveLog.read`.
+    name : str
+        What to call the log in messages.
+    settings : Settings, optional
+        How often to tell what.
+
+    Yields
+    ------
+    Event
+        What happens, when it does; `Ended` is the last one.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is neither a prior nor a mission, or the log has no use.
+
+    Examples
+    --------
+    >>> rows = ["t,v_left,v_right,power"]
+    >>> rows += [f"{0.02 * k:.2f},0.5,0.5,80.0" for k in range(600)]
+    >>> vehicle = Vehicle.preset("quadriga")
+    >>> *_, last = watch([Line(k, row) for k, row in enumerate(rows, 1)], vehicle)
+    >>> last.samples, last.changes
+    (600, 0)
+    """
+    if prior is None and mission is None:
+        raise InvalidInputError("nothing tells the robot; give a model, a vehicle or a mission")
+    yield from _Watch(prior, mission, settings or Settings()).run(lines, columns, name)
+
+
+@dataclass
+class _Ground:
+    """A ground that the map tells, with its learner and the time driven on it."""
+
+    online: OnlineIdentifier
+    t: float = 0.0
+
+
+@dataclass
+class _Drawn:
+    """Battery-side power since the charge was last worked out."""
+
+    t: list[float] = field(default_factory=list)
+    samples: list[Sample] = field(default_factory=list)
+
+
+class _Watch:
+    def __init__(
+        self, prior: PowerModel | Vehicle | None, mission: Mission | None, settings: Settings
+    ) -> None:
+        self._prior, self._mission, self._settings = prior, mission, settings
+        self._known = set(settings.done)
+        names = {task.name for task in mission.tasks} if mission is not None else set()
+        if self._known - names:
+            unknown = ", ".join(sorted(self._known - names))
+            raise InvalidInputError(f"done: the mission has no task {unknown}")
+        self._battery_side = False
+        self._period = 0.0
+        self._grounds: dict[int, _Ground] = {}
+        self._clock, self._last = 0.0, -inf  # time driven; time of the last sample
+        self._back: list[Sample] = []
+        self._told_at = self._looked_at = -inf
+        self._stood: dict[str, float] = {}
+        self._polarisation = 0.0
+        self._soc = settings.soc
+        if mission is not None and self._soc is None:
+            self._soc = mission.soc
+        self._drawn = _Drawn()
+        self._pose: Pose | None = None
+        self._aside: Counter[str] = Counter()
+        self._again: dict[str, Trouble] = {}
+        self._here: _Ground | None = None
+        self._samples = 0
+        self._carries = mission is not None and (
+            mission.payload > 0 or any(task.payload for task in mission.tasks)
+        )
+
+    def run(
+        self,
+        lines: Iterable[Line | Restart],
+        columns: str | Mapping[str, str | Column] | None,
+        name: str,
+    ) -> Iterator[Event]:
+        """Take in lines to their end."""
+        first: list[Sample] = []
+        for item in read_samples(lines, columns, self._needed(), name):
+            if isinstance(item, Header):
+                yield from self._begin(item, name)
+            elif isinstance(item, Trouble):
+                yield from self._trouble(item)
+            elif self._period:
+                yield from self._timed(item)
+            else:
+                first.append(item)
+                if len(first) == _FIRST:
+                    yield from self._release(first)
+        yield from self._release(first)
+        if self._looked_at < self._clock:
+            yield from self._look()
+        yield from self._report()
+        yield Ended(
+            self._samples,
+            sum(len(ground.online.changes) for ground in self._grounds.values()),
+            tuple(ground.online.model for ground in self._grounds.values()),
+            dict(+self._aside),
+        )
+
+    # -- reports ----------------------------------------------------------------------------------
+
+    def _trouble(self, trouble: Trouble) -> Iterator[Event]:
+        """Tell a kind of trouble at once; how often it came again, with the next report."""
+        self._aside[trouble.reason] += 1
+        known = self._again.get(trouble.reason)
+        if known is None:
+            self._again[trouble.reason] = replace(trouble, count=0)
+            yield trouble
+        else:
+            self._again[trouble.reason] = replace(trouble, count=known.count + 1)
+
+    def _report(self) -> Iterator[Event]:
+        """Tell what was learned, and what went wrong more than once since the last report."""
+        yield from (trouble for trouble in self._again.values() if trouble.count)
+        self._again.clear()
+        if self._here is not None:
+            yield Learned(self._last, self._here.online.model, self._samples)
+
+    # -- time -------------------------------------------------------------------------------------
+
+    def _release(self, first: list[Sample]) -> Iterator[Event]:
+        """Take in the samples that were held back to learn the time between them."""
+        if first and not self._period:
+            steps = np.diff([sample.t for sample in first])
+            steps = steps[steps > 0]
+            self._period = float(np.quantile(steps, 0.5, method="lower")) if len(steps) else 0.02
+        held = list(first)
+        first.clear()
+        for sample in held:
+            yield from self._timed(sample)
+
+    def _timed(self, sample: Sample) -> Iterator[Event]:
+        """Give a sample its place in the time driven."""
+        step = sample.t - self._last
+        if not isfinite(step):
+            step = self._period
+        elif step <= 0:
+            rising = not self._back or sample.t > self._back[-1].t
+            self._back = [*self._back, sample] if rising else [sample]
+            if len(self._back) < _RESTART:
+                yield from self._trouble(Trouble(sample.place, _BACKWARD))
+                return
+            again, self._back = self._back, []
+            self._aside[_BACKWARD] -= len(again) - 1
+            self._again.pop(_BACKWARD, None)
+            yield from self._trouble(
+                Trouble(again[0].place, "the clock was set back; it goes on from there")
+            )
+            self._last = -inf
+            for one in again:
+                yield from self._timed(one)
+            return
+        else:
+            self._back = []
+        limit = max(4.0 * self._period, 0.2)
+        if step > limit:
+            yield from self._trouble(
+                Trouble(sample.place, "a gap in time; what was drawn meanwhile is not counted")
+            )
+        self._clock += step
+        self._last = sample.t
+        yield from self._take(sample, min(step, limit))
+
+    # -- learning ---------------------------------------------------------------------------------
+
+    def _needed(self) -> tuple[str, ...]:
+        """Channels that some model needs beside those that follow from the speeds."""
+        models: list[PowerModel] = []
+        if isinstance(self._prior, PowerModel):
+            models.append(self._prior)
+        elif self._prior is None and self._mission is not None:
+            grounds = self._mission.surfaces.surfaces if self._mission.surfaces else ()
+            models += [self._mission.model, *(ground.model for ground in grounds)]
+        names = {channel for model in models for term in model.terms for channel in term.channels}
+        return tuple(sorted(names - {"accel", "yaw_accel"}))
+
+    def _begin(self, header: Header, name: str) -> Iterator[Event]:
+        if self._samples and header.battery_side != self._battery_side:
+            raise InvalidInputError(f"{name}: the columns of power changed on the way; start anew")
+        self._battery_side = header.battery_side
+        if self._mission is None:
+            return
+        if not {"x", "y", "yaw"} <= set(header.channels):
+            yield Trouble(name, "without x, y and yaw the rest of the mission is not looked at")
+        if "soc" not in header.channels:
+            yield Trouble(name, "no channel soc: the charge is worked out from the energy drawn")
+        if self._carries:
+            yield Trouble(
+                name,
+                "the mission moves payload: what is learned is told, and its models stay as they "
+                "are",
+            )
+
+    def _region(self, sample: Sample) -> int:
+        surfaces = None if self._mission is None else self._mission.surfaces
+        if surfaces is None or self._prior is not None:
+            return 0
+        x, y = sample.channels.get("x"), sample.channels.get("y")
+        return 0 if x is None or y is None else int(surfaces.region_at((x, y)))
+
+    def _ground(self, region: int) -> _Ground:
+        if region not in self._grounds:
+            prior = self._prior
+            if prior is None and self._mission is not None:
+                surfaces = self._mission.surfaces
+                known = surfaces.surfaces[region - 1].model if surfaces and region else None
+                prior = known or self._mission.model
+            if prior is None:
+                raise InvalidInputError("nothing tells the robot; give a model or a vehicle")
+            self._grounds[region] = _Ground(
+                OnlineIdentifier(prior, battery=self._battery_side, period=self._period)
+            )
+        return self._grounds[region]
+
+    def _take(self, sample: Sample, step: float) -> Iterator[Event]:
+        ground = self._ground(self._region(sample))
+        self._here = ground
+        ground.t += step
+        changed = ground.online.update(
+            ground.t, sample.v_left, sample.v_right, sample.power, **sample.channels
+        )
+        self._samples += 1
+        if changed:
+            change = ground.online.changes[-1]
+            ago = change.t - change.onset
+            yield Changed(sample.t, sample.t - ago, change.statistic, change.before)
+        if self._mission is not None:
+            yield from self._follow(sample, step, changed)
+        if self._clock - self._told_at >= self._settings.every:
+            if self._told_at > -inf:
+                yield from self._report()
+            self._told_at = self._clock
+
+    # -- the mission ------------------------------------------------------------------------------
+
+    def _follow(self, sample: Sample, step: float, changed: bool) -> Iterator[Event]:
+        """Keep track of pose, charge and tasks; look at the mission where it is time to."""
+        told = sample.channels
+        if {"x", "y", "yaw"} <= told.keys():
+            self._pose = Pose(told["x"], told["y"], told["yaw"])
+        self._drawn.t.append((self._drawn.t[-1] if self._drawn.t else 0.0) + step)
+        self._drawn.samples.append(sample)
+        if "soc" in told:
+            if 0 <= told["soc"] <= 1:
+                self._soc, self._polarisation, self._drawn = told["soc"], 0.0, _Drawn()
+            else:
+                yield from self._trouble(
+                    Trouble(
+                        sample.place,
+                        "soc is no fraction; of percentages map it as in soc=NAME[*0.01]",
+                    )
+                )
+        done = list(self._finished(sample, step))
+        yield from (Done(sample.t, name) for name in done)
+        due = self._clock - self._looked_at >= self._settings.mission_every
+        if due or changed or done:
+            yield from self._look()
+
+    def _finished(self, sample: Sample, step: float) -> Iterator[str]:
+        """Yield the tasks that have just been done: the robot has stood there for their dwell."""
+        if self._mission is None or self._pose is None:
+            return
+        if max(abs(sample.v_left), abs(sample.v_right)) > _STILL:
+            return
+        for task in self._mission.tasks:
+            here = self._pose
+            away = hypot(task.pose.x - here.x, task.pose.y - here.y)
+            turned = abs(float(wrap_angle(task.pose.yaw - here.yaw)))
+            if task.name in self._known or away > self._settings.near or turned > _FACING:
+                continue
+            stood = self._stood[task.name] = self._stood.get(task.name, 0.0) + step
+            if stood >= task.dwell:
+                self._known.add(task.name)
+                yield task.name
+
+    def _charge(self) -> float:
+        """Return the state of charge now, by the energy that was drawn since it was last known."""
+        soc = 1.0 if self._soc is None else self._soc
+        if self._mission is None or len(self._drawn.t) < 2:
+            return soc
+        times = np.array(self._drawn.t)
+        run = self._mission.battery.simulate(
+            times, self._battery_power(), soc=soc, polarisation=self._polarisation
+        )
+        last = self._drawn.samples[-1]
+        self._soc, self._polarisation = run.soc_end, run.polarisation
+        self._drawn = _Drawn([0.0], [last])
+        return run.soc_end
+
+    def _battery_power(self) -> FloatArray:
+        """Return the power at the battery: as measured, or with what the model says of losses."""
+        samples = self._drawn.samples
+        measured = np.array([sample.power for sample in samples])
+        if self._battery_side or self._here is None:
+            return measured
+        model = self._here.online.model
+        names = {channel for term in model.battery_side().terms for channel in term.channels}
+        motion = Motion(
+            np.array([sample.v_left for sample in samples]),
+            np.array([sample.v_right for sample in samples]),
+            model.vehicle.icr,
+            {n: np.array([sample.channels.get(n, 0.0) for sample in samples]) for n in names},
+        )
+        return np.asarray(measured + model.battery_side().power(motion) - model.power(motion))
+
+    def _look(self) -> Iterator[Event]:
+        """Evaluate the rest of the mission."""
+        mission, pose = self._mission, self._pose
+        if mission is None or pose is None:
+            return
+        self._looked_at = self._clock
+        soc = self._charge()
+        done = tuple(task.name for task in mission.tasks if task.name in self._known)
+        if len(done) == len(mission.tasks):
+            yield Reassessed(self._last, pose, soc, done, None)
+            return
+        try:
+            rest = self._corrected(mission).resume(pose, soc, done, time=mission.time + self._clock)
+            yield Reassessed(self._last, pose, soc, done, evaluate(rest))
+        except EnergyPlanError as problem:
+            yield Trouble(f"at {self._last:g} s", f"the mission cannot be looked at: {problem}")
+
+    def _corrected(self, mission: Mission) -> Mission:
+        """Return the mission with what was learned in the place of its models."""
+        if self._carries:
+            return mission
+        changes: dict[str, Any] = {}
+        for region, ground in self._grounds.items():
+            model, surfaces = ground.online.model, changes.get("surfaces", mission.surfaces)
+            if region == 0:
+                changes["model"] = replace(
+                    model, vehicle=mission.vehicle.with_icr(model.vehicle.icr)
+                )
+            elif surfaces is not None:
+                known = list(surfaces.surfaces)
+                known[region - 1] = replace(known[region - 1], model=model)
+                changes["surfaces"] = replace(surfaces, surfaces=tuple(known))
+        return replace(mission, **changes)
