@@ -115,13 +115,13 @@ def load(path: str | Path, error: type[InvalidInputError]) -> Document:
     except (OSError, ValueError) as problem:
         reason = problem.strerror if isinstance(problem, OSError) else problem
         raise error(f"{str(file)!r} cannot be read: {reason}") from None
-    if len(content) > MAX_BYTES:
-        raise error(f"{file} is larger than {MAX_BYTES >> 10} KiB; that is no configuration")
     return parse(content, file.name, error)
 
 
 def parse(content: bytes | str, source: str, error: type[InvalidInputError]) -> Document:
     """Parse one YAML document that holds a mapping; as `load`, from memory."""
+    if len(content) > MAX_BYTES:
+        raise error(f"{source} is larger than {MAX_BYTES >> 10} KiB; that is no configuration")
     lines: dict[Loc, int] = {}
     builder = _Builder(source, error, lines)
     try:

@@ -15,7 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from energyplan.battery import Battery
 from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
 from energyplan.io._limited import beside
-from energyplan.io._yaml import Document, Loc, load
+from energyplan.io._yaml import Document, Loc, load, parse
 from energyplan.io.amounts import amount
 from energyplan.io.bundled import bundled
 from energyplan.io.config import read_model, read_vehicle
@@ -147,13 +147,16 @@ def read_mission(path: str | Path) -> Mission:
     return _Reader(load(path, MissionError), Path(path).parent).mission()
 
 
-def mission_from(values: Mapping[str, Any]) -> Mission:
+def mission_from(values: Mapping[str, Any] | str, folder: str | Path | None = None) -> Mission:
     """Build a mission from what a mission's file would hold.
 
     Parameters
     ----------
-    values : mapping of str to object
-        The keys of such a file; names of files count from the working folder.
+    values : mapping of str to object, or str
+        The keys of such a file; or its text, YAML or JSON.
+    folder : str or Path, optional
+        Where the files lie that it names; names that lead out of it are refused. Left out, names
+        count from the working folder, and may lead anywhere.
 
     Returns
     -------
@@ -165,8 +168,11 @@ def mission_from(values: Mapping[str, Any]) -> Mission:
     MissionError
         If a key is missing or makes no sense.
     """
-    given = Document("mission", dict(values), {}, MissionError)
-    return _Reader(given, Path(), anywhere=True).mission()
+    if isinstance(values, str):
+        given = parse(values.encode(), "mission", MissionError)
+    else:
+        given = Document("mission", dict(values), {}, MissionError)
+    return _Reader(given, Path(folder or ""), anywhere=folder is None).mission()
 
 
 class _Reader:

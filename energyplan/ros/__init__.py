@@ -2,7 +2,9 @@
 
 A message is anything with the fields of the ROS message: what rclpy hands over, what rosbags reads,
 or an object of one's own. `energyplan.ros.messages` converts maps, poses, footprints and paths;
-`energyplan.ros.nav2` answers the requests that Nav2's ``planner_server`` answers.
+`energyplan.ros.nav2` answers the requests that Nav2's ``planner_server`` answers;
+`energyplan.ros.reports` tells energies and missions; `energyplan.ros.online` identifies a model
+while driving.
 """
 
 from energyplan.ros.messages import (
@@ -21,17 +23,29 @@ from energyplan.ros.nav2 import (
     fill_result,
     request_to_problems,
 )
+from energyplan.ros.online import DriveFeed
+from energyplan.ros.reports import (
+    diagnostics_message,
+    mission_answer,
+    model_values,
+    plan_values,
+)
 
 __all__ = [
     "Answer",
+    "DriveFeed",
     "ThroughPosesError",
     "ToPoseError",
     "answer",
+    "diagnostics_message",
     "error_code",
     "fill_result",
     "footprint_from_message",
     "grid_from_message",
+    "mission_answer",
+    "model_values",
     "path_to_message",
+    "plan_values",
     "pose_from_message",
     "pose_from_transform",
     "request_to_problems",

@@ -17,6 +17,7 @@ import numpy as np
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import (
+    CancelledError,
     EnergyPlanError,
     FrameError,
     GoalInCollisionError,
@@ -29,7 +30,7 @@ from energyplan.errors import (
     UnsupportedPlannerError,
 )
 from energyplan.path import Pose
-from energyplan.planning import Plan, PlanningProblem, plan, planners
+from energyplan.planning import Plan, PlanningProblem, cancellable, plan, planners
 from energyplan.ros.messages import (
     Factory,
     field,
@@ -263,6 +264,7 @@ def answer(
     planner: str = "lattice",
     time_limit: float = 1.0,
     effort: int | None = None,
+    unwanted: Callable[[], bool] = lambda: False,
     **options: Any,
 ) -> Answer:
     """Plan what a request asks for; every error of the library becomes a code and a message.
@@ -281,6 +283,8 @@ def answer(
         Time for all legs together [s].
     effort : int, optional
         Units of work for all legs together, in place of the time limit.
+    unwanted : callable
+        Tells whether the goal was cancelled; asked often.
     **options : object
         What `request_to_problems` takes besides.
 
@@ -288,6 +292,11 @@ def answer(
     -------
     Answer
         The plans, or why there are none.
+
+    Raises
+    ------
+    CancelledError
+        If the goal was cancelled.
     """
     began = time.perf_counter()
     codes = codes_of(request)
@@ -300,9 +309,12 @@ def answer(
         problems = request_to_problems(request, grid, cost, **options)
         for problem in problems:
             problem.check_poses()
-        for problem in problems:
-            share = None if effort is None else max(effort // len(problems), 1)
-            plans.append(plan(problem, name, time_limit / len(problems), effort=share))
+        share = None if effort is None else max(effort // len(problems), 1)
+        with cancellable(unwanted):
+            for problem in problems:
+                plans.append(plan(problem, name, time_limit / len(problems), effort=share))
+    except CancelledError:
+        raise
     except EnergyPlanError as error:
         spent = time.perf_counter() - began
         return Answer((), error_code(error, codes, problem), str(error), spent)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
-import tempfile
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
@@ -14,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import FileResponse, JSONResponse, StreamingResponse
@@ -34,9 +31,9 @@ from energyplan.errors import (
 )
 from energyplan.fit import identify
 from energyplan.io.logs import read_log
-from energyplan.io.mission import read_mission
+from energyplan.io.mission import mission_from, read_mission
 from energyplan.limits.feasibility import check
-from energyplan.mission import evaluate
+from energyplan.mission import Mission, evaluate
 from energyplan.output import documents
 from energyplan.path import Pose, Trajectory
 from energyplan.planning import PlanningProblem, plan
@@ -109,8 +106,6 @@ def create_app(
         If `folder` is no folder.
     """
     store, pool = Store(Path(folder)), Pool(workers, waiting)
-    for left in store.folder.glob(".mission-*.yaml"):
-        left.unlink(missing_ok=True)  # of a service that was killed
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -300,24 +295,11 @@ def _diagnosing(job: Job, fraction: float, note: str = "") -> None:
     job.say("diagnosing", fraction=fraction, note=note)
 
 
-def _read_mission(store: Store, asked: MissionRequest) -> Any:
+def _read_mission(store: Store, asked: MissionRequest) -> Mission:
     if asked.mission is not None:
         return read_mission(store.path(asked.mission))
-    # files that a mission names are looked for beside it: it lies in the data folder for a moment
-    handle, name = tempfile.mkstemp(dir=store.folder, prefix=".mission-", suffix=".yaml")
-    try:
-        with os.fdopen(handle, "w") as stream:
-            yaml.safe_dump(asked.document, stream)
-        return read_mission(name)
-    except EnergyPlanError as error:
-        told = str(error).replace(name, "document")
-        raise (
-            type(error)(told)
-            if type(error).__init__ is Exception.__init__
-            else (InvalidInputError(told))
-        ) from None
-    finally:
-        Path(name).unlink(missing_ok=True)
+    assert asked.document is not None
+    return mission_from(asked.document, store.folder)
 
 
 def _map_document(grid: Any) -> dict[str, Any]:

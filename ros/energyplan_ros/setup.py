@@ -11,7 +11,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml", "README.md"]),
-        (f"share/{NAME}/config", ["config/planner.yaml"]),
+        (f"share/{NAME}/config", ["config/planner.yaml", "config/identifier.yaml"]),
     ],
     install_requires=["setuptools"],
     zip_safe=True,
@@ -19,5 +19,10 @@ setup(
     maintainer_email="energyplan@example.org",
     description="Serves Nav2's planning actions with energyplan's plans",
     license="Apache-2.0",
-    entry_points={"console_scripts": [f"planner = {NAME}.planner:main"]},
+    entry_points={
+        "console_scripts": [
+            f"planner = {NAME}.planner:main",
+            f"identifier = {NAME}.identifier:main",
+        ]
+    },
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -12,7 +13,10 @@ import yaml
 from energyplan import ros
 
 ROOT = Path(__file__).resolve().parents[2] / "ros" / "energyplan_ros"
-NODE = ast.parse((ROOT / "energyplan_ros" / "planner.py").read_text())
+NODES = {
+    name: ast.parse((ROOT / "energyplan_ros" / f"{name}.py").read_text())
+    for name in ("planner", "identifier")
+}
 
 
 def test_manifest_setup_and_marker_name_the_same_package() -> None:
@@ -23,24 +27,29 @@ def test_manifest_setup_and_marker_name_the_same_package() -> None:
     assert f'version="{version}"' in setup
     assert manifest.findtext("export/build_type") == "ament_python"
     assert (ROOT / "resource" / "energyplan_ros").is_file()
-    functions = [n.name for n in NODE.body if isinstance(n, ast.FunctionDef)]
-    assert "planner:main" in setup and "main" in functions
+    for name, node in NODES.items():
+        functions = [n.name for n in node.body if isinstance(n, ast.FunctionDef)]
+        assert f"{name}:main" in setup and "main" in functions
 
 
 def test_the_manifest_names_every_ros_package_that_the_node_imports() -> None:
     manifest = ElementTree.parse(ROOT / "package.xml").getroot()
     depends = {element.text for element in manifest.iter("exec_depend")}
     imported = {
-        (node.module or "").split(".")[0] for node in NODE.body if isinstance(node, ast.ImportFrom)
+        (node.module or "").split(".")[0]
+        for tree in NODES.values()
+        for node in tree.body
+        if isinstance(node, ast.ImportFrom)
     }
-    foreign = imported - {"__future__", "functools", "threading", "typing", "energyplan"}
+    foreign = imported - {*sys.stdlib_module_names, "energyplan"}
     assert {"tf2_ros_py" if name == "tf2_ros" else name for name in foreign} <= depends
 
 
-def test_the_node_uses_only_what_the_library_has() -> None:
+@pytest.mark.parametrize("name", NODES)
+def test_the_nodes_use_only_what_the_library_has(name: str) -> None:
     used = {
         node.attr
-        for node in ast.walk(NODE)
+        for node in ast.walk(NODES[name])
         if isinstance(node, ast.Attribute)
         and isinstance(node.value, ast.Name)
         and node.value.id == "ros"
@@ -48,19 +57,32 @@ def test_the_node_uses_only_what_the_library_has() -> None:
     assert used and used <= set(ros.__all__)
 
 
-def test_the_example_sets_parameters_that_the_node_declares() -> None:
+@pytest.mark.parametrize("name", NODES)
+def test_the_examples_set_parameters_that_the_nodes_declare(name: str) -> None:
     (table,) = (
         ast.literal_eval(node.value)
-        for node in NODE.body
+        for node in NODES[name].body
         if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "PARAMETERS"
     )
-    content = yaml.safe_load((ROOT / "config" / "planner.yaml").read_text())
-    given = content["energyplan_planner"]["ros__parameters"]
+    content = yaml.safe_load((ROOT / "config" / f"{name}.yaml").read_text())
+    given = content[f"energyplan_{name}"]["ros__parameters"]
     assert set(given) <= set(table)
-    for name, value in given.items():
-        assert type(value) is type(table[name]), name
+    for key, value in given.items():
+        assert type(value) is type(table[key]), key
 
 
-@pytest.mark.parametrize("claim", ["has not run under ROS 2", "has not been built"])
+def test_the_mission_service_holds_a_text_either_way() -> None:
+    text = (ROOT.parent / "energyplan_interfaces" / "srv" / "EvaluateMission.srv").read_text()
+    sides = [
+        [line for line in side.splitlines() if line and not line.startswith("#")]
+        for side in text.split("---")
+    ]
+    assert sides == [["string mission"], ["string answer"]]
+    assert {"mission", "answer"} <= {
+        node.attr for node in ast.walk(NODES["planner"]) if isinstance(node, ast.Attribute)
+    }
+
+
+@pytest.mark.parametrize("claim", ["have not run under ROS 2", "have not been built"])
 def test_the_readme_says_what_was_not_tested(claim: str) -> None:
     assert claim in " ".join((ROOT / "README.md").read_text().split())

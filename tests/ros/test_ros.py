@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import json
+import shutil
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,6 +15,7 @@ import pytest
 import energyplan as ep
 from energyplan import ros
 from energyplan.errors import (
+    CancelledError,
     EnergyPlanError,
     FrameError,
     GoalInCollisionError,
@@ -25,6 +29,8 @@ from energyplan.errors import (
     UnsupportedPlannerError,
     VehicleError,
 )
+from energyplan.fit.online import OnlineIdentifier
+from energyplan.io.topics import TopicMap
 from energyplan.path import wrap_angle
 
 pytest.importorskip("rosbags", reason="the messages' definitions need the extra bags")
@@ -382,3 +388,125 @@ def test_a_later_goal_that_cannot_be_is_a_goals_fault(jazzy: Wire, last: Any, co
     goals = [jazzy.stamped(*pose) for pose in ((4, 2, 0), last, (4, 4, 0))]
     found = ros.answer(jazzy.through(goals, jazzy.stamped(2, 2, 0)), grid, COST)
     assert (found.code, found.plans) == (code, ())
+
+
+def test_a_cancelled_goal_ends(jazzy: Wire) -> None:
+    grid = ros.grid_from_message(jazzy.map(HALL))
+    request = jazzy.to_pose(jazzy.stamped(6, 2, 0), jazzy.stamped(2, 2, 0))
+    with pytest.raises(CancelledError):
+        ros.answer(request, grid, COST, effort=50_000, unwanted=lambda: True)
+
+
+def test_a_plan_is_told_as_diagnostics(wire: Wire) -> None:
+    grid = ros.grid_from_message(wire.map(HALL))
+    request = wire.to_pose(wire.stamped(5, 4, 0.5), wire.stamped(2, 2, 0))
+    found = ros.answer(request, grid, COST, effort=5_000)
+    failed = ros.answer(wire.to_pose(wire.stamped(50, 4, 0)), grid, COST)
+    for answer, level in ((found, 0), (failed, 2)):
+        message = wire.sent(
+            ros.diagnostics_message(
+                "energyplan: plan", "a plan", ros.plan_values(answer), wire.stamp,
+                wire.store.types.__getitem__, error=not answer.plans,
+            )
+        )  # fmt: skip
+        (status,) = message.status
+        assert (status.level, status.name) == (level, "energyplan: plan")
+        told = {pair.key: pair.value for pair in status.values}
+        if answer.plans:
+            assert float(told["energy [J]"]) == pytest.approx(found.energy, rel=1e-5)
+            assert float(told["lower bound [J]"]) <= float(told["energy [J]"]) * (1 + 1e-5)
+        else:
+            assert told == {"error": failed.message} and failed.message
+    values = ros.model_values(COST.model)
+    assert float(values["slip_friction [1]"].split()[0]) == pytest.approx(
+        COST.model.coefficient("slip_friction")
+    )
+
+
+def test_a_mission_is_answered_as_text(tmp_path: Path) -> None:
+    root = Path(__file__).resolve().parents[2]
+    for name in ("warehouse.yaml", "warehouse.png", "warehouse_surfaces.geojson"):
+        shutil.copy(root / "maps" / name, tmp_path)
+    text = (root / "examples" / "mission_warehouse.yaml").read_text()
+    told = json.loads(ros.mission_answer(text, tmp_path))
+    asked = ep.read_mission(root / "examples" / "mission_warehouse.yaml")
+    assert [task["name"] for task in told["tasks"]] == [task.name for task in asked.tasks]
+    assert all(task["verdict"] in ("reachable", "unreachable") for task in told["tasks"])
+    for wrong, word in (
+        ("tasks: [", "YAML"),
+        ("{}", "model"),
+        (text.replace("map: ", "map: ../"), ".."),
+    ):
+        assert word in json.loads(ros.mission_answer(wrong, tmp_path))["error"]
+    long = json.loads(ros.mission_answer("#" * (1 << 21), tmp_path))
+    assert "larger than" in long["error"]
+
+
+TOPICS = TopicMap.model_validate(
+    {
+        "channels": {
+            "v_left": {"topic": "joint_states", "field": "velocity[*left*]", "scale": 0.2},
+            "v_right": {"topic": "joint_states", "field": "velocity[*right*]", "scale": 0.2},
+            "voltage": {"topic": "battery_state", "field": "voltage"},
+            "current": {"topic": "battery_state", "field": "current", "scale": -1.0},
+        }
+    }
+)
+
+
+def test_a_model_is_learned_from_messages_while_driving(wire: Wire) -> None:
+    """Joint rates at 50 Hz and a battery at 10 Hz, sent over the wire, lead to the true model."""
+    truth = ep.PowerModel.preset("quadriga:full:marble")
+    log = ep.simulate.drive(truth, "survey", rate=50.0, power_noise=2.0)
+    online = OnlineIdentifier(truth.vehicle)
+    feed = ros.DriveFeed(online, TOPICS)
+    assert feed.topics == ("joint_states", "battery_state")
+    names = ["front_left", "front_right", "rear_left", "rear_right"]
+    speeds = log.channel("v_left"), log.channel("v_right")
+    for k, t in enumerate(log.t.tolist()):
+        left, right = speeds[0][k] / 0.2, speeds[1][k] / 0.2
+        joints = wire.make(
+            "sensor_msgs/msg/JointState", header=wire.header(), name=names,
+            position=np.zeros(4), velocity=np.array([left, right, left, right]), effort=np.zeros(4),
+        )  # fmt: skip
+        feed.take("/robot/joint_states", wire.sent(joints), t)
+        if k % 5 == 4:
+            current = -log.power[k - 4 : k + 1].mean() / 25.0
+            feed.take("/battery_state", battery_state(wire, 25.0, float(current)), t + 1e-3)
+    assert feed.samples == len(log.t) // 5
+    for term in ("slip_friction", "traction_resistance"):
+        known = online.model.coefficient(term)
+        assert known == pytest.approx(truth.coefficient(term), rel=0.05)
+
+
+def battery_state(wire: Wire, voltage: float, current: float) -> Any:
+    nan, none = float("nan"), np.zeros(0, np.float32)
+    return wire.sent(
+        wire.make(
+            "sensor_msgs/msg/BatteryState", header=wire.header(), voltage=voltage, current=current,
+            temperature=nan, charge=nan, capacity=nan, design_capacity=nan, percentage=nan,
+            power_supply_status=2, power_supply_health=0, power_supply_technology=0, present=True,
+            cell_voltage=none, cell_temperature=none, location="", serial_number="",
+        )
+    )  # fmt: skip
+
+
+def test_a_sample_waits_for_every_channel_and_old_values_do_not_count(jazzy: Wire) -> None:
+    feed = ros.DriveFeed(OnlineIdentifier(COST.model), TOPICS)
+    wheels = SimpleNamespace(name=["left", "right"], velocity=[1.0, 1.0])
+    battery = SimpleNamespace(voltage=25.0, current=-2.0)
+    feed.take("battery_state", battery, 0.0)
+    assert feed.samples == 0  # no speeds yet
+    feed.take("joint_states", wheels, 0.1)
+    feed.take("battery_state", battery, 0.2)
+    feed.take("battery_state", battery, 0.3)
+    assert feed.samples == 2
+    feed.take("battery_state", battery, 0.3)  # the same instant again
+    feed.take("battery_state", battery, 5.0)  # the wheels are silent
+    feed.take("other", wheels, 5.1)
+    feed.take("joint_states", SimpleNamespace(name=["left", "right"], velocity=[np.nan, 1.0]), 5.2)
+    feed.take("battery_state", battery, 5.3)
+    assert feed.samples == 2
+    only = TopicMap.model_validate({"channels": {"v_left": {"topic": "a", "field": "b"}}})
+    with pytest.raises(MessageError, match="v_right"):
+        ros.DriveFeed(OnlineIdentifier(COST.model), only)

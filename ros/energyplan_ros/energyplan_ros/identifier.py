@@ -1,0 +1,89 @@
+"""The identifying node: learns the model while the robot drives, and tells it as diagnostics."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from rosidl_runtime_py.utilities import get_message
+
+import energyplan as ep
+from energyplan import ros
+from energyplan.errors import EnergyPlanError
+from energyplan.fit.online import OnlineIdentifier
+from energyplan.io.topics import TopicMap
+
+PARAMETERS = {
+    "model": "quadriga:empty:concrete",  # where learning starts
+    "topics": "jackal",  # a topic map: a file, or the name of a ready-made one
+    "battery_side": True,  # whether the power is measured at the battery
+    "period": 5.0,  # between two diagnostics [s]
+    "out": "",  # file that the model is written to; none if empty
+}
+
+
+class IdentifierNode(Node):
+    """Listens to the topics of a topic map, as soon as somebody publishes them."""
+
+    def __init__(self) -> None:
+        super().__init__("energyplan_identifier")
+        self.declare_parameters("", list(PARAMETERS.items()))
+        self.settings = {name: self.get_parameter(name).value for name in PARAMETERS}
+        prior = ep.read_model(self.settings["model"])
+        self.online = OnlineIdentifier(prior, battery=self.settings["battery_side"])
+        self.feed = ros.DriveFeed(self.online, TopicMap.read(self.settings["topics"]))
+        self.heard: set[str] = set()
+        self.diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 1)
+        self.create_timer(1.0, self.listen)
+        self.create_timer(self.settings["period"], self.tell)
+
+    def listen(self) -> None:
+        """Subscribe to what has come up."""
+        for topic, kinds in self.get_topic_names_and_types():
+            wanted = any(topic.endswith(f"/{name.strip('/')}") for name in self.feed.topics)
+            if wanted and topic not in self.heard:
+                self.heard.add(topic)
+                self.create_subscription(
+                    get_message(kinds[0]), topic, partial(self.on_message, topic),
+                    qos_profile_sensor_data,
+                )  # fmt: skip
+
+    def on_message(self, topic: str, message: Any) -> None:
+        """Feed a message."""
+        try:
+            changed = self.feed.take(topic, message, self.get_clock().now().nanoseconds * 1e-9)
+        except EnergyPlanError as error:
+            self.get_logger().warning(f"{topic}: {error}", throttle_duration_sec=10.0)
+            return
+        if changed:
+            self.get_logger().info("the ground has changed")
+            self.tell()
+
+    def tell(self) -> None:
+        """Publish the model, and write it."""
+        values = {"samples": str(self.feed.samples), **ros.model_values(self.online.model)}
+        message = f"{len(self.online.changes)} changes of ground"
+        stamp = self.get_clock().now().to_msg()
+        self.diagnostics.publish(
+            ros.diagnostics_message("energyplan: model", message, values, stamp, get_message)
+        )
+        if self.settings["out"] and self.feed.samples:
+            ep.write_model(self.online.model, self.settings["out"])
+
+
+def main() -> None:
+    """Run the node until it is stopped."""
+    rclpy.init()
+    node = IdentifierNode()
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
