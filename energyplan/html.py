@@ -12,11 +12,22 @@ def number(value: float, digits: int = 4) -> str:
     return f"{value:.0f}" if "e" in text and abs(value) >= 1 and abs(value) < 1e9 else text
 
 
+WIDE = 4
+"""A table of more columns than these is shown row by row where a page is narrow."""
+
+
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return a table; numbers are aligned to the right and shown with four digits."""
-    head = "".join(f"<th>{html.escape(name)}</th>" for name in header)
-    body = "".join(f"<tr>{''.join(_cell(value) for value in row)}</tr>" for row in rows)
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    names = [html.escape(name) for name in header]
+    head = "".join(f"<th>{name}</th>" for name in names)
+    wide = len(names) > WIDE
+    lines = []
+    for row in rows:
+        labels = names if wide else [""] * len(row)
+        cells = (_cell(value, label) for value, label in zip(row, labels, strict=True))
+        lines.append(f"<tr>{''.join(cells)}</tr>")
+    kind = ' class="wide"' if wide else ""
+    return f"<table{kind}><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
 
 
 def result(
@@ -28,7 +39,8 @@ def result(
     return f"<div><b>{html.escape(title)}</b>{table(header, rows)}{said}</div>"
 
 
-def _cell(value: object) -> str:
+def _cell(value: object, label: str) -> str:
+    told = f' data-label="{label}"' if label else ""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        return f"<td>{html.escape(str(value))}</td>"
-    return f'<td class="number" style="text-align:right">{number(float(value))}</td>'
+        return f"<td{told}>{html.escape(str(value))}</td>"
+    return f'<td class="number" style="text-align:right"{told}>{number(float(value))}</td>'

@@ -29,6 +29,7 @@ from energyplan.cli.common import (
     read_logs,
     verdict,
     warn,
+    write_report,
 )
 from energyplan.errors import InvalidInputError, UnknownNameError
 
@@ -153,7 +154,6 @@ def diagnose(
     """Trace the residual of the power model to an effect, add it, and report before and after."""
     from energyplan.diagnosis import diagnose as run
     from energyplan.io.config import read_vehicle, write_model
-    from energyplan.io.files import atomic_write
     from energyplan.output import documents, text
     from energyplan.output.pages import diagnosis_page
 
@@ -172,8 +172,9 @@ def diagnose(
         write_model(told.model, out)
     if report:
         page = diagnosis_page(told, judging)
+        page.heading("Drives")
         page.bullets([f"{part}: {', '.join(names)}" for part, names in parts.items()])
-        atomic_write(report, page.html())
+        write_report(page, report)
     lines = [f"{part}: {', '.join(names)}" for part, names in parts.items()]
     answer({**parts, **documents.diagnosis(told)}, [*lines, *text.diagnosis(told)], json=json)
     verdict(told.verdict != "unexplained", strict)

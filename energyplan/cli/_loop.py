@@ -22,6 +22,7 @@ from energyplan.cli.common import (
     progress,
     read_logs,
     verdict,
+    write_report,
     writes,
 )
 from energyplan.errors import InvalidInputError
@@ -187,7 +188,6 @@ def close_the_loop(
     """Plan, drive, diagnose with all drives so far, and plan again, until the energy is right."""
     from energyplan.cost import EnergyCost
     from energyplan.io.config import write_model
-    from energyplan.io.files import atomic_write
     from energyplan.io.maps import read_map
     from energyplan.output import documents, text
     from energyplan.output.pages import loop_page
@@ -224,7 +224,7 @@ def close_the_loop(
     if out:
         write_model(made.model, out)
     if report:
-        atomic_write(report, loop_page(made, problem).html())
+        write_report(loop_page(made, problem), report)
     answer(documents.loop(made), text.loop(made), json=json)
     verdict(made.closed, strict)
 

@@ -16,6 +16,7 @@ from energyplan.cli.common import (
     app,
     progress,
     verdict,
+    write_report,
     writes_folder,
 )
 from energyplan.errors import InvalidInputError
@@ -70,7 +71,6 @@ def mission(
     strict: Strict = False,
 ) -> None:
     """Budget a mission's battery, and flag the tasks that cannot be reached, with the reason."""
-    from energyplan.io.files import atomic_write
     from energyplan.io.mission import mission_from, read_mission
     from energyplan.mission import evaluate
     from energyplan.output import documents, text
@@ -108,6 +108,6 @@ def mission(
         for k, leg in enumerate(told.trajectories, start=1):
             write_trajectory(leg, trajectories / f"leg_{k:02d}.csv")
     if report:
-        atomic_write(report, mission_page(told).html())
+        write_report(mission_page(told), report)
     answer(documents.mission(told), text.mission(told), json=json)
     verdict(told.feasible, strict)

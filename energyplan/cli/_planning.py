@@ -23,6 +23,7 @@ from energyplan.cli.common import (
     progress,
     verdict,
     warn,
+    write_report,
     writes,
 )
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, NoPathError
@@ -262,7 +263,6 @@ def compare(
     strict: Strict = False,
 ) -> None:
     """Compare the route of least energy with the shortest one, both priced by the same model."""
-    from energyplan.io.files import atomic_write
     from energyplan.io.trajectory import write_path
     from energyplan.output import documents, text
     from energyplan.output.pages import comparison_page
@@ -284,7 +284,7 @@ def compare(
         both = {"least energy": made.energy_optimal.path, "shortest": made.shortest.path}
         _draw(problem, both, plot)
     if report:
-        atomic_write(report, comparison_page(made, problem).html())
+        write_report(comparison_page(made, problem), report)
     document = documents.comparison(made)
     document["energy_optimal"] |= documents.driven_path(best)
     document["shortest"] |= documents.driven_path(shortest)

@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from energyplan.mission import MissionReport
     from energyplan.physics import Loop
     from energyplan.planning import PlanningProblem
-    from energyplan.power import Residual
+    from energyplan.power import PowerModel, Residual
     from energyplan.studies.comparison import Comparison
+    from energyplan.terrain import SurfaceMap
 
 
 class Picture(NamedTuple):
@@ -33,6 +34,13 @@ class Picture(NamedTuple):
     caption: str
 
 
+def _models(page: Page, model: PowerModel, surfaces: SurfaceMap | None) -> None:
+    """Name the models of a page: the common one, and those of surfaces."""
+    page.made_from(model=model)
+    for surface in surfaces.surfaces if surfaces else ():
+        page.made_from(model=surface.model)
+
+
 def _illustrate(page: Page, pictures: Iterable[Picture]) -> None:
     for _, figure, caption in pictures:
         page.picture(figure, caption)
@@ -41,11 +49,13 @@ def _illustrate(page: Page, pictures: Iterable[Picture]) -> None:
 def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
     """Return the report of a diagnosis; `holdout` are the drives that it was judged on."""
     page = Page("Diagnosis of a power model")
-    saved = 1 - told.after.rmse / told.before.rmse if told.before.rmse > 0 else 0.0
+    page.made_from(model=told.model)
+    before, after = (f"{number(one.rmse, 3)} W" for one in (told.before, told.after))
     page.paragraph(
         {
-            "effect_found": f"The residual has a cause: {_names(told)}. With it, the error on "
-            f"drives that were not fitted to falls by {100 * saved:.0f} %.",
+            "effect_found": f"The most probable cause of the residual is {_names(told)}, with a "
+            f"probability of {_probability(told):.2f}. On drives that were not fitted to, the root "
+            f"mean square error is {before} without it and {after} with it.",
             "no_effect": "No effect of the catalogue predicts these drives better than the paper's "
             "model alone.",
             "unexplained": "Part of the residual depends on a channel in a way that no effect of "
@@ -54,9 +64,9 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
         "lead",
     )
     if told.effects:
-        page.heading("Effects, the one that explains most first")
+        page.heading("Effects found, largest first")
         page.table(
-            ("effect", "symbol", "value", "std. error", "unit", "probability", "or it is"),
+            ("effect", "symbol", "value", "std. error", "unit", "probability", "or instead"),
             [
                 (
                     effect.name.replace("_", " "), effect.symbol, effect.value, effect.std_error,
@@ -66,13 +76,13 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
             ],
         )  # fmt: skip
     if len(told.explanations) > 1:
-        page.heading("Explanations that these drives leave open")
+        page.heading("Possible explanations")
         page.table(
             ("effects", "probability"),
             [
                 (
                     " and ".join(name.replace("_", " ") for name in one.effects) or "none",
-                    f"{one.probability:.2f}",
+                    f"{one.probability:.2f}" if one.probability >= 0.01 else "below 0.01",
                 )
                 for one in told.explanations
             ],
@@ -83,7 +93,7 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
         ("after", told.after, told.after_interval),
     )
     page.table(
-        ("", "rmse [W]", "mae [W]", "bias [W]", "energy error [%]"),
+        ("model", "rmse [W]", "mae [W]", "bias [W]", "energy error [%]"),
         [
             (
                 name, *(_with_interval(residual, interval, key) for key in ("rmse", "mae", "bias")),
@@ -94,7 +104,7 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
     )  # fmt: skip
     page.paragraph("In brackets: 95 % intervals from resampled blocks of the drives.")
     page.table(
-        ("drive", "energy foretold [J]", "90 % interval [J]", "measured [J]"),
+        ("drive", "predicted energy [J]", "90 % interval [J]", "measured energy [J]"),
         [
             (
                 one.drive, number(one.energy),
@@ -159,7 +169,7 @@ def _guilty_channel(told: Diagnosis, holdout: Sequence[DriveLog]) -> Picture:
             ("after", told.predictions_after),
         )
     }
-    figure = plots.figure(size=(8.0, 4.5))
+    figure = plots.figure()
     plots.residual_against(figure.axes[0], values, residuals, f"{channel} [{unit(channel)}]")
     return Picture("residual", figure, "The residual against the channel that it depends on most.")
 
@@ -167,6 +177,7 @@ def _guilty_channel(told: Diagnosis, holdout: Sequence[DriveLog]) -> Picture:
 def comparison_page(made: Comparison, problem: PlanningProblem) -> Page:
     """Return the report of a comparison; `problem` is what was planned."""
     page = Page("Least energy against the shortest route")
+    _models(page, problem.cost.model, problem.surfaces)
     best, shortest = made.energy_optimal, made.shortest
     page.paragraph(
         f"The route of least energy takes {number(best.energy)} J, the shortest one "
@@ -205,7 +216,7 @@ def comparison_pictures(made: Comparison, problem: PlanningProblem) -> Iterator[
     if problem.heights is not None:
         problem.heights.contours(walls.axes[0])
     yield Picture("map", walls, "Both routes on the map.")
-    figure = plots.figure(size=(8.0, 4.0))
+    figure = plots.figure()
     ax = figure.axes[0]
     for (label, path), (color, dash) in zip(
         paths.items(), ((plots.BLUE, "-"), (plots.RED, "--")), strict=True
@@ -213,11 +224,11 @@ def comparison_pictures(made: Comparison, problem: PlanningProblem) -> Iterator[
         along = energy_along(path, problem)
         ax.plot(along.metres, along.joules, color=color, ls=dash, label=label)
     ax.set(xlabel="distance travelled [m]", ylabel="energy since the start [J]")
-    ax.legend(frameon=False)
+    plots.legend(ax, above=True)
     yield Picture(
         "energy", figure, "Energy along both routes; turns on the spot are upright steps."
     )
-    figure = plots.figure(size=(8.0, 2.6))
+    figure = plots.figure(size=(plots.WIDTH, 2.0))
     plots.breakdown(figure.axes[0], {label: plan.breakdown for label, plan in plans.items()})
     yield Picture("terms", figure, "Energy of both routes by term of the model.")
 
@@ -225,6 +236,7 @@ def comparison_pictures(made: Comparison, problem: PlanningProblem) -> Iterator[
 def mission_page(told: MissionReport) -> Page:
     """Return the report of a mission, flagged tasks first."""
     page = Page(f"Mission {told.mission.name}")
+    _models(page, told.mission.model, told.mission.surfaces)
     flagged = [task for task in told.tasks if task.verdict == "unreachable"]
     page.paragraph(
         f"{told.headline[0].upper()}{told.headline[1:]}. It takes "
@@ -243,7 +255,8 @@ def mission_page(told: MissionReport) -> Page:
 
 
 MISSION_HEADER = (
-    "task", "verdict", "reason", "alone", "energy [Wh]", "at most [Wh]", "charge after", "remedy",
+    "task", "verdict", "reason", "remedy", "energy [Wh]", "at most [Wh]", "charge after",
+    "as the only task",
 )  # fmt: skip
 """Header of `mission_rows`."""
 
@@ -252,13 +265,12 @@ def mission_rows(told: MissionReport) -> Iterator[Sequence[object]]:
     """Yield a row for each task, flagged ones first."""
     for task in map(told.task, told.table["name"]):
         yield (
-            task.name, task.verdict, str(task.reason).replace("_", " "),
-            "yes" if task.reachable_alone else "no", *(
+            task.name, task.verdict, str(task.reason).replace("_", " "), task.remedy or "-", *(
                 number(joules / 3600) if np.isfinite(joules) else "-"
                 for joules in (task.energy, task.energy_upper)
             ),
             f"{100 * task.soc_after:.0f} %" if np.isfinite(task.soc_after) else "-",
-            task.remedy or "-",
+            "reachable" if task.reachable_alone else "unreachable",
         )  # fmt: skip
 
 
@@ -270,8 +282,14 @@ def mission_pictures(told: MissionReport) -> Iterator[Picture]:
     yield Picture(
         "charge",
         plots.mission_charge(told),
-        "State of charge over the mission, with its band, and the power at the battery.",
+        "State of charge over the mission with its band, what the robot does, and the power at the "
+        "battery.",
     )
+
+
+def _probability(told: Diagnosis) -> float:
+    """Probability of the explanation that is reported."""
+    return told.explanations[0].probability
 
 
 def _names(told: Diagnosis) -> str:
@@ -287,6 +305,7 @@ def _with_interval(residual: Residual, interval: object, key: str, scale: float 
 def loop_page(made: Loop, problem: PlanningProblem) -> Page:
     """Return the report of a closed loop; `problem` is what was planned."""
     page = Page("Plan, drive, learn, plan again")
+    _models(page, problem.cost.model, problem.surfaces)
     first, last = made.rounds[0], made.rounds[-1]
     page.paragraph(
         f"The energy told was off by {100 * first.error:+.1f} % in the first round and by "

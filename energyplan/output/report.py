@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import html
 import io
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
-from typing import Any
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from energyplan import __version__
 from energyplan import html as _html
-from energyplan.errors import UnknownNameError
+from energyplan.errors import InvalidInputError, UnknownNameError
+from energyplan.output.plots.style import arrange
+
+if TYPE_CHECKING:
+    from energyplan.power import PowerModel
 
 _CSS = """
 :root { color-scheme: light; }
@@ -30,14 +37,29 @@ th, td { padding: .3rem .7rem; border-bottom: 1px solid #d8d8d8; text-align: lef
          vertical-align: top; }
 th { border-bottom: 2px solid #888; }
 td.number { text-align: right; }
-figure { margin: 1rem 0; } figure img { max-width: 100%; height: auto; }
+figure { margin: 1rem 0; } figure img { width: 100%; max-width: 46rem; height: auto; }
 figcaption { color: #555; font-size: .9rem; margin-top: .5rem; }
 footer { margin-top: 3rem; border-top: 1px solid #d8d8d8; padding-top: .6rem; color: #555;
          font-size: .85rem; overflow-wrap: anywhere; }
-footer p { margin: .2rem 0; }
+footer dl { display: grid; grid-template-columns: max-content 1fr; gap: .3rem 1rem; margin: 0; }
+footer dt { font-weight: 600; } footer dd { margin: 0; }
+footer .sum { display: block; font-family: monospace; font-size: .75rem; }
 code { background: #f2f2f2; padding: .1rem .3rem; overflow-wrap: anywhere; }
-@media (max-width: 40rem) { table { font-size: .9rem; } th, td { padding: .3rem .4rem; } }
-@media print { h2 { break-after: avoid; } figure, table { break-inside: avoid; } }
+@media (max-width: 40rem) {
+  table { font-size: .9rem; } th, td { padding: .3rem .4rem; }
+  table.wide, table.wide tbody, table.wide tr { display: block; }
+  table.wide thead { display: none; }
+  table.wide tr { border-bottom: 2px solid #888; padding: .4rem 0; }
+  table.wide td, table.wide td.number { display: grid; grid-template-columns: 9rem 1fr;
+         border: 0; text-align: left !important; padding: .1rem .2rem; overflow-wrap: anywhere; }
+  table.wide td:first-child { font-weight: 600; }
+  table.wide td::before { content: attr(data-label); color: #555; padding-right: .5rem; }
+}
+@media print {
+  body { font-size: 11pt; max-width: none; padding: 0; }
+  h2 { break-after: avoid; } figure, tr, footer { break-inside: avoid; }
+  figure img { max-width: 32rem; } .scroll { overflow: visible; } table { font-size: 9pt; }
+}
 """
 
 
@@ -74,9 +96,10 @@ def image(figure: Figure, suffix: str) -> bytes:
     kind = suffix.lower()
     if kind not in undated:
         raise UnknownNameError("kind of image", suffix, undated)
+    arrange(figure)
     stream = io.BytesIO()
     with mpl.rc_context({"svg.hashsalt": "energyplan"}):  # names of parts that do not change
-        figure.savefig(stream, format=kind[1:], dpi=150, metadata=undated[kind])
+        figure.savefig(stream, format=kind[1:], dpi=240, metadata=undated[kind])
     return stream.getvalue()
 
 
@@ -104,7 +127,7 @@ class Page:
 
     title: str
     _parts: list[str] = field(default_factory=list, repr=False)
-    _footer: list[str] = field(default_factory=list, repr=False)
+    _origin: list[tuple[str, str]] = field(default_factory=list, repr=False)
 
     def heading(self, text: str) -> None:
         """Start a section."""
@@ -125,7 +148,10 @@ class Page:
         self._parts.append(f"<p><code>{html.escape(text)}</code></p>")
 
     def table(self, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-        """Add a table; numbers are aligned to the right and shown with four digits."""
+        """Add a table; numbers are aligned to the right and shown with four digits.
+
+        On a phone a table of more than four columns is shown row by row, each cell with its header.
+        """
         self._parts.append(f'<div class="scroll">{_html.table(header, rows)}</div>')
 
     def picture(self, figure: Figure, caption: str) -> None:
@@ -137,19 +163,85 @@ class Page:
             f"<figcaption>{text}</figcaption></figure>"
         )
 
-    def footer(self, lines: Iterable[str]) -> None:
-        """Say at the end of the page what it was made from."""
-        self._footer.extend(lines)
+    def made_from(
+        self, *, call: str = "", files: Iterable[Path] = (), model: PowerModel | None = None
+    ) -> None:
+        """Say at the end of the page what it was made from; may be called several times.
+
+        Parameters
+        ----------
+        call : str
+            The command line or the call that made it.
+        files : iterable of Path
+            Files that were read; each is listed with its SHA-256 checksum.
+        model : PowerModel, optional
+            The power model; its vehicle is named as well.
+
+        Raises
+        ------
+        InvalidInputError
+            If a file can no longer be read.
+        """
+        lines = [("Made by", f"<code>{html.escape(call)}</code>")] if call else []
+        if model is not None:
+            robot = model.vehicle
+            told = f"{robot.name}: {_html.number(robot.mass)} kg, slip track "
+            values = ", ".join(
+                f"{term.name.replace('_', ' ')} {_html.number(value)}"
+                + (f" {term.unit}" if term.unit != "1" else "")
+                for term, value in zip(model.terms, model.coefficients.tolist(), strict=True)
+            )
+            lines += [
+                ("Vehicle", html.escape(f"{told}{_html.number(robot.icr.slip_track)} m")),
+                ("Model", html.escape(f"{model.name}: {values}")),
+            ]
+        lines += [
+            ("Read", f'{html.escape(str(f))} <span class="sum">SHA-256 {_checksum(f)}</span>')
+            for f in files
+        ]
+        self._origin.extend(line for line in lines if line not in self._origin)
 
     def html(self) -> str:
-        """Return the page; it loads nothing from elsewhere."""
+        """Return the page; it loads nothing from elsewhere.
+
+        The date is that of now, or of the environment variable ``SOURCE_DATE_EPOCH`` (seconds since
+        1970), with which the same input gives the same bytes.
+
+        Raises
+        ------
+        InvalidInputError
+            If ``SOURCE_DATE_EPOCH`` is no number of seconds.
+        """
         title = html.escape(self.title)
-        made = f"energyplan {__version__}, {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"
-        end = "".join(f"<p>{html.escape(line)}</p>" for line in (*self._footer, made))
+        origin = [("Date", _date()), ("Program", f"energyplan {__version__}"), *self._origin]
+        end = "".join(f"<dt>{name}</dt><dd>{text}</dd>" for name, text in origin)
         return (
             '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
             '<meta name="viewport" content="width=device-width, initial-scale=1">'
             f"<title>{title}</title><style>{_CSS}</style></head>"
             f"<body><h1>{title}</h1>{''.join(self._parts)}"
-            f"<footer>{end}</footer></body></html>\n"
+            f"<footer><dl>{end}</dl></footer></body></html>\n"
         )
+
+
+def _date() -> str:
+    """Return the date of a page, in UTC."""
+    given = os.environ.get("SOURCE_DATE_EPOCH")
+    try:
+        now = datetime.fromtimestamp(int(given), UTC) if given else datetime.now(UTC)
+    except (ValueError, OverflowError, OSError):
+        raise InvalidInputError(
+            f"SOURCE_DATE_EPOCH is {given!r}; give whole seconds since 1970, or unset it"
+        ) from None
+    return f"{now:%Y-%m-%d %H:%M} UTC"
+
+
+def _checksum(file: Path) -> str:
+    """Return the SHA-256 checksum of a file."""
+    try:
+        with file.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as problem:
+        raise InvalidInputError(
+            f"{str(file)!r} cannot be read for its checksum: {problem.strerror}"
+        ) from None

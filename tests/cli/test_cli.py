@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import re
@@ -112,6 +113,10 @@ def test_compare_reports_both_routes(run: Run, tmp_path: Path) -> None:
     for key in ("energy_optimal", "shortest"):
         assert f">{number(result.json[key]['length'])}</td>" in body
     assert body.count("<figure>") == 3
+    end = body[body.index("<footer>") :]
+    assert f"energyplan compare --map {bundled('office.yaml')} --model quadriga:full:marble" in end
+    for name in ("office.yaml", "office.png"):
+        assert hashlib.sha256(bundled(name).read_bytes()).hexdigest() in end
 
 
 def test_demo_makes_every_file_it_lists(run: Run, tmp_path: Path) -> None:

@@ -5,11 +5,16 @@ import re
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.text import Text
 
 from energyplan import simulate
+from energyplan.battery import Battery
+from energyplan.mission import Mission, MissionReport, Task, evaluate
 from energyplan.output import plots
+from energyplan.output.report import image
 from energyplan.path import Path, Pose
 from energyplan.power import PowerModel
+from energyplan.terrain import OccupancyGrid
 
 MODEL = PowerModel.preset("quadriga:empty:marble")
 
@@ -68,3 +73,53 @@ def test_breakdown_bars_add_up() -> None:
     plots.breakdown(ax, {"a": {"slip": 1000.0, "roll": 500.0}, "b": {"slip": 200.0}})
     reach = max(bar.get_x() + bar.get_width() for bar in ax.patches)
     assert reach == pytest.approx(1.5)
+
+
+@pytest.fixture(scope="module")
+def crowded() -> MissionReport:
+    """A mission whose tasks lie closer together than their names are long."""
+    hall = OccupancyGrid(np.zeros((80, 120), bool), 0.1)
+    places = ((6.0, 4.0), (6.4, 4.3), (6.2, 3.6), (11.4, 7.4), (0.6, 7.4))
+    tasks = [
+        Task(f"a task with a long name {k}", Pose(x, y, 0.0), dwell=60.0)
+        for k, (x, y) in enumerate(places)
+    ]
+    return evaluate(
+        Mission(
+            MODEL,
+            hall,
+            Battery.preset("quadriga"),
+            Pose(1.0, 4.0, 0.0),
+            tuple(tasks),
+            planning_effort=2_000,
+            coefficient_spread=0.05,
+        )
+    )
+
+
+def test_names_on_a_map_stay_apart_and_within(crowded: MissionReport) -> None:
+    figure = plots.mission_map(crowded)
+    figure.draw_without_rendering()
+    ax = figure.axes[0]
+    frame = ax.get_window_extent().padded(1.0)
+    boxes = [Text.get_window_extent(note) for note in ax.texts]
+    assert len(boxes) == 6
+    for k, box in enumerate(boxes):
+        assert frame.x0 <= box.x0 and box.x1 <= frame.x1
+        assert frame.y0 <= box.y0 and box.y1 <= frame.y1
+        assert not any(box.overlaps(other) for other in boxes[:k])
+
+
+def test_nothing_lies_over_the_charge_or_outside_the_picture(crowded: MissionReport) -> None:
+    figure = plots.mission_charge(crowded)
+    image(figure, ".svg")
+    figure.draw_without_rendering()
+    charge = figure.axes[0]
+    legend = charge.get_legend()
+    assert legend is not None
+    assert legend.get_window_extent().y0 >= charge.get_window_extent().y1
+    assert len(charge.texts) == 0
+    whole = figure.bbox.padded(1.0)
+    inked = figure.get_tightbbox().transformed(figure.dpi_scale_trans)
+    assert whole.x0 <= inked.x0 and inked.x1 <= whole.x1
+    assert whole.y0 <= inked.y0 and inked.y1 <= whole.y1

@@ -1,13 +1,16 @@
 from __future__ import annotations
 
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 
 from energyplan import __version__
-from energyplan.html import number
+from energyplan.errors import InvalidInputError
+from energyplan.html import number, table
 from energyplan.output import plots
 from energyplan.output.report import Page, svg
+from energyplan.power import PowerModel
 
 
 class Collector(HTMLParser):
@@ -78,12 +81,39 @@ def test_numbers_read_well(value: float, text: str) -> None:
     assert number(value) == text
 
 
-def test_the_footer_says_what_made_the_page() -> None:
+def test_the_footer_says_what_made_the_page(tmp_path: Path) -> None:
     page = Page("Title")
-    page.footer(["vehicle <robot>"])
+    file = tmp_path / "a<b>.csv"
+    file.write_bytes(b"abc")
+    model = PowerModel.preset("quadriga:full:marble")
+    page.made_from(call="energyplan <x>", files=[file], model=model)
+    page.made_from(files=[file], model=model)
     text = parsed(page).text
-    assert "vehicle <robot>" in text
-    assert any(line.startswith(f"energyplan {__version__}, 20") for line in text)
+    assert text.count("energyplan <x>") == text.count("Model") == text.count("Vehicle") == 1
+    assert f"energyplan {__version__}" in text
+    assert text.count(f"{file} ") == 1
+    # FIPS 180-2, appendix B.1
+    known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert f"SHA-256 {known}" in text
+    assert any(line.startswith("quadriga:full: 147.1 kg") for line in text)
+    with pytest.raises(InvalidInputError, match="checksum"):
+        page.made_from(files=[tmp_path / "absent.csv"])
+
+
+def test_the_date_of_a_page_can_be_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "86400")
+    assert "1970-01-02 00:00 UTC" in parsed(Page("Title")).text
+    for wrong in ("now", "1e99", "9" * 30):
+        monkeypatch.setenv("SOURCE_DATE_EPOCH", wrong)
+        with pytest.raises(InvalidInputError, match="SOURCE_DATE_EPOCH"):
+            Page("Title").html()
+
+
+def test_cells_of_wide_tables_carry_their_header() -> None:
+    wide = table(("a", "b", "c", "d", "<e>"), [(1, 2, 3, 4, "x")])
+    assert wide.count("data-label=") == 5
+    assert 'data-label="&lt;e&gt;"' in wide
+    assert "data-label=" not in table(("a", "b"), [(1, 2)])
 
 
 def test_a_figure_is_the_same_bytes_twice() -> None:

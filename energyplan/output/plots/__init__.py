@@ -32,8 +32,10 @@ from energyplan.output.plots.style import (
     PURPLE,
     RED,
     SKY,
+    WIDTH,
     YELLOW,
     figure,
+    legend,
 )
 
 __all__ = [
@@ -44,6 +46,7 @@ __all__ = [
     "PURPLE",
     "RED",
     "SKY",
+    "WIDTH",
     "YELLOW",
     "bin_means",
     "breakdown",
@@ -51,6 +54,7 @@ __all__ = [
     "energy_over_time",
     "feasible_region",
     "figure",
+    "legend",
     "mission_charge",
     "mission_map",
     "occupancy",

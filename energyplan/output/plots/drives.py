@@ -33,6 +33,7 @@ from energyplan.output.plots.style import (
     PURPLE,
     RED,
     SKY,
+    WIDTH,
     YELLOW,
     figure,
     legend,
@@ -45,7 +46,7 @@ def tread_speeds(ax: Axes, log: DriveLog) -> Axes:
     ax.plot(log.t, log.channel("v_left"), color=BLUE, lw=1.2, label="left")
     ax.plot(log.t, log.channel("v_right"), color=ORANGE, lw=1.2, ls="--", label="right")
     style_label(ax, "time [s]", "tread speed [m/s]", "Tread speeds")
-    legend(ax, ncols=2)
+    legend(ax, above=True)
     return ax
 
 
@@ -70,7 +71,7 @@ def power_over_time(ax: Axes, log: DriveLog, predictions: Mapping[str, ArrayLike
     for (label, power), (color, dash) in zip(predictions.items(), LINES, strict=False):
         ax.plot(log.t, power, color=color, ls=dash, lw=1.2, label=label)
     style_label(ax, "time [s]", "power [W]", "Power")
-    legend(ax, ncols=3)
+    legend(ax, above=True)
     return ax
 
 
@@ -81,7 +82,7 @@ def energy_over_time(ax: Axes, log: DriveLog, predictions: Mapping[str, ArrayLik
         energy = _integral(log.t, np.asarray(power, float)) / 1e3
         ax.plot(log.t, energy, color=color, ls=dash, lw=1.4, label=label)
     style_label(ax, "time [s]", "energy [kJ]", "Energy since the start")
-    legend(ax)
+    legend(ax, above=True)
     return ax
 
 
@@ -102,7 +103,7 @@ def prediction(log: DriveLog, predictions: Mapping[str, ArrayLike], title: str =
     Figure
         Three axes, one above the other.
     """
-    made = figure(3, 1, size=(8.0, 8.0))
+    made = figure(3, 1, size=(WIDTH, 7.0))
     tread_speeds(made.axes[0], log)
     power_over_time(made.axes[1], log, predictions)
     energy_over_time(made.axes[2], log, predictions)
@@ -174,7 +175,7 @@ def residual_against(
         ax.plot(centre, mean, color=color, ls=dash, marker="o", ms=3, label=f"{name} (bin mean)")
     ax.axhline(0, color=BLACK, lw=0.8)
     style_label(ax, label, "measured - predicted [W]", f"Residual against {label}")
-    legend(ax)
+    legend(ax, above=True)
     return ax
 
 
@@ -204,7 +205,7 @@ def breakdown(ax: Axes, parts: Mapping[str, Mapping[str, float]]) -> Axes:
         )  # fmt: skip
         below = below + values
     style_label(ax, "energy [kJ]", "", "Energy by term")
-    legend(ax, outside=True)
+    legend(ax, above=True)
     return ax
 
 
@@ -235,7 +236,7 @@ def pareto(ax: Axes, front: ParetoFront) -> Axes:
         )  # fmt: skip
     ax.set(xlim=(span[0], span[-1]), ylim=(0.97 * least.min(), 1.03 * energies.max()))
     style_label(ax, "time [s]", "energy [kJ]", "Energy against time, by what a second is worth")
-    legend(ax)
+    legend(ax, above=True)
     return ax
 
 
@@ -265,8 +266,8 @@ def feasible_region(ax: Axes, region: FeasibleRegion) -> Axes:
         mpl.patches.Patch(color=color, alpha=0.7, label=label)
         for color, label in ((GREEN, "for ever"), (YELLOW, "for a while"), ("0.85", "not at all"))
     ]
-    legend(ax, outside=True, handles=handles)
     style_label(ax, "curvature [1/m]", "speed [m/s]", "What the motors can drive")
+    legend(ax, above=True, handles=handles)
     ax.grid(visible=False)
     return ax
 

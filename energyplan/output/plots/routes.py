@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import matplotlib.collections
@@ -15,7 +15,7 @@ import numpy as np
 import shapely
 from matplotlib.figure import Figure
 
-from energyplan.path import Path, Pose
+from energyplan.path import Path
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,6 +34,7 @@ from energyplan.output.plots.style import (
     PURPLE,
     RED,
     SKY,
+    WIDTH,
     YELLOW,
     figure,
     legend,
@@ -63,7 +64,7 @@ def occupancy(ax: Axes, grid: OccupancyGrid) -> Axes:
 
 def energy_map(found: EnergyMap, grid: OccupancyGrid, levels: int = 8) -> Figure:
     """Draw the energy that each place takes, over its map."""
-    made = figure(size=(8.0, 6.0))
+    made = figure(size=(WIDTH, 4.0))
     ax = occupancy(made.axes[0], grid)
     energy = np.ma.masked_invalid(found.energy / 1e3)
     rows, columns = energy.shape
@@ -127,15 +128,15 @@ def routes(
         One axes.
     """
     rows, columns = grid.occupied.shape
-    height = float(np.clip(8.0 * rows / columns + 1.0, 3.0, 9.0))
-    made = figure(size=(9.0, height))
+    height = float(np.clip((WIDTH - 0.7) * rows / columns + 1.0, 2.4, 7.5))
+    made = figure(size=(WIDTH, height))
     ax = occupancy(made.axes[0], grid)
     _surfaces(ax, surfaces)
     for (label, path), (color, dash) in zip(paths.items(), LINES, strict=False):
         route(ax, path, label, color, dash)
     made.suptitle(title, x=0.01, ha="left", fontsize="large")
     if paths or surfaces:
-        legend(ax, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4)
+        legend(ax, above=True)
     return made
 
 
@@ -168,24 +169,64 @@ def mission_map(report: MissionReport) -> Figure:
     )
     drawn.set_array(line.power[:-1][moving])
     ax.add_collection(drawn)
-    made.colorbar(drawn, ax=ax, label="power [W]", shrink=0.8)
+    made.set_figheight(made.get_figheight() + 0.7)
+    made.colorbar(drawn, ax=ax, label="power [W]", location="bottom", aspect=40)
     verdicts = {task.name: task.verdict == "reachable" for task in report.tasks}
+    places = [("start", mission.start, "s", BLACK)]
     for task in mission.tasks:
         good = verdicts[task.name]
-        _place(ax, task.name, task.pose, "o" if good else "X", GREEN if good else RED)
-    for charger in mission.chargers:
-        _place(ax, charger.name, charger.pose, "P", BLUE)
-    _place(ax, "start", mission.start, "s", BLACK)
+        places.append((task.name, task.pose, "o" if good else "X", GREEN if good else RED))
+    places += [(charger.name, charger.pose, "P", BLUE) for charger in mission.chargers]
+    for _, pose, marker, color in places:
+        ax.plot(pose.x, pose.y, marker, color=color, ms=8, mec="white", zorder=5)
+    _name_places(made, {name: (pose.x, pose.y) for name, pose, *_ in places}, points)
     return made
 
 
-def _place(ax: Axes, name: str, pose: Pose, marker: str, color: str) -> None:
-    ax.plot(pose.x, pose.y, marker, color=color, ms=9, mec="white", zorder=5)
-    ax.annotate(
-        name, (pose.x, pose.y), xytext=(6, 6), textcoords="offset points", fontsize="small",
-        zorder=6,
-        bbox={"facecolor": "white", "alpha": 0.7, "edgecolor": "none", "pad": 1},
-    )  # fmt: skip
+def _name_places(figure: Figure, places: Mapping[str, tuple[float, float]], line: Any) -> None:
+    """Write names beside places: off the line, off each other, within the axes where possible."""
+    ax = figure.axes[0]
+    marks = list(places.values())
+    notes = [
+        ax.annotate(
+            name, at, xytext=(0, 0), textcoords="offset points", fontsize="small", zorder=6,
+            bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1},
+            arrowprops={"arrowstyle": "-", "lw": 0.6, "color": "0.4", "shrinkA": 0},
+        )
+        for name, at in places.items()
+    ]  # fmt: skip
+    for note in notes:
+        note.set_in_layout(False)  # names must not move the map that they are placed on
+    figure.draw_without_rendering()
+    scale = figure.dpi / 72
+    frame = ax.get_window_extent()
+    drawn = ax.transData.transform(line)
+    steps = np.linspace(0.0, 1.0, 50)[:, None, None]  # closer than a name is high
+    between = drawn[:-1] + steps * np.diff(drawn, axis=0)
+    busy = np.vstack([between.reshape(-1, 2), ax.transData.transform(marks)])
+    taken: list[Any] = []
+    turns = np.arange(16) * np.pi / 8 + np.pi / 4
+    for note, at in zip(notes, marks, strict=True):
+        box = note.get_window_extent()
+        wide, high = box.width + 2 * scale, box.height + 2 * scale
+        centre = ax.transData.transform(at)
+        best, least = (0.0, 0.0), np.inf
+        for gap in (7.0, 16.0, 28.0):
+            for turn in turns:
+                way = np.array([np.cos(turn), np.sin(turn)])
+                middle = centre + way * (gap * scale + 0.5 * np.abs(way) * (wide, high))
+                low, top = (
+                    middle - 0.5 * np.array([wide, high]),
+                    middle + 0.5 * np.array([wide, high]),
+                )
+                out = np.any(low < frame.min) or np.any(top > frame.max)
+                hit = sum(bool(np.all(low < b) and np.all(a < top)) for a, b in taken)
+                over = np.count_nonzero(np.all((busy > low) & (busy < top), axis=1))
+                price = 1e6 * out + 1e4 * hit + 10.0 * over + gap
+                if price < least:
+                    best, least, place = tuple((low - centre) / scale + 1), price, (low, top)
+        note.set_position(best)
+        taken.append(place)
 
 
 def state_of_charge(ax: Axes, report: MissionReport) -> Axes:
@@ -211,28 +252,42 @@ def state_of_charge(ax: Axes, report: MissionReport) -> Axes:
     )
     ax.plot(minutes, 100 * line.soc, color=BLUE, lw=1.5, label="expected")
     ax.axhline(100 * mission.reserve, color=RED, ls="--", lw=1.2, label="reserve")
-    begun = sorted((t for t in report.tasks if np.isfinite(t.start)), key=lambda t: t.start)
-    for task in begun:
-        ax.axvline(task.start / 60, color="0.6", lw=0.8, ls=":")
-        ax.annotate(
-            task.name, (task.start / 60, 1.0), xycoords=("data", "axes fraction"),
-            xytext=(0, 3), textcoords="offset points", rotation=45, va="bottom", ha="left",
-            fontsize="small", color="0.3",
-        )  # fmt: skip
     style_label(ax, "time [min]", "state of charge [%]", "")
     ax.set_ylim(0, 105)
-    legend(ax, outside=True)
+    legend(ax, above=True)
+    return ax
+
+
+def visits(ax: Axes, report: MissionReport) -> Axes:
+    """Draw when the robot is where: a bar for each stop, with its name beside the axis."""
+    names = list(dict.fromkeys(stop.name for stop in report.route))
+    colors = {"charge": BLUE, "task": GREEN, "start": BLACK, "end": BLACK}
+    for stop in report.route:
+        begin, stay = stop.arrival / 60, (stop.departure - stop.arrival) / 60
+        row = names.index(stop.name)
+        ax.barh(row, stay, left=begin, height=0.6, color=colors[stop.kind])
+        ax.plot(begin, row, "|", color=colors[stop.kind], ms=8)
+    ax.set_yticks(range(len(names)), names, fontsize="small")
+    ax.set_ylim(len(names) - 0.5, -0.5)
+    style_label(ax, "time [min]", "", "")
     return ax
 
 
 def mission_charge(report: MissionReport) -> Figure:
-    """Draw the state of charge over a mission, and below it the power at the battery."""
-    made = figure(2, 1, size=(9.0, 6.0))
-    charge, power = made.axes
-    power.sharex(charge)
+    """Draw charge over a mission, where the robot is, and the power at the battery."""
+    count = len({stop.name for stop in report.route})
+    made = Figure(figsize=(WIDTH, 4.2 + 0.22 * count), layout="constrained")
+    charge, where, power = made.subplots(
+        3, 1, sharex=True, height_ratios=(2.2, 0.3 + 0.22 * count, 1.4)
+    )
+    for ax in made.axes:
+        ax.grid(alpha=0.3)
+        ax.spines[["top", "right"]].set_visible(False)
     state_of_charge(charge, report)
-    charge.set_xlabel("")
+    visits(where, report)
     line = report.timeline
     power.step(line.t / 60, line.power, color=BLACK, lw=0.8, where="post", rasterized=True)
     style_label(power, "time [min]", "power [W]", "")
+    for ax in (charge, where):
+        ax.set_xlabel("")
     return made

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,7 +21,11 @@ LINES = ((BLUE, "-"), (RED, "--"), (GREEN, "-."), (PURPLE, ":"))
 """Colour and dash of curves that may coincide."""
 
 
-def figure(rows: int = 1, columns: int = 1, *, size: tuple[float, float] = (8.0, 4.5)) -> Figure:
+WIDTH = 5.2
+"""Width of a picture [inch]: its text can be read in a phone's column of 350 pixels."""
+
+
+def figure(rows: int = 1, columns: int = 1, *, size: tuple[float, float] = (WIDTH, 3.4)) -> Figure:
     """Return an empty figure in the library's style, without a window.
 
     Parameters
@@ -47,8 +53,50 @@ def label(ax: Axes, x: str, y: str, title: str) -> None:
     ax.set_title(title, loc="left", fontsize="medium")
 
 
-def legend(ax: Axes, outside: bool = False, **options: Any) -> None:
-    """Add a legend without a frame, beside the axes where asked."""
-    if outside:
-        options |= {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
-    ax.legend(frameon=False, fontsize="small", **options)
+_ABOVE = "legend above its axes"
+
+
+def legend(ax: Axes, above: bool = False, **options: Any) -> None:
+    """Add a legend without a frame; with `above`, over the axes, where no curve is."""
+    if not above:
+        ax.legend(frameon=False, fontsize="small", **options)
+        return
+    handles = options.get("handles") or ax.get_legend_handles_labels()[0]
+    if handles:
+        _put_above(ax, handles, [str(handle.get_label()) for handle in handles], len(handles))
+        root = ax.get_figure(root=True)
+        if root is not None:
+            arrange(root)
+
+
+def _put_above(ax: Axes, handles: Sequence[Any], names: Sequence[str], columns: int) -> Legend:
+    made = ax.legend(
+        handles=handles, labels=names, frameon=False, fontsize="small", ncols=columns,
+        loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2,
+    )  # fmt: skip
+    made.set_gid(_ABOVE)
+    made.set_in_layout(False)  # a legend that is too wide must not squeeze the axes
+    return made
+
+
+def arrange(figure: Figure) -> None:
+    """Fit legends above axes to the picture's width, and put titles over them.
+
+    Whoever adds to a picture after its legends calls it once more; `energyplan.output.report.image`
+    does so for every picture.
+    """
+    above = [
+        (ax, made)
+        for ax in figure.axes
+        if (made := ax.get_legend()) is not None and made.get_gid() == _ABOVE
+    ]
+    for ax, made in above:
+        handles, names = made.legend_handles, [text.get_text() for text in made.get_texts()]
+        for columns in range(len(names), 0, -1):
+            made = _put_above(ax, handles, names, columns)
+            figure.draw_without_rendering()
+            if made.get_window_extent().x1 <= figure.bbox.x1:
+                break
+        made.set_in_layout(True)
+        pad = 2 + made.get_window_extent().height * 72 / figure.dpi
+        ax.set_title(ax.get_title(loc="left"), loc="left", fontsize="medium", pad=pad)
