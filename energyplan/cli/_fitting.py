@@ -29,8 +29,8 @@ from energyplan.cli.common import (
     read_logs,
     verdict,
     warn,
-    write_report,
 )
+from energyplan.cli.reports import write_report
 from energyplan.errors import InvalidInputError, UnknownNameError
 
 if TYPE_CHECKING:

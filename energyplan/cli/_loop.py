@@ -22,9 +22,9 @@ from energyplan.cli.common import (
     progress,
     read_logs,
     verdict,
-    write_report,
     writes,
 )
+from energyplan.cli.reports import write_report
 from energyplan.errors import InvalidInputError
 
 if TYPE_CHECKING:

@@ -16,9 +16,9 @@ from energyplan.cli.common import (
     app,
     progress,
     verdict,
-    write_report,
     writes_folder,
 )
+from energyplan.cli.reports import write_report
 from energyplan.errors import InvalidInputError
 
 

@@ -23,9 +23,9 @@ from energyplan.cli.common import (
     progress,
     verdict,
     warn,
-    write_report,
     writes,
 )
+from energyplan.cli.reports import write_report
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, NoPathError
 
 if TYPE_CHECKING:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json as jsonlib
 import math
 import select
-import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,11 +15,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from energyplan.cli.reports import remember_command
 from energyplan.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from energyplan.logs import DriveLog
-    from energyplan.output.report import Page
     from energyplan.path import Pose
     from energyplan.vehicle import Vehicle
 
@@ -28,8 +27,6 @@ _OUTPUTS, _PROJECT = "energyplan.outputs", "energyplan.project"
 """Where the context of a command keeps the files that it will write, and the project's file."""
 _ARGUMENTS = "energyplan.arguments"
 """Where it keeps the arguments as they were given."""
-_made_from: ContextVar[tuple[str, tuple[Path, ...]]] = ContextVar("made_from", default=("", ()))
-"""The command in hand as a shell takes it, and the files that it reads."""
 _presets: ContextVar[dict[str, str]] = ContextVar("presets", default={})  # noqa: B039
 """Ready-made models that the command in hand uses, with their sources; never changed in place."""
 IMAGES = (".png", ".svg", ".pdf")
@@ -122,7 +119,7 @@ class Command(TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command, unless it could not end well."""
-        from energyplan.io.files import files_behind, refuse_overwriting
+        from energyplan.io.files import refuse_overwriting
 
         check_standard_output()
         outputs = ctx.meta.get(_OUTPUTS, {})
@@ -131,9 +128,8 @@ class Command(TyperCommand):
         inputs = [v for v in (*values, ctx.meta.get(_PROJECT)) if isinstance(v, str | Path)]
         refuse_overwriting(list(outputs.values()), inputs)
         _presets.set(presets_named(inputs))
-        call = shlex.join([*ctx.command_path.split(), *ctx.meta.get(_ARGUMENTS, ())])
-        read = dict.fromkeys(file for value in inputs for file in files_behind(value))
-        _made_from.set((call, tuple(read)))
+        words = [*ctx.command_path.split(), *ctx.meta.get(_ARGUMENTS, ())]
+        remember_command(words, inputs)
         return super().invoke(ctx)
 
 
@@ -362,15 +358,6 @@ def warn_of_presets() -> None:
     """Say which ready-made models the command in hand uses."""
     for name, source in _presets.get().items():
         warn(f"preset {name}: not measured on this robot, but taken from {source}")
-
-
-def write_report(page: Page, file: Path) -> None:
-    """Write a report, with the command and the files read at its end."""
-    from energyplan.io.files import atomic_write
-
-    call, read = _made_from.get()
-    page.made_from(call=call, files=read)
-    atomic_write(file, page.html())
 
 
 def verdict(yes: bool, strict: bool) -> None:
