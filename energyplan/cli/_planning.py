@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from energyplan.terrain import HeightMap, SurfaceMap
     from energyplan.vehicle import Vehicle
 
+RECORDING = ".mcap"
 MapFile = Annotated[Path, typer.Option("--map", help="map_server YAML file.")]
 Start = Annotated[str, typer.Option(help="X,Y,YAW; YAW in radians, or like 90deg.")]
 Surfaces = Annotated[Path | None, typer.Option(help="GeoJSON polygons that name a model each.")]
@@ -55,7 +56,11 @@ Keepout = Annotated[
 ]
 OutPath = Annotated[
     Path | None,
-    typer.Option("--out", callback=writes(*TABLES), help="Write the path to this CSV file."),
+    typer.Option(
+        "--out",
+        callback=writes(*TABLES, RECORDING),
+        help="Write the path to this CSV file; or to .mcap, as nav_msgs/Path with the map.",
+    ),
 ]
 OutTrajectory = Annotated[
     Path | None,
@@ -213,10 +218,10 @@ def plan(
     strict: Strict = False,
 ) -> None:
     """Plan the route of least energy, and say how far from optimal it can be at most."""
-    from energyplan.io.trajectory import write_path
     from energyplan.output import documents, text
     from energyplan.planning import plan as run
 
+    _writable(out)
     problem = _problem(
         map_file, model, start, goal, surfaces, heights, battery, objective, speed, tolerance,
         clearance, keepout,
@@ -228,7 +233,7 @@ def plan(
         _no_path(error, json, strict)
     told = _driven(made, trajectory)
     if out:
-        write_path(made.path, out)
+        _write(out, problem, plan=made)
     if plot:
         _draw(problem, {planner: made.path}, plot)
     document = {**documents.plan(made), **documents.driven_path(told)}
@@ -263,11 +268,11 @@ def compare(
     strict: Strict = False,
 ) -> None:
     """Compare the route of least energy with the shortest one, both priced by the same model."""
-    from energyplan.io.trajectory import write_path
     from energyplan.output import documents, text
     from energyplan.output.pages import comparison_page
     from energyplan.studies.comparison import compare as run
 
+    _writable(out)
     problem = _problem(
         map_file, model, start, goal, surfaces, heights, battery, objective, speed, tolerance,
         clearance, keepout,
@@ -279,7 +284,7 @@ def compare(
         _no_path(error, json, strict)
     best, shortest = _driven(made.energy_optimal, trajectory), _driven(made.shortest, None)
     if out:
-        write_path(made.energy_optimal.path, out)
+        _write(out, problem, least_energy=made.energy_optimal, shortest=made.shortest)
     if plot:
         both = {"least energy": made.energy_optimal.path, "shortest": made.shortest.path}
         _draw(problem, both, plot)
@@ -292,6 +297,25 @@ def compare(
     lines += [f"least energy, {line}" for line in text.driven_path(made.energy_optimal, best)]
     lines += [f"shortest, {line}" for line in text.driven_path(made.shortest, shortest)]
     answer(document, lines, json=json)
+
+
+def _writable(out: Path | None) -> None:
+    """Refuse a recording that could not be written, before any work."""
+    if out and out.suffix == RECORDING:
+        from energyplan.ros.recording import need_rosbags
+
+        need_rosbags()
+
+
+def _write(out: Path, problem: PlanningProblem, **plans: Plan) -> None:
+    """Write the first of some plans as a table, or all of them as a recording."""
+    from energyplan.io.trajectory import write_path
+    from energyplan.ros.recording import write_recording
+
+    if out.suffix == RECORDING:
+        write_recording({f"/{name}": p.path for name, p in plans.items()}, out, problem.map)
+    else:
+        write_path(next(iter(plans.values())).path, out)
 
 
 def _no_path(error: NoPathError, json: bool, strict: bool) -> NoReturn:

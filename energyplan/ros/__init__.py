@@ -24,6 +24,7 @@ from energyplan.ros.nav2 import (
     request_to_problems,
 )
 from energyplan.ros.online import DriveFeed
+from energyplan.ros.recording import write_recording
 from energyplan.ros.reports import (
     diagnostics_message,
     mission_answer,
@@ -49,4 +50,5 @@ __all__ = [
     "pose_from_message",
     "pose_from_transform",
     "request_to_problems",
+    "write_recording",
 ]

@@ -15,6 +15,7 @@ import pytest
 import energyplan as ep
 from energyplan import cli, simulate
 from energyplan.html import number
+from energyplan.io.bag_fields import bag_fields
 from energyplan.io.bundled import bundled
 from energyplan.io.maps import write_map
 from energyplan.io.trajectory import write_log, write_trajectory
@@ -219,7 +220,11 @@ def test_plan_and_compare(run: Run, tmp_path: Path) -> None:
     assert result.json["path"][-1] == pytest.approx([3.9, 2, math.pi / 2], abs=1e-6)
     assert out.read_text().startswith("x,y,yaw\n")
     assert plot.read_bytes().startswith(b"\x89PNG")
-    both = run("compare", *options, "--json").json
+    recorded = tmp_path / "routes.mcap"
+    both = run("compare", *options, "--out", recorded, "--json").json
+    fields = bag_fields(recorded).fields.values()
+    assert {field.topic for field in fields} >= {"/map"}
+    assert recorded.read_bytes().startswith(b"\x89MCAP0")
     assert set(both) == {"energy_optimal", "shortest", "saving", "preset"}
     assert both["saving"] == pytest.approx(
         1 - both["energy_optimal"]["energy"] / both["shortest"]["energy"]

@@ -510,3 +510,34 @@ def test_a_sample_waits_for_every_channel_and_old_values_do_not_count(jazzy: Wir
     only = TopicMap.model_validate({"channels": {"v_left": {"topic": "a", "field": "b"}}})
     with pytest.raises(MessageError, match="v_right"):
         ros.DriveFeed(OnlineIdentifier(COST.model), only)
+
+
+def test_a_plan_is_recorded_with_its_map(tmp_path: Path) -> None:
+    """The file is read by rosbags' own reader, by the definitions that it carries itself."""
+    from rosbags.highlevel import AnyReader
+
+    cells = np.zeros((30, 40), bool)
+    cells[3, 7] = True
+    unknown = np.zeros_like(cells)
+    unknown[5, 6] = True
+    grid = ep.OccupancyGrid(cells, 0.1, ep.Pose(1.0, 2.0, 0.3), unknown)
+    path = ep.Path((1.0, 2.0, 3.0), ds=[1.0, 0.0, -0.5], dtheta=[0.4, 2.0, 0.0])
+    file = tmp_path / "plan.mcap"
+    ros.write_recording({"/plan": path}, file, grid)
+    first = file.read_bytes()
+    assert b"ros2msg" in first and b"PoseStamped[] poses" in first  # viewers need the definitions
+    with AnyReader([file]) as reader:
+        told = {
+            connection.topic: reader.deserialize(raw, connection.msgtype)
+            for connection, _, raw in reader.messages()
+        }
+    assert set(told) == {"/plan", "/map"}
+    again = ros.grid_from_message(told["/map"])
+    np.testing.assert_array_equal(again.occupied, cells)
+    np.testing.assert_array_equal(again.unknown, unknown)
+    np.testing.assert_allclose(again.origin, grid.origin, atol=1e-12)
+    last = ros.pose_from_message(told["/plan"].poses[-1], "map")
+    np.testing.assert_allclose(last[:2], path.end[:2], atol=1e-9)
+    ros.write_recording({"/plan": path}, file, grid)
+    assert file.read_bytes() == first
+    assert list(tmp_path.iterdir()) == [file]
