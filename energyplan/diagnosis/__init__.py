@@ -304,7 +304,9 @@ class _Case:
         return Diagnosis(
             verdict=verdict,
             effects=found,
-            model=_for_planners(fitted.model, used, errors[1]),
+            model=_for_planners(
+                fitted.model, used, replace(errors[1], run_spread=fitted.run_spread)
+            ),
             before=errors[0],
             after=errors[1],
             before_interval=interval(before),

@@ -27,10 +27,13 @@ class FinalFit:
         The model with its covariance.
     errors : mapping of str to float
         Standard errors of the parameters in which the terms are not linear, by name.
+    run_spread : float, optional
+        Relative standard deviation of the power between runs; None where there were too few.
     """
 
     model: PowerModel
     errors: Mapping[str, float]
+    run_spread: float | None = None
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -81,7 +84,7 @@ def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
     model = PowerModel(
         problem.vehicle, tuple(terms), found.values, 0.5 * (covariance + covariance.T)
     )
-    return FinalFit(model, searched)
+    return FinalFit(model, searched, None if spread is None else spread.deviation)
 
 
 def _derivatives(

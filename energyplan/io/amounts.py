@@ -14,6 +14,7 @@ UNITS: dict[str, dict[str, float]] = {
     "mass": {"kg": 1.0, "g": 1e-3},
     "fraction": {"%": 0.01},
     "speed": {"m/s": 1.0, "km/h": 1 / 3.6},
+    "temperature": {"C": 1.0},
     "angle": {"rad": 1.0, "deg": radians(1.0)},
 }
 _AMOUNT = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z/%]*)\s*")

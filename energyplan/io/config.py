@@ -120,6 +120,7 @@ class _Residual(_Strict):
     energy_error: Number
     correlation_time: Number = 0.0
     duration: Number = 0.0
+    run_spread: Number | None = None
 
 
 class _Model(_Strict):
@@ -286,7 +287,8 @@ def write_model(model: PowerModel, path: str | Path) -> Path:
     if model.covariance is not None:
         data["covariance"] = model.covariance.tolist()
     if model.residual is not None:
-        data["residual"] = {k: float(v) for k, v in vars(model.residual).items()}
+        told = vars(model.residual).items()
+        data["residual"] = {k: float(v) for k, v in told if v is not None}
     return _dump(data, path)
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from math import inf
+from math import inf, isfinite, sqrt
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator
 
 from energyplan.battery import Battery
 from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
@@ -23,7 +23,7 @@ from energyplan.io.files import is_file
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.heights import read_heights
 from energyplan.io.maps import read_map
-from energyplan.mission import Charger, Mission, Task
+from energyplan.mission import Charger, Mission, Spreads, Task
 from energyplan.path import Pose
 from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
@@ -41,6 +41,46 @@ Fraction = Annotated[float, BeforeValidator(partial(amount, "fraction"))]
 PoseText = str | list[float | str]
 
 
+class Uncertain(NamedTuple):
+    """A number of a file, and its standard deviation where it tells one."""
+
+    value: float
+    spread: float | None = None
+
+
+def _uncertain(kind: str, value: Any) -> Uncertain:
+    """Read a number, or a distribution: ``{mean, std}``, or ``{low, high}`` for a uniform one."""
+    if not isinstance(value, dict):
+        number = amount(kind, value)
+        if isinstance(number, bool) or not isinstance(number, int | float):
+            raise ValueError("give a number, {mean: ..., std: ...} or {low: ..., high: ...}")
+        return Uncertain(float(number))
+    parts = {key: _uncertain(kind, part).value for key, part in value.items()}
+    if parts.keys() == {"mean", "std"}:
+        found = Uncertain(parts["mean"], parts["std"])
+    elif parts.keys() == {"low", "high"}:
+        low, high = parts["low"], parts["high"]
+        found = Uncertain(0.5 * (low + high), (high - low) / sqrt(12.0))
+    else:
+        raise ValueError(
+            f"a distribution has mean and std, or low and high, not {', '.join(map(str, value))}"
+        )
+    if not (isfinite(found.value) and isfinite(found.spread or 0.0)) or (found.spread or 0.0) < 0:
+        raise ValueError(f"the distribution {value} has no mean or a negative spread")
+    return found
+
+
+def _open(kind: str) -> PlainValidator:
+    return PlainValidator(partial(_uncertain, kind))
+
+
+OpenTime = Annotated[Uncertain, _open("time")]
+OpenPower = Annotated[Uncertain, _open("power")]
+OpenCharge = Annotated[Uncertain, _open("charge")]
+OpenFraction = Annotated[Uncertain, _open("fraction")]
+OpenTemperature = Annotated[Uncertain, _open("temperature")]
+
+
 def _is_yaml(name: str) -> bool:
     """Whether a file is meant, rather than a preset."""
     return name.endswith((".yaml", ".yml"))
@@ -53,8 +93,8 @@ class _Strict(BaseModel):
 class _Task(_Strict):
     name: str
     pose: PoseText
-    dwell: Time = 0.0
-    power: Power = 0.0
+    dwell: OpenTime = Uncertain(0.0)
+    power: OpenPower = Uncertain(0.0)
     payload: Mass = 0.0
     prize: float = 1.0
     required: bool = True
@@ -77,7 +117,7 @@ class _Battery(_Strict):
     parallel: int | None = None
     unit_capacity: Amps | None = None
     unit_resistance: float | None = None
-    capacity: Amps | None = None
+    capacity: OpenCharge | None = None
     resistance: float | None = None
     pair_resistance: float | None = None
     pair_time: Time | None = None
@@ -89,8 +129,21 @@ class _Battery(_Strict):
     max_voltage: float | None = None
     max_discharge_current: float | None = None
     max_charge_current: float | None = None
-    temperature: float | None = None
+    temperature: OpenTemperature | None = None
+    health: OpenFraction | None = None
+
+
+class _Spreads(_Strict):
+    """Standard deviations of what stands as a plain number."""
+
+    soc: Fraction | None = None
+    capacity: Fraction | None = None
     health: Fraction | None = None
+    temperature: float | None = None
+    power: Fraction | None = None
+    dwell: Fraction | None = None
+    run: Fraction | None = None
+    waiting: Fraction | None = None
 
 
 class _Mission(_Strict):
@@ -102,7 +155,7 @@ class _Mission(_Strict):
     surfaces: str | None = None
     heights: str | None = None
     battery: str | _Battery
-    soc: Fraction = 1.0
+    soc: OpenFraction = Uncertain(1.0)
     start: PoseText
     home: PoseText | None = None
     places: dict[str, PoseText] = {}
@@ -112,6 +165,8 @@ class _Mission(_Strict):
     reserve: float | str = 0.2
     confidence: Fraction = 0.95
     coefficient_spread: Fraction = 0.0
+    spreads: _Spreads | Literal["none"] = _Spreads()
+    waiting: OpenTime = Uncertain(0.0)
     order: Literal["given", "free"] = "given"
     return_to: Literal["start", "charger", "any"] = "any"
     time: Time = 0.0
@@ -237,7 +292,9 @@ class _Reader:
             surfaces=surfaces,
             payload=spec.payload,
             payload_models=loaded,
-            soc=spec.soc,
+            soc=spec.soc.value,
+            spreads=self._placed((), self._spreads),
+            waiting=spec.waiting.value,
             reserve=self._reserve(battery),
             confidence=spec.confidence,
             coefficient_spread=spec.coefficient_spread,
@@ -296,9 +353,30 @@ class _Reader:
 
     def _task(self, k: int, spec: _Task) -> Task:
         values = spec.model_dump()
+        for key in ("dwell", "power"):
+            values[key], values[f"{key}_spread"] = values[key]
         values["pose"] = self._pose(spec.pose, ("tasks", k, "pose"))
         values["window"] = (spec.window[0], spec.window[1])
         return Task(**values)
+
+    def _spreads(self) -> Spreads:
+        """Return the spreads: those of the distributions, of ``spreads``, or the usual ones."""
+        spec = self._spec
+        given = {} if spec.spreads == "none" else spec.spreads.model_dump(exclude_none=True)
+        battery = spec.battery if isinstance(spec.battery, _Battery) else _Battery()
+        relative = {"capacity": battery.capacity, "waiting": spec.waiting}
+        absolute = {
+            "soc": spec.soc, "health": battery.health, "temperature": battery.temperature,
+        }  # fmt: skip
+        for key, told in {**relative, **absolute}.items():
+            if told is None or told.spread is None:
+                continue
+            if key in relative and told.value <= 0:
+                raise self._document.fail(
+                    (key,), f"a {key} of {told.value:g} has no spread; give a mean above 0"
+                )
+            given[key] = told.spread / (told.value if key in relative else 1.0)
+        return replace(Spreads.none() if spec.spreads == "none" else Spreads(), **given)
 
     def _charger(self, k: int, spec: _Charger) -> Charger:
         return Charger(
@@ -353,7 +431,11 @@ class _Reader:
         spec = self._spec.battery
         if isinstance(spec, str):
             return self._placed(("battery",), Battery.preset, spec)
-        given = {key: value for key, value in spec if value is not None}
+        given = {
+            key: value.value if isinstance(value, Uncertain) else value
+            for key, value in spec
+            if value is not None
+        }
         units = {
             key: given.pop(key)
             for key in ("chemistry", "series", "parallel", "unit_capacity", "unit_resistance")

@@ -18,14 +18,15 @@ from energyplan.mission.given_order import Course, best_course
 from energyplan.mission.legs import Legs
 from energyplan.mission.order_refinement import best_stops
 from energyplan.mission.remedies import Remedy
-from energyplan.mission.report import MissionReport, Reason, Stop, TaskReport, Timeline
+from energyplan.mission.report import Doubt, MissionReport, Reason, Stop, TaskReport, Timeline
 from energyplan.mission.simulation import Attempt, Condition, Walk
+from energyplan.mission.spreads import Spreads
 from energyplan.mission.tasks import Charger, Task
 from energyplan.mission.types import Mission
 
 __all__ = [
-    "Charger", "Mission", "MissionReport", "Remedy", "Stop", "Task", "TaskReport", "Timeline",
-    "evaluate",
+    "Charger", "Doubt", "Mission", "MissionReport", "Remedy", "Spreads", "Stop", "Task",
+    "TaskReport", "Timeline", "evaluate",
 ]  # fmt: skip
 
 _CANDIDATES = 5
@@ -125,7 +126,7 @@ class _Evaluation:
                 if piece.leg is not None and piece.leg.trajectory is not None
             ),
             route=self._route(end),
-            uncertainty=self.legs.grounds.by_source(end.total),
+            uncertainty=self._doubts(end),
         )
 
     # -- the way ----------------------------------------------------------------------------------
@@ -230,6 +231,15 @@ class _Evaluation:
             for column, part in zip(columns, parts, strict=True):
                 column.append(part)
         return Timeline(*(np.concatenate(c) if c else np.zeros(0) for c in columns))
+
+    def _doubts(self, end: Condition) -> tuple[Doubt, ...]:
+        """Tell what each unknown costs between the charges where the most is held back."""
+        spent = max((*end.stretches, end.spent), key=lambda stretch: stretch.std)
+        whole, quantile = spent.std, self.walk.quantile
+        return tuple(
+            Doubt(source, std, quantile * (whole - float(np.sqrt(max(whole**2 - std**2, 0.0)))))
+            for source, std in self.legs.grounds.by_source(spent).items()
+        )
 
     # -- verdicts ---------------------------------------------------------------------------------
 

@@ -1,10 +1,11 @@
 """Energy with its uncertainty, and the power models that a mission meets on its way.
 
 Every unknown of a mission is written as a standard normal coordinate: the principal directions of
-each model's covariance, the spread of its coefficients from day to day, and the error that it made
-on drives held out from its identification. An energy carries its sensitivity to each of them. Legs
-that share a model share its unknowns, so that their errors add up instead of averaging out; only
-the noise of the drive itself is each leg's own.
+each model's covariance, the spread of its coefficients from day to day, the error that it made on
+drives held out from its identification, what differs from run to run, the power of each tool, the
+duration of each task, and what the battery holds (see `energyplan.mission.unknowns`). An energy
+carries its sensitivity to each of them. Legs that share a model share its unknowns, so that their
+errors add up instead of averaging out; only the noise of the drive itself is each leg's own.
 """
 
 from __future__ import annotations
@@ -17,11 +18,15 @@ import numpy as np
 from energyplan.errors import MissionError
 from energyplan.limits.drive import Drive, Ground
 from energyplan.mission.types import Mission
+from energyplan.mission.unknowns import RUN, Unknowns
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
 from energyplan.power import PowerModel
 from energyplan.power.effects import GRADE
 from energyplan.vehicle import TreadICR, Vehicle, wheel_loads
+
+_USUAL_SPEED = 1.0
+"""Speed of robots of this kind, where nothing tells theirs [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -127,12 +132,14 @@ class Grounds:
             self._source_of.append(seen[key])
         self._known: dict[tuple[int, float], PowerModel] = {}
         self._directions: dict[tuple[int, float], FloatArray] = {}
+        self._models = sum(source.size for source in self._sources)
+        self._unknowns = Unknowns.of(mission, self.driving_power)
         self._refuse_unfounded_bounds()
 
     @property
     def size(self) -> int:
         """Number of shared unknowns."""
-        return sum(source.size for source in self._sources)
+        return self._models + len(self._unknowns.labels)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -144,7 +151,7 @@ class Grounds:
             labels += [f"coefficients of {name}"] * drawn
             labels += ["coefficient_spread"] * len(source.models[0].terms)
             labels.append(f"hold-out error of {name}")
-        return tuple(labels)
+        return (*labels, *self._unknowns.labels)
 
     def by_source(self, energy: Estimate) -> dict[str, float]:
         """Return the standard deviation that each source of doubt alone gives an energy [J].
@@ -177,7 +184,7 @@ class Grounds:
         return _Source(
             np.array([payload for payload, _ in nodes]),
             tuple(other for _, other in nodes),
-            self.size,
+            sum(source.size for source in self._sources),
             tuple(_root(other) for _, other in nodes),
         )
 
@@ -255,7 +262,9 @@ class Grounds:
         """Return the energy of a trajectory with a payload [kg], at the battery."""
         total = self.nothing
         for part in self.drive(trajectory, payload).quadrature():
-            total = total + self._one(part.region, part.motion, part.weight, payload)
+            energy = self._one(part.region, part.motion, part.weight, payload)
+            run = self._run_spread(part.region) * energy.mean
+            total = total + energy + self._unknown(RUN, run)
         return total
 
     def spread(self, trajectory: Trajectory, payload: float) -> FloatArray:
@@ -269,6 +278,7 @@ class Grounds:
             model = self.model(part.region, payload)
             watts = model.battery_side().power(part.motion)
             squares = (self._holdout(part.region, payload).error * watts) ** 2
+            squares += (self._run_spread(part.region) * watts) ** 2
             for step in self.directions(part.region, payload).T:
                 if step.any():
                     more, less = (
@@ -280,6 +290,13 @@ class Grounds:
                     squares += (0.5 * (more - less)) ** 2
             np.add.at(joules, part.interval, (part.weight * np.sqrt(squares)).sum(axis=-1))
         return np.asarray(joules / np.diff(trajectory.t))
+
+    def _run_spread(self, region: int) -> float:
+        """Return how far a model's power differs from run to run, as a fraction."""
+        source = self._sources[self._source_of[region]]
+        found = [m.residual.run_spread for m in source.models if m.residual is not None]
+        known = [spread for spread in found if spread is not None]
+        return max(known) if known else self._mission.spreads.run
 
     def _holdout(self, region: int, payload: float) -> _Holdout:
         """Return what a model missed on the hold-out; models between payloads are weighed."""
@@ -302,10 +319,61 @@ class Grounds:
     def idle(self, region: int, duration: float, payload: float) -> Estimate:
         """Return the energy of standing still for so long [s]."""
         model = self.model(region, payload)
-        steady = dict.fromkeys((c for term in model.terms for c in term.channels), 0.0)
-        motion = Motion.from_twist(np.zeros(1), np.zeros(1), model.vehicle.icr, **steady)
+        motion = _straight(model, 0.0)
         # The residual is what the model misses while driving.
         return replace(self._one(region, motion, np.array([duration]), payload), noise=0.0)
+
+    def work(self, region: int, task: int, payload: float) -> Estimate:
+        """Return the energy of doing a task, standing still with its tool."""
+        asked, spreads = self._mission.tasks[task], self._mission.spreads
+        idle = self.idle(region, asked.dwell, payload)
+        drawn = asked.power + self.idle(region, 1.0, payload).mean
+        tool = spreads.power * asked.power if asked.power_spread is None else asked.power_spread
+        dwell = spreads.dwell * asked.dwell if asked.dwell_spread is None else asked.dwell_spread
+        done = replace(idle, mean=idle.mean + asked.power * asked.dwell)
+        done = done + self._unknown(self._unknowns.tools[task], tool * asked.dwell)
+        return done + self._unknown(self._unknowns.dwells[task], dwell * drawn)
+
+    def waiting(self, region: int, task: int, payload: float) -> Estimate:
+        """Return the energy of the time lost before a task begins."""
+        idle = self.idle(region, self._mission.waiting, payload)
+        spread = self._mission.spreads.waiting * idle.mean
+        return idle + self._unknown(self._unknowns.waits[task], spread)
+
+    def _unknown(self, place: int, energy: float) -> Estimate:
+        """Return an energy that is nothing but its sensitivity to one unknown [J]."""
+        sensitivity = np.zeros(self.size)
+        sensitivity[self._models + place] = energy
+        return Estimate(0.0, sensitivity)
+
+    # -- battery ----------------------------------------------------------------------------------
+
+    def from_battery(self, energy: Estimate) -> Estimate:
+        """Return an energy as the battery's charge feels it.
+
+        A battery that holds less than it should is emptied by a drive as one that holds what it
+        should is by a dearer drive.
+        """
+        sensitivity = energy.sensitivity.copy()
+        for place, share in self._unknowns.battery.items():
+            sensitivity[self._models + place] += share * energy.mean
+        return replace(energy, sensitivity=sensitivity)
+
+    @property
+    def gauge(self) -> Estimate:
+        """What is open about the charge after it was read off the gauge, as an energy."""
+        return self._unknown(self._unknowns.gauge, self._unknowns.gauge_energy)
+
+    @property
+    def driving_power(self) -> float:
+        """Power of driving straight on, at the speed asked or a usual one [W]."""
+        mission = self._mission
+        model = self.model(0, mission.payload)
+        vehicle = model.vehicle
+        asked = np.inf if mission.speed is None else mission.speed
+        speed = min(asked, vehicle.usual_speed, vehicle.motor.speed, _USUAL_SPEED)
+        power = model.battery_side().power(_straight(model, float(speed)))
+        return max(float(power[0]), 1.0)
 
     def _one(self, region: int, motion: Motion, weight: FloatArray, payload: float) -> Estimate:
         """Integrate over instants of a motion that stand for so much time each [s]."""
@@ -327,6 +395,12 @@ class Grounds:
         sensitivity[source.first + source.size - 1] = missed.error * mean
         noise = missed.strength * float(weight.sum())
         return Estimate(mean, sensitivity, noise)
+
+
+def _straight(model: PowerModel, speed: float) -> Motion:
+    """Return driving straight on over level ground at one speed [m/s], as one instant."""
+    steady = dict.fromkeys((c for term in model.terms for c in term.channels), 0.0)
+    return Motion.from_twist(np.full(1, speed), np.zeros(1), model.vehicle.icr, **steady)
 
 
 def _loaded(vehicle: Vehicle, payload: float) -> Vehicle:

@@ -101,19 +101,13 @@ class _Matrix:
         self._ends = self._end_nodes()
         self._inflation = 1.0
         self._scale = 1.0
-        self._power = self._typical_power()
+        self._power = walk.legs.grounds.driving_power
         self._cache: dict[float, FloatArray] = {}
 
     def _end_nodes(self) -> list[int]:
         legs, rule = self._walk.legs, self._walk.mission.return_to
         ends = [] if rule == "charger" else [legs.home]
         return ends if rule == "start" else [*ends, *legs.chargers]
-
-    def _typical_power(self) -> float:
-        """Mean power of driving straight on [W]."""
-        cost, _ = self._walk.legs.cost(self._walk.mission.payload)
-        speed = float(np.minimum(cost.cheapest_speed(0.0), 10.0))
-        return max(float(cost.per_metre(0.0)) * speed, 1.0)
 
     @property
     def true(self) -> bool:
@@ -135,6 +129,7 @@ class _Matrix:
                 if legs.planned(int(i), int(j)):
                     energy = legs.leg(int(i), int(j), payload).energy
                     finite = np.isfinite(energy.mean)
+                    energy = legs.grounds.from_battery(energy) if finite else energy
                     matrix[i, j] = energy.upper(walk.quantile) if finite else np.inf
             self._cache[payload] = matrix
         return self._cache[payload]
@@ -183,13 +178,12 @@ class _Matrix:
         tasks, battery = mission.tasks, mission.battery
         times = self._times()
         payload = mission.payload
-        service = [
-            walk.legs.grounds.idle(walk.legs.region(k + 1), task.dwell, payload).upper(
-                walk.quantile
-            )
-            + task.power * task.dwell
-            for k, task in enumerate(tasks)
-        ]
+        grounds = walk.legs.grounds
+        service = []
+        for k in range(len(tasks)):
+            region = walk.legs.region(k + 1)
+            done = grounds.waiting(region, k, payload) + grounds.work(region, k, payload)
+            service.append(grounds.from_battery(done).upper(walk.quantile))
         reserve = self._stored(mission.reserve)
         return OrderProblem(
             energy=self._energy,
@@ -197,15 +191,18 @@ class _Matrix:
             time=times,
             finish_time=times[:, self._ends].min(axis=1),
             service=np.array(service),
-            service_time=np.array([task.dwell for task in tasks]),
+            service_time=np.array([mission.waiting + task.dwell for task in tasks]),
             payload=payload,
             payload_change=np.array([task.payload for task in tasks]),
             prize=np.array([task.prize for task in tasks]),
             required=np.array([task.required for task in tasks]),
             window=np.array([task.window for task in tasks], float),
-            budget=self._scale * (self._stored(mission.soc) - reserve),
+            budget=self._scale * (self._stored(walk.at_least(mission.soc)) - reserve),
             capacity=np.array(
-                [self._scale * (self._stored(c.until) - reserve) for c in mission.chargers]
+                [
+                    self._scale * (self._stored(walk.at_least(c.until)) - reserve)
+                    for c in mission.chargers
+                ]
             ),
             charge_power=np.array([c.power for c in mission.chargers]) * battery.charge_efficiency,
             start_time=mission.time,

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -101,6 +100,25 @@ class Stop:
 
 
 @dataclass(frozen=True)
+class Doubt:
+    """What one unknown costs.
+
+    Parameters
+    ----------
+    source : str
+        What is not known.
+    energy : float
+        Standard deviation that it alone gives the energy [J].
+    saving : float
+        Energy that need not be held back at the confidence asked once it is measured [J].
+    """
+
+    source: str
+    energy: float
+    saving: float
+
+
+@dataclass(frozen=True)
 class Timeline:
     """The mission over time; arrays of one shape.
 
@@ -159,8 +177,10 @@ class MissionReport:
         The same, timed, each from time 0; without those in which the robot stays where it is.
     route : tuple of Stop
         The stops with their times, from the start to the end.
-    uncertainty : mapping of str to float
-        Standard deviation that each source of doubt alone gives the energy [J], the largest first.
+    uncertainty : tuple of Doubt
+        What each unknown costs, the dearest first, as the battery feels it between the charges
+        where the most is held back; without charges that is the whole mission. The squares of
+        their energies add up to the variance.
     """
 
     mission: Mission
@@ -178,7 +198,7 @@ class MissionReport:
     paths: tuple[Path, ...]
     trajectories: tuple[Trajectory, ...] = ()
     route: tuple[Stop, ...] = ()
-    uncertainty: Mapping[str, float] = field(default_factory=dict)
+    uncertainty: tuple[Doubt, ...] = ()
 
     @property
     def headline(self) -> str:

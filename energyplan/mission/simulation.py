@@ -84,9 +84,12 @@ class Condition:
     time : float
         Time [s].
     spent, total : Estimate
-        Energy since the last charge, and in all.
+        Energy since the last charge as the battery feels it, what is open about the battery
+        included, and energy in all.
     origin : tuple of float
         State of charge and time after the last charge.
+    stretches : tuple of Estimate
+        What was spent between one charge and the next, so far.
     expected, worst : Charge
         The battery as expected, and where the energy is at its bound.
     pieces : tuple of Piece
@@ -102,6 +105,7 @@ class Condition:
     expected: Charge
     worst: Charge
     pieces: tuple[Piece, ...] = ()
+    stretches: tuple[Estimate, ...] = ()
 
 
 class Attempt(NamedTuple):
@@ -144,9 +148,17 @@ class Walk:
     def start(self) -> Condition:
         """The condition at the start."""
         mission, nothing = self.mission, self.legs.grounds.nothing
-        full = Charge(mission.soc)
-        origin = (mission.soc, mission.time)
-        return Condition(0, mission.payload, mission.time, nothing, nothing, origin, full, full)
+        told, least = Charge(mission.soc), Charge(self.at_least(mission.soc))
+        gauge, origin = self.legs.grounds.gauge, (mission.soc, mission.time)
+        return Condition(0, mission.payload, mission.time, gauge, nothing, origin, told, least)
+
+    def at_least(self, soc: float) -> float:
+        """Return the state of charge at the bound when the gauge tells one."""
+        return max(soc - self.quantile * self.mission.spreads.soc, 0.0)
+
+    def _told(self, soc: float) -> float:
+        """Return what the gauge tells when the state of charge is at the bound."""
+        return min(soc + self.quantile * self.mission.spreads.soc, 1.0)
 
     def holds(self, state: Condition) -> bool:
         """Tell whether the reserve is left at the bound."""
@@ -167,12 +179,10 @@ class Walk:
         )
         return replace(moved, node=goal)
 
-    def stay(self, state: Condition, kind: str, duration: float, power: float = 0.0) -> Condition:
-        """Stand still for so long [s] with a tool that draws power [W]."""
+    def _stay(self, state: Condition, kind: str, duration: float, energy: Estimate) -> Condition:
+        """Stand still for so long [s], which takes an energy."""
         if duration <= _INSTANT:
             return state
-        idle = self.legs.grounds.idle(self.legs.region(state.node), duration, state.payload)
-        energy = replace(idle, mean=idle.mean + power * duration)
         t = np.linspace(0.0, duration, max(int(duration / _STEP), 1) + 1)
         flat = np.full(len(t) - 1, energy.mean / duration)
         return self._draw(state, kind, state.node, t, flat, np.ones(len(flat)), energy)
@@ -188,7 +198,7 @@ class Walk:
         energy: Estimate,
         leg: Leg | None = None,
     ) -> Condition:
-        spent = state.spent + energy
+        spent = state.spent + self.legs.grounds.from_battery(energy)
         more = spent.upper(self.quantile) - state.spent.upper(self.quantile)
         # what it may take beyond the expectation is drawn where the power is uncertain
         shares = spread if spread.any() else np.ones(len(spread))
@@ -220,8 +230,9 @@ class Walk:
     def charge(self, state: Condition) -> Condition:
         """Charge at the charger at hand."""
         charger = self.mission.chargers[state.node - self.legs.chargers[0]]
-        low = self._charge(state.worst, charger.power, charger.until)
+        low = self._charge(state.worst, charger.power, self.at_least(charger.until))
         high = self._charge(state.expected, charger.power, charger.until)
+        gauge = self.legs.grounds.gauge
         count = max(len(low), len(high), 2)
         t = state.time + _STEP * np.arange(count, dtype=float)
         filled = [np.append(s, np.full(count - len(s), s[-1])) for s in (high, low)]
@@ -231,8 +242,9 @@ class Walk:
         return replace(
             state,
             time=float(t[-1]),
-            spent=self.legs.grounds.nothing,
-            origin=(low_end.soc, float(t[-1])),
+            spent=gauge,
+            origin=(self._told(low_end.soc), float(t[-1])),
+            stretches=(*state.stretches, state.spent),
             expected=high_end,
             worst=low_end,
             pieces=(*state.pieces, piece),
@@ -263,6 +275,9 @@ class Walk:
         if there is None:
             leg = self.legs.leg(state.node, node, state.payload)
             return Attempt(leg.trouble, state, state, leg.detail)
+        grounds, region = self.legs.grounds, self.legs.region(node)
+        lost = grounds.waiting(region, task, there.payload)
+        there = self._stay(there, "wait", self.mission.waiting, lost)
         if there.time > asked.window[1]:
             return Attempt(
                 "late",
@@ -271,8 +286,10 @@ class Walk:
                 f"it must begin by {asked.window[1]:.0f} s, and the robot is there at "
                 f"{there.time:.0f} s",
             )
-        begun = self.stay(there, "wait", asked.window[0] - there.time)
-        done = self.stay(begun, "work", asked.dwell, asked.power)
+        early = asked.window[0] - there.time
+        begun = self._stay(there, "wait", early, grounds.idle(region, early, there.payload))
+        work = grounds.work(region, task, begun.payload)
+        done = self._stay(begun, "work", asked.dwell, work)
         carried = done.payload + asked.payload
         if carried < -_GRAM:
             return Attempt(

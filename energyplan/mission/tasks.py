@@ -32,6 +32,9 @@ class Task:
         Whether the mission fails without it.
     window : tuple of float
         Earliest and latest time at which it may begin [s].
+    power_spread, dwell_spread : float, optional
+        Standard deviations of the tool's power [W] and of the duration [s]; those of
+        `Mission.spreads` where not given. Tasks with the same power and spread share a tool.
 
     Raises
     ------
@@ -47,6 +50,8 @@ class Task:
     prize: float = 1.0
     required: bool = True
     window: tuple[float, float] = (0.0, np.inf)
+    power_spread: float | None = None
+    dwell_spread: float | None = None
 
     def __post_init__(self) -> None:
         label = f"task {self.name!r}"
@@ -56,6 +61,13 @@ class Task:
             value = getattr(self, key)
             require(
                 np.isfinite(value) and value >= 0, f"{label}: {key} is {value}; give 0 or more", key
+            )
+        for key in ("power_spread", "dwell_spread"):
+            value = getattr(self, key)
+            require(
+                value is None or (np.isfinite(value) and value >= 0),
+                f"{label}: {key} is {value}; give 0 or more",
+                key,
             )
         require(np.isfinite(self.payload), f"{label}: payload is {self.payload}", "payload")
         require(

@@ -14,6 +14,7 @@ from energyplan.battery import BatteryModel
 from energyplan.errors import MissionError
 from energyplan.mission.checks import checked_pose, require
 from energyplan.mission.remedies import Remedy
+from energyplan.mission.spreads import Spreads
 from energyplan.mission.tasks import Charger, Task
 from energyplan.path import Pose
 from energyplan.planning.problem import nearest_free
@@ -64,6 +65,11 @@ class Mission:
     coefficient_spread : float
         Relative standard deviation of the models' coefficients from place to place and day to
         day, beyond their covariance.
+    spreads : Spreads
+        How far off the other numbers may be: charge, capacity, health, temperature, tools,
+        durations, runs.
+    waiting : float
+        Time lost at each task before it begins, as expected [s].
     order : {"given", "free"}
         Whether the tasks are done in the order given.
     return_to : {"start", "charger", "any"}
@@ -118,6 +124,8 @@ class Mission:
     planning_effort: int | None = None
     name: str = "mission"
     heights: HeightMap | None = None
+    spreads: Spreads = field(default_factory=Spreads)
+    waiting: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tasks", tuple(self.tasks))
@@ -179,7 +187,7 @@ class Mission:
                 f"{self.reserve:g}",
                 "chargers", k, "until",
             )  # fmt: skip
-        for key in ("coefficient_spread", "payload", "time"):
+        for key in ("coefficient_spread", "payload", "time", "waiting"):
             value = getattr(self, key)
             require(np.isfinite(value) and value >= 0, f"{key} is {value}; give 0 or more", key)
         for key in ("planning_time", "planning_effort", "speed"):

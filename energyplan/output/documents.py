@@ -212,8 +212,8 @@ def mission(report: MissionReport) -> Document:
         ],
         **{key: plain(getattr(report, key)) for key in whole},
         "uncertainty": [
-            {"source": source, "energy": plain(energy)}
-            for source, energy in report.uncertainty.items()
+            {key: plain(getattr(doubt, key)) for key in ("source", "energy", "saving")}
+            for doubt in report.uncertainty
         ],
     }
 

@@ -274,8 +274,15 @@ def mission(told: MissionReport) -> list[str]:
         f"state of charge at the end {100 * told.soc_end:.0f} %"
     )
     if told.uncertainty:
-        parts = (f"{name} {number(e / 3600, 2)} Wh" for name, e in told.uncertainty.items())
+        parts = (
+            f"{doubt.source} {number(doubt.energy / 3600, 2)} Wh" for doubt in told.uncertainty
+        )
         lines.append(f"one standard deviation of the energy by source: {', '.join(parts)}")
+        dearest = told.uncertainty[0]
+        lines.append(
+            f"the dearest unknown: {dearest.source}; measuring it would save "
+            f"{number(dearest.saving / 3600, 2)} Wh of what is held back"
+        )
     return lines
 
 

@@ -67,6 +67,9 @@ class Residual:
         Integral time scale of the residual's autocorrelation [s].
     duration : float
         Length of the drives [s].
+    run_spread : float, optional
+        Relative standard deviation of the power between runs, beyond the scatter within them;
+        None where too few runs were compared.
     """
 
     rmse: float
@@ -75,6 +78,7 @@ class Residual:
     energy_error: float
     correlation_time: float = 0.0
     duration: float = 0.0
+    run_spread: float | None = None
 
 
 @dataclass(frozen=True)

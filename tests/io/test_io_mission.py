@@ -13,7 +13,7 @@ from energyplan.errors import EnergyPlanError, MissionError
 from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.logs import describe_log, read_log
 from energyplan.io.mission import read_mission
-from energyplan.mission import evaluate
+from energyplan.mission import Spreads, evaluate
 from energyplan.power import PowerModel
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -72,6 +72,40 @@ def test_everything_arrives_in_si_units(tmp_path):
     assert mission.battery.capacity == pack.capacity
     assert mission.surfaces is not None
     assert mission.model.name == "quadriga:empty:concrete"
+
+
+def test_numbers_may_come_as_distributions(tmp_path):
+    told = (
+        ("soc: 90 %", "soc: {mean: 90 %, std: 3 %}\nwaiting: {mean: 20 s, std: 5 s}"),
+        ("health: 80 %", "health: {mean: 80 %, std: 4 %}, capacity: {mean: 30 Ah, std: 3 Ah}"),
+        ("temperature: 10", "temperature: {low: 4, high: 16}"),
+        ("dwell: 5 min", "dwell: {mean: 5 min, std: 30 s}"),
+        ("power: 0.1 kW", "power: {low: 90 W, high: 0.11 kW}"),
+    )
+    text = GOOD
+    for old, new in told:
+        assert old in text
+        text = text.replace(old, new)
+    mission = read_mission(written(tmp_path, text + "spreads: {run: 8 %}\n"))
+    spreads, usual = mission.spreads, Spreads()
+    assert (mission.soc, spreads.soc) == (0.9, pytest.approx(0.03))
+    assert (mission.waiting, spreads.waiting) == (20.0, pytest.approx(0.25))
+    assert (mission.battery.health, spreads.health) == (0.8, pytest.approx(0.04))
+    assert (mission.battery.capacity, spreads.capacity) == (30 * 3600.0, pytest.approx(0.1))
+    assert mission.battery.temperature == 10.0
+    assert spreads.temperature == pytest.approx(12 / np.sqrt(12))
+    assert (spreads.run, spreads.power, spreads.dwell) == (0.08, usual.power, usual.dwell)
+    look, drop = mission.tasks
+    assert (look.dwell, look.dwell_spread) == (300.0, 30.0)
+    assert (look.power, look.power_spread) == (100.0, pytest.approx(20 / np.sqrt(12)))
+    assert (drop.dwell, drop.dwell_spread) == (0.0, None)
+
+
+def test_all_numbers_may_be_exact(tmp_path):
+    text = GOOD + "spreads: none\n"
+    assert read_mission(written(tmp_path, text)).spreads == Spreads.none()
+    exact = read_mission(written(tmp_path, text.replace("soc: 90 %", "soc: {mean: 0.9, std: 0.1}")))
+    assert exact.spreads.soc == 0.1
 
 
 def test_a_pack_of_units_and_a_reserve_in_watt_hours(tmp_path):
@@ -138,6 +172,14 @@ def test_example_flags_the_task_that_is_out_of_reach():
         ("order: free", "order: random", 24, "'given' or 'free'"),
         ("until: 90 %", "until: 10 %", 23, "not above the reserve"),
         ("power: 200 W", "power: 0", 23, "watts > 0"),
+        ("dwell: 5 min", "dwell: {mean: 5 min}", 15, "mean and std, or low and high"),
+        ("dwell: 5 min", "dwell: {mean: 5 min, std: -1}", 15, "negative spread"),
+        ("dwell: 5 min", "dwell: {low: 5 min, high: 4 min}", 15, "negative spread"),
+        ("dwell: 5 min", "dwell: {mean: .nan, std: 1}", 15, "no mean"),
+        ("dwell: 5 min", "dwell: [5, 6]", 15, "give a number"),
+        ("soc: 90 %", "waiting: {mean: 0, std: 3 s}", 6, "has no spread"),
+        ("soc: 90 %", "spreads: {soc: -1 %}", 6, "the spread of soc is -0.01"),
+        ("soc: 90 %", "spreads: {smell: 1 %}", 6, "no such key"),
     ],
 )
 def test_complaints_name_the_line(tmp_path, old, new, line, message):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from energyplan.battery import Battery
-from energyplan.mission import Charger, Mission, Task, evaluate
+from energyplan.mission import Charger, Mission, Spreads, Task, evaluate
 from energyplan.mission.order import OrderProblem, solve_exactly, solve_plainly
 from energyplan.path import Pose
 from energyplan.power import PowerModel
@@ -34,7 +34,7 @@ def corridor(energy: float, tasks: dict[str, float], start: float, **changes: An
         "map": OccupancyGrid(np.zeros((30, 350), bool), 0.1),
         "battery": tiny(energy), "start": Pose(start, 1.5, 0.0), "planning_effort": 10_000,
         "tasks": tuple(Task(name, Pose(x, 1.5, 0.0)) for name, x in tasks.items()),
-        "reserve": 0.0, "confidence": 0.5,
+        "reserve": 0.0, "confidence": 0.5, "spreads": Spreads.none(),
     }  # fmt: skip
     return Mission(**{**values, **changes})
 

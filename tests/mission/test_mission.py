@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from energyplan.battery import Battery
 from energyplan.errors import MissionError
-from energyplan.mission import Charger, Mission, MissionReport, Task, evaluate
+from energyplan.mission import Charger, Mission, MissionReport, Spreads, Task, evaluate
 from energyplan.path import Pose
 from energyplan.power import HOTEL, PowerModel, Residual
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
@@ -38,6 +38,7 @@ def mission(tasks: list[Task], **changes: Any) -> Mission:
     values: dict[str, Any] = {
         "model": known(), "map": hall(), "battery": Battery.preset("quadriga"),
         "start": Pose(1.0, 5.0, 0.0), "tasks": tuple(tasks), "planning_effort": 10_000,
+        "spreads": Spreads.none(),
     }  # fmt: skip
     return Mission(**{**values, **changes})
 

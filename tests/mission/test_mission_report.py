@@ -105,7 +105,7 @@ def test_sources_of_doubt_add_up_to_the_bound() -> None:
         coefficient_spread=0.05,
     )  # fmt: skip
     report = evaluate(asked)
-    told = report.uncertainty
+    told = {doubt.source: doubt.energy for doubt in report.uncertainty}
     # 40 m straight: all energy is that of one coefficient
     assert told["coefficient_spread"] == pytest.approx(0.05 * 40 * METRE, rel=1e-3)
     assert told[f"coefficients of {model.name}"] == pytest.approx(0.04 * 40 * METRE, rel=1e-3)
@@ -118,8 +118,12 @@ def test_sources_of_doubt_add_up_to_the_bound() -> None:
     margin = NormalDist().inv_cdf(0.95) * std
     assert report.energy_upper - report.energy == pytest.approx(margin, rel=1e-6)
     listed = documents.mission(report)["uncertainty"]
-    assert listed[0] == {"source": "coefficient_spread", "energy": told["coefficient_spread"]}
-    assert "coefficient_spread" in text.mission(report)[-1]
+    assert listed[0]["source"] == "coefficient_spread"
+    assert listed[0]["energy"] == told["coefficient_spread"]
+    # without it the others would still hold back theirs
+    rest = NormalDist().inv_cdf(0.95) * np.sqrt(std**2 - told["coefficient_spread"] ** 2)
+    assert listed[0]["saving"] == pytest.approx(margin - rest, rel=1e-6)
+    assert "the dearest unknown: coefficient_spread" in text.mission(report)[-1]
 
 
 def test_without_doubt_no_source_is_listed() -> None:
