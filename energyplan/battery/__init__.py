@@ -168,6 +168,19 @@ class Battery:
         return self.capacity * self.health * float(warm)
 
     @property
+    def temperature_note(self) -> str:
+        """What to know where there are no data for its temperature; empty where there are."""
+        low, high = self.derating_temperature[[0, -1]]
+        if low <= self.temperature <= high:
+            return ""
+        known = f"at {low:g} degC only" if low == high else f"from {low:g} to {high:g} degC"
+        nearest = low if self.temperature < low else high
+        return (
+            f"battery {self.name}: its capacity is known {known}; at {self.temperature:g} degC "
+            f"that of {nearest:g} degC is taken, which may be too much"
+        )
+
+    @property
     def full_energy(self) -> float:
         """Energy between full and empty at this temperature and age, nothing being lost [J]."""
         grid = np.linspace(0.0, 1.0, 101)

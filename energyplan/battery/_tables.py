@@ -47,8 +47,8 @@ LEAD_ACID = Chemistry(
     name="lead_acid",
     soc=(0.0, 0.25, 0.5, 0.75, 1.0),
     ocv=(11.89, 12.06, 12.24, 12.45, 12.65),
-    temperature=(0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0),
-    capacity_factor=(0.84, 0.88, 0.90, 0.94, 0.99, 1.0, 1.03, 1.04, 1.05),
+    temperature=(-20.0, -18.0, 0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0),
+    capacity_factor=(0.40, 0.45, 0.84, 0.88, 0.90, 0.94, 0.99, 1.0, 1.03, 1.04, 1.05),
     resistance_coefficient=0.01,
     peukert=1.1,
     charge_efficiency=0.90,
@@ -56,7 +56,9 @@ LEAD_ACID = Chemistry(
     max_voltage=14.4,
     source=(
         "12 V block at 26.7 degC, specific gravity 1.265 when full: Battery Council "
-        "International. Derating: Discover Energy, discharge longer than 60 min. Peukert "
+        "International. Derating from 0 degC: Discover Energy, discharge longer than 60 min. "
+        "Below: X2Power's comparison of sealed lead-acid with lithium, 45 % at 0 degF; manuals of "
+        "starter batteries agree (Westfalia, 40 % at -18 degC; 40 % at -20 degC). Peukert "
         "exponent: the middle of 1.05 to 1.15, usual for AGM blocks. The resistance "
         "coefficient is that of the acid's conductivity, a round figure."
     ),
@@ -67,8 +69,8 @@ LITHIUM_ION = Chemistry(
     name="lithium_ion",
     soc=(0.0, 0.0151, 0.0452, 0.0955, 0.1508, 0.2915, 0.4573, 0.8342, 0.9497, 1.0),
     ocv=(2.5061, 2.8981, 3.1461, 3.3231, 3.4218, 3.5737, 3.7017, 4.0637, 4.1009, 4.1932),
-    temperature=(-20.0, 0.0, 25.0, 40.0),
-    capacity_factor=(0.60, 0.80, 1.0, 1.0),
+    temperature=(-20.0, -10.0, 0.0, 25.0, 60.0),
+    capacity_factor=(0.60, 0.75, 0.80, 1.0, 1.0),
     resistance_coefficient=0.015,
     peukert=1.0,
     charge_efficiency=0.99,
@@ -77,8 +79,9 @@ LITHIUM_ION = Chemistry(
     source=(
         "Molicel INR-21700-P42A, mean of discharge and charge at C/32: Sunil, Pattipati, "
         "Balasingam, Piecewise Linear Approximation of Battery Open-Circuit Voltage "
-        "Characteristics Using Dynamic Programming (IEEE TIM 2025). Derating and resistance "
-        "coefficient: round figures, to be replaced by those of the cell at hand."
+        "Characteristics Using Dynamic Programming (IEEE TIM 2025). Derating: specification of "
+        "Samsung SDI INR18650-15L, section 7.5, at a high current, so on the safe side. "
+        "Resistance coefficient: a round figure, to be replaced by that of the cell at hand."
     ),
 )
 """Lithium-ion with a nickel-rich cathode, one cell."""
@@ -88,7 +91,7 @@ LITHIUM_IRON_PHOSPHATE = Chemistry(
     soc=(0.0, 0.0033, 0.0117, 0.0267, 0.0534, 0.0885, 0.2972, 0.9833, 0.995, 1.0),
     ocv=(2.0102, 2.4177, 2.7405, 2.9299, 3.0872, 3.1942, 3.2772, 3.3511, 3.418, 3.5981),
     temperature=(-20.0, 0.0, 25.0, 40.0),
-    capacity_factor=(0.55, 0.80, 1.0, 1.0),
+    capacity_factor=(0.70, 0.80, 1.0, 1.0),
     resistance_coefficient=0.02,
     peukert=1.0,
     charge_efficiency=0.99,
@@ -96,8 +99,9 @@ LITHIUM_IRON_PHOSPHATE = Chemistry(
     max_voltage=3.65,
     source=(
         "Lithium Werks APR-18650M1B, C/32: Sunil, Pattipati, Balasingam (IEEE TIM 2025). "
-        "Derating and resistance coefficient: round figures, to be replaced by those of the "
-        "cell at hand."
+        "Derating: Canbat on its CLI100-12, 80 % at 0 degC and 70 % at -20 degC; X2Power tells "
+        "70 % at 0 degF. No charging below 0 degC. Resistance coefficient: a round figure, to "
+        "be replaced by that of the cell at hand."
     ),
 )
 """Lithium iron phosphate, one cell."""

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from energyplan.battery import Battery
 from energyplan.mission.energy import Estimate
 from energyplan.mission.given_order import Course, best_course
 from energyplan.mission.legs import Legs
@@ -127,6 +128,7 @@ class _Evaluation:
             ),
             route=self._route(end),
             uncertainty=self._doubts(end),
+            warnings=self._warnings(),
         )
 
     # -- the way ----------------------------------------------------------------------------------
@@ -231,6 +233,11 @@ class _Evaluation:
             for column, part in zip(columns, parts, strict=True):
                 column.append(part)
         return Timeline(*(np.concatenate(c) if c else np.zeros(0) for c in columns))
+
+    def _warnings(self) -> tuple[str, ...]:
+        battery = self.mission.battery
+        note = battery.temperature_note if isinstance(battery, Battery) else ""
+        return (note,) if note else ()
 
     def _doubts(self, end: Condition) -> tuple[Doubt, ...]:
         """Tell what each unknown costs between the charges where the most is held back."""

@@ -181,6 +181,8 @@ class MissionReport:
         What each unknown costs, the dearest first, as the battery feels it between the charges
         where the most is held back; without charges that is the whole mission. The squares of
         their energies add up to the variance.
+    warnings : tuple of str
+        What to know before trusting the figures, such as a temperature without data.
     """
 
     mission: Mission
@@ -199,6 +201,7 @@ class MissionReport:
     trajectories: tuple[Trajectory, ...] = ()
     route: tuple[Stop, ...] = ()
     uncertainty: tuple[Doubt, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @property
     def headline(self) -> str:

@@ -203,7 +203,7 @@ def mission(report: MissionReport) -> Document:
     )  # fmt: skip
     whole = (
         "headline", "order", "route", "energy", "energy_upper", "soc_end", "duration", "feasible",
-        "proven",
+        "proven", "warnings",
     )  # fmt: skip
     return {
         "tasks": [

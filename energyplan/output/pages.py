@@ -249,6 +249,8 @@ def mission_page(told: MissionReport) -> Page:
     for task in flagged:
         remedy = f"; remedy: {task.remedy}" if task.remedy else ""
         page.paragraph(f"{task.name} is out of reach: {task.detail}{remedy}", "flag")
+    for warning in told.warnings:
+        page.paragraph(f"Warning: {warning}.", "flag")
     page.table(MISSION_HEADER, mission_rows(told))
     _illustrate(page, mission_pictures(told))
     return page

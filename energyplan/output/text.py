@@ -283,6 +283,7 @@ def mission(told: MissionReport) -> list[str]:
             f"the dearest unknown: {dearest.source}; measuring it would save "
             f"{number(dearest.saving / 3600, 2)} Wh of what is held back"
         )
+    lines += [f"warning: {warning}" for warning in told.warnings]
     return lines
 
 

@@ -160,11 +160,37 @@ def test_quadriga_is_a_36_volt_pack_of_six_blocks():
     assert pack.resistance == pytest.approx(0.015 * 3 / 2)
 
 
+@pytest.mark.parametrize(
+    ("chemistry", "below_zero", "least"),
+    [("lead_acid", 0.62, 0.40), ("lithium_ion", 0.75, 0.60),
+     ("lithium_iron_phosphate", 0.75, 0.70)],
+)  # fmt: skip
+def test_cold_takes_capacity_down_to_20_below(chemistry, below_zero, least):
+    pack = Battery.from_units(
+        "pack", chemistry, series=3, parallel=1, unit_capacity=36e3, unit_resistance=0.01
+    )
+    temperatures = np.arange(-20.0, 26.0, 1.0)
+    kept = [replace(pack, temperature=t).available_capacity / 36e3 for t in temperatures]
+    assert (np.diff(kept) >= 0).all()
+    assert kept[0] == pytest.approx(least)
+    assert kept[10] == pytest.approx(below_zero, abs=0.011)  # at -10 degC
+    assert not replace(pack, temperature=-20.0).temperature_note
+    note = replace(pack, temperature=-25.0).temperature_note
+    assert "known from -20 to" in note
+    assert "at -25 degC that of -20 degC is taken" in note
+
+
+def test_a_battery_without_data_on_temperature_says_so():
+    assert not plain().temperature_note
+    assert "known at 25 degC only" in replace(plain(), temperature=5.0).temperature_note
+
+
 def test_cold_derates_by_the_table():
     pack = Battery.preset("quadriga")
     cold = replace(pack, temperature=0.0)
     assert cold.available_capacity / pack.available_capacity == pytest.approx(0.84)
-    assert replace(pack, temperature=-40.0).available_capacity == cold.available_capacity
+    coldest = replace(pack, temperature=-20.0)  # there are no data beyond
+    assert replace(pack, temperature=-40.0).available_capacity == coldest.available_capacity
 
 
 def _thevenin(pack: Battery, t: np.ndarray, power: np.ndarray, soc: float) -> BatteryRun:

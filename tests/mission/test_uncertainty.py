@@ -13,6 +13,7 @@ from uncertain_missions import missions, simulated
 from energyplan.battery import Battery
 from energyplan.errors import MissionError
 from energyplan.mission import Charger, Spreads, Task, evaluate
+from energyplan.output import documents, text
 from energyplan.path import Pose
 from energyplan.power import HOTEL, PowerModel, Residual
 
@@ -75,6 +76,17 @@ def test_health_and_temperature_count_by_what_the_battery_then_holds() -> None:
     told = {doubt.source: doubt.energy for doubt in evaluate(asked).uncertainty}
     assert told["health of the battery"] == pytest.approx(0.05 * 40 * METRE, rel=1e-3)
     assert told["temperature of the battery"] == pytest.approx(0.1 * 40 * METRE, rel=1e-3)
+
+
+def test_a_temperature_without_data_is_told() -> None:
+    asked = corridor(1e5, {"a": 25.0}, 5.0)
+    for degrees, told in ((-35.0, "-20 to 40"), (-5.0, "")):
+        pack = replace(Battery.preset("quadriga"), temperature=degrees)
+        report = evaluate(replace(asked, battery=pack))
+        assert ("capacity is known from" in " ".join(report.warnings)) == bool(told)
+        assert told in " ".join(report.warnings)
+        assert documents.mission(report)["warnings"] == list(report.warnings)
+        assert any("warning: battery" in line for line in text.mission(report)) == bool(told)
 
 
 def test_a_task_and_a_model_may_say_their_own_spread() -> None:
