@@ -10,6 +10,7 @@ import re
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,7 @@ from energyplan import cli
 from energyplan.compilation import cache_folder, kernel_modules
 from energyplan.compilation.cache import source_digest
 from energyplan.compilation.kernel import KERNELS
+from energyplan.compilation.pool import Pool
 
 PACKAGE = Path(energyplan.__file__).parent
 
@@ -237,6 +239,75 @@ def test_where_nothing_can_be_kept_one_process_compiles(many: Path, unwritable: 
     found = run(MANY, path=many, ENERGYPLAN_CACHE_DIR=unwritable)
     assert found.stdout.startswith("7 0 1 False 20.0\n"), found.stderr
     assert found.stderr.count("KernelCacheWarning") == 1
+
+
+BESIDE = """
+from energyplan.compilation import compile_kernels, compiling_beside, on_compile
+import energyplan.many
+names = []
+on_compile(lambda what: names.append(what.name.rpartition(".")[2]))
+with compiling_beside("energyplan.many", "energyplan.deep"):
+    print(energyplan.many.top(1.0))
+print(*sorted(names))
+print(compile_kernels("energyplan.many", "energyplan.deep").found)
+"""
+
+
+def test_what_is_called_while_others_compile_is_compiled_once(many: Path, tmp_path: Path) -> None:
+    """Who is told of a kernel compiles it: there is each of them once, wherever it was compiled."""
+    found = run(BESIDE, path=many, ENERGYPLAN_CACHE_DIR=str(tmp_path / "kept"))
+    assert found.stdout.splitlines() == ["20.0", "deep part0 part1 part2 part3 part4 top", "7"], (
+        found.stderr
+    )
+    alone = f"import sys\nsys.executable = {'/bin/false'!r}\n" + BESIDE
+    found = run(alone, path=many, ENERGYPLAN_CACHE_DIR=str(tmp_path / "other"))
+    assert found.stdout.splitlines()[0] == "20.0", found.stderr
+    assert found.stdout.splitlines()[2] == "7"
+
+
+class Fake:
+    """What a pool knows of a kernel."""
+
+    def __init__(self, name: str, *called: Fake) -> None:
+        self.name, self.called = name, called
+        self.py_func = Fake.__init__
+
+
+def pool_of(*kernels: Fake) -> Pool:
+    pool = Pool(lambda name, done, total: None)
+    pool.add(kernels, urgent=False)
+    return pool
+
+
+def test_a_pool_hands_out_what_is_called_first_and_what_is_urgent_before_the_rest() -> None:
+    deep = Fake("deep")
+    top, other = Fake("top", deep), Fake("other")
+    pool = pool_of(other, deep, top)
+    assert pool.take() is deep  # the longest chain first
+    assert pool.take() is other
+    late = Fake("late")
+    pool.add([late], urgent=True)
+    pool.end(deep, 1.0)
+    assert [pool.take().name, pool.take().name] == ["late", "top"]
+    assert pool.total == 4
+
+
+def test_a_pool_has_this_process_wait_for_another_one_that_has_begun() -> None:
+    kernel, failed, untouched = Fake("kernel"), Fake("failed"), Fake("untouched")
+    pool = pool_of(kernel, failed, untouched)
+    taken = {pool.take(), pool.take()}
+    assert taken == {kernel, failed}
+    with ThreadPoolExecutor(2) as threads:
+        waits, loses = threads.submit(pool.claim, kernel), threads.submit(pool.claim, failed)
+        pool.give_back(failed)
+        assert loses.result() is False  # to be compiled here
+        assert not waits.done()
+        pool.end(kernel, 1.0)
+        assert waits.result() is True  # to be loaded
+    assert pool.claim(untouched) is False
+    assert pool.take(until=[kernel]) is None  # nothing is left, here or elsewhere
+    pool.stop()
+    assert pool.take() is None
 
 
 def test_two_programs_may_compile_at_once(many: Path, tmp_path: Path) -> None:

@@ -12,13 +12,15 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
 from energyplan.compilation.cache import can_be_kept
 from energyplan.compilation.kernel import KERNELS, Compiling, Kernel, say_compiling
+from energyplan.compilation.pool import Pool, current, working_at
 
 MOST_PROCESSES = 4
 """More have nothing to do: some kernels wait for others."""
@@ -81,51 +83,89 @@ def compile_kernels(*modules: str, processes: int | None = None) -> Preparation:
         Modules, or packages of which all modules that are imported count.
     processes : int, optional
         How many processes share the work; as many as there are processors, up to
-        `MOST_PROCESSES`, where not given. One where machine code cannot be kept on disk.
+        `MOST_PROCESSES`, where not given. One where machine code cannot be kept on disk. Where
+        others compile already (`compiling_beside`), these go on.
 
     Returns
     -------
     Preparation
         What was compiled.
     """
-    with _one_at_a_time:
-        return _compile(modules, processes)
-
-
-def _compile(modules: tuple[str, ...], processes: int | None) -> Preparation:
     begun = time.perf_counter()
-    wanted = [
+    with _one_at_a_time:
+        wanted = _kernels(modules)
+        outer = [kernel for kernel in wanted if not kernel.inner]
+        missing = _missing(outer)
+        done: dict[Kernel, float] = {}
+        count, kept = 1, True
+        if missing:
+            kept = can_be_kept()
+            if len(missing) > FEW and kept:
+                count = min(_processes() if processes is None else max(processes, 1), len(missing))
+            with _pool(missing, count - 1, urgent=True) as pool:
+                while (kernel := pool.take(missing)) is not None:
+                    since = time.perf_counter()
+                    kernel.prepare()
+                    pool.end(kernel, time.perf_counter() - since)
+                done = {k: pool.seconds[k] for k in missing if k in pool.seconds}
+                say_compiling(Compiling("", len(pool.seconds), pool.total))
+        for kernel in outer:
+            kernel.prepare()
+        compiled = tuple(Compiled(kernel.name, seconds) for kernel, seconds in done.items())
+        seconds = time.perf_counter() - begun
+        return Preparation(compiled, len(wanted) - len(compiled), kept, count, seconds)
+
+
+@contextmanager
+def compiling_beside(*modules: str) -> Iterator[None]:
+    """Have other processes compile kernels while this one does something else.
+
+    What this process calls meanwhile it compiles itself; where another process has begun with it,
+    it waits for that one. At the end of the block the others stop. Where there is one processor,
+    or machine code cannot be kept on disk, kernels are compiled when they are called.
+
+    Parameters
+    ----------
+    *modules : str
+        Modules, or packages of which all modules that are imported count.
+    """
+    missing = _missing(kernel for kernel in _kernels(modules) if not kernel.inner)
+    count = _processes() - 1 if len(missing) > FEW else 0
+    if count and can_be_kept():
+        with _pool(missing, count, urgent=False):
+            yield
+    else:
+        yield
+
+
+def _kernels(modules: tuple[str, ...]) -> list[Kernel]:
+    """Return the kernels of some modules, or packages, as far as these are imported."""
+    return [
         kernel
         for name, kernel in KERNELS.items()
         if kernel.declared is not None and any(name.startswith(f"{module}.") for module in modules)
     ]
-    outer = [kernel for kernel in wanted if not kernel.inner]
-    missing = _missing(outer)
-    compiled: list[Compiled] = []
-    count, kept = 1, True
-    if missing:
-        count = _processes() if processes is None else max(processes, 1)
-        kept = can_be_kept()
-        count = 1 if len(missing) <= FEW or not kept else min(count, len(missing))
-        jobs = _Jobs(missing)
-        helpers = [threading.Thread(target=_help, args=(jobs,)) for _ in range(count - 1)]
-        for helper in helpers:
-            helper.start()
-        try:
-            while (kernel := jobs.take()) is not None:
-                since = time.perf_counter()
-                kernel.prepare()
-                jobs.end(kernel, time.perf_counter() - since)
-        finally:
-            jobs.stop()
-            for helper in helpers:
-                helper.join()
-        compiled = jobs.compiled
-        say_compiling(Compiling("", len(compiled), len(compiled)))
-    for kernel in outer:
-        kernel.prepare()
-    found = len(wanted) - len(compiled)
-    return Preparation(tuple(compiled), found, kept, count, time.perf_counter() - begun)
+
+
+@contextmanager
+def _pool(missing: list[Kernel], helpers: int, *, urgent: bool) -> Iterator[Pool]:
+    """Yield the pool that is being worked at, or one with helpers, with some kernels in it."""
+    pool = current()
+    if pool is not None:
+        pool.add(missing, urgent=urgent)
+        yield pool
+        return
+    pool = Pool(lambda name, done, total: say_compiling(Compiling(name, done, total)))
+    pool.add(missing, urgent=urgent)
+    threads = [threading.Thread(target=_help, args=(pool,)) for _ in range(helpers)]
+    for thread in threads:
+        thread.start()
+    try:
+        with working_at(pool):
+            yield pool
+    finally:
+        for thread in threads:
+            thread.join()
 
 
 def _processes() -> int:
@@ -150,63 +190,10 @@ def _missing(kernels: Iterable[Kernel]) -> list[Kernel]:
     return list(found)
 
 
-class _Jobs:
-    """Kernels to compile, handed out when all that they call is there."""
-
-    def __init__(self, kernels: list[Kernel]) -> None:
-        self.compiled: list[Compiled] = []
-        self._total = len(kernels)
-        self._waiting = {k: {c for c in k.called if c in set(kernels)} for k in kernels}
-        self._condition = threading.Condition()
-        self._running = 0
-        # how much there is to do from a kernel to the end, by the size of the sources
-        self._rest: dict[Kernel, int] = {}
-        for kernel in reversed(kernels):
-            after = [self._rest[k] for k in self._rest if kernel in k.called]
-            self._rest[kernel] = len(kernel.py_func.__code__.co_code) + max(after, default=0)
-
-    def take(self) -> Kernel | None:
-        """Return the next kernel, as soon as one can be compiled; None where none is left."""
-        with self._condition:
-            while True:
-                ready = [kernel for kernel, needs in self._waiting.items() if not needs]
-                if ready:
-                    kernel = max(ready, key=lambda k: self._rest[k])
-                    del self._waiting[kernel]
-                    self._running += 1
-                    say_compiling(Compiling(kernel.name, len(self.compiled), self._total))
-                    return kernel
-                if not self._waiting:
-                    return None
-                self._condition.wait()
-
-    def end(self, kernel: Kernel, seconds: float) -> None:
-        """Note that a kernel is compiled."""
-        with self._condition:
-            self._running -= 1
-            self.compiled.append(Compiled(kernel.name, seconds))
-            for needs in self._waiting.values():
-                needs.discard(kernel)
-            self._condition.notify_all()
-
-    def give_back(self, kernel: Kernel) -> None:
-        """Leave a kernel to others."""
-        with self._condition:
-            self._running -= 1
-            self._waiting[kernel] = set()
-            self._condition.notify_all()
-
-    def stop(self) -> None:
-        """Hand out no more."""
-        with self._condition:
-            self._waiting.clear()
-            self._condition.notify_all()
-
-
 _WORK = "from energyplan.compilation.ahead import work; work()"
 
 
-def _help(jobs: _Jobs) -> None:
+def _help(pool: Pool) -> None:
     """Have another process compile kernels, one after the other, as long as it lives."""
     try:
         process = subprocess.Popen(
@@ -223,7 +210,7 @@ def _help(jobs: _Jobs) -> None:
     assert process.stdout is not None
     with process:
         try:
-            while (kernel := jobs.take()) is not None:
+            while (kernel := pool.take()) is not None:
                 answer = ""
                 try:
                     process.stdin.write(kernel.name + "\n")
@@ -231,9 +218,9 @@ def _help(jobs: _Jobs) -> None:
                     answer = process.stdout.readline()
                     seconds = float(answer)
                 except (OSError, ValueError):
-                    jobs.give_back(kernel)
+                    pool.give_back(kernel)
                     return
-                jobs.end(kernel, seconds)
+                pool.end(kernel, seconds)
             process.stdin.close()
         finally:
             process.terminate()

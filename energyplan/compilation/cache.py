@@ -129,10 +129,10 @@ class KernelCache(caching.FunctionCache):
     function : callable
         The kernel.
     missed : callable
-        Told the kernel's name when it is not there.
+        Called when there is no machine code; true where there is some now.
     """
 
-    def __init__(self, function: Callable[..., object], missed: Callable[[str], None]) -> None:
+    def __init__(self, function: Callable[..., object], missed: Callable[[], bool]) -> None:
         self._py_func = function
         self._name = f"{function.__module__}.{function.__qualname__}"
         self._digest = _digest_once(function.__code__.co_filename)
@@ -159,6 +159,12 @@ class KernelCache(caching.FunctionCache):
     def load_overload(self, sig: object, target_context: Any) -> object:
         """Return the machine code for a signature; None where there is none that can be used."""
         target_context.refresh()
+        found = self._load(sig, target_context)
+        if found is None and self._missed():
+            found = self._load(sig, target_context)
+        return found
+
+    def _load(self, sig: object, target_context: Any) -> object:
         if self._enabled and self._digest is not None:
             file = self._file(sig, target_context.codegen())
             # whatever is wrong with the file, the kernel can be compiled
@@ -166,7 +172,6 @@ class KernelCache(caching.FunctionCache):
                 found = self._impl.rebuild(target_context, pickle.loads(file.read_bytes()))
                 _mark_used(file.parent)
                 return found
-        self._missed(self._name)
         return None
 
     def save_overload(self, sig: object, data: Any) -> None:

@@ -15,6 +15,7 @@ from numba.np import numpy_support
 
 from energyplan.compilation.arrays import READONLY, STRIDED
 from energyplan.compilation.cache import KernelCache
+from energyplan.compilation.pool import current
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -132,9 +133,20 @@ class Kernel(CPUDispatcher):
         self._announced = False
         self._cache = KernelCache(function, self._missed)
 
-    def _missed(self, name: str) -> None:
+    def _missed(self) -> bool:
+        """Tell whether another process has made the machine code meanwhile; else it comes here."""
+        if (pool := current()) is not None and pool.claim(self):
+            return True
         if not self._announced:
-            say_compiling(Compiling(name))
+            say_compiling(Compiling(self.name))
+        return False
+
+    def _compile(self, sig: Any) -> Any:
+        try:
+            return super().compile(sig)
+        finally:
+            if (pool := current()) is not None:
+                pool.end(self)
 
     @cached_property
     def declared(self) -> tuple[Any, ...] | None:
@@ -162,15 +174,15 @@ class Kernel(CPUDispatcher):
         """Compile it for its declared types, or load it from disk."""
         if self.declared is not None:
             self._announced = True  # whoever compiles ahead says so
-            super().compile(self.declared)
+            self._compile(self.declared)
             self._announced = False
 
     def compile(self, sig: Any) -> Any:
         """Compile it for the declared types; for others only where these cannot be converted."""
         given, _ = sigutils.normalize_signature(sig)
         if self.declared is None or given == self.declared or not self._converts(given):
-            return super().compile(given)
-        entry = super().compile(self.declared)
+            return self._compile(given)
+        entry = self._compile(self.declared)
         if not any(isinstance(a, (types.Literal, types.Omitted)) for a in given):
             # from now on a call from Python with these types finds it at once
             insert: Any = self._insert  # type: ignore[attr-defined]

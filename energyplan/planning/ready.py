@@ -21,17 +21,23 @@ PLANNING = (
 """Where the kernels are that a planner may call, whatever the problem."""
 
 
-def compiled(cost: EnergyCost | None = None) -> None:
-    """Compile all kernels of planning, or load them from disk, so that no time limit pays for it.
+def kernels(cost: EnergyCost | None = None) -> tuple[str, ...]:
+    """Return the modules, or packages, whose kernels planning may call, whatever the problem.
 
     Those of exact steering are among them where a `cost` is given that is not static.
+    """
+    import_module("energyplan.planning.lattice.planner")  # knows all that planning may call
+    static = cost is None or isinstance(cost.steering_parameters, StaticSteering)
+    return PLANNING if static else (*PLANNING, "energyplan.steering.polygon")
+
+
+def compiled(cost: EnergyCost | None = None) -> None:
+    """Compile all kernels of planning, or load them from disk, so that no time limit pays for it.
 
     Whatever kind of problem comes, its kernels are among them. It is called when the problem has
     been checked: who starts in an obstacle is told so at once.
     """
-    import_module("energyplan.planning.lattice.planner")  # knows all that planning may call
-    static = cost is None or isinstance(cost.steering_parameters, StaticSteering)
-    compile_kernels(*PLANNING, *(() if static else ("energyplan.steering.polygon",)))
+    compile_kernels(*kernels(cost))
 
 
 def prepare(problem: PlanningProblem, *, guided: bool = True) -> None:

@@ -48,9 +48,5 @@ def test_every_picture_is_shown_somewhere() -> None:
     assert [name for name in unused if name not in DEMO_ONLY] == []
 
 
-DEMO_ONLY = {
-    "diagnosis-residual.png", "prediction-quadriga-empty-concrete.png",
-    "prediction-quadriga-empty-marble.png", "prediction-quadriga-full-concrete.png",
-    "routes-energy.png",
-}  # fmt: skip
+DEMO_ONLY = {"diagnosis-residual.png", "routes-energy.png"}
 """Pictures that the demo draws beside those that the pages show."""
