@@ -33,13 +33,13 @@ from energyplan.planning.lattice.search import (
     lattice_for,
     way_along,
 )
-from energyplan.planning.lattice.tight_ends import ease
+from energyplan.planning.lattice.tight_ends import Ends, ways_out
 from energyplan.planning.lattice.wide_arcs import with_wide_arcs
 from energyplan.planning.parallel import side_by_side
 from energyplan.planning.problem import PlanningProblem, as_pose
 from energyplan.planning.ready import compiled
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
-from energyplan.planning.scene.guide import distance_to_go, no_distance, places_for
+from energyplan.planning.scene.guide import distance_to_go, no_distance, places_for, reached
 from energyplan.planning.scene.guide_kernels import DistanceToGo
 from energyplan.planning.scene.reachability import check_configurations, none_found
 
@@ -58,6 +58,14 @@ class Guide(NamedTuple):
     penalty: float
     aligned: bool = False
     shortest: bool = False
+
+
+class Attempt(NamedTuple):
+    """A search for a first path: between which ends, and on how fine a lattice."""
+
+    ends: Ends
+    scale: float
+    search: Search
 
 
 ROUNDS = (
@@ -104,6 +112,12 @@ STEPS = 12_000
 
 TURNS = 50
 """Turns of nodes, where distances to go are found, that count as a unit of work."""
+
+MOST_LATTICES = 16
+"""Lattices on which a first path is sought, each half as coarse as the one before."""
+
+ESCAPE_SHARE = 0.25
+"""Part of the budget that ways out of tight ends may take."""
 
 FIRST_TURN = 4000
 """Expansions of the search for a first path before a finer one joins it; then twice as many."""
@@ -164,11 +178,10 @@ def plan(
     try:
         path = query.path(work.portfolio.best)
     except PlanningError:
-        eased = ease(query)
-        if eased is None:
+        if query.ends_roomy or not work.ends.eased:
             raise
-        inner = plan(eased.problem, budget, gap=gap, seed=seed, finest=finest)
-        path = eased.whole(inner.path)
+        inner = plan(work.ends.problem, budget, gap=gap, seed=seed, finest=finest)
+        path = work.ends.around(inner.path)
     # what the tables made of the cost of a known path is not what the models make of it
     path = with_wide_arcs(query, min([path, *known], key=query.value))
     return Candidate(path, query.potential(problem.goal) + work.bound, first)
@@ -261,6 +274,7 @@ class _Improvement:
         self.budget = budget
         self.gap = gap
         self.portfolio = Portfolio(self.setting, seed, budget)
+        self.ends = Ends(query)
         self.fields: dict[float, DistanceToGo] = {}
         self.searches: list[tuple[Search, float]] = []
         self._bound = Bound(0.0, False)
@@ -293,43 +307,67 @@ class _Improvement:
 
     def first_plan(self, finest: float = 1.0) -> None:
         """Find a first path; lattices twice as fine join one by one while none is found."""
-        to_go = self._field(PENALTY)
-        check_configurations(self.query, to_go)
+        plain = Ends(self.query)
+        for ends in ways_out(self.query, self.budget.part(ESCAPE_SHARE)):
+            self._move_ends(ends)
+            if not ends.eased or reached(self._field(PENALTY), ends.between(self.setting)):
+                break
+        else:
+            self._move_ends(plain)
+        if not self.ends.eased:
+            check_configurations(self.query, self._field(PENALTY))
         if np.isfinite(self.cost):
             return
-        scale, turn = 1.0, FIRST_TURN
-        every = [Search(self.setting, to_go, lattice_for(self.setting), FIRST_WEIGHT)]
-        searches = every.copy()
-        while not self.budget.over:
+        turn = FIRST_TURN
+        waiting = [(self.ends, 2.0**-k) for k in range(MOST_LATTICES) if 2.0**-k >= finest]
+        if self.ends.eased:
+            # where no way between the poses with room is found soon, one to the ends may be
+            waiting = [(ends, scale) for _, scale in waiting for ends in (self.ends, plain)]
+        every: list[Attempt] = []
+        open_ones: list[Attempt] = []
+        while not (every and self.budget.over):
+            if waiting:
+                ends, scale = waiting.pop(0)
+                setting = ends.between(self.setting)
+                own = ends is self.ends
+                to_go = self._field(PENALTY) if own else distance_to_go(setting, PENALTY)
+                lattice = lattice_for(self.setting, scale)
+                every.append(Attempt(ends, scale, Search(setting, to_go, lattice, FIRST_WEIGHT)))
+                open_ones.append(every[-1])
+            elif not open_ones:
+                last = every[-1].search
+                raise none_found(self.query, last.lattice.cell, last.nearest)
             # a finer lattice has shorter turns, since most paths are found on the first
-            shares = [search.lattice.cell / every[0].lattice.cell for search in searches]
             tasks = [
-                partial(Search.run, search, stop_at_first=True, expansions=int(turn * share))
-                for search, share in zip(searches, shares, strict=True)
+                partial(
+                    Search.run, one.search, stop_at_first=True, expansions=int(turn * one.scale)
+                )
+                for one in open_ones
             ]
             states = side_by_side(self.budget, tasks, turn)
-            found = [search for search in searches if search.found]
-            for search in found:
-                self.portfolio.enter(search.segments())
+            found = [one for one in open_ones if one.search.found]
+            for one in found:
+                self.portfolio.enter(one.ends.whole(one.search.segments()))
             if found:
+                if self.ends not in [one.ends for one in found]:
+                    self._move_ends(plain)
                 return
-            pairs = zip(searches, states, strict=True)
-            searches = [search for search, state in pairs if state != kernels.EXHAUSTED]
-            scale *= 0.5
-            if scale >= finest:
-                lattice = lattice_for(self.setting, scale)
-                every.append(Search(self.setting, to_go, lattice, FIRST_WEIGHT))
-                searches.append(every[-1])
-            elif not searches:
-                raise none_found(self.query, every[-1].lattice.cell, every[-1].nearest)
+            pairs = zip(open_ones, states, strict=True)
+            open_ones = [one for one, state in pairs if state != kernels.EXHAUSTED]
             turn *= 2
-        (x, y), cell = every[-1].nearest, every[-1].lattice.cell
-        places = sum(int(search.tree.counts[2]) for search in every)
+        last = every[-1].search
+        (x, y), cell = last.nearest, last.lattice.cell
+        places = sum(int(one.search.tree.counts[2]) for one in every)
         raise TimeLimitError(
             f"no path was found in {self.budget.name}: {places} places were searched in cells "
             f"down to {cell:.3g} m, the one nearest to the goal at ({x:.2f}, {y:.2f}); give more "
             f"{self.budget.remedy}"
         )
+
+    def _move_ends(self, ends: Ends) -> None:
+        """Have searches begin and end elsewhere."""
+        self.ends = ends
+        self.fields.clear()
 
     def improve(self) -> None:
         """Make the path cheaper until the budget is over, the gap closed, or nothing is gained."""
@@ -370,9 +408,9 @@ class _Improvement:
         if self.setting.hills.bins == 1:
             return
         for penalty in (1.0, PENALTY):
-            way = way_along(self.setting, self._field(penalty))
+            way = way_along(self.ends.between(self.setting), self._field(penalty))
             if way is not None:
-                self.portfolio.enter(way)
+                self.portfolio.enter(self.ends.whole(way))
 
     def _field(self, penalty: float) -> DistanceToGo:
         """Return the distance to go, with tight places counted longer."""
@@ -383,7 +421,7 @@ class _Improvement:
         """Find the distances to go with tight places counted so many times longer."""
 
         def find(penalty: float, own: Budget) -> DistanceToGo:
-            found = distance_to_go(self.setting, penalty)
+            found = distance_to_go(self.ends.between(self.setting), penalty)
             own.spend(found.work / TURNS)
             return found
 
@@ -398,7 +436,7 @@ class _Improvement:
         if guide.shortest:
             setting = CompiledProblem(replace(self.query.problem, objective="length")).setting
         lattice = lattice_for(setting, scale)
-        return Search(setting, field, lattice, weight, aligned=guide.aligned)
+        return Search(self.ends.between(setting), field, lattice, weight, aligned=guide.aligned)
 
     def _advance(self, fresh: list[Search], budget: Budget, most: int) -> None:
         """Run all searches for a while; take what they find into the portfolio."""
@@ -412,6 +450,6 @@ class _Improvement:
         for (search, before), state in zip(known, states, strict=True):
             found = float(search.tree.best[0])
             if found < before:
-                self.portfolio.enter(search.segments())
+                self.portfolio.enter(self.ends.whole(search.segments()))
             if state == kernels.RUNNING:
                 self.searches.append((search, found))

@@ -1,0 +1,309 @@
+"""The way out of a tight place: a search whose steps are as short as the room there is.
+
+A body 1 mm from a wall turns by a thousandth of a radian at most, drives on, has a little more room
+then, and so on. A lattice fine enough for the first of these steps would never come to an end. Here
+every motion goes as far as it is free, or a part of that, and two poses count as one where they
+differ by less than a part of what the body can turn there.
+"""
+
+from __future__ import annotations
+
+from math import floor, log2, pi
+from typing import NamedTuple
+
+import numpy as np
+
+from energyplan.compilation import inner, njit
+from energyplan.compilation.arrays import Floats, Ints, ShortInts
+from energyplan.path import Pose
+from energyplan.planning.scene.field import pop, push
+from energyplan.steering.arcs import arc_end
+from energyplan.terrain.collision import Body, Space, motion_free, pose_free
+
+KINDS = 8
+"""Straight forwards and backwards, spins both ways, pivots about either tread both ways."""
+
+PARTS = 3
+"""Parts of the free motion that are tried: all of it, a half, a fifth."""
+
+HALVINGS = 16
+"""How often a motion is halved until it is free."""
+
+CLOSER = 3
+"""How often what lies between free and not is halved then."""
+
+SPARE = 0.999
+"""What is kept of a free motion, so that no rounding makes it touch."""
+
+WORTH = 4.0
+"""Way that twice the room is worth [distances of the furthest corner]."""
+
+FINENESS = 0.25
+"""Size of the cells in which two poses count as one, in units of what the corners can move."""
+
+
+class Escape(NamedTuple):
+    """What the search remembers, in arrays of fixed size.
+
+    Attributes
+    ----------
+    x, y, yaw : ndarray
+        Poses [m], [rad].
+    g : ndarray
+        Way from the end, with turns counted at half the slip track [m].
+    room : ndarray
+        What the body can turn on the spot, both ways together [rad].
+    parent : ndarray of int32
+        Node it was reached from, -1 at the end itself.
+    ds, dtheta : ndarray
+        Motion between the two, as it will be driven: from the parent where the way leads out, to
+        it where it leads in.
+    key : ndarray of int64
+        Place, heading and room as one number.
+    table : ndarray of int32
+        Hash table from key to node, -1 where empty; its size is a power of two.
+    heap_f, heap_node : ndarray
+        Binary heap of open nodes.
+    roomy : ndarray of int32
+        Nodes with room, in the order in which they were found.
+    counts : ndarray of int64, shape (4,)
+        Nodes, heap entries, nodes with room, tests of motions.
+    """
+
+    x: Floats
+    y: Floats
+    yaw: Floats
+    g: Floats
+    room: Floats
+    parent: ShortInts
+    ds: Floats
+    dtheta: Floats
+    key: Ints
+    table: ShortInts
+    heap_f: Floats
+    heap_node: ShortInts
+    roomy: ShortInts
+    counts: Ints
+
+
+@inner
+def _free(
+    space: Space, body: Body, pose: Pose, ds: float, dtheta: float, inwards: bool, counts: Ints
+) -> bool:
+    """Tell whether a motion is free that starts at a pose, or that ends there."""
+    counts[3] += 1
+    begin = arc_end(pose, -ds, -dtheta) if inwards else pose
+    return bool(motion_free(space, body, begin.x, begin.y, begin.yaw, ds, dtheta, 0.0))
+
+
+@inner
+def _free_part(
+    space: Space,
+    body: Body,
+    pose: Pose,
+    ds: float,
+    dtheta: float,
+    inwards: bool,
+    closer: int,
+    counts: Ints,
+) -> float:
+    """Return the part of a motion that is free, 1 at most and zero if it is tiny."""
+    part = 1.0
+    for _ in range(HALVINGS):
+        if _free(space, body, pose, part * ds, part * dtheta, inwards, counts):
+            break
+        part *= 0.5
+    else:
+        return 0.0
+    if part == 1.0:
+        return 1.0
+    step = 0.5 * part
+    for _ in range(closer):
+        if _free(space, body, pose, (part + step) * ds, (part + step) * dtheta, inwards, counts):
+            part += step
+        step *= 0.5
+    return SPARE * part
+
+
+@inner
+def _spin_room(space: Space, body: Body, pose: Pose, turn: float, counts: Ints) -> float:
+    """Return what the body can turn on the spot, both ways together, up to `turn` either way."""
+    if not pose_free(space, body, pose.x, pose.y, pose.yaw):
+        return 0.0
+    left = _free_part(space, body, pose, 0.0, turn, False, 2, counts)
+    return turn * (left + _free_part(space, body, pose, 0.0, -turn, False, 2, counts))
+
+
+@njit
+def spin_room(space: Space, body: Body, x: float, y: float, yaw: float, turn: float) -> float:
+    """Return what a body can turn on the spot at a pose, both ways together.
+
+    Parameters
+    ----------
+    space, body
+        Grid and footprint.
+    x, y, yaw : float
+        The pose [m], [rad].
+    turn : float
+        Largest turn that is looked at, either way [rad].
+    """
+    return _spin_room(space, body, Pose(x, y, yaw), turn, np.zeros(4, np.int64))
+
+
+@inner
+def _key(pose: Pose, room: float, reach: float, turn: float) -> int:
+    """Return one number for poses that count as one; the cells are as fine as the room is small."""
+    octave = floor(log2(max(min(room, turn), 1e-6 * turn) / turn))
+    size = FINENESS * turn * reach * 2.0**octave
+    column = int(floor(pose.x / size)) & 0xFFFFF
+    row = int(floor(pose.y / size)) & 0xFFFFF
+    heading = int(floor(pose.yaw * reach / size)) & 0x3FFFF
+    return (((row << 20) | column) << 23 | heading << 5 | (-octave & 31)) & 0x7FFFFFFFFFFFFFFF
+
+
+@inner
+def _slot(tree: Escape, key: int) -> int:
+    """Return the slot of a key in the hash table: its own, or the empty one where it belongs."""
+    mask = len(tree.table) - 1
+    slot = (key * 0x9E3779B97F4A7C1) >> 17 & mask
+    while tree.table[slot] >= 0 and tree.key[tree.table[slot]] != key:
+        slot = (slot + 1) & mask
+    return int(slot)
+
+
+@inner
+def _promise(g: float, room: float, reach: float, turn: float) -> float:
+    """Rank of an open node, the least first: a short way, and more room."""
+    return g / (WORTH * reach) - log2(max(min(room, turn), 1e-6 * turn) / turn)
+
+
+@njit
+def plant_escape(
+    tree: Escape,
+    space: Space,
+    body: Body,
+    x: float,
+    y: float,
+    yaw: float,
+    reach: float,
+    turn: float,
+) -> None:
+    """Put the end itself into an empty tree; see `grow_escape`."""
+    pose = Pose(x, y, yaw)
+    room = _spin_room(space, body, pose, turn, tree.counts)
+    tree.x[0] = x
+    tree.y[0] = y
+    tree.yaw[0] = yaw
+    tree.g[0] = 0.0
+    tree.room[0] = room
+    tree.parent[0] = -1
+    tree.key[0] = _key(pose, room, reach, turn)
+    tree.table[_slot(tree, tree.key[0])] = 0
+    tree.counts[0] = 1
+    tree.counts[1] = push(tree.heap_f, tree.heap_node, 0, _promise(0.0, room, reach, turn), 0)
+
+
+@njit
+def grow_escape(
+    tree: Escape,
+    space: Space,
+    body: Body,
+    grown: Body,
+    half: float,
+    reach: float,
+    turn: float,
+    inwards: bool,
+    only: float,
+    tests: int,
+    wanted: int,
+) -> bool:
+    """Search until so many poses with room are known, or so many motions were tested.
+
+    Parameters
+    ----------
+    tree : Escape
+        What is known so far; changed in place.
+    space, body
+        Grid and footprint.
+    grown : Body
+        The footprint with the margin that poses with room must have.
+    half : float
+        Half the slip track, the radius of pivots [m].
+    reach : float
+        Distance of the body's furthest corner [m]; the longest motion is four times that.
+    turn : float
+        What the body can turn where there is room, both ways together [rad].
+    inwards : bool
+        Whether the way leads to the end, not away from it.
+    only : float
+        1 for ways that never go backwards, -1 for those that never go forwards, 0 for all.
+    tests : int
+        Number of motions tested, since the search began, at which to stop.
+    wanted : int
+        Number of poses with room at which to stop.
+
+    Returns
+    -------
+    bool
+        Whether anything is left to search.
+    """
+    counts = tree.counts
+    far = (4.0 if only == 0.0 else 1.0) * reach
+    while counts[1] > 0 and counts[3] < tests and counts[2] < wanted:
+        if counts[0] + KINDS * PARTS > len(tree.x):
+            return False
+        node = int(tree.heap_node[0])
+        counts[1] = pop(tree.heap_f, tree.heap_node, counts[1])
+        pose = Pose(tree.x[node], tree.y[node], tree.yaw[node])
+        for kind in range(KINDS):
+            sign = 1.0 if kind % 2 == 0 else -1.0
+            most_ds = sign * far
+            most_turn = 0.0
+            if kind >= 2:
+                # no further than a quarter turn
+                most_turn = sign * 0.5 * pi
+                most_ds = 0.0
+            if kind >= 4:
+                most_ds = half * 0.5 * pi * (1.0 if kind < 6 else -1.0)
+            if most_ds * only < 0.0:
+                continue
+            free = _free_part(space, body, pose, most_ds, most_turn, inwards, CLOSER, counts)
+            if free == 0.0:
+                continue
+            for k in range(PARTS):
+                part = free * (1.0 if k == 0 else 0.5 if k == 1 else 0.2)
+                ds = part * most_ds
+                dtheta = part * most_turn
+                there = arc_end(pose, -ds, -dtheta) if inwards else arc_end(pose, ds, dtheta)
+                # a part of a free motion is free, but for the pieces that it is tested in
+                if not _free(space, body, pose, ds, dtheta, inwards, counts):
+                    continue
+                room = _spin_room(space, body, there, turn, counts)
+                key = _key(there, room, reach, turn)
+                slot = _slot(tree, key)
+                if tree.table[slot] >= 0:
+                    continue
+                new = int(counts[0])
+                counts[0] += 1
+                tree.table[slot] = new
+                tree.x[new] = there.x
+                tree.y[new] = there.y
+                tree.yaw[new] = there.yaw
+                tree.g[new] = tree.g[node] + abs(ds) + half * abs(dtheta)
+                tree.room[new] = room
+                tree.parent[new] = node
+                tree.ds[new] = ds
+                tree.dtheta[new] = dtheta
+                tree.key[new] = key
+                if room >= turn and pose_free(space, grown, there.x, there.y, there.yaw):
+                    tree.roomy[counts[2]] = new
+                    counts[2] += 1
+                    continue
+                counts[1] = push(
+                    tree.heap_f,
+                    tree.heap_node,
+                    counts[1],
+                    _promise(tree.g[new], room, reach, turn),
+                    new,
+                )
+    return bool(counts[1] > 0)
