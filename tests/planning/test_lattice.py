@@ -9,10 +9,11 @@ from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.path import Path
 from energyplan.planning import Budget, PlanningProblem, plan
+from energyplan.planning.budget import UNLIMITED
 from energyplan.planning.lattice.planner import energies
 from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.lattice.search import Search, lattice_for
-from energyplan.planning.lattice.tight_ends import ease
+from energyplan.planning.lattice.tight_ends import ways_out
 from energyplan.planning.scene import field as field_kernels
 from energyplan.planning.scene import motions as motion_kernels
 from energyplan.planning.scene.compiled import MARGIN, CompiledProblem, Segments, merged
@@ -257,9 +258,10 @@ def test_ends_that_almost_touch_are_left_with_room(spare):
         assert not query.roomy(problem.start)
         found = plan(problem, effort=25_000)
         assert grid.path_free(found.path, problem.robot)
-        eased = ease(query)
+        eased = ways_out(query, UNLIMITED, turn=0.0)[0]
+        assert query.roomy(eased.problem.start) and query.roomy(eased.problem.goal)
         inner = plan(eased.problem, effort=25_000)
-        whole = eased.whole(inner.path)
+        whole = eased.refined(inner.path, Budget(effort=10_000))
         assert grid.path_free(whole, problem.robot)
         np.testing.assert_allclose(whole.end[:2], problem.goal[:2], atol=1e-9)
         assert found.lower_bound <= min(found.energy, COST.energy(whole))

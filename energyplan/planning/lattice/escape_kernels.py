@@ -155,9 +155,9 @@ def _key(pose: Pose, room: float, reach: float, turn: float) -> int:
     """Return one number for poses that count as one; the cells are as fine as the room is small."""
     octave = floor(log2(max(min(room, turn), 1e-6 * turn) / turn))
     size = FINENESS * turn * reach * 2.0**octave
-    column = int(floor(pose.x / size)) & 0xFFFFF
-    row = int(floor(pose.y / size)) & 0xFFFFF
-    heading = int(floor(pose.yaw * reach / size)) & 0x3FFFF
+    column = floor(pose.x / size) & 0xFFFFF
+    row = floor(pose.y / size) & 0xFFFFF
+    heading = floor(pose.yaw * reach / size) & 0x3FFFF
     return (((row << 20) | column) << 23 | heading << 5 | (-octave & 31)) & 0x7FFFFFFFFFFFFFFF
 
 
@@ -214,6 +214,7 @@ def grow_escape(
     turn: float,
     inwards: bool,
     only: float,
+    needed: float,
     tests: int,
     wanted: int,
 ) -> bool:
@@ -232,11 +233,13 @@ def grow_escape(
     reach : float
         Distance of the body's furthest corner [m]; the longest motion is four times that.
     turn : float
-        What the body can turn where there is room, both ways together [rad].
+        Largest turn that is looked at, either way [rad].
     inwards : bool
         Whether the way leads to the end, not away from it.
     only : float
         1 for ways that never go backwards, -1 for those that never go forwards, 0 for all.
+    needed : float
+        What the body must be able to turn where there is room [rad]; no more than `turn`.
     tests : int
         Number of motions tested, since the search began, at which to stop.
     wanted : int
@@ -295,7 +298,7 @@ def grow_escape(
                 tree.ds[new] = ds
                 tree.dtheta[new] = dtheta
                 tree.key[new] = key
-                if room >= turn and pose_free(space, grown, there.x, there.y, there.yaw):
+                if room >= needed and pose_free(space, grown, there.x, there.y, there.yaw):
                     tree.roomy[counts[2]] = new
                     counts[2] += 1
                     continue

@@ -178,10 +178,12 @@ def plan(
     try:
         path = query.path(work.portfolio.best)
     except PlanningError:
-        if query.ends_roomy or not work.ends.eased:
+        ends = ways_out(query, budget, turn=0.0)[0]
+        if not ends.eased:
             raise
-        inner = plan(work.ends.problem, budget, gap=gap, seed=seed, finest=finest)
-        path = work.ends.around(inner.path)
+        between = budget.part(0.5)
+        inner = plan(ends.problem, between, gap=gap, seed=seed, finest=finest)
+        path = ends.refined(inner.path, budget)
     # what the tables made of the cost of a known path is not what the models make of it
     path = with_wide_arcs(query, min([path, *known], key=query.value))
     return Candidate(path, query.potential(problem.goal) + work.bound, first)
@@ -349,7 +351,7 @@ class _Improvement:
             for one in found:
                 self.portfolio.enter(one.ends.whole(one.search.segments()))
             if found:
-                if self.ends not in [one.ends for one in found]:
+                if not any(one.ends is self.ends for one in found):
                     self._move_ends(plain)
                 return
             pairs = zip(open_ones, states, strict=True)

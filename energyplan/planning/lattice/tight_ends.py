@@ -16,9 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from energyplan.errors import PlanningError
 from energyplan.path import Path, Pose
 from energyplan.planning.budget import Budget
 from energyplan.planning.lattice import escape_kernels as kernels
+from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.parallel import side_by_side
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
@@ -32,7 +34,7 @@ WAYS = 6
 """Ways out of an end, of which the best is taken."""
 
 EFFORT = 3000.0
-"""Units of work for a way out, at first."""
+"""Units of work for each kind of way out of each end, at most."""
 
 TEST = 0.07
 """Units of work that the test of a motion counts as."""
@@ -49,7 +51,7 @@ ONLY = (0.0, 1.0, -1.0)
 NOTHING = Segments(np.empty(0), np.empty(0))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Ends:
     """Where searches begin and end, and the motions between there and the problem's own ends.
 
@@ -110,6 +112,21 @@ class Ends:
             dtheta=np.concatenate([out.dtheta, inner.dtheta, back.dtheta]),
         )
 
+    def refined(self, inner: Path, budget: Budget) -> Path:
+        """Return `around(inner)`, refined with the margin where it fits."""
+        query = self.query
+        whole = self.around(inner)
+        lateral = query.problem.cost.icr.centre[1]
+        motions = Segments(whole.ds - lateral * whole.dtheta, whole.dtheta)
+        # what is not free with the margin stays as it is
+        refiner = Refiner(query.setting._replace(body=query.grown), motions)
+        refiner.shortcut(budget)
+        refiner.polish(budget)
+        try:
+            return min(whole, query.path(refiner.segments), key=query.value)
+        except PlanningError:
+            return whole
+
     def whole(self, inner: Segments) -> Segments:
         """Return the motions from the problem's start to its goal by way of those in between."""
         return Segments(
@@ -118,10 +135,10 @@ class Ends:
         )
 
 
-def tight(query: CompiledProblem, end: Pose) -> bool:
-    """Tell whether a start or a goal lacks room."""
+def tight(query: CompiledProblem, end: Pose, turn: float = TURN) -> bool:
+    """Tell whether a start or a goal lacks the margin, or room for a turn [rad]."""
     room = kernels.spin_room(query.grid.space, query.body, *query.centre(end), TURN)
-    return not query.roomy(end) or room < TURN
+    return not query.roomy(end) or room < turn
 
 
 class Way(NamedTuple):
@@ -139,7 +156,9 @@ class Way(NamedTuple):
     promise: float
 
 
-def _way_out(query: CompiledProblem, goal: bool, only: float, budget: Budget) -> Way | None:
+def _way_out(
+    query: CompiledProblem, goal: bool, only: float, turn: float, budget: Budget
+) -> Way | None:
     """Return the way that costs least on the whole with what is left then, if any is known.
 
     Parameters
@@ -150,6 +169,8 @@ def _way_out(query: CompiledProblem, goal: bool, only: float, budget: Budget) ->
         Whether the end is the goal, so that the ways lead in.
     only : float
         1 for ways that never go backwards, -1 for those that never go forwards, 0 for all.
+    turn : float
+        What the body must be able to turn where it has room [rad].
     budget : Budget
         What may be spent.
     """
@@ -187,6 +208,7 @@ def _way_out(query: CompiledProblem, goal: bool, only: float, budget: Budget) ->
             TURN,
             goal,
             only,
+            turn,
             before + min(SLICE, int(budget.left / TEST) + 1),
             WAYS,
         )
@@ -208,7 +230,7 @@ def _way_out(query: CompiledProblem, goal: bool, only: float, budget: Budget) ->
     return min(ways, key=lambda way: way.promise, default=None)
 
 
-def ways_out(query: CompiledProblem, budget: Budget, effort: float = EFFORT) -> list[Ends]:
+def ways_out(query: CompiledProblem, budget: Budget, turn: float = TURN) -> list[Ends]:
     """Return ends with room, the most promising first.
 
     Parameters
@@ -217,8 +239,8 @@ def ways_out(query: CompiledProblem, budget: Budget, effort: float = EFFORT) -> 
         The problem.
     budget : Budget
         What may be spent.
-    effort : float
-        Units of work at most for each kind of way out of each end.
+    turn : float
+        What the body must be able to turn where it has room, beside having the margin [rad].
 
     Returns
     -------
@@ -226,10 +248,12 @@ def ways_out(query: CompiledProblem, budget: Budget, effort: float = EFFORT) -> 
         The problem's own alone where they have room, or where no way out is found.
     """
     ends = query.problem.start, query.problem.goal
-    kinds = [(goal, only) for goal in (False, True) if tight(query, ends[goal]) for only in ONLY]
-    tasks = [partial(_way_out, query, goal, only) for goal, only in kinds]
+    kinds = [
+        (goal, only) for goal in (False, True) if tight(query, ends[goal], turn) for only in ONLY
+    ]
+    tasks = [partial(_way_out, query, goal, only, turn) for goal, only in kinds]
     found: dict[bool, list[Way]] = {False: [], True: []}
-    for (goal, _), way in zip(kinds, side_by_side(budget, tasks, effort), strict=True):
+    for (goal, _), way in zip(kinds, side_by_side(budget, tasks, EFFORT), strict=True):
         if way is not None:
             found[goal].append(way)
     outs, backs = (
