@@ -327,7 +327,7 @@ class _Improvement:
             waiting = [(ends, scale) for _, scale in waiting for ends in (self.ends, plain)]
         every: list[Attempt] = []
         open_ones: list[Attempt] = []
-        while not (every and self.budget.over):
+        while True:
             if waiting:
                 ends, scale = waiting.pop(0)
                 setting = ends.between(self.setting)
@@ -339,6 +339,8 @@ class _Improvement:
             elif not open_ones:
                 last = every[-1].search
                 raise none_found(self.query, last.lattice.cell, last.nearest)
+            if self.budget.over:
+                break
             # a finer lattice has shorter turns, since most paths are found on the first
             tasks = [
                 partial(
