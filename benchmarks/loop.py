@@ -35,6 +35,8 @@ ICR = ep.TreadICR.symmetric(predict_icr(0.475, 0.5))
 VEHICLE = ep.Vehicle.preset("quadriga:full").with_mass(147.1).with_icr(ICR)
 MODEL = ep.PowerModel.paper(VEHICLE, K=118.0, mu=0.647)
 ROBOT = Robot.from_model(MODEL)
+EFFORT = 100_000
+"""Units of work for each plan: some two seconds."""
 
 
 def maps() -> list[ep.OccupancyGrid]:
@@ -89,7 +91,7 @@ def without(count: int) -> None:
         case = pair(grids, k)
         problem = ep.PlanningProblem(case.grid, ep.EnergyCost(MODEL), case.start, case.goal)
         try:
-            made = ep.compare(problem, time_limit=5.0)
+            made = ep.compare(problem, effort=EFFORT)
         except EnergyPlanError as reason:
             print(f"pair {k}: {reason}", flush=True)
             continue
@@ -118,7 +120,7 @@ def closed(effects: tuple[Effect, ...], case: Pair, rounds: int = 2) -> Loop:
     """Close the loop about a robot with effects that the model does not know."""
     problem = ep.PlanningProblem(case.grid, ep.EnergyCost(MODEL), case.start, case.goal)
     source = EngineDrives(switch_on(ROBOT, effects))
-    return close_loop(problem, source, rounds=rounds, tolerance=0.0, time_limit=5.0)
+    return close_loop(problem, source, rounds=rounds, tolerance=0.0, effort=EFFORT)
 
 
 def hidden(count: int, single: bool) -> None:

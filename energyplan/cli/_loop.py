@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from energyplan.cli._planning import Heights, MapFile, Start, Surfaces
+from energyplan.cli._planning import Effort, Heights, MapFile, Start, Surfaces
 from energyplan.cli.common import (
     TABLES,
     Json,
@@ -179,7 +179,12 @@ def close_the_loop(
     speed: Annotated[
         float | None, typer.Option(help="Largest tread speed on the routes [m/s].")
     ] = None,
+    survey: Annotated[
+        float,
+        typer.Option(help="Longest time of a designed drive after the first error [s]; 0: none."),
+    ] = 60.0,
     time_limit: Annotated[float, typer.Option(help="Time for each plan [s].")] = 5.0,
+    effort: Effort = None,
     out: OutModel = None,
     report: Report = None,
     json: Json = False,
@@ -218,8 +223,8 @@ def close_the_loop(
         source = EngineDrives(switch_on(robot, effects), ground)
     with progress("closing the loop") as update:
         made = close_loop(
-            problem, source, rounds=rounds, tolerance=tolerance, speed=speed,
-            time_limit=time_limit, progress=update,
+            problem, source, rounds=rounds, tolerance=tolerance, speed=speed, survey=survey,
+            time_limit=time_limit, effort=effort, progress=update,
         )  # fmt: skip
     if out:
         write_model(made.model, out)
@@ -250,6 +255,10 @@ def design(
     noise: Annotated[
         float, typer.Option(help="Standard deviation of what no model explains [W].")
     ] = 5.0,
+    screen: Annotated[
+        bool,
+        typer.Option("--screen", help="Without --report: look for any effect of the catalogue."),
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -271,6 +280,7 @@ def design(
     made = run(
         law, explanations, grid=read_map(map_file) if map_file else None, square=square,
         start=parse_pose(start) if start else None, duration=duration, speed=speed, noise=noise,
+        screen=screen,
     )  # fmt: skip
     if out:
         write_trajectory(made.trajectory, out)

@@ -257,7 +257,10 @@ def loop(made: Loop) -> Document:
     return {
         "rounds": [
             {key: plain(getattr(now, key)) for key in keys}
-            | {"arrived": plain(now.driven.arrived) if now.driven else None}
+            | {
+                "arrived": plain(now.driven.arrived) if now.driven else None,
+                "survey": plain(now.survey.trajectory.duration) if now.survey else None,
+            }
             for now in made.rounds
         ],
         "closed": made.closed,

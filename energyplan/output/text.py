@@ -328,6 +328,9 @@ def loop(made: Loop) -> list[str]:
             f"round {k}: route of {number(now.length)} m, told {number(now.energy_told, 5)} J{span}"
             f", taken {number(now.energy_taken, 5)} J ({100 * now.error:+.1f} %)"
         )
+        if now.survey:
+            duration = now.survey.trajectory.duration
+            lines.append(f"  a designed drive of {duration:.0f} s was made to learn from")
         lines += [
             f"  found: {e.name.replace('_', ' ')}, {number(e.value)} +- {number(e.std_error, 2)} "
             f"{e.unit}"

@@ -20,6 +20,9 @@ from energyplan.terrain import OccupancyGrid
 SETTLED = 3.0
 """Log-likelihood ratio from which two explanations count as told apart: odds of twenty to one."""
 
+SHARE = 0.15
+"""Share of the power that an effect of unknown size is taken to have."""
+
 
 @dataclass(frozen=True)
 class Explanation:
@@ -113,12 +116,16 @@ def design(
     acceleration: float = 0.5,
     noise: float = 5.0,
     correlation_time: float = 0.3,
+    screen: bool = False,
 ) -> Design:
     """Design the drive that best separates explanations, or narrows the model's parameters.
 
     Manoeuvres are added one after the other, each the one that gains the most per second
     (T-optimality; D-optimality of the model's own terms where fewer than two explanations are
     given). What another explanation can absorb by being fitted anew does not count.
+
+    With fewer than two explanations and `screen`, every effect of the catalogue that a drive on
+    level ground can show counts as a parameter too, so that whatever is there shows.
 
     Parameters
     ----------
@@ -141,6 +148,8 @@ def design(
         Tread acceleration [m/s^2].
     noise, correlation_time : float
         Standard deviation [W] and correlation time [s] of what no model explains.
+    screen : bool
+        See above.
 
     Returns
     -------
@@ -176,7 +185,8 @@ def design(
         raise InvalidInputError(f"{vehicle.name} has no largest tread speed; give the speed")
     grid = grid or OccupancyGrid.from_polygons([], (0.0, 0.0, square, square))
     here = start or roomiest(grid, vehicle)
-    question = _Question(model, tuple(explanations), noise, correlation_time)
+    screened = _screened(model) if screen and len(explanations) < 2 else ()
+    question = _Question(model, tuple(explanations), noise, correlation_time, screened)
     options = [
         option
         for reach in (1.5, 4.0)
@@ -194,6 +204,7 @@ def design(
     gram, clock = question.zero, 0.0
     # Only where a term reads the time do products depend on when a manoeuvre begins.
     early = [question.gram(option.trajectory, 0.0) for option in options]
+    question.scale_by(np.sum(early, axis=0))
     probe = question.gram(options[-1].trajectory, 100.0)
     timeless = bool(np.allclose(probe, early[-1], rtol=1e-9))
     while True:
@@ -263,6 +274,24 @@ def explanations_of(report: Mapping[str, Any]) -> tuple[Explanation, ...]:
     return tuple(found)
 
 
+def _screened(model: PowerModel) -> tuple[Term, ...]:
+    """Return the terms of the catalogue that a drive on level ground shows, one by one."""
+    own = {term.name for term in model.terms}
+    still = Motion.from_twist(np.array([0.5]), np.array([0.2]), model.vehicle.icr, accel=0.1,
+                              yaw_accel=0.1, t=1.0, x=0.5, y=0.5, yaw=0.3)  # fmt: skip
+    found: dict[str, Term] = {}
+    for effect in catalogue().values():
+        for term in effect.terms:
+            if effect.planner == "no" or term.name in own:
+                continue
+            try:
+                model.with_term(term, 0.0).regressors(still)
+            except MissingChannelError:
+                continue
+            found[term.name] = term
+    return tuple(found.values())
+
+
 # -- the criterion --------------------------------------------------------------------------------
 
 
@@ -270,11 +299,17 @@ class _Question:
     """Explanations as columns of one matrix of regressors, of which only products are kept."""
 
     def __init__(
-        self, model: PowerModel, explanations: tuple[Explanation, ...], noise: float, tau: float
+        self,
+        model: PowerModel,
+        explanations: tuple[Explanation, ...],
+        noise: float,
+        tau: float,
+        screened: tuple[Term, ...] = (),
     ) -> None:
         own = [term.name for term in model.terms]
         self._terms = [[term.name for term in e.terms()] for e in explanations]
-        extra = {t.name: t for e in explanations for t in e.terms() if t.name not in own}
+        more = [*(t for e in explanations for t in e.terms()), *screened]
+        extra = {t.name: t for t in more if t.name not in own}
         whole = model
         for term in extra.values():
             whole = whole.with_term(term, 0.0)
@@ -283,6 +318,8 @@ class _Question:
         self._own = [self._names.index(name) for name in own]
         self._weight = STEP / max(STEP, 2 * tau) / noise**2
         self._coefficients = model.coefficients
+        self._narrowed = [*self._own, *(self._names.index(t.name) for t in screened)]
+        self._scale = np.zeros(len(self._names))
         self.zero = np.zeros((len(self._names), len(self._names)))
 
     def gram(self, trajectory: Trajectory, clock: float) -> FloatArray:
@@ -300,6 +337,18 @@ class _Question:
             raise InvalidInputError(f"no drive is designed for it: {problem}") from None
         rows = np.column_stack([c.total if isinstance(c, Sides) else c for c in columns])
         return np.asarray(self._weight * rows.T @ rows)
+
+    def scale_by(self, gram: FloatArray) -> None:
+        """Set the sizes that parameters are narrowed against, by all that could be driven.
+
+        The model's own terms have their coefficients; others `SHARE` of the power.
+        """
+        own = np.where(self._coefficients != 0, np.abs(self._coefficients), 1.0)
+        part = gram[np.ix_(self._own, self._own)]
+        power = float(self._coefficients @ part @ self._coefficients)
+        there = np.diag(gram) > 0
+        self._scale[there] = SHARE * np.sqrt(max(power, 0.0) / np.diag(gram)[there])
+        self._scale[self._own] = own
 
     def _columns(self, k: int) -> list[int]:
         extra = [self._names.index(name) for name in self._terms[k]]
@@ -331,7 +380,7 @@ class _Question:
                           @ self._coefficients)  # fmt: skip
             for j in missing:
                 if gram[j, j] > 0:
-                    full[j] = 0.15 * np.sqrt(max(scale, 0.0) / gram[j, j])
+                    full[j] = SHARE * np.sqrt(max(scale, 0.0) / gram[j, j])
         return full
 
     def separations(self, gram: FloatArray) -> tuple[Separation, ...]:
@@ -361,9 +410,9 @@ class _Question:
             odds = np.array([pair.log_odds for pair in self.separations(gram)])
             # Concave, so that a pair which is told apart makes room for the others.
             return float(np.sum(np.log1p(odds)))
-        scale = np.where(self._coefficients != 0, np.abs(self._coefficients), 1.0)
-        own = gram[np.ix_(self._own, self._own)] * np.outer(scale, scale)
-        return float(np.linalg.slogdet(np.eye(len(own)) + own)[1])
+        scale = self._scale[self._narrowed]
+        part = gram[np.ix_(self._narrowed, self._narrowed)] * np.outer(scale, scale)
+        return float(np.linalg.slogdet(np.eye(len(part)) + part)[1])
 
     def probabilities(self, pairs: Sequence[Separation]) -> tuple[tuple[str, float], ...]:
         """Return how probable each explanation will be if it is true."""

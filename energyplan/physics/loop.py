@@ -4,54 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from energyplan import html
-from energyplan.diagnosis import diagnose
 from energyplan.errors import (
-    DriveLogError,
     InfeasibleMotionError,
     InvalidInputError,
     MissingChannelError,
     ModelError,
-    NotIdentifiableError,
 )
-from energyplan.fit import identify
 from energyplan.limits.speed import profile
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
 from energyplan.physics.belief import Belief, believed
+from energyplan.physics.design import Explanation, design
 from energyplan.physics.driving import Driven, drive, energy_told
+from energyplan.physics.learning import Found, learn
 from energyplan.physics.robot import Ground, Robot
 from energyplan.physics.sensors import Sensors
 from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.power import PowerModel, Sides
 from energyplan.power.effects import reads_slope
-from energyplan.vehicle import Vehicle
 
 SPEED_SHARE = 0.6
 """Share of the largest tread speed that routes are timed to, so that the controller has room."""
 SHARP = 0.1
 """Width of an interval over its energy beyond which being within it proves nothing."""
-SHORTEST = 18.0
-"""Shortest drive that diagnosis learns from, with some to spare [s]."""
 NORMAL = 1.96
 """Half width of a 95 % interval in standard deviations."""
 
 Progress = Callable[[float, str], None]
-
-
-@dataclass(frozen=True)
-class Found:
-    """An effect in the model of the next round: its name, size, standard error and unit."""
-
-    name: str
-    value: float
-    std_error: float
-    unit: str
 
 
 @dataclass(frozen=True)
@@ -76,6 +60,8 @@ class Round:
         The drive.
     driven : Driven, optional
         The drive in the engine; None where the log is real.
+    survey : Driven, optional
+        The designed drive that was made after it, to learn from; None where there was none.
     note : str
         Why nothing was learned, if so.
     """
@@ -88,6 +74,7 @@ class Round:
     effects: tuple[Found, ...]
     log: DriveLog
     driven: Driven | None = None
+    survey: Driven | None = None
     note: str = ""
 
     @property
@@ -190,11 +177,16 @@ def close_loop(
     tolerance: float = 0.01,
     before: Sequence[DriveLog] = (),
     speed: float | None = None,
+    survey: float = 60.0,
     time_limit: float = 5.0,
+    effort: int | None = None,
     planner: str = "lattice",
     progress: Progress | None = None,
 ) -> Loop:
     """Plan, drive, diagnose with all logs so far, and plan again.
+
+    In the engine the first round whose energy was told wrong is followed by a designed drive in the
+    free space of the map: routes alone tell little, since they are short and mostly straight.
 
     Parameters
     ----------
@@ -213,8 +205,12 @@ def close_loop(
     speed : float, optional
         Largest tread speed on the routes [m/s]; `SPEED_SHARE` of what the motors reach where not
         given.
+    survey : float
+        Longest time of the designed drive [s]; 0 for none.
     time_limit : float
         Time for each plan [s].
+    effort : int, optional
+        Units of work for each plan, in place of the time limit.
     planner : str
         Planner.
     progress : callable, optional
@@ -231,9 +227,10 @@ def close_loop(
     InvalidInputError
         If an option is out of range, or there is no log.
     """
-    if rounds < 1 or not tolerance >= 0:
+    if rounds < 1 or not tolerance >= 0 or not survey >= 0:
         raise InvalidInputError(
-            f"rounds is {rounds} and tolerance {tolerance}; give rounds >= 1 and tolerance >= 0"
+            f"rounds is {rounds}, tolerance {tolerance} and survey {survey}; give rounds >= 1, and "
+            "neither of the others below 0"
         )
     count = rounds if isinstance(source, EngineDrives) else min(rounds, len(source))
     if count == 0:
@@ -247,7 +244,7 @@ def close_loop(
         driven = None
         try:
             belief = believed(model, problem)
-            made = plan(belief.planned(limit), planner=planner, time_limit=time_limit)
+            made = plan(belief.planned(limit), planner, time_limit, effort=effort)
             if isinstance(source, EngineDrives):
                 trajectory = timed(made, belief, limit)
         except (InfeasibleMotionError, ModelError) as reason:
@@ -276,65 +273,35 @@ def close_loop(
             done.append(now)
             return Loop(tuple(done), model, True)
         report((k + 0.6) / count, f"round {k + 1}: diagnosing")
-        try:
-            learned = learn(logs, base)
-        except (NotIdentifiableError, DriveLogError) as reason:
-            done.append(replace(now, note=f"nothing learned: {reason}"))
-            continue
-        model = learned.model
+        learned = learn(logs, base)
+        if isinstance(source, EngineDrives) and survey and not any(r.survey for r in done):
+            report((k + 0.7) / count, f"round {k + 1}: a designed drive")
+            wanted = _survey(learned.explanations, model, problem, limit, survey)
+            if wanted is not None:
+                made_next = source(wanted, belief.model, k + 1)
+                logs.append(source.log(made_next, count + 1))
+                now = replace(now, survey=made_next)
+                report((k + 0.85) / count, f"round {k + 1}: diagnosing")
+                learned = learn(logs, base)
+        model = learned.model or model
         done.append(replace(now, effects=learned.effects, note=learned.note))
     return Loop(tuple(done), model, False)
 
 
-class Learned(NamedTuple):
-    """A model of all drives so far, the effects in it, and what is to be said of it."""
-
-    model: PowerModel
-    effects: tuple[Found, ...]
-    note: str = ""
-
-
-def learn(logs: Sequence[DriveLog], vehicle: Vehicle) -> Learned:
-    """Diagnose all drives so far: the last part of each is held out, the rest is learned from.
-
-    Where there is too little to hold any of it out, only the paper's parameters are identified.
-
-    Parameters
-    ----------
-    logs : sequence of DriveLog
-        The drives.
-    vehicle : Vehicle
-        The vehicle.
-
-    Returns
-    -------
-    Learned
-        Model and effects.
-
-    Raises
-    ------
-    NotIdentifiableError
-        If the drives tell nothing of some parameter.
-    """
-    train: list[DriveLog] = []
-    held: list[DriveLog] = []
-    for log in logs:
-        parts = int(log.duration // SHORTEST)
-        blocks = log.blocks(log.duration / parts) if parts > 1 else [log]
-        train += blocks[:-1] or blocks
-        held += blocks[-1:] if parts > 1 else []
-    if not held and len(train) > 1:
-        held = [train.pop()]
-    if held:
-        told = diagnose(train, held, vehicle)
-        found = tuple(Found(e.name, e.value, e.std_error, e.unit) for e in told.effects)
-        return Learned(told.model, found)
-    model = identify(train, vehicle, method="huber").model
-    note = (
-        f"one drive of {train[0].duration:.0f} s is too short to look for effects; "
-        "its own resistance and friction were identified"
-    )
-    return Learned(model, (), note)
+def _survey(
+    explanations: tuple[Explanation, ...],
+    model: PowerModel,
+    problem: PlanningProblem,
+    speed: float,
+    duration: float,
+) -> Trajectory | None:
+    """Return the drive that tells most of what is open; None where the map has no room for one."""
+    try:
+        return design(
+            model, explanations, grid=problem.map, duration=duration, speed=speed, screen=True
+        ).trajectory
+    except InvalidInputError:
+        return None
 
 
 # -- details --------------------------------------------------------------------------------------

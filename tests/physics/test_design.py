@@ -14,7 +14,10 @@ import energyplan as ep
 from energyplan import cli
 from energyplan.errors import InvalidInputError
 from energyplan.io.trajectory import read_trajectory
+from energyplan.motion import Motion
 from energyplan.physics.design import Explanation, design, explanations_of
+from energyplan.power import Sides
+from energyplan.power.effects import term
 
 MODEL = ep.PowerModel.preset("quadriga:full:concrete")
 SPEEDS = (Explanation(("viscous_loss",), values={"viscous_loss": 60.0}), Explanation(("air_drag",)))
@@ -38,6 +41,23 @@ def test_the_designed_drive_stays_in_the_free_space() -> None:
 def test_more_time_separates_more() -> None:
     short, long = (design(MODEL, SPEEDS, duration=d) for d in (25.0, 50.0))
     assert sum(p.log_odds for p in long.separates) > sum(p.log_odds for p in short.separates)
+
+
+def shown(trajectory: ep.Trajectory, name: str) -> float:
+    """Part of an effect's power that the model's own terms cannot take over."""
+    motion = Motion.from_trajectory(trajectory, MODEL.vehicle.icr, slope=0.0)
+    columns = MODEL.with_term(term(name), 0.0).regressors(motion)
+    rows = np.column_stack([c.total if isinstance(c, Sides) else c for c in columns])
+    own, effect = rows[:, :-1], rows[:, -1]
+    left = effect - own @ np.linalg.lstsq(own, effect, rcond=None)[0]
+    return float(np.linalg.norm(left) / max(np.linalg.norm(effect), 1e-9))
+
+
+def test_a_screening_drive_shows_what_the_parameters_alone_do_not_ask_for() -> None:
+    narrow = design(MODEL, duration=60.0).trajectory
+    screen = design(MODEL, duration=60.0, screen=True).trajectory
+    for name in ("turn_asymmetry", "reverse_drag", "friction_mobilisation", "hotel_load"):
+        assert shown(screen, name) > shown(narrow, name), name
 
 
 def test_what_no_drive_can_tell_is_said() -> None:

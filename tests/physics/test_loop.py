@@ -15,7 +15,8 @@ from energyplan.output import documents, text
 from energyplan.output.pages import loop_page
 from energyplan.physics import Effect, EngineDrives, Loop, Robot, close_loop, switch_on
 from energyplan.physics.belief import believed
-from energyplan.physics.loop import Learned, Round, learn
+from energyplan.physics.learning import Learned, learn
+from energyplan.physics.loop import Round
 from energyplan.power.effects import term
 from energyplan.vehicle import predict_icr
 
@@ -34,7 +35,7 @@ PROBLEM = ep.PlanningProblem(
 
 def closed(*effects: Effect, rounds: int = 2) -> Loop:
     source = EngineDrives(switch_on(Robot.from_model(MODEL), effects))
-    return close_loop(PROBLEM, source, rounds=rounds, tolerance=0.0, time_limit=20.0)
+    return close_loop(PROBLEM, source, rounds=rounds, tolerance=0.0, effort=20_000)
 
 
 def test_nothing_hidden() -> None:
@@ -74,7 +75,7 @@ def test_real_logs_take_the_place_of_the_engine() -> None:
 
     truth = MODEL.with_term(HOTEL, 60.0)
     logs = [simulate.drive(truth, "survey", seed=k, power_noise=2.0) for k in (1, 2)]
-    made = close_loop(PROBLEM, logs, rounds=5, time_limit=20.0)
+    made = close_loop(PROBLEM, logs, rounds=5, effort=20_000)
     assert len(made.rounds) == 2
     assert made.rounds[0].error < -0.2
     assert abs(made.rounds[1].error) < 0.03
@@ -112,7 +113,7 @@ def test_a_model_that_no_motor_could_drive_ends_the_loop(monkeypatch: pytest.Mon
         EngineDrives(switch_on(Robot.from_model(MODEL), [Effect("payload", 30.0)])),
         rounds=2,
         tolerance=0.0,
-        time_limit=2.0,
+        effort=20_000,
     )
     (only,) = made.rounds
     assert not made.closed
@@ -123,7 +124,7 @@ def test_a_model_that_no_motor_could_drive_ends_the_loop(monkeypatch: pytest.Mon
         close_loop(
             replace(PROBLEM, cost=ep.EnergyCost(MODEL.with_term(term("dragging_wheel_left"), 1e4))),
             EngineDrives(Robot.from_model(MODEL)),
-            time_limit=2.0,
+            effort=20_000,
         )
 
 
