@@ -1,5 +1,6 @@
 from . import battery as battery
 from . import errors as errors
+from . import fleet as fleet
 from . import simulate as simulate
 from . import steering as steering
 from .battery import Battery as Battery
@@ -12,6 +13,7 @@ from .fit.online import OnlineIdentifier as OnlineIdentifier
 from .io.config import read_model as read_model
 from .io.config import read_vehicle as read_vehicle
 from .io.config import write_model as write_model
+from .io.fleet import read_fleet as read_fleet
 from .io.geojson import read_surfaces as read_surfaces
 from .io.heights import read_heights as read_heights
 from .io.maps import read_map as read_map

@@ -111,3 +111,57 @@ def mission(
         write_report(mission_page(told), report)
     answer(documents.mission(told), text.mission(told), json=json)
     verdict(told.feasible, strict)
+
+
+@app.command(epilog="Example: energyplan fleet fleet.yaml --fail beta@600")
+def fleet(
+    file: Annotated[Path, typer.Argument(help="Fleet YAML file.")],
+    fail: Annotated[
+        str | None,
+        typer.Option(metavar="NAME@TIME", help="This robot fails then [s]: who takes over?"),
+    ] = None,
+    effort: Annotated[
+        int | None,
+        typer.Option(help="Units of work for each route in place of time."),
+    ] = None,
+    json: Json = False,
+    strict: Strict = False,
+) -> None:
+    """Tell which robot does what and charges when, with each one's budget."""
+    from energyplan.fleet import Fleet, evaluate_fleet
+    from energyplan.io.fleet import read_fleet
+    from energyplan.output import documents, text
+
+    name, instant = _failure(fail)
+    asked = read_fleet(file)
+    if effort is not None:
+        missions = [replace(robot.mission, planning_effort=effort) for robot in asked.robots]
+        robots = zip(asked.robots, missions, strict=True)
+        asked = Fleet(
+            tuple(replace(robot, mission=mission) for robot, mission in robots),
+            asked.places, asked.name,
+        )  # fmt: skip
+    with progress("evaluating the fleet"):
+        told = evaluate_fleet(asked)
+        after = evaluate_fleet(told.after_failure(name, instant)) if name else None
+    document, lines = documents.fleet(told), text.fleet(told)
+    if after is not None:
+        document["after_failure"] = {"robot": name, "time": instant, **documents.fleet(after)}
+        lines += [f"if {name} fails at {instant:g} s:", *text.fleet(after)]
+    answer(document, lines, json=json)
+    verdict(told.feasible and (after is None or after.feasible), strict)
+
+
+def _failure(text: str | None) -> tuple[str, float]:
+    """Return which robot fails, and when; an empty name where none does."""
+    if text is None:
+        return "", 0.0
+    name, _, instant = text.rpartition("@")
+    try:
+        time = float(instant)
+    except ValueError:
+        name = ""
+        time = 0.0
+    if not name:
+        raise InvalidInputError(f"--fail {text!r} cannot be read; write NAME@SECONDS, as beta@600")
+    return name, time

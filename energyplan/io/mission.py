@@ -199,7 +199,7 @@ def read_mission(path: str | Path) -> Mission:
         If the file is malformed, or the mission makes no sense; the message names file, line and
         key.
     """
-    return _Reader(load(path, MissionError), Path(path).parent).mission()
+    return mission_at(load(path, MissionError), Path(path).parent)
 
 
 def mission_from(values: Mapping[str, Any] | str, folder: str | Path | None = None) -> Mission:
@@ -228,6 +228,29 @@ def mission_from(values: Mapping[str, Any] | str, folder: str | Path | None = No
     else:
         given = Document("mission", dict(values), {}, MissionError)
     return _Reader(given, Path(folder or ""), anywhere=folder is None).mission()
+
+
+def mission_at(document: Document, folder: Path) -> Mission:
+    """Build a mission from a document, whose files are looked for in a folder.
+
+    Parameters
+    ----------
+    document : Document
+        The keys of a mission's file.
+    folder : Path
+        The folder.
+
+    Returns
+    -------
+    Mission
+        The mission.
+
+    Raises
+    ------
+    MissionError
+        If a key is missing or makes no sense.
+    """
+    return _Reader(document, folder).mission()
 
 
 class _Reader:

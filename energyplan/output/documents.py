@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from energyplan.diagnosis import Diagnosis
     from energyplan.errors import NoPathError
     from energyplan.fit import ICREstimate, Identification
+    from energyplan.fleet import FleetReport
     from energyplan.io.start import Start
     from energyplan.limits.feasibility import FeasibilityReport
     from energyplan.live import Event
@@ -215,6 +216,19 @@ def mission(report: MissionReport) -> Document:
             {key: plain(getattr(doubt, key)) for key in ("source", "energy", "saving")}
             for doubt in report.uncertainty
         ],
+    }
+
+
+def fleet(report: FleetReport) -> Document:
+    """Return what ``energyplan fleet --json`` prints."""
+    keys = (
+        "name", "tasks", "route", "energy", "energy_upper", "soc_end", "soc_end_lower", "duration",
+        "waiting",
+    )  # fmt: skip
+    whole = ("left_out", "energy", "energy_upper", "proven", "gap", "feasible")
+    return {
+        "robots": [{key: plain(getattr(one, key)) for key in keys} for one in report.robots],
+        **{key: plain(getattr(report, key)) for key in whole},
     }
 
 

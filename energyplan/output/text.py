@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from energyplan.errors import NoPathError
     from energyplan.fit import ICREstimate, Identification
     from energyplan.fit.hoisted import InternalFriction
+    from energyplan.fleet import FleetReport
     from energyplan.io.logs import LogInfo
     from energyplan.io.start import Start
     from energyplan.limits.feasibility import FeasibilityReport
@@ -284,6 +285,36 @@ def mission(told: MissionReport) -> list[str]:
             f"{number(dearest.saving / 3600, 2)} Wh of what is held back"
         )
     lines += [f"warning: {warning}" for warning in told.warnings]
+    return lines
+
+
+def fleet(told: FleetReport) -> list[str]:
+    """Return what ``energyplan fleet`` prints."""
+    count = len(told.fleet.tasks)
+    done = count - len(told.left_out)
+    if told.proven:
+        quality = "no better assignment exists"
+    elif math.isfinite(told.gap):
+        quality = f"at most {100 * told.gap:.0f} % of its energy could be saved"
+    else:
+        quality = "how much could be saved is not known"
+    lines = [
+        f"{done} of {count} tasks are done: {'feasible' if told.feasible else 'not feasible'}; "
+        f"{quality}"
+    ]
+    for robot in told.robots:
+        lines.append(
+            f"{robot.name}: {number(robot.energy / 3600)} Wh, at most "
+            f"{number(robot.energy_upper / 3600)} Wh; {robot.duration:.0f} s; state of charge at "
+            f"the end {100 * robot.soc_end:.0f} %, at least {100 * robot.soc_end_lower:.0f} %"
+        )
+        lines += [
+            f"  {stop.arrival:.0f} s {stop.kind} {stop.name}"
+            + (f" until {stop.departure:.0f} s" if stop.departure > stop.arrival else "")
+            for stop in robot.route[1:]
+        ]
+    for task in told.left_out:
+        lines.append(f"{task.name}: nobody does it ({', '.join(task.reasons)})")
     return lines
 
 

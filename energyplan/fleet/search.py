@@ -1,0 +1,349 @@
+"""Assignments of many tasks by OR-Tools' routing solver, with a bound of their energy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linprog
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import maximum_flow
+
+from energyplan.errors import MissingDependencyError
+from energyplan.fleet.exact import Solution, best_tour
+from energyplan.fleet.problem import RobotProblem
+from energyplan.fleet.schedule import run
+from energyplan.path import FloatArray
+
+_FAR = 10**10
+"""Stands for an infinite energy or time in the solver's integers."""
+
+_CUTS = 40
+"""Rounds of cutting planes for the bound."""
+
+_POLISHED = 8
+"""Most tasks of a robot whose order is found exactly."""
+
+_UNITS = 1e6
+"""Whole units that a flow of 1, and the largest battery, is counted in."""
+
+_TICK = 0.1
+"""Unit of time of the solver [s]."""
+
+
+def solve_by_search(
+    problems: Sequence[RobotProblem],
+    worth: FloatArray,
+    places: Sequence[int],
+    *,
+    time_limit: float = 10.0,
+    effort: int | None = None,
+) -> Solution:
+    """Find a good assignment by guided local search.
+
+    Each charger may be used by every robot once; that they share it is looked at afterwards.
+
+    Parameters
+    ----------
+    problems : sequence of RobotProblem
+        Each robot's part.
+    worth : ndarray, shape (n,)
+        Worth of each task.
+    places : sequence of int
+        Places of each charger.
+    time_limit : float
+        Time to search [s].
+    effort : int, optional
+        Orders that the search may accept, in place of the time.
+
+    Returns
+    -------
+    Solution
+        The best one found, with a bound of the energy that its tasks take.
+
+    Raises
+    ------
+    MissingDependencyError
+        If OR-Tools is not installed.
+    """
+    try:
+        from ortools.constraint_solver import pywrapcp, routing_enums_pb2
+    except ImportError as error:
+        raise MissingDependencyError(
+            "a fleet of many robots or tasks needs OR-Tools; install energyplan[orienteering]"
+        ) from error
+    rough = _Search(problems, worth, pywrapcp, routing_enums_pb2).run(time_limit, effort)
+    sequences = _polished(problems, worth, rough)
+    n = len(worth)
+    done = [stop - 1 for stops in sequences for stop in stops if stop <= n]
+    told = run(problems, sequences, places)
+    energy = float("inf") if told is None else told.energy
+    bound = least_energy(problems, np.array(sorted(done), int))
+    return Solution(sequences, float(worth[done].sum()), energy, bound, False)
+
+
+def _polished(
+    problems: Sequence[RobotProblem], worth: FloatArray, rough: tuple[tuple[int, ...], ...]
+) -> tuple[tuple[int, ...], ...]:
+    """Give tasks that were left out to whom they cost least; order each robot's own exactly."""
+    n = len(worth)
+    tours = [(np.inf, stops) for stops in rough]
+    mine = [[stop - 1 for stop in stops if stop <= n] for stops in rough]
+    for r, problem in enumerate(problems):
+        if len(mine[r]) <= _POLISHED:
+            better = best_tour(problem, mine[r])
+            tours[r] = better if np.isfinite(better[0]) else tours[r]
+    rest = [k for k in range(n) if not any(k in tasks for tasks in mine)]
+    for task in sorted(rest, key=lambda k: -float(worth[k])):
+        best = (np.inf, 0, tours[0])
+        for r, problem in enumerate(problems):
+            if np.isfinite(tours[r][0]) and len(mine[r]) < _POLISHED:
+                grown = best_tour(problem, [*mine[r], task])
+                best = min(best, (grown[0] - tours[r][0], r, grown))
+        if np.isfinite(best[0]):
+            tours[best[1]] = best[2]
+            mine[best[1]].append(task)
+    return tuple(stops for _, stops in tours)
+
+
+class _Search:
+    """Nodes: a start and an end for each robot, the tasks, and each charger once a robot."""
+
+    def __init__(
+        self, problems: Sequence[RobotProblem], worth: FloatArray, solver: Any, enums: Any
+    ) -> None:
+        self._problems, self._worth, self._solver, self._enums = problems, worth, solver, enums
+        robots, n = len(problems), problems[0].tasks
+        chargers = len(problems[0].capacity)
+        # the place of each of the solver's nodes in the problems
+        self._place = [
+            *range(1, 1 + n),
+            *(1 + n + c for c in range(chargers) for _ in range(robots)),
+        ]
+        self._starts = [len(self._place) + r for r in range(robots)]
+        self._ends = [len(self._place) + robots + r for r in range(robots)]
+        self._size = len(self._place) + 2 * robots
+        # whole numbers: fine enough for any battery
+        self._unit = max(max(p.budget, *p.capacity, 1e-9) for p in problems) / _UNITS
+
+    def run(self, time_limit: float, effort: int | None) -> tuple[tuple[int, ...], ...]:
+        problems, n = self._problems, self._problems[0].tasks
+        manager = self._solver.RoutingIndexManager(
+            self._size, len(problems), self._starts, self._ends
+        )
+        routing = self._solver.RoutingModel(manager)
+        energies = [self._matrix(r, p) for r, p in enumerate(problems)]
+        times = [self._times(r, p) for r, p in enumerate(problems)]
+        priced = [routing.RegisterTransitMatrix(m.tolist()) for m in energies]
+        for r, one in enumerate(priced):
+            routing.SetArcCostEvaluatorOfVehicle(one, r)
+        drawn = [routing.RegisterTransitMatrix((-m).tolist()) for m in energies]
+        self._hold_charge(routing, manager, drawn)
+        if any(problem.timed for problem in problems):
+            self._keep_windows(
+                routing, manager, [routing.RegisterTransitMatrix(m.tolist()) for m in times]
+            )
+        finite = [float(m[m < _FAR].max(initial=1)) for m in energies]
+        scale = max(finite) * (n + 1)
+        for k, worth in enumerate(self._worth):
+            able = [r for r, p in enumerate(problems) if np.isfinite(p.energy[:, k + 1]).any()]
+            index = manager.NodeToIndex(k)
+            routing.AddDisjunction([index], min(round(scale * float(worth)) + 1, 2**55))
+            if len(able) < len(problems):
+                routing.VehicleVar(index).SetValues([-1, *able])
+        for node in range(n, len(self._place)):
+            routing.AddDisjunction([manager.NodeToIndex(node)], 0)
+        options = self._solver.DefaultRoutingSearchParameters()
+        first = self._enums.FirstSolutionStrategy
+        options.first_solution_strategy = first.PARALLEL_CHEAPEST_INSERTION
+        local = self._enums.LocalSearchMetaheuristic
+        options.local_search_metaheuristic = local.GUIDED_LOCAL_SEARCH
+        options.time_limit.FromMilliseconds(int(1000 * time_limit))
+        if effort is not None:
+            options.solution_limit = max(effort, 1)
+        found = routing.SolveWithParameters(options)
+        if found is None:
+            return ((),) * len(problems)
+        return tuple(self._stops(routing, manager, found, r) for r in range(len(problems)))
+
+    def _stops(self, routing: Any, manager: Any, found: Any, robot: int) -> tuple[int, ...]:
+        stops: list[int] = []
+        index = found.Value(routing.NextVar(routing.Start(robot)))
+        while not routing.IsEnd(index):
+            place = self._place[manager.IndexToNode(index)]
+            if place not in stops[-1:]:  # who is at a charger need not come to it again
+                stops.append(place)
+            index = found.Value(routing.NextVar(index))
+        return tuple(stops)
+
+    def _matrix(self, robot: int, problem: RobotProblem) -> np.ndarray:
+        """Energy between the solver's nodes, with that of the task that one of them leaves."""
+        service = np.concatenate([[0.0], problem.service, np.zeros(len(problem.capacity))])
+        spent = problem.energy + service[:, None]
+        return self._spread(robot, spent / self._unit, (problem.finish + service) / self._unit)
+
+    def _times(self, robot: int, problem: RobotProblem) -> np.ndarray:
+        # charging takes the time of a full charge
+        stay = np.concatenate(
+            [[0.0], problem.service_time, problem.capacity / problem.charge_power]
+        )
+        between = problem.time + stay[:, None]
+        return self._spread(robot, between / _TICK, (problem.finish_time + stay) / _TICK)
+
+    def _spread(self, robot: int, between: FloatArray, finish: FloatArray) -> np.ndarray:
+        values = np.full((self._size, self._size), np.inf)
+        inner = np.array(self._place)
+        k = len(inner)
+        values[:k, :k] = between[np.ix_(inner, inner)]
+        values[self._starts[robot], :k] = between[0, inner]
+        values[:k, self._ends[robot]] = finish[inner]
+        values[self._starts[robot], self._ends[robot]] = finish[0]
+        values[np.arange(self._size), np.arange(self._size)] = 0.0
+        # rounded up, so that what fits the solver fits in truth
+        whole = np.ceil(np.clip(values, 0.0, _FAR))
+        return np.asarray(np.where(np.isfinite(values), whole, _FAR).astype(np.int64))
+
+    def _hold_charge(self, routing: Any, manager: Any, drawn: list[int]) -> None:
+        """Keep each robot's charge between nothing and its greatest; chargers fill it up."""
+        n = self._problems[0].tasks
+        most = int(_UNITS) + 1
+        routing.AddDimensionWithVehicleTransits(drawn, most, most, False, "charge")
+        charge = routing.GetDimensionOrDie("charge")
+        for r, problem in enumerate(self._problems):
+            start = routing.Start(r)
+            charge.CumulVar(start).SetValue(int(max(problem.budget, 0.0) / self._unit))
+            charge.SlackVar(start).SetValue(0)
+        for k in range(n):
+            charge.SlackVar(manager.NodeToIndex(k)).SetValue(0)
+        solver = routing.solver()
+        for node in range(n, len(self._place)):
+            index = manager.NodeToIndex(node)
+            charger = self._place[node] - 1 - n
+            full = [int(max(p.capacity[charger], 0.0) / self._unit) for p in self._problems]
+            filled = charge.CumulVar(index) + charge.SlackVar(index)
+            if len(set(full)) == 1:
+                solver.Add(filled <= full[0])
+            else:  # a node that is left out belongs to no robot
+                solver.Add(
+                    filled <= solver.Element([*full, most], _owner(solver, routing, index, full))
+                )
+
+    def _keep_windows(self, routing: Any, manager: Any, transits: list[int]) -> None:
+        routing.AddDimensionWithVehicleTransits(transits, _FAR, 2 * _FAR, False, "time")
+        clock = routing.GetDimensionOrDie("time")
+        for r, problem in enumerate(self._problems):
+            clock.CumulVar(routing.Start(r)).SetValue(int(np.ceil(problem.start_time / _TICK)))
+        for k, (earliest, latest) in enumerate(self._problems[0].window):
+            clock.CumulVar(manager.NodeToIndex(k)).SetRange(
+                int(np.ceil(earliest / _TICK)), int(min(latest / _TICK, _FAR))
+            )
+
+
+def _owner(solver: Any, routing: Any, index: int, full: list[int]) -> Any:
+    """Return the robot at a node, as a place in a list with one more entry for none."""
+    vehicle = routing.VehicleVar(index)
+    return solver.ConditionalExpression(vehicle >= 0, vehicle, len(full)).Var()
+
+
+# -- the bound -----------------------------------------------------------------------------------
+
+
+def least_energy(problems: Sequence[RobotProblem], tasks: np.ndarray) -> float:
+    """Bound the energy that tasks take from below.
+
+    Each task is come to and left once, at the price of the robot to which this is cheapest, over
+    chargers where that is less; no group of tasks is a round trip of its own. Batteries and
+    windows are left out. A linear programme with cutting planes.
+
+    Parameters
+    ----------
+    problems : sequence of RobotProblem
+        Each robot's part.
+    tasks : ndarray of int
+        The tasks.
+
+    Returns
+    -------
+    float
+        The bound [J].
+    """
+    home = sum(float(problem.finish[0]) for problem in problems)  # of robots that do nothing
+    if not len(tasks):
+        return home
+    ways = np.min([_closed(problem) for problem in problems], axis=0)
+    start = np.min([_closed(p)[0, tasks + 1] for p in problems], axis=0)
+    finish = np.min([p.finish[tasks + 1] for p in problems], axis=0)
+    least = [np.inf if not np.isfinite(p.energy[:, tasks + 1]).any() else 0.0 for p in problems]
+    service = np.min(
+        [
+            np.where(np.isfinite(p.energy[:, tasks + 1]).any(axis=0), p.service[tasks], np.inf)
+            for p in problems
+        ],
+        axis=0,
+    )
+    spared = sum(float(p.finish[0]) for p, far in zip(problems, least, strict=True) if far == 0.0)
+    between = ways[np.ix_(tasks + 1, tasks + 1)]
+    return home - spared + float(service.sum()) + _least_tours(between, start, finish)
+
+
+def _closed(problem: RobotProblem) -> FloatArray:
+    """Energies between nodes, over chargers where that is less."""
+    ways = problem.energy.copy()
+    for c in range(1 + problem.tasks, len(ways)):
+        ways = np.minimum(ways, ways[:, c : c + 1] + ways[c : c + 1, :])
+    return ways
+
+
+def _least_tours(between: FloatArray, start: FloatArray, finish: FloatArray) -> float:
+    """Least cost of tours through all tasks; node n stands for all starts and ends."""
+    n = len(start)
+    whole = np.full((n + 1, n + 1), np.inf)
+    whole[:n, :n], whole[n, :n], whole[:n, n] = between, start, finish
+    np.fill_diagonal(whole, np.inf)
+    tail, head = np.nonzero(np.isfinite(whole))
+    cost = whole[tail, head]
+    edges = np.arange(len(tail))
+    ones = np.ones(len(tail))
+    into = coo_array((ones[head < n], (head[head < n], edges[head < n])), shape=(n, len(tail)))
+    out = coo_array((ones[tail < n], (tail[tail < n], edges[tail < n])), shape=(n, len(tail)))
+    equal = csr_array(np.vstack([into.toarray(), out.toarray()]))
+    solver: Any = linprog
+    cuts: list[np.ndarray] = []
+    best = 0.0
+    for _ in range(_CUTS):
+        limits: Any = (-np.array(cuts), -np.ones(len(cuts))) if cuts else (None, None)
+        solved: Any = solver(cost, *limits, equal, np.ones(2 * n), (0.0, 1.0))
+        if solved.status != 0:
+            break
+        best = float(solved.fun)
+        found = _violated(tail, head, solved.x, n)
+        if not found:
+            break
+        cuts += [(~np.isin(tail, group) & np.isin(head, group)).astype(float) for group in found]
+    return best
+
+
+def _violated(tail: np.ndarray, head: np.ndarray, flow: FloatArray, n: int) -> list[np.ndarray]:
+    """Return groups of tasks that less than one robot comes to."""
+    units = np.round(flow * _UNITS).astype(np.int32)
+    net = csr_array((units, (tail, head)), shape=(n + 1, n + 1))
+    net.eliminate_zeros()
+    groups: dict[bytes, np.ndarray] = {}
+    for task in range(n):
+        told = maximum_flow(net, n, task)
+        if told.flow_value >= 0.999 * _UNITS:
+            continue
+        left: Any = csr_array(net - told.flow)
+        left.data[left.data < 0] = 0
+        left.eliminate_zeros()
+        reached, pending = {n}, [n]
+        while pending:
+            node = pending.pop()
+            for other in left.indices[left.indptr[node] : left.indptr[node + 1]].tolist():
+                if other not in reached:
+                    reached.add(other)
+                    pending.append(other)
+        group = np.array([k for k in range(n) if k not in reached])
+        groups[group.tobytes()] = group
+    return list(groups.values())
