@@ -113,7 +113,7 @@ def mission(
     verdict(told.feasible, strict)
 
 
-@app.command(epilog="Example: energyplan fleet fleet.yaml --fail beta@600")
+@app.command(epilog="Example: energyplan fleet examples/fleet_warehouse.yaml --fail alpha@100")
 def fleet(
     file: Annotated[Path, typer.Argument(help="Fleet YAML file.")],
     fail: Annotated[

@@ -125,7 +125,7 @@ class _Drive:
             charger = left[r].pop(0) - 1 - len(self.fleet.tasks)
             wait = docks.wait(charger, arrival)
             self.waited[r] += wait
-            waiting = walks[r].stay(self.states[r], "wait", wait)
+            waiting = walks[r].wait(self.states[r], wait)
             self.states[r] = walks[r].charge(waiting)
             docks.occupy(charger, self.states[r].time)
             self.stops[r].append(self._stop(r, "charge", arrival))

@@ -234,9 +234,7 @@ def _subsets(problem: RobotProblem) -> dict[int, _Label]:
         for labels in here.values():
             for label in labels:
                 ended = end(problem, label.status)
-                if ended is not None and (
-                    mask not in best or ended.spent < best[mask].status.spent
-                ):
+                if ended is not None and (mask not in best or _precedes(ended, best[mask].status)):
                     best[mask] = _Label(ended, label.stops)
                 for task in range(n):
                     if mask >> task & 1:
@@ -246,6 +244,13 @@ def _subsets(problem: RobotProblem) -> dict[int, _Label]:
                         grown = layers.setdefault(mask | 1 << task, {})
                         _keep(problem, grown, _Label(done, (*label.stops, task + 1)))
     return best
+
+
+def _precedes(one: Status, other: Status) -> bool:
+    """Tell whether one takes less energy than another, or the same in less time."""
+    if one.spent < other.spent - _EQUAL:
+        return True
+    return one.spent <= other.spent + _EQUAL and one.time < other.time
 
 
 def _charged(problem: RobotProblem, label: _Label) -> Iterator[_Label]:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from energyplan.fleet.types import Fleet
+from energyplan.mission.energy import Estimate
 from energyplan.mission.simulation import Walk
 from energyplan.path import FloatArray
 
@@ -173,7 +174,7 @@ class Sources:
         """Return a robot's part on what is known now."""
         walk = self.walks[robot]
         legs, mission = walk.legs, walk.mission
-        payload, q = mission.payload, walk.quantile
+        grounds, payload = legs.grounds, mission.payload
         energy = legs.lower_bounds(payload).copy()
         apart = np.linalg.norm(
             np.array(legs.poses)[:, None, :2] - np.array(legs.poses)[None, :, :2], axis=-1
@@ -184,7 +185,7 @@ class Sources:
             if legs.planned(int(i), int(j)):
                 leg = legs.leg(int(i), int(j), payload)
                 fine = np.isfinite(leg.energy.mean)
-                energy[i, j] = leg.energy.upper(q) if fine else np.inf
+                energy[i, j] = self._upper(robot, leg.energy) if fine else np.inf
                 time[i, j] = leg.duration
         fleet, nodes = self.fleet, self.nodes[robot]
         n, m = len(fleet.tasks), len(fleet.chargers)
@@ -196,18 +197,20 @@ class Sources:
             whole[np.ix_(*[mine] * values.ndim)] = values[np.ix_(*[theirs] * values.ndim)]
             return whole
 
+        time[:, 1 : 1 + len(mission.tasks)] += mission.waiting  # lost before a task begins
         ends = self.ends(robot)
         safe = [legs.home, *legs.chargers]
         nearest = energy[:, ends].argmin(axis=1)
         finish_time = time[np.arange(len(time)), np.array(ends)[nearest]]
-        idle = np.array(
-            [legs.grounds.idle(legs.region(k), 1.0, payload).upper(q) for k in range(len(energy))]
-        )
+        still = [grounds.idle(legs.region(k), 1.0, payload) for k in range(len(energy))]
+        idle = np.array([self._upper(robot, one) for one in still])
         service, service_time = np.zeros(n), np.zeros(n)
         for k, task in enumerate(fleet.tasks):
             if 1 + k in nodes:
-                still = legs.grounds.idle(legs.region(nodes[1 + k]), task.dwell, payload)
-                service[k] = still.upper(q) + task.power * task.dwell
+                own = nodes[1 + k] - 1
+                region = legs.region(own + 1)
+                done = grounds.waiting(region, own, payload) + grounds.work(region, own, payload)
+                service[k] = self._upper(robot, done)
                 service_time[k] = task.dwell
         reserve, scale = self._stored(robot, mission.reserve), float(self.scale[robot])
         return RobotProblem(
@@ -220,21 +223,27 @@ class Sources:
             service_time=service_time,
             idle=np.nan_to_num(spread(idle), posinf=0.0),
             window=np.array([task.window for task in fleet.tasks], float).reshape(n, 2),
-            budget=scale * (self._stored(robot, mission.soc) - reserve),
+            budget=scale * (self._stored(robot, walk.at_least(mission.soc)) - reserve),
             capacity=np.array(
-                [scale * (self._stored(robot, c.until) - reserve) for c in mission.chargers]
+                [
+                    scale * (self._stored(robot, walk.at_least(c.until)) - reserve)
+                    for c in mission.chargers
+                ]
             ),
             charge_power=np.array([c.power for c in mission.chargers])
             * mission.battery.charge_efficiency,
             start_time=mission.time,
         )
 
+    def _upper(self, robot: int, energy: Estimate) -> float:
+        """Return an energy at the bound, as the battery feels it [J]."""
+        walk = self.walks[robot]
+        return walk.legs.grounds.from_battery(energy).upper(walk.quantile)
+
     def _stored(self, robot: int, soc: float) -> float:
         """Energy that a battery gives up to empty at the power of driving straight on [J]."""
         walk = self.walks[robot]
-        cost = walk.legs.cost(walk.mission.payload)[0]
-        speed = float(np.minimum(cost.cheapest_speed(0.0), 10.0))
-        power = max(float(cost.per_metre(0.0)) * speed, 1.0)
+        power = walk.legs.grounds.driving_power
         return float(walk.mission.battery.usable_energy(power, soc))
 
     def used(self, robot: int, stops: tuple[int, ...]) -> list[tuple[int, int]]:
@@ -255,5 +264,5 @@ class Sources:
             if legs.planned(node, j):
                 energy = legs.leg(node, j, payload).energy
                 fine = np.isfinite(energy.mean)
-                row[j] = energy.upper(walk.quantile) if fine else np.inf
+                row[j] = self._upper(robot, energy) if fine else np.inf
         return np.asarray(row)

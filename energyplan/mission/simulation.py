@@ -179,6 +179,12 @@ class Walk:
         )
         return replace(moved, node=goal)
 
+    def wait(self, state: Condition, duration: float) -> Condition:
+        """Stand still for so long [s]."""
+        region = self.legs.region(state.node)
+        energy = self.legs.grounds.idle(region, duration, state.payload)
+        return self._stay(state, "wait", duration, energy)
+
     def _stay(self, state: Condition, kind: str, duration: float, energy: Estimate) -> Condition:
         """Stand still for so long [s], which takes an energy."""
         if duration <= _INSTANT:
@@ -287,7 +293,7 @@ class Walk:
                 f"{there.time:.0f} s",
             )
         early = asked.window[0] - there.time
-        begun = self._stay(there, "wait", early, grounds.idle(region, early, there.payload))
+        begun = self.wait(there, early)
         work = grounds.work(region, task, begun.payload)
         done = self._stay(begun, "work", asked.dwell, work)
         carried = done.payload + asked.payload

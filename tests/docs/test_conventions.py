@@ -87,8 +87,8 @@ def test_the_public_names_are_these() -> None:
         "PowerModel", "Residual", "Sides", "SurfaceMap", "Task", "Term", "Terrain", "Trajectory",
         "TreadICR", "Vehicle", "battery", "check", "compare", "diagnose", "energy_map", "errors",
         "evaluate", "feasibility", "fleet", "identify", "pareto", "plan", "plots", "read_fleet",
-        "read_heights", "read_map", "read_mission", "read_model", "read_surfaces", "read_vehicle", "simulate",
-        "speed", "steering", "watch", "write_model",
+        "read_heights", "read_map", "read_mission", "read_model", "read_surfaces", "read_vehicle",
+        "simulate", "speed", "steering", "watch", "write_model",
     ]  # fmt: skip
 
 

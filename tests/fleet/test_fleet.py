@@ -1,0 +1,228 @@
+"""Fleets in a corridor, whose answers are sums of straight drives."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from energyplan import cli
+from energyplan.battery import Battery
+from energyplan.errors import MissionError
+from energyplan.fleet import Fleet, Robot, RobotState, evaluate_fleet
+from energyplan.io.fleet import read_fleet
+from energyplan.mission import Charger, Mission, Task, evaluate
+from energyplan.path import Pose
+from energyplan.power import PowerModel
+from energyplan.terrain import OccupancyGrid
+
+MODEL = PowerModel.preset("quadriga:empty:marble")
+METRE = 180.0
+"""Energy of a metre [J]: 90 N on each side."""
+HALL = OccupancyGrid(np.zeros((30, 350), bool), 0.1)
+TASKS = tuple(Task(name, Pose(x, 1.5, 0.0)) for name, x in (("a", 6.0), ("b", 12.0), ("c", 30.0)))
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def tiny(energy: float) -> Battery:
+    """An ideal battery that holds so much energy [J] at 10 V."""
+    flat = np.array([10.0, 10.0])
+    return Battery("tiny", energy / 10.0, np.array([0.0, 1.0]), flat, 0.0)
+
+
+def robot(name: str, x: float, energy: float = 1e5, **changes: Any) -> Robot:
+    values: dict[str, Any] = {
+        "model": MODEL, "map": HALL, "battery": tiny(energy), "start": Pose(x, 1.5, 0.0),
+        "tasks": TASKS, "planning_effort": 5_000, "reserve": 0.0, "confidence": 0.5,
+        "order": "free", "return_to": "start",
+    }  # fmt: skip
+    return Robot(name, Mission(**{**values, **changes}))
+
+
+def test_each_does_what_lies_near_it() -> None:
+    """From 4 m to 12 m and back, from 28 m to 30 m and back; nothing is cheaper."""
+    report = evaluate_fleet(Fleet((robot("west", 4.0), robot("east", 28.0))))
+    assert set(report.robot("west").tasks) == {"a", "b"}
+    assert report.robot("east").tasks == ("c",)
+    assert report.energy == pytest.approx(METRE * (16 + 4), rel=1e-3)
+    assert report.proven
+    assert report.feasible
+    assert report.gap == 0.0
+
+
+def test_each_ones_budget_is_that_of_its_own_mission() -> None:
+    fleet = Fleet((robot("west", 4.0, confidence=0.95, coefficient_spread=0.1),
+                   robot("east", 28.0, confidence=0.95, coefficient_spread=0.1)))  # fmt: skip
+    told = evaluate_fleet(fleet).robot("west")
+    alone = evaluate(replace(fleet.robots[0].mission, tasks=tuple(TASKS[k] for k in (0, 1))))
+    assert told.energy == pytest.approx(alone.energy, rel=1e-6)
+    assert told.energy_upper == pytest.approx(alone.energy_upper, rel=1e-6)
+    assert told.soc_end_lower == pytest.approx(alone.soc_end_lower, rel=1e-6)
+    assert told.energy_upper > told.energy
+
+
+def test_a_weak_battery_leaves_a_task_to_the_other() -> None:
+    """East has 1.5 m of charge; west goes all the way, 26 m and back."""
+    report = evaluate_fleet(Fleet((robot("west", 4.0), robot("east", 28.0, 1.5 * METRE))))
+    assert set(report.robot("west").tasks) == {"a", "b", "c"}
+    assert report.robot("east").tasks == ()
+    assert report.energy == pytest.approx(METRE * 52, rel=1e-3)
+
+
+def test_a_shared_charger_is_waited_for_and_two_places_spare_that() -> None:
+    """Both hold 9 m of charge; with the 40 m that the dock gives they do the rest."""
+    tasks = tuple(Task(name, Pose(x, 1.5, 0.0)) for name, x in (("w", 3.0), ("e", 31.0)))
+    dock = (Charger("dock", Pose(17.0, 1.5, 0.0), power=50.0, until=1.0),)
+    own = [{"tasks": (task,), "chargers": dock, "soc": 0.225, "battery": tiny(40 * METRE)}
+           for task in tasks]  # fmt: skip
+    robots = robot("left", 14.0, **own[1]), robot("right", 20.0, **own[0])
+    waited = {
+        count: [r.waiting for r in evaluate_fleet(Fleet(robots, {"dock": count})).robots]
+        for count in (1, 2)
+    }
+    assert waited[2] == [0.0, 0.0]
+    first, second = sorted(waited[1])
+    assert first == 0.0
+    # they get there at once; the first takes 40 m less the 6 m that are left, at 50 W
+    assert second == pytest.approx(METRE * (40 - 6) / 50.0, abs=31.0)
+    report = evaluate_fleet(Fleet(robots, {"dock": 1}))
+    stays = sorted(
+        (s.departure, s.arrival) for r in report.robots for s in r.route if s.kind == "charge"
+    )
+    assert len(stays) == 2
+    assert report.feasible
+
+
+def test_who_fails_is_replaced_by_whom_it_costs_least() -> None:
+    """West fails on its way; what it has done stays done, and the others go from where they are."""
+    fleet = Fleet((robot("west", 4.0), robot("middle", 16.0), robot("east", 28.0)))
+    report = evaluate_fleet(fleet)
+    assert {r.name: r.tasks for r in report.robots} == {
+        "west": ("a",), "middle": ("b",), "east": ("c",),
+    }  # fmt: skip
+    rest = report.after_failure("west", 0.0)
+    assert [r.name for r in rest.robots] == ["middle", "east"]
+    after = evaluate_fleet(rest)
+    assert set(after.robot("middle").tasks) == {"a", "b"}
+    late = max(stop.departure for stop in report.robot("west").route if stop.kind == "task")
+    again = report.after_failure("west", late + 1e-6)
+    assert "a" not in {task.name for task in again.tasks}
+    with pytest.raises(MissionError, match="no robot is called 'north'; the robots are west"):
+        report.after_failure("north", 0.0)
+    with pytest.raises(MissionError, match="no robot is left"):
+        report.after_failure("west", 1e9)
+
+
+def test_where_a_robot_is_at_some_time() -> None:
+    told = evaluate_fleet(Fleet((robot("one", 4.0),))).robot("one")
+    stop = next(stop for stop in told.route if stop.kind == "task")
+    early, half = told.at(-1.0), told.at(stop.arrival / 2)
+    assert early.pose == Pose(4.0, 1.5, 0.0)
+    assert 4.0 < half.pose.x < stop.pose.x
+    assert half.done == ()
+    last = told.at(1e9)
+    assert last.done == told.tasks
+    assert last.soc == pytest.approx(told.soc_end)
+    assert last.pose == pytest.approx((4.0, 1.5, 0.0), abs=1e-6)
+
+
+def test_what_no_robot_can_do_is_told_with_its_reasons() -> None:
+    report = evaluate_fleet(
+        Fleet((robot("west", 4.0, 20 * METRE), robot("middle", 14.0, 20 * METRE)))
+    )
+    [left] = report.left_out
+    assert left.name == "c"
+    assert left.reasons == ("battery", "battery")
+    assert not report.feasible
+    assert report.proven
+
+
+def test_many_robots_and_tasks_are_searched_with_a_bound() -> None:
+    """Eleven tasks in a row, three robots: whatever is found takes no less than the bound."""
+    tasks = tuple(Task(f"t{k}", Pose(4.0 + 2.5 * k, 1.5, 0.0)) for k in range(11))
+    fleet = Fleet(tuple(robot(f"r{x}", x, tasks=tasks) for x in (3.0, 16.0, 30.0)))
+    report = evaluate_fleet(fleet)
+    assert report.left_out == ()
+    assert not report.proven
+    # at best everything between the outermost tasks is driven to and fro, but for two halves
+    assert 0.0 <= report.gap < 0.5
+    assert report.energy <= METRE * 2 * 27 + 1
+
+
+def test_fleets_that_make_no_sense_are_refused() -> None:
+    one = robot("one", 4.0)
+    with pytest.raises(MissionError, match="the fleet has no robot"):
+        Fleet(())
+    with pytest.raises(MissionError, match="the name 'one' stands twice"):
+        Fleet((one, one))
+    other = robot("two", 8.0, tasks=(replace(TASKS[0], dwell=5.0),))
+    with pytest.raises(MissionError, match="task 'a' of robot 'two' differs"):
+        Fleet((one, other))
+    dock = (Charger("dock", Pose(17.0, 1.5, 0.0), power=50.0),)
+    with pytest.raises(MissionError, match="robot 'two' has other chargers"):
+        Fleet((one, robot("two", 8.0, chargers=dock)))
+    with pytest.raises(MissionError, match="there is no charger 'dock'"):
+        Fleet((one,), {"dock": 1})
+    with pytest.raises(MissionError, match="no robot is called three"):
+        Fleet((one,)).resume({"three": RobotState(Pose(1, 1, 0), 1.0)})
+
+
+# -- files and the command -----------------------------------------------------------------------
+
+
+def test_a_file_gives_each_robot_what_it_has_the_skills_for() -> None:
+    fleet = read_fleet(ROOT / "examples" / "fleet_warehouse.yaml")
+    able = {r.name: [task.name for task in r.mission.tasks] for r in fleet.robots}
+    assert "turn the valve" in able["alpha"]
+    assert "turn the valve" not in able["beta"]
+    assert [r.mission.soc for r in fleet.robots] == pytest.approx([1.0, 0.6, 0.35])
+    assert fleet.places == {"dock": 1}
+    assert fleet.robots[0].mission.map is fleet.robots[1].mission.map
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ("soc: 60 %", "soc: 160 %", r"fleet\.yaml, line 19, soc: soc is 1\.6"),
+        ("needs: [arm]", "needs: [wings]", r"line \d+, tasks\.1\.needs: no robot has wings"),
+        ("skills: [arm]", "colour: red", r"robots\.0\.colour: a robot has no such key"),
+        ("places: 1", "places: 0", r"chargers\.0\.places"),
+        ("robots:", "robot:", "robots: Field required"),
+        ("pose: [16.0, 7.2, 0]", "pose: [0, 0, 0]", r"tasks\.1\.pose: task 'turn the valve'"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_told_with_its_line(
+    before: str, after: str, message: str, tmp_path: Path
+) -> None:
+    text = (ROOT / "examples" / "fleet_warehouse.yaml").read_text()
+    file = tmp_path / "fleet.yaml"
+    file.write_text(text.replace(before, after, 1))
+    with pytest.raises(MissionError, match=message):
+        read_fleet(file)
+
+
+def test_the_command_tells_who_does_what_and_who_takes_over(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = ROOT / "examples" / "fleet_warehouse.yaml"
+    words = ["energyplan", "fleet", str(file), "--json", "--fail", "alpha@100"]
+    monkeypatch.setattr("sys.argv", words)
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    assert not left.value.code
+    told = json.loads(capsys.readouterr().out)
+    assert told["feasible"]
+    assert told["proven"]
+    names = [task for one in told["robots"] for task in one["tasks"]]
+    assert len(names) == len(set(names)) == 4
+    assert told["after_failure"]["robot"] == "alpha"
+    assert {one["name"] for one in told["after_failure"]["robots"]} <= {"beta", "gamma"}
+    monkeypatch.setattr("sys.argv", [*words[:3], "--fail", "alpha"])
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    assert left.value.code == 2
+    assert "write NAME@SECONDS" in capsys.readouterr().err
