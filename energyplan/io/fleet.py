@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from energyplan.errors import MissionError
 from energyplan.fleet import Fleet, Robot
 from energyplan.io._yaml import Document, Loc, load
-from energyplan.io.mission import mission_at
+from energyplan.io.mission import MissionReader
 
 _OWN = (
     "model", "vehicle", "battery", "start", "home", "soc", "reserve", "payload", "payload_models",
@@ -91,7 +91,7 @@ def read_fleet(path: str | Path) -> Fleet:
         }  # fmt: skip
         lines = _lines(document, k, able, set(extra))
         own = Document(document.source, data, lines, MissionError)
-        mission = mission_at(own, Path(path).parent)
+        mission = MissionReader(own, Path(path).parent).mission()
         if robots:  # one map, so that routes are planned once for all
             mission = replace(mission, map=robots[0].mission.map)
         robots.append(Robot(robot.name, mission))

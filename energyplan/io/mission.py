@@ -199,7 +199,7 @@ def read_mission(path: str | Path) -> Mission:
         If the file is malformed, or the mission makes no sense; the message names file, line and
         key.
     """
-    return mission_at(load(path, MissionError), Path(path).parent)
+    return MissionReader(load(path, MissionError), Path(path).parent).mission()
 
 
 def mission_from(values: Mapping[str, Any] | str, folder: str | Path | None = None) -> Mission:
@@ -227,34 +227,11 @@ def mission_from(values: Mapping[str, Any] | str, folder: str | Path | None = No
         given = parse(values.encode(), "mission", MissionError)
     else:
         given = Document("mission", dict(values), {}, MissionError)
-    return _Reader(given, Path(folder or ""), anywhere=folder is None).mission()
+    return MissionReader(given, Path(folder or ""), anywhere=folder is None).mission()
 
 
-def mission_at(document: Document, folder: Path) -> Mission:
-    """Build a mission from a document, whose files are looked for in a folder.
-
-    Parameters
-    ----------
-    document : Document
-        The keys of a mission's file.
-    folder : Path
-        The folder.
-
-    Returns
-    -------
-    Mission
-        The mission.
-
-    Raises
-    ------
-    MissionError
-        If a key is missing or makes no sense.
-    """
-    return _Reader(document, folder).mission()
-
-
-class _Reader:
-    """Builds a mission; whatever goes wrong gets its place in the file."""
+class MissionReader:
+    """Builds a mission from a document; whatever goes wrong gets its place in the file."""
 
     def __init__(self, document: Document, folder: Path, anywhere: bool = False) -> None:
         self._document = document
