@@ -25,6 +25,7 @@ from energyplan.vehicle import MotorLimits
 TESTS = FilePath(__file__).parents[1] / "tests"
 sys.path.insert(0, str(TESTS))
 REFERENCE = runpy.run_path(str(TESTS / "limits" / "test_speed.py"))
+THERMAL = runpy.run_path(str(TESTS / "limits" / "test_thermal.py"))
 CHAIN = runpy.run_path(str(TESTS / "limits" / "test_chain.py"))
 PAPER, LOSSY = REFERENCE["PAPER"], REFERENCE["LOSSY"]
 
@@ -100,6 +101,32 @@ def against_toppra(count: int) -> None:
     )
 
 
+def within_the_thermal_limit(count: int) -> None:
+    """Least time within the continuous power, on paths with stops and on smooth curves."""
+    print("least time within the continuous power, linear program without accelerations")
+    for name, smooth in (("paths with stops", 0.0), ("smooth curves", 0.5)):
+        rng = np.random.default_rng(3)
+        excess, spans, feasible, warm = [], [], 0, 0
+        for _ in range(count):
+            path, vehicle = THERMAL["warm_path"](rng, smooth > 0), THERMAL["warm_vehicle"](rng)
+            least = THERMAL["shortest_time"](path, vehicle, smooth)
+            start = time.process_time()
+            found = profile(path, PAPER, vehicle=vehicle, smooth=smooth)
+            spans.append(time.process_time() - start)
+            excess.append(found.duration / least - 1)
+            feasible += check(found, PAPER, vehicle).feasible
+            motor = replace(vehicle.motor, continuous_power=vehicle.motor.peak_power)
+            free = profile(path, PAPER, vehicle=replace(vehicle, motor=motor), smooth=smooth)
+            warm += found.duration > free.duration * 1.001
+        over = np.count_nonzero(np.array(excess) > 0.03)
+        print(
+            f"  {count} {name}, {warm} of them slowed down: duration over the program's, minus 1: "
+            f"median {np.median(excess):+.2%}, {min(excess):+.2%} to {max(excess):+.2%}, "
+            f"{over} above 3 %; feasible: {feasible} of {count}; "
+            f"CPU {np.median(spans):.2f} s each, {max(spans):.2f} s at most"
+        )
+
+
 def long_path() -> None:
     """Time of one profile over the number of segments."""
     rng = np.random.default_rng(1)
@@ -118,4 +145,5 @@ if __name__ == "__main__":
     against_linear_program(paths)
     against_dynamic_program()
     against_toppra(paths)
+    within_the_thermal_limit(paths)
     long_path()

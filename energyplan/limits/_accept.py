@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,10 @@ TRIES = 20
 
 
 def accepted(
-    solve: Callable[[Limits], Sampled], survey: Callable[[Sampled], Survey], limits: Limits
+    solve: Callable[[Limits], Sampled],
+    survey: Callable[[Sampled], Survey],
+    limits: Limits,
+    cool: Callable[[Limits], Sampled] | None = None,
 ) -> Trajectory:
     """Solve, and solve again within tighter limits, until `check` would accept the trajectory.
 
@@ -30,6 +34,9 @@ def accepted(
         Finds where a profile exceeds the limits as they are.
     limits : Limits
         The limits.
+    cool : callable, optional
+        Makes a profile within given limits, the continuous power among them, which `solve` leaves
+        alone.
 
     Raises
     ------
@@ -42,8 +49,33 @@ def accepted(
     and on slopes that change, a limit may be exceeded a little; it is tightened by as much. The
     continuous power, which looks at the past, is kept by tightening the peak power.
     """
+    tight, sampled, found = _within(solve, survey, limits, {"continuous_power"})
+    if not found.excesses:
+        return sampled.trajectory
+    if cool is not None:
+        try:
+            return _within(cool, survey, tight, set()).sampled.trajectory
+        except InfeasibleMotionError:
+            pass  # less of everything may still do
+    return _cooled(solve, survey, tight, found, limits.motor.continuous_power)
+
+
+class _Within(NamedTuple):
+    """A profile, the limits that it was made for, and how it fares within those as they are."""
+
+    limits: Limits
+    sampled: Sampled
+    found: Survey
+
+
+def _within(
+    solve: Callable[[Limits], Sampled],
+    survey: Callable[[Sampled], Survey],
+    limits: Limits,
+    ignored: set[str],
+) -> _Within:
+    """Tighten limits until a profile exceeds none of those as they are, but for kinds ignored."""
     tight, gentle = limits, 1.0
-    coolest = limits.motor.continuous_power
     for k in range(TRIES):
         try:
             sampled = solve(tight)
@@ -55,14 +87,13 @@ def accepted(
             tight = _gentler(limits, gentle)
             continue
         found = survey(sampled)
-        if not found.excesses:
-            return sampled.trajectory
         worst: dict[str, float] = {}
         for excess in found.excesses:
             kind, limit = excess.bound.kind, excess.bound.limit
             worst[kind] = max(worst.get(kind, 1.0), excess.peak / limit if limit > 0 else np.inf)
-        if set(worst) == {"continuous_power"}:
-            return _cooled(solve, survey, tight, found, coolest)
+        if set(worst) <= ignored:
+            return _Within(tight, sampled, found)
+        worst = {kind: factor for kind, factor in worst.items() if kind not in ignored}
         if max(worst.values()) == np.inf or k >= TRIES // 2:
             # The limit itself, lowered, does not help: less of everything does.
             gentle *= 0.9
@@ -81,7 +112,7 @@ def _tightened(limits: Limits, excess: Mapping[str, float]) -> Limits:
     motor = {
         kind: getattr(limits.motor, kind) / (factor * (1 + ROUNDING))
         for kind, factor in excess.items()
-        if hasattr(limits.motor, kind) and kind != "continuous_power"
+        if hasattr(limits.motor, kind)
     }
     whole = {
         kind: getattr(limits, kind) / (factor * (1 + ROUNDING))
@@ -89,7 +120,8 @@ def _tightened(limits: Limits, excess: Mapping[str, float]) -> Limits:
         if hasattr(limits, kind)
     }
     if "peak_power" in motor:
-        motor["continuous_power"] = min(limits.motor.continuous_power, motor["peak_power"])
+        continuous = motor.get("continuous_power", limits.motor.continuous_power)
+        motor["continuous_power"] = min(continuous, motor["peak_power"])
     return replace(limits, motor=replace(limits.motor, **motor), **whole)
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from energyplan.compilation import njit
 from energyplan.compilation.arrays import AnyTable, Column
 from energyplan.errors import InfeasibleMotionError
+from energyplan.limits.acceleration_table import UNLIMITED
 from energyplan.limits.motor import Limits, relative
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
@@ -49,6 +50,36 @@ class Points(NamedTuple):
     turn: FloatArray
     length: FloatArray
     channels: dict[str, FloatArray]
+
+
+class Curve(NamedTuple):
+    """Points along a curve with what limits the motion there.
+
+    Parameters
+    ----------
+    points : Points
+        The points, n of them.
+    model : PowerModel
+        The power model.
+    limits : Limits
+        The limits.
+    cap : ndarray, shape (n,)
+        Largest steady rate at each point, and what is asked for at both ends [m/s].
+    """
+
+    points: Points
+    model: PowerModel
+    limits: Limits
+    cap: FloatArray
+
+    @property
+    def acceleration(self) -> float:
+        """Largest acceleration of a tread [m/s^2]."""
+        return min(self.limits.motor.acceleration, UNLIMITED)
+
+    def fastest(self, cap: FloatArray) -> FloatArray:
+        """Return the greatest rates within `cap` and all limits; see `fastest_along`."""
+        return fastest_along(self.points, self.model, self.limits, cap, self.acceleration)
 
 
 @njit

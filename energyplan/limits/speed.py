@@ -22,12 +22,13 @@ from scipy.optimize import brentq
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
 from energyplan.limits._accept import accepted
 from energyplan.limits._check import LimitedDrive, Survey
-from energyplan.limits._timing import Course, Phases, Sampled, joined, rounding
-from energyplan.limits.acceleration_table import UNLIMITED, Ladder, Runs
-from energyplan.limits.curve import Points, fastest_along
+from energyplan.limits._timing import Course, Grid, Phases, Sampled, joined, rounding
+from energyplan.limits.acceleration_table import Ladder, Runs
+from energyplan.limits.curve import Curve, Points
 from energyplan.limits.drive import Drive, Ground
 from energyplan.limits.economy import Choice, Economy
 from energyplan.limits.motor import ROUNDING, Limits
+from energyplan.limits.thermal import Thermal
 from energyplan.path import FloatArray, Path, Trajectory
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, SurfaceMap
@@ -50,6 +51,9 @@ FITTED = 0.5
 
 CELLS, FINEST = 400, 0.002
 """Cells that the straights and arcs of a smooth curve are cut into, and their least length [m]."""
+
+WARM, MOST, FEWEST = 24, 2000, 8
+"""Cells per thermal window, cells at most, and cells of a section where the motors warm up."""
 
 DEAREST = 1e6
 """Highest price of time that the search for a duration tries [W]."""
@@ -152,9 +156,9 @@ def profile(
     On a stretch of constant curvature the least time is a closed form: full acceleration, top
     speed, full deceleration. Where inertia meets a power or force limit the acceleration follows
     that limit in 96 steps, always from the safe side. The least energy follows from the maximum
-    principle at the same steps (docs/limits). The continuous power limit is kept by lowering the
-    peak power until the mean over every thermal window is within it, which is safe but not
-    always the fastest way.
+    principle at the same steps (docs/limits). The continuous power limit is kept in the least time
+    by linear programs (`energyplan.limits.thermal`); else by lowering the peak power until the mean
+    over every thermal window is within it, which is safe but not always the cheapest way.
 
     Examples
     --------
@@ -216,7 +220,10 @@ def profile(
         drive = Drive(sampled.trajectory, ground, along)
         return LimitedDrive(drive, limits).survey()
 
-    return accepted(solve, survey, limits)
+    cool = None
+    if objective == "time" and duration is None and limits.motor.thermal_time > 0:
+        cool = task.cool
+    return accepted(solve, survey, limits, cool)
 
 
 @dataclass(frozen=True)
@@ -300,7 +307,9 @@ class _Task:
         for section in course.sections():
             runs = slice(first[-1], first[-1] + len(section.length))
             if section.through.any():
-                parts.append(self._curve(section, runs, limits))
+                grid = section.grid(max(float(section.length.sum()) / CELLS, FINEST))
+                curve = self._curve(section, grid, runs, limits)
+                parts.append(section.at_points(grid, curve.fastest(curve.cap)))
             else:
                 # Where nothing is rounded there is no change of curvature to pay for.
                 straight = replace(self.runs, drift=np.zeros_like(self.runs.drift))
@@ -316,9 +325,8 @@ class _Task:
         left, right = made.v - icr.left * made.omega, made.v + icr.right * made.omega
         return np.maximum(np.abs(left), np.abs(right))
 
-    def _curve(self, section: Course, part: slice, limits: Limits) -> Sampled:
-        """Time a section that is a smooth curve, at least in part."""
-        grid = section.grid(max(float(section.length.sum()) / CELLS, FINEST))
+    def _curve(self, section: Course, grid: Grid, part: slice, limits: Limits) -> Curve:
+        """Return the points of a section with their largest steady rates."""
         kinds = self.kinds[part][grid.run]
         known = {name: value[kinds] for name, value in self.runs.channels.items()}
         forward, turn = grid.shape.T
@@ -326,9 +334,35 @@ class _Task:
         cap = runs.top_rate(limits)
         cap[[0, -1]] = np.minimum(cap[[0, -1]], section.corner[[0, -1]])
         points = Points(forward, turn, grid.cell, known)
-        full = min(limits.motor.acceleration, UNLIMITED)
-        rate = fastest_along(points, self.runs.model, limits, cap, full)
-        return section.at_points(grid, rate)
+        return Curve(points, self.runs.model, limits, cap)
+
+    def cool(self, limits: Limits) -> Sampled:
+        """Return a trajectory of least time within the continuous power too."""
+        whole, parts, first = float(self.course.length.sum()), [], [0]
+        cells = float(np.clip(WARM * self._windows(limits), CELLS, MOST))
+        for section in self.course.sections():
+            runs = slice(first[-1], first[-1] + len(section.length))
+            length = float(section.length.sum())
+            grid = section.grid(length / max(cells * length / whole, FEWEST))
+            parts.append((section, grid, self._curve(section, grid, runs, limits)))
+            first.append(runs.stop)
+        rates = Thermal([curve for *_, curve in parts]).rates()
+        sampled = [
+            section.at_points(grid, rate)
+            for (section, grid, _), rate in zip(parts, rates, strict=True)
+        ]
+        made = joined(sampled, first[:-1])
+        self._check_ends(*(self._rates(made)[[0, -1]]))
+        return made
+
+    def _windows(self, limits: Limits) -> float:
+        """Energy that a side draws along the path, over what one thermal window may hold."""
+        motor, slow = limits.motor, 1e-3 * np.ones(len(self.runs.turn))
+        motion = self.runs.motion(slow)
+        forces = self.runs.model.forces(motion)
+        sides = np.stack([forces.left * motion.v_left, forces.right * motion.v_right]) / slow
+        drawn = np.maximum(sides, 0.0)[:, self.kinds] @ self.course.length
+        return float(drawn.max() / (motor.continuous_power * motor.thermal_time))
 
     def phases(self, limits: Limits, objective: str, duration: float | None) -> Phases:
         """Return the phases that meet the objective, or take the duration."""
