@@ -35,6 +35,39 @@ GAIN = 5e-4
 PATIENCE = 3
 """Turns in a row that save less after which nothing more is expected."""
 
+REACH = 9.0
+"""Factor by which a program may change a squared rate."""
+
+SCALES = (1 / 9, 1 / 4, 1 / 2, 0.8, 1.0, 1.25, 2.0, 4.0, 9.0)
+"""Factors on all squared rates at which durations get a tangent."""
+
+SLOWNESS = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 15.0, 30.0)
+"""Factors on the slowness at which its square gets a tangent."""
+
+SPREAD = 1e-3
+"""Weight of the squared factors on the slowness, over that of the duration."""
+
+SHARES = (1.0, 0.6, 0.3, 0.1)
+"""Parts of the way to the program's solution that are tried."""
+
+MARGIN = 1e-3
+"""Fraction of the continuous power that is left for windows that begin and end within cells."""
+
+TIGHT = 1e-6
+"""Fraction of a window's length by which it may be too short in between."""
+
+SLOWER = 0.9995
+"""Factor on the rates, beyond what windows ask for, where one is too short in the end."""
+
+DEAR = 2.0
+"""Seconds that a second too little in a window counts for, per window on the path."""
+
+STATIC = 1e-3
+"""Change of the drawn energy with the rate, over the energy of a cell, that counts as none."""
+
+PROBE = 1e-4
+"""Relative step of the differences that tell how energies change with the rates."""
+
 
 class _State(NamedTuple):
     """A profile: rates, times and drawn energies up to the points, and how it fares.
