@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +25,7 @@ def accepted(
     survey: Callable[[Sampled], Survey],
     limits: Limits,
     cool: Callable[[Limits], Sampled] | None = None,
+    hasty: bool = True,
 ) -> Trajectory:
     """Solve, and solve again within tighter limits, until `check` would accept the trajectory.
 
@@ -37,6 +40,8 @@ def accepted(
     cool : callable, optional
         Makes a profile within given limits, the continuous power among them, which `solve` leaves
         alone.
+    hasty : bool
+        Whether `cool` comes before lowering the peak power.
 
     Raises
     ------
@@ -52,12 +57,16 @@ def accepted(
     tight, sampled, found = _within(solve, survey, limits, {"continuous_power"})
     if not found.excesses:
         return sampled.trajectory
+    tries: list[Callable[[], Trajectory]] = [
+        partial(_cooled, solve, survey, tight, found, limits.motor.continuous_power)
+    ]
     if cool is not None:
-        try:
-            return _within(cool, survey, tight, set()).sampled.trajectory
-        except InfeasibleMotionError:
-            pass  # less of everything may still do
-    return _cooled(solve, survey, tight, found, limits.motor.continuous_power)
+        warm = partial(_within, cool, survey, tight, set())
+        tries.insert(0 if hasty else 1, lambda: warm().sampled.trajectory)
+    for attempt in tries[:-1]:
+        with suppress(InfeasibleMotionError):
+            return attempt()
+    return tries[-1]()
 
 
 class _Within(NamedTuple):

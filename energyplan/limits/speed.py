@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -220,10 +221,9 @@ def profile(
         drive = Drive(sampled.trajectory, ground, along)
         return LimitedDrive(drive, limits).survey()
 
-    cool = None
-    if objective == "time" and duration is None and limits.motor.thermal_time > 0:
-        cool = task.cool
-    return accepted(solve, survey, limits, cool)
+    hasty = objective == "time" and duration is None
+    cool = partial(task.cool, duration) if limits.motor.thermal_time > 0 else None
+    return accepted(solve, survey, limits, cool, hasty)
 
 
 @dataclass(frozen=True)
@@ -336,8 +336,8 @@ class _Task:
         points = Points(forward, turn, grid.cell, known)
         return Curve(points, self.runs.model, limits, cap)
 
-    def cool(self, limits: Limits) -> Sampled:
-        """Return a trajectory of least time within the continuous power too."""
+    def cool(self, duration: float | None, limits: Limits) -> Sampled:
+        """Return a trajectory of least time within the continuous power too, or so slowed down."""
         whole, parts, first = float(self.course.length.sum()), [], [0]
         cells = float(np.clip(WARM * self._windows(limits), CELLS, MOST))
         for section in self.course.sections():
@@ -347,11 +347,21 @@ class _Task:
             parts.append((section, grid, self._curve(section, grid, runs, limits)))
             first.append(runs.stop)
         rates = Thermal([curve for *_, curve in parts]).rates()
-        sampled = [
-            section.at_points(grid, rate)
-            for (section, grid, _), rate in zip(parts, rates, strict=True)
-        ]
-        made = joined(sampled, first[:-1])
+
+        def driven(share: float) -> Sampled:
+            pieces = zip(parts, rates, strict=True)
+            sampled = [section.at_points(grid, share * rate) for (section, grid, _), rate in pieces]
+            return joined(sampled, first[:-1])
+
+        made = driven(1.0)
+        if duration is not None:
+            share = made.trajectory.duration / duration
+            if share > 1 + ROUNDING:
+                raise InfeasibleMotionError(
+                    f"within the motors' continuous power of {limits.motor.continuous_power:g} W "
+                    f"the path takes {made.trajectory.duration:.6g} s; {duration:g} s is too short"
+                )
+            made = driven(share)
         self._check_ends(*(self._rates(made)[[0, -1]]))
         return made
 
