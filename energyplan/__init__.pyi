@@ -40,6 +40,7 @@ from .planning import Plan as Plan
 from .planning import Planner as Planner
 from .planning import PlanningProblem as PlanningProblem
 from .planning import plan as plan
+from .planning.replanning import replan as replan
 from .power import PowerModel as PowerModel
 from .power import Residual as Residual
 from .power import Sides as Sides

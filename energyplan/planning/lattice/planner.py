@@ -131,6 +131,7 @@ def plan(
     seed: int = 1,
     initial: Iterable[Path] = (),
     finest: float = 0.0625,
+    bound: float | None = None,
 ) -> Candidate:
     """Plan on a lattice, and refine with exact steering.
 
@@ -151,6 +152,8 @@ def plan(
     finest : float
         Size of the cells of the finest lattice that is searched for a first path, in units of the
         coarsest one, which is searched first. Each is half as coarse as the one before.
+    bound : float, optional
+        A lower bound that is known, in the unit of the objective: none is sought then.
 
     Returns
     -------
@@ -169,6 +172,8 @@ def plan(
     known = query.drivable(initial)
     # a path between tight ends may prove not to be free: then planning is done anew
     work = _Improvement(query, budget if query.ends_roomy else budget.part(0.5), gap, seed)
+    if bound is not None:
+        work.know_bound(bound - query.potential(problem.goal))
     for path in known:
         work.offer_path(path)
     work.first_plan(finest)
@@ -307,6 +312,10 @@ class _Improvement:
         lateral = self.query.problem.cost.icr.centre[1]
         self.portfolio.enter(Segments(path.ds - lateral * path.dtheta, path.dtheta))
 
+    def know_bound(self, value: float) -> None:
+        """Take a lower bound that somebody else found, less the potential; none is sought then."""
+        self._bound = Bound(value, True)
+
     def first_plan(self, finest: float = 1.0) -> None:
         """Find a first path; lattices twice as fine join one by one while none is found."""
         plain = Ends(self.query)
@@ -316,10 +325,10 @@ class _Improvement:
                 break
         else:
             self._move_ends(plain)
-        if not self.ends.eased:
-            check_configurations(self.query, self._field(PENALTY))
         if np.isfinite(self.cost):
             return
+        if not self.ends.eased:
+            check_configurations(self.query, self._field(PENALTY))
         turn = FIRST_TURN
         waiting = [(self.ends, 2.0**-k) for k in range(MOST_LATTICES) if 2.0**-k >= finest]
         if self.ends.eased:
@@ -402,6 +411,8 @@ class _Improvement:
 
     def raise_bound(self, units: float = EFFORT / STEPS) -> None:
         """Search for a better lower bound; what is known of the best cost makes that easier."""
+        if self._bound.final:
+            return
         value, final = lower_bound(self.query, self.cost, STEPS * units, self._spent)
         if not final:
             self.budget.spend(units)

@@ -1,0 +1,273 @@
+"""Plans for a robot that is under way, on a map that may have changed.
+
+The rest of the former plan is where to start from. While it is free, and no cell has become free
+since, nothing can have become cheaper, and it is the answer: that takes milliseconds. Otherwise
+what is closed of it is bypassed, and planning goes on from there. No lower bound is sought among
+the obstacles, since its outlines would have to be made anew: the one of the former plan, less what
+was driven, is one still as long as obstacles only were added; the least cost in free space is one
+always.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from energyplan import steering
+from energyplan.errors import (
+    EnergyPlanError,
+    GoalInCollisionError,
+    NoPathError,
+    OutsideMapError,
+    StartInCollisionError,
+    TimeLimitError,
+)
+from energyplan.path import Path, Pose, wrap_angle
+from energyplan.planning.budget import Budget
+from energyplan.planning.contract import check_path, priced_plan
+from energyplan.planning.lattice import planner as lattice
+from energyplan.planning.problem import Plan, PlanningProblem, as_pose
+from energyplan.planning.ready import compiled as compile_kernels
+from energyplan.planning.scene.compiled import CompiledProblem, Segments, merged
+from energyplan.planning.scene.motions import free_energy
+from energyplan.terrain import OccupancyGrid
+
+AHEAD = (0.0, 0.05, 0.15, 0.3, 0.6, 1.2, 2.4)
+"""How far ahead of the nearest place a robot beside its path may get back to it [m]."""
+
+STEP = 0.05
+"""Distance between the places of a path that are looked at [m], [rad]."""
+
+AROUND = (0.3, 1.0, 3.0)
+"""How far before and after what is closed of a path it is left and joined again [m]."""
+
+DETOUR_SHARE = 0.25
+"""Part of the budget that ways around what is closed may take."""
+
+ALIKE = 1e-9
+"""Distances from a path that differ by less count as equal [m]."""
+
+
+def remainder(path: Path, pose: ArrayLike, problem: PlanningProblem) -> Path | None:
+    """Return what is left of a path for a robot on it or beside it.
+
+    The robot gets back to the path at the place, near or a little ahead of where it is, from which
+    the whole way costs least. On the path itself nothing but the rest of it is left.
+
+    Parameters
+    ----------
+    path : Path
+        The path.
+    pose : array_like, shape (3,)
+        Where the robot is: x, y [m], yaw [rad] of the body frame.
+    problem : PlanningProblem
+        The map, the vehicle and the cost; its start and goal do not matter.
+
+    Returns
+    -------
+    Path or None
+        The rest, free of collisions; None if no such way is free.
+    """
+    here = as_pose(pose, "the robot's pose")
+    fine = path.subdivide(STEP, STEP)
+    query = CompiledProblem(replace(problem, start=here, goal=path.end))
+    best, least = None, np.inf
+    for k in _places_ahead(fine, here, problem):
+        rest = _joined(here, fine, k, problem)
+        if rest is not None and query.drivable([rest]):
+            value = query.value(rest)
+            if value < least:
+                best, least = rest, value
+    return best
+
+
+def _places_ahead(fine: Path, here: Pose, problem: PlanningProblem) -> list[int]:
+    """Return the vertices of a path at which a robot may get back to it, the nearest one first."""
+    off = fine.vertices - np.array(here)
+    turned = problem.cost.half_track * wrap_angle(off[:, 2])
+    away = np.hypot(np.hypot(off[:, 0], off[:, 1]), turned)
+    # of a place that it passes twice the later time counts
+    nearest = int(np.flatnonzero(away <= away.min() + ALIKE)[-1])
+    along = np.concatenate([[0.0], np.cumsum(np.abs(fine.ds))])
+    ahead = np.searchsorted(along, along[nearest] + np.array(AHEAD))
+    # the place itself, and the one after it, which the robot may have passed the first part of
+    return sorted({nearest, *np.clip([nearest + 1, *ahead], nearest, len(fine)).tolist()})
+
+
+def _joined(here: Pose, fine: Path, vertex: int, problem: PlanningProblem) -> Path | None:
+    """Return the way from a pose to a vertex of a path, and from there on."""
+    at = Pose(*(float(v) for v in fine.vertices[vertex]))
+    rest = Path(at, fine.ds[vertex:], fine.dtheta[vertex:], fine.longitudinal)
+    gap = np.hypot(at.x - here.x, at.y - here.y) + abs(float(wrap_angle(at.yaw - here.yaw)))
+    if gap > ALIKE:
+        try:
+            rest = steering.path(here, at, problem.cost) + rest
+        except EnergyPlanError:  # a vehicle that steering knows no way for
+            return None
+    kept = merged(Segments(rest.ds, rest.dtheta))
+    return Path(here, kept.ds, kept.dtheta, rest.longitudinal)
+
+
+def _closed(path: Path, grid: OccupancyGrid, problem: PlanningProblem) -> list[int]:
+    """Return the first and the last segment of a path that are not free; none if it is."""
+    vertices = path.vertices
+    free = grid.motions_free(vertices[:-1], path.ds, path.dtheta, problem.robot, path.longitudinal)
+    shut = np.flatnonzero(~free)
+    return [] if len(shut) == 0 else [int(shut[0]), int(shut[-1])]
+
+
+def _bypassed(rest: Path, problem: PlanningProblem, budget: Budget) -> Path | None:
+    """Return a path with what is closed of it bypassed, if a way around is found near it."""
+    grid = problem.terrain.obstacles
+    fine = rest.subdivide(STEP, STEP)
+    shut = _closed(fine, grid, problem)
+    if not shut:
+        return rest
+    vertices = fine.vertices
+    free = np.flatnonzero(grid.footprint_free(vertices, problem.robot))
+    along = np.concatenate([[0.0], np.cumsum(np.abs(fine.ds))])
+    for n, far in enumerate(AROUND):
+        own = budget.part(1.0 / (len(AROUND) - n))
+        before = free[(free <= shut[0]) & (along[free] <= along[shut[0]] - far)]
+        after = free[(free > shut[1]) & (along[free] >= along[shut[1] + 1] + far)]
+        first = int(before[-1]) if len(before) else 0
+        last = int(after[0]) if len(after) else len(fine)
+        ends = [Pose(*(float(v) for v in vertices[k])) for k in (first, last)]
+        part = replace(problem, start=ends[0], goal=ends[1])
+        try:
+            part.check_poses()
+            around = lattice.plan(part, own, bound=_free_bound(CompiledProblem(part))).path
+        except (NoPathError, TimeLimitError, StartInCollisionError, GoalInCollisionError):
+            continue
+        start = Path(fine.start, fine.ds[:first], fine.dtheta[:first], fine.longitudinal)
+        end = Path(ends[1], fine.ds[last:], fine.dtheta[last:], fine.longitudinal)
+        return start + around + end
+    return None
+
+
+def _free_bound(query: CompiledProblem) -> float:
+    """Return the least cost without obstacles, in the unit of the objective."""
+    setting = query.setting
+    free = float(free_energy(setting, setting.start_x, setting.start_y, setting.start_yaw))
+    return free + query.potential(query.problem.goal)
+
+
+def _bound_left(former: Plan, problem: PlanningProblem, here: Pose) -> float:
+    """Return what is left of a plan's lower bound where the robot is, on the former map.
+
+    The bound holds for the way that the robot came and the best way from here.
+    """
+    fine = former.path.subdivide(STEP, STEP)
+    least = np.inf
+    for k in _places_ahead(fine, here, problem)[:1]:
+        at = Pose(*(float(v) for v in fine.vertices[k]))
+        driven = Path(fine.start, fine.ds[:k], fine.dtheta[:k], fine.longitudinal)
+        try:
+            came = driven + steering.path(at, here, problem.cost)
+        except EnergyPlanError:
+            continue
+        query = CompiledProblem(replace(problem, goal=here))
+        if query.drivable([came]):
+            least = min(least, query.value(came))
+    return former.lower_bound - least
+
+
+def replan(
+    problem: PlanningProblem,
+    former: Plan,
+    *,
+    start: ArrayLike,
+    map: OccupancyGrid | None = None,
+    time_limit: float = 1.0,
+    effort: int | None = None,
+) -> Plan:
+    """Plan on from where the robot is, with the rest of the former plan as a start.
+
+    While the rest is free and no cell became free, it is returned at once. Otherwise planning
+    spends what it may. The plan never costs more than the rest of the former one where that is
+    free.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        The problem that the former plan answers.
+    former : Plan
+        That plan.
+    start : array_like, shape (3,)
+        Where the robot is now: x, y [m], yaw [rad] of the body frame.
+    map : OccupancyGrid, optional
+        The map now, best made by `OccupancyGrid.updated`, which keeps what was made of the former
+        one; the problem's if left out.
+    time_limit, effort : float, int
+        What planning may spend, as for `plan`.
+
+    Returns
+    -------
+    Plan
+        The plan from there. Its lower bound is what is known without a search: what is left of the
+        former one where obstacles only were added, or the least cost without obstacles.
+
+    Raises
+    ------
+    StartInCollisionError, GoalInCollisionError, OutsideMapError, NoPathError, TimeLimitError
+        As for `plan`.
+
+    Examples
+    --------
+    >>> from energyplan.cost import EnergyCost
+    >>> from energyplan.planning import plan
+    >>> hall = OccupancyGrid(np.zeros((100, 100), bool), resolution=0.1)
+    >>> cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
+    >>> problem = PlanningProblem(hall, cost, start=(2, 5, 0), goal=(8, 5, 0))
+    >>> former = plan(problem, effort=1000)
+    >>> round(replan(problem, former, start=(4, 5, 0)).energy)
+    800
+    >>> closed = hall.updated(np.ones((10, 10), bool), row=45, column=60)
+    >>> replan(problem, former, start=(4, 5, 0), map=closed, effort=1000).energy > 820
+    True
+    """
+    budget = Budget(time_limit, effort=effort)
+    here = as_pose(start, "start")
+    now = replace(problem, start=here, map=problem.map if map is None else map)
+    now.check_poses()
+    compile_kernels(now.cost)
+    query = CompiledProblem(now)
+    bound = _free_bound(query)
+    rest = remainder(former.path, here, now)
+    if _only_added(problem, now):
+        bound = max(bound, _bound_left(former, problem, here))
+        if rest is not None:
+            return priced_plan(
+                query, rest, bound, former.planner, planning_time=budget.elapsed,
+                effort=budget.spent,
+            )  # fmt: skip
+    known = [] if rest is None else [rest]
+    if rest is None:
+        # the way back to the path may be closed as well as the path
+        open_map = replace(problem, map=problem.map, start=here)
+        try:
+            open_map.check_poses()
+        except (StartInCollisionError, OutsideMapError):
+            rest = None
+        else:
+            rest = remainder(former.path, here, open_map)
+        if rest is not None:
+            bypassed = _bypassed(rest, now, budget.part(DETOUR_SHARE))
+            known = [] if bypassed is None else [bypassed]
+    found = lattice.plan(now, budget, initial=known, bound=bound)
+    check_path(now, found.path, "lattice")
+    return priced_plan(
+        query, found.path, bound, "lattice", planning_time=budget.elapsed,
+        first_time=found.first_time, effort=budget.spent,
+    )  # fmt: skip
+
+
+def _only_added(before: PlanningProblem, now: PlanningProblem) -> bool:
+    """Tell whether every cell that is free now was free before."""
+    if now.map is before.map:
+        return True
+    old, new = before.terrain.obstacles, now.terrain.obstacles
+    same = old.shape == new.shape and old.resolution == new.resolution and old.origin == new.origin
+    return same and not bool(np.any(old.blocked & ~new.blocked))

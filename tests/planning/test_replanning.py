@@ -1,0 +1,152 @@
+"""Plans for a robot under way: the rest of the former plan, ways around, what the bound is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from energyplan import steering
+from energyplan.cost import EnergyCost
+from energyplan.errors import NoPathError, StartInCollisionError
+from energyplan.planning import PlanningProblem, plan
+from energyplan.planning.replanning import remainder, replan
+from energyplan.power import PowerModel
+from energyplan.terrain import OccupancyGrid
+from tests.worlds import cluttered, free_poses
+
+COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+ROUNDED = 1 + 1e-12
+"""What sums over a few dozen motions may be off by."""
+
+
+def two_doors() -> PlanningProblem:
+    """Return a wall with two doors; the way leads through the lower one."""
+    occupied = np.zeros((160, 200), bool)
+    occupied[:, 100:104] = True
+    occupied[20:60, 100:104] = occupied[110:140, 100:104] = False
+    return PlanningProblem(OccupancyGrid(occupied, 0.05), COST, (1.5, 2, 0), (8.5, 2, 0))
+
+
+@pytest.fixture(scope="module")
+def door():
+    problem = two_doors()
+    return problem, plan(problem, effort=4000)
+
+
+def test_on_the_path_the_rest_of_it_is_left(door):
+    problem, former = door
+    for share in (0.0, 0.4, 0.97, 1.0):
+        fine = former.path.subdivide(0.013, 0.02)
+        here = fine.vertices[round(share * len(fine))]
+        rest = remainder(former.path, here, problem)
+        driven = COST.energy(
+            replace(
+                fine,
+                ds=fine.ds[: round(share * len(fine))],
+                dtheta=fine.dtheta[: round(share * len(fine))],
+            )
+        )
+        # the nearest place looked at is up to half a step off, and the way to it is no dearer
+        assert COST.energy(rest) <= former.energy - driven + 1e-6 * former.energy
+        assert np.allclose(rest.start, here)
+        assert np.allclose(np.subtract(rest.end, problem.goal)[:2], 0, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_beside_the_path_the_way_leads_back_to_it(seed):
+    rng = np.random.default_rng(seed)
+    grid = cluttered(seed, 6)
+    ends = free_poses(grid, 2, seed, COST.vehicle)
+    problem = PlanningProblem(grid, COST, *ends)
+    former = plan(problem, effort=2000)
+    fine = former.path.poses(0.05, 0.05)
+    for _ in range(5):
+        here = fine[rng.integers(0, len(fine))] + rng.normal(0, (0.03, 0.03, 0.1))
+        if not grid.footprint_free(here, COST.vehicle):
+            continue
+        rest = remainder(former.path, here, problem)
+        if rest is None:
+            continue
+        assert grid.path_free(rest, COST.vehicle)
+        assert np.allclose(rest.start, here)
+        assert COST.energy(rest) >= steering.energy(here, problem.goal, COST) * (1 - 1e-9)
+
+
+def test_while_nothing_became_free_the_rest_is_the_plan(door):
+    problem, former = door
+    here = former.path.poses()[20]
+    added = problem.map.updated(np.ones((3, 3), bool), 150, 20)
+    for grid in (None, problem.map, added):
+        again = replan(problem, former, start=here, map=grid, effort=1)
+        rest = remainder(former.path, here, problem)
+        assert again.energy == pytest.approx(COST.energy(rest), rel=1e-12)
+        assert again.effort == 0
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.8])
+def test_what_is_left_of_the_bound_is_a_bound(door, share):
+    problem, former = door
+    poses = former.path.poses()
+    here = poses[int(share * len(poses))]
+    added = problem.map.updated(np.ones((3, 3), bool), 150, 20)
+    left = replan(problem, former, start=here, map=added, effort=1)
+    best = plan(replace(problem, start=here, map=added), effort=20_000)
+    assert left.lower_bound <= best.cost * ROUNDED
+    assert left.lower_bound >= steering.energy(here, problem.goal, COST) * (1 - 1e-9)
+
+
+def test_a_closed_place_is_bypassed(door):
+    problem, former = door
+    here = former.path.poses()[5]
+    # half of the door is closed
+    half = problem.map.updated(np.ones((18, 4), bool), 20, 100)
+    assert remainder(former.path, here, replace(problem, map=half)) is None
+    again = replan(problem, former, start=here, map=half, effort=4000)
+    anew = plan(replace(problem, start=here, map=half), effort=20_000)
+    assert half.path_free(again.path, COST.vehicle)
+    assert again.energy <= 1.03 * anew.energy
+
+
+def test_a_closed_door_leads_through_the_other_one(door):
+    problem, former = door
+    here = former.path.poses()[10]
+    shut = problem.map.updated(np.ones((40, 4), bool), 20, 100)
+    again = replan(problem, former, start=here, map=shut, effort=8000)
+    anew = plan(replace(problem, start=here, map=shut), effort=20_000)
+    assert shut.path_free(again.path, COST.vehicle)
+    assert again.energy <= 1.03 * anew.energy
+    assert again.lower_bound <= anew.cost
+
+
+def test_no_way_left_is_said(door):
+    problem, former = door
+    walled = problem.map.updated(np.ones((160, 4), bool), 0, 100)
+    with pytest.raises(NoPathError):
+        replan(problem, former, start=former.path.poses()[10], map=walled, effort=4000)
+
+
+def test_what_became_free_is_used(door):
+    problem, _ = door
+    shut = problem.map.updated(np.ones((40, 4), bool), 20, 100)
+    around = plan(replace(problem, map=shut), effort=6000)
+    here = around.path.poses()[3]
+    again = replan(replace(problem, map=shut), around, start=here, map=problem.map, effort=6000)
+    rest = remainder(around.path, here, problem)
+    assert again.energy < 0.9 * COST.energy(rest)
+    assert again.lower_bound <= again.energy * ROUNDED
+
+
+def test_a_robot_in_an_obstacle_is_told_so(door):
+    problem, former = door
+    with pytest.raises(StartInCollisionError):
+        replan(problem, former, start=(5.1, 4.0, 0.0))
+
+
+def test_the_same_comes_of_it_every_time(door):
+    problem, former = door
+    half = problem.map.updated(np.ones((18, 4), bool), 20, 100)
+    here = former.path.poses()[5]
+    one, two = (replan(problem, former, start=here, map=half, effort=2000) for _ in range(2))
+    assert np.array_equal(one.path.vertices, two.path.vertices)
