@@ -88,7 +88,7 @@ def test_the_public_names_are_these() -> None:
         "TreadICR", "Vehicle", "battery", "check", "compare", "diagnose", "energy_map", "errors",
         "evaluate", "feasibility", "fleet", "identify", "pareto", "plan", "plots", "read_fleet",
         "read_heights", "read_map", "read_mission", "read_model", "read_surfaces", "read_vehicle",
-        "simulate", "speed", "steering", "watch", "write_model",
+        "replan", "simulate", "speed", "steering", "watch", "write_model",
     ]  # fmt: skip
 
 
