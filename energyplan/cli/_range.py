@@ -25,7 +25,7 @@ CONTOURS = 5
 @app.command(
     name="range",
     epilog="Example: energyplan range --map warehouse.yaml --model quadriga:empty:concrete "
-    "--from 2,2,0 --energy 5000 --return --plot range.png",
+    "--from 2,2,0 --energy 5000 --return --confidence 0.95 --coefficient-spread 0.05",
 )
 def reach(
     map_file: Annotated[Path, typer.Option("--map", help="map_server YAML file.")],
@@ -33,6 +33,23 @@ def reach(
     start: Annotated[str, typer.Option("--from", help="X,Y,YAW; YAW in radians, or like 90deg.")],
     energy: Annotated[float | None, typer.Option(help="Energy that there is [J].")] = None,
     reserve: Annotated[float, typer.Option(min=0.0, max=0.99, help="Part of it to be kept.")] = 0.0,
+    pack: Annotated[
+        str | None,
+        typer.Option(help="Battery whose charge is the energy: the name of a preset."),
+    ] = None,
+    soc: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="State of charge of that battery.")
+    ] = 1.0,
+    confidence: Annotated[
+        float | None,
+        typer.Option(help="Probability that a place told to be in reach is, such as 0.95."),
+    ] = None,
+    spread: Annotated[
+        float,
+        typer.Option(
+            "--coefficient-spread", help="Relative spread of each coefficient from day to day."
+        ),
+    ] = 0.0,
     back: Annotated[
         bool, typer.Option("--return", help="Count the way back to the start as well.")
     ] = False,
@@ -66,7 +83,9 @@ def reach(
     """Find the energy that every place takes to get to, and how far a given energy leads."""
     import numpy as np
 
+    from energyplan.battery import Battery
     from energyplan.cost import EnergyCost
+    from energyplan.errors import InvalidInputError
     from energyplan.io.config import read_model
     from energyplan.io.energy_map import write_contours, write_energies
     from energyplan.io.files import atomic_write
@@ -75,17 +94,28 @@ def reach(
     from energyplan.output import documents, plots, text
     from energyplan.output.report import image
     from energyplan.planning import PlanningProblem
+    from energyplan.studies.doubt import most_power
     from energyplan.studies.energy_map import energy_map
 
+    if pack and energy is not None:
+        raise InvalidInputError("--pack and --energy both tell what there is; give one of them")
     pose = parse_pose(start)
+    # what a battery delivers is counted at the battery
+    cost = EnergyCost(read_model(model), battery=battery or pack is not None)
     problem = PlanningProblem(
-        read_map(map_file), EnergyCost(read_model(model), battery=battery), pose, pose,
+        read_map(map_file), cost, pose, pose,
         surfaces=read_surfaces(surfaces) if surfaces else None,
     )  # fmt: skip
     home = parse_pose(charger) if charger else pose
+    if pack:
+        # at the power of the dearest motion, at which a battery delivers least
+        energy = float(Battery.preset(pack).usable_energy(most_power(cost), soc))
     usable = np.inf if energy is None else (1.0 - reserve) * energy
     with progress("searching"):
-        found = energy_map(problem, energy=usable, back=home if back or charger else None)
+        found = energy_map(
+            problem, energy=usable, back=home if back or charger else None,
+            confidence=confidence, coefficient_spread=spread,
+        )  # fmt: skip
     most = float(found.energy[np.isfinite(found.energy)].max(initial=0.0))
     limit = most if energy is None else usable
     parts = np.arange(1, CONTOURS + 1) / CONTOURS

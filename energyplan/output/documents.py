@@ -178,6 +178,7 @@ def energy_map(found: EnergyMap, areas: Sequence[Contour]) -> Document:
     return {
         "area": plain(found.reachable(float(np.finfo(float).max))),
         "complete_to": plain(found.complete_to),
+        "confidence": plain(found.confidence),
         "contours": [{"energy": plain(a.energy), "area": plain(a.area.area)} for a in areas],
     }
 

@@ -236,7 +236,10 @@ def comparison(made: Comparison) -> list[str]:
 def energy_map(found: EnergyMap, areas: Sequence[Contour]) -> list[str]:
     """Return what ``energyplan range`` prints."""
     way = "there" if found.back is None else "there and back"
-    lines = [f"{number(a.energy, 4)} J lead {way} over {number(a.area.area)} m^2" for a in areas]
+    sure = "" if found.confidence is None else f", each place with {100 * found.confidence:g} %"
+    lines = [
+        f"{number(a.energy, 4)} J lead {way} over {number(a.area.area)} m^2{sure}" for a in areas
+    ]
     if not lines:
         lines = ["nothing is in reach"]
     if math.isfinite(found.complete_to):

@@ -21,6 +21,7 @@ from energyplan.planning.problem import PlanningProblem, as_pose
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.guide import no_distance
 from energyplan.planning.scene.motions import DIRECTIONS, KernelProblem
+from energyplan.studies.doubt import upper_prices
 
 CELLS = 2
 """Cells of the lattice to a cell of the raster, along either axis."""
@@ -63,6 +64,9 @@ class EnergyMap:
         Where it has to get back to.
     complete_to : float
         What takes up to this energy is on the map [J]; infinite where all places are.
+    confidence : float or None
+        Probability with which each place takes no more than its `energy`; None where that is what
+        the model expects.
     """
 
     energy: FloatArray
@@ -71,6 +75,7 @@ class EnergyMap:
     start: Pose
     back: Pose | None
     complete_to: float
+    confidence: float | None = None
 
     def reachable(self, energy: float) -> float:
         """Return the area of the places that an energy [J] leads to [m^2]."""
@@ -136,6 +141,8 @@ def energy_map(
     *,
     energy: float = np.inf,
     back: ArrayLike | None = None,
+    confidence: float | None = None,
+    coefficient_spread: float = 0.0,
     effort: int = 20_000_000,
 ) -> EnergyMap:
     """Find the energy that every place of a map takes to get to.
@@ -153,6 +160,13 @@ def energy_map(
     back : array_like, shape (3,), optional
         Pose that the robot has to get back to, such as a charger's: then a place takes the energy
         to it and from there on, at the heading at which both together are least.
+    confidence : float, optional
+        Probability, for each place by itself, that getting there takes no more than is told: so
+        what is left in a battery leads that far with 95 %, for one. It comes from the model's
+        covariance and what the model missed on drives held out. What is told is never below that
+        quantile of the energy, and a little above it, since motions are priced one by one.
+    coefficient_spread : float
+        Relative standard deviation of each coefficient from day to day, on top of that.
     effort : int
         Largest number of expansions of either search.
 
@@ -166,7 +180,8 @@ def energy_map(
     StartInCollisionError, OutsideMapError
         If the start, or the pose to get back to, cannot be; the message names the pose.
     InvalidInputError
-        If the objective is another than energy, or the energy is not positive.
+        If the objective is another than energy, the energy is not positive, or a confidence is
+        asked of a model of whose uncertainty nothing is known.
 
     Examples
     --------
@@ -184,12 +199,19 @@ def energy_map(
         raise InvalidInputError("a map of energies has the objective 'energy'; leave it out")
     problem = replace(problem, goal=problem.start)
     there = CompiledProblem(problem)
+    upper = None
+    if confidence is not None:
+        upper = upper_prices(there, confidence, coefficient_spread)
+
+    def priced(setting: KernelProblem) -> KernelProblem:
+        return setting if upper is None else setting._replace(prices=setting.prices + upper.extra)
+
     lattice = coarse_lattice(there.setting)
     spacing = CELLS * lattice.cell
     # the search's energies are less what the height is worth
     rise = _rise(there, spacing)
     lowest = float(rise.min(initial=0.0))
-    out = _search(there.setting, lattice, energy - lowest, effort)
+    out = _search(priced(there.setting), lattice, energy - lowest, effort)
     table = _table(out, lattice, spacing, there.setting)
     complete = out.frontier + lowest
     target = None
@@ -198,11 +220,13 @@ def energy_map(
     else:
         target = as_pose(back, "the pose to get back to")
         home = CompiledProblem(replace(problem, start=target, goal=target))
-        ways = _search(_reversed(home.setting), lattice, energy - lowest, effort)
+        ways = _search(_reversed(priced(home.setting)), lattice, energy - lowest, effort)
         # what climbing is worth on the way out comes back on the way home, but for the two ends
         level = there.worth(target) - there.worth(problem.start)
         energies = (table + _table(ways, lattice, spacing, home.setting)).min(axis=0) + level
         complete = min(complete, ways.frontier + lowest)
+    if upper is not None:
+        energies = upper.whole(energies)
     return EnergyMap(
         energy=np.where(energies <= energy, energies, np.inf),
         resolution=spacing,
@@ -210,6 +234,7 @@ def energy_map(
         start=problem.start,
         back=target,
         complete_to=min(complete, energy),
+        confidence=confidence,
     )
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -12,12 +14,19 @@ import shapely
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
-from energyplan.errors import InvalidInputError, MapError, StartInCollisionError
+from energyplan.errors import (
+    InvalidInputError,
+    MapError,
+    PlanningError,
+    StartInCollisionError,
+)
 from energyplan.io.energy_map import write_contours, write_energies
 from energyplan.path import Pose
 from energyplan.planning import PlanningProblem, plan
-from energyplan.power import PowerModel
+from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.power import PowerModel, Residual
 from energyplan.studies import energy_map
+from energyplan.studies.doubt import most_power, upper_prices
 from energyplan.terrain import OccupancyGrid
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
@@ -128,3 +137,76 @@ def test_what_cannot_be_is_refused():
         energy_map(replace(problem, objective="time"))
     with pytest.raises(StartInCollisionError):
         energy_map(replace(problem, start=(6.0, 6.0, 0.0)))
+
+
+def doubtful(covariance: np.ndarray, residual: Residual | None = None) -> EnergyCost:
+    """Return a cost whose model has a covariance."""
+    return EnergyCost(replace(COST.model, covariance=covariance, residual=residual))
+
+
+def test_one_unknown_scales_all_prices():
+    error = 0.1 * COST.model.coefficients
+    cost = doubtful(np.outer(error, error))
+    problem = PlanningProblem(hall(), cost, (3, 6, 1.0), (3, 6, 1.0))
+    query = CompiledProblem(problem)
+    upper = upper_prices(query, 0.95, 0.0)
+    share = 0.1 * NormalDist().inv_cdf(0.95)
+    assert upper.extra == pytest.approx(share * query.prices, rel=1e-6)
+    sure = energy_map(problem, back=(10, 5, 0), confidence=0.95)
+    expected = energy_map(problem, back=(10, 5, 0))
+    # prices in proportion are rounded otherwise: of two motions that cost the same another is taken
+    ratio = sure.energy_at([(10, 7), (8, 1), (2, 4)]) / expected.energy_at(
+        [(10, 7), (8, 1), (2, 4)]
+    )
+    assert ratio == pytest.approx(1 + share, rel=0.03)
+    assert sure.confidence == 0.95
+
+
+def test_half_of_the_drives_take_less_than_expected():
+    cost = doubtful(np.diag((0.1 * COST.model.coefficients) ** 2))
+    problem = PlanningProblem(hall(), cost, (3, 6, 1.0), (3, 6, 1.0))
+    half, expected = energy_map(problem, confidence=0.5), energy_map(problem)
+    assert np.array_equal(half.energy, expected.energy)
+
+
+@pytest.mark.parametrize("goal", [(10.5, 7.5), (8.0, 1.0)])
+def test_told_with_confidence_is_what_so_many_robots_take_at_most(goal):
+    rng = np.random.default_rng(5)
+    root = np.array([[0.08, 0.0], [5.0, 9.0]])
+    missed = Residual(20.0, 15.0, 0.0, 0.03, correlation_time=0.8, duration=300.0)
+    cost = doubtful(root @ root.T, missed)
+    problem = PlanningProblem(hall(), cost, (3, 6, 1.0), (3, 6, 1.0))
+    sure = float(energy_map(problem, confidence=0.95).energy_at(goal))
+    expected = float(energy_map(problem).energy_at(goal))
+    # the path of least expected energy to some heading there, as each robot pays for it
+    found = []
+    for yaw in np.arange(4) * np.pi / 2:
+        with suppress(PlanningError):
+            found.append(plan(replace(problem, goal=(*goal, yaw)), effort=3000))
+    near = min(found, key=lambda one: one.energy)
+    by_term = np.array([near.breakdown[t.name] for t in cost.model.terms])
+    drawn = cost.model.coefficients + rng.normal(size=(4000, 2)) @ root.T
+    energies = drawn / cost.model.coefficients @ by_term
+    energies *= 1 + 0.03 * rng.normal(size=4000)
+    energies += np.sqrt(2 * 20.0**2 * 0.8 * near.duration) * rng.normal(size=4000)
+    share = np.quantile(energies, 0.95) / near.energy
+    # never below that quantile, and above it by what adding deviations up one by one costs
+    assert share <= 1.005 * sure / expected
+    assert sure / expected <= 1.25 * share
+
+
+def test_nothing_known_of_a_model_is_nothing_told_with_confidence():
+    problem = PlanningProblem(hall(), COST, (3, 6, 1.0), (3, 6, 1.0))
+    with pytest.raises(InvalidInputError, match="state a coefficient spread"):
+        energy_map(problem, confidence=0.95)
+    with pytest.raises(InvalidInputError, match=r"0\.5 to below 1"):
+        energy_map(problem, confidence=95, coefficient_spread=0.1)
+    spread = energy_map(problem, confidence=0.95, coefficient_spread=0.1)
+    assert spread.energy_at((8, 1)) > energy_map(problem).energy_at((8, 1))
+
+
+def test_no_motion_takes_more_than_the_most_power():
+    most = most_power(COST)
+    rates = np.linspace(-1, 1, 21)
+    powers = COST.segment_energy(rates, 1.0) / COST.segment_duration(rates, 1.0)
+    assert powers.max() <= most * (1 + 1e-3)

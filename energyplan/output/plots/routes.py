@@ -77,12 +77,17 @@ def energy_map(found: EnergyMap, grid: OccupancyGrid, levels: int = 8) -> Figure
     image.set_transform(turn + ax.transData)
     most = float(energy.max()) if energy.count() else 0.0
     if most > 0:
-        for area in found.contours((1e3 * most * np.arange(1, levels) / levels).tolist()):
-            for part in area.area.geoms:
-                ax.plot(*part.exterior.xy, color="white", lw=0.8, zorder=3)
+        along, up = ((np.arange(n) + 0.5) * found.resolution for n in (columns, rows))
+        ax.contour(
+            along, up, energy, most * np.arange(1, levels) / levels, colors="white",
+            linewidths=0.8, zorder=3, transform=turn + ax.transData,
+        )  # fmt: skip
     ax.plot(found.start.x, found.start.y, "o", color=ORANGE, ms=7, zorder=4)
+    if found.back is not None and found.back != found.start:
+        ax.plot(found.back.x, found.back.y, "s", color=RED, ms=7, zorder=4)
     ways = "to get there" if found.back is None else "to get there and back"
-    made.colorbar(image, ax=ax, label=f"energy {ways} [kJ]")
+    sure = "" if found.confidence is None else f", with {100 * found.confidence:g} %"
+    made.colorbar(image, ax=ax, label=f"energy {ways}{sure} [kJ]")
     return made
 
 
