@@ -269,6 +269,9 @@ def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInp
     names, separator, decimal = _dialect(stream, file, error)
     most = MAX_CELLS // len(names)
     columns = _Columns(names, 2, "line")
+    # before 3.1 pandas is out by the last bit in one number of six, unless it is asked not to be
+    old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
+    exact: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
     try:
         with warnings.catch_warnings():
             # Rows wider than the header would lose their surplus with no more than a warning.
@@ -284,6 +287,7 @@ def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInp
                 skipinitialspace=True,
                 low_memory=False,
                 chunksize=_CHUNK,  # the parser's memory is several times that of the numbers
+                **exact,
             ):
                 columns.add(frame)
                 if columns.rows > most:

@@ -57,7 +57,8 @@ def shortest_ways(grid: OccupancyGrid, vehicle: Vehicle, points: FloatArray) -> 
 def _graph(free: np.ndarray) -> csr_array:
     """Join open cells that touch, corners included; lengths in cells."""
     rows, columns = free.shape
-    number = np.arange(rows * columns).reshape(rows, columns)
+    # older releases of SciPy want 32 bits; there are no more than `_CELLS` cells
+    number = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
     start, end, length = [], [], []
     for dr, dc in ((0, 1), (1, 0), (1, 1), (1, -1)):
         a = (slice(0, rows - dr), slice(max(-dc, 0), columns - max(dc, 0)))
