@@ -8,13 +8,17 @@ NIGHTLY_READY := $(VENV)/.nightly-ready
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 OUT ?= demo
 
-.PHONY: demo test shuffled lint docs fuzz mutate lowest pictures loop bench lock clean
+.PHONY: demo test nightly shuffled lint docs fuzz mutate lowest pictures loop bench lock clean
 
 demo: $(READY)
 	$(BIN)/energyplan demo --out $(OUT)
 
 test: $(READY) lint
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+# Nightly: the larger cases of what the suite tries with smaller ones.
+nightly: $(NIGHTLY_READY)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m nightly
 
 # The suite ROUNDS times, each in another order, with two busy processes beside it.
 ROUNDS ?= 10
@@ -22,7 +26,7 @@ shuffled: $(READY)
 	@for load in 1 2; do $(BIN)/python -c 'while True: pass' & busy="$$busy $$!"; done; \
 	trap 'kill $$busy' EXIT; \
 	for round in $$(seq $(ROUNDS)); do \
-		$(BIN)/python -m pytest -p randomly -n 2 --dist loadfile -q || exit 1; \
+		$(BIN)/python -m pytest -p randomly -n 2 --dist worksteal -q || exit 1; \
 	done
 
 # The suite with the oldest releases that pyproject.toml admits.
@@ -31,7 +35,7 @@ lowest: $(READY)
 	$(BIN)/uv pip install --quiet --python build/lowest/bin/python --resolution lowest-direct \
 		--all-extras --group test -r pyproject.toml
 	$(BIN)/uv pip install --quiet --python build/lowest/bin/python --no-deps .
-	build/lowest/bin/python -m pytest -n 2 --dist loadfile tests
+	build/lowest/bin/python -m pytest -n 2 --dist worksteal tests
 
 lint: $(READY)
 	$(BIN)/ruff check .

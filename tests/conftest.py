@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from pathlib import Path
 
 import pytest
+
+from energyplan.planning import Budget
+from energyplan.planning.budget import PACE
 
 collect_ignore = ["fuzz", "mutation.py"]  # scripts for the night
 
@@ -16,3 +20,19 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"the shared data folder {folder} is absent")
     return folder
+
+
+@pytest.fixture
+def counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have planning count its effort where it is given a time: up to a tenth of a second's worth.
+
+    For tests of what planning is a part of: what comes of them depends on no clock.
+    """
+    original = Budget.__init__
+
+    def init(self: Budget, time_limit: float = float("inf"), *, effort: int | None = None) -> None:
+        if effort is None and time_limit > 0 and isfinite(time_limit):
+            effort = max(round(min(time_limit, 0.1) * PACE), 1)
+        original(self, time_limit, effort=effort)
+
+    monkeypatch.setattr(Budget, "__init__", init)

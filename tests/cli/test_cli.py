@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,6 +23,7 @@ from energyplan.power import HOTEL, PowerModel
 
 Run = Callable[..., "Result"]
 MODEL = PowerModel.preset("quadriga:full:marble")
+pytestmark = pytest.mark.usefixtures("counted")
 COMMANDS = ("identify", "diagnose", "plan", "compare", "check", "mission", "range", "demo")
 
 
@@ -118,18 +118,6 @@ def test_compare_reports_both_routes(run: Run, tmp_path: Path) -> None:
     assert f"energyplan compare --map {bundled('office.yaml')} --model quadriga:full:marble" in end
     for name in ("office.yaml", "office.png"):
         assert hashlib.sha256(bundled(name).read_bytes()).hexdigest() in end
-
-
-def test_demo_makes_every_file_it_lists(run: Run, tmp_path: Path) -> None:
-    result = run("demo", "--out", tmp_path / "demo", "--json")
-    assert result.code == 0
-    files = [Path(name) for name in result.json["files"]]
-    made = {file for file in (tmp_path / "demo").rglob("*") if file.is_file()}
-    assert set(files) == made
-    page = files[-1].read_text()
-    assert files[-1].name == "index.html"
-    assert page.count("<figure>") == len([f for f in files if f.suffix == ".png"])
-    assert "http" not in re.sub(r"base64,[^\"]+", "", page)
 
 
 def arc(speed: float) -> Trajectory:

@@ -17,6 +17,8 @@ from energyplan.io.trajectory import read_trajectory
 from energyplan.power import PowerModel
 from energyplan.power.effects import term
 
+pytestmark = pytest.mark.usefixtures("counted")
+
 SIZE = {
     "slip_friction": 0.6, "traction_resistance": 100.0, "hotel_load": 40.0, "viscous_loss": 30.0,
     "linear_inertia": 83.0, "angular_inertia": 7.0, "regeneration_efficiency": 0.8,

@@ -18,6 +18,8 @@ from energyplan.io.config import write_vehicle
 from energyplan.io.files import files_behind, refuse_overwriting
 from energyplan.io.trajectory import write_log
 
+pytestmark = pytest.mark.usefixtures("counted")
+
 MODEL = ep.PowerModel.preset("quadriga:full:marble")
 
 

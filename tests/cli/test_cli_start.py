@@ -18,6 +18,8 @@ from energyplan.io.start import start
 from energyplan.io.trajectory import write_log
 from energyplan.power.presets import MODEL_PRESETS
 
+pytestmark = pytest.mark.usefixtures("counted")
+
 MEASURES = ("--track", 0.4, "--wheelbase", 0.62, "--mass", 30)
 
 

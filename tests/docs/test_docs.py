@@ -27,7 +27,6 @@ import pytest
 import energyplan as ep
 from energyplan import cli, simulate
 from energyplan.cli._fitting import log as log_commands
-from energyplan.demo import run as run_demo
 from energyplan.io.trajectory import write_log, write_path, write_trajectory
 from energyplan.power import HOTEL
 
@@ -115,12 +114,32 @@ def material(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+class Demo(NamedTuple):
+    folder: Path
+    printed: str
+
+
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What ``energyplan demo`` makes; README's commands go on from there."""
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Demo:
+    """What ``energyplan demo`` makes and prints; README's commands go on from there."""
     place = tmp_path_factory.mktemp("made") / "demo"
-    run_demo(place, lambda text: None)
-    return place
+    printed = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
+        patch.setattr(sys, "argv", ["energyplan", "demo", "--out", str(place), "--json"])
+        with pytest.raises(SystemExit) as left:
+            cli.main()
+    assert not left.value.code
+    return Demo(place, printed.getvalue())
+
+
+def test_demo_makes_every_file_it_lists(demo: Demo) -> None:
+    files = [Path(name) for name in json.loads(demo.printed)["files"]]
+    made = {file for file in demo.folder.rglob("*") if file.is_file()}
+    assert set(files) == made
+    page = files[-1].read_text()
+    assert files[-1].name == "index.html"
+    assert page.count("<figure>") == len([f for f in files if f.suffix == ".png"])
+    assert "http" not in re.sub(r"base64,[^\"]+", "", page)
 
 
 def namespace() -> dict[str, Any]:
@@ -157,6 +176,9 @@ def command_lines(page: Path) -> Iterator[list[str]]:
                 words = shlex.split(line, comments=True) if "energyplan " in line else []
                 if words[:1] == ["energyplan"]:
                     yield words[1:]
+
+
+pytestmark = pytest.mark.usefixtures("counted")
 
 
 @pytest.fixture(autouse=True)
@@ -200,10 +222,10 @@ def test_command_lines_run(
     work = shutil.copytree(material, tmp_path / "work")
     write_files(page, work)
     if "demo/" in page.read_text():
-        shutil.copytree(request.getfixturevalue("demo"), work / "demo")
+        shutil.copytree(request.getfixturevalue("demo").folder, work / "demo")
     monkeypatch.chdir(work)
     for arguments in command_lines(page):
-        if arguments[0] == "demo":  # run by the tests of the command line
+        if arguments[0] == "demo":  # run once, by its fixture
             arguments = ["demo", "--help"]
         monkeypatch.setattr(sys, "argv", ["energyplan", *arguments])
         with pytest.raises(SystemExit) as left:
@@ -214,7 +236,7 @@ def test_command_lines_run(
 EXAMPLES = [
     str(command.epilog).removeprefix("Example: ")
     for command in (*cli.app.registered_commands, *log_commands.registered_commands)
-    if command.callback is not cli.demo  # run by the tests of the command line
+    if command.callback is not cli.demo  # run by its fixture
 ]
 
 

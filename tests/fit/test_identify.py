@@ -9,6 +9,7 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.optimize import linprog
 from scipy.signal import lfilter
+from scipy.stats import binom, chi2
 
 from energyplan import simulate
 from energyplan.errors import (
@@ -155,19 +156,25 @@ def test_hoisted_vehicle() -> None:
 # -- standard errors ----------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("drives", [40, pytest.param(200, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("method", ["lad", "huber"])
-def test_intervals_hold_the_truth(method: str) -> None:
+def test_standard_errors_are_those_of_many_drives(method: str, drives: int) -> None:
     model = PowerModel.preset("quadriga:empty:concrete")
-    drives, hits = 200, np.zeros(2)
+    score = []
     for seed in range(drives):
         log = simulate.drive(
             model, "spiral", seed=seed, power_noise=10.0, speed_noise=0.005, correlation_time=0.5
         )
         found = identify(log, model.vehicle, method=method)
-        error = np.abs(found.model.coefficients - model.coefficients)
-        hits += error < 1.96 * np.array(list(found.std_error.values()))
-    assert np.all(hits >= 0.90 * drives)
-    assert np.all(hits <= 0.99 * drives)
+        error = found.model.coefficients - model.coefficients
+        score.append(error / np.array(list(found.std_error.values())))
+    # errors in standard errors: their squares' sum is chi-squared, the hits of 95 % are binomial
+    squares = np.sum(np.square(score), axis=0)
+    assert np.all(squares > chi2.ppf(1e-3, drives))
+    assert np.all(squares < chi2.ppf(1 - 1e-3, drives))
+    hits = np.sum(np.abs(score) < 1.96, axis=0)
+    assert np.all(hits >= binom.ppf(1e-3, drives, 0.95))
+    assert np.all(hits <= 0.99 * drives) or drives < 100
 
 
 def test_independent_samples_would_be_too_few(truth: PowerModel) -> None:

@@ -266,6 +266,7 @@ def test_column_maps_and_poses_are_refused_by_name(text: str) -> None:
         assert_no_nan(tuple(parse_pose(text)))
 
 
+@pytest.mark.nightly
 def test_coverage_guided_inputs_are_refused_by_name(tmp_path: Path) -> None:
     """A short run of the nightly fuzzer, in a process of its own as it instruments the package."""
     if importlib.util.find_spec("atheris") is None:

@@ -112,7 +112,7 @@ def test_free_space_plan_is_the_exact_steering_motion():
         start, goal = (
             np.array([*rng.uniform(2, 8, 2), rng.uniform(-np.pi, np.pi)]) for _ in range(2)
         )
-        found = plan(PlanningProblem(room(), COST, start, goal), effort=50_000)
+        found = plan(PlanningProblem(room(), COST, start, goal), effort=15_000)
         exact = float(steering.energy(start, goal, COST))
         assert found.energy == pytest.approx(exact, rel=1e-9)
         assert found.lower_bound == pytest.approx(exact, rel=1e-9)
@@ -202,7 +202,7 @@ def test_initial_path_is_never_made_worse():
     grid = room()
     start, goal = (2, 5, 0), (8, 5, 0)
     known = Path(start, [3.0, 3.0], [0.0, 0.0])
-    found = plan(PlanningProblem(grid, COST, start, goal), initial=[known], effort=50_000)
+    found = plan(PlanningProblem(grid, COST, start, goal), initial=[known], effort=15_000)
     assert found.energy <= COST.energy(known) * (1 + 1e-12)
 
 
@@ -211,7 +211,7 @@ def test_narrow_corridor_is_driven_although_a_spin_does_not_fit():
     occupied[:22, 60:140] = True
     occupied[38:, 60:140] = True  # a corridor of 0.8 m, narrower than the footprint's diagonal
     grid = OccupancyGrid(occupied, 0.05)
-    found = plan(PlanningProblem(grid, COST, (1.5, 1.5, 1.0), (8.5, 1.5, -1.0)), effort=150_000)
+    found = plan(PlanningProblem(grid, COST, (1.5, 1.5, 1.0), (8.5, 1.5, -1.0)), effort=50_000)
     assert grid.path_free(found.path, COST.vehicle)
     assert found.gap < 0.03
 
@@ -224,7 +224,7 @@ def test_one_to_many_energies_match_single_plans():
     assert many.shape == (len(goals),)
     ratios = []
     for goal, energy in zip(goals, many, strict=True):
-        single = plan(PlanningProblem(grid, COST, start, goal), effort=50_000)
+        single = plan(PlanningProblem(grid, COST, start, goal), effort=15_000)
         assert single.lower_bound * (1 - 1e-9) <= energy
         ratios.append(energy / single.energy)
     assert np.median(ratios) < 1.02

@@ -37,7 +37,7 @@ def test_geometric_planners_return_free_paths_priced_by_the_model(name):
     end = np.array(found.path.end)
     np.testing.assert_allclose(end[:2], PROBLEM.goal[:2], atol=1e-6)
     assert np.cos(end[2] - PROBLEM.goal.yaw) == pytest.approx(1.0, abs=1e-9)
-    best = plan(PROBLEM, effort=100_000)
+    best = plan(PROBLEM, effort=30_000)
     assert best.lower_bound <= best.energy <= found.energy * (1 + 1e-9)
 
 
