@@ -3,6 +3,7 @@
     python benchmarks/loop.py none 40           # no hidden effect: 40 pairs on four maps
     python benchmarks/loop.py hidden 60         # one or two hidden effects
     python benchmarks/loop.py one 60            # one hidden effect, each kind in turn
+    python benchmarks/loop.py one 20 40         # the same, 20 of them from number 40 on
     python benchmarks/loop.py routes 10         # effects that change which route is best
     python benchmarks/loop.py design 10         # designed drives against random ones
 
@@ -123,11 +124,11 @@ def closed(effects: tuple[Effect, ...], case: Pair, rounds: int = 2) -> Loop:
     return close_loop(problem, source, rounds=rounds, tolerance=0.0, effort=EFFORT)
 
 
-def hidden(count: int, single: bool) -> None:
+def hidden(count: int, single: bool, begin: int = 0) -> None:
     """Hidden effects: error before and after one round, what was found, which takes less."""
     grids, rows = maps(), list[tuple[str, str, float, float, float]]()
     kinds = list(EFFECTS)
-    for k in range(count):
+    for k in range(begin, begin + count):
         case = pair(grids, k)
         middle = (np.array(case.start[:2]) + np.array(case.goal[:2])) / 2
         names = (kinds[k % len(kinds)],) if single else None
@@ -244,4 +245,4 @@ if __name__ == "__main__":
     elif what == "routes":
         routes(number)
     else:
-        hidden(number, single=what == "one")
+        hidden(number, what == "one", int(sys.argv[3]) if len(sys.argv) > 3 else 0)

@@ -275,6 +275,8 @@ def _simplify(hull: FloatArray, tolerance: float) -> tuple[FloatArray, float]:
     x, y = np.abs(hull.T)
     first = np.flatnonzero((np.minimum(x, y) < 1e-9) | (np.abs(x - y) < 1e-9 * x)).tolist()
     n = len(hull)
+    if not first:  # arcs are cheaper than straights and than pivots: begin anywhere
+        first = [0]
     stack = list(zip(first, [*first[1:], first[0] + n], strict=True))
     keep, error = set(first), 0.0
     while stack:

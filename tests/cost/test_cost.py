@@ -13,8 +13,8 @@ from energyplan.errors import InvalidInputError, MissingChannelError, ModelError
 from energyplan.motion import Motion
 from energyplan.path import Path, Pose
 from energyplan.power import HOTEL, TRACTION, PowerModel, Term
-from energyplan.power.effects import GRADE, VISCOUS_LOSS
-from energyplan.vehicle import MotorLimits, TreadICR
+from energyplan.power.effects import GRADE, VISCOUS_LOSS, term
+from energyplan.vehicle import MotorLimits, TreadICR, Vehicle
 
 MODEL = PowerModel.preset("quadriga:full:marble")
 C = MODEL.vehicle.icr.half_track
@@ -242,3 +242,18 @@ def test_constant_channels_reach_the_terms() -> None:
         EnergyCost(model)
     cost = EnergyCost(model, channels={"temperature": 20.0})
     assert float(cost.per_metre(0.0)) == pytest.approx(2 * (K - 10.0))
+
+
+def test_arcs_may_be_cheaper_than_straights_and_pivots_alike():
+    """At a set tread speed inner treads lose less, and wide turns slide less."""
+    mobilised = replace(term("friction_mobilisation"), params={"radius": 23.0})
+    model = PowerModel.paper(Vehicle.preset("quadriga:full"), K=127.0, mu=0.666)
+    model = model.with_term(term("viscous_loss"), 131.0).with_term(mobilised, 0.65)
+    gauge = EnergyCost(model, speed=0.72).gauge
+    corners = gauge.corners()
+    kept = np.vstack([corners.left, corners.right])
+    every = gauge.directions / gauge.values[:, None]
+    angle = np.linspace(0.0, 2 * np.pi, 1000)
+    towards = np.column_stack([np.cos(angle), np.sin(angle)]).T
+    lost = (every @ towards).max(axis=0) / (kept @ towards).max(axis=0) - 1.0
+    assert lost.max() <= corners.error * (1 + 1e-9) < 1e-2
