@@ -54,6 +54,15 @@ Clearance = Annotated[
 Keepout = Annotated[
     Path | None, typer.Option(help="map_server YAML whose occupied cells are kept out of.")
 ]
+Costmap = Annotated[
+    Path | None, typer.Option(help="map_server YAML of soft costs, such as an inflated costmap.")
+]
+CostmapWeight = Annotated[
+    float,
+    typer.Option(
+        min=0.0, help="What a metre at the highest cost is worth, in the objective's unit."
+    ),
+]
 OutPath = Annotated[
     Path | None,
     typer.Option(
@@ -106,8 +115,10 @@ def _problem(
     tolerance: float | None,
     clearance: float,
     keepout: Path | None,
+    costmap: Path | None = None,
+    costmap_weight: float = 0.0,
 ) -> PlanningProblem:
-    from energyplan.io.maps import read_map
+    from energyplan.io.maps import read_costmap, read_map
     from energyplan.planning import PlanningProblem
 
     ends = parse_pose(start), parse_pose(goal)
@@ -118,6 +129,7 @@ def _problem(
     return PlanningProblem(
         grid, ground.cost, *ends, surfaces=ground.surfaces, objective=objective,
         heights=ground.heights, clearance=clearance,
+        costmap=read_costmap(costmap) if costmap else None, costmap_weight=costmap_weight,
     )  # fmt: skip
 
 
@@ -205,6 +217,8 @@ def plan(
     battery: Battery = False,
     clearance: Clearance = 0.0,
     keepout: Keepout = None,
+    costmap: Costmap = None,
+    costmap_weight: CostmapWeight = 0.0,
     planner: Planner = "lattice",
     objective: Objective = "energy",
     time_limit: TimeLimit = 1.0,
@@ -224,7 +238,7 @@ def plan(
     _writable(out)
     problem = _problem(
         map_file, model, start, goal, surfaces, heights, battery, objective, speed, tolerance,
-        clearance, keepout,
+        clearance, keepout, costmap, costmap_weight,
     )  # fmt: skip
     try:
         with progress("planning"):

@@ -20,6 +20,7 @@ from energyplan.io._yaml import load
 from energyplan.io.files import atomic_write
 from energyplan.io.geojson import read_obstacles
 from energyplan.path import Pose
+from energyplan.terrain import CostMap
 from energyplan.terrain.grid import MAX_CELLS, OccupancyGrid
 
 MAX_FILE = 2**28
@@ -99,6 +100,49 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
             unknown=~(occupied | free)[::-1],
             unknown_is_free=unknown_is_free,
         )
+    except MapError as error:
+        raise MapError(f"{file}: {error}") from None
+
+
+def read_costmap(path: str | Path) -> CostMap:
+    """Read the soft costs of a map_server YAML with an image of costs.
+
+    Parameters
+    ----------
+    path : str or Path
+        The YAML. In the mode ``scale``, costs rise from 0 at the threshold of free to 1 at that of
+        occupied. In the mode ``raw`` a pixel is a cost itself: from 0 to 100 where none is above
+        that, from 0 to 254 else, as costmaps count; 255 is unknown. In the mode ``trinary``
+        occupied cells cost 1. What is unknown costs nothing.
+
+    Returns
+    -------
+    CostMap
+        The costs.
+
+    Raises
+    ------
+    MapError
+        As for `read_map`.
+    """
+    file = Path(path)
+    header = load(file, MapError).check(_MapHeader)
+    shade, alpha = _pixels(beside(file, "image", header.image))
+    if header.mode == "raw":
+        value = np.round(shade * 255)
+        known = value < 255
+        most = 100.0 if not np.any(value[known] > 100) else 254.0
+        costs = np.where(known, value / most, 0.0)
+    elif header.mode == "trinary":
+        costs = _interpret(shade, alpha, header)[0].astype(float)
+    else:
+        darkness = shade if header.negate else 1 - shade
+        span = max(header.occupied_thresh - header.free_thresh, 1e-9)
+        costs = np.clip((darkness - header.free_thresh) / span, 0.0, 1.0)
+        if alpha is not None:
+            costs = np.where(alpha == 255, costs, 0.0)
+    try:
+        return CostMap(costs[::-1], header.resolution, Pose(*header.origin))
     except MapError as error:
         raise MapError(f"{file}: {error}") from None
 

@@ -148,7 +148,7 @@ def plan(made: Plan) -> Document:
     """Return what ``energyplan plan --json`` prints."""
     keys = (
         "energy", "length", "turning", "lower_bound", "gap", "planning_time", "planner",
-        "potential", "effort",
+        "potential", "effort", "cost", "soft_cost",
     )  # fmt: skip
     document = {key: plain(getattr(made, key)) for key in keys}
     return {**document, "breakdown": plain(made.breakdown), "path": plain(made.path.poses())}

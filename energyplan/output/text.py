@@ -210,9 +210,12 @@ def plan(made: Plan, objective: str) -> list[str]:
     unit = {"energy": "J", "length": "m", "time": "s"}[objective]
     parts = ", ".join(f"{k.replace('_', ' ')} {number(v)} J" for k, v in made.breakdown.items())
     height = f", {number(made.potential, 5)} {unit} of it for the height" if made.potential else ""
+    soft = f"costmap: {number(made.soft_cost, 5)} {unit} beside the {objective}"
+    what = f"{objective} and costmap" if made.soft_cost else objective
     return [
         f"energy: {number(made.energy, 5)} J ({parts})",
-        f"{objective} at most {100 * made.gap:.1f} % above the least possible "
+        *([soft] if made.soft_cost else []),
+        f"{what} at most {100 * made.gap:.1f} % above the least possible "
         f"(lower bound {number(made.lower_bound, 5)} {unit}{height})",
         f"length: {number(made.length)} m, turning: {number(math.degrees(made.turning))} deg",
         f"planned by {made.planner} in {made.planning_time:.2f} s, effort {made.effort}",

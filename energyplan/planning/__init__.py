@@ -35,6 +35,7 @@ PLANNERS = {
     "lattice": Planner(
         "energyplan.planning.lattice.planner:plan",
         surfaces=True, heights=True, objectives=OBJECTIVES, effort=True, bound=True,
+        costmap=True,
     ),
     "roadmap": Planner(
         "energyplan.planning.roadmap:plan", surfaces=True, objectives=OBJECTIVES, effort=True

@@ -69,6 +69,8 @@ class Planner:
     effort : bool
         Whether it spends the budget by what it does, so that it can be limited by effort. One that
         cannot reads the clock.
+    costmap : bool
+        Whether it can be used where a costmap counts beside the objective.
     bound : bool
         Whether it returns a lower bound. For one that does not, a tenth of the budget is kept for
         computing one.
@@ -85,6 +87,7 @@ class Planner:
     objectives: tuple[str, ...] = ("energy",)
     effort: bool = False
     bound: bool = False
+    costmap: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "objectives", tuple(self.objectives))
@@ -129,6 +132,7 @@ class Planner:
         missing = {
             "surfaces": problem.terrain.ground.surfaces and not self.surfaces,
             "heights": problem.heights is not None and not self.heights,
+            "a costmap": problem.softened and not self.costmap,
             **{f"the objective {name}": name not in self.objectives for name in wanted},
             "effort instead of a time limit": counted and not self.effort,
         }
@@ -227,7 +231,8 @@ def priced_plan(
     """
     problem = compiled.problem
     price = problem.terrain.price(path, problem.cost)
-    cost = compiled.objective.value(price.energy, path.length, price.duration)
+    soft = compiled.soft_cost(path)
+    cost = compiled.objective.value(price.energy, path.length, price.duration) + soft
     potential = compiled.potential(problem.goal)
     scale = max(abs(cost), abs(potential), abs(cost - potential))
     if not bound <= cost + ROUNDING * scale:
@@ -253,4 +258,5 @@ def priced_plan(
         breakdown=price.by_term,
         potential=potential,
         effort=round(effort),
+        soft_cost=soft,
     )

@@ -21,7 +21,7 @@ from energyplan.errors import (
     StartInCollisionError,
 )
 from energyplan.path import FloatArray, Path, Pose
-from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap, Terrain
+from energyplan.terrain import CostMap, HeightMap, OccupancyGrid, SurfaceMap, Terrain
 from energyplan.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -91,11 +91,16 @@ class PlanningProblem:
     clearance : float
         Distance that the footprint keeps from obstacles on every side, at start and goal too [m].
         A path of least energy grazes them otherwise.
+    costmap : CostMap, optional
+        Soft costs beside the objective, such as those of an inflated costmap.
+    costmap_weight : float
+        What a metre at the cost 1 is worth, in the unit of the objective a metre (for energy
+        [J/m]); nothing where left out.
 
     Raises
     ------
     InvalidInputError
-        If a pose, the objective or the clearance is malformed.
+        If a pose, the objective, the clearance or the weight is malformed.
     """
 
     map: OccupancyGrid
@@ -107,8 +112,14 @@ class PlanningProblem:
     vehicle: Vehicle | None = None
     heights: HeightMap | None = None
     clearance: float = 0.0
+    costmap: CostMap | None = None
+    costmap_weight: float = 0.0
 
     def __post_init__(self) -> None:
+        if not 0.0 <= self.costmap_weight < np.inf:
+            raise InvalidInputError(
+                f"the weight of the costmap is {self.costmap_weight}; give a number of 0 or more"
+            )
         if not 0.0 <= self.clearance < np.inf:
             raise InvalidInputError(
                 f"the clearance is {self.clearance} m; give a distance of 0 m or more"
@@ -130,6 +141,11 @@ class PlanningProblem:
             return vehicle
         grow = self.clearance * np.array([[-1.0, -1.0], [1.0, 1.0]])
         return replace(vehicle, footprint=vehicle.footprint + grow)
+
+    @property
+    def softened(self) -> bool:
+        """Whether a costmap counts."""
+        return self.costmap is not None and self.costmap_weight > 0
 
     @property
     def weights(self) -> dict[str, float]:
@@ -212,7 +228,8 @@ class Plan:
         On slopes, both less the `potential`. As computed: rounding may leave it a hair below zero;
         infinite where the bound is zero and the cost is not.
     cost : float
-        The objective's value: `energy` itself where energy is the objective.
+        The objective's value: `energy` itself where energy is the objective, and what a costmap
+        adds.
     length, turning : float
         Distance travelled [m] and total turning [rad].
     duration : float
@@ -230,6 +247,8 @@ class Plan:
         bound, whichever way is taken; zero on level ground.
     effort : int
         Units of work that were spent.
+    soft_cost : float
+        What the costmap adds to the cost, in the unit of the objective; no part of the energy.
     drive : callable
         Drives the path; `driven` asks it.
     """
@@ -248,6 +267,7 @@ class Plan:
     breakdown: Mapping[str, float] = field(default_factory=dict)
     potential: float = 0.0
     effort: int = 0
+    soft_cost: float = 0.0
     drive: Callable[[], DrivenPath] | None = field(default=None, repr=False, compare=False)
 
     def __getstate__(self) -> dict[str, object]:

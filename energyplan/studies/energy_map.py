@@ -154,7 +154,7 @@ def energy_map(
     Parameters
     ----------
     problem : PlanningProblem
-        The problem; its goal does not matter.
+        The problem; its goal does not matter, and a costmap, which is no energy, is left out.
     energy : float
         Energy beyond which places are of no interest [J].
     back : array_like, shape (3,), optional
@@ -197,7 +197,7 @@ def energy_map(
         raise InvalidInputError(f"the energy is {energy} J; give a positive number")
     if problem.objective != "energy":
         raise InvalidInputError("a map of energies has the objective 'energy'; leave it out")
-    problem = replace(problem, goal=problem.start)
+    problem = replace(problem, goal=problem.start, costmap=None)
     there = CompiledProblem(problem)
     upper = None
     if confidence is not None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from energyplan.terrain.costs import CostMap
 from energyplan.terrain.grid import OccupancyGrid, footprint
 from energyplan.terrain.heights import HeightMap, with_weights
 from energyplan.terrain.surfaces import Surface, SurfaceMap
 from energyplan.terrain.terrain import PathPrice, Piece, Terrain, path_pieces, path_price
 
 __all__ = [
+    "CostMap",
     "HeightMap",
     "OccupancyGrid",
     "PathPrice",

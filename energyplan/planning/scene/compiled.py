@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
@@ -34,6 +35,12 @@ MARGIN = 0.04
 Optimal paths touch obstacles. The margin keeps them free under another rounding, or cut into other
 pieces, and exceeds what the collision kernels' tolerance can make of that.
 """
+
+LEVELS = 32
+"""Levels that the costs of a costmap are rounded to while searching, at most."""
+
+MOST_CLASSES = 255
+"""A cell's class is kept in one byte."""
 
 
 class Segments(NamedTuple):
@@ -104,10 +111,20 @@ class CompiledProblem:
         prices = [self.objective.motion(ds, dtheta, k) for k in range(len(self.costs))]
         return _slopes.Priced(np.array(prices), 0.0)
 
-    @property
+    @cached_property
     def prices(self) -> FloatArray:
-        """Price of the rays, shape (classes * slopes, DIRECTIONS + 1)."""
-        return self._priced.kept
+        """Price of the rays, shape (classes * slopes, DIRECTIONS + 1).
+
+        A class is a surface at a level of the costmap.
+        """
+        kept = self._priced.kept
+        if self._levels == 1:
+            return kept
+        half = self.problem.cost.half_track
+        metres = np.abs(self.reference(self.rays[:, 0], self.rays[:, 1] / half).ds)
+        soft = np.linspace(0.0, self.problem.costmap_weight, self._levels)[:, None] * metres
+        by_class = kept.reshape(len(self.costs), 1, -1, DIRECTIONS + 1)
+        return np.ascontiguousarray((by_class + soft[:, None]).reshape(-1, DIRECTIONS + 1))
 
     def worth(self, pose: Pose) -> float:
         """Return what the height at a pose is worth; only differences mean something."""
@@ -152,7 +169,7 @@ class CompiledProblem:
         heights = self.problem.heights
         if heights is None or not self.steepest > _slopes.FLAT:
             return LEVEL
-        cells, several = 0.5 * self.grid.resolution, len(self.costs) > 1
+        cells, several = 0.5 * self.grid.resolution, len(self.costs) > 1 or self._levels > 1
         return Hills(
             heights=heights.heights,
             x=heights.origin.x,
@@ -189,20 +206,48 @@ class CompiledProblem:
         return all(self.roomy(pose) for pose in (self.problem.start, self.problem.goal))
 
     @cached_property
+    def _levels(self) -> int:
+        """Levels that the costs of a costmap are rounded to; one without a costmap."""
+        if not self.problem.softened:
+            return 1
+        levels = min(LEVELS, (MOST_CLASSES + 1) // len(self.costs))
+        if levels < 2:
+            raise ModelError(
+                f"with {len(self.costs)} surfaces no levels of a costmap can be told apart; merge "
+                "surfaces of one model, or leave the costmap out"
+            )
+        return levels
+
+    @cached_property
+    def _classes(self) -> NDArray[np.uint8]:
+        """Class of surface and level of the costmap of each cell; a single one if all are alike."""
+        surface = self.terrain.regions
+        if self._levels > 1 and self.problem.costmap is not None:
+            level = np.round(self.problem.costmap.over(self.grid) * (self._levels - 1))
+            return np.asarray(surface * np.uint8(self._levels) + level.astype(np.uint8), np.uint8)
+        if self.hills.bins > 1 and surface.size == 1:
+            return np.zeros(self.grid.shape, np.uint8)
+        return surface
+
+    def soft_cost(self, path: Path) -> float:
+        """Return what the costmap adds to the cost of a path, in the unit of the objective."""
+        problem = self.problem
+        if problem.costmap is None or not problem.softened:
+            return 0.0
+        return problem.costmap_weight * problem.costmap.along(path)
+
+    @cached_property
     def setting(self) -> KernelProblem:
         """The problem as the kernels see it."""
         problem = self.problem
         body = self.grown if self.ends_roomy else self.body
-        surface = self.terrain.regions
-        if self.hills.bins > 1 and surface.size == 1:
-            surface = np.zeros(self.grid.shape, np.uint8)
         static = self.steering
         start, goal = self.centre(problem.start), self.centre(problem.goal)
         return KernelProblem(
             space=self.grid.space,
             body=body,
             prices=self.prices,
-            surface=surface,
+            surface=self._classes,
             hills=self.hills,
             steering=StaticSteering(
                 half_track=static.track,
@@ -272,7 +317,8 @@ class CompiledProblem:
     def value(self, path: Path) -> float:
         """Return the objective's value of a path, asked of the models themselves."""
         price = self.terrain.price(path, self.problem.cost)
-        return self.objective.value(price.energy, path.length, price.duration)
+        value = self.objective.value(price.energy, path.length, price.duration)
+        return value + self.soft_cost(path)
 
 
 def merged(segments: Segments) -> Segments:

@@ -1,0 +1,92 @@
+"""Soft costs of places, such as an inflated costmap: what a metre there is worth avoiding."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from energyplan.errors import MapError
+from energyplan.path import FloatArray, Path, Pose
+from energyplan.terrain.grid import OccupancyGrid
+from energyplan.terrain.heights import ORIGIN
+
+PIECE = 0.25
+"""Length of the pieces of a path that pay for the cell under their middle [cells]."""
+
+
+@dataclass(frozen=True, eq=False)
+class CostMap:
+    """Costs of cells from 0 (none) to 1 (as dear as it gets).
+
+    Parameters
+    ----------
+    costs : array_like, shape (rows, columns)
+        Costs. Row 0 is the lowest, column 0 the leftmost. Where it says nothing, a cost is 0.
+    resolution : float
+        Size of a cell [m].
+    origin : array_like, shape (3,)
+        Pose of the outer corner of cell (0, 0) in the world: x, y [m], yaw [rad].
+
+    Raises
+    ------
+    MapError
+        If shapes or numbers are wrong.
+
+    Examples
+    --------
+    >>> layer = CostMap(np.tile([0.0, 0.5], (4, 2)), resolution=0.5)
+    >>> layer.at([(0.2, 0.2), (0.7, 0.2), (-1.0, 0.0)])
+    array([0. , 0.5, 0. ])
+    >>> float(layer.along(Path(Pose(0.0, 1.0, 0.0), ds=[2.0], dtheta=[0.0])))
+    0.5
+    """
+
+    costs: FloatArray
+    resolution: float
+    origin: Pose = ORIGIN
+
+    def __post_init__(self) -> None:
+        costs = np.array(self.costs, float)
+        if costs.ndim != 2 or costs.size == 0 or not np.all((costs >= 0) & (costs <= 1)):
+            raise MapError(
+                f"costs have shape {costs.shape}; give rows and columns of numbers from 0 to 1"
+            )
+        costs.setflags(write=False)
+        object.__setattr__(self, "costs", costs)
+        # it lies where a map of the same frame would
+        frame = OccupancyGrid(np.zeros(costs.shape, bool), self.resolution, self.origin)
+        object.__setattr__(self, "origin", frame.origin)
+        object.__setattr__(self, "_frame", frame)
+
+    def at(self, points: ArrayLike) -> FloatArray:
+        """Return the cost at world points (..., 2) [m]; 0 outside."""
+        frame: OccupancyGrid = self.__dict__["_frame"]
+        cells = np.floor(frame.to_cells(points)).astype(int)
+        rows, columns = self.costs.shape
+        inside = np.all((cells >= 0) & (cells < np.array([columns, rows])), axis=-1)
+        column, row = np.moveaxis(np.where(inside[..., None], cells, 0), -1, 0)
+        return np.where(inside, self.costs[row, column], 0.0)
+
+    def along(self, path: Path) -> float:
+        """Return the costs along a path, times the metres of its reference point [m].
+
+        Pieces of a quarter of a cell pay for the cell under their middle; turns on the spot pay
+        nothing.
+        """
+        fine = path.subdivide(PIECE * self.resolution)
+        poses = fine.vertices
+        offset = fine.longitudinal * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+        points = poses[:, :2] + offset
+        middle = 0.5 * (points[:-1] + points[1:])
+        return float(np.sum(np.abs(fine.ds) * self.at(middle)))
+
+    def over(self, grid: OccupancyGrid) -> FloatArray:
+        """Return the costs at the centres of a map's cells, shape (rows, columns)."""
+        rows, columns = grid.shape
+        out = np.empty((rows, columns))
+        for row in range(rows):
+            middle = np.column_stack([np.arange(columns) + 0.5, np.full(columns, row + 0.5)])
+            out[row] = self.at(grid.to_world(middle))
+        return out
