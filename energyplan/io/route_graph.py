@@ -18,6 +18,9 @@ from energyplan.io.files import atomic_write
 RouteGraph = Any
 """A `networkx.MultiDiGraph` whose edges are keyed by their id."""
 
+LINES = frozenset({"LineString", "MultiLineString"})
+"""Geometries of edges."""
+
 _MAX_ID = 2**32
 """The route server keeps ids as unsigned 32-bit numbers."""
 
@@ -58,7 +61,7 @@ def read_route_graph(path: str | Path) -> RouteGraph:
                 raise MapError(f"{place}: a second node with id {node}; give each its own")
             graph.add_node(node, pos=_position(feature["geometry"], place), feature=k)
     for k, feature in enumerate(features):
-        if feature["geometry"].get("type") in {"LineString", "MultiLineString"}:
+        if feature["geometry"].get("type") in LINES:
             place = f"{file}: feature {k}"
             properties = feature["properties"]
             edge = _id(properties, "id", place)
@@ -107,9 +110,11 @@ def _cost(properties: dict[str, Any], place: str) -> float:
 def write_route_graph(graph: RouteGraph, path: str | Path) -> None:
     """Write a route graph with the edges' ``cost``, for Nav2's route server to plan with.
 
-    Each edge that carries a ``cost`` (see `energyplan.planning.roadmap.price_edges`) is written
-    with it and with ``overridable: false``, without which the route server would replace it by
-    the scores of its plug-ins. Everything else that was read is written back as it was.
+    Each edge that carries a ``cost`` (see `energyplan.planning.roadmap.price_edges` and
+    `energyplan.planning.roadmap.planned.plan_edges`) is written with it and with ``overridable:
+    false``, without which the route server would replace it by the scores of its plug-ins. Edges
+    that were read and are no longer in the graph are left out. Everything else that was read is
+    written back as it was.
 
     Parameters
     ----------
@@ -125,7 +130,8 @@ def write_route_graph(graph: RouteGraph, path: str | Path) -> None:
         If a node or a cost is not what the route server takes: its costs must be positive.
     """
     document = graph.graph.get("document")
-    document = _document(graph) if document is None else copy.deepcopy(document)
+    read = document is not None
+    document = copy.deepcopy(document) if read else _document(graph)
     for (source, target, number), (_, _, data) in zip(
         _numbered(graph), graph.edges(data=True), strict=True
     ):
@@ -140,6 +146,13 @@ def write_route_graph(graph: RouteGraph, path: str | Path) -> None:
         properties = document["features"][data.get("feature", len(graph) + number)]["properties"]
         properties["cost"] = cost
         properties["overridable"] = False
+    if read:
+        kept = {data.get("feature") for _, _, data in graph.edges(data=True)}
+        document["features"] = [
+            feature
+            for k, feature in enumerate(document["features"])
+            if k in kept or feature["geometry"].get("type") not in LINES
+        ]
     atomic_write(Path(path), json.dumps(document, indent=1) + "\n")
 
 

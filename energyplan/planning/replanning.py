@@ -31,7 +31,6 @@ from energyplan.planning.lattice import planner as lattice
 from energyplan.planning.problem import Plan, PlanningProblem, as_pose
 from energyplan.planning.ready import compiled as compile_kernels
 from energyplan.planning.scene.compiled import CompiledProblem, Segments, merged
-from energyplan.planning.scene.motions import free_energy
 from energyplan.terrain import OccupancyGrid
 
 AHEAD = (0.0, 0.05, 0.15, 0.3, 0.6, 1.2, 2.4)
@@ -138,20 +137,13 @@ def _bypassed(rest: Path, problem: PlanningProblem, budget: Budget) -> Path | No
         part = replace(problem, start=ends[0], goal=ends[1])
         try:
             part.check_poses()
-            around = lattice.plan(part, own, bound=_free_bound(CompiledProblem(part))).path
+            around = lattice.plan(part, own, bound=CompiledProblem(part).least_in_free_space).path
         except (NoPathError, TimeLimitError, StartInCollisionError, GoalInCollisionError):
             continue
         start = Path(fine.start, fine.ds[:first], fine.dtheta[:first], fine.longitudinal)
         end = Path(ends[1], fine.ds[last:], fine.dtheta[last:], fine.longitudinal)
         return start + around + end
     return None
-
-
-def _free_bound(query: CompiledProblem) -> float:
-    """Return the least cost without obstacles, in the unit of the objective."""
-    setting = query.setting
-    free = float(free_energy(setting, setting.start_x, setting.start_y, setting.start_yaw))
-    return free + query.potential(query.problem.goal)
 
 
 def _bound_left(former: Plan, problem: PlanningProblem, here: Pose) -> float:
@@ -234,7 +226,7 @@ def replan(
     now.check_poses()
     compile_kernels(now.cost)
     query = CompiledProblem(now)
-    bound = _free_bound(query)
+    bound = query.least_in_free_space
     rest = remainder(former.path, here, now)
     if _only_added(problem, now):
         bound = max(bound, _bound_left(former, problem, here))

@@ -93,7 +93,8 @@ def certain_regions(query: CompiledProblem, surfaces: SurfaceMap) -> NDArray[np.
     grid = query.grid
     known = _cells.get(grid)
     if known is None or known[0] is not surfaces:
-        known = surfaces, _certain_regions(surfaces, grid, query.setting.surface)
+        region = np.broadcast_to(query.terrain.regions, grid.shape)
+        known = surfaces, _certain_regions(surfaces, grid, region)
         _cells[grid] = known
     return known[1]
 

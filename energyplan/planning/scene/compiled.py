@@ -20,7 +20,7 @@ from energyplan.errors import ModelError, PlanningError
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene import slopes as _slopes
-from energyplan.planning.scene.motions import DIRECTIONS, LEVEL, Hills, KernelProblem
+from energyplan.planning.scene.motions import DIRECTIONS, LEVEL, Hills, KernelProblem, free_energy
 from energyplan.planning.scene.prices import Prices
 from energyplan.planning.scene.rates import LeastPrices, Minorant, least_prices
 from energyplan.terrain import OccupancyGrid, Terrain
@@ -267,6 +267,13 @@ class CompiledProblem:
             goal_y=goal.y,
             goal_yaw=goal.yaw,
         )
+
+    @property
+    def least_in_free_space(self) -> float:
+        """What every path costs at least, obstacles or not, in the unit of the objective."""
+        setting = self.setting
+        free = free_energy(setting, setting.start_x, setting.start_y, setting.start_yaw)
+        return float(free) + self.potential(self.problem.goal)
 
     # -- translation ----------------------------------------------------------------------------
 
