@@ -110,13 +110,12 @@ class PlannedGraph:
                 f"no route of edges that can be driven leads from {source!r} to {target!r}; "
                 f"{len(self.closed)} edges are closed"
             ) from None
-        first, *others = (self.paths[state] for state in found if isinstance(state, State))
-        whole = first
-        for ahead in others:
-            turn = float(wrap_angle(ahead.start.yaw - whole.end.yaw))
+        whole, *others = [self.paths[state] for state in found if isinstance(state, State)]
+        for leg in others:
+            turn = float(wrap_angle(leg.start.yaw - whole.end.yaw))
             if turn != 0.0:
                 whole = whole + _motion(whole.end, 0.0, turn, whole.longitudinal)
-            whole = whole + ahead
+            whole = whole + leg
         return whole
 
 
