@@ -148,6 +148,11 @@ class PlanningProblem:
         return self.costmap is not None and self.costmap_weight > 0
 
     @property
+    def shortest(self) -> PlanningProblem:
+        """The same problem with the length as its objective, and no costmap."""
+        return replace(self, objective="length", costmap=None)
+
+    @property
     def weights(self) -> dict[str, float]:
         """The objective as weights of energy [1], length [J/m] and time [J/s]."""
         return objective_weights(self.objective)

@@ -449,9 +449,7 @@ class _Improvement:
         field = self._field(guide.penalty)
         setting = self.setting
         if guide.shortest:
-            setting = CompiledProblem(
-                replace(self.query.problem, objective="length", costmap=None)
-            ).setting
+            setting = CompiledProblem(self.query.problem.shortest).setting
         lattice = lattice_for(setting, scale)
         return Search(self.ends.between(setting), field, lattice, weight, aligned=guide.aligned)
 
