@@ -17,6 +17,7 @@ from energyplan.cli import (
     _mission,
     _planning,
     _range,
+    _rmf,
     _serve,
     _start,
     _warmup,
@@ -27,7 +28,7 @@ from energyplan.errors import EnergyPlanError, MissingDependencyError, TimeLimit
 
 __all__ = ["app", "main"]
 
-_COMMANDS = (_start, _fitting, _planning, _range, _mission, _loop, _serve, _warmup, _watch)
+_COMMANDS = (_start, _fitting, _planning, _range, _mission, _rmf, _loop, _serve, _warmup, _watch)
 """Modules that register commands when they are imported."""
 
 

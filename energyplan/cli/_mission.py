@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,6 +20,9 @@ from energyplan.cli.common import (
 )
 from energyplan.cli.reports import write_report
 from energyplan.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from energyplan.mission import Mission
 
 
 def _task(text: str) -> dict[str, str]:
@@ -53,6 +56,10 @@ def mission(
             "next option.",
         ),
     ] = None,
+    requests: Annotated[
+        Path | None,
+        typer.Option(help="Task requests of Open-RMF (JSON) in the place of the file's tasks."),
+    ] = None,
     soc: Annotated[str, typer.Option(help="State of charge at the start.")] = "100 %",
     reserve: Annotated[str, typer.Option(help="What must be left at the end.")] = "20 %",
     back: Annotated[bool, typer.Option("--return", help="Return to the start.")] = False,
@@ -81,7 +88,9 @@ def mission(
         clash = [f"--{name}" for name, value in told_by.items() if value]
         if clash:
             raise InvalidInputError(f"{', '.join(clash)} and a mission's file: give one of them")
-        asked = read_mission(file)
+        asked = read_mission(file) if requests is None else _requested(file, requests)
+    elif requests is not None:
+        raise InvalidInputError("--requests needs a mission's file, which tells the places")
     else:
         missing = [f"--{name}" for name, value in told_by.items() if not value]
         if missing:
@@ -111,6 +120,15 @@ def mission(
         write_report(mission_page(told), report)
     answer(documents.mission(told), text.mission(told), json=json)
     verdict(told.feasible, strict)
+
+
+def _requested(file: Path, requests: Path) -> Mission:
+    """Return a mission with the tasks of Open-RMF's requests."""
+    from energyplan.io.requests import read_mission_for
+    from energyplan.openrmf.tasks import read_requests, tasks_of
+
+    asked = read_requests(requests)
+    return read_mission_for(file, lambda places: tasks_of(asked, places, requests.name))
 
 
 @app.command(epilog="Example: energyplan fleet examples/fleet_warehouse.yaml --fail alpha@100")
