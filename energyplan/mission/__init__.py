@@ -19,15 +19,24 @@ from energyplan.mission.given_order import Course, best_course
 from energyplan.mission.legs import Legs
 from energyplan.mission.order_refinement import best_stops
 from energyplan.mission.remedies import Remedy
-from energyplan.mission.report import Doubt, MissionReport, Reason, Stop, TaskReport, Timeline
+from energyplan.mission.report import (
+    ChargerReport,
+    Doubt,
+    LegReport,
+    MissionReport,
+    Reason,
+    Stop,
+    TaskReport,
+    Timeline,
+)
 from energyplan.mission.simulation import Attempt, Condition, Walk
 from energyplan.mission.spreads import Spreads
 from energyplan.mission.tasks import Charger, Task
 from energyplan.mission.types import Mission
 
 __all__ = [
-    "Charger", "Doubt", "Mission", "MissionReport", "Remedy", "Spreads", "Stop", "Task",
-    "TaskReport", "Timeline", "evaluate",
+    "Charger", "ChargerReport", "Doubt", "LegReport", "Mission", "MissionReport", "Remedy",
+    "Spreads", "Stop", "Task", "TaskReport", "Timeline", "evaluate",
 ]  # fmt: skip
 
 _CANDIDATES = 5
@@ -94,6 +103,7 @@ class _Evaluation:
         self.attempts: dict[int, _Try] = {}
         self.done: list[int] = []
         self.proven = mission.order == "given"
+        self.gap = 0.0 if self.proven else float(np.nan)
 
     def report(self) -> MissionReport:
         """Do the tasks, find the way home, and explain what is left out."""
@@ -119,6 +129,7 @@ class _Evaluation:
             end=self.legs.names[end.node],
             duration=end.time - self.mission.time,
             proven=self.proven,
+            gap=self.gap,
             timeline=self._timeline(end),
             paths=tuple(drives),
             trajectories=tuple(
@@ -128,6 +139,8 @@ class _Evaluation:
             ),
             route=self._route(end),
             uncertainty=self._doubts(end),
+            legs=self._legs(end),
+            chargers=self._chargers(end),
             warnings=self._warnings(),
         )
 
@@ -156,22 +169,26 @@ class _Evaluation:
 
     def _free(self) -> Condition:
         found = best_stops(self.walk, self.progress)
-        self.proven = found.proven
+        self.proven, self.gap = found.proven, found.gap
         state = self.walk.start
-        for stop in found.stops:
+        for at, (stop, hurried) in enumerate(zip(found.stops, found.hurried, strict=True)):
             if stop in self.legs.chargers:
-                docked = self.walk.drive(state, stop)
+                docked = self.walk.drive(state, stop, hurried)
                 if docked is not None and self.walk.holds(docked):
-                    state = self.walk.charge(docked)
+                    rest = found.stops[at + 1 :], found.hurried[at + 1 :]
+                    leave = self.walk.leave_by(stop, docked.payload, *rest)
+                    state = self.walk.charge(docked, leave)
             else:
-                state = self._do(state, stop - 1)
+                state = self._do(state, stop - 1, hurried)
         for k in range(len(self.mission.tasks)):
             if k not in self.attempts:
                 state = self._do(state, k)
         return state
 
-    def _do(self, state: Condition, task: int) -> Condition:
-        attempt = self.walk.attempt_charged(state, task)
+    def _do(self, state: Condition, task: int, hurried: bool = False) -> Condition:
+        attempt = self.walk.attempt(state, task, hurried)
+        if attempt.reason != "none":
+            attempt = self.walk.attempt_charged(state, task)
         self.attempts[task] = _Try(state, attempt, tuple(self.done))
         if attempt.reason != "none":
             return state
@@ -219,6 +236,28 @@ class _Evaluation:
         charge = end.expected.soc, end.worst.soc
         last = Stop(names[end.node], "end", poses[end.node], end.time, end.time, *charge)
         return (first, *stops, last)
+
+    def _legs(self, end: Condition) -> tuple[LegReport, ...]:
+        names, node, legs = self.legs.names, self.walk.start.node, []
+        for piece in end.pieces:
+            if piece.leg is not None and piece.leg.trajectory is not None:
+                legs.append(
+                    LegReport(
+                        names[node], names[piece.goal], float(piece.t[0]), piece.leg.energy.mean,
+                        piece.leg.trajectory, piece.soc, piece.soc_lower,
+                    )
+                )  # fmt: skip
+            node = piece.goal
+        return tuple(legs)
+
+    def _chargers(self, end: Condition) -> tuple[ChargerReport, ...]:
+        found = []
+        for node in self.legs.chargers:
+            visits = [p for p in end.pieces if p.kind == "charge" and p.goal == node]
+            duration = sum(float(p.t[-1] - p.t[0]) for p in visits)
+            energy = sum(float(-p.power[:-1] @ np.diff(p.t)) for p in visits)
+            found.append(ChargerReport(self.legs.names[node], len(visits), duration, energy))
+        return tuple(found)
 
     def _timeline(self, end: Condition) -> Timeline:
         columns: list[list[np.ndarray]] = [[] for _ in range(8)]

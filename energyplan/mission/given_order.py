@@ -70,12 +70,14 @@ def best_course(walk: Walk) -> Course:
     for k in range(len(tasks)):
         grown = list(courses)
         for course in courses:
-            for before in (course.state, *walk.charged(course.state)):
-                attempt = walk.attempt(before, k)
-                if attempt.reason == "none":
-                    step = (k, course.state, attempt)
-                    worth = course.worth + worths[k]
-                    grown.append(Course(attempt.after, worth, (*course.steps, step)))
+            ahead = [range(k, last + 1) for last in range(k, len(tasks))]
+            for before in (course.state, *walk.charged(course.state, ahead)):
+                for hurried in walk.ways:
+                    attempt = walk.attempt(before, k, hurried)
+                    if attempt.reason == "none":
+                        step = (k, course.state, attempt)
+                        worth = course.worth + worths[k]
+                        grown.append(Course(attempt.after, worth, (*course.steps, step)))
         courses = []
         for course in sorted(grown, key=lambda c: (c.rank, c.state.total.mean)):
             if not any(kept.beats(course) for kept in courses):

@@ -79,7 +79,7 @@ class _Route:
     timed: dict[Hashable, Trajectory] = field(default_factory=dict)
 
 
-_routes: WeakKeyDictionary[OccupancyGrid, dict[bytes, dict[tuple[Pose, Pose], _Route]]] = (
+_routes: WeakKeyDictionary[OccupancyGrid, dict[bytes, dict[tuple[Pose, Pose, bool], _Route]]] = (
     WeakKeyDictionary()
 )
 """Routes by map, and by everything else that decides them: variants of a mission share them."""
@@ -121,7 +121,7 @@ class Legs:
             self.home = len(self.poses)
             self.poses.append(home)
             self.names.append("home")
-        self._legs: dict[tuple[int, int, float], Leg] = {}
+        self._legs: dict[tuple[int, int, float, bool], Leg] = {}
         self._bounds: dict[float, FloatArray] = {}
         self._costs: dict[float, tuple[EnergyCost, SurfaceMap | None]] = {}
         self._routes = self._known_routes()
@@ -142,6 +142,11 @@ class Legs:
         if self.mission.speed is None and np.isfinite(usual):
             return usual
         return self.mission.speed
+
+    @property
+    def can_hurry(self) -> bool:
+        """Whether a way may be driven as quickly as may be, where energy is not all."""
+        return self._speed is None
 
     # -- places -----------------------------------------------------------------------------------
 
@@ -221,28 +226,33 @@ class Legs:
         points = np.array(self.poses)[:, :2]
         return shortest_ways(mission.free_map, mission.vehicle, points)
 
-    def planned(self, start: int, goal: int) -> bool:
+    def planned(self, start: int, goal: int, hurried: bool = False) -> bool:
         """Tell whether the route from node to node is known."""
-        there, back = (self.poses[start], self.poses[goal]), (self.poses[goal], self.poses[start])
-        return there in self._routes or (self._symmetric and back in self._routes)
+        here, there, quick = self.poses[start], self.poses[goal], hurried and self.can_hurry
+        known = (here, there, quick) in self._routes
+        return known or (self._symmetric and (there, here, quick) in self._routes)
 
     # -- legs -------------------------------------------------------------------------------------
 
-    def leg(self, start: int, goal: int, payload: float) -> Leg:
-        """Return the leg from node to node with a payload [kg] on board."""
-        key = (start, goal, payload)
+    def leg(self, start: int, goal: int, payload: float, hurried: bool = False) -> Leg:
+        """Return the leg from node to node with a payload [kg] on board.
+
+        It is that of least energy; in a hurry that of least time.
+        """
+        quick = hurried and self.can_hurry
+        key = (start, goal, payload, quick)
         if key not in self._legs:
-            self._legs[key] = self._priced(self._route(start, goal), payload)
+            self._legs[key] = self._priced(self._route(start, goal, quick), payload, quick)
         return self._legs[key]
 
-    def _route(self, start: int, goal: int) -> _Route:
+    def _route(self, start: int, goal: int, hurried: bool) -> _Route:
         """Plan from node to node, for the payload at the start of the mission."""
-        key = self.poses[start], self.poses[goal]
+        key = self.poses[start], self.poses[goal], hurried
         if key not in self._routes:
-            self._routes[key] = self._planned(start, goal)
+            self._routes[key] = self._planned(start, goal, hurried)
         return self._routes[key]
 
-    def _known_routes(self) -> dict[tuple[Pose, Pose], _Route]:
+    def _known_routes(self) -> dict[tuple[Pose, Pose, bool], _Route]:
         """Return the routes that were planned before with the same map, costs and planner."""
         mission = self.mission
         cost, surfaces = self.cost(mission.payload)
@@ -263,22 +273,24 @@ class Legs:
             del known[next(iter(known))]
         return routes
 
-    def _planned(self, start: int, goal: int) -> _Route:
+    def _planned(self, start: int, goal: int, hurried: bool) -> _Route:
         mission = self.mission
         here, there = self.poses[start], self.poses[goal]
         cost, surfaces = self.cost(mission.payload)
         still = Path(here, np.zeros(0), np.zeros(0), cost.icr.longitudinal)
         if here == there:
             return _Route(still)
-        back = self._routes.get((there, here))
+        back = self._routes.get((there, here, hurried))
         if back is not None and self._symmetric:
             way = still if back.trouble else back.path.reversed()
             return _Route(way, back.trouble, back.detail)
         if self._progress is not None:
-            self._progress(f"planning from {self.names[start]} to {self.names[goal]}")
+            quickly = ", in a hurry" if hurried else ""
+            self._progress(f"planning from {self.names[start]} to {self.names[goal]}{quickly}")
         problem = PlanningProblem(
-            mission.map, cost, here, there, surfaces=surfaces, heights=mission.heights
-        )
+            mission.map, cost, here, there, surfaces=surfaces, heights=mission.heights,
+            objective="time" if hurried else "energy",
+        )  # fmt: skip
         for patience in (1, 10):
             try:
                 limit, effort = patience * self._planning_time, mission.planning_effort
@@ -312,7 +324,7 @@ class Legs:
             for c in ((cost,) if surfaces is None else surfaces.costs(cost))
         )
 
-    def _priced(self, route: _Route, payload: float) -> Leg:
+    def _priced(self, route: _Route, payload: float, hurried: bool) -> Leg:
         grounds, path = self.grounds, route.path
         nothing = grounds.nothing
         if route.trouble:
@@ -320,7 +332,7 @@ class Legs:
         if not len(path):
             return Leg(path, None, np.zeros(0), np.zeros(0), nothing)
         try:
-            trajectory = self._timed(route, payload)
+            trajectory = self._timed(route, payload, hurried)
         except InfeasibleMotionError as error:
             return _stuck(path, nothing, "motor", str(error))
         return Leg(
@@ -331,7 +343,7 @@ class Legs:
             grounds.estimate(trajectory, payload),
         )
 
-    def _timed(self, route: _Route, payload: float) -> Trajectory:
+    def _timed(self, route: _Route, payload: float, hurried: bool) -> Trajectory:
         """Return the route's trajectory of least energy, or the quickest at the speed asked."""
         mission, speed = self.mission, self._speed
         cost, surfaces = self.cost(payload)
@@ -340,13 +352,15 @@ class Legs:
             grounds = (replace(s, model=s.model.battery_side()) for s in surfaces.surfaces)
             surfaces = replace(surfaces, surfaces=tuple(grounds))
         others = () if surfaces is None else tuple(_told(s.model) for s in surfaces.surfaces)
-        key = speed, _told(model), others
+        key = speed, hurried, _told(model), others
         if key not in route.timed:
             motor = model.vehicle.motor
             if speed is not None:
                 motor = replace(motor, speed=min(speed, motor.speed))
             smooth, tolerance = corner_rounding(0.0)
-            objective: Literal["energy", "time"] = "energy" if speed is None else "time"
+            objective: Literal["energy", "time"] = "time"
+            if speed is None and not hurried:
+                objective = "energy"
             route.timed[key] = profile(
                 route.path, model, vehicle=replace(model.vehicle, motor=motor),
                 objective=objective, smooth=smooth, tolerance=tolerance, surfaces=surfaces,

@@ -1,23 +1,26 @@
 """The best order and subset of tasks on an energy matrix: prizes against a budget.
 
-The answer is exact for few tasks: labels (charge left, energy, time) over every subset and last
-stop, of which only those that no other one dominates are kept (the dynamic programme of Held and
-Karp, with resources). Where neither chargers nor windows matter one label a subset and stop is
-enough, so that more tasks are exact (`exact_size`). Beyond that OR-Tools searches.
+The answer is exact for few tasks: labels (energy, charge left, time) over every subset and last
+stop, of which only those that no other one beats in every respect are kept (the dynamic programme
+of Held and Karp, with resources). Charging stops early where windows press. Beyond `EXACT` tasks,
+or where there would be too many labels, OR-Tools searches.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
+from energyplan.mission._order_kernel import Table, search
 from energyplan.path import FloatArray
 
-EXACT_PLAIN, EXACT_LABELLED = 15, 10
-"""Largest numbers of tasks that are solved exactly: without and with chargers or windows."""
+EXACT = 15
+"""Largest number of tasks that is solved exactly."""
+
+_MOST_LABELS = 2**21
+_FEW, _WIDTH = 8, 4
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,8 @@ class OrderProblem:
         Energy stored per second at each charger [W].
     start_time : float
         Time at the start [s].
+    hurried_energy, hurried_time : optional
+        As `energy` and `time`, for driving as quickly as may be; where windows press.
     """
 
     energy: Callable[[float], FloatArray]
@@ -75,6 +80,8 @@ class OrderProblem:
     capacity: FloatArray
     charge_power: FloatArray
     start_time: float = 0.0
+    hurried_energy: Callable[[float], FloatArray] | None = None
+    hurried_time: FloatArray | None = None
 
     @property
     def tasks(self) -> int:
@@ -82,10 +89,9 @@ class OrderProblem:
         return len(self.prize)
 
     @property
-    def labelled(self) -> bool:
-        """Whether charge and time decide beside energy, so that several labels may be needed."""
-        timed = np.any(np.isfinite(self.window[:, 1])) or np.any(self.window[:, 0] > 0)
-        return bool(timed or len(self.capacity))
+    def timed(self) -> bool:
+        """Whether windows make time decide beside energy and charge."""
+        return bool(np.any(np.isfinite(self.window[:, 1])))
 
     @property
     def worth(self) -> FloatArray:
@@ -107,24 +113,15 @@ class Order:
         Energy of the whole tour [J].
     proven : bool
         Whether no better order exists.
+    hurried : tuple of bool
+        Whether the way to each stop is driven as quickly as may be.
     """
 
     stops: tuple[int, ...]
     prize: float
     energy: float
     proven: bool
-
-
-def exact_size(labelled: bool) -> int:
-    """Return the largest number of tasks that is solved exactly."""
-    return EXACT_LABELLED if labelled else EXACT_PLAIN
-
-
-class _Label(NamedTuple):
-    left: float
-    energy: float
-    time: float
-    stops: tuple[int, ...]
+    hurried: tuple[bool, ...] = ()
 
 
 def solve(
@@ -158,15 +155,17 @@ def solve(
     MissingDependencyError
         If there are too many tasks for an exact answer and OR-Tools is not installed.
     """
-    if problem.tasks <= exact_size(problem.labelled):
-        return solve_exactly(problem) if problem.labelled else solve_plainly(problem)
+    if problem.tasks <= EXACT:
+        found = solve_exactly(problem)
+        if found is not None:
+            return found
     from energyplan.mission.routing import solve_by_search
 
     return solve_by_search(problem, time_limit=time_limit, effort=effort, progress=progress)
 
 
-def solve_exactly(problem: OrderProblem) -> Order:
-    """Find the best order by dynamic programming over subsets.
+def solve_exactly(problem: OrderProblem) -> Order | None:
+    """Find the best order by labels over subsets and last stops.
 
     Parameters
     ----------
@@ -175,157 +174,58 @@ def solve_exactly(problem: OrderProblem) -> Order:
 
     Returns
     -------
-    Order
-        The best order; proven.
+    Order or None
+        The best order, proven; None where more labels would be needed than there is room for.
     """
-    n = problem.tasks
-    timed = bool(np.any(np.isfinite(problem.window[:, 1])) or np.any(problem.window[:, 0] > 0))
-    layers: dict[int, dict[int, list[_Label]]] = {
-        0: {0: [_Label(problem.budget, 0.0, problem.start_time, ())]}
-    }
-    worth = problem.worth
-    best = Order((), 0.0, 0.0, True)
-    best_worth, best_key = -1.0, (np.inf, np.inf)
-    for mask in sorted(range(2**n), key=lambda m: (m.bit_count(), m)):
-        here = layers.pop(mask, None)
-        if here is None:
-            continue
-        done = [k for k in range(n) if mask >> k & 1]
-        load = problem.payload + float(problem.payload_change[done].sum())
-        matrix, finish = problem.energy(load), problem.finish(load)
-        pending = [(node, label) for node, labels in here.items() for label in labels]
-        while pending:  # chargers may lead to chargers
-            node, label = pending.pop()
-            for charger in _charged(problem, matrix, node, label):
-                place = charger.stops[-1]
-                if _keep(here.setdefault(place, []), charger, timed):
-                    pending.append((place, charger))
-        value = float(worth[done].sum())
-        for node, labels in here.items():
-            for label in labels:
-                total = label.energy + finish[node]
-                key = (total, label.time + problem.finish_time[node])
-                if finish[node] <= label.left and (-value, *key) < (-best_worth, *best_key):
-                    best_worth, best_key = value, key
-                    best = Order(label.stops, float(problem.prize[done].sum()), float(total), True)
-                for k in range(n):
-                    if mask >> k & 1:
-                        continue
-                    grown = _served(problem, matrix, load, node, label, k)
-                    if grown is not None:
-                        layer = layers.setdefault(mask | 1 << k, {})
-                        _keep(layer.setdefault(k + 1, []), grown, timed)
-    return best
-
-
-def _served(
-    problem: OrderProblem, matrix: FloatArray, load: float, node: int, label: _Label, k: int
-) -> _Label | None:
-    spent = float(matrix[node, k + 1] + problem.service[k])
-    arrival = label.time + float(problem.time[node, k + 1])
-    earliest, latest = problem.window[k]
-    if spent > label.left or arrival > latest or load + problem.payload_change[k] < -1e-3:
+    table = _table(problem)
+    if problem.tasks > _FEW:
+        # an order that does everything, found quickly, spares most labels of the exact search
+        quick = search(table._replace(width=_WIDTH))
+        tasks = {int(stop) for stop in quick.stops if stop <= problem.tasks}
+        if quick.complete and len(tasks) == problem.tasks:
+            table = table._replace(known=float(quick.energy))
+    found = search(table)
+    if not found.complete:
         return None
-    begin = max(arrival, float(earliest))
-    return _Label(
-        label.left - spent,
-        label.energy + spent,
-        begin + float(problem.service_time[k]),
-        (*label.stops, k + 1),
-    )
+    stops = tuple(int(stop) for stop in found.stops)
+    prize = sum(float(problem.prize[s - 1]) for s in stops if s <= problem.tasks)
+    energy = float(found.energy) if found.feasible else 0.0
+    hurried = tuple(bool(way) for way in found.ways)
+    return Order(stops, prize, energy, True, hurried)
 
 
-def _charged(problem: OrderProblem, matrix: FloatArray, node: int, label: _Label) -> list[_Label]:
-    first = problem.tasks + 1
-    grown = []
-    for c in range(len(problem.capacity)):
-        spent = float(matrix[node, first + c])
-        if node == first + c or spent > label.left:
-            continue
-        left = label.left - spent
-        full = max(left, float(problem.capacity[c]))
-        arrival = label.time + float(problem.time[node, first + c])
-        ready = arrival + (full - left) / float(problem.charge_power[c])
-        grown.append(_Label(full, label.energy + spent, ready, (*label.stops, first + c)))
-    return grown
-
-
-def _keep(labels: list[_Label], new: _Label, timed: bool) -> bool:
-    """Add a label unless another is as good in every respect; drop those that it beats."""
-
-    def as_good(a: _Label, b: _Label) -> bool:
-        return a.left >= b.left and a.energy <= b.energy and (not timed or a.time <= b.time)
-
-    if any(as_good(old, new) for old in labels):
-        return False
-    labels[:] = [old for old in labels if not as_good(new, old)]
-    labels.append(new)
-    return True
-
-
-def solve_plainly(problem: OrderProblem) -> Order:
-    """Find the best order where energy alone decides: without chargers and windows.
-
-    Parameters
-    ----------
-    problem : OrderProblem
-        The problem.
-
-    Returns
-    -------
-    Order
-        The best order; proven.
-    """
+def _table(problem: OrderProblem) -> Table:
+    """Return the problem as the kernel reads it."""
     n = problem.tasks
-    masks = np.arange(2**n)
-    least = np.full((2**n, n), np.inf)  # energy of having done a subset, by its last task
-    before = np.full((2**n, n), -1, np.int8)
-    # of two ways to do the same the one of less energy leaves more charge, so one label suffices
-    loads = problem.payload + (masks[:, None] >> np.arange(n) & 1) @ problem.payload_change
-    known: dict[float, tuple[FloatArray, FloatArray]] = {}
-
-    def at(mask: int) -> tuple[FloatArray, FloatArray]:
-        load = float(loads[mask])
-        if load not in known:
-            known[load] = problem.energy(load), problem.finish(load)
-        return known[load]
-
-    best, best_worth, best_energy = (0, -1), 0.0, float(at(0)[1][0])
-    worth = problem.worth
-    feasible = best_energy <= problem.budget
-    if not feasible:
-        best_worth, best_energy = -1.0, np.inf
-    for mask in range(2**n):
-        here = least[mask]
-        if mask and not np.isfinite(here).any():
-            continue
-        matrix, finish = at(mask)
-        if mask:
-            total = here + finish[1 : n + 1]
-            last = int(np.argmin(total))
-            value = float(worth[(mask >> np.arange(n) & 1).astype(bool)].sum())
-            if total[last] <= problem.budget and (-value, total[last]) < (-best_worth, best_energy):
-                best, best_worth, best_energy = (mask, last), value, float(total[last])
-            ways = here[:, None] + matrix[1 : n + 1, 1 : n + 1]
-            came = np.argmin(ways, axis=0)
-            reached = ways[came, np.arange(n)]
-        else:
-            came, reached = np.full(n, -1), matrix[0, 1 : n + 1]
-        reached = reached + problem.service
-        light = loads[mask] + problem.payload_change < -1e-3
-        free = (mask >> np.arange(n) & 1 == 0) & ~light & (reached <= problem.budget)
-        (k,) = np.nonzero(free)
-        grown = mask | 1 << k
-        better = reached[k] < least[grown, k]
-        k, grown = k[better], grown[better]
-        least[grown, k], before[grown, k] = reached[k], came[k]
-    if best_worth < 0:
-        return Order((), 0.0, 0.0, True)
-    stops: list[int] = []
-    mask, last = best
-    while last >= 0:
-        stops.append(last + 1)
-        mask, last = mask ^ 1 << last, int(before[mask, last])
-    stops.reverse()
-    prize = float(problem.prize[[s - 1 for s in stops]].sum()) if stops else 0.0
-    return Order(tuple(stops), prize, best_energy, True)
+    done = (np.arange(2**n)[:, None] >> np.arange(n) & 1).astype(bool)
+    loads = problem.payload + done @ problem.payload_change
+    known, index = np.unique(np.round(loads, 9), return_inverse=True)
+    # what cannot be carried is never reached; its energies are not asked for
+    can = [float(max(load, 0.0)) for load in known]
+    ways = [problem.energy] if problem.hurried_energy is None else [
+        problem.energy, problem.hurried_energy
+    ]  # fmt: skip
+    times = [problem.time] if problem.hurried_time is None else [
+        problem.time, problem.hurried_time
+    ]  # fmt: skip
+    return Table(
+        energy=np.array([[np.asarray(way(load), float) for way in ways] for load in can]),
+        finish=np.array([np.asarray(problem.finish(load), float) for load in can]),
+        time=np.array(times, float),
+        finish_time=np.asarray(problem.finish_time, float),
+        service=np.asarray(problem.service, float),
+        service_time=np.asarray(problem.service_time, float),
+        window=np.ascontiguousarray(problem.window, float),
+        worth=np.asarray(problem.worth, float),
+        load=loads,
+        load_index=index.ravel().astype(np.int64),
+        change=np.asarray(problem.payload_change, float),
+        capacity=np.asarray(problem.capacity, float),
+        charge_power=np.asarray(problem.charge_power, float),
+        budget=float(problem.budget),
+        start_time=float(problem.start_time),
+        timed=problem.timed,
+        most=_MOST_LABELS,
+        width=_MOST_LABELS,
+        known=np.inf,
+    )

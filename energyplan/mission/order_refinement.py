@@ -8,13 +8,15 @@ the others are bounds from below, nothing that was left unplanned can be better.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
-from energyplan.mission.order import Order, OrderProblem, exact_size, solve
-from energyplan.mission.simulation import Condition, Walk
+from energyplan.mission.energy import Estimate
+from energyplan.mission.order import EXACT, Order, OrderProblem, solve
+from energyplan.mission.simulation import Walk
 from energyplan.path import FloatArray
 from energyplan.planning.budget import PACE
 
@@ -23,6 +25,10 @@ _SEARCH_ROUNDS = 3
 _SEARCH_TIME = 2.0
 _LEVELS = 3
 _MOST_LOADS = 64
+_ROUNDING = 1e-6
+
+_LOSSLESS = 1.0
+"""Power so small that a battery loses nothing to its resistance [W]."""
 
 
 @dataclass(frozen=True)
@@ -33,16 +39,28 @@ class Stops:
     ----------
     stops : tuple of int
         Nodes in the order of their visits.
+    hurried : tuple of bool
+        Whether the way to each is driven as quickly as may be.
     proven : bool
-        Whether no better order exists on the energies known.
+        Whether no better order exists on the routes known.
+    gap : float
+        By which fraction of its energy a better order may exist at most; nan where one might do
+        more, or where nothing is known.
     """
 
     stops: tuple[int, ...]
+    hurried: tuple[bool, ...]
     proven: bool
+    gap: float
 
 
 def best_stops(walk: Walk, progress: Callable[[str], None] | None = None) -> Stops:
     """Find which tasks to do in which order, and where to charge.
+
+    First the order is sought that would be best if each drive took what is expected and the
+    battery lost nothing: no other one can be better than that. If the battery lasts for it, it is
+    the answer, and proven. If not, energies are taken at their bounds, and the first order bounds
+    how much better another one could be.
 
     Parameters
     ----------
@@ -56,39 +74,44 @@ def best_stops(walk: Walk, progress: Callable[[str], None] | None = None) -> Sto
     Stops
         The stops.
     """
-    matrix = _Matrix(walk)
-    exact = matrix.exact
-    counted = walk.mission.planning_effort is not None
-    effort = int(_SEARCH_TIME * PACE) if counted else None
-    order = Order((), 0.0, 0.0, False)
-    settled = False
-    for turn in range(_ROUNDS if exact else _SEARCH_ROUNDS):
-        order = solve(matrix.problem(), time_limit=_SEARCH_TIME, effort=effort)
-        if progress is not None:
-            progress(
-                f"order {turn + 1}: {len(order.stops)} stops, {order.energy / 3600:.1f} Wh, "
-                f"{matrix.missing(order.stops)} routes to plan"
-            )
-        if not matrix.missing(order.stops):
-            settled = not matrix.calibrate(order.stops)
-            if settled:
-                break
-            continue
-        matrix.plan(order.stops)
-    return Stops(order.stops, settled and order.proven and matrix.true)
+    hope = None
+    if len(walk.mission.tasks) <= EXACT:
+        matrix = _Matrix(walk, hopeful=True)
+        hope = matrix.settled(progress)
+        hope = hope if hope.proven and matrix.true else None
+        if hope is not None and matrix.holds(hope):
+            return Stops(hope.stops, _ways(hope), True, 0.0)
+    matrix = _Matrix(walk, hopeful=False)
+    found = matrix.settled(progress)
+    while not matrix.holds(found) and matrix.shrink(found.stops):
+        found = matrix.settled(progress)
+    gap = np.nan if hope is None else matrix.gap(found, hope)
+    return Stops(found.stops, _ways(found), bool(gap <= _ROUNDING), gap)
+
+
+def _ways(order: Order) -> tuple[bool, ...]:
+    return order.hurried or (False,) * len(order.stops)
 
 
 class _Matrix:
-    """Energies between places, known or bounded, and the energy that the battery holds."""
+    """Energies between places, known or bounded, and the energy that the battery holds.
 
-    def __init__(self, walk: Walk) -> None:
+    Parameters
+    ----------
+    walk : Walk
+        The mission.
+    hopeful : bool
+        Whether energies are as expected and the battery loses nothing, instead of at their bounds.
+    """
+
+    def __init__(self, walk: Walk, hopeful: bool) -> None:
         self._walk = walk
+        self._hopeful = hopeful
         mission = walk.mission
         change = np.array([task.payload for task in mission.tasks])
         low = max(mission.payload + float(change[change < 0].sum()), 0.0)
         high = mission.payload + float(change[change > 0].sum())
-        timed = any(task.window != (0.0, np.inf) for task in mission.tasks)
-        self.exact = len(mission.tasks) <= exact_size(timed or bool(mission.chargers))
+        self.exact = len(mission.tasks) <= EXACT
         loads = {mission.payload}
         for step in change[change != 0]:
             loads |= {round(load + step, 6) for load in loads}
@@ -102,7 +125,7 @@ class _Matrix:
         self._inflation = 1.0
         self._scale = 1.0
         self._power = walk.legs.grounds.driving_power
-        self._cache: dict[float, FloatArray] = {}
+        self._cache: dict[tuple[float, bool], FloatArray] = {}
 
     def _end_nodes(self) -> list[int]:
         legs, rule = self._walk.legs, self._walk.mission.return_to
@@ -111,46 +134,52 @@ class _Matrix:
 
     @property
     def true(self) -> bool:
-        """Whether the energies of an order are those of its legs at each payload."""
-        return self._each or len(self._levels) == 1
+        """Whether energies and times of an order are those of its legs at each payload."""
+        same = len(self._levels) == 1
+        return same or (self._each and not self._walk.timed)
 
     # -- energies ---------------------------------------------------------------------------------
 
-    def _known(self, payload: float) -> FloatArray:
-        """Energies with one payload: at the bound where planned, from below where not."""
-        if payload not in self._cache:
-            walk, legs = self._walk, self._walk.legs
+    def _known(self, payload: float, hurried: bool) -> FloatArray:
+        """Energies with one payload: those of the legs where planned, from below where not."""
+        if (payload, hurried) not in self._cache:
+            legs = self._walk.legs
             if self._each:
                 matrix = self._walk.legs.lower_bounds(payload).copy()
             else:
                 level = int(np.argmin(np.abs(self._levels - payload)))
                 matrix = self._bounds[level] * self._inflation
             for i, j in np.argwhere(np.ones_like(matrix)):
-                if legs.planned(int(i), int(j)):
-                    energy = legs.leg(int(i), int(j), payload).energy
-                    finite = np.isfinite(energy.mean)
-                    energy = legs.grounds.from_battery(energy) if finite else energy
-                    matrix[i, j] = energy.upper(walk.quantile) if finite else np.inf
-            self._cache[payload] = matrix
-        return self._cache[payload]
+                if legs.planned(int(i), int(j), hurried):
+                    energy = legs.leg(int(i), int(j), payload, hurried).energy
+                    matrix[i, j] = self._counted(energy)
+            self._cache[payload, hurried] = matrix
+        return self._cache[payload, hurried]
 
-    def _energy(self, payload: float) -> FloatArray:
+    def _counted(self, energy: Estimate) -> float:
+        """Return what an energy counts: as expected, or at the bound as the battery feels it."""
+        if self._hopeful or not np.isfinite(energy.mean):
+            return energy.mean
+        walk = self._walk
+        return walk.legs.grounds.from_battery(energy).upper(walk.quantile)
+
+    def _energy(self, payload: float, hurried: bool = False) -> FloatArray:
         """Energies with any payload, interpolated between the levels."""
         if self._each:
-            return self._known(round(payload, 6))
-        known = self._interpolated(payload)
+            return self._known(round(payload, 6), hurried)
+        known = self._interpolated(payload, hurried)
         # the search beyond knows no energy that comes back
         return known if self.exact else np.maximum(known, 0.0)
 
-    def _interpolated(self, payload: float) -> FloatArray:
+    def _interpolated(self, payload: float, hurried: bool) -> FloatArray:
         levels = self._levels
         if len(levels) == 1:
-            return self._known(float(levels[0]))
+            return self._known(float(levels[0]), hurried)
         weights = np.ones(len(levels))
         for k, level in enumerate(levels):
             for other in np.delete(levels, k):
                 weights[k] *= (payload - other) / (level - other)
-        known = [self._known(float(level)) for level in levels]
+        known = [self._known(float(level), hurried) for level in levels]
         blocked = np.any([~np.isfinite(m) for m in known], axis=0)
         total = sum(w * np.where(blocked, 0.0, m) for w, m in zip(weights, known, strict=True))
         return np.where(blocked, np.inf, np.asarray(total))
@@ -158,7 +187,7 @@ class _Matrix:
     def _finish(self, payload: float) -> FloatArray:
         return np.asarray(self._energy(payload)[:, self._ends].min(axis=1))
 
-    def _times(self) -> FloatArray:
+    def _times(self, hurried: bool = False) -> FloatArray:
         """Tell the times between places: straight on at full speed where no route is planned."""
         legs, payload = self._walk.legs, self._walk.mission.payload
         speed = legs.cost(payload)[0].admissible_speed(0.0)
@@ -166,8 +195,8 @@ class _Matrix:
         apart = np.linalg.norm(poses[:, None] - poses[None], axis=-1)
         times: FloatArray = np.asarray(apart / float(speed), float)
         for i, j in np.argwhere(np.ones_like(times)):
-            if legs.planned(int(i), int(j)):
-                times[i, j] = legs.leg(int(i), int(j), payload).duration
+            if legs.planned(int(i), int(j), hurried):
+                times[i, j] = legs.leg(int(i), int(j), payload, hurried).duration
         return times
 
     # -- the problem ------------------------------------------------------------------------------
@@ -175,7 +204,8 @@ class _Matrix:
     def problem(self) -> OrderProblem:
         """Return the order problem on what is known now."""
         walk, mission = self._walk, self._walk.mission
-        tasks, battery = mission.tasks, mission.battery
+        tasks, chargers = mission.tasks, mission.chargers
+        efficiency = 1.0 if self._hopeful else mission.battery.charge_efficiency
         times = self._times()
         payload = mission.payload
         grounds = walk.legs.grounds
@@ -183,8 +213,9 @@ class _Matrix:
         for k in range(len(tasks)):
             region = walk.legs.region(k + 1)
             done = grounds.waiting(region, k, payload) + grounds.work(region, k, payload)
-            service.append(grounds.from_battery(done).upper(walk.quantile))
+            service.append(self._counted(done))
         reserve = self._stored(mission.reserve)
+        hurry = True in walk.ways
         return OrderProblem(
             energy=self._energy,
             finish=self._finish,
@@ -197,29 +228,33 @@ class _Matrix:
             prize=np.array([task.prize for task in tasks]),
             required=np.array([task.required for task in tasks]),
             window=np.array([task.window for task in tasks], float),
-            budget=self._scale * (self._stored(walk.at_least(mission.soc)) - reserve),
+            budget=self._scale * (self._stored(self._soc(mission.soc)) - reserve),
             capacity=np.array(
-                [
-                    self._scale * (self._stored(walk.at_least(c.until)) - reserve)
-                    for c in mission.chargers
-                ]
+                [self._scale * (self._stored(self._soc(c.until)) - reserve) for c in chargers]
             ),
-            charge_power=np.array([c.power for c in mission.chargers]) * battery.charge_efficiency,
+            charge_power=np.array([c.power for c in chargers]) * efficiency,
             start_time=mission.time,
+            hurried_energy=partial(self._energy, hurried=True) if hurry else None,
+            hurried_time=self._times(hurried=True) if hurry else None,
         )
 
     def _stored(self, soc: float) -> float:
-        return float(self._walk.mission.battery.usable_energy(self._power, soc))
+        power = _LOSSLESS if self._hopeful else self._power
+        return float(self._walk.mission.battery.usable_energy(power, soc))
+
+    def _soc(self, told: float) -> float:
+        return told if self._hopeful else self._walk.at_least(told)
 
     # -- routes -----------------------------------------------------------------------------------
 
-    def _used(self, stops: tuple[int, ...]) -> list[tuple[int, int]]:
-        """Routes that an order uses, the way to its end included."""
-        nodes = [0, *stops]
-        finish = self._energy(self._payload_after(stops))[nodes[-1], self._ends]
+    def _used(self, order: Order) -> list[tuple[int, int, bool]]:
+        """Routes that an order uses and whether in a hurry, the way to its end included."""
+        nodes = [0, *order.stops]
+        finish = self._energy(self._payload_after(order.stops))[nodes[-1], self._ends]
+        driven = zip(pairwise(nodes), _ways(order), strict=True)
         return [
-            *pairwise(nodes),
-            (nodes[-1], self._ends[int(finish.argmin())]),
+            *((i, j, quick) for (i, j), quick in driven),
+            (nodes[-1], self._ends[int(finish.argmin())], False),
         ]
 
     def _payload_after(self, stops: tuple[int, ...]) -> float:
@@ -227,47 +262,68 @@ class _Matrix:
         carried = sum(tasks[s - 1].payload for s in stops if s <= len(tasks))
         return float(np.clip(self._walk.mission.payload + carried, *self._levels[[0, -1]]))
 
-    def missing(self, stops: tuple[int, ...]) -> int:
+    def missing(self, order: Order) -> int:
         """Count the routes of an order that are not planned."""
-        return sum(not self._walk.legs.planned(i, j) for i, j in self._used(stops))
+        return sum(not self._walk.legs.planned(*used) for used in self._used(order))
 
-    def plan(self, stops: tuple[int, ...]) -> None:
+    def plan(self, order: Order) -> None:
         """Plan the routes of an order."""
         legs = self._walk.legs
         ratios = []
-        for i, j in self._used(stops):
-            if not legs.planned(i, j):
-                leg = legs.leg(i, j, float(self._levels[-1]))
+        for i, j, quick in self._used(order):
+            if not legs.planned(i, j, quick):
+                leg = legs.leg(i, j, float(self._levels[-1]), quick)
                 bound = self._bounds[-1][i, j]
                 if np.isfinite(leg.energy.mean) and bound > 0:
-                    ratios.append(leg.energy.upper(self._walk.quantile) / bound)
+                    ratios.append(self._counted(leg.energy) / bound)
         if not self.exact and ratios:
             # A search cannot wait for all bounds to become true: let them be typical instead.
             self._inflation = float(np.median(ratios))
         self._cache.clear()
 
-    def calibrate(self, stops: tuple[int, ...]) -> bool:
-        """Run the battery over an order; tell whether its capacity had to be corrected.
+    def settled(self, progress: Callable[[str], None] | None) -> Order:
+        """Solve and plan the routes of the answer until it uses planned routes only.
 
-        The order is found on energies that add up; the battery holds less at high power, and the
-        uncertainties of legs add up to a little less than their sum.
+        The answer is proven where that point is reached with an exact order.
         """
-        walk = self._walk
-        state: Condition | None = walk.start
-        for stop in stops:
-            if state is None:
-                break
-            if stop in walk.legs.chargers:
-                docked = walk.drive(state, stop)
-                state = None
-                if docked is not None and walk.holds(docked):
-                    state = walk.charge(docked)
-            else:
-                attempt = walk.attempt(state, stop - 1)
-                state = attempt.after if attempt.reason == "none" else None
-        if state is not None and walk.finish(state) is not None:
-            return False
+        counted = self._walk.mission.planning_effort is not None
+        effort = int(_SEARCH_TIME * PACE) if counted else None
+        order = Order((), 0.0, 0.0, False)
+        for turn in range(_ROUNDS if self.exact else _SEARCH_ROUNDS):
+            order = solve(self.problem(), time_limit=_SEARCH_TIME, effort=effort)
+            missing = self.missing(order)
+            if progress is not None:
+                progress(
+                    f"order {turn + 1}: {len(order.stops)} stops, {order.energy / 3600:.1f} Wh, "
+                    f"{missing} routes to plan"
+                )
+            if not missing:
+                return order
+            self.plan(order)
+        return replace(order, proven=False)
+
+    def holds(self, order: Order) -> bool:
+        """Run the battery over an order; tell whether it lasts."""
+        state = self._walk.follow(order.stops, _ways(order))
+        return state is not None and self._walk.finish(state) is not None
+
+    def shrink(self, stops: tuple[int, ...]) -> bool:
+        """Take the battery for a little smaller; tell whether that is worth another try.
+
+        The order is found on energies that add up; the battery holds less at high power.
+        """
         if self._scale < 0.8 or not stops:
             return False
         self._scale *= 0.98
         return True
+
+    def gap(self, found: Order, hope: Order) -> float:
+        """Return by which fraction of an order's energy a better one may exist at most."""
+        tasks, walk = self._walk.mission.tasks, self._walk
+        worth = [sum(self.problem().worth[s - 1] for s in one.stops if s <= len(tasks))
+                 for one in (found, hope)]  # fmt: skip
+        state = walk.follow(found.stops, _ways(found))
+        last = None if state is None else walk.finish(state)
+        if last is None or worth[0] < worth[1] - _ROUNDING or last.total.mean <= 0:
+            return float(np.nan)
+        return max(1.0 - hope.energy / last.total.mean, 0.0)

@@ -99,6 +99,55 @@ class Stop:
     soc_lower: float
 
 
+@dataclass(frozen=True, eq=False)
+class LegReport:
+    """A drive from one stop to the next.
+
+    Parameters
+    ----------
+    start, goal : str
+        The places.
+    departure : float
+        When it begins [s].
+    energy : float
+        Energy, as expected [J].
+    trajectory : Trajectory
+        The drive, from time 0.
+    soc, soc_lower : ndarray, shape (n,)
+        State of charge at each of its samples, expected and at the bound.
+    """
+
+    start: str
+    goal: str
+    departure: float
+    energy: float
+    trajectory: Trajectory
+    soc: FloatArray
+    soc_lower: FloatArray
+
+
+@dataclass(frozen=True)
+class ChargerReport:
+    """How a charger is used.
+
+    Parameters
+    ----------
+    name : str
+        The charger.
+    visits : int
+        How often the robot charges there.
+    duration : float
+        How long in all [s].
+    energy : float
+        Energy that it supplies, as expected [J].
+    """
+
+    name: str
+    visits: int
+    duration: float
+    energy: float
+
+
 @dataclass(frozen=True)
 class Doubt:
     """What one unknown costs.
@@ -168,7 +217,10 @@ class MissionReport:
     duration : float
         How long it takes [s].
     proven : bool
-        Whether, for a free order, no better one exists on the energies known.
+        Whether, for a free order, no better one exists on the routes known.
+    gap : float
+        By which fraction of the energy a better order may exist at most; nan where one might do
+        more tasks, or where nothing is known.
     timeline : Timeline
         The mission over time.
     paths : tuple of Path
@@ -181,6 +233,10 @@ class MissionReport:
         What each unknown costs, the dearest first, as the battery feels it between the charges
         where the most is held back; without charges that is the whole mission. The squares of
         their energies add up to the variance.
+    legs : tuple of LegReport
+        The drives from stop to stop with the charge along them.
+    chargers : tuple of ChargerReport
+        How each charger is used.
     warnings : tuple of str
         What to know before trusting the figures, such as a temperature without data.
     """
@@ -201,6 +257,9 @@ class MissionReport:
     trajectories: tuple[Trajectory, ...] = ()
     route: tuple[Stop, ...] = ()
     uncertainty: tuple[Doubt, ...] = ()
+    legs: tuple[LegReport, ...] = ()
+    chargers: tuple[ChargerReport, ...] = ()
+    gap: float = np.nan
     warnings: tuple[str, ...] = ()
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import NamedTuple
@@ -14,6 +15,7 @@ from energyplan.mission.types import Mission
 from energyplan.path import FloatArray
 
 _STEP = 30.0
+_PARTS = 300
 _HOURS = 48
 _ROUNDING = 1e-9
 _GRAM = 1e-3
@@ -108,6 +110,13 @@ class Condition:
     stretches: tuple[Estimate, ...] = ()
 
 
+class _Charging(NamedTuple):
+    """State of charge over the time since charging began [s], shape (n,) each."""
+
+    t: FloatArray
+    soc: FloatArray
+
+
 class Attempt(NamedTuple):
     """What comes of a task.
 
@@ -167,9 +176,9 @@ class Walk:
 
     # -- steps ------------------------------------------------------------------------------------
 
-    def drive(self, state: Condition, goal: int) -> Condition | None:
-        """Drive to a place; None where the leg cannot be driven."""
-        leg = self.legs.leg(state.node, goal, state.payload)
+    def drive(self, state: Condition, goal: int, hurried: bool = False) -> Condition | None:
+        """Drive to a place, quickly if in a hurry; None where the leg cannot be driven."""
+        leg = self.legs.leg(state.node, goal, state.payload, hurried)
         if leg.trouble:
             return None
         if leg.trajectory is None:
@@ -233,18 +242,20 @@ class Walk:
             after = after._replace(failure=run.reason, instant=run.brown_out, load=float(load))
         return after, run.soc
 
-    def charge(self, state: Condition) -> Condition:
-        """Charge at the charger at hand."""
+    def charge(self, state: Condition, leave_by: float = np.inf) -> Condition:
+        """Charge at the charger at hand until it suffices, or until it is time to leave [s]."""
         charger = self.mission.chargers[state.node - self.legs.chargers[0]]
         low = self._charge(state.worst, charger.power, self.at_least(charger.until))
         high = self._charge(state.expected, charger.power, charger.until)
         gauge = self.legs.grounds.gauge
-        count = max(len(low), len(high), 2)
-        t = state.time + _STEP * np.arange(count, dtype=float)
-        filled = [np.append(s, np.full(count - len(s), s[-1])) for s in (high, low)]
-        power = -charger.power * (np.arange(count) < len(high) - 1).astype(float)
+        last = min(max(low.t[-1], high.t[-1]), leave_by - state.time)
+        t = np.unique(np.append(np.concatenate([low.t, high.t]), max(last, _INSTANT)))
+        t = t[t <= max(last, _INSTANT)]
+        filled = [np.interp(t, one.t, one.soc) for one in (high, low)]
+        power = np.where(t < min(high.t[-1], t[-1]), -charger.power, 0.0)
+        t = state.time + t
         piece = Piece("charge", state.node, t, power, filled[0], filled[1])
-        low_end, high_end = (Charge(float(s[-1])) for s in (low, high))
+        low_end, high_end = (Charge(float(s[-1])) for s in (filled[1], filled[0]))
         return replace(
             state,
             time=float(t[-1]),
@@ -256,30 +267,41 @@ class Walk:
             pieces=(*state.pieces, piece),
         )
 
-    def _charge(self, charge: Charge, power: float, until: float) -> FloatArray:
-        """State of charge every `_STEP` until it suffices or rises no more."""
-        soc = [np.array([charge.soc])]
-        t = _STEP * np.arange(int(3600 / _STEP) + 1)
+    def _charge(self, charge: Charge, power: float, until: float) -> _Charging:
+        """Charge until it suffices or rises no more."""
+        t, soc = [0.0], [charge.soc]
+        steps = _STEP * np.arange(int(3600 / _STEP) + 1)
         for _ in range(_HOURS):
-            last = float(soc[-1][-1])
-            if last >= until:
+            begun = soc[-1]
+            if begun >= until:
                 break
-            run = self.mission.battery.simulate(t, np.full(len(t), -power), soc=last)
+            run = self.mission.battery.simulate(steps, np.full(len(steps), -power), soc=begun)
             reached = np.flatnonzero(run.soc >= until)
-            stop = int(reached[0]) + 1 if len(reached) else len(t)
-            soc.append(np.minimum(run.soc[1:stop], until))
-            if run.soc_end - last < 1e-3:
+            stop = int(reached[0]) if len(reached) else len(steps)
+            hour = t[-1]
+            t.extend(hour + steps[1:stop])
+            soc.extend(run.soc[1:stop])
+            if len(reached):
+                # the last step ends when it suffices
+                short = np.linspace(0.0, _STEP, _PARTS + 1)
+                run = self.mission.battery.simulate(
+                    short, np.full(len(short), -power), soc=float(run.soc[stop - 1])
+                )
+                end = int(np.flatnonzero(run.soc >= until)[0])
+                t.append(hour + steps[stop - 1] + short[end])
+                soc.append(until)
+            elif run.soc_end - begun < 1e-3:
                 break
-        return np.concatenate(soc)
+        return _Charging(np.array(t), np.array(soc))
 
     # -- tasks ------------------------------------------------------------------------------------
 
-    def attempt(self, state: Condition, task: int) -> Attempt:
+    def attempt(self, state: Condition, task: int, hurried: bool = False) -> Attempt:
         """Try a task without charging before it."""
         asked, node = self.mission.tasks[task], task + 1
-        there = self.drive(state, node)
+        there = self.drive(state, node, hurried)
         if there is None:
-            leg = self.legs.leg(state.node, node, state.payload)
+            leg = self.legs.leg(state.node, node, state.payload, hurried)
             return Attempt(leg.trouble, state, state, leg.detail)
         grounds, region = self.legs.grounds, self.legs.region(node)
         lost = grounds.waiting(region, task, there.payload)
@@ -315,18 +337,91 @@ class Walk:
     def attempt_charged(self, state: Condition, task: int) -> Attempt:
         """Try a task, charging before it where it cannot be done otherwise."""
         best = self.attempt(state, task)
+        if best.reason == "late" and self.legs.can_hurry:
+            hurried = self.attempt(state, task, hurried=True)
+            best = best if hurried.reason == "late" else hurried
         if best.reason != "battery":
             return best
-        for charged in self.charged(state):
-            tried = self.attempt(charged, task)
-            if self._rank(tried) < self._rank(best):
-                best = tried
+        for charged in self.charged(state, [(task,)]):
+            for hurried_way in self.ways:
+                tried = self.attempt(charged, task, hurried_way)
+                if self._rank(tried) < self._rank(best):
+                    best = tried
         return best
 
-    def charged(self, state: Condition) -> list[Condition]:
+    @property
+    def timed(self) -> bool:
+        """Whether windows end, so that being late is possible."""
+        return any(np.isfinite(task.window[1]) for task in self.mission.tasks)
+
+    @property
+    def ways(self) -> tuple[bool, ...]:
+        """Whether to hurry: no, or both where windows press."""
+        return (False, True) if self.timed and self.legs.can_hurry else (False,)
+
+    def leave_by(
+        self, node: int, payload: float, stops: Sequence[int], hurried: Sequence[bool] = ()
+    ) -> float:
+        """Return when to leave a place at the latest so that no window of what follows is missed.
+
+        Parameters
+        ----------
+        node : int
+            The place.
+        payload : float
+            Payload on leaving [kg].
+        stops : sequence of int
+            Places to come, tasks and chargers; no time is left for charging at the latter.
+        hurried : sequence of bool
+            Whether the way to each is driven quickly; not where it is not told.
+
+        Returns
+        -------
+        float
+            Time [s]; infinite where no window ends, minus infinite where a way cannot be driven.
+        """
+        tasks, waiting = self.mission.tasks, self.mission.waiting
+        ways = (*hurried, *(False for _ in stops[len(hurried) :]))
+        lasts, deadlines = [], []
+        for stop, quick in zip(stops, ways, strict=True):
+            leg = self.legs.leg(node, stop, payload, quick)
+            if leg.trouble:
+                return -np.inf
+            lasts.append(leg.duration)
+            deadlines.append(tasks[stop - 1].window[1] if stop <= len(tasks) else np.inf)
+            if stop <= len(tasks):
+                payload = max(payload + tasks[stop - 1].payload, 0.0)
+            node = stop
+        latest = np.inf
+        for stop, last, deadline in reversed(list(zip(stops, lasts, deadlines, strict=True))):
+            if stop <= len(tasks):
+                latest = min(deadline, latest - tasks[stop - 1].dwell) - waiting
+            latest -= last
+        return float(latest)
+
+    def follow(self, stops: Sequence[int], hurried: Sequence[bool]) -> Condition | None:
+        """Do tasks and charge in the order of some stops; None where that cannot be done."""
+        state = self.start
+        for k, (stop, quick) in enumerate(zip(stops, hurried, strict=True)):
+            if stop in self.legs.chargers:
+                docked = self.drive(state, stop, quick)
+                if docked is None or not self.holds(docked):
+                    return None
+                rest = stops[k + 1 :], hurried[k + 1 :]
+                state = self.charge(docked, self.leave_by(stop, docked.payload, *rest))
+            else:
+                attempt = self.attempt(state, stop - 1, quick)
+                if attempt.reason != "none":
+                    return None
+                state = attempt.after
+        return state
+
+    def charged(self, state: Condition, plans: Sequence[Sequence[int]] = ()) -> list[Condition]:
         """Return the conditions after charging, at chargers reached directly or over others.
 
-        Of several ways to a charger the one of least energy is kept, and the quickest.
+        Of several ways to a charger the one of least energy is kept, and the quickest. Where one
+        of the plans, sequences of tasks to come, would miss a window after a whole charge, the
+        charge that ends in time is returned too.
         """
         kept: dict[int, list[Condition]] = {}
         pending = [state]
@@ -339,10 +434,19 @@ class Walk:
                 if docked is None or not self.holds(docked):
                     continue
                 full, known = self.charge(docked), kept.setdefault(charger, [])
-                if not any(as_good(other, full) for other in known):
-                    known[:] = [other for other in known if not as_good(full, other)]
-                    known.append(full)
-                    pending.append(full)
+                ends = [full]
+                for plan in plans if self.timed else ():
+                    stops = [task + 1 for task in plan]
+                    for quick in self.ways:
+                        hurried = [quick] * len(stops)
+                        leave = self.leave_by(charger, docked.payload, stops, hurried)
+                        if docked.time < leave < full.time:
+                            ends.append(self.charge(docked, leave))
+                for end in ends:
+                    if not any(as_good(other, end) for other in known):
+                        known[:] = [other for other in known if not as_good(end, other)]
+                        known.append(end)
+                        pending.append(end)
         return [full for known in kept.values() for full in known]
 
     def _rank(self, attempt: Attempt) -> tuple[bool, float]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from energyplan.io.start import Start
     from energyplan.limits.feasibility import FeasibilityReport
     from energyplan.live import Event
-    from energyplan.mission import MissionReport
+    from energyplan.mission import LegReport, MissionReport
     from energyplan.physics import Driven, Loop
     from energyplan.physics.design import Design
     from energyplan.planning import Plan
@@ -204,8 +204,9 @@ def mission(report: MissionReport) -> Document:
 "shortfall", "remedy", "remedies", "arrival", "departure", "soc_lower",
     )  # fmt: skip
     whole = (
-        "headline", "order", "route", "energy", "energy_upper", "soc_end", "duration", "feasible",
-        "proven", "warnings",
+        "headline", "order", "route", "energy", "energy_upper", "soc_end", "soc_end_lower", "end",
+        "duration", "feasible", "chargers",
+        "proven", "gap", "warnings",
     )  # fmt: skip
     return {
         "tasks": [
@@ -217,6 +218,7 @@ def mission(report: MissionReport) -> Document:
             {key: plain(getattr(doubt, key)) for key in ("source", "energy", "saving")}
             for doubt in report.uncertainty
         ],
+        "legs": [_leg(leg) for leg in report.legs],
     }
 
 
@@ -247,6 +249,18 @@ def event(told: Event) -> Document:
         else:
             named[item.name] = plain(value)
     return named
+
+
+def _leg(leg: LegReport) -> Document:
+    """Return a leg with its trajectory, as columns over its time."""
+    drive = leg.trajectory
+    columns = {
+        "t": drive.t, "x": drive.x, "y": drive.y, "yaw": drive.yaw, "v": drive.v,
+        "omega": drive.omega, "soc": leg.soc, "soc_lower": leg.soc_lower,
+    }  # fmt: skip
+    told = {key: plain(getattr(leg, key)) for key in ("start", "goal", "departure", "energy")}
+    trajectory = {key: np.round(values, 6).tolist() for key, values in columns.items()}
+    return {**told, "duration": plain(drive.duration), "trajectory": trajectory}
 
 
 def driven(made: Driven, secret: bool = False) -> Document:

@@ -91,6 +91,27 @@ def test_route_and_times_are_those_of_the_drive() -> None:
     assert document["proven"] is True
 
 
+def test_legs_and_chargers_are_told_for_programs() -> None:
+    asked = corridor(5000.0, {"a": 9.0, "b": 25.0}, 5.0, chargers=(charger(15, "dock"),))
+    report = evaluate(replace(asked, confidence=0.95, coefficient_spread=0.05))
+    document = documents.mission(report)
+    assert (document["end"], document["gap"]) == (report.end, 0.0)
+    assert document["soc_end_lower"] == report.soc_end_lower < report.soc_end
+    for before, stop, leg in zip(report.route, report.route[1:], document["legs"], strict=False):
+        assert (leg["start"], leg["goal"]) == (before.name, stop.name)
+        assert leg["departure"] == pytest.approx(before.departure)
+        drive = leg["trajectory"]
+        assert {len(column) for column in drive.values()} == {len(drive["t"])}
+        assert drive["x"][0] == pytest.approx(before.pose.x, abs=1e-6)
+        assert drive["x"][-1] == pytest.approx(stop.pose.x, abs=1e-6)
+        assert drive["soc"][0] == pytest.approx(before.soc, abs=1e-6)
+        assert drive["soc_lower"][0] == pytest.approx(before.soc_lower, abs=1e-6)
+    assert sum(leg["energy"] for leg in document["legs"]) == pytest.approx(report.energy)
+    (dock,) = document["chargers"]
+    assert (dock["name"], dock["visits"]) == ("dock", 1)
+    assert dock["energy"] == pytest.approx(500.0 * dock["duration"], rel=0.2)
+
+
 def test_what_is_not_done_has_no_times() -> None:
     (task,) = documents.mission(evaluate(corridor(1e3, {"a": 11.0}, 5.0)))["tasks"]
     assert (task["arrival"], task["departure"], task["soc_lower"]) == (None, None, None)
