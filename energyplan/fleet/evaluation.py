@@ -15,9 +15,10 @@ from energyplan.fleet.schedule import Docks
 from energyplan.fleet.search import solve_by_search
 from energyplan.fleet.types import Fleet
 from energyplan.mission import Stop
+from energyplan.mission.condition import Condition
 from energyplan.mission.legs import Legs
 from energyplan.mission.report import StopKind
-from energyplan.mission.simulation import Condition, Walk
+from energyplan.mission.simulation import Walk
 
 _ROUNDS, _SEARCH_ROUNDS = 60, 4
 """Rounds of assigning and planning: of exact answers, and of searches."""

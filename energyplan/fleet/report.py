@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from energyplan.errors import MissionError
 from energyplan.fleet.types import Fleet, RobotState
 from energyplan.mission import Stop
-from energyplan.mission.simulation import Condition
+from energyplan.mission.condition import Condition
 from energyplan.path import Pose
 
 

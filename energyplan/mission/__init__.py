@@ -14,6 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from energyplan.battery import Battery
+from energyplan.mission.account import charger_reports, doubts, leg_reports, timeline
+from energyplan.mission.condition import Attempt, Condition
 from energyplan.mission.energy import Estimate
 from energyplan.mission.given_order import Course, best_course
 from energyplan.mission.legs import Legs
@@ -29,7 +31,7 @@ from energyplan.mission.report import (
     TaskReport,
     Timeline,
 )
-from energyplan.mission.simulation import Attempt, Condition, Walk
+from energyplan.mission.simulation import Walk
 from energyplan.mission.spreads import Spreads
 from energyplan.mission.tasks import Charger, Task
 from energyplan.mission.types import Mission
@@ -130,7 +132,7 @@ class _Evaluation:
             duration=end.time - self.mission.time,
             proven=self.proven,
             gap=self.gap,
-            timeline=self._timeline(end),
+            timeline=timeline(self.walk, end),
             paths=tuple(drives),
             trajectories=tuple(
                 piece.leg.trajectory
@@ -138,9 +140,9 @@ class _Evaluation:
                 if piece.leg is not None and piece.leg.trajectory is not None
             ),
             route=self._route(end),
-            uncertainty=self._doubts(end),
-            legs=self._legs(end),
-            chargers=self._chargers(end),
+            uncertainty=doubts(self.walk, end),
+            legs=leg_reports(self.walk, end),
+            chargers=charger_reports(self.walk, end),
             warnings=self._warnings(),
         )
 
@@ -237,55 +239,10 @@ class _Evaluation:
         last = Stop(names[end.node], "end", poses[end.node], end.time, end.time, *charge)
         return (first, *stops, last)
 
-    def _legs(self, end: Condition) -> tuple[LegReport, ...]:
-        names, node, legs = self.legs.names, self.walk.start.node, []
-        for piece in end.pieces:
-            if piece.leg is not None and piece.leg.trajectory is not None:
-                legs.append(
-                    LegReport(
-                        names[node], names[piece.goal], float(piece.t[0]), piece.leg.energy.mean,
-                        piece.leg.trajectory, piece.soc, piece.soc_lower,
-                    )
-                )  # fmt: skip
-            node = piece.goal
-        return tuple(legs)
-
-    def _chargers(self, end: Condition) -> tuple[ChargerReport, ...]:
-        found = []
-        for node in self.legs.chargers:
-            visits = [p for p in end.pieces if p.kind == "charge" and p.goal == node]
-            duration = sum(float(p.t[-1] - p.t[0]) for p in visits)
-            energy = sum(float(-p.power[:-1] @ np.diff(p.t)) for p in visits)
-            found.append(ChargerReport(self.legs.names[node], len(visits), duration, energy))
-        return tuple(found)
-
-    def _timeline(self, end: Condition) -> Timeline:
-        columns: list[list[np.ndarray]] = [[] for _ in range(8)]
-        for piece in end.pieces:
-            drive = None if piece.leg is None else piece.leg.trajectory
-            if drive is None:
-                x, y, yaw = (np.full(len(piece.t), value) for value in self.legs.poses[piece.goal])
-            else:
-                x, y, yaw = drive.x, drive.y, drive.yaw
-            mirror = np.minimum(2 * piece.soc - piece.soc_lower, 1.0)
-            parts = (piece.t, x, y, yaw, piece.power, piece.soc, piece.soc_lower, mirror)
-            for column, part in zip(columns, parts, strict=True):
-                column.append(part)
-        return Timeline(*(np.concatenate(c) if c else np.zeros(0) for c in columns))
-
     def _warnings(self) -> tuple[str, ...]:
         battery = self.mission.battery
         note = battery.temperature_note if isinstance(battery, Battery) else ""
         return (note,) if note else ()
-
-    def _doubts(self, end: Condition) -> tuple[Doubt, ...]:
-        """Tell what each unknown costs between the charges where the most is held back."""
-        spent = max((*end.stretches, end.spent), key=lambda stretch: stretch.std)
-        whole, quantile = spent.std, self.walk.quantile
-        return tuple(
-            Doubt(source, std, quantile * (whole - float(np.sqrt(max(whole**2 - std**2, 0.0)))))
-            for source, std in self.legs.grounds.by_source(spent).items()
-        )
 
     # -- verdicts ---------------------------------------------------------------------------------
 

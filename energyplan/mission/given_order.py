@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from energyplan.mission.simulation import Attempt, Condition, Walk, as_good
+from energyplan.mission.condition import Attempt, Condition, as_good
+from energyplan.mission.simulation import Walk
 
 
 @dataclass(frozen=True)
