@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import shapely
@@ -49,15 +50,18 @@ def write_energies(found: EnergyMap, path: str | Path) -> None:
     atomic_write(Path(path), header + "\n".join(lines) + "\n")
 
 
-def write_contours(areas: Sequence[Contour], path: str | Path) -> None:
-    """Write areas in reach as GeoJSON; each feature has its ``energy`` [J] and ``area`` [m^2].
+def contours_document(areas: Sequence[Contour]) -> dict[str, Any]:
+    """Return areas in reach as GeoJSON; each feature has its ``energy`` [J] and ``area`` [m^2].
 
     Parameters
     ----------
     areas : sequence of Contour
         The areas.
-    path : str or Path
-        The file. It is replaced as a whole.
+
+    Returns
+    -------
+    dict
+        A FeatureCollection.
     """
     features = [
         {
@@ -67,5 +71,17 @@ def write_contours(areas: Sequence[Contour], path: str | Path) -> None:
         }
         for found in areas
     ]
-    document = {"type": "FeatureCollection", "features": features}
-    atomic_write(Path(path), json.dumps(document, indent=1) + "\n")
+    return {"type": "FeatureCollection", "features": features}
+
+
+def write_contours(areas: Sequence[Contour], path: str | Path) -> None:
+    """Write areas in reach to a GeoJSON file; see `contours_document`.
+
+    Parameters
+    ----------
+    areas : sequence of Contour
+        The areas.
+    path : str or Path
+        The file. It is replaced as a whole.
+    """
+    atomic_write(Path(path), json.dumps(contours_document(areas), indent=1) + "\n")

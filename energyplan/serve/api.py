@@ -6,7 +6,7 @@ import asyncio
 import json
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from functools import partial
+from functools import lru_cache, partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from fastapi.staticfiles import StaticFiles
 from starlette.exceptions import HTTPException
 
 from energyplan import __version__
+from energyplan.battery import Battery
 from energyplan.cost import EnergyCost
 from energyplan.diagnosis import diagnose
 from energyplan.errors import (
@@ -30,6 +31,7 @@ from energyplan.errors import (
     TimeLimitError,
 )
 from energyplan.fit import identify
+from energyplan.io.energy_map import contours_document
 from energyplan.io.logs import read_log
 from energyplan.io.mission import mission_from, read_mission
 from energyplan.limits.feasibility import check
@@ -45,10 +47,14 @@ from energyplan.serve.requests import (
     IdentifyRequest,
     MissionRequest,
     PlanRequest,
+    RangeRequest,
 )
 from energyplan.serve.store import KINDS, Store, UnknownFileError
 from energyplan.serve.work import BusyError, Job, Pool
 from energyplan.studies.comparison import compare
+from energyplan.studies.doubt import most_power
+from energyplan.studies.energy_map import energy_map
+from energyplan.terrain import OccupancyGrid
 
 STATUS: tuple[tuple[type[Exception], int], ...] = (
     (UnknownFileError, 404),
@@ -154,11 +160,13 @@ def create_app(
 
     def asked_problem(asked: PlanRequest) -> PlanningProblem:
         cost = EnergyCost(store.model(asked.model), battery=asked.battery)
+        grid = store.map(asked.map)
         return PlanningProblem(
-            store.map(asked.map), cost, Pose(*asked.start), Pose(*asked.goal),
+            _masked(grid, store.map(asked.keepout)) if asked.keepout else grid,
+            cost, Pose(*asked.start), Pose(*asked.goal),
             surfaces=store.surfaces(asked.surfaces) if asked.surfaces else None,
             heights=store.heights(asked.heights) if asked.heights else None,
-            objective=asked.objective,
+            objective=asked.objective, clearance=asked.clearance,
         )  # fmt: skip
 
     def planned(
@@ -173,7 +181,7 @@ def create_app(
             try:
                 return document(run(query, **options))
             except NoPathError as error:  # an answer, as on the command line
-                return {"path": None, "reason": " ".join(str(error).split())}
+                return documents.no_path(error)
 
         return work
 
@@ -228,6 +236,35 @@ def create_app(
     async def compare_routes(asked: PlanRequest, request: Request) -> Response:
         """Compare the route of least energy with the shortest one."""
         return await answer(request, planned(compare, documents.comparison, asked))
+
+    @app.post("/api/range")
+    async def range_of(asked: RangeRequest, request: Request) -> Response:
+        """Tell how far an energy, or the charge of a battery, leads."""
+        if (asked.energy is None) == (asked.pack is None):
+            raise InvalidInputError("give either energy or pack, the name of a battery")
+
+        def work(job: Job) -> dict[str, Any]:
+            cost = EnergyCost(store.model(asked.model), battery=asked.pack is not None)
+            start = Pose(*asked.start)
+            question = PlanningProblem(
+                store.map(asked.map), cost, start, start,
+                surfaces=store.surfaces(asked.surfaces) if asked.surfaces else None,
+            )  # fmt: skip
+            there_is = asked.energy
+            if asked.pack:
+                power = most_power(cost)  # at which a battery delivers least
+                there_is = float(Battery.preset(asked.pack).usable_energy(power, asked.soc))
+            assert there_is is not None
+            usable = (1.0 - asked.reserve) * there_is
+            job.say("searching")
+            found = energy_map(
+                question, energy=usable, back=asked.back, confidence=asked.confidence,
+                coefficient_spread=asked.coefficient_spread,
+            )  # fmt: skip
+            areas = found.contours([usable * k / CONTOURS for k in range(1, CONTOURS + 1)])
+            return {**documents.energy_map(found, areas), "areas": contours_document(areas)}
+
+        return await answer(request, work)
 
     @app.post("/api/check")
     async def check_trajectory(asked: CheckRequest, request: Request) -> Response:
@@ -286,6 +323,15 @@ def create_app(
     app.mount("/", StaticFiles(directory=str(page), html=True), name="page")
     return app
 
+
+@lru_cache(maxsize=8)
+def _masked(grid: OccupancyGrid, mask: OccupancyGrid) -> OccupancyGrid:
+    """Return a map with a keep-out mask; the same object, with its tables, for the same two."""
+    return grid.with_mask(mask)
+
+
+CONTOURS = 5
+"""Areas in reach that are told: with a fifth of what there is, two fifths, and so on."""
 
 _COLUMNS = ("t", "x", "y", "yaw", "v", "omega")
 _TIMELINE = ("t", "x", "y", "soc", "soc_lower", "soc_upper", "power")

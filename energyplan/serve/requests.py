@@ -30,10 +30,28 @@ class PlanRequest(_Asked):
     surfaces: Name | None = None
     heights: Name | None = None
     battery: bool = False
+    clearance: float = Field(0.0, ge=0, le=100)
+    keepout: Name | None = None
     objective: Literal["energy", "length", "time"] = "energy"
     planner: Name = "lattice"
     time_limit: float = Field(1.0, gt=0, le=LONGEST)
     effort: int | None = Field(None, ge=1, le=MOST_EFFORT)
+
+
+class RangeRequest(_Asked):
+    """From where, and what there is: an energy [J], or the charge of a battery."""
+
+    map: Name
+    model: Name = Field(examples=["quadriga:full:concrete"])
+    start: PoseRow
+    back: PoseRow | None = Field(None, description="a pose to get back to, such as a charger's")
+    energy: float | None = Field(None, gt=0)
+    pack: Name | None = Field(None, description="name of a battery", examples=["quadriga"])
+    soc: float = Field(1.0, gt=0, le=1)
+    reserve: float = Field(0.0, ge=0, lt=1)
+    confidence: float | None = Field(None, gt=0, lt=1)
+    coefficient_spread: float = Field(0.0, ge=0, lt=1)
+    surfaces: Name | None = None
 
 
 class CheckRequest(_Asked):

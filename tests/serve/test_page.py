@@ -143,3 +143,18 @@ def test_tasks_get_verdicts_and_a_charge(browser: Any, address: str) -> None:
     assert opened.page.locator("#verdicts tr").count() == 3
     assert opened.page.locator("#charge canvas").count() == 1
     assert opened.errors == []
+
+
+def test_places_in_reach_are_drawn(browser: Any, address: str) -> None:
+    opened = Opened(browser, address, 390)
+    before = opened.page.locator(".leaflet-overlay-pane path").count()
+    opened.click(0.25, 0.75)
+    opened.page.click("#tab-mission")
+    opened.page.fill("input[name=soc]", "21")
+    opened.page.click("#tab-route")
+    opened.page.click("text=How far on this charge?")
+    opened.page.wait_for_selector("#answer table, #status.bad", timeout=120_000)
+    assert "are in reach, and back, with 95 % confidence" in opened.page.inner_text("#status")
+    assert opened.page.locator(".leaflet-overlay-pane path").count() > before
+    assert opened.page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert opened.errors == []

@@ -6,11 +6,13 @@ import json
 import shutil
 import threading
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 
 import energyplan as ep
 from energyplan import simulate
@@ -114,6 +116,35 @@ def test_a_trajectory_is_checked(client: TestClient) -> None:
     short = client.post("/api/check", json={"model": MODEL, **columns, "x": [0.0]})
     assert short.status_code == 422
     assert "different lengths" in short.json()["detail"]
+
+
+def test_a_range_holds_the_places_that_plans_reach(client: TestClient) -> None:
+    asked = {"map": "warehouse.yaml", "model": MODEL, "start": [2, 2, 0], "energy": 4000.0}
+    told = client.post("/api/range", json=asked).json()
+    areas = [shapely.geometry.shape(f["geometry"]) for f in told["areas"]["features"]]
+    assert [f["properties"]["energy"] for f in told["areas"]["features"]] == pytest.approx(
+        [800.0, 1600.0, 2400.0, 3200.0, 4000.0]
+    )
+    assert all(a.area <= b.area for a, b in pairwise(areas))
+    plan = client.post("/api/plan", json=QUERY).json()
+    assert areas[-1].contains(shapely.Point(5, 2)) is (plan["energy"] < 4000.0)
+    back = client.post("/api/range", json={**asked, "back": [2, 2, 0]}).json()
+    assert back["area"] < told["area"]
+    charged = {**asked, "energy": None, "pack": "quadriga", "soc": 0.5}
+    assert client.post("/api/range", json=charged).json()["area"] > told["area"]
+    neither = client.post("/api/range", json={**asked, "energy": None})
+    assert (neither.status_code, "either energy or pack" in neither.json()["detail"]) == (422, True)
+
+
+def test_a_mask_keeps_out_and_a_clearance_keeps_away(client: TestClient, folder: Path) -> None:
+    walls = np.zeros((300, 400), bool)
+    walls[:, 70:75] = True  # between start and goal
+    write_map(ep.OccupancyGrid(walls, 0.05), folder / "mask.yaml")
+    masked = {**QUERY, "keepout": "mask.yaml", "effort": 20_000}
+    told = client.post("/api/plan", json=masked).json()
+    assert (told["path"], told["certainty"]) == (None, "proven")
+    wide = client.post("/api/plan", json={**QUERY, "clearance": 50.0})
+    assert wide.status_code == 409, wide.text
 
 
 def test_a_map_is_told_by_its_runs(client: TestClient) -> None:

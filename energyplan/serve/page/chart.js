@@ -12,6 +12,7 @@ export class Chart {
       boxZoom: false, keyboard: true,
     });
     this.ground = L.layerGroup().addTo(this.map);
+    this.reach = L.layerGroup().addTo(this.map);
     this.routes = L.layerGroup().addTo(this.map);
     this.map.on("click", (event) => onClick(event.latlng.lng, event.latlng.lat));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.repaint());
@@ -110,6 +111,15 @@ export class Chart {
       mark: (name) => marker.getElement().firstChild.className = `pin ${kind} ${name}`,
       remove: () => [marker, arrow, line].forEach((part) => part.remove()),
     };
+  }
+
+  // Areas in reach, one in the other: what little leads to is darkest.
+  areas(document_) {
+    this.reach.clearLayers();
+    L.geoJSON(document_, {
+      coordsToLatLng: ([x, y]) => at(x, y), interactive: false,
+      style: () => ({ color: color("--least"), weight: 1, fillOpacity: 0.09 }),
+    }).addTo(this.reach);
   }
 
   route(path, name, dashed = false) {

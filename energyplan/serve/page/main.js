@@ -70,8 +70,7 @@ async function load() {
 function reset() {
   for (const marked of [start, goal, ...tasks]) marked?.remove();
   [start, goal, tasks] = [null, null, []];
-  chart.routes.clearLayers();
-  $("answer").replaceChildren();
+  clearRoutes();
   $("verdicts").replaceChildren();
   $("charge").replaceChildren();
   say("Click on the map to place the start.");
@@ -111,6 +110,7 @@ async function replan() {
 
 function clearRoutes() {
   chart.routes.clearLayers();
+  chart.reach.clearLayers();
   $("answer").replaceChildren();
 }
 
@@ -134,6 +134,29 @@ function show(told) {
       ["no route takes less than", joules(best.lower_bound), ""],
     ],
   ));
+}
+
+// -- range --------------------------------------------------------------------------------------
+
+async function range() {
+  if (!start) return say("Place the start on the map first.", true);
+  const form = $("battery");
+  const spread = form.spread.value / 100;
+  say("Searching for all places in reach…");
+  try {
+    const told = await post("range", {
+      map: scene.map.value, model: scene.model.value, surfaces: scene.surfaces.value || null,
+      start: start.pose, back: $("back").checked ? start.pose : null, pack: form.preset.value,
+      soc: form.soc.value / 100, reserve: form.reserve.value / 100,
+      coefficient_spread: spread, confidence: spread > 0 ? 0.95 : null,
+    });
+    clearRoutes();
+    chart.areas(told.areas);
+    const all = told.contours.at(-1);
+    say(`${Math.round(all.area).toLocaleString("en")} m² are in reach${$("back").checked ? ", and back" : ""}${spread > 0 ? ", with 95 % confidence" : ""}.`);
+    $("answer").replaceChildren(table(["with", "area in reach"],
+      told.contours.map((line) => [joules(line.energy), `${Math.round(line.area).toLocaleString("en")} m²`])));
+  } catch (error) { say(error.message, true); }
 }
 
 // -- missions -----------------------------------------------------------------------------------
@@ -226,6 +249,7 @@ scene.surfaces.addEventListener("change", () => load().catch((error) => say(erro
 scene.model.addEventListener("change", replan);
 scene.addEventListener("submit", (event) => event.preventDefault());
 $("again").addEventListener("click", reset);
+$("far").addEventListener("click", range);
 $("battery").addEventListener("submit", evaluate);
 $("clear").addEventListener("click", () => { tasks.forEach((task) => task.remove()); tasks = []; });
 const drop = $("drop");
