@@ -8,9 +8,11 @@ objects are `Effect` or `Term` instances; `effect` makes one out of one function
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import entry_points
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal
 
 import numpy as np
@@ -330,9 +332,17 @@ def catalogue() -> dict[str, Effect]:
     ModelError
         If a plugin's entry is no effect or takes a name that is already there.
     """
+    return dict(_every(entry_points, tuple(sys.path)))
+
+
+@lru_cache(maxsize=8)
+def _every(
+    finder: Callable[..., Iterable[EntryPoint]], path: tuple[str, ...]
+) -> dict[str, Effect]:
+    """Look plugins up once for each search path: metadata of every package are read for it."""
     found = {entry.name: entry for entry in _ENTRIES}
     taken = {term.name for entry in _ENTRIES for term in entry.terms} | {t.name for t in _PAPER}
-    for point in entry_points(group="energyplan.power.effects"):
+    for point in finder(group="energyplan.power.effects"):
         made = point.load()
         if isinstance(made, Term):
             made = Effect.of(made)
