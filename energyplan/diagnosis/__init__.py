@@ -14,6 +14,7 @@ import numpy as np
 
 from energyplan.diagnosis import advice as _advice
 from energyplan.diagnosis.adequacy import adequacy, energies
+from energyplan.diagnosis.breakaway import with_breakaway
 from energyplan.diagnosis.explanations import Found
 from energyplan.diagnosis.fitting import PAPER, Part, Problem
 from energyplan.diagnosis.holdout import ErrorInterval, Prediction, interval, predict, score
@@ -32,6 +33,7 @@ from energyplan.diagnosis.result import (
     Verdict,
 )
 from energyplan.diagnosis.search import SIGNIFICANCE, Search, without_mimics
+from energyplan.diagnosis.wheel_fight import WheelFight, find_wheel_fight
 from energyplan.diagnosis.windows import Drive, prepared
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
@@ -194,7 +196,7 @@ class _Case:
         self.logs = (tuple(train), tuple(holdout))
         self.notes: list[str] = []
         train, holdout = (self._in_step(logs) for logs in self.logs)
-        self.problem = Problem(prepared(train, vehicle), vehicle)
+        self.problem = self._problem(train, vehicle)
         self.paper = self._identified(train, vehicle)
         self.before = [
             predict(self.paper, (), Drive.of(log, self.paper.vehicle)) for log in holdout
@@ -205,8 +207,16 @@ class _Case:
             vehicle = vehicle.with_mass(vehicle.mass, cog).with_icr(
                 fit_icr(train, vehicle.icr, asymmetric=True).icr
             )
-            self.problem = Problem(prepared(train, vehicle), vehicle)
-        self.held = [Drive.of(log, vehicle) for log in holdout]
+            self.problem = self._problem(train, vehicle)
+        breakaway = self.problem.drives[0].breakaway
+        self.held = [replace(Drive.of(log, vehicle), breakaway=breakaway) for log in holdout]
+
+    def _problem(self, train: Sequence[DriveLog], vehicle: Vehicle) -> Problem:
+        usual = [
+            term for entry in self.entries if entry.usual and not entry.channels and not entry.grid
+            for term in entry.terms
+        ]  # fmt: skip
+        return with_breakaway(Problem(prepared(train, vehicle), vehicle), usual)
 
     def _in_step(self, logs: Sequence[DriveLog]) -> list[DriveLog]:
         """Move an accelerometer's channel to the wheels' clock, as far as the gyroscope tells."""
@@ -264,6 +274,9 @@ class _Case:
         fitted = final_fit(best.problem, parts)
         if not parts and self.mass_centre is None and len(self.logs[0]) < 3:
             fitted = replace(fitted, model=self.paper)  # nothing found: the paper's, as it is
+        fight = self._wheel_fight(best.problem, fitted.model)
+        if fight is not None:
+            fitted = replace(fitted, model=fight.model)
         after = [predict(fitted.model, parts, drive) for drive in self.held]
         if fitted.model is self.paper:
             after = list(before)
@@ -272,6 +285,8 @@ class _Case:
             foretold = [predict(fitted.model, parts, drive, dated=False) for drive in self.held]
             undated = score(foretold)
         found = self._found(chosen, fitted.model, fitted.errors, searched, after)
+        if fight is not None:
+            found = (*found, self._fight_effect(fight))
         unexplained = tuple(
             Unexplained(
                 one.channel, one.shape, one.explained_variance, one.p_value,
@@ -341,6 +356,19 @@ class _Case:
         if best is None or best.explained_variance < _MOSTLY or best.p_value > SIGNIFICANCE:
             return parts, []
         return without_mimics(problem, parts, _smooth_part(best))
+
+    def _wheel_fight(self, problem: Problem, model: PowerModel) -> WheelFight | None:
+        if not any(entry.acts == "hold" for entry in self.entries):
+            return None
+        return find_wheel_fight(problem, model)
+
+    def _fight_effect(self, fight: WheelFight) -> FoundEffect:
+        entry = next(entry for entry in self.entries if entry.acts == "hold")
+        return FoundEffect(
+            entry.name, entry.symbol, fight.size, entry.unit, fight.std_error,
+            Evidence(0.0, 0.0, fight.p_value), 1.0 - fight.p_value, (),
+            {"share of the energy": fight.share}, entry.meaning, entry.planner,
+        )  # fmt: skip
 
     def _choosing(self) -> tuple[str, ...]:
         """Name what chose: whole training drives, or blocks of them, each left out in turn."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.stats import t as student
@@ -105,11 +106,11 @@ def energies(
         One for each drive.
     """
     model = fitted.model
-    plain = problem.with_factors([1.0] * len(problem.drives))
+    plain = problem.of_totals.with_factors([1.0] * len(problem.drives))
     design = plain.design(fitted.terms, None, model_values(model))
     values = np.array(model.coefficients)
     spread = RunSpread.of(design, values)
-    table, owner = design.rows[-1], design.drives[design.blocks[-1]]
+    table, owner = design.longest
     factor = np.ones(len(problem.drives)) if spread is None else 1.0 + spread.excess
     left = table[:, -1] - (table[:, :-1] @ values) * factor[owner]
     length = problem.drives[0].windows[-1].length
@@ -148,6 +149,6 @@ def plain_columns(problem: Problem, fitted: FinalFit, drive: Drive) -> FloatArra
         drive = drive.with_channels(
             changed=drive.motion.channels.get("changed", np.ones(len(drive.t)))
         )
-    one = Problem([drive], problem.vehicle)
+    one = Problem([replace(drive, between=None)], problem.vehicle)
     columns, _ = one.tables(fitted.terms, np.array(fitted.model.coefficients))
-    return columns[0]
+    return columns[0][:, 0]

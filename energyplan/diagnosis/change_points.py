@@ -27,6 +27,7 @@ def _window_grams(problem: Problem, terms: Sequence[Term], values: FloatArray) -
     sums = []
     for drive, table, target in zip(problem.drives, *problem.tables(terms, values), strict=True):
         windows = drive.windows[0]
+        table, target = table[:, 0], target[:, 0]  # of the total
         paper = [drive.seen(column(term, drive, problem.vehicle)) for term in PAPER]
         rows = windows.mean(np.column_stack([table, *paper, target]))
         products = np.einsum("ni,nj->nij", rows, rows)

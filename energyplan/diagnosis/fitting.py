@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 from scipy.stats import f as fisher
 
 from energyplan.diagnosis.linear import is_lossy, linearise
-from energyplan.diagnosis.windows import Design, Drive, column, window_means
+from energyplan.diagnosis.windows import Design, Drive, columns_of, window_means
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, Term
 from energyplan.power.effects import Effect
@@ -182,7 +182,7 @@ class RunSpread:
         ----------
         Paule and Mandel (1982), J. Res. NBS 87, 377-385.
         """
-        table, owner = design.rows[-1], design.drives[design.blocks[-1]]
+        table, owner = design.longest
         count = int(owner.max()) + 1
         if count < 3:
             return None
@@ -231,7 +231,11 @@ class Problem:
     def __init__(
         self, drives: Sequence[Drive], vehicle: Vehicle, memory: Mapping[str, float] | None = None
     ) -> None:
-        self.drives = tuple(drives)
+        both = all(drive.between is not None for drive in drives)
+        self.drives = tuple(
+            drive if both or drive.between is None else replace(drive, between=None)
+            for drive in drives
+        )
         self.vehicle = vehicle
         self.memory = dict(memory or {})
         mean_square = np.mean(np.concatenate([drive.power**2 for drive in self.drives]))
@@ -243,6 +247,14 @@ class Problem:
         for drive in self.drives:
             state = round(float(np.mean(drive.motion.channels["changed"])))
             drives.append(drive.with_channels(changed=np.full(len(drive.t), float(state))))
+        return Problem(drives, self.vehicle, self.memory)
+
+    @cached_property
+    def of_totals(self) -> Problem:
+        """The drives with the power of both sides together alone."""
+        if self.drives[0].equations == 1:
+            return self
+        drives = [replace(drive, between=None) for drive in self.drives]
         return Problem(drives, self.vehicle, self.memory)
 
     def delayed(self, delay: float) -> Problem:
@@ -287,20 +299,19 @@ class Problem:
     ) -> tuple[list[FloatArray], list[FloatArray]]:
         """Return, for each drive, the columns of the terms and the power they are to explain.
 
-        Where a loss depends on the forces, and so on the other coefficients, both are linearised
-        about `values`.
+        Shapes (n, equations, k) and (n, equations). Where a loss depends on the forces, and so on
+        the other coefficients, both are linearised about `values`.
         """
         columns, targets = [], []
         for drive in self.drives:
             if is_lossy(drive, terms):
                 about = linearise(drive, self.vehicle, terms, values)
-                seen = drive.seen(np.column_stack([about.columns, about.power]))
-                columns.append(seen[:, :-1])
-                targets.append(drive.power - seen[:, -1] + seen[:, :-1] @ values)
+                columns.append(about.columns)
+                targets.append(drive.measured - about.power + about.columns @ values)
             else:
-                found = np.column_stack([column(term, drive, self.vehicle) for term in terms])
-                columns.append(drive.seen(found))
-                targets.append(drive.power)
+                found = np.stack([columns_of(t, drive, self.vehicle) for t in terms], axis=-1)
+                columns.append(drive.observed(found))
+                targets.append(drive.measured)
         return columns, targets
 
     def design(
@@ -391,10 +402,10 @@ class Problem:
                 whole = np.append(values, np.zeros(len(extra)))
                 wanted = range(len(terms), len(whole))
                 about = linearise(drive, self.vehicle, [*terms, *extra], whole, wanted)
-                columns.append(drive.seen(about.columns))
+                columns.append(about.columns)
             else:
-                found = np.column_stack([column(term, drive, self.vehicle) for term in extra])
-                columns.append(drive.seen(found))
+                found = np.stack([columns_of(t, drive, self.vehicle) for t in extra], axis=-1)
+                columns.append(drive.observed(found))
         return window_means(self.drives, columns)
 
     def reference(self, design: Design) -> FloatArray:

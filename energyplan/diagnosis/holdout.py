@@ -41,6 +41,11 @@ def power_of(model: PowerModel, drive: Drive) -> FloatArray:
     for term in model.terms:
         for name in term.channels:
             drive.motion.channel(name, f"the term {term.name!r}")
+    return equations_of(model, replace(drive, between=None, delay=0.0, factor=1.0))[:, 0]
+
+
+def equations_of(model: PowerModel, drive: Drive) -> FloatArray:
+    """Return the power of a drive by a model in each equation, as the log shows it [W]."""
     return linearise(drive, model.vehicle, model.terms, model.coefficients, ()).power
 
 

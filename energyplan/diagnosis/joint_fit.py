@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from energyplan.diagnosis.fitting import PAPER, Part, Problem, RunSpread, fit
-from energyplan.diagnosis.holdout import power_of
+from energyplan.diagnosis.holdout import equations_of
 from energyplan.diagnosis.windows import window_means
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Term
@@ -69,14 +69,14 @@ def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
         problem, parts, dict(zip((t.name for t in terms), found.values, strict=True))
     )
     if moved:
-        columns = [np.column_stack(column) for column in zip(*moved.values(), strict=True)]
+        columns = [np.stack(column, axis=-1) for column in zip(*moved.values(), strict=True)]
         wide = fit(design.joined(window_means(problem.drives, columns)), errors)
         count = len(terms)
         covariance = wide.covariance[:count, :count]
         deviation = np.sqrt(np.diag(wide.covariance)[count:])
         searched = dict(zip(moved, (float(d) for d in deviation), strict=True))
-    spread = RunSpread.of(problem.with_factors([1.0] * len(problem.drives)).design(terms),
-                          found.values)  # fmt: skip
+    plain = problem.of_totals.with_factors([1.0] * len(problem.drives))
+    spread = RunSpread.of(plain.design(terms), found.values)
     if spread is not None:
         # What all runs share is known no better than the mean of runs that differ.
         level = spread.deviation**2 / len(problem.drives)
@@ -99,7 +99,7 @@ def _derivatives(
                 problem.vehicle, tuple(terms), np.array([values[term.name] for term in terms])
             )
             found["delay"] = [
-                -np.gradient(drive.seen(power_of(whole, drive)), drive.t)
+                -np.gradient(equations_of(whole, drive), drive.t, axis=0)
                 for drive in problem.drives
             ]
         for key, value in part.params:
@@ -113,7 +113,7 @@ def _derivatives(
                 )
                 coefficients = np.array([values[term.name] for term in moved.terms])
                 model = PowerModel(problem.vehicle, moved.terms, coefficients)
-                ends.append([drive.seen(model.power(drive.motion)) for drive in problem.drives])
+                ends.append([equations_of(model, drive) for drive in problem.drives])
             found[key] = [(a - b) / (2 * step) for a, b in zip(*ends, strict=True)]
     return found
 

@@ -16,8 +16,7 @@ import numpy as np
 
 from energyplan.diagnosis.change_points import lines, mark_changes
 from energyplan.diagnosis.fitting import PAPER, Part, Problem, fit, solve
-from energyplan.diagnosis.linear import is_lossy, linearise
-from energyplan.diagnosis.windows import Design, channels_of, column
+from energyplan.diagnosis.windows import Design, channels_of
 from energyplan.path import FloatArray
 from energyplan.power import Term
 from energyplan.power.effects import Effect
@@ -78,6 +77,15 @@ Labels = tuple[tuple[str, tuple[tuple[str, float], ...]], ...]
 """Names of candidates with their parameters."""
 
 
+def with_changes(problem: Problem, marked: Problem) -> Problem:
+    """Return the drives with the times at which those of another problem changed."""
+    drives = [
+        drive.with_channels(changed=other.motion.channels["changed"])
+        for drive, other in zip(problem.drives, marked.drives, strict=True)
+    ]
+    return Problem(drives, problem.vehicle, problem.memory)
+
+
 def terms_of(parts: Sequence[Part]) -> list[Term]:
     """Return the paper's terms and those of the parts."""
     return [*PAPER, *(term for part in parts for term in part.terms)]
@@ -106,8 +114,10 @@ class Proposals:
         self.untested: list[tuple[str, str]] = []
         testable = [effect for effect in effects if self._testable(effect)]
         self.delay = next((e for e in testable if e.name == "time_offset"), None)
-        self.effects = [e for e in testable if e.acts != "kinematics" and e is not self.delay]
-        self.repeats = np.ones(len(WEIGHTS))
+        self.effects = [
+            e for e in testable if e.acts not in ("kinematics", "hold") and e is not self.delay
+        ]
+        self.repeats = np.ones(len(WEIGHTS) * problem.drives[0].equations)
         self.errors: FloatArray | None = None
 
     def _testable(self, effect: Effect) -> bool:
@@ -136,7 +146,7 @@ class Proposals:
         ndarray, shape (...)
             Normal likelihood, a weighted mean over the scales: each alone is one.
         """
-        count = WEIGHTS * windows / self.repeats
+        count = np.tile(WEIGHTS, len(windows) // len(WEIGHTS)) * windows / self.repeats
         fall = np.log(np.maximum(errors, 0.0) + self.problem.floor + 1e-300)
         return np.asarray(-0.5 * np.tensordot(count, fall, axes=(0, 0)))
 
@@ -183,20 +193,9 @@ class Proposals:
                 values[k] = about[term.name]
                 taken.add(term.name)
         marked = next((one.marked for one in candidates if one.marked is not None), None)
-        columns, targets = [], []
-        for k, drive in enumerate(problem.drives):
-            if marked is not None:
-                changed = marked.drives[k].motion.channels["changed"]
-                drive = drive.with_channels(changed=changed)
-            if is_lossy(drive, terms):
-                told = linearise(drive, problem.vehicle, terms, values)
-                seen = drive.seen(np.column_stack([told.columns, told.power]))
-                columns.append(seen[:, :-1])
-                targets.append(drive.power - seen[:, -1] + seen[:, :-1] @ values)
-            else:
-                plain = [column(term, drive, problem.vehicle) for term in terms]
-                columns.append(drive.seen(np.column_stack(plain)))
-                targets.append(drive.power)
+        if marked is not None:
+            problem = with_changes(problem, marked)
+        columns, targets = problem.tables(terms, values)
         return Design.of(problem.drives, columns, targets).with_folds(_FOLDS)
 
     def _scores(
@@ -340,6 +339,7 @@ class Proposals:
         self, problem: Problem, parts: Sequence[Part], errors: FloatArray
     ) -> Problem | None:
         """Find when the drives changed; None where whole drives differ, and nothing within one."""
+        problem, errors = problem.of_totals, errors[: len(WEIGHTS)]
         marked = mark_changes(problem, terms_of(parts), errors)
         if not all("changed" in drive.motion.channels for drive in marked.drives):
             return None

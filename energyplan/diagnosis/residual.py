@@ -113,7 +113,7 @@ def _shape_columns(
             if isinstance(part, Sides):
                 part = part.left * drive.motion.v_left + part.right * drive.motion.v_right
             columns.append(part)
-        tables.append(drive.seen(np.column_stack(columns)))
+        tables.append(drive.seen(np.column_stack(columns))[:, None])
     return tables
 
 
@@ -137,6 +137,7 @@ def dependences(
         All that were tried, the largest explained share first; p-values by Holm's method, but for
         the one question that is asked whatever the channels: whether drives differ as a whole.
     """
+    problem = problem.of_totals
     errors = problem.reference(problem.design(terms))
     design = problem.design(terms, errors)
     now = fit(design, errors)
@@ -171,7 +172,7 @@ def _between_drives(now: Fit, design: Design) -> list[Dependence]:
     ----------
     Welch (1951), Biometrika 38, 330-336. Paule and Mandel (1982), J. Res. NBS 87, 377-385.
     """
-    table, owner = design.rows[-1], design.drives[design.blocks[-1]]
+    table, owner = design.longest
     predicted = table[:, :-1] @ now.values
     residual = table[:, -1] - predicted
     factors, variances, sizes = [], [], []
@@ -244,7 +245,7 @@ def _periodic(problem: Problem, now: Fit, errors: FloatArray, design: Design) ->
         waves = np.zeros((len(drive.t), 2 * len(drives)))
         angle = 2 * np.pi * frequency * drive.t
         waves[:, 2 * k], waves[:, 2 * k + 1] = np.cos(angle), np.sin(angle)
-        tables.append(waves)
+        tables.append(waves[:, None])
     joined = design.joined(window_means(drives, tables))
     new = fit(joined, errors, by_block=True)
     gain, error = difference(fit(design, errors, by_block=True).losses, new.losses)

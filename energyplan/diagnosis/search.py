@@ -20,12 +20,13 @@ from energyplan.diagnosis.fitting import PAPER, Fit, Part, Problem, difference, 
 from energyplan.diagnosis.proposals import (
     OF_LOG,
     RARE,
-    WEIGHTS,
     Candidate,
     Proposals,
     Set,
     terms_of,
+    with_changes,
 )
+from energyplan.diagnosis.windows import SCALES
 from energyplan.fit.covariance import autocorrelation
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL, PowerModel
@@ -89,8 +90,9 @@ class Search(Proposals):
         design = best.problem.design(terms_of(best.parts), best.errors)
         repeats = []
         for table, block in zip(design.rows, design.blocks, strict=True):
-            residual = table[:, -1] - table[:, :-1] @ best.fit.values
-            owner = design.drives[block]
+            kept = np.any(table != 0.0, axis=1)
+            residual = (table[:, -1] - table[:, :-1] @ best.fit.values)[kept]
+            owner = design.drives[block[kept]]
             edges = np.concatenate([[0], np.flatnonzero(np.diff(owner)) + 1, [len(owner)]])
             pieces = [slice(a, b) for a, b in pairwise(edges.tolist())]
             repeats.append(autocorrelation(residual, pieces).repeats)
@@ -108,18 +110,10 @@ class Search(Proposals):
             marked = next(
                 (candidates[one].marked for one in chosen if candidates[one].marked), None
             )
-            problem = self._with_changes(marked).delayed(delay)
+            problem = self.problem if marked is None else with_changes(self.problem, marked)
+            problem = problem.delayed(delay)
             self.evaluated[key] = self._fitted(problem, parts)
         return self.evaluated[key]
-
-    def _with_changes(self, marked: Problem | None) -> Problem:
-        if marked is None:
-            return self.problem
-        drives = [
-            drive.with_channels(changed=other.motion.channels["changed"])
-            for drive, other in zip(self.problem.drives, marked.drives, strict=True)
-        ]
-        return Problem(drives, self.problem.vehicle, self.problem.memory)
 
     def _fitted(self, problem: Problem, parts: Sequence[Part]) -> Evaluated:
         terms = terms_of(parts)
@@ -156,10 +150,13 @@ class Search(Proposals):
         """Return what a part is worth in a set, against the set without it."""
         floor = self.problem.floor
         scale = 1.0 / (less.errors + floor)
-        improvement = float(np.mean((less.fit.errors - full.fit.errors) * scale))
+        # What shows in one equation alone is no less worth for it.
+        falls = ((less.fit.errors - full.fit.errors) * scale).reshape(-1, len(SCALES))
         _, error = difference(less.fit.losses, full.fit.losses)
-        p_value = self._p_value(full, part, looks)
-        return Gain(improvement, error / len(scale), p_value, self.score(full) - self.score(less))
+        return Gain(
+            float(falls.mean(axis=1).max()), error / len(SCALES), self._p_value(full, part, looks),
+            self.score(full) - self.score(less),
+        )  # fmt: skip
 
     def _p_value(self, full: Evaluated, part: Part, looks: float) -> float:
         """Chance of a part's coefficients being this far from zero, over all candidates."""
@@ -180,9 +177,8 @@ class Search(Proposals):
 
         def loss(delay: float) -> float:
             design = problem.delayed(float(delay)).design(terms)
-            return -float(
-                self.likelihood(fit(design, np.ones(len(WEIGHTS))).errors, design.evidence)
-            )
+            errors = fit(design, np.ones(len(design.rows))).errors
+            return -float(self.likelihood(errors, design.evidence))
 
         losses = [loss(delay) for delay in _DELAYS]
         k = int(np.argmin(losses))

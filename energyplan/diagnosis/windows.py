@@ -4,6 +4,9 @@ A residual has causes on several time scales: inertia lives in the ramps, a hote
 in whole manoeuvres. Least squares on single samples sees mostly noise and ramps. Here every drive
 is averaged over windows of half a second, two and eight seconds, and an error counts relative to
 the present error on its own scale.
+
+Where the power of both sides was logged there are two equations: for their sum, and for what the
+right side draws more than the left one (docs/theory, section 6).
 """
 
 from __future__ import annotations
@@ -15,8 +18,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
-from energyplan.diagnosis.denoise import quiet
+from energyplan.diagnosis.denoise import quiet, speed_noise
 from energyplan.diagnosis.window_kernels import block_grams
 from energyplan.errors import DriveLogError
 from energyplan.logs import DriveLog
@@ -32,11 +36,11 @@ SCALES = (0.5, 2.0, 8.0)
 BLOCK = 8.0
 """Length of the blocks that cross-validation leaves out [s]."""
 
-BREAKAWAY = 0.0
-"""Yaw rate below which contacts hold [rad/s]: a third of the slip speeds at which they slide."""
+MOMENT = 0.5
+"""Time over which what contacts hold is taken for one [s]."""
 
 _IDLE = 0.01  # share of the usual size of a block's columns below which it says nothing
-_KEPT = 24  # forces of terms kept a drive
+_KEPT = 96  # forces and columns of terms kept a drive
 _MANY = 200_000  # samples that selection works on
 
 
@@ -60,8 +64,10 @@ class Drive:
         By how much the logged power lags behind the motion [s].
     factor : float
         Power of this drive over that of the model: what differs from drive to drive as a whole.
+    between : ndarray, shape (n,), optional
+        Measured power of the right side less that of the left one [W], where both are used.
     breakaway : float
-        Yaw rate below which contacts hold [rad/s].
+        Yaw rate up to which contacts hold [rad/s]; zero for straight lines alone.
     fields : dict
         Forces of terms, kept for `field_of`.
     """
@@ -73,7 +79,8 @@ class Drive:
     battery: bool = False
     delay: float = 0.0
     factor: float = 1.0
-    breakaway: float = BREAKAWAY
+    between: FloatArray | None = None
+    breakaway: float = 0.0
     fields: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
@@ -94,9 +101,11 @@ class Drive:
         motion = quiet(log.motion(vehicle.icr), t)
         steps = 0.5 * np.diff(t) * (np.abs(motion.v[1:]) + np.abs(motion.v[:-1]))
         distance = np.concatenate([[0.0], np.cumsum(steps)])
+        sides = log.sides
         return cls(
-            log.name, t, motion.with_channels(t=t, distance=distance), log.power, log.battery_side
-        )
+            log.name, t, motion.with_channels(t=t, distance=distance), log.power, log.battery_side,
+            between=None if sides is None else np.asarray(sides.right - sides.left),
+        )  # fmt: skip
 
     def with_channels(self, **channels: FloatArray) -> Drive:
         """Return the drive with channels added to its motion."""
@@ -117,9 +126,67 @@ class Drive:
         """
         motion = self.motion
         mean = 0.5 * (motion.v_left + motion.v_right)
-        holds = np.abs(motion.omega) < self.breakaway
-        left, right = (np.where(holds, mean, v) for v in (motion.v_left, motion.v_right))
+        left, right = (np.where(self.holds, mean, v) for v in (motion.v_left, motion.v_right))
         return replace(motion, v_left=left, v_right=right)
+
+    @cached_property
+    def holds(self) -> NDArray[np.bool_]:
+        """Tell where contacts hold, so that the moment of friction is anything up to its limit."""
+        return np.asarray(np.abs(self.motion.omega) <= self.breakaway)
+
+    @cached_property
+    def holding(self) -> Motion:
+        """The motion of samples at which contacts hold."""
+        held, at = self.held, self.holds
+        channels = {name: values[at] for name, values in held.channels.items()}
+        return Motion(held.v_left[at], held.v_right[at], held.icr, channels)
+
+    @property
+    def equations(self) -> int:
+        """Number of equations: two where the power of both sides is used."""
+        return 1 if self.between is None else 2
+
+    @cached_property
+    def measured(self) -> FloatArray:
+        """Measured power of each equation, shape (n, equations) [W]; see `observed`."""
+        if self.between is None:
+            return self.power[:, None]
+        return np.column_stack([self.power, self.between * self.slides])
+
+    @cached_property
+    def slides(self) -> FloatArray:
+        """One where the difference of the sides follows from the motion, else zero.
+
+        Friction turns with the sign of the yaw rate, and the difference with it: around a reversal
+        it is anything between. What the log shows late counts late.
+        """
+        turn = np.where(self.holds, 0.0, np.sign(self.motion.omega))
+        width = self.samples_in(MOMENT)
+        settled = np.abs(uniform_filter1d(turn, width, mode="nearest")) > 1.0 - 0.5 / width
+        # Whole samples later, so that no delay makes the samples that count fewer.
+        by = round(self.delay / float(np.median(np.diff(self.t))))
+        at = np.clip(np.arange(len(self.t)) - by, 0, len(self.t) - 1)
+        return np.asarray(settled[at], float)
+
+    @cached_property
+    def between_noise(self) -> float:
+        """Noise of the measured difference of the sides [W]."""
+        return 0.0 if self.between is None else speed_noise(self.between)
+
+    def samples_in(self, time: float) -> int:
+        """Return the odd number of samples closest to a time [s]."""
+        return 2 * round(0.5 * time / float(np.median(np.diff(self.t)))) + 1
+
+    def observed(self, table: FloatArray) -> FloatArray:
+        """Return predictions of each equation, shape (n, equations, ...), as the log shows them.
+
+        The difference of the sides counts only where contacts slide.
+        """
+        seen = self.seen(table)
+        if self.between is not None:
+            seen = np.array(seen)
+            seen[:, 1] *= self.slides.reshape(-1, *[1] * (table.ndim - 2))
+        return seen
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -156,7 +223,10 @@ class Drive:
         motion = self.motion
         channels = {name: values[::step] for name, values in motion.channels.items()}
         few = Motion(motion.v_left[::step], motion.v_right[::step], motion.icr, channels)
-        return replace(self, t=self.t[::step], motion=few, power=self.power[::step], fields={})
+        between = None if self.between is None else self.between[::step]
+        return replace(
+            self, t=self.t[::step], motion=few, power=self.power[::step], between=between, fields={}
+        )
 
     @cached_property
     def windows(self) -> tuple[Windows, ...]:
@@ -245,6 +315,29 @@ def column(term: Term, drive: Drive, vehicle: Vehicle) -> FloatArray:
     return np.asarray(value.total if isinstance(value, Sides) else value)
 
 
+def columns_of(term: Term, drive: Drive, vehicle: Vehicle) -> FloatArray:
+    """Power per unit of a linear term's coefficient in each equation, shape (n, equations)."""
+    key = (drive.equations, term.name, tuple(term.params.items()), vehicle.slip_moment)
+    if key not in drive.fields:
+        value = field_of(term, drive, vehicle)
+        if term.kind == "force":
+            motion = drive.motion
+            value = Sides(value.left * motion.v_left, value.right * motion.v_right)
+        drive.fields[key] = of_equations(value, drive)
+    found: FloatArray = drive.fields[key]
+    return found
+
+
+def of_equations(value: Sides | FloatArray, drive: Drive) -> FloatArray:
+    """Return a power in each equation, shape (n, equations); a common one is no side's more."""
+    total = value.total if isinstance(value, Sides) else value
+    total = np.broadcast_to(total, drive.t.shape)
+    if drive.equations == 1:
+        return np.asarray(total[:, None])
+    more = value.right - value.left if isinstance(value, Sides) else 0.0 * total
+    return np.column_stack([total, np.broadcast_to(more, drive.t.shape)])
+
+
 @dataclass(frozen=True)
 class Design:
     """Window means of columns and power, block by block, at every scale.
@@ -252,7 +345,8 @@ class Design:
     Parameters
     ----------
     rows : tuple of ndarray, shape (w, k + 1)
-        At each scale, window means of the k columns and, last, of the power.
+        At each scale, window means of the k columns and, last, of the power; first of the total
+        power at all scales, then of the difference of the sides where it is used.
     blocks : tuple of ndarray of int, shape (w,)
         At each scale, the block of each window, counted over all drives.
     drives : ndarray of int, shape (b,)
@@ -267,23 +361,28 @@ class Design:
     def of(
         cls, drives: Sequence[Drive], columns: Sequence[FloatArray], targets: Sequence[FloatArray]
     ) -> Design:
-        """Average columns, shape (n, k), and target power of each drive over its windows."""
-        first, owner = 0, []
-        rows: list[list[FloatArray]] = [[] for _ in SCALES]
-        blocks: list[list[NDArray[np.intp]]] = [[] for _ in SCALES]
-        for k, (drive, values, target) in enumerate(zip(drives, columns, targets, strict=True)):
-            table = np.column_stack([values, target])
-            for scale, windows in enumerate(drive.windows):
-                rows[scale].append(windows.mean(table))
-                blocks[scale].append(windows.blocks + first)
-            count = int(drive.windows[0].blocks[-1]) + 1
-            owner += [k] * count
-            first += count
-        return cls(
-            tuple(np.concatenate(part) for part in rows),
-            tuple(np.concatenate(part) for part in blocks),
-            np.array(owner),
-        )
+        """Average columns, shape (n, e, k), and power, shape (n, e), of each drive over windows."""
+        tables = [
+            np.concatenate([values, target[..., None]], axis=-1)
+            for values, target in zip(columns, targets, strict=True)
+        ]
+        counts = [int(drive.windows[0].blocks[-1]) + 1 for drive in drives]
+        first = np.concatenate([[0], np.cumsum(counts)])
+        blocks = [
+            np.concatenate(
+                [d.windows[k].blocks + start for d, start in zip(drives, first[:-1], strict=True)]
+            )
+            for k in range(len(SCALES))
+        ]
+        rows = window_means(drives, tables)
+        owner = np.repeat(np.arange(len(drives)), counts)
+        return cls(tuple(rows), tuple(blocks * (len(rows) // len(SCALES))), owner)
+
+    @property
+    def longest(self) -> tuple[FloatArray, np.ndarray[tuple[int], np.dtype[np.intp]]]:
+        """Means of the total over the longest windows, and the drive of each window."""
+        k = len(SCALES) - 1
+        return self.rows[k], self.drives[self.blocks[k]]
 
     def joined(self, extra: Sequence[FloatArray]) -> Design:
         """Return the design with further columns, window means at each scale, before the power."""
@@ -330,10 +429,16 @@ class Design:
             ]
         )
 
-    @property
+    @cached_property
     def counts(self) -> FloatArray:
-        """Number of windows at each scale."""
-        return np.array([len(table) for table in self.rows], float)
+        """Number of windows at each scale; of the sides' difference, those in which they slide."""
+        return np.array(
+            [
+                len(table) if k < len(SCALES) else max(np.count_nonzero(table[:, -1]), 1)
+                for k, table in enumerate(self.rows)
+            ],
+            float,
+        )
 
     @cached_property
     def telling(self) -> NDArray[np.bool_]:
@@ -350,13 +455,15 @@ class Design:
 
 
 def window_means(drives: Sequence[Drive], columns: Sequence[FloatArray]) -> list[FloatArray]:
-    """Window means of the columns of all drives, at each scale."""
-    return [
+    """Window means of columns, shape (n, e, k), of all drives: of one equation after the other."""
+    means = [
         np.concatenate(
             [drive.windows[k].mean(values) for drive, values in zip(drives, columns, strict=True)]
         )
         for k in range(len(SCALES))
     ]
+    equations = columns[0].shape[1]
+    return [np.ascontiguousarray(table[:, e]) for e in range(equations) for table in means]
 
 
 def channels_of(drives: Sequence[Drive]) -> frozenset[str]:

@@ -171,6 +171,16 @@ def friction_mobilisation(motion: Motion, vehicle: Vehicle, radius: float = 1.0)
     return tread_forces(motion, moment=-vehicle.slip_moment * np.sign(motion.omega) * missing)
 
 
+def wheel_fight(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Moment that contacts hold on a straight: the sides push against each other.
+
+    It takes no power itself: one side returns what the other draws. Losses count its forces.
+    """
+    turning = np.abs(motion.omega) * motion.icr.half_track > 1e-6 * np.abs(motion.v)
+    straight = ~turning & (motion.v != 0.0)
+    return tread_forces(motion, moment=vehicle.slip_moment * straight)
+
+
 # -- time and place -------------------------------------------------------------------------------
 
 
@@ -340,6 +350,10 @@ SLIP_SPEED = Term(
 MOBILISATION = Term(
     "friction_mobilisation", "mu_m", "1", "force", friction_mobilisation, {"radius": 1.0},
     bounds=(-2.0, 2.0), meaning="slip friction that is smaller in wide turns than in a spin",
+)  # fmt: skip
+WHEEL_FIGHT = Term(
+    "wheel_fight", "mu_f", "1", "force", wheel_fight, bounds=(0.0, 2.0),
+    meaning="sides that push against each other on a straight, which losses make dear",
 )  # fmt: skip
 WARM_UP = Term(
     "warm_up", "K_0", "N", "force", warm_up, {"time_constant": 60.0}, bounds=_POSITIVE,

@@ -52,6 +52,7 @@ from energyplan.power.effect_terms import (
     UNSIGNED_POWER,
     VISCOUS_LOSS,
     WARM_UP,
+    WHEEL_FIGHT,
 )
 from energyplan.power.empirical import empirical_term
 from energyplan.vehicle import Vehicle
@@ -62,7 +63,7 @@ __all__ = [
     "term", "with_weight",
 ]  # fmt: skip
 
-Acts = Literal["motion", "change", "place", "kinematics", "log"]
+Acts = Literal["motion", "change", "place", "kinematics", "hold", "log"]
 
 
 @dataclass(frozen=True)
@@ -91,9 +92,9 @@ class Effect:
         Values to try of the parameters in which the terms are not linear.
     size : callable, optional
         ``size(model) -> float`` where it is not the coefficient of the only term.
-    acts : {"motion", "change", "place", "kinematics", "log"}
+    acts : {"motion", "change", "place", "kinematics", "hold", "log"}
         On the power of every motion, only after a change at an unknown time, only beyond a line on
-        the ground, on how the robot moves, or on the log alone.
+        the ground, on how the robot moves, while contacts hold, or on the log alone.
     usual : bool
         Whether nearly every robot has it, so that it needs no more evidence than any coefficient.
     of_mass : tuple of float, optional
@@ -294,6 +295,8 @@ _ENTRIES = (
               grid={"slip_speed": (0.03, 0.08, 0.2)}),
     Effect.of(MOBILISATION, plausible=(-2.0, 2.0), manoeuvre=_TURNS, usual=True,
               grid={"radius": (0.1, 0.3, 1.0, 3.0, 10.0)}),
+    Effect.of(WHEEL_FIGHT, plausible=(0.0, 2.0), acts="hold",
+              manoeuvre="drive a straight line with the steering control off"),
     Effect.of(TOWED_DRAG, plausible=(0.0, 1e4), manoeuvre="drive with and without what is towed"),
     Effect.of(REVERSE_DRAG, plausible=(0.0, 1e4),
               manoeuvre="drive one line forwards and backwards"),

@@ -1,0 +1,117 @@
+"""The yaw rate up to which contacts hold, from the power of both sides (private)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from energyplan.diagnosis.fitting import PAPER, Problem, fit
+from energyplan.diagnosis.windows import columns_of
+from energyplan.path import FloatArray
+from energyplan.power import SLIP, Term
+
+_SLIP_SPEEDS = np.geomspace(0.003, 0.15, 12)  # mean slip speeds at which classes end [m/s]
+_SCATTER = 0.4  # misfit of the moment between the sides, over it, from which they do not slide
+_LOST = 0.5  # such misfit at its least, from which the difference tells nothing
+_RETURNED = 0.2  # share of the power that a side should return, below which its sign is unknown
+_ENOUGH = 20  # samples that a class needs
+_CLEAR = 3.0  # noise beyond which a side should return power
+_LEFT = 0.1  # share of the samples that must slide
+
+
+def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
+    """Return the drives with the yaw rate up to which their contacts hold.
+
+    While contacts slide, the moment between the sides follows from the way the robot turns; while
+    they hold it is whatever steering built up (docs/theory, section 6). Classes of yaw rate in
+    which the moment scatters by more than noise, from the slowest on, are those that hold.
+
+    Parameters
+    ----------
+    problem : Problem
+        The drives.
+    usual : sequence of Term
+        Terms that nearly every robot has, beside the paper's.
+
+    Returns
+    -------
+    Problem
+        The same problem where only the total was logged, or nothing scatters. The total alone
+        where the difference of the sides does not follow from the motion, or where sensors do not
+        show what a side returns: then nothing tells the sign.
+    """
+    if problem.drives[0].equations == 1:
+        return problem
+    vehicle = problem.vehicle
+    edges = _SLIP_SPEEDS / (vehicle.slip_moment / float(vehicle.loads.sum()))
+    terms = [*PAPER, *usual]
+    for edge in edges[::-1]:
+        sure = _holding(problem, float(edge))
+        if np.mean(np.concatenate([drive.slides for drive in sure.drives])) > _LEFT:
+            break
+    design = sure.design(terms)
+    values = fit(design, sure.reference(design)).values
+    scatter = _scatter(problem, terms, values, edges)
+    told = np.flatnonzero(np.isfinite(scatter))
+    if not len(told) or scatter[told].min() > _LOST or _unsigned(problem, terms, values):
+        return problem.of_totals
+    # What is misfitted throughout is no matter of holding, but of what the model lacks.
+    usual_misfit = float(np.median(scatter[told[len(told) // 2 :]]))
+    slides = told[scatter[told] < max(_SCATTER, 2.0 * usual_misfit)]
+    held = told[told < (slides[0] if len(slides) else len(edges))]
+    return _holding(problem, float(edges[held[-1]]) if len(held) else 0.0)
+
+
+def _holding(problem: Problem, breakaway: float) -> Problem:
+    drives = [replace(drive, breakaway=breakaway, fields={}) for drive in problem.drives]
+    return Problem(drives, problem.vehicle, problem.memory)
+
+
+def _scatter(
+    problem: Problem, terms: Sequence[Term], values: FloatArray, edges: FloatArray
+) -> FloatArray:
+    """Misfit of the moment between the sides in classes of yaw rate, beyond that of noise.
+
+    As a fraction of the moment of sliding, with what a class has in common.
+    """
+    pushes, residuals, rates, noises = [], [], [], []
+    for drive in problem.drives:
+        columns = np.column_stack([columns_of(t, drive, problem.vehicle)[:, 1] for t in terms])
+        push = columns[:, terms.index(SLIP)] * values[terms.index(SLIP)]
+        if drive.between is not None:
+            pushes.append(push)
+            residuals.append(drive.between - columns @ values)
+            rates.append(np.abs(drive.motion.omega))
+            noises.append(np.full(len(push), drive.between_noise))
+    push, residual, rate, noise = (
+        np.concatenate(parts) for parts in (pushes, residuals, rates, noises)
+    )
+    found = np.full(len(edges), np.nan)
+    for k, (low, high) in enumerate(zip([0.0, *edges[:-1]], edges, strict=True)):
+        mine = (rate > low) & (rate <= high) & (push != 0.0)
+        if np.count_nonzero(mine) < _ENOUGH:
+            continue
+        size = float(push[mine] @ push[mine])
+        beyond = float(residual[mine] @ residual[mine]) - float(noise[mine] @ noise[mine])
+        found[k] = np.sqrt(max(beyond, 0.0) / size)
+    return found
+
+
+def _unsigned(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bool:
+    """Tell whether sides that should return power do not show it."""
+    expected = shown = 0.0
+    count = 0
+    for drive in problem.drives:
+        if drive.between is None:
+            continue
+        table = np.stack([columns_of(term, drive, problem.vehicle) for term in terms], axis=-1)
+        total, more = (table @ values).T
+        for sign in (-1.0, 1.0):
+            side, measured = 0.5 * (total + sign * more), 0.5 * (drive.power + sign * drive.between)
+            returns = side < -_CLEAR * drive.between_noise
+            count += int(np.count_nonzero(returns))
+            expected += float(side[returns].sum())
+            shown += float(np.minimum(measured[returns], 0.0).sum())
+    return count >= _ENOUGH and shown > _RETURNED * expected

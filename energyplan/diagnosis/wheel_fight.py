@@ -1,0 +1,147 @@
+"""What it costs that the sides push against each other on straights (private)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import norm
+
+from energyplan.diagnosis.fitting import Problem
+from energyplan.diagnosis.linear import (
+    held_forces,
+    is_lossy,
+    losses_of,
+    lost_power,
+    preload,
+    slip_limit,
+)
+from energyplan.diagnosis.windows import BLOCK, Drive
+from energyplan.path import FloatArray
+from energyplan.power import PowerModel, Sides
+from energyplan.power.effect_terms import WHEEL_FIGHT
+
+_WORTH = 0.01  # share of the energy that is worth naming
+
+
+@dataclass(frozen=True)
+class WheelFight:
+    """The moment that contacts hold on straights, as one that costs as much at any time.
+
+    Parameters
+    ----------
+    size, std_error : float
+        Friction that it uses: the moment over the slip moment of friction one.
+    share : float
+        Share of the drives' energy that it costs.
+    p_value : float
+        Chance that another drive as long pays nothing for it, from blocks.
+    model : PowerModel
+        The model with the term.
+    """
+
+    size: float
+    std_error: float
+    share: float
+    p_value: float
+    model: PowerModel
+
+
+def find_wheel_fight(problem: Problem, model: PowerModel) -> WheelFight | None:
+    """Find what the moment between the sides costs while contacts hold.
+
+    Without losses it costs nothing: what one side pushes the other gets back (docs/theory,
+    section 6). With them it does, and only the power of both sides shows it.
+
+    Parameters
+    ----------
+    problem : Problem
+        The drives.
+    model : PowerModel
+        The fitted model.
+
+    Returns
+    -------
+    WheelFight or None
+        None where there is no loss, the sides were not logged, or it is not worth naming.
+    """
+    if not all(is_lossy(drive, model.terms) for drive in problem.drives):
+        return None
+    cases = [case for case in (_Case.of(d, problem, model) for d in problem.drives) if case]
+    if len(cases) < len(problem.drives) or problem.drives[0].breakaway == 0.0:
+        return None
+    spent = np.concatenate([case.by_block(case.cost(case.moment)) for case in cases])
+    total = float(spent.sum())
+    energy = sum(float(drive.weights @ drive.power) for drive in problem.drives)
+    if not total > _WORTH * abs(energy):
+        return None
+
+    def steady(size: float) -> FloatArray:
+        parts = [case.by_block(case.cost(size * case.unit)) for case in cases]
+        return np.concatenate(parts)
+
+    most = max(slip_limit(model.terms, model.coefficients), 1e-6)
+    size = most
+    if steady(most).sum() > total:
+        size = float(brentq(lambda one: float(steady(one).sum()) - total, 0.0, most))
+    # The moment is not steady: blocks differ from what a steady one costs.
+    error = float(np.linalg.norm(spent - steady(size)))
+    low, high = 0.99 * size, 1.01 * size
+    slope = float((steady(high) - steady(low)).sum()) / (high - low)
+    if not slope > 0.0:
+        return None
+    deviation = error / slope
+    return WheelFight(
+        size, deviation, total / energy, float(norm.sf(total / max(error, 1e-12))),
+        _with_fight(model, size, deviation),
+    )  # fmt: skip
+
+
+def _with_fight(model: PowerModel, size: float, deviation: float) -> PowerModel:
+    extended = model.with_term(WHEEL_FIGHT, size)
+    if extended.covariance is None:
+        return extended
+    covariance = np.array(extended.covariance)
+    covariance[-1, -1] = deviation**2
+    return extended.with_coefficients(extended.coefficients, covariance)
+
+
+@dataclass(frozen=True)
+class _Case:
+    """A drive, its losses, and the moment between its sides."""
+
+    drive: Drive
+    model: PowerModel
+    forces: Sides
+    moment: FloatArray
+    unit: FloatArray
+
+    @classmethod
+    def of(cls, drive: Drive, problem: Problem, model: PowerModel) -> _Case | None:
+        if drive.between is None:
+            return None
+        terms, values = model.terms, model.coefficients
+        losses = losses_of(drive, problem.vehicle, terms, values)
+        forces = held_forces(drive, problem.vehicle, terms, values)
+        limit = problem.vehicle.slip_moment * slip_limit(terms, values)
+        found = preload(drive, drive.between, problem.vehicle, losses, forces, limit)
+        unit = problem.vehicle.slip_moment * np.sign(found.moment)
+        return cls(drive, replace(model, vehicle=problem.vehicle), forces, found.moment, unit)
+
+    def cost(self, moment: FloatArray) -> FloatArray:
+        """Power that losses take because of a moment between the sides [W]."""
+        vehicle, track = self.model.vehicle, self.drive.motion.icr.slip_track
+        losses = losses_of(self.drive, vehicle, self.model.terms, self.model.coefficients)
+        push = Sides(-moment / track, moment / track)
+        with_it, without = (
+            lost_power(losses, self.drive.held, vehicle, forces).total
+            for forces in (self.forces + push, self.forces)
+        )
+        return np.asarray(with_it - without)
+
+    def by_block(self, power: FloatArray) -> FloatArray:
+        """Energy of each block [J]."""
+        t = self.drive.t
+        block = np.minimum((t / BLOCK).astype(int), max(int(t[-1] / BLOCK + 0.5), 1) - 1)
+        return np.bincount(block, self.drive.weights * power)
