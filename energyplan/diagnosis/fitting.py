@@ -14,6 +14,8 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import f as fisher
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from energyplan.diagnosis.linear import is_lossy, linearise
 from energyplan.diagnosis.windows import Design, Drive, columns_of, window_means
@@ -64,6 +66,9 @@ class Fit:
         Cross-validated mean square error at each scale [W^2].
     blocks : int
         Blocks that say something of the coefficients.
+    stretch : ndarray, shape (k,)
+        Student's 95 % quantile over the normal one: of some coefficients few blocks tell nearly
+        all, and a variance that comes from few is itself uncertain.
     """
 
     values: FloatArray
@@ -71,6 +76,12 @@ class Fit:
     covariance: FloatArray
     errors: FloatArray
     blocks: int
+    stretch: FloatArray
+
+    @property
+    def reported(self) -> FloatArray:
+        """Covariance whose 95 % intervals are those of Student's distribution."""
+        return self.covariance * np.outer(self.stretch, self.stretch)
 
     @property
     def loss(self) -> float:
@@ -140,7 +151,21 @@ def fit(design: Design, errors: FloatArray, by_block: bool = False) -> Fit:
     losses = np.einsum("bi,bij,bj->b", signed, grams, signed)
     squares = np.einsum("bi,sbij,bj->s", signed, design.grams, signed)
     telling = int(np.count_nonzero(design.telling))
-    return Fit(values, np.maximum(losses, 0.0), covariance, squares / design.counts, telling)
+    return Fit(
+        values, np.maximum(losses, 0.0), covariance, squares / design.counts, telling,
+        _stretch(centred),
+    )  # fmt: skip
+
+
+def _stretch(deviations: FloatArray) -> FloatArray:
+    """Student's 95 % quantile over the normal one, for each column of a jackknife.
+
+    The degrees of freedom are Satterthwaite's: as many as there are blocks where all tell alike.
+    """
+    square = np.sum(deviations**2, axis=0)
+    freedom = 3.0 * square**2 / np.maximum(np.sum(deviations**4, axis=0), 1e-300)
+    freedom = np.clip(freedom, 3.0, len(deviations)) - 1.0
+    return np.asarray(student.ppf(0.975, freedom) / norm.ppf(0.975))
 
 
 @dataclass(frozen=True)

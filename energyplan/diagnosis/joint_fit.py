@@ -44,9 +44,9 @@ class FinalFit:
 def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
     """Fit the paper's terms and those of the parts together.
 
-    The covariance is the jackknife's over blocks. Where a part has a parameter that was searched,
-    such as a time constant, the derivative of its power by it joins the columns, so that the
-    standard errors allow for the search.
+    The covariance is the jackknife's over blocks, by Student's distribution. Where a part has a
+    parameter that was searched, such as a time constant, the derivative of its power by it joins
+    the columns, so that the standard errors allow for the search.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
     errors = problem.reference(problem.design(terms))
     design = problem.design(terms, errors)
     found = fit(design, errors)
-    covariance, searched = found.covariance, {}
+    covariance, searched = found.reported, {}
     moved = _derivatives(
         problem, parts, dict(zip((t.name for t in terms), found.values, strict=True))
     )
@@ -72,8 +72,8 @@ def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
         columns = [np.stack(column, axis=-1) for column in zip(*moved.values(), strict=True)]
         wide = fit(design.joined(window_means(problem.drives, columns)), errors)
         count = len(terms)
-        covariance = wide.covariance[:count, :count]
-        deviation = np.sqrt(np.diag(wide.covariance)[count:])
+        covariance = wide.reported[:count, :count]
+        deviation = np.sqrt(np.diag(wide.reported)[count:])
         searched = dict(zip(moved, (float(d) for d in deviation), strict=True))
     plain = problem.of_totals.with_factors([1.0] * len(problem.drives))
     spread = RunSpread.of(plain.design(terms), found.values)

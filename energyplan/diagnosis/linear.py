@@ -125,9 +125,7 @@ def losses_of(
     return losses
 
 
-def held_forces(
-    drive: Drive, vehicle: Vehicle, terms: Sequence[Term], values: FloatArray
-) -> Sides:
+def held_forces(drive: Drive, vehicle: Vehicle, terms: Sequence[Term], values: FloatArray) -> Sides:
     """Tread forces of a drive with contacts that hold, without what they hold [N]."""
     total = Sides(np.zeros(drive.motion.shape), np.zeros(drive.motion.shape))
     for term, value in zip(terms, values, strict=True):

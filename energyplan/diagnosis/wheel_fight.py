@@ -144,4 +144,4 @@ class _Case:
         """Energy of each block [J]."""
         t = self.drive.t
         block = np.minimum((t / BLOCK).astype(int), max(int(t[-1] / BLOCK + 0.5), 1) - 1)
-        return np.bincount(block, self.drive.weights * power)
+        return np.asarray(np.bincount(block, self.drive.weights * power), float)

@@ -339,9 +339,7 @@ def catalogue() -> dict[str, Effect]:
 
 
 @lru_cache(maxsize=8)
-def _every(
-    finder: Callable[..., Iterable[EntryPoint]], path: tuple[str, ...]
-) -> dict[str, Effect]:
+def _every(finder: Callable[..., Iterable[EntryPoint]], path: tuple[str, ...]) -> dict[str, Effect]:
     """Look plugins up once for each search path: metadata of every package are read for it."""
     found = {entry.name: entry for entry in _ENTRIES}
     taken = {term.name for entry in _ENTRIES for term in entry.terms} | {t.name for t in _PAPER}

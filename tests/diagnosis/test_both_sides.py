@@ -1,0 +1,209 @@
+"""Powers of both sides: what their sum hides, and sides that push against each other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from energyplan import DriveLog, diagnose, simulate
+from energyplan.diagnosis.breakaway import with_breakaway
+from energyplan.diagnosis.fitting import Problem, fit
+from energyplan.diagnosis.linear import linearise
+from energyplan.diagnosis.windows import Drive, prepared
+from energyplan.motion import Motion
+from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS, SLIP, TRACTION, PowerModel
+from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, WHEEL_FIGHT
+from energyplan.simulate import Leg
+from energyplan.vehicle import Vehicle
+
+
+def _robot(rng: np.random.Generator) -> PowerModel:
+    """A robot of random size, from a small rover to one of a hundred kilograms."""
+    size = float(rng.uniform(0.5, 1.3))
+    mass = 40.0 * size**3 * float(rng.uniform(0.7, 1.5))
+    vehicle = Vehicle.from_geometry(
+        "random", mass=mass, wheelbase=0.5 * size, track=0.55 * size, length=0.9 * size,
+        width=0.7 * size,
+    )  # fmt: skip
+    K = float(rng.uniform(0.06, 0.12)) * mass * 9.81 / 2
+    return PowerModel.paper(vehicle, K=K, mu=float(rng.uniform(0.3, 0.8)))
+
+
+def _straights_and_spins(rng: np.random.Generator) -> list[Leg]:
+    """Both treads as fast as each other, all the time."""
+    legs = []
+    for k in range(16):
+        speed = float(rng.uniform(0.2, 0.6)) * float(rng.choice([-1.0, 1.0]))
+        legs += [Leg(speed if k % 2 else -speed, speed, hold=5.0), Leg(0.0, 0.0, hold=0.5)]
+    return legs
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_which_side_drags_is_told_where_treads_are_always_as_fast_as_each_other(seed: int) -> None:
+    # In the sum, what drags on one side is half of what drags on both.
+    rng = np.random.default_rng(seed)
+    model = _robot(rng)
+    drag = 0.4 * model.coefficient("traction_resistance")
+    truth = model.with_term(DRAGGING_LEFT, drag)
+    noise = 0.02 * float(np.max(truth.power(Motion.from_twist(0.4, 0.5, model.vehicle.icr))))
+    log = simulate.drive(truth, _straights_and_spins(rng), power_noise=noise, seed=seed)
+    problem = Problem(prepared([log], model.vehicle), model.vehicle)
+    terms = (SLIP, TRACTION, DRAGGING_LEFT)
+
+    def found(case: Problem) -> Any:
+        design = case.design(terms)
+        return fit(design, case.reference(design))
+
+    both, total = found(problem), found(problem.of_totals)
+    error = np.sqrt(np.diag(both.reported))
+    assert np.all(np.abs(both.values - truth.coefficients) < 4 * error)
+    assert error[2] < 0.1 * drag
+    # Told by the sum: how much drags together; not: where.
+    together = total.values[1] + 0.5 * total.values[2]
+    assert together == pytest.approx(truth.coefficients[1] + 0.5 * drag, rel=0.02)
+    assert abs(total.values[2] - drag) > 0.5 * drag
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_losses_of_each_side_are_found_on_robots_of_any_size(seed: int) -> None:
+    rng = np.random.default_rng(10 + seed)
+    model = _robot(rng)
+    K = model.coefficient("traction_resistance")
+    truth = model.with_term(COPPER_LOSS, 0.3 * 0.5 / K).with_term(DRAGGING_LEFT, 0.4 * K)
+    noise = {"power_noise": 0.01 * K, "speed_noise": 0.003, "without": {"accel_x"}}
+    train = simulate.identification_drive(truth, seed=seed, **noise)
+    unseen = simulate.validation_drive(truth, seed=seed + 50, **noise)
+    told = diagnose(train, unseen, model.vehicle)
+    sizes = {effect.name: effect for effect in told.effects}
+    assert "copper_loss" in sizes
+    assert {"dragging_wheel_left", "traction_asymmetry"} & set(sizes)
+    copper = sizes["copper_loss"]
+    assert abs(copper.value - 0.15 / K) < 4 * copper.std_error
+
+
+def _tracked(model: PowerModel, seed: int, lossless: bool = False) -> DriveLog:
+    """A drive whose straights are held by a controller: the sides push against each other there."""
+    rng = np.random.default_rng(seed)
+    made = simulate.identification_drive(model, seed=seed, without={"accel_x"})
+    t = np.arange(0.0, 100.0, 0.05)
+    track = model.vehicle.icr.slip_track
+    steer = 0.008 * track * np.sin(2 * np.pi * t / 5.3)
+    speed = 0.35 + 0.25 * np.sin(2 * np.pi * t / 37.0)
+    motion = Motion(speed - 0.5 * steer, speed + 0.5 * steer, model.vehicle.icr)
+    # What steering built up has nothing to do with the way it turns just now.
+    limit = model.coefficient("slip_friction") * model.vehicle.slip_moment
+    moment = 0.9 * limit * np.sin(2 * np.pi * t / 23.0 + rng.uniform(0, 6))
+    K = model.coefficient("traction_resistance")
+    forces = (K - moment / track, K + moment / track)
+    powers = []
+    for force, v in zip(forces, (motion.v_left, motion.v_right), strict=True):
+        power = force * v
+        for term in model.terms:
+            value = model.coefficient(term.name)
+            if term.name == "drive_efficiency":
+                powers_lost = value * np.maximum(power, 0.0)
+            elif term.name == "regeneration_efficiency":
+                powers_lost = value * np.maximum(-power, 0.0)
+            else:
+                continue
+            power = power + powers_lost
+        powers.append(power)
+    columns = {
+        "v_left": motion.v_left, "v_right": motion.v_right, "p_left": powers[0],
+        "p_right": powers[1], "yaw_rate": motion.omega,
+    }  # fmt: skip
+    joined = {
+        name: np.concatenate([made.channel(name), values]) for name, values in columns.items()
+    }
+    noisy = {
+        name: values + 3.0 * rng.standard_normal(len(values)) if name.startswith("p_") else values
+        for name, values in joined.items()
+    }
+    return DriveLog(
+        {"t": np.concatenate([made.t, made.t[-1] + 0.05 + t]), **noisy}, f"tracked {seed}"
+    )
+
+
+LOSSY = (
+    PowerModel.preset("quadriga:full:concrete")
+    .with_term(DRIVE_LOSS, 1 / 0.85 - 1)
+    .with_term(REGENERATION_LOSS, 0.5)
+)
+
+
+def test_sides_that_push_against_each_other_are_named_where_that_costs_energy() -> None:
+    told = diagnose(_tracked(LOSSY, 1), _tracked(LOSSY, 2), LOSSY.vehicle)
+    names = [effect.name for effect in told.effects]
+    assert names[-1] == "wheel_fight"
+    # Powers tell the round trip of the efficiencies alone.
+    model = told.model
+    lost = 1.0 + (model.coefficient("drive_efficiency") if model.has("drive_efficiency") else 0.0)
+    kept = 1.0 - (
+        model.coefficient("regeneration_efficiency")
+        if model.has("regeneration_efficiency")
+        else 0.0
+    )
+    assert kept / lost == pytest.approx(0.85 * 0.5, abs=0.02)
+    # A planner counts it: a straight line costs more than its traction resistance.
+    straight = Motion.from_twist(0.5, 0.0, model.vehicle.icr)
+    without = PowerModel(
+        model.vehicle,
+        tuple(t for t in model.terms if t.name != "wheel_fight"),
+        [
+            v
+            for t, v in zip(model.terms, model.coefficients, strict=True)
+            if t.name != "wheel_fight"
+        ],
+    )
+    assert float(model.power(straight)) > 1.05 * float(without.power(straight))
+    assert abs(told.after.energy_error) < 0.02
+
+
+def test_sides_that_push_against_each_other_cost_nothing_without_losses() -> None:
+    model = PowerModel.preset("quadriga:full:concrete")
+    told = diagnose(_tracked(model, 3), _tracked(model, 4), model.vehicle)
+    assert "wheel_fight" not in [effect.name for effect in told.effects]
+    assert told.after.energy_error == pytest.approx(0.0, abs=0.01)
+
+
+def test_the_yaw_rate_up_to_which_contacts_hold_is_fitted() -> None:
+    model = PowerModel.preset("quadriga:full:concrete")
+    vehicle = model.vehicle
+    held = with_breakaway(Problem(prepared([_tracked(model, 5)], vehicle), vehicle), ())
+    assert 0.006 < held.drives[0].breakaway < 0.05  # corrections turn at up to 0.008 rad/s
+    plain = simulate.identification_drive(model, power_noise=3.0, seed=5)
+    free = with_breakaway(Problem(prepared([plain], vehicle), vehicle), ())
+    assert free.drives[0].breakaway == 0.0
+
+
+def test_sensors_that_show_no_return_do_not_speak_for_their_sides() -> None:
+    model = PowerModel.preset("quadriga:full:concrete")
+    log = simulate.identification_drive(model, power_noise=3.0, seed=6)
+    blind = {name: np.maximum(log.channel(name), 0.0) for name in ("p_left", "p_right")}
+    mute = DriveLog({**log.channels, **blind}, "blind")
+    found = with_breakaway(Problem(prepared([mute], model.vehicle), model.vehicle), ())
+    assert found.drives[0].equations == 1
+
+
+def test_the_moment_between_the_sides_is_read_off_their_difference() -> None:
+    log = _tracked(LOSSY, 7)
+    drive = replace(Drive.of(log, LOSSY.vehicle), breakaway=0.02)
+    about = linearise(drive, LOSSY.vehicle, LOSSY.terms, LOSSY.coefficients)
+    late = drive.t > 155.0
+    residual = (drive.measured - about.power)[late, 0]
+    assert np.sqrt(np.mean(residual**2)) < 12.0  # 4 W are noise
+    plain = linearise(
+        Drive.of(DriveLog(_summed(log), "sum"), LOSSY.vehicle),
+        LOSSY.vehicle, LOSSY.terms, LOSSY.coefficients,
+    )  # fmt: skip
+    blind = log.power[late] - plain.power[late, 0]
+    assert np.sqrt(np.mean(blind**2)) > 3 * np.sqrt(np.mean(residual**2))
+    assert WHEEL_FIGHT.function(Motion(0.0, 0.0, LOSSY.vehicle.icr), LOSSY.vehicle).right == 0.0
+
+
+def _summed(log: DriveLog) -> dict[str, np.ndarray]:
+    rest = {k: v for k, v in log.channels.items() if k not in ("p_left", "p_right")}
+    return {**rest, "power": log.power}
