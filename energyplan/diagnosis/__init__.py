@@ -33,7 +33,7 @@ from energyplan.diagnosis.result import (
     Verdict,
 )
 from energyplan.diagnosis.search import SIGNIFICANCE, Search, without_mimics
-from energyplan.diagnosis.wheel_fight import WheelFight, find_wheel_fight
+from energyplan.diagnosis.wheel_fight import find_wheel_fight
 from energyplan.diagnosis.windows import Drive, prepared
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
@@ -274,7 +274,8 @@ class _Case:
         fitted = final_fit(best.problem, parts)
         if not parts and self.mass_centre is None and len(self.logs[0]) < 3:
             fitted = replace(fitted, model=self.paper)  # nothing found: the paper's, as it is
-        fight = self._wheel_fight(best.problem, fitted.model)
+        entry = next((one for one in self.entries if one.acts == "hold"), None)
+        fight = find_wheel_fight(best.problem, fitted.model) if entry else None
         if fight is not None:
             fitted = replace(fitted, model=fight.model)
         after = [predict(fitted.model, parts, drive) for drive in self.held]
@@ -285,8 +286,8 @@ class _Case:
             foretold = [predict(fitted.model, parts, drive, dated=False) for drive in self.held]
             undated = score(foretold)
         found = self._found(chosen, fitted.model, fitted.errors, searched, after)
-        if fight is not None:
-            found = (*found, self._fight_effect(fight))
+        if fight is not None and entry is not None:
+            found = (*found, fight.effect(entry))
         unexplained = tuple(
             Unexplained(
                 one.channel, one.shape, one.explained_variance, one.p_value,
@@ -356,19 +357,6 @@ class _Case:
         if best is None or best.explained_variance < _MOSTLY or best.p_value > SIGNIFICANCE:
             return parts, []
         return without_mimics(problem, parts, _smooth_part(best))
-
-    def _wheel_fight(self, problem: Problem, model: PowerModel) -> WheelFight | None:
-        if not any(entry.acts == "hold" for entry in self.entries):
-            return None
-        return find_wheel_fight(problem, model)
-
-    def _fight_effect(self, fight: WheelFight) -> FoundEffect:
-        entry = next(entry for entry in self.entries if entry.acts == "hold")
-        return FoundEffect(
-            entry.name, entry.symbol, fight.size, entry.unit, fight.std_error,
-            Evidence(0.0, 0.0, fight.p_value), 1.0 - fight.p_value, (),
-            {"share of the energy": fight.share}, entry.meaning, entry.planner,
-        )  # fmt: skip
 
     def _choosing(self) -> tuple[str, ...]:
         """Name what chose: whole training drives, or blocks of them, each left out in turn."""

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from energyplan.diagnosis.columns import columns_of
 from energyplan.diagnosis.fitting import PAPER, Problem, fit
-from energyplan.diagnosis.windows import columns_of
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, Term
 
@@ -102,7 +102,8 @@ def _scatter(
 def _unsigned(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bool:
     """Tell whether sides that should return power do not show it."""
     expected = shown = 0.0
-    count = 0
+    clear = faint = 0
+    lowest = np.inf
     for drive in problem.drives:
         if drive.between is None:
             continue
@@ -111,7 +112,10 @@ def _unsigned(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bo
         for sign in (-1.0, 1.0):
             side, measured = 0.5 * (total + sign * more), 0.5 * (drive.power + sign * drive.between)
             returns = side < -_CLEAR * drive.between_noise
-            count += int(np.count_nonzero(returns))
+            clear += int(np.count_nonzero(returns))
+            faint += int(np.count_nonzero(side < 0.0))
             expected += float(side[returns].sum())
             shown += float(np.minimum(measured[returns], 0.0).sum())
-    return count >= _ENOUGH and shown > _RETURNED * expected
+            lowest = min(lowest, float(measured.min()))
+    never = lowest >= 0.0 and faint >= _ENOUGH
+    return never or (clear >= _ENOUGH and shown > _RETURNED * expected)

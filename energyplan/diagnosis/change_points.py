@@ -11,8 +11,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from energyplan.diagnosis.columns import column
 from energyplan.diagnosis.fitting import PAPER, Part, Problem, solve
-from energyplan.diagnosis.windows import Drive, column
+from energyplan.diagnosis.windows import Drive
 from energyplan.path import FloatArray
 from energyplan.power import Term
 from energyplan.power.effects import Effect

@@ -17,8 +17,9 @@ from scipy.stats import f as fisher
 from scipy.stats import norm
 from scipy.stats import t as student
 
+from energyplan.diagnosis.columns import columns_of
 from energyplan.diagnosis.linear import is_lossy, linearise
-from energyplan.diagnosis.windows import Design, Drive, columns_of, window_means
+from energyplan.diagnosis.windows import Design, Drive, window_means
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, Term
 from energyplan.power.effects import Effect

@@ -17,10 +17,12 @@ from energyplan.diagnosis.linear import (
     preload,
     slip_limit,
 )
+from energyplan.diagnosis.result import Evidence, FoundEffect
 from energyplan.diagnosis.windows import BLOCK, Drive
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Sides
 from energyplan.power.effect_terms import WHEEL_FIGHT
+from energyplan.power.effects import Effect
 
 _WORTH = 0.01  # share of the energy that is worth naming
 
@@ -46,6 +48,14 @@ class WheelFight:
     share: float
     p_value: float
     model: PowerModel
+
+    def effect(self, entry: Effect) -> FoundEffect:
+        """Return it as an effect of a diagnosis."""
+        return FoundEffect(
+            entry.name, entry.symbol, self.size, entry.unit, self.std_error,
+            Evidence(0.0, 0.0, self.p_value), 1.0 - self.p_value, (),
+            {"share of the energy": self.share}, entry.meaning, entry.planner,
+        )  # fmt: skip
 
 
 def find_wheel_fight(problem: Problem, model: PowerModel) -> WheelFight | None:
