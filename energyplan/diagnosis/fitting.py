@@ -19,7 +19,7 @@ from scipy.stats import t as student
 
 from energyplan.diagnosis.columns import columns_of
 from energyplan.diagnosis.linear import is_lossy, linearise
-from energyplan.diagnosis.windows import Design, Drive, window_means
+from energyplan.diagnosis.windows import SCALES, Design, Drive, window_means
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, Term
 from energyplan.power.effects import Effect
@@ -29,6 +29,7 @@ PAPER = (SLIP, TRACTION)
 FLOOR = 0.01
 """Error that is not worth an effect, as a fraction of the root mean square power."""
 
+_SLIP_LAW = 0.05  # part of the sides' difference that no law of sliding friction foretells
 _LOSS_ROUNDS = 12
 _SETTLED = 1e-6  # relative fall of the loss that is none
 _LEVELLING = 4  # rounds in which factors of runs and coefficients settle
@@ -265,7 +266,11 @@ class Problem:
         self.vehicle = vehicle
         self.memory = dict(memory or {})
         mean_square = np.mean(np.concatenate([drive.power**2 for drive in self.drives]))
-        self.floor = FLOOR**2 * float(mean_square)
+        self.floor = np.full(len(SCALES), FLOOR**2 * float(mean_square))
+        gaps = [drive.between * drive.slides for drive in self.drives if drive.between is not None]
+        if gaps:
+            allowed = _SLIP_LAW**2 * float(np.mean(np.concatenate(gaps) ** 2))
+            self.floor = np.append(self.floor, np.full(len(SCALES), allowed))
 
     def without_transitions(self) -> Problem:
         """Return the drives, each throughout in the state that it was in for longer."""

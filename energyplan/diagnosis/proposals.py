@@ -147,7 +147,8 @@ class Proposals:
             Normal likelihood, a weighted mean over the scales: each alone is one.
         """
         count = np.tile(WEIGHTS, len(windows) // len(WEIGHTS)) * windows / self.repeats
-        fall = np.log(np.maximum(errors, 0.0) + self.problem.floor + 1e-300)
+        floor = self.problem.floor.reshape(-1, *[1] * (np.ndim(errors) - 1))
+        fall = np.log(np.maximum(errors, 0.0) + floor + 1e-300)
         return np.asarray(-0.5 * np.tensordot(count, fall, axes=(0, 0)))
 
     def variants(self, effect: Effect) -> list[Part]:
