@@ -1,0 +1,230 @@
+"""Read and write the file of primitives that Nav2's SmacPlannerLattice plans with (JSON)."""
+
+from __future__ import annotations
+
+import json
+from datetime import date
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from energyplan.errors import MapError
+from energyplan.io._limited import read_bytes
+from energyplan.io.files import atomic_write
+from energyplan.path import Path as Motion
+from energyplan.path import Pose, wrap_angle
+from energyplan.studies.control_set import ControlSet, Penalties, Primitive
+
+MAX_FILE = 2**26
+"""Largest file that is read [bytes]."""
+
+DIGITS = 5
+"""Digits of lengths [m] after the point."""
+
+Length = Annotated[float, Field(ge=0)]
+
+
+class _Metadata(BaseModel):
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
+
+    motion_model: str = "diff"
+    turning_radius: float = Field(gt=0)
+    grid_resolution: float = Field(gt=0)
+    num_of_headings: int = Field(ge=1, le=4096)
+    heading_angles: list[float]
+    number_of_trajectories: int = Field(ge=0)
+
+
+class _Trajectory(BaseModel):
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
+
+    trajectory_id: int
+    start_angle_index: int = Field(ge=0)
+    end_angle_index: int = Field(ge=0)
+    left_turn: bool
+    trajectory_radius: Length
+    trajectory_length: Length
+    arc_length: Length
+    straight_length: Length
+    poses: list[tuple[float, float, float]] = Field(min_length=1)
+
+
+class _File(BaseModel):
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
+
+    lattice_metadata: _Metadata
+    primitives: list[_Trajectory] = Field(min_length=1)
+
+
+def write_lattice(controls: ControlSet, path: str | Path, *, made: date | None = None) -> None:
+    """Write a control set for SmacPlannerLattice (its parameter ``lattice_filepath``).
+
+    Parameters
+    ----------
+    controls : ControlSet
+        The primitives.
+    path : str or Path
+        The file. It is replaced as a whole.
+    made : date, optional
+        The day that the file tells it was made on; today if left out.
+    """
+    document = {
+        "version": 1.0,
+        "date_generated": (date.today() if made is None else made).isoformat(),
+        "lattice_metadata": {
+            "motion_model": "diff",
+            "turning_radius": controls.radius,
+            "grid_resolution": controls.resolution,
+            "stopping_threshold": 0,
+            "num_of_headings": len(controls.headings),
+            "heading_angles": list(controls.headings),
+            "number_of_trajectories": len(controls.primitives),
+        },
+        "primitives": [
+            _trajectory(k, primitive, controls) for k, primitive in enumerate(controls.primitives)
+        ],
+    }
+    atomic_write(Path(path), json.dumps(document, indent=1) + "\n")
+
+
+def _trajectory(number: int, primitive: Primitive, controls: ControlSet) -> dict[str, Any]:
+    """Return a primitive as it stands in the file."""
+    start = controls.headings[primitive.start]
+    ds, turn = primitive.motions.T
+    path = Motion(Pose(0.0, 0.0, start), ds, turn)
+    fine = path.subdivide(controls.resolution, 0.2)
+    poses = fine.vertices[1:] if primitive.length > 0 else fine.vertices
+    poses[-1] = (
+        primitive.column * controls.resolution,
+        primitive.row * controls.resolution,
+        controls.headings[primitive.end],
+    )
+    rounded = [
+        [round(x, DIGITS) + 0.0, round(y, DIGITS) + 0.0, yaw % (2 * np.pi)]
+        for x, y, yaw in poses.tolist()
+    ]
+    return {
+        "trajectory_id": number,
+        "start_angle_index": primitive.start,
+        "end_angle_index": primitive.end,
+        "left_turn": primitive.turn >= 0,
+        "trajectory_radius": round(primitive.radius, DIGITS),
+        "trajectory_length": round(primitive.length, DIGITS),
+        "arc_length": round(primitive.arc, DIGITS),
+        "straight_length": round(primitive.before + primitive.after, DIGITS),
+        "poses": rounded,
+    }
+
+
+def read_lattice(path: str | Path) -> ControlSet:
+    """Read a control set of SmacPlannerLattice.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file. Primitives that slide sideways, of an omnidirectional robot, are refused.
+
+    Returns
+    -------
+    ControlSet
+        The primitives.
+
+    Raises
+    ------
+    MapError
+        If the file is missing or malformed; the message names the primitive.
+    """
+    file = Path(path)
+    try:
+        found = _File.model_validate_json(read_bytes(file, MAX_FILE))
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise MapError(f"{file}: {place or 'the file'}: {first['msg']}") from None
+    meta = found.lattice_metadata
+    if len(meta.heading_angles) != meta.num_of_headings:
+        raise MapError(
+            f"{file}: lattice_metadata.heading_angles: {len(meta.heading_angles)} angles where "
+            f"num_of_headings is {meta.num_of_headings}"
+        )
+    if len(found.primitives) != meta.number_of_trajectories:
+        raise MapError(
+            f"{file}: lattice_metadata.number_of_trajectories: {meta.number_of_trajectories} where "
+            f"there are {len(found.primitives)} primitives"
+        )
+    primitives = tuple(
+        _primitive(told, meta, f"{file}: primitives.{k}") for k, told in enumerate(found.primitives)
+    )
+    return ControlSet(
+        meta.grid_resolution, meta.turning_radius, tuple(meta.heading_angles), primitives
+    )
+
+
+def _primitive(told: _Trajectory, meta: _Metadata, place: str) -> Primitive:
+    """Return a primitive of the file."""
+    count = meta.num_of_headings
+    if max(told.start_angle_index, told.end_angle_index) >= count:
+        raise MapError(f"{place}: a heading beyond the {count} that there are")
+    start, end = (meta.heading_angles[k] for k in (told.start_angle_index, told.end_angle_index))
+    turn = float(wrap_angle(end - start))
+    x, y, _ = told.poses[-1]
+    cells = np.array([x, y]) / meta.grid_resolution
+    column, row = (int(v) for v in np.round(cells))
+    if np.abs(cells - (column, row)).max() > 0.05:
+        raise MapError(f"{place}: it ends at ({x}, {y}), in the middle of no cell")
+    before, after = told.straight_length, 0.0
+    if told.arc_length > 0 and told.straight_length > 0:
+        before = _first_straight(told, (x, y), start, end, turn)
+        after = told.straight_length - before
+    found = Primitive(
+        told.start_angle_index, told.end_angle_index, before, told.arc_length, after, turn,
+        column, row,
+    )  # fmt: skip
+    ds, dtheta = found.motions.T
+    reached = Motion(Pose(0.0, 0.0, start), ds, dtheta).end
+    if np.hypot(reached.x - x, reached.y - y) > 0.05 * meta.grid_resolution:
+        raise MapError(
+            f"{place}: arc and straight pieces lead to ({reached.x:.3f}, {reached.y:.3f}), its "
+            f"poses to ({x:.3f}, {y:.3f}); sideways motion is not taken"
+        )
+    return found
+
+
+def _first_straight(
+    told: _Trajectory, at: tuple[float, float], start: float, end: float, turn: float
+) -> float:
+    """Return how much of the straight length lies before the arc [m]."""
+    # from the end of the first tangent: the whole is what leads ahead along both headings
+    det = np.sin(end - start)
+    x, y = at
+    first = (x * np.sin(end) - y * np.cos(end)) / det
+    then = (y * np.cos(start) - x * np.sin(start)) / det
+    return told.straight_length if first > then else 0.0
+
+
+def write_penalties(told: Penalties, path: str | Path, lattice: str | Path) -> None:
+    """Write the penalties as parameters of SmacPlannerLattice (YAML).
+
+    Parameters
+    ----------
+    told : Penalties
+        The penalties.
+    path : str or Path
+        The file. It is replaced as a whole.
+    lattice : str or Path
+        The file of primitives that goes with them.
+    """
+    parameters = {
+        "plugin": "nav2_smac_planner::SmacPlannerLattice",
+        "lattice_filepath": str(lattice),
+        "allow_reverse_expansion": True,
+        "non_straight_penalty": round(told.non_straight, 4),
+        "change_penalty": round(told.change, 4),
+        "reverse_penalty": round(told.reverse, 4),
+        "rotation_penalty": round(told.rotation, 4),
+        "retrospective_penalty": 0.0,
+    }
+    atomic_write(Path(path), yaml.safe_dump({"GridBased": parameters}, sort_keys=False))

@@ -1,0 +1,263 @@
+"""Control sets of state lattices, as Nav2's SmacPlannerLattice plans with them.
+
+A primitive leads from the middle of a cell at one of the lattice's headings to the middle of
+another cell at another heading: straight on, in an arc with a straight piece before or after it, or
+turning on the spot by one heading. The headings are those of cells of the grid, so that straight
+primitives end in one. SmacPlannerLattice counts what it drives in cells, and multiplies it by
+penalties; here they are those that come nearest to the energy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import InvalidInputError
+from energyplan.path import FloatArray, wrap_angle
+
+TURNS = 3
+"""Headings that a primitive turns by, at most."""
+
+FARTHEST = 2.5
+"""How far primitives end away, in turning radii and one cell."""
+
+
+class Primitive(NamedTuple):
+    """A motion from the middle of cell (0, 0).
+
+    Attributes
+    ----------
+    start, end : int
+        Numbers of the headings at its ends.
+    before, arc, after : float
+        Lengths of the straight piece, the arc and the second straight piece [m].
+    turn : float
+        Turn, positive to the left [rad].
+    column, row : int
+        The cell that it ends in.
+    """
+
+    start: int
+    end: int
+    before: float
+    arc: float
+    after: float
+    turn: float
+    column: int
+    row: int
+
+    @property
+    def length(self) -> float:
+        """Its length [m]; zero where it turns on the spot."""
+        return self.before + self.arc + self.after
+
+    @property
+    def radius(self) -> float:
+        """Radius of its arc [m]; zero where it has none."""
+        return self.arc / abs(self.turn) if self.arc > 0 else 0.0
+
+    @property
+    def motions(self) -> FloatArray:
+        """Arc lengths [m] and turns [rad] of its pieces, driven forwards, shape (n, 2)."""
+        pieces = [(self.before, 0.0), (self.arc, self.turn), (self.after, 0.0)]
+        return np.array([piece for piece in pieces if piece != (0.0, 0.0)])
+
+
+@dataclass(frozen=True)
+class ControlSet:
+    """The primitives of a state lattice.
+
+    Parameters
+    ----------
+    resolution : float
+        Size of a cell [m].
+    radius : float
+        Smallest radius of arcs [m].
+    headings : tuple of float
+        The headings, ascending from 0 [rad].
+    primitives : tuple of Primitive
+        The primitives, by their first heading.
+    """
+
+    resolution: float
+    radius: float
+    headings: tuple[float, ...]
+    primitives: tuple[Primitive, ...]
+
+
+class Penalties(NamedTuple):
+    """Parameters of SmacPlannerLattice that say what a motion costs.
+
+    Attributes
+    ----------
+    non_straight : float
+        Factor of primitives with an arc.
+    change : float
+        What is added to it where the turning direction changes.
+    reverse : float
+        Factor of primitives driven backwards.
+    rotation : float
+        Cost of turning on the spot by one heading [cells].
+    error : float
+        Root mean square by which the cost of a primitive misses its energy, over the energy.
+    """
+
+    non_straight: float
+    change: float
+    reverse: float
+    rotation: float
+    error: float
+
+
+USUAL = Penalties(1.05, 0.0, 2.0, 5.0, np.nan)
+"""What is set where nothing is known of a robot; that of a change of direction left out."""
+
+
+def headings_of(count: int) -> tuple[FloatArray, tuple[tuple[int, int], ...]]:
+    """Return the headings of a lattice [rad], and for each the cell that it leads to.
+
+    Raises
+    ------
+    InvalidInputError
+        If the number is no multiple of 8.
+    """
+    if count < 8 or count % 8:
+        raise InvalidInputError(f"a lattice of {count} headings; give a multiple of 8")
+    half = count // 8
+    around = range(-half, half + 1)
+    rim = [(x, y) for x in around for y in around if max(abs(x), abs(y)) == half]
+    rim.sort(key=lambda cell: np.arctan2(cell[1], cell[0]) % (2 * np.pi))
+    cells = []
+    for x, y in rim:
+        common = int(np.gcd(x, y))
+        cells.append((x // common, y // common))
+    return np.array([np.arctan2(y, x) % (2 * np.pi) for x, y in rim]), tuple(cells)
+
+
+def control_set(
+    cost: EnergyCost, resolution: float, *, headings: int = 16, radius: float | None = None
+) -> ControlSet:
+    """Return a control set: of the primitives between two headings, the one of least energy.
+
+    Parameters
+    ----------
+    cost : EnergyCost
+        What motions cost.
+    resolution : float
+        Size of a cell [m]: that of the costmap.
+    headings : int
+        Number of headings, a multiple of 8.
+    radius : float, optional
+        Smallest radius of arcs [m]; half the slip track, the radius of a pivot, if left out.
+
+    Returns
+    -------
+    ControlSet
+        The primitives.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is out of range, or cells are so large that no arc fits between headings.
+
+    References
+    ----------
+    Pivtoraiko and Kelly (2005), control sets of state lattices; here one primitive for each turn.
+    """
+    least = cost.half_track if radius is None else radius
+    if not (0 < resolution < np.inf and 0 < least < np.inf):
+        raise InvalidInputError(
+            f"a resolution of {resolution} m and a radius of {least} m; give lengths above 0"
+        )
+    angles, steps = headings_of(headings)
+    reach = int(np.ceil(FARTHEST * least / resolution)) + 1
+    row, column = np.indices((2 * reach + 1, 2 * reach + 1)).reshape(2, -1) - reach
+    found = []
+    for start, angle in enumerate(angles):
+        x, y = steps[start]
+        ahead = float(np.hypot(x, y)) * resolution
+        found.append(Primitive(start, start, ahead, 0.0, 0.0, 0.0, x, y))
+        for side in (-1, 1):
+            for bins in range(1, TURNS + 1):
+                end = (start + side * bins) % headings
+                turn = float(wrap_angle(angles[end] - angle))
+                if bins == 1:
+                    found.append(Primitive(start, end, 0.0, 0.0, 0.0, turn, 0, 0))
+                arc = _least_arc(cost, resolution, least, (start, end), angles, column, row)
+                if arc is not None:
+                    found.append(arc)
+    if not any(primitive.arc > 0 for primitive in found):
+        raise InvalidInputError(
+            f"no arc of {least:g} m fits between cells of {resolution:g} m; choose smaller cells"
+        )
+    found.sort(key=lambda p: (p.start, p.end, p.length))
+    return ControlSet(float(resolution), float(least), tuple(angles.tolist()), tuple(found))
+
+
+def _least_arc(
+    cost: EnergyCost,
+    resolution: float,
+    radius: float,
+    ends: tuple[int, int],
+    angles: FloatArray,
+    column: NDArray[np.intp],
+    row: NDArray[np.intp],
+) -> Primitive | None:
+    """Return the primitive of least energy between two headings, if there is one."""
+    a, b = angles[ends[0]], angles[ends[1]]
+    turn = float(wrap_angle(b - a))
+    if abs(turn) > 0.75 * np.pi:
+        return None
+    # the tangents at both ends meet so far from either
+    det = np.sin(b - a)
+    x, y = column * resolution, row * resolution
+    first = (x * np.sin(b) - y * np.cos(b)) / det
+    then = (y * np.cos(a) - x * np.sin(a)) / det
+    tangent = np.minimum(first, then)
+    wide = tangent / np.tan(0.5 * abs(turn))
+    fits = np.flatnonzero(wide >= radius * (1 - 1e-9))
+    if len(fits) == 0:
+        return None
+    arc = wide * abs(turn)
+    straight = np.maximum(first - tangent, 0.0) + np.maximum(then - tangent, 0.0)
+    energy = cost.segment_energy(arc[fits], turn) + cost.segment_energy(straight[fits], 0.0)
+    k = int(fits[np.lexsort((row[fits], column[fits], np.round(energy, 9)))[0]])
+    before, after = (
+        0.0 if rest < 1e-9 * resolution else float(rest)
+        for rest in (first[k] - tangent[k], then[k] - tangent[k])
+    )
+    return Primitive(*ends, before, float(arc[k]), after, turn, int(column[k]), int(row[k]))
+
+
+def primitive_energy(cost: EnergyCost, primitive: Primitive, gear: int = 1) -> float:
+    """Return what a primitive takes [J], driven forwards (1) or backwards (-1)."""
+    ds, turn = primitive.motions.T
+    return float(np.sum(cost.segment_energy(gear * ds, turn)))
+
+
+def penalties(controls: ControlSet, cost: EnergyCost) -> Penalties:
+    """Return the penalties whose costs come nearest to the energy of the primitives.
+
+    A cell straight ahead is the unit. The factors fit the energies of the primitives by least
+    squares, and none is below what SmacPlannerLattice takes: 1 for factors.
+    """
+    unit = float(cost.segment_energy(1.0, 0.0)) * controls.resolution
+    cells = np.array([p.length for p in controls.primitives]) / controls.resolution
+    there, back = (
+        np.array([primitive_energy(cost, p, gear) for p in controls.primitives]) / unit
+        for gear in (1, -1)
+    )
+    moves = cells > 0
+    arcs = np.array([p.arc > 0 for p in controls.primitives])
+    curved = max(float(cells[arcs] @ there[arcs] / (cells[arcs] @ cells[arcs])), 1.0)
+    ahead = cells * np.where(arcs, curved, 1.0)
+    reverse = max(float(ahead[moves] @ back[moves] / (ahead[moves] @ ahead[moves])), 1.0)
+    rotation = float(there[~moves].mean())
+    told = np.concatenate([np.where(moves, ahead, rotation), reverse * ahead[moves]])
+    true = np.concatenate([there, back[moves]])
+    error = float(np.sqrt(np.mean((told / true - 1.0) ** 2)))
+    return Penalties(curved, 0.0, reverse, rotation, error)
