@@ -173,7 +173,8 @@ class Lattice:
         """
         graph = self._graph(told)
         first = self._state(as_pose(start, "the start"))
-        before: Ints = csgraph.dijkstra(graph, True, first, True)[1]
+        _, all_before = csgraph.dijkstra(graph, indices=[first], return_predecessors=True)
+        before = all_before[0]
         chains = []
         for row in np.asarray(goals, float):
             chain = [self._state(as_pose(row, "a goal"))]
