@@ -33,6 +33,7 @@ from energyplan.planning.lattice.search import (
     lattice_for,
     way_along,
 )
+from energyplan.planning.lattice.stops import SHARE, least_driven, stops_count
 from energyplan.planning.lattice.tight_ends import Ends, ways_out
 from energyplan.planning.lattice.wide_arcs import with_wide_arcs
 from energyplan.planning.parallel import side_by_side
@@ -171,6 +172,8 @@ def plan(
     budget.beside(lambda: places_for(query.setting))
     known = query.drivable(initial)
     # a path between tight ends may prove not to be free: then planning is done anew
+    whole, stops = budget, stops_count(query)
+    budget = budget.part(1.0 - SHARE) if stops else budget
     work = _Improvement(query, budget if query.ends_roomy else budget.part(0.5), gap, seed)
     if bound is not None:
         work.know_bound(bound - query.potential(problem.goal))
@@ -191,6 +194,8 @@ def plan(
         path = ends.refined(inner.path, budget)
     # what the tables made of the cost of a known path is not what the models make of it
     path = with_wide_arcs(query, min([path, *known], key=query.value))
+    if stops:
+        path = least_driven(query, path, work.portfolio.others, work.to_go, whole)
     return Candidate(path, query.potential(problem.goal) + work.bound, first)
 
 
@@ -426,6 +431,11 @@ class _Improvement:
             way = way_along(self.ends.between(self.setting), self._field(penalty))
             if way is not None:
                 self.portfolio.enter(self.ends.whole(way))
+
+    @property
+    def to_go(self) -> DistanceToGo:
+        """Distance to go."""
+        return self._field(1.0)
 
     def _field(self, penalty: float) -> DistanceToGo:
         """Return the distance to go, with tight places counted longer."""

@@ -50,6 +50,8 @@ class Portfolio:
         self._budget = budget
         self.best = Segments(np.empty(0), np.empty(0))
         self.cost = np.inf
+        self.others: list[Segments] = []
+        """What has become of those that stayed to the end."""
         self.rounds = 0
         self._seed = seed
         self._fresh: list[Refiner] = []
@@ -98,6 +100,7 @@ class Portfolio:
         """Refine those kept until little is gained; see `run`."""
         hopeful = [entrant for entrant in self._kept if entrant.cost <= HOPE * self.cost]
         self._finish(hopeful, budget, enough)
+        self.others = [entrant.segments for entrant in self._kept]
         self._kept = []
 
     def again(self, budget: Budget, enough: float) -> None:

@@ -89,7 +89,13 @@ class Refiner:
     def shortcut(self, budget: Budget) -> None:
         """Leave out the poses without which the path is cheaper."""
         budget.spend(PAIR * self.count * self.count)
-        self.count = int(kernels.shortcut(self.chain, self.setting, self.count, self.count))
+        self.count = int(kernels.shortcut(self.chain, self.setting, self.count, self.count, 0.0))
+
+    def with_fewer_stops(self, price: float, budget: Budget) -> Segments:
+        """Return the motions that are cheapest where each costs so much more [J]."""
+        budget.spend(PAIR * self.count * self.count)
+        self.count = int(kernels.shortcut(self.chain, self.setting, self.count, self.count, price))
+        return self.segments
 
     def again(self, budget: Budget) -> None:
         """Cut the path to pieces once more, and seek shortcuts between them."""

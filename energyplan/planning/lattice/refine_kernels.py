@@ -51,11 +51,12 @@ class Chain(NamedTuple):
 
 
 @njit
-def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int) -> int:
+def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int, stop: float) -> int:
     """Keep those poses only by which the chain is cheapest, and return their number.
 
     Dynamic programming over all pairs of poses at most `reach` apart in the chain; `cost` of the
-    motions given must be filled in.
+    motions given must be filled in. Every motion costs `stop` more, except one given that goes on
+    as the one given before it; `cost` stays what it is without.
     """
     ds = np.empty(MAX_SEGMENTS)
     dtheta = np.empty(MAX_SEGMENTS)
@@ -67,6 +68,8 @@ def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int) -> in
     before[0] = -1
     for j in range(1, count):
         best[j] = best[j - 1] + chain.cost[j - 1]
+        if not _goes_on(chain, j - 1):
+            best[j] += stop
         before[j] = j - 1
         joined[j] = not chain.kept[j - 1]
         edge[j] = chain.cost[j - 1]
@@ -74,7 +77,7 @@ def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int) -> in
         for i in range(j - 1, max(0, j - reach) - 1, -1):
             if blocked == HOPELESS:
                 break
-            limit = best[j] - best[i] - 1e-9
+            limit = best[j] - best[i] - 1e-9 - stop
             if limit <= 0:
                 continue
             a = _pose(chain, i)
@@ -85,10 +88,10 @@ def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int) -> in
                 continue
             if steer_energy(dx, dy, a.yaw, b.yaw, setting.steering) >= limit:
                 continue
-            cost, _ = join(setting, a.x, a.y, a.yaw, b.x, b.y, b.yaw, limit, ds, dtheta)
+            cost, n = join(setting, a.x, a.y, a.yaw, b.x, b.y, b.yaw, limit, ds, dtheta)
             blocked = blocked + 1 if cost == inf else 0
-            if cost < limit:
-                best[j] = best[i] + cost
+            if cost + stop * (n - 1) < limit:
+                best[j] = best[i] + cost + stop * n
                 before[j] = i
                 joined[j] = True
                 edge[j] = cost
@@ -110,6 +113,16 @@ def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int) -> in
                 chain.ds[k - 1] = chain.ds[j - 1]
                 chain.dtheta[k - 1] = chain.dtheta[j - 1]
     return n
+
+
+@inner
+def _goes_on(chain: Chain, k: int) -> bool:
+    """Whether the motion from pose `k` goes on as the one before it."""
+    if k == 0 or not (chain.kept[k] and chain.kept[k - 1]):
+        return False
+    across = chain.ds[k] * chain.dtheta[k - 1] - chain.ds[k - 1] * chain.dtheta[k]
+    along = chain.ds[k] * chain.ds[k - 1] + chain.dtheta[k] * chain.dtheta[k - 1]
+    return bool(along > 0.0 and abs(across) <= 1e-9 * along)
 
 
 @inner

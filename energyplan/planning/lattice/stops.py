@@ -1,0 +1,171 @@
+"""Paths that take less once they are driven: fewer stops may be worth a longer way.
+
+Energy at a steady speed knows no stops. Driven, each one takes the kinetic energy that the drive
+does not recover, and time in which the computers draw power. What a stop of the best path takes is
+its price. One more search looks for a way with fewer turns, at what the stops take per radian;
+shortcuts are sought at the price, and all that come of it are driven.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from energyplan.errors import InfeasibleMotionError, InvalidInputError, PlanningError
+from energyplan.motion import Motion
+from energyplan.path import Path
+from energyplan.planning.budget import Budget
+from energyplan.planning.driven import DrivenPath, counted, drive_plan
+from energyplan.planning.lattice.refine import Refiner
+from energyplan.planning.lattice.search import Search, lattice_for
+from energyplan.planning.scene.compiled import CompiledProblem, Segments
+from energyplan.planning.scene.guide_kernels import DistanceToGo
+from energyplan.planning.scene.motions import DIRECTIONS, KernelProblem
+from energyplan.power import PowerModel
+
+WORTH = 1e-3
+"""Part of the energy that stops must take for them to be looked at."""
+
+PRICES = (1.0, 3.0)
+"""Prices of a stop, in units of what one takes on the best path, at which shortcuts are sought."""
+
+DRIVE = 1500
+"""Units of work that driving a path counts as."""
+
+SHARE = 0.25
+"""Part of the budget that is kept for it."""
+
+DEAR = 0.03
+"""Part of the energy that stops must take for another way to be searched for."""
+
+COARSE, WEIGHT = 3.0, 1.0
+"""Scale of the lattice of that search, on which it soon knows all ways, and weight of the guide."""
+
+EXPANSIONS, POLISH = 20_000, 800
+"""Expansions of that search, and attempts to refine what it finds."""
+
+
+def stops_count(query: CompiledProblem) -> bool:
+    """Tell whether stops count.
+
+    They do where the speed is given, energy alone is asked for, and a model's power changes with
+    the acceleration or is drawn at a standstill.
+    """
+    problem = query.problem
+    weights = {name for name, weight in problem.weights.items() if weight > 0}
+    if problem.cost.speed is None or weights != {"energy"}:
+        return False
+    found = counted(problem.cost, problem.surfaces)
+    models = [found.model]
+    if found.surfaces is not None:
+        models += [surface.model for surface in found.surfaces.surfaces]
+    return any(_feels_stops(model, problem.cost.speed) for model in models)
+
+
+def _feels_stops(model: PowerModel, speed: float) -> bool:
+    """Tell whether speeding up from a standstill takes other power than driving on."""
+    known = dict.fromkeys(("t", "x", "y", "yaw", "slope"), 0.0)
+    motion = Motion.from_twist(
+        speed * np.array([1.0, 1.0, 0.0]), np.zeros(3), model.vehicle.icr,
+        accel=np.array([0.0, 1.0, 0.0]), yaw_accel=np.zeros(3), **known,
+    )  # fmt: skip
+    steady, faster, still = model.power(motion)
+    return bool(abs(faster - steady) > 1e-9 * abs(steady) or still > 0)
+
+
+def least_driven(
+    query: CompiledProblem,
+    path: Path,
+    others: Iterable[Segments],
+    to_go: DistanceToGo,
+    budget: Budget,
+) -> Path:
+    """Return the path that takes least energy when it is driven.
+
+    Parameters
+    ----------
+    query : CompiledProblem
+        The problem.
+    path : Path
+        The path of least energy at a steady speed.
+    others : iterable of Segments
+        Motions from the start to the goal about which to look, besides those of the path.
+    to_go : DistanceToGo
+        Distance to go.
+    budget : Budget
+        What may be spent.
+
+    Returns
+    -------
+    Path
+        The path, or one that takes less; the path too where it cannot be driven.
+    """
+
+    def driven(candidate: Path) -> DrivenPath | None:
+        budget.spend(DRIVE)
+        try:
+            return drive_plan(query.problem, candidate)
+        except (InfeasibleMotionError, InvalidInputError):
+            return None
+
+    best, told = path, driven(path)
+    if told is None:
+        return path
+    still = (told.trajectory.v == 0.0) & (told.trajectory.omega == 0.0)
+    extra = told.energy - query.problem.terrain.price(path, query.problem.cost).energy
+    if extra <= WORTH * abs(told.energy):
+        return path
+    price = extra / max(int(np.count_nonzero(still)) - 1, 1)
+    least = told.energy
+    lateral = query.problem.cost.icr.centre[1]
+    known = {_key(path)}
+    looked = [Segments(path.ds - lateral * path.dtheta, path.dtheta), *others]
+    if extra > DEAR * abs(told.energy) and path.turning > 0:
+        dear = _with_dear_turns(query.setting, extra / path.turning)
+        looked[1:1] = _searched(dear, to_go, budget)
+    for motions in looked:
+        for factor in PRICES:
+            if budget.over:
+                return best
+            fewer = Refiner(query.setting, motions).with_fewer_stops(factor * price, budget)
+            try:
+                candidate = query.path(fewer)
+            except PlanningError:
+                continue
+            if _key(candidate) in known:
+                continue
+            known.add(_key(candidate))
+            found = driven(candidate)
+            if found is not None and found.energy < least:
+                best, least = candidate, found.energy
+    return best
+
+
+def _with_dear_turns(setting: KernelProblem, per_radian: float) -> KernelProblem:
+    """Return a problem in which turning costs so much more [J/rad]."""
+    angle = np.linspace(0.0, 2 * np.pi, DIRECTIONS + 1)
+    turned = np.abs(np.sin(angle)) / setting.half_track
+    steering = setting.steering
+    return setting._replace(
+        prices=setting.prices + per_radian * turned,
+        steering=steering._replace(per_radian=steering.per_radian + per_radian),
+        least_radian=setting.least_radian + per_radian,
+    )
+
+
+def _searched(setting: KernelProblem, to_go: DistanceToGo, budget: Budget) -> list[Segments]:
+    """Return the motions that one more search finds, refined a little; none if it finds none."""
+    search = Search(setting, to_go, lattice_for(setting, COARSE), WEIGHT, aligned=True)
+    search.run(budget.part(0.6), stop_at_first=True, expansions=EXPANSIONS)
+    if not search.found:
+        return []
+    refiner = Refiner(setting, search.segments())
+    refiner.shortcut(budget)
+    refiner.polish(budget.part(0.5), most=POLISH)
+    return [refiner.segments]
+
+
+def _key(path: Path) -> tuple[int, float]:
+    """Return what tells paths apart."""
+    return len(path), round(path.length, 6)

@@ -1,0 +1,74 @@
+"""A stop has its price: a path with fewer of them is taken where driving it takes less."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from energyplan import plan
+from energyplan.cost import EnergyCost
+from energyplan.planning import PlanningProblem
+from energyplan.planning.driven import drive_plan
+from energyplan.planning.lattice import planner
+from energyplan.power import PowerModel
+from energyplan.power.effects import term
+from energyplan.terrain import OccupancyGrid
+
+PAPER = PowerModel.preset("quadriga:empty:concrete")
+
+
+def rolling(hotel=0.0):
+    """A robot that rolls easily: what it has in motion is worth metres, and brakes give none."""
+    model = PowerModel.paper(PAPER.vehicle, K=10.0, mu=0.1)
+    model = model.with_term(term("linear_inertia"), PAPER.vehicle.mass)
+    model = model.with_term(term("angular_inertia"), PAPER.vehicle.yaw_inertia)
+    model = model.with_term(term("regeneration_efficiency"), 1.0)
+    return model.with_term(term("hotel_load"), hotel) if hotel else model
+
+
+def slalom():
+    """Walls with gaps to either side in turn; above them all a free lane."""
+    cells = np.zeros((140, 240), bool)
+    for k, column in enumerate(range(60, 190, 25)):
+        low, high = (0, 36) if k % 2 else (28, 106)
+        cells[low:high, column : column + 3] = True
+    return OccupancyGrid(cells, 0.1)
+
+
+def problem(model, speed):
+    cost = EnergyCost(model, speed=speed)
+    return PlanningProblem(slalom(), cost, start=(2.5, 4.0, 0.0), goal=(21.5, 4.0, 0.0))
+
+
+@pytest.mark.parametrize("hotel", [0.0, 20.0])
+def test_a_path_with_fewer_stops_is_taken_where_driving_it_takes_less(hotel, monkeypatch):
+    asked = problem(rolling(hotel), 1.2)
+    made = plan(asked, effort=40_000)
+    monkeypatch.setattr(planner, "stops_count", lambda query: False)
+    steady = plan(asked, effort=40_000)
+    assert made.energy > steady.energy
+    assert made.driven.energy < 0.97 * drive_plan(asked, steady.path).energy
+    assert made.lower_bound <= steady.energy
+    assert made.lower_bound <= made.driven.energy
+
+
+def test_where_stops_take_nothing_the_path_stays_what_it_is(monkeypatch):
+    asked = problem(PowerModel.paper(PAPER.vehicle, K=10.0, mu=0.1), 1.2)
+    made = plan(asked, effort=20_000)
+    monkeypatch.setattr(planner, "stops_count", lambda query: False)
+    other = plan(asked, effort=20_000)
+    assert made.energy == other.energy
+
+
+def test_the_same_effort_makes_the_same_path():
+    asked = problem(rolling(), 0.8)
+    first, second = (plan(asked, effort=15_000) for _ in range(2))
+    assert np.array_equal(first.path.ds, second.path.ds)
+    assert np.array_equal(first.path.dtheta, second.path.dtheta)
+
+
+def test_a_robot_that_cannot_be_timed_is_planned_for_all_the_same():
+    vehicle = replace(PAPER.vehicle, motor=replace(PAPER.vehicle.motor, peak_power=20.0,
+                                                   continuous_power=20.0))  # fmt: skip
+    model = replace(rolling(), vehicle=vehicle)
+    assert plan(problem(model, 1.2), effort=5_000).energy > 0
