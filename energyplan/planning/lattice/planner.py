@@ -27,6 +27,7 @@ from energyplan.planning.contract import Candidate
 from energyplan.planning.lattice import search_kernels as kernels
 from energyplan.planning.lattice.portfolio import Portfolio
 from energyplan.planning.lattice.refine import Refiner
+from energyplan.planning.lattice.rounds import ROUNDS, Guide
 from energyplan.planning.lattice.search import (
     Search,
     coarse_lattice,
@@ -53,14 +54,6 @@ PENALTY = 8.0
 """How much longer a tight place counts for that search."""
 
 
-class Guide(NamedTuple):
-    """What leads a search: the objective, the penalty on tight places, and the headings."""
-
-    penalty: float
-    aligned: bool = False
-    shortest: bool = False
-
-
 class Attempt(NamedTuple):
     """A search for a first path: between which ends, and on how fine a lattice."""
 
@@ -68,21 +61,6 @@ class Attempt(NamedTuple):
     scale: float
     search: Search
 
-
-ROUNDS = (
-    (1.0, 2.0, (Guide(2.0, True),)),
-    (1.0, 1.2, (Guide(2.0), Guide(1.0, shortest=True))),
-    (1.0, 2.0, (Guide(1.0, True), Guide(4.0), Guide(1.0))),
-    (1.0, 1.5, (Guide(2.0, True), Guide(1.0, True), Guide(4.0), Guide(1.0, shortest=True))),
-    (1.0, 1.2, (Guide(2.0, True), Guide(1.0, True), Guide(8.0), Guide(2.0), Guide(1.0))),
-    (1.0, 1.0, (Guide(1.0, True), Guide(1.0))),
-    (0.5, 1.0, (Guide(1.0, True), Guide(1.0))),
-)
-"""Searches that follow, round by round: scale of the lattice, weight, and guides.
-
-No one guidance is best: a penalty that spares one problem its blind alleys hides from another the
-gap it should have taken.
-"""
 
 HASTE = 0.25
 """Time below which the first round is left out [s]."""
@@ -195,7 +173,7 @@ def plan(
     # what the tables made of the cost of a known path is not what the models make of it
     path = with_wide_arcs(query, min([path, *known], key=query.value))
     if stops:
-        path = least_driven(query, path, work.portfolio.others, work.to_go, whole)
+        path = least_driven(query, path, work.portfolio.others, work.field(1.0), whole)
     return Candidate(path, query.potential(problem.goal) + work.bound, first)
 
 
@@ -326,14 +304,14 @@ class _Improvement:
         plain = Ends(self.query)
         for ends in ways_out(self.query, self.budget.part(ESCAPE_SHARE)):
             self._move_ends(ends)
-            if not ends.eased or reached(self._field(PENALTY), ends.between(self.setting)):
+            if not ends.eased or reached(self.field(PENALTY), ends.between(self.setting)):
                 break
         else:
             self._move_ends(plain)
         if np.isfinite(self.cost):
             return
         if not self.ends.eased:
-            check_configurations(self.query, self._field(PENALTY))
+            check_configurations(self.query, self.field(PENALTY))
         turn = FIRST_TURN
         waiting = [(self.ends, 2.0**-k) for k in range(MOST_LATTICES) if 2.0**-k >= finest]
         if self.ends.eased:
@@ -346,7 +324,7 @@ class _Improvement:
                 ends, scale = waiting.pop(0)
                 setting = ends.between(self.setting)
                 own = ends is self.ends
-                to_go = self._field(PENALTY) if own else distance_to_go(setting, PENALTY)
+                to_go = self.field(PENALTY) if own else distance_to_go(setting, PENALTY)
                 lattice = lattice_for(self.setting, scale)
                 every.append(Attempt(ends, scale, Search(setting, to_go, lattice, FIRST_WEIGHT)))
                 open_ones.append(every[-1])
@@ -428,16 +406,11 @@ class _Improvement:
         if self.setting.hills.bins == 1:
             return
         for penalty in (1.0, PENALTY):
-            way = way_along(self.ends.between(self.setting), self._field(penalty))
+            way = way_along(self.ends.between(self.setting), self.field(penalty))
             if way is not None:
                 self.portfolio.enter(self.ends.whole(way))
 
-    @property
-    def to_go(self) -> DistanceToGo:
-        """Distance to go."""
-        return self._field(1.0)
-
-    def _field(self, penalty: float) -> DistanceToGo:
+    def field(self, penalty: float) -> DistanceToGo:
         """Return the distance to go, with tight places counted longer."""
         self._distances({penalty}, self.budget)
         return self.fields[penalty]
@@ -456,7 +429,7 @@ class _Improvement:
 
     def _search(self, scale: float, weight: float, guide: Guide) -> Search:
         """Return a search that has yet to begin."""
-        field = self._field(guide.penalty)
+        field = self.field(guide.penalty)
         setting = self.setting
         if guide.shortest:
             setting = CompiledProblem(self.query.problem.shortest).setting

@@ -54,7 +54,7 @@ def stops_count(query: CompiledProblem) -> bool:
     """
     problem = query.problem
     weights = {name for name, weight in problem.weights.items() if weight > 0}
-    if problem.cost.speed is None or weights != {"energy"}:
+    if problem.cost.speed is None or weights != {"energy"} or problem.softened:
         return False
     found = counted(problem.cost, problem.surfaces)
     models = [found.model]
