@@ -320,6 +320,14 @@ class Drive:
             out[part.which] = part.model.power(part.motion)
         return out
 
+    def _rounding(self, pieces: Pieces, scale: float) -> float:
+        """Return what rounding may leave of the power [W]: its terms may be in balance."""
+        most = 0.0
+        for part in self.parts(pieces, scale):
+            terms = part.model.breakdown(part.motion).values()
+            most = max(most, float(np.max(sum(np.abs(term) for term in terms))))
+        return 4.0 * float(np.finfo(float).eps) * most
+
     def refined(
         self, pieces: Pieces, power: FloatArray, scale: float = 1.0
     ) -> Iterator[tuple[Pieces, FloatArray]]:
@@ -343,7 +351,8 @@ class Drive:
         yield pieces.take(~bent), mean[~bent]
         pieces, mean = pieces.take(bent), mean[bent]
         share = pieces.end - pieces.begin
-        for _ in range(HALVINGS):
+        rounding = 0.0
+        for k in range(HALVINGS):
             if not len(pieces.interval):
                 return
             halves = pieces.halved()
@@ -351,6 +360,9 @@ class Drive:
             # The tolerance is one of energy: a piece that was halved often may err more.
             error = np.abs(0.5 * finer.reshape(-1, 2).sum(axis=1) - mean) / 15
             open_ = error * (pieces.end - pieces.begin) / share > enough
+            if k == 0 and open_.any():
+                rounding = self._rounding(halves, scale)
+            open_ &= error > rounding
             again = np.repeat(open_, 2)
             yield halves.take(~again), finer[~again]
             pieces, mean, share = halves.take(again), finer[again], np.repeat(share[open_], 2)
