@@ -121,6 +121,8 @@ def _problem(
     from energyplan.io.maps import read_costmap, read_map
     from energyplan.planning import PlanningProblem
 
+    if (costmap is None) != (costmap_weight == 0.0):
+        raise InvalidInputError("--costmap and --costmap-weight go together; give both or neither")
     ends = parse_pose(start), parse_pose(goal)
     ground = _ground(model, surfaces, heights, battery, speed, tolerance)
     grid = read_map(map_file)

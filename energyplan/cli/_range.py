@@ -38,8 +38,9 @@ def reach(
         typer.Option(help="Battery whose charge is the energy: the name of a preset."),
     ] = None,
     soc: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="State of charge of that battery.")
-    ] = 1.0,
+        float | None,
+        typer.Option(min=0.0, max=1.0, help="State of charge of that battery; full if left out."),
+    ] = None,
     confidence: Annotated[
         float | None,
         typer.Option(help="Probability that a place told to be in reach is, such as 0.95."),
@@ -99,6 +100,10 @@ def reach(
 
     if pack and energy is not None:
         raise InvalidInputError("--pack and --energy both tell what there is; give one of them")
+    if soc is not None and pack is None:
+        raise InvalidInputError("--soc is the charge of a battery; give --pack, or leave it out")
+    if spread > 0 and confidence is None:
+        raise InvalidInputError("--coefficient-spread counts with --confidence alone; give both")
     pose = parse_pose(start)
     # what a battery delivers is counted at the battery
     cost = EnergyCost(read_model(model), battery=battery or pack is not None)
@@ -109,7 +114,9 @@ def reach(
     home = parse_pose(charger) if charger else pose
     if pack:
         # at the power of the dearest motion, at which a battery delivers least
-        energy = float(Battery.preset(pack).usable_energy(most_power(cost), soc))
+        energy = float(
+            Battery.preset(pack).usable_energy(most_power(cost), 1.0 if soc is None else soc)
+        )
     usable = np.inf if energy is None else (1.0 - reserve) * energy
     with progress("searching"):
         found = energy_map(

@@ -19,6 +19,7 @@ from energyplan import steering
 from energyplan.errors import (
     EnergyPlanError,
     GoalInCollisionError,
+    InvalidInputError,
     NoPathError,
     OutsideMapError,
     StartInCollisionError,
@@ -26,7 +27,7 @@ from energyplan.errors import (
 )
 from energyplan.path import Path, Pose, wrap_angle
 from energyplan.planning.budget import Budget
-from energyplan.planning.contract import check_path, priced_plan
+from energyplan.planning.contract import ARRIVED, check_path, priced_plan
 from energyplan.planning.lattice import planner as lattice
 from energyplan.planning.problem import Plan, PlanningProblem, as_pose
 from energyplan.planning.ready import compiled as compile_kernels
@@ -203,6 +204,8 @@ def replan(
 
     Raises
     ------
+    InvalidInputError
+        If the former plan leads elsewhere than to the problem's goal.
     StartInCollisionError, GoalInCollisionError, OutsideMapError, NoPathError, TimeLimitError
         As for `plan`.
 
@@ -220,6 +223,7 @@ def replan(
     >>> replan(problem, former, start=(4, 5, 0), map=closed, effort=1000).energy > 820
     True
     """
+    _check_answers(former, problem)
     budget = Budget(time_limit, effort=effort)
     here = as_pose(start, "start")
     now = replace(problem, start=here, map=problem.map if map is None else map)
@@ -254,6 +258,16 @@ def replan(
         query, found.path, bound, "lattice", planning_time=budget.elapsed,
         first_time=found.first_time, effort=budget.spent,
     )  # fmt: skip
+
+
+def _check_answers(former: Plan, problem: PlanningProblem) -> None:
+    end, goal = former.path.end, problem.goal
+    off = np.array([end.x - goal.x, end.y - goal.y, float(wrap_angle(end.yaw - goal.yaw))])
+    if not np.abs(off).max() <= ARRIVED:
+        raise InvalidInputError(
+            f"the former plan leads to ({end.x:.2f}, {end.y:.2f}), the problem to ({goal.x:.2f}, "
+            f"{goal.y:.2f}); give the problem that it answers, or plan anew"
+        )
 
 
 def _only_added(before: PlanningProblem, now: PlanningProblem) -> bool:

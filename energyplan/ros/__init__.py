@@ -8,11 +8,13 @@ while driving.
 """
 
 from energyplan.ros.messages import (
+    costs_from_message,
     footprint_from_message,
     grid_from_message,
     path_to_message,
     pose_from_message,
     pose_from_transform,
+    updated_grid,
 )
 from energyplan.ros.nav2 import (
     Answer,
@@ -38,6 +40,7 @@ __all__ = [
     "ThroughPosesError",
     "ToPoseError",
     "answer",
+    "costs_from_message",
     "diagnostics_message",
     "error_code",
     "fill_result",
@@ -50,5 +53,6 @@ __all__ = [
     "pose_from_message",
     "pose_from_transform",
     "request_to_problems",
+    "updated_grid",
     "write_recording",
 ]

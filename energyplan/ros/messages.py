@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from energyplan.errors import FrameError, InvalidInputError, MessageError
 from energyplan.path import FloatArray, Path, Pose
-from energyplan.terrain import OccupancyGrid
+from energyplan.terrain import CostMap, OccupancyGrid
 from energyplan.vehicle import Vehicle
 
 Factory = Callable[[str], Callable[..., Any]]
@@ -162,10 +163,93 @@ def grid_from_message(
     MapError
         If the map has too many cells or no sensible resolution.
     """
+    cells = _cells(message, occupied_from)
+    place = _placed(message)
+    return OccupancyGrid(
+        occupied=cells.occupied,
+        resolution=place.resolution,
+        origin=place.origin,
+        unknown=cells.unknown,
+        unknown_is_free=unknown_is_free,
+    )
+
+
+def updated_grid(
+    grid: OccupancyGrid, message: Any, *, occupied_from: int | None = None
+) -> OccupancyGrid:
+    """Return a map with the patch of a map_msgs/OccupancyGridUpdate; see `OccupancyGrid.updated`.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        The map before.
+    message : object
+        The message: `x` and `y` are the column and the row of its first cell.
+    occupied_from : int, optional
+        As for `grid_from_message`.
+
+    Returns
+    -------
+    OccupancyGrid
+        The map now.
+
+    Raises
+    ------
+    MessageError
+        As for `grid_from_message`.
+    MapError
+        If the patch does not lie on the map.
+    """
+    cells = _cells(message, occupied_from)
+    column, row = _numbers(message, "x", "y")
+    return grid.updated(cells.occupied, int(row), int(column), cells.unknown)
+
+
+def costs_from_message(message: Any) -> CostMap:
+    """Return the soft costs of a nav2_msgs/Costmap, or of a costmap as nav_msgs/OccupancyGrid.
+
+    Parameters
+    ----------
+    message : object
+        The message. Costs count from 0 to 254 in a Costmap, to 100 in an OccupancyGrid; what is
+        unknown costs nothing.
+
+    Returns
+    -------
+    CostMap
+        The costs from 0 to 1, for `PlanningProblem`.
+
+    Raises
+    ------
+    MessageError
+        As for `grid_from_message`.
+    """
+    cells, place = _cells(message, None), _placed(message)
+    most = LETHAL if hasattr(message, "metadata") else 100
+    costs = np.where(cells.unknown, 0.0, cells.values / most)
+    return CostMap(costs, place.resolution, place.origin)
+
+
+class _Cells(NamedTuple):
+    """Cells of a message, shape (rows, columns)."""
+
+    values: NDArray[np.int_]
+    occupied: NDArray[np.bool_]
+    unknown: NDArray[np.bool_]
+
+
+class _Place(NamedTuple):
+    """Where the cells of a message lie."""
+
+    resolution: float
+    origin: Pose
+
+
+def _cells(message: Any, occupied_from: int | None) -> _Cells:
     costs = hasattr(message, "metadata")
-    info = field(message, "metadata" if costs else "info")
+    # an update says itself how large it is
+    info = message if hasattr(message, "width") else field(message, "metadata" if costs else "info")
     width, height = _numbers(info, *(("size_x", "size_y") if costs else ("width", "height")))
-    (resolution,) = _numbers(info, "resolution")
     lowest, unknown_value, highest = (0, NO_INFORMATION, 255) if costs else (-1, -1, 100)
     least = occupied_from
     if least is None:
@@ -192,19 +276,19 @@ def grid_from_message(
         raise MessageError(
             f"data[{k}] is {int(data[k])}; give {lowest} to {highest}, {unknown_value} for unknown"
         )
+    cells = data.reshape(int(height), int(width))
+    unknown = cells == unknown_value
+    return _Cells(cells.astype(int), (cells >= least) & ~unknown, unknown)
+
+
+def _placed(message: Any) -> _Place:
+    info = field(message, "metadata" if hasattr(message, "metadata") else "info")
+    (resolution,) = _numbers(info, "resolution")
     quaternion = _rotation(info, "origin.orientation")
     if 2.0 * (quaternion[0] ** 2 + quaternion[1] ** 2) > _TILT:
         raise MessageError("the map's origin is tilted; give one that turns about z alone")
     x, y = _numbers(info, "origin.position.x", "origin.position.y")
-    cells = data.reshape(int(height), int(width))
-    unknown = cells == unknown_value
-    return OccupancyGrid(
-        occupied=(cells >= least) & ~unknown,
-        resolution=float(resolution),
-        origin=Pose(float(x), float(y), _yaw(quaternion)),
-        unknown=unknown,
-        unknown_is_free=unknown_is_free,
-    )
+    return _Place(float(resolution), Pose(float(x), float(y), _yaw(quaternion)))
 
 
 def footprint_from_message(message: Any, vehicle: Vehicle, frame: str | None = None) -> Vehicle:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import energyplan as ep
 from energyplan import cli, simulate
@@ -20,6 +21,7 @@ from energyplan.io.maps import write_map
 from energyplan.io.trajectory import write_log, write_trajectory
 from energyplan.path import Trajectory
 from energyplan.power import HOTEL, PowerModel
+from energyplan.studies.doubt import most_power
 
 Run = Callable[..., "Result"]
 MODEL = PowerModel.preset("quadriga:full:marble")
@@ -298,6 +300,45 @@ def test_range_tells_how_far_an_energy_leads(run: Run, tmp_path: Path) -> None:
     assert refused.code == 2
     assert "the energy is -3.0 J; give a positive number" in refused.err
     assert_refused(run(*options, "--out", tmp_path / "range.tif"), ".asc")
+
+
+def test_range_tells_what_is_in_reach_with_a_probability(run: Run, tmp_path: Path) -> None:
+    options = ("range", "--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
+               "--from", "1.2,2,90deg", "--json")  # fmt: skip
+    expected = run(*options, "--energy", 1500)
+    sure = run(*options, "--energy", 1500, "--confidence", 0.95, "--coefficient-spread", 0.1)
+    assert (expected.json["confidence"], sure.json["confidence"]) == (None, 0.95)
+    assert sure.json["area"] < expected.json["area"]
+    charged = run(*options, "--pack", "quadriga", "--soc", 0.0015, "--reserve", 0.5)
+    power = ep.EnergyCost(PowerModel.preset("quadriga:empty:concrete"), battery=True)
+    usable = 0.5 * ep.Battery.preset("quadriga").usable_energy(most_power(power), 0.0015)
+    told = charged.json["contours"]
+    assert (told[-1]["energy"] if told else 0.0) == pytest.approx(float(usable))
+    assert_refused(run(*options, "--confidence", 0.95), "coefficient spread")
+    assert_refused(run(*options, "--soc", 0.5), "--pack")
+    assert_refused(run(*options, "--coefficient-spread", 0.1), "--confidence")
+    assert_refused(run(*options, "--pack", "quadriga", "--energy", 5), "one of them")
+
+
+def test_plan_counts_a_costmap_beside_the_energy(run: Run, tmp_path: Path) -> None:
+    write_map(ep.OccupancyGrid(np.zeros((60, 120), bool), 0.1), tmp_path / "hall.yaml")
+    costs = np.zeros((60, 120), np.uint8)
+    costs[25:40, 50:70] = 100
+    Image.fromarray(costs[::-1]).save(tmp_path / "costs.pgm")
+    header = "image: costs.pgm\nmode: raw\nresolution: 0.1\norigin: [0, 0, 0]\n"
+    (tmp_path / "costs.yaml").write_text(header)
+    options = ("plan", "--map", tmp_path / "hall.yaml", "--model", "quadriga:empty:concrete",
+               "--start", "2,3,0", "--goal", "10,3,0", "--effort", 5000, "--json")  # fmt: skip
+    layer = ("--costmap", tmp_path / "costs.yaml")
+    plain, soft = run(*options), run(*options, *layer, "--costmap-weight", 1000)
+    assert plain.json["soft_cost"] == 0
+    assert plain.json["cost"] == plain.json["energy"]
+    assert soft.json["energy"] > plain.json["energy"]
+    told = soft.json["energy"] + soft.json["soft_cost"]
+    assert soft.json["cost"] == pytest.approx(told)
+    assert soft.json["cost"] < plain.json["energy"] + 2000
+    assert_refused(run(*options, *layer), "--costmap-weight")
+    assert_refused(run(*options, "--costmap-weight", 5), "--costmap")
 
 
 def test_plan_keeps_a_clearance_and_out_of_a_mask(run: Run, tmp_path: Path) -> None:

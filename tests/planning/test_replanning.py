@@ -9,7 +9,7 @@ import pytest
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
-from energyplan.errors import NoPathError, StartInCollisionError
+from energyplan.errors import InvalidInputError, NoPathError, StartInCollisionError
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.replanning import remainder, replan
 from energyplan.power import PowerModel
@@ -142,6 +142,12 @@ def test_a_robot_in_an_obstacle_is_told_so(door):
     problem, former = door
     with pytest.raises(StartInCollisionError):
         replan(problem, former, start=(5.1, 4.0, 0.0))
+
+
+def test_a_plan_to_elsewhere_is_refused(door):
+    problem, former = door
+    with pytest.raises(InvalidInputError, match="plan anew"):
+        replan(replace(problem, goal=(8.0, 2.0, 0.0)), former, start=(2, 2, 0))
 
 
 def test_the_same_comes_of_it_every_time(door):

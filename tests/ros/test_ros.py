@@ -541,3 +541,28 @@ def test_a_plan_is_recorded_with_its_map(tmp_path: Path) -> None:
     ros.write_recording({"/plan": path}, file, grid)
     assert file.read_bytes() == first
     assert list(tmp_path.iterdir()) == [file]
+
+
+def test_an_update_goes_into_the_map(jazzy: Wire) -> None:
+    grid = ros.grid_from_message(jazzy.map(HALL))
+    grid.space  # noqa: B018  what is made of it is kept
+    patch = SimpleNamespace(
+        header=jazzy.header(), x=10, y=20, width=3, height=2,
+        data=np.array([0, 100, -1, 65, 64, 0], np.int8),
+    )  # fmt: skip
+    now = ros.updated_grid(grid, patch)
+    np.testing.assert_array_equal(now.occupied[20:22, 10:13], [[0, 1, 0], [1, 0, 0]])
+    assert now.unknown is not None
+    assert now.unknown.sum() == 1
+    assert now.unknown[20, 12]
+    assert (now.occupied != grid.occupied).sum() == 2
+    with pytest.raises(MapError, match="does not lie on the map"):
+        ros.updated_grid(grid, SimpleNamespace(**{**vars(patch), "x": 78}))
+    with pytest.raises(MessageError, match="data has 6"):
+        ros.updated_grid(grid, SimpleNamespace(**{**vars(patch), "width": 4}))
+
+
+def test_costs_of_a_costmap_become_soft_costs(jazzy: Wire) -> None:
+    soft = ros.costs_from_message(jazzy.map([[0, 50, -1], [100, 25, 0]], (1.0, 2.0, 0.5)))
+    np.testing.assert_allclose(soft.costs, [[0, 0.5, 0], [1, 0.25, 0]])
+    np.testing.assert_allclose(soft.origin, (1.0, 2.0, 0.5), atol=1e-12)
