@@ -18,7 +18,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from energyplan.diagnosis.columns import columns_of
-from energyplan.diagnosis.linear import is_lossy, linearise
+from energyplan.diagnosis.linear import is_lossy, linearise_drive
 from energyplan.diagnosis.windows import SCALES, Design, Drive, window_means
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, Term
@@ -336,7 +336,7 @@ class Problem:
         columns, targets = [], []
         for drive in self.drives:
             if is_lossy(drive, terms):
-                about = linearise(drive, self.vehicle, terms, values)
+                about = linearise_drive(drive, self.vehicle, terms, values)
                 columns.append(about.columns)
                 targets.append(drive.measured - about.power + about.columns @ values)
             else:
@@ -432,7 +432,7 @@ class Problem:
             if values is not None and is_lossy(drive, terms):
                 whole = np.append(values, np.zeros(len(extra)))
                 wanted = range(len(terms), len(whole))
-                about = linearise(drive, self.vehicle, [*terms, *extra], whole, wanted)
+                about = linearise_drive(drive, self.vehicle, [*terms, *extra], whole, wanted)
                 columns.append(about.columns)
             else:
                 found = np.stack([columns_of(t, drive, self.vehicle) for t in extra], axis=-1)

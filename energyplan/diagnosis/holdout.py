@@ -9,7 +9,7 @@ import numpy as np
 
 from energyplan.diagnosis.change_points import settle_change
 from energyplan.diagnosis.fitting import Part
-from energyplan.diagnosis.linear import linearise
+from energyplan.diagnosis.linear import linearise_drive
 from energyplan.diagnosis.windows import BLOCK, Drive
 from energyplan.fit.covariance import correlation_time
 from energyplan.path import FloatArray
@@ -46,7 +46,7 @@ def power_of(model: PowerModel, drive: Drive) -> FloatArray:
 
 def equations_of(model: PowerModel, drive: Drive) -> FloatArray:
     """Return the power of a drive by a model in each equation, as the log shows it [W]."""
-    return linearise(drive, model.vehicle, model.terms, model.coefficients, ()).power
+    return linearise_drive(drive, model.vehicle, model.terms, model.coefficients, ()).power
 
 
 @dataclass(frozen=True)

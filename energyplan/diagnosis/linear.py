@@ -47,7 +47,7 @@ def is_lossy(drive: Drive, terms: Sequence[Term]) -> bool:
     return drive.battery or any(term.kind == "loss" for term in terms)
 
 
-def linearise(
+def linearise_drive(
     drive: Drive,
     vehicle: Vehicle,
     terms: Sequence[Term],

@@ -15,7 +15,7 @@ from energyplan.errors import InvalidInputError, ModelError, NotIdentifiableErro
 from energyplan.fit.covariance import autocorrelation, correlation_time
 from energyplan.fit.icr import ICREstimate, fit_icr, icr_from_spin, turned, yaw_channel
 from energyplan.fit.identifiability import check_identifiable, linearise, signal_motion
-from energyplan.fit.regression import Method, Problem, pieces_of
+from energyplan.fit.regression import Method, PowerRegression, pieces_of
 from energyplan.fit.solvers import Bounds
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
@@ -220,7 +220,7 @@ def identify(
     if linear:
         first = PowerModel(vehicle, tuple(linear), np.zeros(len(linear)))
         doubts = check_identifiable(first, _stacked(first, clean, drives))
-    problem = Problem(drives, model)
+    problem = PowerRegression(drives, model)
     model = problem.solve(method, bounds)
     if len(linear) < len(terms):
         doubts = check_identifiable(model, _stacked(model, clean, drives))
@@ -263,7 +263,7 @@ def fit_residual(model: PowerModel, logs: DriveLog | Sequence[DriveLog]) -> Resi
         If there are no logs.
     """
     drives = _drives(logs)
-    return _statistics(Problem(drives, model).residual(model), drives)
+    return _statistics(PowerRegression(drives, model).residual(model), drives)
 
 
 # -- parts --------------------------------------------------------------------------------------

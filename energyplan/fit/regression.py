@@ -76,7 +76,7 @@ def kept_pieces(pieces: Sequence[slice], kept: NDArray[np.bool_]) -> list[slice]
     return [slice(a, b) for a, b in pairwise(bounds)]
 
 
-class Problem:
+class PowerRegression:
     """Measured power and the predictions to fit to it, all logs one below the other."""
 
     def __init__(self, drives: Sequence[DriveLog], model: PowerModel) -> None:

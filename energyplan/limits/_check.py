@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from energyplan.limits.drive import Drive, Pieces
-from energyplan.limits.motor import ROUNDING, Bound, Limits
+from energyplan.limits.motor import ROUNDING, Limit, Limits
 from energyplan.limits.motor_kernels import intervals, window_mean
 from energyplan.path import FloatArray
 
@@ -16,7 +16,7 @@ from energyplan.path import FloatArray
 class Excess(NamedTuple):
     """An interval in which a bound is exceeded."""
 
-    bound: Bound
+    bound: Limit
     start: float
     end: float
     peak: float
@@ -25,7 +25,7 @@ class Excess(NamedTuple):
 class Peak(NamedTuple):
     """Where a bound is used most: time, value, and value over limit."""
 
-    bound: Bound
+    bound: Limit
     t: float
     value: float
     use: float
@@ -64,11 +64,11 @@ class LimitedDrive:
     limits: Limits
 
     @property
-    def rated(self) -> list[Bound]:
+    def rated(self) -> list[Limit]:
         """The bounds that need more than one instant: acceleration and continuous power."""
         motor = self.limits.motor
         bounds = (
-            Bound(kind, side, limit)
+            Limit(kind, side, limit)
             for kind, limit in (
                 ("acceleration", motor.acceleration),
                 ("continuous_power", motor.continuous_power),
@@ -154,7 +154,7 @@ class _Watch:
         self.excesses: list[Excess] = []
         self._latest: dict[tuple[str, str], int] = {}
 
-    def see(self, bound: Bound, t: FloatArray, value: FloatArray) -> None:
+    def see(self, bound: Limit, t: FloatArray, value: FloatArray) -> None:
         key = bound.kind, bound.side
         k = int(np.argmax(value))
         top = float(value[k])

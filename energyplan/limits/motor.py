@@ -39,7 +39,7 @@ UNITS = {
 """Every kind of limit, with its unit."""
 
 
-class Bound(NamedTuple):
+class Limit(NamedTuple):
     """One limit of one side: what `Limits.loads` compares with."""
 
     kind: str
@@ -112,11 +112,11 @@ class Limits:
         return replace(self, motor=replace(self.motor, continuous_power=power, peak_power=power))
 
     @cached_property
-    def bounds(self) -> tuple[Bound, ...]:
+    def bounds(self) -> tuple[Limit, ...]:
         """Every finite limit, in the order of `loads`."""
         motor = self.motor
         both = [
-            Bound(kind, side, limit)
+            Limit(kind, side, limit)
             for kind, limit in (
                 ("peak_power", motor.peak_power),
                 ("regeneration", motor.regeneration),
@@ -126,10 +126,10 @@ class Limits:
             for side in ("left", "right")
         ]
         whole = [
-            Bound("yaw_rate", "both", self.yaw_rate),
-            Bound("lateral_acceleration", "both", self.lateral_acceleration),
-            Bound("battery_power", "both", self.battery_power),
-            Bound("battery_return", "both", self.battery_return),
+            Limit("yaw_rate", "both", self.yaw_rate),
+            Limit("lateral_acceleration", "both", self.lateral_acceleration),
+            Limit("battery_power", "both", self.battery_power),
+            Limit("battery_return", "both", self.battery_return),
         ]
         return tuple(bound for bound in both + whole if np.isfinite(bound.limit))
 

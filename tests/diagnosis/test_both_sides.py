@@ -11,7 +11,7 @@ import pytest
 from energyplan import DriveLog, diagnose, simulate
 from energyplan.diagnosis.breakaway import with_breakaway
 from energyplan.diagnosis.fitting import Problem, fit
-from energyplan.diagnosis.linear import linearise
+from energyplan.diagnosis.linear import linearise_drive
 from energyplan.diagnosis.windows import Drive, prepared
 from energyplan.motion import Motion
 from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS, SLIP, TRACTION, PowerModel
@@ -192,11 +192,11 @@ def test_sensors_that_show_no_return_do_not_speak_for_their_sides() -> None:
 def test_the_moment_between_the_sides_is_read_off_their_difference() -> None:
     log = _tracked(LOSSY, 7)
     drive = replace(Drive.of(log, LOSSY.vehicle), breakaway=0.02)
-    about = linearise(drive, LOSSY.vehicle, LOSSY.terms, LOSSY.coefficients)
+    about = linearise_drive(drive, LOSSY.vehicle, LOSSY.terms, LOSSY.coefficients)
     late = drive.t > 155.0
     residual = (drive.measured - about.power)[late, 0]
     assert np.sqrt(np.mean(residual**2)) < 12.0  # 4 W are noise
-    plain = linearise(
+    plain = linearise_drive(
         Drive.of(DriveLog(_summed(log), "sum"), LOSSY.vehicle),
         LOSSY.vehicle, LOSSY.terms, LOSSY.coefficients,
     )  # fmt: skip

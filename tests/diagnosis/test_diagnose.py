@@ -17,7 +17,7 @@ from energyplan.diagnosis import Dependence, Diagnosis, residual
 from energyplan.diagnosis import windows as _design
 from energyplan.diagnosis.denoise import quiet, speed_noise
 from energyplan.diagnosis.fitting import Fit, Problem, fit, solve, weighted
-from energyplan.diagnosis.linear import linearise
+from energyplan.diagnosis.linear import linearise_drive
 from energyplan.diagnosis.mass_centre import find_mass_centre, twist
 from energyplan.diagnosis.residual import dependences, in_words
 from energyplan.diagnosis.window_kernels import block_grams, block_grams_reference
@@ -481,7 +481,7 @@ def test_losses_linearise_as_the_model_itself_does() -> None:
     terms = (SLIP, TRACTION, HOTEL, COPPER_LOSS, LINEAR_INERTIA)
     values = np.array([0.6, 110.0, 20.0, 3e-4, 150.0])
     drive = _problem(duration=120.0).of_totals.drives[0]
-    about = linearise(drive, VEHICLE, terms, values)
+    about = linearise_drive(drive, VEHICLE, terms, values)
     reference = reference_linearise(PowerModel(VEHICLE, terms, values), drive.motion)
     assert about.power[:, 0] == pytest.approx(reference.power, rel=1e-9, abs=1e-9)
     assert about.columns[:, 0] == pytest.approx(reference.jacobian, rel=1e-4, abs=1e-3)

@@ -318,7 +318,7 @@ def test_energy_against_time_where_the_way_down_pays_for_itself():
         HALL, EnergyCost(MODEL.with_term(VISCOUS_LOSS, 80.0)), (2, 6, 0), (14, 6, 0),
         heights=plane(-0.4, 0.0),
     )  # fmt: skip
-    front = pareto(problem, effort=15_000)
+    front = pareto(problem, effort=6_000)
     assert len(front.points) > 2
     assert np.all(np.diff(front.energy) > 0)
     assert front.energy[0] < 0
