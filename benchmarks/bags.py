@@ -92,7 +92,7 @@ def read(bag: Path) -> None:
 
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     start = time.perf_counter()
-    log = read_log(bag)
+    log = read_log(bag, topics="husky")
     seconds = time.perf_counter() - start
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     print(len(log), seconds, peak / 1024, (peak - before) / 1024)

@@ -403,22 +403,17 @@ def read_logs(
     """Read drive logs; of bags the vehicle tells the topic map where none is given."""
     from energyplan.io.bags import is_bag
     from energyplan.io.logs import read_log
+    from energyplan.io.topics import topic_map_of
 
     bags = [path for path in paths if is_bag(path)]
-    chosen = topics or _ROBOTS.get(vehicle.partition(":")[0])
+    chosen = topics or topic_map_of(vehicle)
     if bags and chosen is None:
         raise InvalidInputError(
             f"{bags[0]}: which topics and what wheel radius serve is not known: give --topics, or "
             f"a project that energyplan start {bags[0]} --out PROJECT.yaml makes"
         )
     with progress("reading") as update:
-        return [
-            read_log(path, columns, topics=chosen or "husky", progress=update) for path in paths
-        ]
-
-
-_ROBOTS = {"husky_a200": "husky", "jackal": "jackal", "warthog": "warthog"}
-"""Topic maps, and so wheel radii, of the vehicles that are ready made."""
+        return [read_log(path, columns, topics=chosen, progress=update) for path in paths]
 
 
 def contradictions(logs: list[DriveLog], vehicle: Vehicle) -> list[str]:

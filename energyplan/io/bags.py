@@ -18,7 +18,7 @@ from energyplan.errors import DriveLogError, EnergyPlanError, MissingDependencyE
 from energyplan.io._align import Series, align
 from energyplan.io._unpack import bound_unpacking
 from energyplan.io.files import is_file
-from energyplan.io.topics import TopicMap, TopicSource
+from energyplan.io.topics import TOPIC_MAPS, TopicMap, TopicSource
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import SetAside
 
@@ -128,7 +128,7 @@ def bag_info(path: str | Path) -> BagInfo:
 
 def read_bag(
     path: str | Path,
-    topics: TopicMap | str | Path = "husky",
+    topics: TopicMap | str | Path | None = None,
     *,
     progress: Callable[[float], None] | None = None,
 ) -> DriveLog:
@@ -144,7 +144,7 @@ def read_bag(
         A ``.bag`` or ``.mcap`` file, or a ROS 2 bag's folder.
     topics : TopicMap, str or Path
         Which field serves as which channel: a map, a ready-made one (``husky``, ``jackal``,
-        ``warthog``) or a YAML file.
+        ``warthog``) or a YAML file. There is no default: a map holds the radius of the wheels.
     progress : callable, optional
         Called with the fraction of the bag that is read.
 
@@ -157,14 +157,21 @@ def read_bag(
     Raises
     ------
     DriveLogError
-        If the bag is unsound, or lacks what a log needs; the message lists its topics.
+        If the bag is unsound, or lacks what a log needs; the message lists its topics. If no topic
+        map is given.
     ConfigError
         If the topic map is malformed.
     MissingDependencyError
         If the package rosbags is missing.
     """
-    mapping = topics if isinstance(topics, TopicMap) else TopicMap.read(topics)
     file = Path(path)
+    if topics is None:
+        raise DriveLogError(
+            f"{file.name}: whose drive it is, and so the radius of the wheels, is not known; give "
+            f"topics={' or '.join(repr(name) for name in TOPIC_MAPS)}, or a topic map of your own: "
+            f"energyplan start {file.name} --wheel-radius M --out PROJECT.yaml writes one"
+        )
+    mapping = topics if isinstance(topics, TopicMap) else TopicMap.read(topics)
     with opened_bag(file) as reader:
         chosen = _choose(mapping, sorted(reader.topics))
         for channel in ("v_left", "v_right"):

@@ -73,7 +73,7 @@ def read_log(
     path: str | Path,
     columns: str | Mapping[str, str | Column] | None = None,
     *,
-    topics: TopicMap | str | Path = "husky",
+    topics: TopicMap | str | Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> DriveLog:
     """Read a drive log of any known kind.
@@ -86,8 +86,8 @@ def read_log(
     columns : str or mapping of str to str or Column, optional
         Which column serves as which channel, as for `DriveLog.read`, or a YAML file of them, such
         as a project's; a table is then read as is.
-    topics : TopicMap, str or Path
-        Which message field of a bag serves as which channel, as for `read_bag`.
+    topics : TopicMap, str or Path, optional
+        Which message field of a bag serves as which channel, as for `read_bag`; bags need it.
     progress : callable, optional
         Called with the fraction of a bag that is read.
 

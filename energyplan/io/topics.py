@@ -234,3 +234,10 @@ TOPIC_MAPS = {
     }.items()
 }
 """Ready-made topic maps of Clearpath robots, ROS 1 and ROS 2."""
+
+_PRESETS = {"husky_a200": "husky", "jackal": "jackal", "warthog": "warthog"}
+
+
+def topic_map_of(vehicle: str) -> str | None:
+    """Return the name of the ready-made topic map of a vehicle preset, if it has one."""
+    return _PRESETS.get(vehicle.partition(":")[0])

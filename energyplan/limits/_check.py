@@ -111,12 +111,14 @@ class LimitedDrive:
     def loads(self, pieces: Pieces, scale: float) -> PieceLoads:
         """Evaluate what pieces ask for, ground by ground; arrays of shape (m, 3)."""
         count = len(pieces.interval)
-        out = np.empty((3 + len(self.limits.bounds), count, 3))
+        out = np.empty((3 + len(self.limits.bounds), count, 3))  # for more than one ground
         for part in self.drive.parts(pieces, scale):
             found = self.limits.loads(part.model, part.motion)
             # A model of forces alone spends exactly its shaft power.
             lossless = all(term.kind == "force" for term in part.model.terms)
             power = found.left + found.right if lossless else part.model.power(part.motion)
+            if len(part.which) == count:
+                return PieceLoads(found.left, found.right, power, found.values)
             for row, value in zip(
                 out, (found.left, found.right, power, *found.values), strict=True
             ):

@@ -244,16 +244,24 @@ class Drive:
 
     def times(self, pieces: Pieces, scale: float = 1.0) -> FloatArray:
         """Return the times of begin, middle and end of pieces [s], shape (m, 3)."""
-        t = self.trajectory.t - self.trajectory.t[0]
-        first, last = t[pieces.interval, None], t[pieces.interval + 1, None]
-        parts = pieces.parts
+        t = self.trajectory.t
+        first = t[pieces.interval] - t[0]
+        last = t[pieces.interval + 1] - t[0]
+        step = last - first
+        out = np.empty((len(first), 3))
+        out[:, 0] = first + pieces.begin * step
+        out[:, 1] = first + 0.5 * (pieces.begin + pieces.end) * step
         # Exact at both ends, so that neighbours agree.
-        since = np.where(parts == 1.0, last, first + parts * (last - first))
-        return np.asarray(self.trajectory.t[0] + since / scale)
+        out[:, 2] = np.where(pieces.end == 1.0, last, first + pieces.end * step)
+        if scale != 1.0:
+            out /= scale
+        out += t[0]
+        return out
 
     def widths(self, pieces: Pieces, scale: float = 1.0) -> FloatArray:
         """Return how long pieces take [s], shape (m,)."""
-        step = np.diff(self.trajectory.t)[pieces.interval]
+        t = self.trajectory.t
+        step = t[pieces.interval + 1] - t[pieces.interval]
         return np.asarray((pieces.end - pieces.begin) * step / scale)
 
     def parts(self, pieces: Pieces, scale: float = 1.0) -> Iterator[Part]:

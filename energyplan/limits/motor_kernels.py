@@ -43,6 +43,10 @@ def cut_intervals(
                 if SHARE < part < 1.0 - SHARE:
                     cuts[count] = part
                     count += 1
+        if count == 0:
+            interval[total], begin[total], end[total] = k, 0.0, 1.0
+            total += 1
+            continue
         ordered = np.sort(cuts[:count])
         low = 0.0
         for j in range(count + 1):

@@ -34,7 +34,9 @@ from energyplan.fit import identify
 from energyplan.io.energy_map import contours_document
 from energyplan.io.logs import read_log
 from energyplan.io.mission import mission_from, read_mission
+from energyplan.io.topics import topic_map_of
 from energyplan.limits.feasibility import check
+from energyplan.logs import DriveLog
 from energyplan.mission import Mission, evaluate
 from energyplan.output import documents
 from energyplan.path import Pose, Trajectory
@@ -298,7 +300,7 @@ def create_app(
         """Find a robot's power parameters from its drive logs."""
 
         def work(job: Job) -> dict[str, Any]:
-            logs = [read_log(store.path(name)) for name in asked.logs]
+            logs = [_read_log(store.path(name), asked.vehicle) for name in asked.logs]
             job.say("identifying")
             return documents.identification(identify(logs, store.vehicle(asked.vehicle)))
 
@@ -309,8 +311,8 @@ def create_app(
         """Trace the residual of the power model to an effect."""
 
         def work(job: Job) -> dict[str, Any]:
-            logs = [read_log(store.path(name)) for name in asked.logs]
-            judging = [read_log(store.path(name)) for name in asked.holdout]
+            logs = [_read_log(store.path(name), asked.vehicle) for name in asked.logs]
+            judging = [_read_log(store.path(name), asked.vehicle) for name in asked.holdout]
             told = diagnose(
                 logs, holdout=judging, vehicle=store.vehicle(asked.vehicle),
                 progress=partial(_diagnosing, job),
@@ -325,6 +327,11 @@ def create_app(
 
 
 @lru_cache(maxsize=8)
+def _read_log(file: Path, vehicle: str) -> DriveLog:
+    """Read a drive log; of a bag the vehicle tells the topics and the radius of the wheels."""
+    return read_log(file, topics=topic_map_of(vehicle))
+
+
 def _masked(grid: OccupancyGrid, mask: OccupancyGrid) -> OccupancyGrid:
     """Return a map with a keep-out mask; the same object, with its tables, for the same two."""
     return grid.with_mask(mask)

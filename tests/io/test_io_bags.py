@@ -198,7 +198,7 @@ def test_a_drive_comes_back_from_every_kind_of_bag(bags, drive, kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_channel_says_where_it_came_from_and_how(bags, kind):
-    log = read_bag(bags[kind])
+    log = read_bag(bags[kind], "husky")
     told = {warning.split()[0]: warning for warning in log.warnings}
     assert "velocity[*left*], as logged" in told["v_left"]
     assert "angular_velocity.z, averaged from 100 Hz" in told["yaw_rate"]
@@ -218,7 +218,7 @@ def test_info_lists_topics_and_what_they_serve_for(bags, kind):
 
 def test_battery_currents_change_sign_and_namespaces_match(tmp_path, drive):
     bag = record(tmp_path, "ros2", drive, prefix="/a200_0000", power="battery")
-    log = read_log(bag)
+    log = read_log(bag, topics="husky")
     assert log.battery_side
     assert log.energy == pytest.approx(drive.energy, rel=5e-3)
 
@@ -261,7 +261,15 @@ def test_unknown_topic_maps_and_missing_topics_are_named(tmp_path, drive, bags):
         read_bag(bags["ros2"], "hsuky")
     bag = record(tmp_path, "mcap", drive.segment(0.0, 5.0), joints=False)
     with pytest.raises(DriveLogError, match=r"no topic serves as v_left.*imu/data"):
-        read_bag(bag)
+        read_bag(bag, "husky")
+
+
+def test_no_wheel_radius_is_assumed(bags):
+    for read in (read_bag, read_log):
+        with pytest.raises(
+            DriveLogError, match=r"radius of the wheels.*topics='husky' or 'jackal'"
+        ):
+            read(bags["ros2"])
 
 
 def test_fields_are_read_from_messages():
@@ -298,7 +306,7 @@ def test_damaged_bags_are_refused_with_their_name(tmp_path, bags, kind):
         file = tmp_path / f"spoiled_{k}{source.suffix}"
         file.write_bytes(spoiled)
         try:
-            log = read_bag(file)
+            log = read_bag(file, "husky")
         except EnergyPlanError as error:
             assert "spoiled" in str(error)
         else:
