@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from energyplan.errors import PathError
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 FloatArray = NDArray[np.float64]
 
 
 class Pose(NamedTuple):
-    """Position [m] and heading [rad, counter-clockwise from x] of the body frame."""
+    """Position [m] and heading [rad, counter-clockwise from x] of the body frame.
+
+    Examples
+    --------
+    >>> Pose(1.0, 2.0, 0.5).yaw
+    0.5
+    """
 
     x: float
     y: float
@@ -229,6 +238,12 @@ class Trajectory:
     PathError
         If shapes differ, a value is not finite, or time does not increase; the message names the
         sample.
+
+    Examples
+    --------
+    >>> drive = Trajectory([0, 2], x=[0, 1], y=[0, 0], yaw=[0, 0], v=[0.5, 0.5], omega=[0, 0])
+    >>> drive.duration, drive.scaled(2.0).duration
+    (2.0, 1.0)
     """
 
     t: FloatArray
@@ -264,6 +279,19 @@ class Trajectory:
     def poses(self) -> FloatArray:
         """Poses, shape (n, 3)."""
         return np.column_stack([self.x, self.y, self.yaw])
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the trajectory as a pandas DataFrame.
+
+        Returns
+        -------
+        DataFrame
+            Columns ``t``, ``x``, ``y``, ``yaw``, ``v``, ``omega``; ``Trajectory(**frame)`` makes
+            the trajectory again.
+        """
+        import pandas as pd
+
+        return pd.DataFrame({key: np.array(values) for key, values in vars(self).items()})
 
     def scaled(self, factor: float) -> Trajectory:
         """Return the same geometry driven `factor` times as fast."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from energyplan import html
 from energyplan.battery._kernel import Circuit, discharge
 from energyplan.battery._tables import CHEMISTRIES, PRESETS
 from energyplan.battery.model import BatteryModel, BatteryRun, BrownOut
@@ -158,6 +159,19 @@ class Battery:
             f"battery {self.name}: derating_temperature must ascend, with one positive "
             "derating_factor for each",
         )
+
+    def _repr_html_(self) -> str:
+        """Return capacity, energy and voltages as a table, for notebooks."""
+        rows = [
+            ("capacity when new [Ah]", self.capacity / 3600),
+            ("capacity now [Ah]", self.available_capacity / 3600),
+            ("energy when full [Wh]", self.full_energy / 3600),
+            ("voltage when full [V]", float(self.ocv(1.0))),
+            ("cut-off voltage [V]", self.cutoff_voltage),
+            ("temperature [degC]", self.temperature),
+            ("health [%]", 100 * self.health),
+        ]
+        return html.result(f"battery {self.name}", ("", ""), rows)
 
     # -- state ----------------------------------------------------------------------------------
 

@@ -217,6 +217,18 @@ class Diagnosis:
     after_undated : Residual or None
         Error of the extended model where the time of a change within a hold-out drive is not taken
         from that drive: the prediction in the narrow sense. None where there is no such time.
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> from energyplan.power import HOTEL
+    >>> truth = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> truth = truth.with_term(HOTEL, 40.0)
+    >>> drives = [ep.simulate.identification_drive(truth, power_noise=5.0, seed=1)]
+    >>> judged = [ep.simulate.validation_drive(truth, power_noise=5.0, seed=2)]
+    >>> found = ep.diagnose(drives, holdout=judged, vehicle=truth.vehicle)
+    >>> found.verdict, [effect.name for effect in found.effects]
+    ('effect_found', ['hotel_load'])
     """
 
     verdict: Verdict

@@ -188,6 +188,14 @@ def fit_icr(
     References
     ----------
     Morales et al. (2010), Eq. 1 and 5; docs/theory, section 1.
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> truth = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> found = fit_icr(ep.simulate.identification_drive(truth), truth.vehicle.icr)
+    >>> round(found.icr.slip_track, 3)
+    0.94
     """
     drives = [logs] if isinstance(logs, DriveLog) else list(logs)
     channel = yaw_channel(drives)
@@ -296,6 +304,14 @@ def icr_from_spin(
     References
     ----------
     Morales et al. (2010), Eq. 5.
+
+    Examples
+    --------
+    >>> from energyplan.logs import DriveLog
+    >>> spin = DriveLog({"t": [0.0, 5.0, 10.0], "v_left": [-0.5] * 3, "v_right": [0.5] * 3,
+    ...                  "power": [90.0] * 3})
+    >>> round(icr_from_spin(spin, angle=10.0).icr.left, 3)
+    0.5
     """
     channel = yaw_channel([log])
     if angle is None and channel is None:

@@ -54,6 +54,14 @@ class Identification:
         How many independent samples the autocorrelated residual is worth.
     warnings : tuple of str
         What the logs cannot tell, or hardly.
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> truth = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> found = ep.identify(ep.simulate.identification_drive(truth), truth.vehicle)
+    >>> round(found.model.coefficient("traction_resistance"), 1)
+    90.0
     """
 
     model: PowerModel
@@ -261,6 +269,13 @@ def fit_residual(model: PowerModel, logs: DriveLog | Sequence[DriveLog]) -> Resi
         If a term needs a channel that a log lacks.
     InvalidInputError
         If there are no logs.
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> truth = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> round(fit_residual(truth, ep.simulate.validation_drive(truth)).rmse, 6)
+    0.0
     """
     drives = _drives(logs)
     return _statistics(PowerRegression(drives, model).residual(model), drives)

@@ -159,6 +159,11 @@ def read_vehicle(source: str | Path) -> Vehicle:
         If there is neither such a preset nor such a file.
     ConfigError
         If the file is malformed; the message names file, line and key.
+
+    Examples
+    --------
+    >>> read_vehicle("husky_a200").name
+    'husky_a200'
     """
     if not _is_file(source):
         return Vehicle.preset(str(source))
@@ -190,6 +195,11 @@ def read_model(source: str | Path) -> PowerModel:
     ConfigError
         If the file is malformed or names a term that does not exist; the message names file, line
         and key.
+
+    Examples
+    --------
+    >>> read_model("quadriga:full:concrete").coefficient("traction_resistance")
+    118.0
     """
     if not _is_file(source):
         return PowerModel.preset(str(source))
@@ -262,6 +272,15 @@ def write_model(model: PowerModel, path: str | Path) -> Path:
         If a term is not known by its name, so that the file could not be read again.
     InvalidInputError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> model = PowerModel.preset("quadriga:full:concrete")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     again = read_model(write_model(model, Path(folder) / "model.yaml"))
+    >>> again.coefficient("slip_friction") == model.coefficient("slip_friction")
+    True
     """
     terms = []
     for item, value in zip(model.terms, model.coefficients, strict=True):

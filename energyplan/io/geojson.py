@@ -54,6 +54,12 @@ def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = No
     MapError
         If the file is missing or malformed, or a model is not known; the message names the
         feature.
+
+    Examples
+    --------
+    >>> from energyplan.io.bundled import bundled
+    >>> [surface.name for surface in read_surfaces(bundled("office_surfaces.geojson")).surfaces]
+    ['concrete', 'marble']
     """
     file = Path(path)
     _, features = read_features(file)

@@ -39,6 +39,17 @@ def read_heights(path: str | Path) -> HeightMap:
     MapError
         If the file is missing, malformed or too large, or has cells without data; the message
         names the place.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "ramp.asc"
+    ...     head = ("ncols 2", "nrows 2", "xllcorner 0", "yllcorner 0", "cellsize 1")
+    ...     _ = file.write_text(chr(10).join((*head, "0 1", "0 1")))
+    ...     ramp = read_heights(file)
+    >>> ramp.heights.shape
+    (2, 2)
     """
     file = Path(path)
     lines = read_bytes(file, MAX_FILE).splitlines()

@@ -77,6 +77,12 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
     ----------
     ROS wiki, map_server, "Map format" and "Value interpretation"; Sturtevant (2012), Benchmarks
     for grid-based pathfinding.
+
+    Examples
+    --------
+    >>> from energyplan.io.bundled import bundled
+    >>> read_map(bundled("office.yaml")).resolution
+    0.05
     """
     file = Path(path)
     if file.suffix == ".map":

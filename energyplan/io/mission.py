@@ -198,6 +198,12 @@ def read_mission(path: str | Path) -> Mission:
     MissionError
         If the file is malformed, or the mission makes no sense; the message names file, line and
         key.
+
+    Examples
+    --------
+    >>> from energyplan.io.bundled import bundled
+    >>> read_mission(bundled("mission_warehouse.yaml")).name
+    'warehouse cleaning'
     """
     return MissionReader(load(path, MissionError), Path(path).parent).mission()
 

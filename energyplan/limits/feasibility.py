@@ -100,6 +100,15 @@ class FeasibilityReport:
         The instant with the least margin relative to its limit; None if nothing is limited.
     energy : float
         Energy of the trajectory under the model [J].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> drive = ep.Trajectory([0, 2], x=[0, 1], y=[0, 0], yaw=[0, 0], v=[0.5, 0.5], omega=[0, 0])
+    >>> report = ep.check(drive, ep.PowerModel.preset("quadriga:empty:marble"))
+    >>> report.feasible, round(report.energy)
+    (True, 180)
     """
 
     violations: tuple[Violation, ...]

@@ -6,23 +6,29 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from energyplan import html
 from energyplan.errors import DriveLogError, MissingChannelError
-from energyplan.logs._resample import interval_means, shift
+from energyplan.logs._resample import block_bounds, interval_means, shift
 from energyplan.logs._smooth import derivative
 from energyplan.logs.checks import Place, SetAside, clean, find_runs, needed_channels
 from energyplan.logs.columns import Column, choose_columns, parse_columns
 from energyplan.logs.plausible import find_doubts
-from energyplan.logs.tables import read_table
+from energyplan.logs.tables import read_table, table_of
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import Sides
 from energyplan.vehicle import TreadICR
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["DriveLog", "SetAside", "parse_columns"]
 
@@ -108,21 +114,39 @@ class DriveLog:
             f"{self.energy / 1e3:.2f} kJ; {', '.join(self.channels)}>"
         )
 
+    def _repr_html_(self) -> str:
+        """Return the channels with their ranges as a table, for notebooks."""
+        title = (
+            f"{self.name}: {len(self)} samples over {self.duration:.1f} s, "
+            f"{html.number(self.energy / 1e3)} kJ"
+        )
+        shares = (0.0, 0.5, 1.0)
+        rows = [(key, *np.quantile(v, shares).tolist()) for key, v in self.channels.items()]
+        notes = [*(f"set aside: {one}" for one in self.set_aside), *self.warnings]
+        return html.result(title, ("channel", "least", "median", "most"), rows, notes)
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the log as a pandas DataFrame with a column for each channel."""
+        import pandas as pd
+
+        return pd.DataFrame({key: np.array(values) for key, values in self.channels.items()})
+
     # -- building -------------------------------------------------------------------------------
 
     @classmethod
     def read(
         cls,
-        path: str | Path,
+        source: str | Path | pd.DataFrame,
         columns: str | Mapping[str, str | Column] | None = None,
         others: bool = True,
     ) -> DriveLog:
-        """Read a log from a file.
+        """Read a log from a file or from a pandas DataFrame.
 
         Parameters
         ----------
-        path : str or Path
-            A ``.csv``, ``.csv.gz`` or ``.parquet`` file with one row of column names.
+        source : str, Path or DataFrame
+            A ``.csv``, ``.csv.gz`` or ``.parquet`` file with one row of column names; or a
+            DataFrame, whose dates count as seconds since 1970.
         columns : str or mapping of str to str or Column, optional
             Which column serves as which channel, and its unit where it is not the library's:
             ``"v_left=velL,yaw=heading[deg]"``, or the same as a mapping; `parse_columns` tells all
@@ -143,8 +167,16 @@ class DriveLog:
             the file, the line and the channel.
         MissingDependencyError
             If a Parquet file is read without pyarrow.
+
+        Examples
+        --------
+        >>> import pandas as pd
+        >>> frame = pd.DataFrame({"t": [0.0, 1.0], "velL": 50.0, "velR": 50.0, "power": 120.0})
+        >>> DriveLog.read(frame, "v_left=velL[cm/s],v_right=velR[cm/s]").energy
+        120.0
         """
-        table = read_table(path, DriveLogError)
+        read = read_table if isinstance(source, str | PathLike) else table_of
+        table = read(source, DriveLogError)  # type: ignore[arg-type]
         chosen = choose_columns(table, columns, others)
         log = cls.from_columns(chosen.channels, table.source, table.place)
         if chosen.unread:
@@ -331,20 +363,7 @@ class DriveLog:
         """
         if not duration > 0:
             raise DriveLogError(f"{self.name}: blocks of {duration} s; give a positive duration")
-        bounds = [0]
-        for run in self.runs:
-            if run.stop - run.start < 2:
-                continue
-            if len(bounds) > 1:
-                bounds[-1] = run.start
-            time = self.t[run]
-            count = max(1, round(float(time[-1] - time[0]) / duration))
-            edges = np.linspace(time[0], time[-1], count + 1)[1:-1]
-            for cut in run.start + np.searchsorted(time, edges):
-                if cut - bounds[-1] >= 2 and run.stop - cut >= 2:
-                    bounds.append(int(cut))
-            bounds.append(run.stop)
-        bounds = [*bounds[: max(1, len(bounds) - 1)], len(self)]
+        bounds = block_bounds(self.t, self.runs, duration)
         return [
             self._part(slice(a, b), f"{self.name}, block {k + 1} of {len(bounds) - 1}")
             for k, (a, b) in enumerate(pairwise(bounds))

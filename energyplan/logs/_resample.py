@@ -81,3 +81,24 @@ def shift(
         slack = 1e-9 * (1.0 + abs(float(t[run][-1])))
         known[run] = (source >= t[run][0] - slack) & (source <= t[run][-1] + slack)
     return moved, known
+
+
+def block_bounds(t: FloatArray, runs: Sequence[slice], duration: float) -> list[int]:
+    """First samples of blocks of about a duration [s], none across a gap, and the last one's end.
+
+    A sample alone between two gaps joins the block before it.
+    """
+    bounds = [0]
+    for run in runs:
+        if run.stop - run.start < 2:
+            continue
+        if len(bounds) > 1:
+            bounds[-1] = run.start
+        time = t[run]
+        count = max(1, round(float(time[-1] - time[0]) / duration))
+        edges = np.linspace(time[0], time[-1], count + 1)[1:-1]
+        for cut in run.start + np.searchsorted(time, edges):
+            if cut - bounds[-1] >= 2 and run.stop - cut >= 2:
+                bounds.append(int(cut))
+        bounds.append(run.stop)
+    return [*bounds[: max(1, len(bounds) - 1)], len(t)]

@@ -121,6 +121,37 @@ def read_table(path: str | Path, error: type[InvalidInputError]) -> Table:
             return _read_csv(io.BufferedReader(_Guarded(raw, file, error)), file, error)
 
 
+def table_of(frame: Any, error: type[InvalidInputError]) -> Table:
+    """Take a pandas DataFrame as a table.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        The columns.
+    error : type
+        Error to raise for bad content.
+
+    Returns
+    -------
+    Table
+        The table; its rows count from 0.
+
+    Raises
+    ------
+    InvalidInputError
+        As the given `error`: it is no DataFrame, or two columns have one name.
+    """
+    names = [str(label) for label in getattr(frame, "columns", ())]
+    if not names or not hasattr(frame, "iloc"):
+        raise error(f"{type(frame).__name__} holds no columns; give a pandas DataFrame or a file")
+    if len(set(names)) < len(names):
+        twice = next(one for one in names if names.count(one) > 1)
+        raise error(f"the DataFrame: two columns are named {twice!r}; rename one")
+    made = _Columns(names, 0, "row")
+    made.add(frame)
+    return made.table(Path("DataFrame"), error)
+
+
 def column_names(path: str | Path, error: type[InvalidInputError]) -> list[str]:
     """Return the column names of a CSV or gzipped CSV file, which is read no further.
 

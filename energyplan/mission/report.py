@@ -239,6 +239,21 @@ class MissionReport:
         How each charger is used.
     warnings : tuple of str
         What to know before trusting the figures, such as a temperature without data.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> mission = ep.Mission(
+    ...     model, hall, ep.Battery.preset("quadriga"), (1, 2, 0),
+    ...     (ep.Task("look", (4, 2, 0), dwell=60.0, power=20.0),),
+    ...     planning_effort=1000, coefficient_spread=0.05,
+    ... )
+    >>> report = ep.evaluate(mission)
+    >>> report.headline, report.task("look").verdict
+    ('the task can be done', 'reachable')
     """
 
     mission: Mission

@@ -40,6 +40,11 @@ class Task:
     ------
     MissionError
         If a value is not finite or out of its range.
+
+    Examples
+    --------
+    >>> Task("wash the hall", (4.0, 2.0, 0.0), dwell=600.0, power=300.0).required
+    True
     """
 
     name: str
@@ -96,6 +101,11 @@ class Charger:
     ------
     MissionError
         If a value is not finite or out of its range.
+
+    Examples
+    --------
+    >>> Charger("dock", (1.0, 2.0, 0.0), power=240.0).until
+    0.95
     """
 
     name: str

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from energyplan import html
 from energyplan.battery import BatteryModel
 from energyplan.errors import MissionError
 from energyplan.mission.checks import checked_pose, require
@@ -99,6 +100,20 @@ class Mission:
     MissionError
         If a value is out of its range, names are not unique, there is no task, or the robot
         collides at a pose. ``error.place`` leads to the value.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> mission = ep.Mission(
+    ...     model, hall, ep.Battery.preset("quadriga"), (1, 2, 0),
+    ...     (ep.Task("look", (4, 2, 0), dwell=60.0, power=20.0),),
+    ...     planning_effort=1000, coefficient_spread=0.05,
+    ... )
+    >>> mission.reserve
+    0.2
     """
 
     model: PowerModel
@@ -241,6 +256,20 @@ class Mission:
                 f"{np.degrees(near.yaw):.0f} deg)"
             )  # fmt: skip
             raise MissionError(f"{label}: the robot at {where} touches an obstacle{hint}", place)
+
+    def _repr_html_(self) -> str:
+        """Return the tasks as a table, for notebooks."""
+        rows = [
+            (task.name, ", ".join(html.number(v) for v in task.pose), task.dwell, task.power,
+             "yes" if task.required else "no")
+            for task in self.tasks
+        ]  # fmt: skip
+        title = (
+            f"mission {self.name}: {self.model.vehicle.name}, from {100 * self.soc:.0f} % of "
+            f"charge, reserve {100 * self.reserve:.0f} %"
+        )
+        header = ("task", "x, y [m], yaw [rad]", "dwell [s]", "power [W]", "required")
+        return html.result(title, header, rows)
 
     @property
     def vehicle(self) -> Vehicle:

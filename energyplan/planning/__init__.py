@@ -57,7 +57,13 @@ _BOUND_SHARE = 0.1
 
 
 def planners() -> tuple[str, ...]:
-    """Return the names of all planners: the library's own, then those of other packages."""
+    """Return the names of all planners: the library's own, then those of other packages.
+
+    Examples
+    --------
+    >>> "lattice" in planners()
+    True
+    """
     plugins = {entry.name for entry in entry_points(group="energyplan.planning")}
     return (*PLANNERS, *sorted(plugins - set(PLANNERS)))
 

@@ -101,6 +101,16 @@ class PlanningProblem:
     ------
     InvalidInputError
         If a pose, the objective, the clearance or the weight is malformed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> problem.objective
+    'energy'
     """
 
     map: OccupancyGrid
@@ -256,6 +266,17 @@ class Plan:
         What the costmap adds to the cost, in the unit of the objective; no part of the energy.
     drive : callable
         Drives the path; `driven` asks it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> plan = ep.plan(problem, effort=1000)
+    >>> round(plan.energy), plan.lower_bound <= plan.energy, round(plan.length, 2)
+    (540, True, 3.0)
     """
 
     path: Path

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from energyplan import html
 from energyplan.errors import ModelError, UnknownNameError
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
@@ -70,6 +71,11 @@ class Residual:
     run_spread : float, optional
         Relative standard deviation of the power between runs, beyond the scatter within them;
         None where too few runs were compared.
+
+    Examples
+    --------
+    >>> Residual(rmse=12.0, mae=9.5, bias=0.5, energy_error=0.01).rmse
+    12.0
     """
 
     rmse: float
@@ -144,6 +150,19 @@ class PowerModel:
                 raise ModelError("covariance must be symmetric with no negative variance")
             cov.setflags(write=False)
             object.__setattr__(self, "covariance", cov)
+
+    def _repr_html_(self) -> str:
+        """Return the terms with their coefficients as a table, for notebooks."""
+        rows = [
+            (
+                term.name.replace("_", " "), term.symbol, self.coefficient(term.name),
+                "-" if (error := self.std_error(term.name)) is None else error,
+                term.unit.removeprefix("1"),
+            )
+            for term in self.terms
+        ]  # fmt: skip
+        title = f"{self.name}, {self.vehicle.name}"
+        return html.result(title, ("term", "symbol", "value", "standard error", "unit"), rows)
 
     # -- coefficients ---------------------------------------------------------------------------
 

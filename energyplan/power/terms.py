@@ -18,7 +18,13 @@ Kind = Literal["force", "power", "loss"]
 
 @dataclass(frozen=True)
 class Sides:
-    """A quantity of the left and of the right side, arrays of one shape."""
+    """A quantity of the left and of the right side, arrays of one shape.
+
+    Examples
+    --------
+    >>> float(Sides(np.array(100.0), np.array(60.0)).total)
+    160.0
+    """
 
     left: FloatArray
     right: FloatArray
@@ -62,6 +68,12 @@ class Term:
         Physically possible range of the coefficient.
     meaning : str
         One line for reports.
+
+    Examples
+    --------
+    >>> drag = Term("drag", "c", "kg/m", "power", lambda motion, params: abs(motion.v) ** 3)
+    >>> drag.unit
+    'kg/m'
     """
 
     name: str
@@ -94,6 +106,14 @@ def tread_forces(motion: Motion, longitudinal: ArrayLike = 0.0, moment: ArrayLik
     -------
     Sides
         Force on the left and on the right tread [N].
+
+    Examples
+    --------
+    >>> from energyplan.vehicle import TreadICR
+    >>> spin = Motion.from_twist(0.0, 1.0, TreadICR.symmetric(0.5))
+    >>> forces = tread_forces(spin, moment=10.0)
+    >>> float(forces.left), float(forces.right)
+    (-10.0, 10.0)
     """
     icr = motion.icr
     fx, mz = np.asarray(longitudinal, float), np.asarray(moment, float)

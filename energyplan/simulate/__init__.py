@@ -187,6 +187,12 @@ def identification_drive(model: PowerModel, **options: Any) -> DriveLog:
     -------
     DriveLog
         A drive of 150 s, or of `duration`.
+
+    Examples
+    --------
+    >>> model = PowerModel.preset("quadriga:empty:marble")
+    >>> identification_drive(model).duration
+    150.0
     """
     return drive(model, IDENTIFICATION, **options)
 
@@ -205,6 +211,12 @@ def validation_drive(model: PowerModel, **options: Any) -> DriveLog:
     -------
     DriveLog
         A drive of 120 s, or of `duration`.
+
+    Examples
+    --------
+    >>> model = PowerModel.preset("quadriga:empty:marble")
+    >>> validation_drive(model).duration
+    120.0
     """
     return drive(model, VALIDATION, **options)
 

@@ -33,6 +33,17 @@ class Comparison:
     by_term : mapping of str to float
         Joules saved by term of the power model; negative where the route of least energy spends
         more. They add up to the energy saved.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> found = ep.compare(problem, effort=1000)
+    >>> found.energy_optimal.energy <= found.shortest.energy
+    True
     """
 
     energy_optimal: Plan

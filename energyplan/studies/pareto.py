@@ -31,6 +31,17 @@ class ParetoPoint:
     plan : Plan
         The plan. Its cost is its energy plus the value of its time [J], and its lower bound and
         gap are those of that sum.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> point = ParetoPoint(time_value=5.0, plan=ep.plan(problem, effort=1000))
+    >>> point.time_value
+    5.0
     """
 
     time_value: float
@@ -48,6 +59,17 @@ class ParetoFront:
     bounds : ndarray, shape (n, 2)
         Values of a second [J/s], and what no drive's energy plus the value of its time is less
         than [J].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> front = ep.pareto(problem, time_values=(0.0, 9.0), effort=1000)
+    >>> bool(front.energy[0] <= front.energy[-1])
+    True
     """
 
     points: tuple[ParetoPoint, ...]

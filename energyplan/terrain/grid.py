@@ -11,6 +11,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.base import BaseGeometry
 
+from energyplan import html
 from energyplan.errors import MapError
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.terrain import _distance
@@ -100,6 +101,12 @@ class OccupancyGrid:
             )
         object.__setattr__(self, "origin", Pose(*(float(v) for v in origin)))
 
+    def _repr_html_(self) -> str:
+        """Return size and shares of the cells as a table, for notebooks."""
+        size = " x ".join(html.number(v) for v in self.size)
+        rows = (("size [m]", size), ("occupied [%]", 100 * float(np.mean(self.occupied))))
+        return html.result("map", ("", ""), rows)
+
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
@@ -139,13 +146,8 @@ class OccupancyGrid:
         return _collision.Space(
             _collision.next_blocked(self.blocked),
             _distance.clearance(self.blocked),
-            x,
-            y,
-            yaw,
-            float(np.cos(yaw)),
-            float(np.sin(yaw)),
-            float(self.resolution),
-        )
+            x, y, yaw, float(np.cos(yaw)), float(np.sin(yaw)), float(self.resolution),
+        )  # fmt: skip
 
     def updated(
         self, occupied: ArrayLike, row: int, column: int, unknown: ArrayLike | None = None

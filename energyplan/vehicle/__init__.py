@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from energyplan import html
 from energyplan.errors import UnknownNameError, VehicleError
 
 GRAVITY = 9.81
@@ -47,6 +48,11 @@ class TreadICR:
     References
     ----------
     Morales et al. (2010), section II.
+
+    Examples
+    --------
+    >>> TreadICR(left=0.5, right=0.25).slip_track
+    0.75
     """
 
     left: float
@@ -107,6 +113,11 @@ class MotorLimits:
         Largest tread acceleration [m/s^2]; 1 m/s^2 (`DEFAULT_ACCELERATION`) where not given.
     regeneration : float
         Largest power that the drive takes back [W].
+
+    Examples
+    --------
+    >>> MotorLimits(continuous_power=200.0, peak_power=400.0).speed
+    inf
     """
 
     continuous_power: float = np.inf
@@ -216,6 +227,12 @@ class Vehicle:
     ------
     VehicleError
         If shapes, loads, efficiencies or limits are wrong.
+
+    Examples
+    --------
+    >>> robot = Vehicle.preset("quadriga:full")
+    >>> round(robot.mass, 1), robot.icr.slip_track
+    (147.1, 0.94)
     """
 
     name: str
@@ -278,10 +295,12 @@ class Vehicle:
             _require(getattr(self, name) > 0, f"{name} is {getattr(self, name)}; must be positive")
         for name in ("battery_return", "tracking_tolerance"):
             _require(getattr(self, name) >= 0, f"{name} is {getattr(self, name)}; give 0 or more")
-        _require(
-            bool(np.isfinite(self.tracking_tolerance)),
-            "tracking_tolerance is infinite; give metres",
-        )
+        _require(self.tracking_tolerance < np.inf, "tracking_tolerance is infinite; give metres")
+
+    def _repr_html_(self) -> str:
+        """Return mass, size and limits as a table, for notebooks."""
+        rows = {"mass [kg]": self.mass, "slip track [m]": self.icr.slip_track}
+        return html.result(self.name, ("", ""), rows.items())
 
     @property
     def mass(self) -> float:

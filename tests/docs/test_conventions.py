@@ -65,6 +65,36 @@ def test_docstrings_document_exactly_the_parameters(name: str) -> None:
     assert sorted(named) == sorted(wanted), f"{name} documents {named}, takes {wanted}"
 
 
+LIBRARY = (
+    "battery", "fit", "limits", "logs", "mission", "path", "planning", "power", "simulate",
+    "steering", "studies",
+)  # fmt: skip
+"""Packages whose functions have an example each, as all names of ``energyplan`` have."""
+
+
+def names_with_examples() -> Iterator[tuple[str, object]]:
+    for name in energyplan.__all__:
+        value = getattr(energyplan, name)
+        if not inspect.ismodule(value):
+            yield name, value
+    for package in LIBRARY:
+        module = importlib.import_module(f"energyplan.{package}")
+        for name in getattr(module, "__all__", vars(module)):
+            value = getattr(module, name)
+            own = getattr(value, "__module__", "").startswith("energyplan.")
+            if own and inspect.isfunction(value) and not name.startswith("_"):
+                yield f"{package}.{name}", value
+
+
+EXAMPLES = dict(names_with_examples())
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_public_names_have_an_example(name: str) -> None:
+    """The examples run with the doctests."""
+    assert ">>> " in (inspect.getdoc(EXAMPLES[name]) or "")
+
+
 @pytest.mark.parametrize("name", [n for n in dir(errors) if n.endswith("Error")])
 def test_errors_share_a_base_and_bad_input_is_a_value_error(name: str) -> None:
     error = getattr(errors, name)

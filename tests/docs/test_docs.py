@@ -17,12 +17,14 @@ import shlex
 import shutil
 import sys
 import textwrap
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+import yaml
 
 import energyplan as ep
 from energyplan import cli, simulate
@@ -278,3 +280,11 @@ def test_every_public_module_is_in_the_reference() -> None:
     assert parts - shown == inner
     for name in documented:
         importlib.import_module(name)
+
+
+def test_the_citation_names_this_version() -> None:
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert str(cited["version"]) == ep.__version__ == project["version"]
+    assert cited["license"] == project["license"]
+    assert {"cff-version", "message", "title", "authors"} <= set(cited)

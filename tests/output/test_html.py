@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from html.parser import HTMLParser
 
 import numpy as np
@@ -113,3 +114,29 @@ def test_mission_shows_every_task(problem: ep.PlanningProblem) -> None:
     cells = shown(ep.evaluate(mission)).cells
     assert cells[6:8] == ["too long", "unreachable"]
     assert cells[cells.index("near") + 1] == "reachable"
+
+
+def test_what_goes_in_shows_itself_too(drives: list[ep.DriveLog]) -> None:
+    evil = "<b>&"
+    vehicle = dataclasses.replace(MODEL.vehicle, name=evil)
+    model = dataclasses.replace(MODEL, vehicle=vehicle, name=evil)
+    log = ep.DriveLog({**drives[0].channels, evil: drives[0].t}, name=evil)
+    battery = dataclasses.replace(ep.Battery.preset("quadriga"), name=evil)
+    hall = ep.OccupancyGrid(np.array([[True, False], [False, False]]), resolution=0.5)
+    mission = ep.Mission(model=model, map=ep.OccupancyGrid(np.zeros((60, 60), bool), 0.1),
+                         battery=battery, start=(2, 2, 0), tasks=[ep.Task(evil, (4, 4, 0))],
+                         name=evil)  # fmt: skip
+    cells = {}
+    for thing in (vehicle, model, log, battery, hall, mission):
+        page = shown(thing)
+        assert "<b>&" not in thing._repr_html_().replace("<div><b>", "")
+        assert len(thing._repr_html_()) < 4000
+        cells[type(thing).__name__] = page.cells
+    assert cells["Vehicle"][cells["Vehicle"].index("mass [kg]") + 1] == number(vehicle.mass)
+    place = cells["OccupancyGrid"].index("occupied [%]")
+    assert cells["OccupancyGrid"][place + 1] == "25"
+    assert cells["OccupancyGrid"][cells["OccupancyGrid"].index("size [m]") + 1] == "1 x 1"
+    known = cells["DriveLog"]
+    assert known[known.index("v_left") + 3] == number(float(log.channel("v_left").max()))
+    assert cells["Mission"][5:7] == [evil, "4, 4, 0"]
+    assert number(MODEL.coefficient("slip_friction")) in cells["PowerModel"]
