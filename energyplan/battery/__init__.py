@@ -162,16 +162,12 @@ class Battery:
 
     def _repr_html_(self) -> str:
         """Return capacity, energy and voltages as a table, for notebooks."""
-        rows = [
-            ("capacity when new [Ah]", self.capacity / 3600),
-            ("capacity now [Ah]", self.available_capacity / 3600),
-            ("energy when full [Wh]", self.full_energy / 3600),
-            ("voltage when full [V]", float(self.ocv(1.0))),
-            ("cut-off voltage [V]", self.cutoff_voltage),
-            ("temperature [degC]", self.temperature),
-            ("health [%]", 100 * self.health),
-        ]
-        return html.result(f"battery {self.name}", ("", ""), rows)
+        rows = {
+            "capacity now [Ah]": self.available_capacity / 3600,
+            "health [%]": 100 * self.health,
+        }
+        rows["energy when full [Wh]"] = self.full_energy / 3600
+        return html.result(f"battery {self.name}", ("", ""), rows.items())
 
     # -- state ----------------------------------------------------------------------------------
 

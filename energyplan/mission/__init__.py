@@ -80,16 +80,10 @@ def evaluate(mission: Mission, progress: Callable[[str], None] | None = None) ->
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> mission = ep.Mission(
-    ...     model, hall, ep.Battery.preset("quadriga"), (1, 2, 0),
-    ...     (ep.Task("look", (4, 2, 0), dwell=60.0, power=20.0),),
-    ...     planning_effort=1000, coefficient_spread=0.05,
-    ... )
-    >>> evaluate(mission).feasible
+    >>> from energyplan.io.mission import read_mission
+    >>> from energyplan.io.bundled import bundled
+    >>> report = evaluate(read_mission(bundled("mission_warehouse.yaml")))
+    >>> report.feasible
     True
     """
     return _Evaluation(mission, progress).report()
