@@ -116,8 +116,7 @@ class Battery:
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         self._check_tables()
-        positive = ("capacity", "pair_time", "rated_current", "max_discharge_current")
-        for name in positive:
+        for name in ("capacity", "pair_time", "rated_current", "max_discharge_current"):
             self._check(name, getattr(self, name) > 0, "positive")
         others = ("resistance", "pair_resistance", "cutoff_voltage", "max_charge_current")
         for name in (*others, "resistance_coefficient"):
@@ -128,14 +127,10 @@ class Battery:
         self._check("charge_efficiency", 0 < self.charge_efficiency <= 1, "in (0, 1]")
         self._check("cutoff_soc", 0 <= self.cutoff_soc < 1, "a fraction in [0, 1)")
         self._check("health", 0 < self.health <= 1, "in (0, 1]")
-        self._check(
-            "cutoff_voltage",
-            self.cutoff_voltage < self.ocv_points[-1],
-            f"below the open-circuit voltage of the full battery, {self.ocv_points[-1]:g} V",
-        )
-        self._check(
-            "max_voltage", self.max_voltage > self.cutoff_voltage, "above the cut-off voltage"
-        )
+        top, below = self.ocv_points[-1], "below the open-circuit voltage of the full battery"
+        self._check("cutoff_voltage", self.cutoff_voltage < top, f"{below}, {top:g} V")
+        high = self.max_voltage > self.cutoff_voltage
+        self._check("max_voltage", high, "above the cut-off voltage")
 
     def _check(self, name: str, condition: object, remedy: str) -> None:
         value = getattr(self, name)
@@ -161,13 +156,12 @@ class Battery:
         )
 
     def _repr_html_(self) -> str:
-        """Return capacity, energy and voltages as a table, for notebooks."""
-        rows = {
-            "capacity now [Ah]": self.available_capacity / 3600,
-            "health [%]": 100 * self.health,
+        """Return capacity and energy as a table, for notebooks."""
+        now = {
+            "capacity [Ah]": self.available_capacity / 3600,
+            "energy [Wh]": self.full_energy / 3600,
         }
-        rows["energy when full [Wh]"] = self.full_energy / 3600
-        return html.result(f"battery {self.name}", ("", ""), rows.items())
+        return html.result(f"battery {self.name}", ("", ""), now.items())
 
     # -- state ----------------------------------------------------------------------------------
 
