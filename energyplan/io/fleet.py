@@ -64,6 +64,12 @@ def read_fleet(path: str | Path) -> Fleet:
     ------
     MissionError
         If the file is malformed, or a task is for nobody; the message names file, line and key.
+
+    Examples
+    --------
+    >>> from energyplan.io.bundled import bundled
+    >>> len(read_fleet(bundled("fleet_warehouse.yaml")).robots) > 1
+    True
     """
     document = load(path, MissionError)
     spec = document.check(_Fleet)
