@@ -73,6 +73,7 @@ pictures: demo
 	$(BIN)/python examples/plan_depot.py --goal 20,12,90 --out $(OUT)/plan_depot
 	cp $(OUT)/plan_depot/pareto.png docs/pictures/
 	$(BIN)/python docs/draw.py
+	$(BIN)/python docs/figures.py
 	$(BIN)/python docs/animate.py
 
 # Every figure of the benchmark pages, measured on this machine. Takes a while.

@@ -33,10 +33,15 @@ if TYPE_CHECKING:
 
 Effects = Annotated[
     list[str] | None,
-    typer.Option("--effect", help="NAME=SIZE[,DETAIL=VALUE]: an effect to switch on; repeatable."),
+    typer.Option(
+        "--effect",
+        help="NAME=SIZE[,DETAIL=VALUE]: an effect that the robot has and the model lacks; "
+        "repeatable.",
+    ),
 ]
 Hidden = Annotated[
-    int | None, typer.Option(help="Seed: draw one or two effects, and do not tell which.")
+    int | None,
+    typer.Option(help="Seed: draw one or two effects at random, and keep them secret."),
 ]
 Truth = Annotated[
     Path | None,
@@ -130,7 +135,7 @@ def drive(
     json: Json = False,
     strict: Strict = False,
 ) -> None:
-    """Drive a trajectory in a physics engine, and compare the energy told with the one taken."""
+    """Drive a trajectory in a physics engine, and compare predicted with measured energy."""
     from energyplan.io.trajectory import read_trajectory, write_log
     from energyplan.output import documents, text
     from energyplan.physics import Robot, Sensors, switch_on
@@ -174,7 +179,7 @@ def close_the_loop(
     truth: Truth = None,
     rounds: Annotated[int, typer.Option(help="How many times round at most.")] = 3,
     tolerance: Annotated[
-        float, typer.Option(help="Relative error of the energy that counts as none.")
+        float, typer.Option(help="Relative error of the energy at which the loop stops.")
     ] = 0.01,
     speed: Annotated[
         float | None, typer.Option(help="Largest tread speed on the routes [m/s].")

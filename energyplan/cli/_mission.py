@@ -42,7 +42,7 @@ def _task(text: str) -> dict[str, str]:
 def mission(
     file: Annotated[
         Path | None,
-        typer.Argument(help="Mission YAML file; else options tell it."),
+        typer.Argument(help="Mission YAML file; without it the options describe the mission."),
     ] = None,
     map_file: Annotated[Path | None, typer.Option("--map", help="map_server YAML file.")] = None,
     model: Annotated[str | None, typer.Option(help="Model: a preset or a YAML file.")] = None,

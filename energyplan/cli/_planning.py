@@ -363,7 +363,8 @@ def check(
     ],
     model: ModelName,
     vehicle: Annotated[
-        str | None, typer.Option(help="Whose limits hold; the model's vehicle by default.")
+        str | None,
+        typer.Option(help="Vehicle whose motor limits count; else the model's."),
     ] = None,
     surfaces: Surfaces = None,
     heights: Heights = None,

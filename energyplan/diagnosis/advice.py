@@ -42,7 +42,7 @@ def adequacy_advice(quality: Adequacy, named: bool) -> list[str]:
         f"by {quality.noise:.3g} W, and over two seconds {quality.slow_residual:.3g} W for "
         f"{quality.slow_noise:.3g} W: what is left {what}, so something is missing"
     )
-    return [line if named else f"{line}, and no channel tells what"]
+    return [line if named else f"{line}, and no recorded channel explains it"]
 
 
 def worse_advice(effects: Sequence[str], before: Residual, after: Residual) -> list[str]:
@@ -61,8 +61,8 @@ def change_advice(undated: Residual | None) -> list[str]:
     if undated is None:
         return []
     return [
-        "the time of the change in a hold-out drive was found in that drive, which nobody can "
-        f"foretell; without it the rmse is {undated.rmse:.3g} W and the energy is off by "
+        "the time of the change was found in the hold-out drive itself, so it is no "
+        f"prediction; without it the rmse is {undated.rmse:.3g} W and the energy is off by "
         f"{100 * undated.energy_error:+.1f} %"
     ]
 

@@ -124,7 +124,7 @@ class FeasibilityReport:
         ]
         title = (
             f"{'feasible' if self.feasible else 'not feasible'}, {html.number(self.energy)} J, "
-            f"largest feasible speed {html.number(self.max_speed_scale)} times that driven"
+            f"feasible up to {html.number(self.max_speed_scale)} times this speed"
         )
         header = ("limit exceeded", "side", "from [s]", "to [s]", "peak", "limit")
         return html.result(title, header, rows, [self.reason])

@@ -310,14 +310,15 @@ def loop_page(made: Loop, problem: PlanningProblem) -> Page:
     _models(page, problem.cost.model, problem.surfaces)
     first, last = made.rounds[0], made.rounds[-1]
     page.paragraph(
-        f"The energy told was off by {100 * first.error:+.1f} % in the first round and by "
+        f"The predicted energy was off by {100 * first.error:+.1f} % in the first round and by "
         f"{100 * last.error:+.1f} % in round {len(made.rounds)}. "
-        f"The last drive took {number(last.energy_taken)} J, the first one "
-        f"{number(first.energy_taken)} J.",
+        f"The first drive took {number(first.energy_taken)} J, the last one "
+        f"{number(last.energy_taken)} J.",
         "lead",
     )
     page.table(
-        ("round", "told [J]", "95 % interval [J]", "taken [J]", "error", "length [m]", "found"),
+        ("round", "predicted [J]", "95 % interval [J]", "measured [J]", "error", "length [m]",
+         "found"),
         [
             (
                 k, now.energy_told,
@@ -337,5 +338,5 @@ def loop_page(made: Loop, problem: PlanningProblem) -> Page:
     for k, now in enumerate(made.rounds, 1):
         if now.driven is not None:
             page.heading(f"Round {k}: where the energy went")
-            page.table(("term", "told [J]", "taken [J]"), now.driven.terms)
+            page.table(("term", "predicted [J]", "measured [J]"), now.driven.terms)
     return page

@@ -74,16 +74,16 @@ def diagnosis(told: Diagnosis) -> list[str]:
             f"energy {100 * misfit.energy_error:+.2f} %"
         )
     lines += [
-        f"{one.drive}: {number(one.energy)} J foretold (90 % interval "
+        f"{one.drive}: {number(one.energy)} J predicted (90 % interval "
         f"{number(one.energy_interval[0])} to {number(one.energy_interval[1])}), "
         f"{number(one.measured)} J measured"
         for one in told.predictions
     ]
     quality = told.adequacy
     lines.append(
-        f"left on the training drives: {number(quality.residual)} W, "
-        f"noise {number(quality.noise)} W"
-        + (", and it lasts longer than noise" if quality.coloured else "")
+        f"residual on the training drives: {number(quality.residual)} W; noise: "
+        f"{number(quality.noise)} W"
+        + ("; the residual lasts longer than noise does" if quality.coloured else "")
     )
     lines += [
         f"set aside in {drive}: {count} samples: {reason}"
@@ -241,12 +241,15 @@ def energy_map(found: EnergyMap, areas: Sequence[Contour]) -> list[str]:
     way = "there" if found.back is None else "there and back"
     sure = "" if found.confidence is None else f", each place with {100 * found.confidence:g} %"
     lines = [
-        f"{number(a.energy, 4)} J lead {way} over {number(a.area.area)} m^2{sure}" for a in areas
+        f"{number(a.energy, 4)} J suffice to get {way} on {number(a.area.area)} m^2{sure}"
+        for a in areas
     ]
     if not lines:
-        lines = ["nothing is in reach"]
+        lines = ["no place can be reached with this energy"]
     if math.isfinite(found.complete_to):
-        lines.append(f"places that take more than {number(found.complete_to, 4)} J are left out")
+        lines.append(
+            f"places that take more than {number(found.complete_to, 4)} J were not searched"
+        )
     return lines
 
 
@@ -259,7 +262,7 @@ def feasibility(report: FeasibilityReport) -> list[str]:
         for found in report.violations
     ]
     lines += [
-        f"largest feasible speed: {number(report.max_speed_scale)} times that of this trajectory",
+        f"the motors allow up to {number(report.max_speed_scale)} times this trajectory's speed",
         report.reason,
         f"energy: {number(report.energy)} J",
     ]
@@ -287,8 +290,8 @@ def mission(told: MissionReport) -> list[str]:
         lines.append(f"one standard deviation of the energy by source: {', '.join(parts)}")
         dearest = told.uncertainty[0]
         lines.append(
-            f"the dearest unknown: {dearest.source}; measuring it would save "
-            f"{number(dearest.saving / 3600, 2)} Wh of what is held back"
+            f"the largest uncertainty: {dearest.source}; knowing it exactly would free "
+            f"{number(dearest.saving / 3600, 2)} Wh of the margin"
         )
     lines += [f"warning: {warning}" for warning in told.warnings]
     return lines
@@ -365,13 +368,13 @@ def log(told: LogInfo) -> list[str]:
 def driven(made: Driven, secret: bool = False) -> list[str]:
     """Return what ``energyplan drive`` prints; `secret` leaves out what was taken by term."""
     lines = [
-        f"energy told: {number(made.energy_told, 5)} J, taken: {number(made.energy_taken, 5)} J "
-        f"({100 * made.error:+.2f} %)"
+        f"energy predicted: {number(made.energy_told, 5)} J, "
+        f"measured: {number(made.energy_taken, 5)} J ({100 * made.error:+.2f} %)"
     ]
     for name, told, taken in made.terms:
         if told or not secret:
-            after = "" if secret else f", taken {number(taken)} J"
-            lines.append(f"  {name.replace('_', ' ')}: told {number(told)} J{after}")
+            after = "" if secret else f", measured {number(taken)} J"
+            lines.append(f"  {name.replace('_', ' ')}: predicted {number(told)} J{after}")
     lines.append(
         f"{'arrived' if made.arrived else 'not arrived'}: {100 * made.final_error:.1f} cm from the "
         f"end; at most {100 * made.tracking_error:.1f} cm and "
@@ -388,8 +391,9 @@ def loop(made: Loop) -> list[str]:
         if now.energy_interval:
             span = " ({} to {} J)".format(*(number(value, 5) for value in now.energy_interval))
         lines.append(
-            f"round {k}: route of {number(now.length)} m, told {number(now.energy_told, 5)} J{span}"
-            f", taken {number(now.energy_taken, 5)} J ({100 * now.error:+.1f} %)"
+            f"round {k}: route of {number(now.length)} m, predicted "
+            f"{number(now.energy_told, 5)} J{span}, measured {number(now.energy_taken, 5)} J "
+            f"({100 * now.error:+.1f} %)"
         )
         if now.survey:
             duration = now.survey.trajectory.duration
@@ -400,7 +404,7 @@ def loop(made: Loop) -> list[str]:
             for e in now.effects
         ]
         lines += [f"  {now.note}"] if now.note else []
-    last = "the energy told was right" if made.closed else "not closed: drive on"
+    last = "the last prediction was right" if made.closed else "the last prediction was still wrong"
     return [*lines, last]
 
 

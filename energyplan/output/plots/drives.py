@@ -241,7 +241,7 @@ def pareto(ax: Axes, front: ParetoFront) -> Axes:
 
 
 def feasible_region(ax: Axes, region: FeasibleRegion) -> Axes:
-    """Draw which curvatures and speeds the motors can drive for ever, for a while, or not.
+    """Draw which curvatures and speeds the motors can drive continuously, for a short time, or not.
 
     Parameters
     ----------
@@ -264,7 +264,11 @@ def feasible_region(ax: Axes, region: FeasibleRegion) -> Axes:
     ax.plot(region.curvature, region.max_speed, color=BLACK, lw=1.2)
     handles = [
         mpl.patches.Patch(color=color, alpha=0.7, label=label)
-        for color, label in ((GREEN, "for ever"), (YELLOW, "for a while"), ("0.85", "not at all"))
+        for color, label in (
+            (GREEN, "continuously"),
+            (YELLOW, "for a short time"),
+            ("0.85", "not at all"),
+        )
     ]
     style_label(ax, "curvature [1/m]", "speed [m/s]", "What the motors can drive")
     legend(ax, above=True, handles=handles)

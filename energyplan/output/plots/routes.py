@@ -64,7 +64,7 @@ def occupancy(ax: Axes, grid: OccupancyGrid) -> Axes:
 
 def energy_map(found: EnergyMap, grid: OccupancyGrid, levels: int = 8) -> Figure:
     """Draw the energy that each place takes, over its map."""
-    made = figure(size=(WIDTH, 4.0))
+    made = figure(size=(WIDTH, 4.4))
     ax = occupancy(made.axes[0], grid)
     energy = np.ma.masked_invalid(found.energy / 1e3)
     rows, columns = energy.shape
@@ -87,7 +87,8 @@ def energy_map(found: EnergyMap, grid: OccupancyGrid, levels: int = 8) -> Figure
         ax.plot(found.back.x, found.back.y, "s", color=RED, ms=7, zorder=4)
     ways = "to get there" if found.back is None else "to get there and back"
     sure = "" if found.confidence is None else f", with {100 * found.confidence:g} %"
-    made.colorbar(image, ax=ax, label=f"energy {ways}{sure} [kJ]")
+    label = f"energy {ways}{sure} [kJ]"
+    made.colorbar(image, ax=ax, label=label, location="bottom", aspect=40)
     return made
 
 
