@@ -26,7 +26,8 @@ def section_of(name: str) -> str:
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_every_example_has_a_section_with_its_command(name: str) -> None:
     section = section_of(name)
-    starts = "energyplan mission" if name.endswith(".yaml") else "python"
+    file = f"energyplan {'fleet' if name.startswith('fleet') else 'mission'}"
+    starts = file if name.endswith(".yaml") else "python"
     assert any(c.startswith(f"{starts} examples/{name}") for c in commands(section))
     source = (ROOT / "examples" / name).read_text()
     shown = bool(re.search(r"!\[.*\]\(.*\.png\)|^```", section, re.MULTILINE))
