@@ -10,6 +10,7 @@ errors add up instead of averaging out; only the noise of the drive itself is ea
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -135,6 +136,16 @@ class Grounds:
         self._models = sum(source.size for source in self._sources)
         self._unknowns = Unknowns.of(mission, self.driving_power)
         self._refuse_unfounded_bounds()
+
+    def under(self, mission: Mission) -> Grounds:
+        """Return these grounds for a mission that differs in battery, charge or speed.
+
+        What is open about a battery depends on the battery.
+        """
+        other = copy(self)
+        other._mission = mission
+        other._unknowns = Unknowns.of(mission, other.driving_power)
+        return other
 
     @property
     def size(self) -> int:

@@ -130,6 +130,7 @@ class Legs:
         """Return these legs for a mission that differs in battery, charge, reserve or speed."""
         other = copy(self)
         other.mission = mission
+        other.grounds = self.grounds.under(mission)
         if mission.speed != self.mission.speed:
             # The routes stay; times and energies change.
             other._legs, other._costs = {}, {}

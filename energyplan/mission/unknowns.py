@@ -92,9 +92,8 @@ def _shares(mission: Mission, power: float) -> dict[str, float]:
         usable(replace(battery, temperature=battery.temperature + sign * spreads.temperature))
         for sign in (1.0, -1.0)
     )
-    told = usable(battery)
-    if told <= 0:
-        return shares
+    # one that delivers nothing at all has nothing to lose
+    told = max(usable(battery), 1.0)
     # a battery cannot be healthier than new, nor older than nothing
     fresh = min(battery.health + spreads.health, 1.0)
     aged = max(battery.health - spreads.health, 0.1 * battery.health)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 from typing import get_args
 
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 from test_corridor import METRE, charger, corridor, tiny
+from troubled_missions import trials
 
 from energyplan.battery import BatteryRun
 from energyplan.errors import MissionError
-from energyplan.mission import Mission, Remedy, Task, evaluate
+from energyplan.mission import Mission, Remedy, Spreads, Task, evaluate
 from energyplan.mission.remedies import RemedyKind
 from energyplan.path import FloatArray, Pose
 from energyplan.power import HOTEL, PowerModel
@@ -120,6 +122,29 @@ def test_each_kind_of_remedy_is_told_of_some_mission() -> None:
         for remedy in task.remedies
     }
     assert kinds == set(get_args(RemedyKind))
+
+
+@pytest.mark.slow
+def test_remedies_hold_where_everything_is_uncertain() -> None:
+    """Real batteries, windows, chargers, given and free orders, all at 90 %."""
+    tried = list(trials([1, 5, 6, 9, 10]))
+    assert len(tried) >= 18
+    assert [trial for trial in tried if not trial.holds] == []
+
+
+def test_what_is_open_about_a_larger_battery_is_its_own() -> None:
+    """3 % of the charge is more energy in a larger battery; the remedy allows for it."""
+    asked = corridor(
+        5000.0, {"end": 29.0}, 5.0, confidence=0.95, coefficient_spread=1e-9,
+        spreads=replace(Spreads.none(), soc=0.03),
+    )  # fmt: skip
+    (remedy,) = (r for r in evaluate(asked).tasks[0].remedies if r.kind == "capacity")
+    assert remedy.amount is not None
+    quantile = NormalDist().inv_cdf(0.95)
+    # 48 m there and back out of what the gauge leaves
+    needed = 48 * METRE / (1.0 - quantile * 0.03) - 5000.0
+    assert needed <= remedy.amount <= needed + 3600.0
+    assert evaluate(asked.with_remedy(remedy)).feasible
 
 
 def test_a_capacity_that_is_told_is_needed() -> None:
