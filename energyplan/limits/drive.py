@@ -285,30 +285,31 @@ class Drive:
         nodes = piece_nodes(
             path.t, path.x, path.y, path.yaw, path.v, path.omega, 1.0, 1.0, *pieces, 1.0
         )
-        return np.stack(nodes[4:], axis=-1)
+        return np.stack([nodes.x, nodes.y, nodes.yaw], axis=-1)
 
     def _motion(self, model: PowerModel, pieces: Pieces, scale: float) -> Motion:
         path, icr = self.trajectory, model.vehicle.icr
-        v_left, v_right, accel, yaw_accel, x, y, yaw = piece_nodes(
+        nodes = piece_nodes(
             path.t, path.x, path.y, path.yaw, path.v, path.omega,
             icr.left, icr.right, *pieces, scale,
         )  # fmt: skip
         known: dict[str, FloatArray] = {
             "t": self.times(pieces, scale),
-            "x": x,
-            "y": y,
-            "yaw": yaw,
-            "accel": accel,
-            "yaw_accel": yaw_accel,
+            "x": nodes.x,
+            "y": nodes.y,
+            "yaw": nodes.yaw,
+            "accel": nodes.accel,
+            "yaw_accel": nodes.yaw_accel,
             "slope": np.zeros(()),
         }
+        v_left, v_right = nodes.v_left, nodes.v_right
         if self.ground.heights is not None:
-            slope = self.ground.slopes(np.stack([x, y, yaw], axis=-1))
+            slope = self.ground.slopes(np.stack([nodes.x, nodes.y, nodes.yaw], axis=-1))
             # Along the slope the way is longer than in plan view.
             longer = 1.0 / np.cos(slope) - 1.0
             more = longer * (icr.right * v_left + icr.left * v_right) / icr.slip_track
             v_left, v_right = v_left + more, v_right + more
-            known |= {"slope": slope, "accel": accel * (1.0 + longer)}
+            known |= {"slope": slope, "accel": nodes.accel * (1.0 + longer)}
         for name, value in self.channels.items():
             known[name] = self._between(np.asarray(value), pieces)
         return Motion(v_left, v_right, icr, known)

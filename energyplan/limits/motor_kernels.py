@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from energyplan.compilation import njit
@@ -67,6 +69,28 @@ def _onesided(value: float, middle: float) -> float:
     return value
 
 
+class Nodes(NamedTuple):
+    """Motion at the begin, the middle and the end of pieces, each of shape (m, 3).
+
+    Attributes
+    ----------
+    v_left, v_right : ndarray
+        Tread speeds [m/s].
+    accel, yaw_accel : ndarray
+        Acceleration [m/s^2] and yaw acceleration [rad/s^2].
+    x, y, yaw : ndarray
+        Pose [m], [rad].
+    """
+
+    v_left: Floats
+    v_right: Floats
+    accel: Floats
+    yaw_accel: Floats
+    x: Floats
+    y: Floats
+    yaw: Floats
+
+
 @njit
 def piece_nodes(
     t: Column,
@@ -81,12 +105,11 @@ def piece_nodes(
     begin: Column,
     end: Column,
     scale: float,
-) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats, Floats]:
+) -> Nodes:
     """Motion at the begin, the middle and the end of pieces, driven `scale` times as fast.
 
-    Tread speeds, acceleration, yaw acceleration, x, y and yaw, each of shape (m, 3). A speed that
-    rounding alone keeps from zero is zero. One that is zero at the edge of a piece keeps the
-    direction that it has inside, so that friction there is that of the piece.
+    A speed that rounding alone keeps from zero is zero. One that is zero at the edge of a piece
+    keeps the direction that it has inside, so that friction there is that of the piece.
     """
     count = len(interval)
     v_left, v_right = np.empty((count, 3)), np.empty((count, 3))
@@ -125,7 +148,7 @@ def piece_nodes(
             toward = 0.5 * (yaw[k] + heading[m, j])
             px[m, j] = x[k] + gone * np.cos(toward) + f * off_x
             py[m, j] = y[k] + gone * np.sin(toward) + f * off_y
-    return v_left, v_right, accel, yaw_accel, px, py, heading
+    return Nodes(v_left, v_right, accel, yaw_accel, px, py, heading)
 
 
 @njit

@@ -1,9 +1,11 @@
 import pickle
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from limits.fine_integral import fine_energy
+from scipy.integrate import cumulative_trapezoid
 
 from energyplan.errors import InvalidInputError, MissingChannelError
 from energyplan.limits import drive as limit_drive
@@ -69,6 +71,44 @@ def test_pieces_and_their_motion_are_alike_compiled_and_plain():
         assert np.allclose(value[first, 0], known[interval[first]], atol=1e-12)
         assert np.allclose(value[last, 2], known[interval[last] + 1], atol=1e-12)
     assert np.allclose(accel[:, 0], 1.7**2 * (np.diff(v) / np.diff(t))[interval])
+
+
+def test_the_motion_of_pieces_is_that_of_fine_integration():
+    """Speeds run straight between samples; poses follow them, and what is left over is spread."""
+    rng = np.random.default_rng(4)
+    n, left, right = 40, 0.4, 0.55
+    t = np.cumsum(rng.uniform(0.02, 0.06, n))
+    v, omega = rng.normal(0, 0.5, (2, n))
+    fine = np.concatenate([np.linspace(a, b, 2001) for a, b in pairwise(t)])
+    speed, rate = np.interp(fine, t, v), np.interp(fine, t, omega)
+    heading = 0.3 + cumulative_trapezoid(rate, fine, initial=0.0)
+    x = cumulative_trapezoid(speed * np.cos(heading), fine, initial=0.0)
+    y = cumulative_trapezoid(speed * np.sin(heading), fine, initial=0.0)
+    drift = 0.01 * t  # of a localiser: the same for all parts of an interval
+    known = [np.interp(t, fine, x) + drift, np.interp(t, fine, y) + drift]
+    known.append(np.interp(t, fine, heading))
+    cut = motor_kernels.cut_intervals(v, omega, left, right, 0, n - 1)
+    interval, begin, end = cut
+    # every change of sign is a cut, and there are no others
+    for k in range(n - 1):
+        ends = [
+            (v[j], omega[j], v[j] - left * omega[j], v[j] + right * omega[j]) for j in (k, k + 1)
+        ]
+        zeros = sorted(a / (a - b) for a, b in zip(*ends, strict=True) if a * b < 0)
+        np.testing.assert_allclose(begin[interval == k][1:], zeros, rtol=1e-9)
+    nodes = motor_kernels.piece_nodes(t, *known, v, omega, left, right, *cut, 1.0)
+    part = np.column_stack([begin, (begin + end) / 2, end])
+    when = t[interval, None] + part * np.diff(t)[interval, None]
+    at = [np.interp(when, fine, values) for values in (speed, rate, x, y, heading)]
+    np.testing.assert_allclose(nodes.v_left, at[0] - left * at[1], atol=1e-9)
+    np.testing.assert_allclose(nodes.v_right, at[0] + right * at[1], atol=1e-9)
+    np.testing.assert_allclose(nodes.yaw_accel[:, 1], (np.diff(omega) / np.diff(t))[interval])
+    np.testing.assert_allclose(nodes.yaw, at[4], atol=1e-9)
+    # within an interval the way is taken along its chord: at most the sagitta of its arc is missed
+    step, most = np.diff(t), np.maximum(np.abs([v[1:], omega[1:]]), np.abs([v[:-1], omega[:-1]]))
+    sagitta = (most[0] * step * most[1] * step / 8)[interval, None]
+    for found, expected in ((nodes.x, at[2]), (nodes.y, at[3])):
+        assert np.all(np.abs(found - expected - 0.01 * when) <= sagitta + 1e-9)
 
 
 @pytest.mark.parametrize("kernel", ["compiled", "plain"])
