@@ -9,7 +9,7 @@ it is a bound is derived in docs/planning.md.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from functools import cached_property, partial
 from math import cos, hypot, pi, remainder, sqrt
 from threading import Lock
 from typing import NamedTuple
@@ -122,31 +122,60 @@ def _grown(grid: OccupancyGrid, radius: float, arc: int) -> _Rings | None:
     return _Rings(rings, radius * cos(0.25 * pi / arc), radius)
 
 
-def _level_set(grid: OccupancyGrid, radius: float) -> _Rings:
+class _Levels:
+    """Level sets of a map's clearance; what all of them need is made once, and takes the time.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        The map.
+    """
+
+    def __init__(self, grid: OccupancyGrid) -> None:
+        self._grid = grid
+        self._lock = Lock()
+
+    @cached_property
+    def _generator(self) -> contourpy.ContourGenerator:
+        rows, columns = self._grid.shape
+        x, y = (np.arange(n) + 0.5 for n in (columns, rows))
+        return contourpy.contour_generator(x, y, self._grid.clearance)
+
+    def lines(self, level: float) -> list[FloatArray]:
+        """Return the lines of a level [m], in cells."""
+        with self._lock:
+            return [np.asarray(line) for line in self._generator.lines(level)]
+
+
+def _level_set(grid: OccupancyGrid, radius: float, levels: _Levels) -> _Rings:
     """Return a level set of the clearance that lies within the blocked cells grown by `radius`.
 
     The clearance between the cells' centres is interpolated. That is off by half a cell's diagonal
     at most, since clearance changes by no more than the distance, and the level is lower by that.
     """
-    rows, columns = grid.shape
     error = grid.resolution * sqrt(0.5)
     if radius <= error:
         return _Rings([], 0.0, 0.0)
-    x, y = (np.arange(n) + 0.5 for n in (columns, rows))
-    lines = contourpy.contour_generator(x, y, grid.clearance).lines(radius - error)
-    return _Rings([np.asarray(line) for line in lines], radius - 2.0 * error, radius)
+    return _Rings(levels.lines(radius - error), radius - 2.0 * error, radius)
 
 
-def sights(grid: OccupancyGrid, radius: float, detail: Detail) -> Sights:
+def sights(
+    grid: OccupancyGrid, radius: float, detail: Detail, levels: _Levels | None = None
+) -> Sights:
     """Return the outline of a map for a disc, made once, with what is known of its corners."""
     known = _sights.setdefault(grid, {})
     key = radius, detail
     if key not in known:
-        known[key] = Sights(outline(grid, radius, detail))
+        known[key] = Sights(outline(grid, radius, detail, levels))
     return known[key]
 
 
-def outline(grid: OccupancyGrid, radius: float, detail: Detail = DETAILS[0]) -> Outline:
+def outline(
+    grid: OccupancyGrid,
+    radius: float,
+    detail: Detail = DETAILS[0],
+    levels: _Levels | None = None,
+) -> Outline:
     """Return an outline that lies within the obstacles grown by `radius`, and its convex corners.
 
     It is simplified, which moves it by at most a tolerance, so the obstacles grow by that less.
@@ -159,6 +188,8 @@ def outline(grid: OccupancyGrid, radius: float, detail: Detail = DETAILS[0]) -> 
         Radius of the disc [m].
     detail : Detail
         How finely to draw it.
+    levels : _Levels, optional
+        The map's level sets, where several outlines are made of them.
 
     Returns
     -------
@@ -166,7 +197,9 @@ def outline(grid: OccupancyGrid, radius: float, detail: Detail = DETAILS[0]) -> 
         The corners and edges, in the world.
     """
     tolerance = detail.slack * radius
-    drawn = _grown(grid, radius - tolerance, detail.arc) or _level_set(grid, radius - tolerance)
+    drawn = _grown(grid, radius - tolerance, detail.arc)
+    if drawn is None:
+        drawn = _level_set(grid, radius - tolerance, levels or _Levels(grid))
     point, before, after = [np.empty((0, 2))], [np.empty((0, 2))], [np.empty((0, 2))]
     first, last = [np.empty((0, 2))], [np.empty((0, 2))]
     for ring in drawn.rings:
@@ -270,11 +303,12 @@ def prepare_bound(query: CompiledProblem) -> None:
         certain_regions(query, surfaces)
     ends = Ends(setting.start_x, setting.start_y, setting.goal_x, setting.goal_y)
     apart = hypot(ends.goal_x - ends.start_x, ends.goal_y - ends.start_y)
-    coarsest = sights(grid, radius, DETAILS[-1]).outline
+    levels = _Levels(grid)
+    coarsest = sights(grid, radius, DETAILS[-1], levels).outline
     finest = _finest(coarsest, ends, DETOURS[0] * apart)
     last = _finest(coarsest, ends, DETOURS[1] * apart)
     with ThreadPoolExecutor(workers()) as pool:
-        list(pool.map(partial(sights, grid, radius), DETAILS[finest : last + 1]))
+        list(pool.map(partial(sights, grid, radius, levels=levels), DETAILS[finest : last + 1]))
 
 
 def _without_obstacles(kernel: KernelProblem) -> float:
