@@ -11,7 +11,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from energyplan.errors import InvalidInputError, PlanningError, TimeLimitError
 from energyplan.path import FloatArray, Path
-from energyplan.planning.bound import EFFORT, Bound, Spent, lower_bound
+from energyplan.planning.bound import Bound, Spent, lower_bound
 from energyplan.planning.budget import PACE, UNLIMITED, Budget
 from energyplan.planning.contract import Candidate
 from energyplan.planning.lattice import search_kernels as kernels
@@ -43,6 +43,7 @@ from energyplan.planning.ready import compiled
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.guide import distance_to_go, no_distance, places_for, reached
 from energyplan.planning.scene.guide_kernels import DistanceToGo
+from energyplan.planning.scene.motions import KernelProblem
 from energyplan.planning.scene.reachability import check_configurations, none_found
 
 logger = logging.getLogger(__name__)
@@ -86,6 +87,9 @@ BOUND_SHARE = 0.15
 MOST_LEFT = 60.0
 """Time of which that part is taken at most [s]."""
 
+GUIDE_SHARE = 0.3
+"""Part of what the searches may take up to which new distances to go are worth their work."""
+
 STEPS = 12_000
 """Steps of that search that count as a unit of work."""
 
@@ -97,6 +101,12 @@ MOST_LATTICES = 16
 
 ESCAPE_SHARE = 0.25
 """Part of the budget that ways out of tight ends may take."""
+
+SHORTEST_SHARE = 0.25
+"""Part of what is left after the first plan that finding a shortest way may take."""
+
+SHORTEST_POLISH = 800
+"""Attempts to make it shorter."""
 
 FIRST_TURN = 4000
 """Expansions of the search for a first path before a finer one joins it; then twice as many."""
@@ -365,21 +375,57 @@ class _Improvement:
         self.ends = ends
         self.fields.clear()
 
+    def _shortest_way(self, budget: Budget) -> Segments | None:
+        """Return the way that a search for the shortest one finds first, made shorter a little.
+
+        Of two ways that are refined for their energy the shorter one may stay the dearer, though it
+        is cheaper once it is short: so it is made short before it competes.
+        """
+        setting = self._shortest
+        field = self.field(PENALTY)
+        search = Search(self.ends.between(setting), field, lattice_for(setting), FIRST_WEIGHT)
+        search.run(budget, stop_at_first=True)
+        if not search.found:
+            return None
+        refiner = Refiner(setting, self.ends.whole(search.segments()))
+        refiner.shortcut(budget)
+        refiner.polish(budget, most=SHORTEST_POLISH)
+        return refiner.segments
+
+    @property
+    def _shortest(self) -> KernelProblem:
+        """The problem with the shortest way as the objective, for the same body."""
+        return CompiledProblem(self.query.problem.shortest).setting
+
     def improve(self) -> None:
         """Make the path cheaper until the budget is over, the gap closed, or nothing is gained."""
         left = self.budget.left
         # what is found must be refined before the end
         searching = self.budget.part(SEARCH_SHARE)
         kept = BOUND_SHARE * min(left, MOST_LEFT * PACE)
-        self.raise_bound(kept)
+        self.field(PENALTY)
+
+        def bound(own: Budget) -> None:
+            self.raise_bound(min(kept, own.left), own)
+
+        # neither needs what the other one finds
+        tasks: list[Callable[[Budget], Segments | None]] = [bound]
+        if self.query.problem.objective != "length":
+            tasks.append(self._shortest_way)
+        for found in side_by_side(self.budget, tasks, max(kept, SHORTEST_SHARE * left)):
+            if found is not None:
+                self.portfolio.enter(found)
         budget = self.budget if self._bound.final else self.budget.less(kept)
         for number, (scale, weight, guides) in enumerate(ROUNDS):
             if number == 0 and left < HASTE * PACE:
                 continue
             most = MOST << number
             self.portfolio.run(searching, self.enough)
+            penalties = {guide.penalty for guide in guides}
+            if self._work_for(penalties) > GUIDE_SHARE * searching.left:
+                continue  # refining what is known gains more
             if not searching.over and not self.done:
-                self._distances({guide.penalty for guide in guides}, searching)
+                self._distances(penalties, searching)
                 fresh = [self._search(scale, weight, guide) for guide in guides]
                 self._advance(fresh, searching, most)
         self.portfolio.run(budget, self.enough)
@@ -390,15 +436,15 @@ class _Improvement:
             self.portfolio.again(budget, self.enough)
             gains = self.portfolio.rounds <= PATIENCE or self.cost <= before * (1 - 1e-5)
         if not self._bound.final and self.cost > self.enough:
-            self.raise_bound(kept)
+            self.raise_bound(kept, self.budget)
 
-    def raise_bound(self, units: float = EFFORT / STEPS) -> None:
+    def raise_bound(self, units: float, budget: Budget) -> None:
         """Search for a better lower bound; what is known of the best cost makes that easier."""
         if self._bound.final:
             return
         value, final = lower_bound(self.query, self.cost, STEPS * units, self._spent)
         if not final:
-            self.budget.spend(units)
+            budget.spend(units)
         self._bound = Bound(max(value, self.bound), final)
 
     def round_hills(self) -> None:
@@ -427,12 +473,17 @@ class _Improvement:
         tasks = [partial(find, penalty) for penalty in missing]
         self.fields.update(zip(missing, side_by_side(budget, tasks, budget.left), strict=True))
 
+    def _work_for(self, penalties: set[float]) -> float:
+        """Return about what the distances to go will take, as far as they are not known."""
+        known = [found.work for found in self.fields.values()]
+        return len(penalties - set(self.fields)) * max(known, default=0) / TURNS
+
     def _search(self, scale: float, weight: float, guide: Guide) -> Search:
         """Return a search that has yet to begin."""
         field = self.field(guide.penalty)
         setting = self.setting
         if guide.shortest:
-            setting = CompiledProblem(self.query.problem.shortest).setting
+            setting = self._shortest
         lattice = lattice_for(setting, scale)
         return Search(self.ends.between(setting), field, lattice, weight, aligned=guide.aligned)
 
