@@ -29,7 +29,7 @@ from energyplan.cost import EnergyCost
 from energyplan.errors import PlanningError
 from energyplan.io.maps import read_map
 from energyplan.planning import PlanningProblem, plan
-from energyplan.planning.lattice.planner import energies
+from energyplan.planning.lattice.many_goals import energies
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 

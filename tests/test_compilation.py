@@ -392,7 +392,7 @@ import energyplan as ep
 from numba.core import event
 from energyplan.compilation.kernel import KERNELS
 from energyplan.planning import ready
-from energyplan.planning.lattice.planner import energies
+from energyplan.planning.lattice.many_goals import energies
 from energyplan.power import HOTEL
 from energyplan.terrain import HeightMap, Surface, SurfaceMap
 

@@ -20,7 +20,7 @@ from worlds import cluttered, free_poses
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, TimeLimitError
 from energyplan.planning import Budget, Plan, PlanningProblem, plan
-from energyplan.planning.lattice.planner import energies
+from energyplan.planning.lattice.many_goals import energies
 from energyplan.planning.ready import prepare
 from energyplan.power import PowerModel
 from energyplan.studies import compare

@@ -10,7 +10,7 @@ from energyplan.cost import EnergyCost
 from energyplan.path import Path
 from energyplan.planning import Budget, PlanningProblem, plan
 from energyplan.planning.budget import UNLIMITED
-from energyplan.planning.lattice.planner import energies
+from energyplan.planning.lattice.many_goals import energies
 from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.lattice.search import Search, lattice_for
 from energyplan.planning.lattice.tight_ends import ways_out

@@ -26,7 +26,7 @@ from energyplan.limits.drive import Drive
 from energyplan.mission import Mission, Task, evaluate
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, plan
-from energyplan.planning.lattice.planner import energies
+from energyplan.planning.lattice.many_goals import energies
 from energyplan.planning.scene import motions as kernels
 from energyplan.planning.scene import slopes as _slopes
 from energyplan.planning.scene.compiled import CompiledProblem

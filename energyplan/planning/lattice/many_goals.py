@@ -1,0 +1,103 @@
+"""The energies from one pose to many goals, from a single search."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from energyplan.errors import InvalidInputError
+from energyplan.path import FloatArray
+from energyplan.planning.budget import UNLIMITED, Budget
+from energyplan.planning.lattice import search_kernels as kernels
+from energyplan.planning.lattice.refine import Refiner
+from energyplan.planning.lattice.search import Search, coarse_lattice
+from energyplan.planning.problem import PlanningProblem, as_pose
+from energyplan.planning.ready import compiled
+from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.scene.guide import no_distance
+
+STRIDE = 30_000
+"""Expansions of the search between two attempts to reach the goals."""
+
+POLISH = 800
+"""Attempts at each path."""
+
+
+def energies(
+    problem: PlanningProblem,
+    goals: ArrayLike,
+    time_limit: float = 10.0,
+    *,
+    effort: int | None = None,
+    refined: bool = True,
+) -> FloatArray:
+    """Return the cost from the problem's start to each of many goals, from a single search.
+
+    One search without a goal reaches everything within the cost of the farthest goal, on a lattice
+    half as coarse again. Each goal is joined to it exactly, and the path is refined a little. The
+    costs are those of drivable paths, close to the least and never below it.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        The problem; its goal does not matter.
+    goals : array_like, shape (n, 3)
+        Goals: x, y [m], yaw [rad].
+    time_limit : float
+        Time for the search [s].
+    effort : int, optional
+        Units of work for the search, in place of the time limit; see `Budget`.
+    refined : bool
+        Whether to refine the paths.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Costs in the unit of the objective [J for energy]; infinite where no path was found.
+
+    Raises
+    ------
+    StartInCollisionError, GoalInCollisionError, OutsideMapError
+        If start or a goal cannot be; the message names the pose.
+    InvalidInputError
+        If the goals have another shape.
+    """
+    rows = np.asarray(goals, float)
+    if rows.ndim != 2 or rows.shape[1] != 3:
+        raise InvalidInputError(f"goals have shape {rows.shape}; give rows of x, y, yaw")
+    out = np.full(len(rows), np.inf)
+    if len(rows) == 0:
+        return out
+    query = CompiledProblem(problem)
+    settings = []
+    for row in rows:
+        goal = as_pose(row, "a goal")
+        replace(problem, goal=goal).check_poses()
+        centre = query.centre(goal)
+        settings.append(
+            query.setting._replace(goal_x=centre.x, goal_y=centre.y, goal_yaw=centre.yaw)
+        )
+    compiled()
+    lattice = coarse_lattice(query.setting)
+    search = Search(query.setting, no_distance(), lattice, 0.0, aligned=True)
+    budget = Budget(time_limit, effort=effort)
+    missing = list(range(len(rows)))
+    status = kernels.RUNNING
+    while missing and status == kernels.RUNNING and not budget.over:
+        status = search.run(budget, stop_at_first=False, expansions=STRIDE)
+        reached = search.frontier
+        for k in missing.copy():
+            cost, node = search.attach(settings[k])
+            # nothing that is still open can better it by more than the lattice is coarse
+            if cost <= reached or (np.isfinite(cost) and status != kernels.RUNNING):
+                missing.remove(k)
+                out[k] = cost
+                if refined:
+                    refiner = Refiner(settings[k], search.segments(settings[k], node))
+                    refiner.shortcut(UNLIMITED)
+                    refiner.polish(UNLIMITED, most=POLISH)
+                    out[k] = refiner.cost
+                out[k] += query.potential(as_pose(rows[k], "a goal"))
+    return out
