@@ -25,7 +25,8 @@ from multiprocessing import get_context
 from typing import Any, Generic, TypeVar
 
 from energyplan.errors import EnergyPlanError, MissingDependencyError
-from energyplan.mission import Mission, MissionReport, evaluate
+from energyplan.mission import Mission, MissionReport, evaluate, routes_wanted
+from energyplan.mission.legs import Legs, RouteKey, known_routes, learn_routes
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -124,28 +125,37 @@ def run(
     ...     sorted(outcome.value for outcome in run(abs, [-3, 2, -1], executor=pool))
     [1, 2, 3]
     """
-    place: _Place
-    if scheduler is not None:
-        place = _Cluster(function, shared, scheduler)
-    elif executor is not None:
-        place = _Foreign(function, shared, executor)
-    else:
-        place = _Pool(function, shared, workers or os.cpu_count() or 1)
-    done = failed = 0
+    place = _place(function, shared, executor, scheduler, workers)
     try:
-        for outcome in _Flow(place, iter(enumerate(items))):
-            done, failed = done + 1, failed + (not outcome.ok)
-            if progress is not None:
-                progress(done, failed)
-            yield outcome
+        yield from _counted(_Flow(place, iter(enumerate(items))), progress)
     finally:
         place.close()
 
 
+def _counted(
+    outcomes: Iterable[Outcome[R]], progress: Callable[[int, int], None] | None
+) -> Iterator[Outcome[R]]:
+    done = failed = 0
+    for outcome in outcomes:
+        done, failed = done + 1, failed + (not outcome.ok)
+        if progress is not None:
+            progress(done, failed)
+        yield outcome
+
+
 def evaluate_variants(
-    mission: Mission, variants: Iterable[Mapping[str, Any]], **options: Any
+    mission: Mission,
+    variants: Iterable[Mapping[str, Any]],
+    *,
+    executor: Executor | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[Outcome[MissionReport]]:
     """Evaluate a mission many times, each time with some of its values changed.
+
+    The routes that the mission will need are planned first, each by one worker, and travel to all
+    of them. What a variant needs beyond travels with its report to those that begin later.
 
     Parameters
     ----------
@@ -153,7 +163,7 @@ def evaluate_variants(
         The mission; it travels once to each worker, its map included.
     variants : iterable of mapping
         Values to change, by the names of `Mission`.
-    **options : object
+    executor, scheduler, workers, progress
         As in `run`.
 
     Yields
@@ -161,11 +171,63 @@ def evaluate_variants(
     Outcome
         With the mission's report.
     """
-    yield from run(_variant, variants, shared=mission, **options)
+    place = _place(_step, mission, executor, scheduler, workers)
+    try:
+        routes = known_routes(mission.map)
+        wanted = [(pair, ()) for pair in _wanted(mission)]
+        for planned in _Flow(place, iter(enumerate(wanted))):
+            if planned.ok:
+                routes |= planned.value[1]
+        learn_routes(mission.map, routes)
+        common, late = place.broadcast(routes), dict[RouteKey, Any]()
+        items = ((changes, (common, dict(late))) for changes in variants)
+        for outcome in _counted(_Flow(place, iter(enumerate(items))), progress):
+            if outcome.ok:
+                report, found = outcome.value
+                late |= {key: route for key, route in found.items() if key not in routes}
+                yield Outcome(outcome.index, (report,))
+            else:
+                yield outcome
+    finally:
+        place.close()
 
 
-def _variant(changes: Mapping[str, Any], mission: Mission) -> MissionReport:
-    return evaluate(replace(mission, **changes))
+def _wanted(mission: Mission) -> list[tuple[int, int]]:
+    """Return the routes to plan first; none where the mission as such cannot be evaluated."""
+    try:
+        return routes_wanted(mission)
+    except EnergyPlanError:
+        return []  # each variant tells for itself what is wrong
+
+
+def _step(item: tuple[Any, Any], mission: Mission) -> tuple[Any, dict[RouteKey, Any]]:
+    """Plan one route, or evaluate one variant; return what came of it, and the routes planned."""
+    asked, routes = item
+    for told in routes:
+        learn_routes(mission.map, told)
+    before = known_routes(mission.map).keys()
+    if isinstance(asked, tuple):
+        result: Any = None
+        start, goal = asked
+        Legs(mission).leg(start, goal, mission.payload)
+    else:
+        result = evaluate(replace(mission, **asked))
+    known = known_routes(mission.map)
+    return result, {key: route for key, route in known.items() if key not in before}
+
+
+def _place(
+    function: Callable[..., Any],
+    shared: Any,
+    executor: Executor | None,
+    scheduler: str | None,
+    workers: int | None,
+) -> _Place:
+    if scheduler is not None:
+        return _Cluster(function, shared, scheduler)
+    if executor is not None:
+        return _Foreign(function, shared, executor)
+    return _Pool(function, shared, workers or os.cpu_count() or 1)
 
 
 # -- where items run -----------------------------------------------------------------------------
@@ -183,6 +245,10 @@ class _Place:
     def submit_alone(self, item: Any) -> Future[Any]:
         """Start an item where it can harm no other."""
         return self.submit(item)
+
+    def broadcast(self, value: Any) -> Any:
+        """Return what stands for a value in items, so that it travels as seldom as can be."""
+        return value
 
     def mend(self) -> None:
         """Replace what broke."""
@@ -251,6 +317,9 @@ class _Cluster(_Place):
     def submit(self, item: Any) -> Future[Any]:
         future: Future[Any] = self._executor.submit(_apply, self._function, item, self._shared)
         return future
+
+    def broadcast(self, value: Any) -> Any:
+        return self._client.scatter([value], broadcast=True)[0]
 
     def close(self) -> None:
         self._client.close()

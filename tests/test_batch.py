@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import pytest
 
 from energyplan import batch
 from energyplan.battery import Battery
-from energyplan.mission import Mission, Task
+from energyplan.mission import Mission, Task, evaluate, routes_wanted
 from energyplan.path import Pose
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
@@ -115,6 +116,75 @@ def test_variants_of_a_mission():
     outcomes = {o.index: o for o in batch.evaluate_variants(base, variants, workers=2)}
     assert outcomes[0].value.soc_end > outcomes[2].value.soc_end
     assert outcomes[1].error.startswith("MissionError: the reserve")
+
+
+def note_routes(folder: str) -> None:
+    """Let this process leave a file for every route that it plans."""
+    from energyplan.mission import legs
+
+    planned = legs.plan
+
+    def noted(problem, *args, **options):
+        name = f"{tuple(problem.start)} to {tuple(problem.goal)}"
+        number = len(list(Path(folder).iterdir()))
+        (Path(folder) / f"{os.getpid()} {number} {name}").touch()
+        return planned(problem, *args, **options)
+
+    legs.plan = noted
+
+
+def rooms() -> Mission:
+    """A mission round two walls, whose routes are no straight lines."""
+    cells = np.zeros((60, 100), bool)
+    cells[:40, 35:38] = cells[20:, 65:68] = True
+    places = {"a": (2.0, 4.0), "b": (5.0, 1.0), "c": (8.5, 5.0), "d": (8.5, 1.5)}
+    return Mission(
+        PowerModel.preset("quadriga:empty:marble"), OccupancyGrid(cells, 0.1),
+        Battery.preset("quadriga"), Pose(1.0, 1.0, 0.0),
+        tuple(Task(name, Pose(x, y, 0.0)) for name, (x, y) in places.items()),
+        confidence=0.5, planning_effort=2000,
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_no_route_is_planned_twice_by_the_workers_of_a_cluster(tmp_path):
+    """Two workers plan some of them each, and both know all before the first variant."""
+    distributed = pytest.importorskip("distributed")
+    mission, variants = rooms(), [{"soc": 0.9 - 0.05 * k} for k in range(8)]
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        with distributed.Client(cluster) as client:
+            client.run(note_routes, str(tmp_path))
+        outcomes = list(
+            batch.evaluate_variants(mission, variants, scheduler=cluster.scheduler_address)
+        )
+    assert all(outcome.ok for outcome in outcomes), [outcome.error for outcome in outcomes]
+    notes = [file.name.split(" ", 2) for file in tmp_path.iterdir()]
+    # a way back is the way there driven backwards, where that costs the same
+    routes = ["".join(sorted(route.split(" to "))) for _, _, route in notes]
+    assert len(routes) == len(routes_wanted(rooms()))
+    assert len(set(routes)) == len(routes)
+    assert len({process for process, _, _ in notes}) == 2
+    alone = {k: evaluate(replace(mission, **change)) for k, change in enumerate(variants)}
+    for outcome in outcomes:
+        assert outcome.value.energy == pytest.approx(alone[outcome.index].energy, rel=1e-9)
+
+
+def test_routes_that_were_learned_are_not_planned_again(monkeypatch):
+    from energyplan.mission import legs
+
+    mission = rooms()
+    first = evaluate(mission)
+    routes = legs.known_routes(mission.map)
+    other = replace(mission, map=OccupancyGrid(mission.map.occupied, 0.1))
+    wanted = routes_wanted(other)
+    assert legs.known_routes(other.map) == {}  # guesses are no routes
+    assert len({frozenset(pair) for pair in wanted}) == len(wanted)
+    legs.learn_routes(other.map, routes)
+    assert routes_wanted(other) == []
+    monkeypatch.setattr(legs, "plan", None)
+    assert evaluate(other).energy == first.energy
 
 
 @pytest.mark.slow

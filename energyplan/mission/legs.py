@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -368,6 +368,78 @@ class Legs:
                 heights=mission.heights, period=_PERIOD,
             )  # fmt: skip
         return route.timed[key]
+
+
+class GuessedLegs(Legs):
+    """Legs that plan nothing: a route that is not known is guessed without obstacles, and noted.
+
+    Parameters
+    ----------
+    mission : Mission
+        The mission.
+    """
+
+    def __init__(self, mission: Mission) -> None:
+        super().__init__(mission)
+        self._guessed: dict[tuple[Pose, Pose], _Route] = {}
+        self.wanted: list[tuple[int, int]] = []
+
+    def planned(self, start: int, goal: int) -> bool:
+        """Tell whether the route from node to node is known or guessed."""
+        return (self.poses[start], self.poses[goal]) in self._guessed or super().planned(
+            start, goal
+        )
+
+    def _route(self, start: int, goal: int) -> _Route:
+        here, there = self.poses[start], self.poses[goal]
+        if here == there or (here, there) in self._routes:
+            return super()._route(start, goal)
+        if (here, there) not in self._guessed:
+            cost, _ = self.cost(self.mission.payload)
+            back = (there, here) in self._guessed or (there, here) in self._routes
+            if not (self._symmetric and back):
+                self.wanted.append((start, goal))
+            self._guessed[here, there] = _Route(steering.path(here, there, cost))
+        return self._guessed[here, there]
+
+
+RouteKey = tuple[bytes, Pose, Pose]
+"""What decides a route on a map, its start and its goal."""
+
+
+def known_routes(grid: OccupancyGrid) -> dict[RouteKey, _Route]:
+    """Return the routes that were planned on a map in this process, to be learned in another one.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        The map.
+
+    Returns
+    -------
+    dict
+        The routes by what decides them.
+    """
+    return {
+        (digest, *pair): route
+        for digest, routes in _routes.get(grid, {}).items()
+        for pair, route in routes.items()
+    }
+
+
+def learn_routes(grid: OccupancyGrid, routes: Mapping[RouteKey, _Route]) -> None:
+    """Take in routes that were planned elsewhere.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        The map.
+    routes : mapping
+        As from `known_routes`.
+    """
+    known = _routes.setdefault(grid, {})
+    for (digest, here, there), route in routes.items():
+        known.setdefault(digest, {}).setdefault((here, there), route)
 
 
 def _shaped(heights: HeightMap | None) -> object:
