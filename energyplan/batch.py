@@ -192,7 +192,7 @@ def evaluate_variants(
         place.close()
 
 
-def _wanted(mission: Mission) -> list[tuple[int, int]]:
+def _wanted(mission: Mission) -> list[tuple[int, int, bool]]:
     """Return the routes to plan first; none where the mission as such cannot be evaluated."""
     try:
         return routes_wanted(mission)
@@ -208,8 +208,8 @@ def _step(item: tuple[Any, Any], mission: Mission) -> tuple[Any, dict[RouteKey, 
     before = known_routes(mission.map).keys()
     if isinstance(asked, tuple):
         result: Any = None
-        start, goal = asked
-        Legs(mission).leg(start, goal, mission.payload)
+        start, goal, hurried = asked
+        Legs(mission).leg(start, goal, mission.payload, hurried)
     else:
         result = evaluate(replace(mission, **asked))
     known = known_routes(mission.map)

@@ -180,7 +180,7 @@ def test_routes_that_were_learned_are_not_planned_again(monkeypatch):
     other = replace(mission, map=OccupancyGrid(mission.map.occupied, 0.1))
     wanted = routes_wanted(other)
     assert legs.known_routes(other.map) == {}  # guesses are no routes
-    assert len({frozenset(pair) for pair in wanted}) == len(wanted)
+    assert len({frozenset(route) for route in wanted}) == len(wanted)
     legs.learn_routes(other.map, routes)
     assert routes_wanted(other) == []
     monkeypatch.setattr(legs, "plan", None)

@@ -89,7 +89,7 @@ def evaluate(mission: Mission, progress: Callable[[str], None] | None = None) ->
     return _Evaluation(mission, progress).report()
 
 
-def routes_wanted(mission: Mission) -> list[tuple[int, int]]:
+def routes_wanted(mission: Mission) -> list[tuple[int, int, bool]]:
     """Tell which routes an evaluation will plan, as far as can be told without obstacles.
 
     Parameters
@@ -99,8 +99,8 @@ def routes_wanted(mission: Mission) -> list[tuple[int, int]]:
 
     Returns
     -------
-    list of tuple of int
-        Start and goal of each, as nodes of its legs.
+    list of tuple
+        Start and goal of each, as nodes of its legs, and whether it is for a hurry.
     """
     legs = GuessedLegs(mission)
     evaluation = _Evaluation(mission, legs=legs)

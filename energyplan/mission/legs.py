@@ -381,30 +381,29 @@ class GuessedLegs(Legs):
 
     def __init__(self, mission: Mission) -> None:
         super().__init__(mission)
-        self._guessed: dict[tuple[Pose, Pose], _Route] = {}
-        self.wanted: list[tuple[int, int]] = []
+        self._guessed: dict[tuple[Pose, Pose, bool], _Route] = {}
+        self.wanted: list[tuple[int, int, bool]] = []
 
-    def planned(self, start: int, goal: int) -> bool:
+    def planned(self, start: int, goal: int, hurried: bool = False) -> bool:
         """Tell whether the route from node to node is known or guessed."""
-        return (self.poses[start], self.poses[goal]) in self._guessed or super().planned(
-            start, goal
-        )
+        guess = self.poses[start], self.poses[goal], hurried and self.can_hurry
+        return guess in self._guessed or super().planned(start, goal, hurried)
 
-    def _route(self, start: int, goal: int) -> _Route:
+    def _route(self, start: int, goal: int, hurried: bool) -> _Route:
         here, there = self.poses[start], self.poses[goal]
-        if here == there or (here, there) in self._routes:
-            return super()._route(start, goal)
-        if (here, there) not in self._guessed:
+        way, back = (here, there, hurried), (there, here, hurried)
+        if here == there or way in self._routes:
+            return super()._route(start, goal, hurried)
+        if way not in self._guessed:
             cost, _ = self.cost(self.mission.payload)
-            back = (there, here) in self._guessed or (there, here) in self._routes
-            if not (self._symmetric and back):
-                self.wanted.append((start, goal))
-            self._guessed[here, there] = _Route(steering.path(here, there, cost))
-        return self._guessed[here, there]
+            if not (self._symmetric and (back in self._guessed or back in self._routes)):
+                self.wanted.append((start, goal, hurried))
+            self._guessed[way] = _Route(steering.path(here, there, cost))
+        return self._guessed[way]
 
 
-RouteKey = tuple[bytes, Pose, Pose]
-"""What decides a route on a map, its start and its goal."""
+RouteKey = tuple[bytes, Pose, Pose, bool]
+"""What decides a route on a map, its start, its goal, and whether it is driven in a hurry."""
 
 
 def known_routes(grid: OccupancyGrid) -> dict[RouteKey, _Route]:
@@ -438,8 +437,8 @@ def learn_routes(grid: OccupancyGrid, routes: Mapping[RouteKey, _Route]) -> None
         As from `known_routes`.
     """
     known = _routes.setdefault(grid, {})
-    for (digest, here, there), route in routes.items():
-        known.setdefault(digest, {}).setdefault((here, there), route)
+    for (digest, here, there, hurried), route in routes.items():
+        known.setdefault(digest, {}).setdefault((here, there, hurried), route)
 
 
 def _shaped(heights: HeightMap | None) -> object:
