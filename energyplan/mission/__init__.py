@@ -92,15 +92,7 @@ def evaluate(mission: Mission, progress: Callable[[str], None] | None = None) ->
 def routes_wanted(mission: Mission) -> list[tuple[int, int, bool]]:
     """Tell which routes an evaluation will plan, as far as can be told without obstacles.
 
-    Parameters
-    ----------
-    mission : Mission
-        The mission.
-
-    Returns
-    -------
-    list of tuple
-        Start and goal of each, as nodes of its legs, and whether it is for a hurry.
+    Start and goal of each, as nodes of its legs, and whether it is for a hurry.
     """
     legs = GuessedLegs(mission)
     evaluation = _Evaluation(mission, legs=legs)
