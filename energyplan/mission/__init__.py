@@ -38,7 +38,7 @@ from energyplan.mission.types import Mission
 
 __all__ = [
     "Charger", "ChargerReport", "Doubt", "LegReport", "Mission", "MissionReport", "Remedy",
-    "Spreads", "Stop", "Task", "TaskReport", "Timeline", "evaluate", "routes_wanted",
+    "Spreads", "Stop", "Task", "TaskReport", "Timeline", "evaluate",
 ]  # fmt: skip
 
 _CANDIDATES = 5
