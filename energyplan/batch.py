@@ -25,7 +25,8 @@ from multiprocessing import get_context
 from typing import Any, Generic, TypeVar
 
 from energyplan.errors import EnergyPlanError, MissingDependencyError
-from energyplan.mission import Mission, MissionReport, evaluate, routes_wanted
+from energyplan.mission import Mission, MissionReport, evaluate
+from energyplan.mission.foresight import routes_wanted
 from energyplan.mission.legs import Legs, RouteKey, known_routes, learn_routes
 
 T = TypeVar("T")

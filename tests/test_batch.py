@@ -15,7 +15,8 @@ import pytest
 
 from energyplan import batch
 from energyplan.battery import Battery
-from energyplan.mission import Mission, Task, evaluate, routes_wanted
+from energyplan.mission import Mission, Task, evaluate
+from energyplan.mission.foresight import routes_wanted
 from energyplan.path import Pose
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid

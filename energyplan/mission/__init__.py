@@ -18,7 +18,7 @@ from energyplan.mission.account import charger_reports, doubts, leg_reports, tim
 from energyplan.mission.condition import Attempt, Condition
 from energyplan.mission.energy import Estimate
 from energyplan.mission.given_order import Course, best_course
-from energyplan.mission.legs import GuessedLegs, Legs
+from energyplan.mission.legs import Legs
 from energyplan.mission.order_refinement import best_stops
 from energyplan.mission.remedies import Remedy
 from energyplan.mission.report import (
@@ -87,17 +87,6 @@ def evaluate(mission: Mission, progress: Callable[[str], None] | None = None) ->
     True
     """
     return _Evaluation(mission, progress).report()
-
-
-def routes_wanted(mission: Mission) -> list[tuple[int, int, bool]]:
-    """Tell which routes an evaluation will plan, as far as can be told without obstacles.
-
-    Start and goal of each, as nodes of its legs, and whether it is for a hurry.
-    """
-    legs = GuessedLegs(mission)
-    evaluation = _Evaluation(mission, legs=legs)
-    evaluation.walk.finish(evaluation.go())
-    return legs.wanted
 
 
 class _Try(NamedTuple):
