@@ -112,6 +112,7 @@ def run(out: Path, say: Callable[[str], None]) -> list[Path]:
         say("5/6 budgeting a mission")
         _mission(demo)
     say("6/6 writing the page")
+    demo.page.made_from(call="energyplan demo")
     atomic_write(demo.path("index.html"), demo.page.html())
     return demo.files
 
