@@ -36,7 +36,10 @@ Time = Annotated[float, BeforeValidator(partial(amount, "time"))]
 Power = Annotated[float, BeforeValidator(partial(amount, "power"))]
 Amps = Annotated[float, BeforeValidator(partial(amount, "charge"))]
 Mass = Annotated[float, BeforeValidator(partial(amount, "mass"))]
-Speed = Annotated[float, BeforeValidator(partial(amount, "speed"))]
+Speed = Annotated[
+    float | Literal["cheapest"],
+    BeforeValidator(lambda value: value if value == "cheapest" else amount("speed", value)),
+]
 Fraction = Annotated[float, BeforeValidator(partial(amount, "fraction"))]
 PoseText = str | list[float | str]
 

@@ -335,7 +335,8 @@ class _Evaluation:
         """Tell what brings the robot there in time: speed, or a wider window."""
         task, tasks = self.mission.tasks[k], (*self.attempts[k].earlier, k)
         top = float(self.mission.vehicle.motor.speed)
-        faster = np.isfinite(top) and (self.mission.speed is None or self.mission.speed < top)
+        now = self.mission.tread_speed
+        faster = np.isfinite(top) and (now is None or now < top)
         speeds = [Remedy("speed", top, "m/s")] if faster else []
         in_turn = self.attempts[k].attempt
         times = [a.after.time for a in (told, in_turn) if a.reason == "late"]
@@ -409,7 +410,7 @@ class _Evaluation:
 
     def _slower(self, tasks: Sequence[int], failure: str) -> list[Remedy]:
         """Tell whether another speed helps: that of least energy, or one of less power."""
-        given, top = self.mission.speed, float(self.mission.vehicle.motor.speed)
+        given, top = self.mission.tread_speed, float(self.mission.vehicle.motor.speed)
         remedies = [] if given is None else [Remedy("cheapest_speed")]
         if failure in ("voltage", "current") and np.isfinite(top):
             most = min(top, given or top)

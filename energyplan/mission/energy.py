@@ -381,7 +381,7 @@ class Grounds:
         mission = self._mission
         model = self.model(0, mission.payload)
         vehicle = model.vehicle
-        asked = np.inf if mission.speed is None else mission.speed
+        asked = mission.tread_speed or np.inf
         speed = min(asked, vehicle.usual_speed, vehicle.motor.speed, _USUAL_SPEED)
         power = model.battery_side().power(_straight(model, float(speed)))
         return max(float(power[0]), 1.0)

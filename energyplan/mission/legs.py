@@ -7,7 +7,6 @@ from collections.abc import Callable, Hashable, Mapping
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Literal
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -16,12 +15,12 @@ import shapely
 from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitError
-from energyplan.limits.speed import corner_rounding, profile
 from energyplan.mission.bounds import shortest_ways
 from energyplan.mission.energy import Estimate, Grounds
 from energyplan.mission.types import Mission
 from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
 from energyplan.planning import PlanningProblem, plan
+from energyplan.planning.driven import drive_path
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
@@ -139,10 +138,7 @@ class Legs:
     @property
     def _speed(self) -> float | None:
         """Tread speed to drive at [m/s]: the mission's, the vehicle's usual, or the cheapest."""
-        usual = self.mission.model.vehicle.usual_speed
-        if self.mission.speed is None and np.isfinite(usual):
-            return usual
-        return self.mission.speed
+        return self.mission.tread_speed
 
     @property
     def can_hurry(self) -> bool:
@@ -345,28 +341,17 @@ class Legs:
         )
 
     def _timed(self, route: _Route, payload: float, hurried: bool) -> Trajectory:
-        """Return the route's trajectory of least energy, or the quickest at the speed asked."""
-        mission, speed = self.mission, self._speed
+        """Return the route's trajectory, as a plan of the same route is driven."""
+        mission = self.mission
         cost, surfaces = self.cost(payload)
-        model = cost.model.battery_side()
-        if surfaces is not None:
-            grounds = (replace(s, model=s.model.battery_side()) for s in surfaces.surfaces)
-            surfaces = replace(surfaces, surfaces=tuple(grounds))
+        if hurried and cost.speed is None:
+            cost = replace(cost, speed=cost.vehicle.motor.speed)
         others = () if surfaces is None else tuple(_told(s.model) for s in surfaces.surfaces)
-        key = speed, hurried, _told(model), others
+        key = cost.speed, _told(cost.model), others
         if key not in route.timed:
-            motor = model.vehicle.motor
-            if speed is not None:
-                motor = replace(motor, speed=min(speed, motor.speed))
-            smooth, tolerance = corner_rounding(0.0)
-            objective: Literal["energy", "time"] = "time"
-            if speed is None and not hurried:
-                objective = "energy"
-            route.timed[key] = profile(
-                route.path, model, vehicle=replace(model.vehicle, motor=motor),
-                objective=objective, smooth=smooth, tolerance=tolerance, surfaces=surfaces,
-                heights=mission.heights, period=_PERIOD,
-            )  # fmt: skip
+            route.timed[key] = drive_path(
+                route.path, cost, surfaces, mission.heights, grid=mission.free_map, period=_PERIOD
+            ).trajectory
         return route.timed[key]
 
 

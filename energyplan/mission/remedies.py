@@ -28,7 +28,7 @@ class Remedy:
     ----------
     kind : str
         What to change: ``"charge"`` (state of charge at the start), ``"capacity"`` (so much more
-        energy in the battery), ``"reserve"``, ``"speed"``, ``"cheapest_speed"`` (no speed given),
+        energy in the battery), ``"reserve"``, ``"speed"``, ``"cheapest_speed"``,
         ``"window"`` (a task's window ends so much later), ``"drop"`` (leave a task out).
     amount : float or None
         How much, in `unit`; None where there is nothing to measure.

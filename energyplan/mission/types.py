@@ -79,8 +79,9 @@ class Mission:
         Where ``"start"`` is, if not at `start`: for missions that are under way.
     time : float
         Time at the start, on the clock of the tasks' windows [s].
-    speed : float, optional
-        Tread speed to drive at [m/s]; the cheapest where not given.
+    speed : float or str, optional
+        Tread speed to drive at [m/s], or ``"cheapest"``; where not given that at which the vehicle
+        is usually driven, or else the fastest of its motors.
     planner : str
         Planner of the routes.
     planning_time : float, optional
@@ -133,7 +134,7 @@ class Mission:
     return_to: ReturnRule = "any"
     home: Pose | None = None
     time: float = 0.0
-    speed: float | None = None
+    speed: float | Literal["cheapest"] | None = None
     planner: str = "lattice"
     planning_time: float | None = None
     planning_effort: int | None = None
@@ -207,6 +208,8 @@ class Mission:
             require(np.isfinite(value) and value >= 0, f"{key} is {value}; give 0 or more", key)
         for key in ("planning_time", "planning_effort", "speed"):
             value = getattr(self, key)
+            if key == "speed" and value == "cheapest":
+                continue
             require(value is None or value > 0, f"{key} is {value}; give more than 0", key)
         require(self.order in ("given", "free"), f"order is {self.order!r}: given or free", "order")
         require(
@@ -270,6 +273,14 @@ class Mission:
         )
         header = ("task", "x, y [m], yaw [rad]", "dwell [s]", "power [W]", "required")
         return html.result(title, header, rows)
+
+    @property
+    def tread_speed(self) -> float | None:
+        """Tread speed to drive at [m/s]; None stands for the cheapest."""
+        if self.speed == "cheapest":
+            return None
+        usual = self.vehicle.driving_speed
+        return self.speed or (usual if np.isfinite(usual) else None)
 
     @property
     def vehicle(self) -> Vehicle:
@@ -349,7 +360,7 @@ class Mission:
         if remedy.kind == "drop":
             return replace(self, tasks=tuple(t for t in self.tasks if t.name != remedy.task))
         if remedy.kind == "cheapest_speed":
-            return replace(self, speed=None)
+            return replace(self, speed="cheapest")
         require(remedy.amount is not None, f"the remedy {remedy.kind!r} has no amount")
         amount = float(remedy.amount or 0.0)
         if remedy.kind == "window":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import lru_cache, partial
@@ -161,7 +162,10 @@ def create_app(
         return JSONResponse(waiting.result())
 
     def asked_problem(asked: PlanRequest) -> PlanningProblem:
-        cost = EnergyCost(store.model(asked.model), battery=asked.battery)
+        model = store.model(asked.model)
+        usual = model.vehicle.driving_speed
+        speed = usual if math.isfinite(usual) else None
+        cost = EnergyCost(model, battery=asked.battery, speed=speed)
         grid = store.map(asked.map)
         return PlanningProblem(
             _masked(grid, store.map(asked.keepout)) if asked.keepout else grid,
