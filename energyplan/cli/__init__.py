@@ -12,6 +12,7 @@ from typing import Annotated, TextIO
 import typer
 
 from energyplan.cli import (
+    _cost,
     _fitting,
     _loop,
     _mission,
@@ -28,7 +29,9 @@ from energyplan.errors import EnergyPlanError, MissingDependencyError, TimeLimit
 
 __all__ = ["app", "main"]
 
-_COMMANDS = (_start, _fitting, _planning, _range, _mission, _rmf, _loop, _serve, _warmup, _watch)
+_COMMANDS = (
+    _start, _fitting, _planning, _range, _mission, _rmf, _cost, _loop, _serve, _warmup, _watch
+)  # fmt: skip
 """Modules that register commands when they are imported."""
 
 

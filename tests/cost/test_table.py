@@ -1,0 +1,69 @@
+"""The cost as a table: what a planner in another language reads off it."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from random_models import random_model
+
+from energyplan.cost import EnergyCost
+from energyplan.cost.table import tabulate
+from energyplan.errors import InvalidInputError
+from energyplan.io.cost_table import write_cost_table
+from energyplan.power import PowerModel
+
+MODEL = PowerModel.preset("quadriga:full:marble")
+
+
+def test_the_error_told_is_the_error_made() -> None:
+    rng = np.random.default_rng(3)
+    for seed in range(6):
+        cost = random_model(seed)
+        speeds = [0.3, 0.6]
+        table = tabulate(cost, speeds)
+        angle = rng.uniform(-np.pi, np.pi, 3000)
+        ds, dtheta = np.cos(angle), np.sin(angle) / cost.half_track
+        for speed in speeds:
+            exact = replace(cost, speed=speed).segment_energy(ds, dtheta)
+            read = table.segment_energy(ds, dtheta, speed)
+            # between the probes it may be a little more
+            assert np.abs(read / exact - 1).max() <= 2 * max(table.error, 1e-6)
+
+
+def test_sizes_scale_and_speeds_beyond_the_table_are_its_edges() -> None:
+    table = tabulate(EnergyCost(MODEL), [0.2, 0.4, 0.8])
+    one = table.segment_energy(0.5, -0.3, 0.3)
+    assert table.segment_energy(5.0, -3.0, 0.3) == pytest.approx(10 * one, rel=1e-12)
+    assert table.segment_energy(0.5, -0.3, 9.0) == table.segment_energy(0.5, -0.3, 0.8)
+    assert table.segment_energy(0.0, 0.0, 0.5) == 0.0
+    cheapest = tabulate(EnergyCost(MODEL))
+    exact = EnergyCost(MODEL).segment_energy(1.0, 0.5)
+    assert cheapest.segment_energy(1.0, 0.5, 0.7) == pytest.approx(exact, rel=1e-3)
+
+
+def test_a_program_without_the_library_reads_the_file(tmp_path: Path) -> None:
+    cost = EnergyCost(MODEL)
+    write_cost_table(tabulate(cost, [0.5]), tmp_path / "cost.csv")
+    lines = (tmp_path / "cost.csv").read_text().splitlines()
+    half = float(lines[0].split()[-1])
+    rows = list(csv.DictReader(lines[2:]))
+    angles = [float(row["angle"]) for row in rows]
+    energies = [float(row["0.5"]) for row in rows]
+    exact = EnergyCost(MODEL, speed=0.5)
+    for ds, dtheta in ((1.0, 0.0), (0.0, 1.0), (-0.7, 0.2), (0.3, -2.0)):
+        where = math.atan2(half * dtheta, ds)
+        read = math.hypot(ds, half * dtheta) * float(np.interp(where, angles, energies))
+        assert read == pytest.approx(float(exact.segment_energy(ds, dtheta)), rel=1.1e-3)
+
+
+@pytest.mark.parametrize("speeds", [[], [0.0], [-1.0], [np.nan]])
+def test_bad_speeds_are_named(speeds: list[float]) -> None:
+    with pytest.raises(InvalidInputError, match="speeds"):
+        tabulate(EnergyCost(MODEL), speeds)
+    with pytest.raises(InvalidInputError, match="tolerance"):
+        tabulate(EnergyCost(MODEL), tolerance=0.0)
