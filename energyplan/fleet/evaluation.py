@@ -20,13 +20,13 @@ from energyplan.mission.legs import Legs
 from energyplan.mission.report import StopKind
 from energyplan.mission.simulation import Walk
 
-_ROUNDS, _SEARCH_ROUNDS = 60, 4
+_ROUNDS, _SEARCH_ROUNDS = 60, 3
 """Rounds of assigning and planning: of exact answers, and of searches."""
 
 _SEARCH_TIME = 3.0
 """Time of each search [s]."""
 
-_SEARCH_EFFORT = 2000
+_SEARCH_EFFORT = 300
 """Orders that each search may accept, where work is counted in effort."""
 
 _LEAST_SCALE = 0.8
