@@ -1,7 +1,6 @@
 """What diagnosis finds, and how fast.
 
     python benchmarks/diagnose.py                  simulated: false finds, hidden effects, speed
-    python benchmarks/diagnose.py calibrate COUNT  is what is said with 80 % true in 80 %?
     python benchmarks/diagnose.py million          time and memory of a million samples
     python benchmarks/diagnose.py engine FOLDER    a physics engine, one hidden effect a drive
     python benchmarks/diagnose.py husky FOLDER...  runs of a Husky, one surface a folder
@@ -171,38 +170,6 @@ def hidden_finds(count: int = 4) -> None:
     print(f"named: {named} of {total}\n")
 
 
-def calibrate(count: int) -> None:
-    """Hide one or two effects of random size, and compare stated probabilities with the truth."""
-    rng = np.random.default_rng(7)
-    stated, true, covered = [], [], []
-    pairable = HIDDEN[:10]
-    for k in range(count):
-        model = PowerModel.preset(str(rng.choice(sorted(TABLE_II))))
-        vehicle, options, sizes = model.vehicle, {"without": {"accel_x"}}, dict[str, float]()
-        for name in rng.choice(pairable, 1 + k % 2, replace=False):
-            model, _, sizes[str(name)] = hidden_effect(str(name), rng, model)
-        noise = {"power_noise": float(rng.uniform(2, 12)), "speed_noise": 0.005}
-        train = simulate.identification_drive(model, seed=2 * k, **noise, **options)
-        unseen = simulate.validation_drive(model, seed=2 * k + 1, **noise, **options)
-        told = diagnose(train, unseen, vehicle)
-        for one in told.explanations:
-            stated.append(one.probability)
-            true.append(set(one.effects) == set(sizes))
-        covered += [
-            abs(effect.value - sizes[effect.name]) <= 1.96 * effect.std_error
-            for effect in told.effects if effect.name in sizes
-        ]  # fmt: skip
-    p, right = np.array(stated), np.array(true)
-    for low, high in ((0.0, 0.05), (0.05, 0.3), (0.3, 0.7), (0.7, 0.95), (0.95, 1.01)):
-        some = (p >= low) & (p < high)
-        if some.any():
-            print(
-                f"stated {low:.2f} to {min(high, 1.0):.2f}: mean {p[some].mean():.2f}, true in "
-                f"{right[some].mean():.2f} of {some.sum()}"
-            )
-    print(f"sizes within their 95 % interval: {np.mean(covered):.0%} of {len(covered)}")
-
-
 def speed() -> None:
     """Time the diagnosis of ten drives."""
     model = PowerModel.preset("quadriga:full:concrete").with_term(HOTEL, 30.0)
@@ -313,8 +280,6 @@ if __name__ == "__main__":
             false_finds()
             hidden_finds()
             speed()
-        case ["calibrate", count]:
-            calibrate(int(count))
         case ["million"]:
             million()
         case ["engine", folder]:

@@ -195,6 +195,7 @@ class _Case:
         self.entries = tuple(entries)
         self.logs = (tuple(train), tuple(holdout))
         self.notes: list[str] = []
+        self.limits: list[str] = []  # of what these drives can tell: said before anything else
         train, holdout = (self._in_step(logs) for logs in self.logs)
         self.problem = self._problem(train, vehicle)
         self.paper = self._identified(train, vehicle)
@@ -238,7 +239,7 @@ class _Case:
         try:
             return identify(train, vehicle).model
         except NotIdentifiableError as reason:
-            self.notes.append(str(reason))
+            self.limits.append(str(reason))
             return final_fit(self.problem, ()).model
 
     def _mass_centre(self, vehicle: Vehicle) -> MassCentre | None:
@@ -300,6 +301,7 @@ class _Case:
         used = [part.effect for part in chosen]
         errors = score(before), score(after)
         advice = [
+            *self.limits,
             *_advice.mimic_advice(left, names, mimics),
             *_advice.adequacy_advice(quality, bool(left)),
             *_advice.drive_advice(told_after, SIGNIFICANCE),

@@ -47,10 +47,13 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
     vehicle = problem.vehicle
     edges = _SLIP_SPEEDS / (vehicle.slip_moment / float(vehicle.loads.sum()))
     terms = [*PAPER, *usual]
-    for edge in edges[::-1]:
+    sure = problem.of_totals
+    for edge in [*edges[::-1], 0.0]:
         sure = _holding(problem, float(edge))
-        if np.mean(np.concatenate([drive.slides for drive in sure.drives])) > _LEFT:
+        if sure.drives[0].equations == 2:
             break
+    if sure.drives[0].equations == 1:
+        return sure
     design = sure.design(terms)
     values = fit(design, sure.reference(design)).values
     scatter = _scatter(problem, terms, values, edges)
@@ -65,8 +68,11 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
 
 
 def _holding(problem: Problem, breakaway: float) -> Problem:
+    """Return the drives with a breakaway; with the total alone where they hardly slide then."""
     drives = [replace(drive, breakaway=breakaway, fields={}) for drive in problem.drives]
-    return Problem(drives, problem.vehicle, problem.memory)
+    held = Problem(drives, problem.vehicle, problem.memory)
+    share = np.mean(np.concatenate([drive.slides for drive in held.drives]))
+    return held if share > _LEFT else held.of_totals
 
 
 def _scatter(

@@ -17,6 +17,7 @@ from scipy.optimize import minimize, minimize_scalar
 from energyplan.diagnosis.change_points import mark_changes
 from energyplan.diagnosis.explanations import Evaluated, Explanation, Found, Gain
 from energyplan.diagnosis.fitting import PAPER, Fit, Part, Problem, difference, fit
+from energyplan.diagnosis.plausible import drivable
 from energyplan.diagnosis.proposals import (
     OF_LOG,
     RARE,
@@ -138,6 +139,8 @@ class Search(Proposals):
             low, high = part.effect.limits(problem.vehicle)
             if not low <= part.effect.value(model) <= high:
                 return False
+        if not all(drivable(problem, part.terms, model) for part in parts):
+            return False
         constant = {term.name for part in parts for term in part.terms if term.kind == "power"}
         resting = sum(
             float(value)

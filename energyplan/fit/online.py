@@ -21,9 +21,11 @@ from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Sides, Term
 from energyplan.vehicle import Vehicle
 
-_TYPICAL = {"N": 100.0, "1": 0.5, "W": 20.0, "kg": 100.0}
-"""Order of magnitude of coefficients by unit, to start from where nothing is known."""
+_TYPICAL = {"N": 0.7, "W": 0.15, "kg": 0.7}
+"""Order of magnitude of coefficients by unit and kilogram of the vehicle, where none is known."""
 
+_FRICTION = 0.5  # the same of what does not grow with the vehicle
+_NOISE = 0.07  # of the power, by kilogram of the vehicle, where nothing is known [W/kg]
 _NOISE_MEMORY = 120.0
 _CORRELATION_TIME = 0.5
 """Of the residual, until the drive shows its own [s]."""
@@ -53,6 +55,13 @@ class SurfaceChange:
     onset: float
     statistic: float
     before: PowerModel
+
+
+def _typical(term: Term, vehicle: Vehicle) -> float:
+    """Order of magnitude of a term's coefficient on a vehicle."""
+    if term.unit in _TYPICAL:
+        return _TYPICAL[term.unit] * vehicle.mass
+    return _FRICTION if term.unit == "1" else 1.0
 
 
 class OnlineIdentifier:
@@ -132,7 +141,7 @@ class OnlineIdentifier:
         if isinstance(prior, PowerModel):
             self._model = prior
         else:
-            values = [np.clip(_TYPICAL.get(term.unit, 1.0), *term.bounds) for term in terms]
+            values = [np.clip(_typical(term, prior), *term.bounds) for term in terms]
             self._model = PowerModel(prior, tuple(terms), np.array(values), name="online")
         self._battery, self._spread = battery, spread
         self._linear = is_linear(self._model.battery_side() if battery else self._model)
@@ -164,13 +173,19 @@ class OnlineIdentifier:
             scaled = scaled + 1e-8 * np.eye(len(self._unit))
             self._matrices[kernel.INFORMATION] = np.linalg.inv(scaled)
             self._matrices[kernel.COVARIANCE] = scaled
-        noise = model.residual.rmse if model.residual and model.residual.rmse > 0 else 10.0
+        known = model.residual is not None and model.residual.rmse > 0
+        noise = (
+            model.residual.rmse
+            if model.residual is not None and known
+            else _NOISE * model.vehicle.mass
+        )
         self._scalars[kernel.VARIANCE] = noise**2
-        self._scalars[kernel.SAMPLES] = 40.0
+        # A guess that fits a robot of some size is worth little on another.
+        self._scalars[kernel.SAMPLES] = 40.0 if known else 2.0
 
     def _units(self, coefficients: FloatArray) -> FloatArray:
         """Prior standard deviations."""
-        typical = [_TYPICAL.get(term.unit, 1.0) for term in self._model.terms]
+        typical = [_typical(term, self._model.vehicle) for term in self._model.terms]
         size = np.maximum(np.abs(coefficients), 0.2 * np.array(typical))
         return np.asarray(self._spread * size)
 
@@ -289,6 +304,8 @@ class OnlineIdentifier:
 
     def run(self, log: DriveLog) -> tuple[SurfaceChange, ...]:
         """Take in a log, sample by sample, as it would have come in while driving.
+
+        Speeds are taken as they are: unlike `identify`, it cannot tell noise at rest from creeping.
 
         Parameters
         ----------
