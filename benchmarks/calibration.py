@@ -54,6 +54,7 @@ class Outcome:
     covered: tuple[bool, ...]
     ratio: float
     verdict: str
+    adequate: bool
 
     @property
     def first(self) -> bool:
@@ -129,7 +130,9 @@ def case(seed: int) -> Outcome:
         logs[0], logs[1], vehicle, effects=[entries[name] for name in sizes], choose=False
     ).after.rmse
     hidden = frozenset(SAME.get(name, name) for name in sizes)
-    return Outcome(hidden, stated, covered, told.after.rmse / oracle, told.verdict)
+    return Outcome(
+        hidden, stated, covered, told.after.rmse / oracle, told.verdict, told.adequacy.adequate
+    )
 
 
 def stepped(log: DriveLog, step: float, powers: tuple[str, ...]) -> DriveLog:
@@ -175,6 +178,8 @@ def report(outcomes: list[Outcome], temperature: float, fitted: int) -> str:
     first = np.mean([one.first for one in outcomes])
     covered = [hit for one in outcomes for hit in one.covered]
     ratios = np.array([one.ratio for one in outcomes])
+    whole = [one for one in outcomes if one.adequate]
+    sound = np.mean([one.first for one in whole]) if whole else np.nan
     none = sum(one.verdict == "no_effect" for one in outcomes)
     return "\n".join(
         [
@@ -183,8 +188,9 @@ def report(outcomes: list[Outcome], temperature: float, fitted: int) -> str:
             f"{np.mean(covered):.0%} of {len(covered)} sizes lay within their 95 % interval; the",
             "RMSE of the hold-out was at most 1.15 times that of a model that was told in",
             f"{np.mean(ratios <= 1.15):.0%}, worst {ratios.max():.2f}; `no_effect` was said {none}",
-            f"times. The other {fitted} drives ask for a temperature of {temperature:.2f} on top",
-            "of the one in use (1 leaves all as it is).", "",
+            f"times. Where `adequacy` says that nothing is missing ({len(whole)} drives), the right",
+            f"explanation came first in {sound:.0%}. The other {fitted} drives ask for a temperature of",
+            f"{temperature:.2f} on top of the one in use (1 leaves all as it is).", "",
         ]
     )  # fmt: skip
 

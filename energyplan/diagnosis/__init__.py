@@ -387,7 +387,7 @@ class _Case:
         found = []
         if self.mass_centre is not None:
             entry = next(entry for entry in self.entries if entry.name == "centre_of_mass")
-            found.append(_mass_effect(entry, self.mass_centre))
+            found.append(self.mass_centre.effect(entry))
         for part in parts:
             entry, params = part.effect, dict(part.params)
             details = {**params, **{f"{k}_std_error": v for k, v in errors.items() if k in params}}
@@ -451,22 +451,3 @@ def _change_time(drive: Drive) -> dict[str, float]:
 def _smooth_part(found: Dependence) -> Part:
     term = empirical_term(f"empirical_{found.carrier}_{found.channel}", found.knots, found.values)
     return Part(Effect.of(term, planner="where it knows the channel"))
-
-
-def _mass_effect(entry: Effect, found: MassCentre) -> FoundEffect:
-    offset = np.array([found.forward, found.left])
-    size = float(np.hypot(*offset))
-    along = offset / size
-    return FoundEffect(
-        entry.name, entry.symbol, size, entry.unit,
-        float(np.sqrt(along @ found.covariance @ along)),
-        Evidence(found.improvement, found.improvement_error, found.p_value),
-        1.0 - found.p_value,
-        (),
-        {
-            "forward": found.forward, "left": found.left,
-            "forward_std_error": float(np.sqrt(found.covariance[0, 0])),
-            "left_std_error": float(np.sqrt(found.covariance[1, 1])),
-        },
-        entry.meaning, entry.planner,
-    )  # fmt: skip

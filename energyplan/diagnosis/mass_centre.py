@@ -15,9 +15,11 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import f as fisher
 
+from energyplan.diagnosis.result import Evidence, FoundEffect
 from energyplan.diagnosis.windows import BLOCK, Drive
 from energyplan.errors import VehicleError
 from energyplan.path import FloatArray
+from energyplan.power.effects import Effect
 from energyplan.vehicle import GRAVITY, Vehicle, wheel_loads
 
 _SAMPLES = 500
@@ -49,6 +51,25 @@ class MassCentre:
     improvement: float
     improvement_error: float
     p_value: float
+
+    def effect(self, entry: Effect) -> FoundEffect:
+        """Return it as an effect of a diagnosis."""
+        offset = np.array([self.forward, self.left])
+        size = float(np.hypot(*offset))
+        along = offset / size
+        return FoundEffect(
+            entry.name, entry.symbol, size, entry.unit,
+            float(np.sqrt(along @ self.covariance @ along)),
+            Evidence(self.improvement, self.improvement_error, self.p_value),
+            1.0 - self.p_value,
+            (),
+            {
+                "forward": self.forward, "left": self.left,
+                "forward_std_error": float(np.sqrt(self.covariance[0, 0])),
+                "left_std_error": float(np.sqrt(self.covariance[1, 1])),
+            },
+            entry.meaning, entry.planner,
+        )  # fmt: skip
 
     @property
     def found(self) -> bool:

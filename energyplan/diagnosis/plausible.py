@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from energyplan.diagnosis.columns import field_of
 from energyplan.diagnosis.fitting import Problem
@@ -52,3 +53,22 @@ def drivable(problem: Problem, terms: Sequence[Term], model: PowerModel) -> bool
             if np.isfinite(most) and float(np.quantile(np.abs(force * speed), _USUAL)) > most:
                 return False
     return True
+
+
+class Rest:
+    """What the robot draws at rest, where the drives show it."""
+
+    def __init__(self, problem: Problem) -> None:
+        samples = []
+        for drive in problem.drives:
+            still = (drive.motion.v_left == 0) & (drive.motion.v_right == 0)
+            samples.append(drive.power[still])
+        power: NDArray[np.float64] = np.concatenate(samples)
+        self.count = len(power)
+        self.mean = float(power.mean()) if len(power) else 0.0
+
+    def allows(self, constant: float) -> bool:
+        """Tell whether a constant power agrees with what is drawn at rest."""
+        if self.count < 10 or constant == 0.0:
+            return True
+        return abs(self.mean - constant) <= 0.5 * abs(constant)

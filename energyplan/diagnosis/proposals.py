@@ -146,7 +146,8 @@ class Proposals:
         ndarray, shape (...)
             Normal likelihood, a weighted mean over the scales: each alone is one.
         """
-        count = np.tile(WEIGHTS, len(windows) // len(WEIGHTS)) * windows / self.repeats
+        count = np.tile(WEIGHTS, len(windows) // len(WEIGHTS)) * windows
+        count = count / self.repeats[: len(windows)]
         floor = self.problem.floor.reshape(-1, *[1] * (np.ndim(errors) - 1))
         fall = np.log(np.maximum(errors, 0.0) + floor + 1e-300)
         return np.asarray(-0.5 * np.tensordot(count, fall, axes=(0, 0)))

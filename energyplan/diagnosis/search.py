@@ -11,13 +11,12 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
 
 from energyplan.diagnosis.change_points import mark_changes
 from energyplan.diagnosis.explanations import Evaluated, Explanation, Found, Gain
 from energyplan.diagnosis.fitting import PAPER, Fit, Part, Problem, difference, fit
-from energyplan.diagnosis.plausible import drivable
+from energyplan.diagnosis.plausible import Rest, drivable
 from energyplan.diagnosis.proposals import (
     OF_LOG,
     RARE,
@@ -43,6 +42,7 @@ predicts unseen blocks better and outweighs its prior: three gates, each of whic
 WORTHWHILE = 0.05
 """Smallest fall of the cross-validated error, mean over the scales, that is worth an effect."""
 
+_APART = 0.05  # delays that are worth sets of their own [s]
 _DELAYS = np.round(np.arange(-1.0, 1.01, 0.1), 1)  # of the power [s]
 
 
@@ -74,7 +74,7 @@ class Search(Proposals):
     ) -> None:
         super().__init__(problem, effects, limit)
         self.progress = progress
-        self.rest = _Rest(problem)
+        self.rest = Rest(problem)
         self.evaluated: dict[tuple[Set, float], Evaluated] = {}
 
     def _settle_repeats(self, pools: Mapping[float, tuple[list[Candidate], list[Set]]]) -> None:
@@ -82,11 +82,7 @@ class Search(Proposals):
 
         By the residual of the set that fits best: what a worse one leaves is no noise.
         """
-        every = [
-            self._evaluate(chosen, candidates, delay)
-            for delay, (candidates, sets) in pools.items() for chosen in sets
-        ]  # fmt: skip
-        best = max(every, key=self.score)
+        best = self._best_of(pools)
         self.errors = best.errors
         design = best.problem.design(terms_of(best.parts), best.errors)
         repeats = []
@@ -98,6 +94,13 @@ class Search(Proposals):
             pieces = [slice(a, b) for a, b in pairwise(edges.tolist())]
             repeats.append(autocorrelation(residual, pieces).repeats)
         self.repeats = np.array(repeats)
+
+    def _best_of(self, pools: Mapping[float, tuple[list[Candidate], list[Set]]]) -> Evaluated:
+        every = [
+            self._evaluate(chosen, candidates, delay)
+            for delay, (candidates, sets) in pools.items() for chosen in sets
+        ]  # fmt: skip
+        return max(every, key=self.score)
 
     def score(self, one: Evaluated) -> float:
         """Return the logarithm of an evaluated set's likelihood."""
@@ -176,7 +179,7 @@ class Search(Proposals):
 
     def _best_delay(self, parts: Sequence[Part], problem: Problem) -> float:
         """Return the delay of the power at which a model predicts best [s]."""
-        terms = terms_of(parts)
+        terms, problem = terms_of(parts), problem.of_totals
 
         def loss(delay: float) -> float:
             design = problem.delayed(float(delay)).design(terms)
@@ -203,6 +206,23 @@ class Search(Proposals):
         )
         return [0.0, found] if late + RARE + OF_LOG > plain else [0.0]
 
+    def _masked_delay(
+        self, pools: Mapping[float, tuple[list[Candidate], list[Set]]]
+    ) -> float | None:
+        """Return a delay that a strong effect hid from the paper's model; None where there is none."""
+        if self.delay is None:
+            return None
+        best = self._best_of(pools)
+        totals = best.problem.of_totals.delayed(0.0)
+        found = self._best_delay(best.parts, totals)
+        if min(abs(found - delay) for delay in pools) < _APART:
+            return None
+        plain, late = (
+            self.score(self._fitted(totals.delayed(delay), best.parts))
+            for delay in (best.problem.drives[0].delay, found)
+        )
+        return found if late + RARE + OF_LOG > plain else None
+
     def run(self) -> Found:
         """Search, and return the explanations, the most probable one first."""
         self.progress(0.0, f"trying {len(self.effects)} effects together")
@@ -215,7 +235,10 @@ class Search(Proposals):
         pools: dict[float, tuple[list[Candidate], list[Set]]] = {}
         for delay in self._delays(nuisance):
             pools[delay] = self.pool(delay, usual)
-            self.progress(0.6, "fitting the best sets")
+        self.progress(0.5, "fitting the best sets")
+        masked = self._masked_delay(pools)
+        if masked is not None:
+            pools[masked] = self.pool(masked, usual)
         self._settle_repeats(pools)
         weighed: dict[tuple[frozenset[int], float], float] = {}
         for delay, (candidates, sets) in pools.items():
@@ -443,22 +466,3 @@ def without_mimics(
 
 def _errors(problem: Problem, parts: Sequence[Part]) -> FloatArray:
     return problem.reference(problem.design(terms_of(parts)))
-
-
-class _Rest:
-    """What the robot draws at rest, where the drives show it."""
-
-    def __init__(self, problem: Problem) -> None:
-        samples = []
-        for drive in problem.drives:
-            still = (drive.motion.v_left == 0) & (drive.motion.v_right == 0)
-            samples.append(drive.power[still])
-        power: NDArray[np.float64] = np.concatenate(samples)
-        self.count = len(power)
-        self.mean = float(power.mean()) if len(power) else 0.0
-
-    def allows(self, constant: float) -> bool:
-        """Tell whether a constant power agrees with what is drawn at rest."""
-        if self.count < 10 or constant == 0.0:
-            return True
-        return abs(self.mean - constant) <= 0.5 * abs(constant)

@@ -15,7 +15,7 @@ from energyplan.diagnosis.linear import linearise_drive
 from energyplan.diagnosis.windows import Drive, prepared
 from energyplan.motion import Motion
 from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS, SLIP, TRACTION, PowerModel
-from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, WHEEL_FIGHT
+from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, TURN_ASYMMETRY, WHEEL_FIGHT
 from energyplan.simulate import Leg
 from energyplan.vehicle import Vehicle
 
@@ -208,3 +208,22 @@ def test_the_moment_between_the_sides_is_read_off_their_difference() -> None:
 def _summed(log: DriveLog) -> dict[str, np.ndarray]:
     rest = {k: v for k, v in log.channels.items() if k not in ("p_left", "p_right")}
     return {**rest, "power": log.power}
+
+
+def test_a_late_power_is_found_beside_strong_effects_at_two_readings_a_second() -> None:
+    truth = PowerModel.preset("quadriga:full:concrete").with_term(TURN_ASYMMETRY, 0.12)
+    options = {"rate": 2.0, "power_noise": 3.0, "measured": "total", "delays": {"power": 0.4}}
+    options |= {"without": {"accel_x"}, "speed_noise": 0.003}
+    train = simulate.identification_drive(truth, seed=1, duration=225.0, **options)
+    unseen = simulate.validation_drive(truth, seed=2, duration=180.0, **options)
+    told = diagnose(train, unseen, truth.vehicle)
+    sizes = {effect.name: effect.value for effect in told.effects}
+    assert {"turn_asymmetry", "time_offset"} <= set(sizes)
+    assert sizes["time_offset"] == pytest.approx(0.4, abs=0.05)
+
+
+def test_drives_that_never_turn_have_one_equation() -> None:
+    model = PowerModel.preset("quadriga:full:concrete")
+    log = simulate.drive(model, [("straight", 60.0)], power_noise=3.0, seed=1)
+    case = Problem(prepared([log], model.vehicle), model.vehicle)
+    assert with_breakaway(case, ()).drives[0].equations == 1
