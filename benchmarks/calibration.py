@@ -188,9 +188,10 @@ def report(outcomes: list[Outcome], temperature: float, fitted: int) -> str:
             f"{np.mean(covered):.0%} of {len(covered)} sizes lay within their 95 % interval; the",
             "RMSE of the hold-out was at most 1.15 times that of a model that was told in",
             f"{np.mean(ratios <= 1.15):.0%}, worst {ratios.max():.2f}; `no_effect` was said {none}",
-            f"times. Where `adequacy` says that nothing is missing ({len(whole)} drives), the right",
-            f"explanation came first in {sound:.0%}. The other {fitted} drives ask for a temperature of",
-            f"{temperature:.2f} on top of the one in use (1 leaves all as it is).", "",
+            f"times. Where `adequacy` says that nothing is missing ({len(whole)} drives), the",
+            f"right explanation came first in {sound:.0%}. The other {fitted} drives ask for a",
+            f"temperature of {temperature:.2f} on top of the one in use (1 leaves all",
+            "as it is).", "",
         ]
     )  # fmt: skip
 

@@ -209,7 +209,7 @@ class Search(Proposals):
     def _masked_delay(
         self, pools: Mapping[float, tuple[list[Candidate], list[Set]]]
     ) -> float | None:
-        """Return a delay that a strong effect hid from the paper's model; None where there is none."""
+        """Return a delay that a strong effect hid; None where there is none."""
         if self.delay is None:
             return None
         best = self._best_of(pools)
