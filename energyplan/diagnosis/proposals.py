@@ -148,7 +148,7 @@ class Proposals:
         """
         count = np.tile(WEIGHTS, len(windows) // len(WEIGHTS)) * windows
         count = count / self.repeats[: len(windows)]
-        floor = self.problem.floor.reshape(-1, *[1] * (np.ndim(errors) - 1))
+        floor = self.problem.floor[: len(windows)].reshape(-1, *[1] * (np.ndim(errors) - 1))
         fall = np.log(np.maximum(errors, 0.0) + floor + 1e-300)
         return np.asarray(-0.5 * np.tensordot(count, fall, axes=(0, 0)))
 
