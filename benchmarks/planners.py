@@ -6,6 +6,7 @@
     python benchmarks/planners.py MAP.yaml --rivals 10  0.1 s of ours against 10 s of OMPL's
     python benchmarks/planners.py MAP.yaml --many       one search for many goals
     python benchmarks/planners.py --sizes 4096 [--plot sizes.png]
+    python benchmarks/planners.py --write docs/planning.md  by effort, into the table of that page
 
 A file of pairs names its `map`, which lies beside it, and the `model`; of its `pairs` each has
 `start`, `goal` and the least energy known, `best_known_energy` [J]. Without maps, those of the
@@ -34,6 +35,7 @@ from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+MARKS = "<!-- measured plans -->", "<!-- end of measured plans -->"
 RIVALS = ("rrtstar", "informed_rrtstar", "bitstar")
 
 
@@ -148,6 +150,37 @@ def rivals(name: str, grid: OccupancyGrid, count: int, limit: float) -> None:
     print(row(), flush=True)
 
 
+def row_of(name: str, grid: OccupancyGrid, count: int, effort: int) -> str:
+    """Return a row of the table: pairs solved, gaps, and what is dearer than the shortest."""
+    gaps, solved, dearer, spent = [], 0, 0, 0.0
+    todo = problems(grid, count)
+    for problem in todo:
+        begun = time.process_time()
+        with suppress(PlanningError):
+            found = plan(problem, effort=effort)
+            spent += time.process_time() - begun
+            solved += 1
+            gaps.append(100 * found.gap)
+            short = plan(replace(problem, objective="length"), effort=effort)
+            dearer += found.energy > short.energy * (1 + 1e-9)
+    return (
+        f"| {name} | {effort} | {solved} of {len(todo)} | {np.median(gaps):.1f} / "
+        f"{np.quantile(gaps, 0.9):.1f} % | {dearer} | {spent / max(solved, 1):.2f} s |"
+    )
+
+
+def write_table(page: Path, grids: dict[str, OccupancyGrid], count: int) -> None:
+    """Write the table of plans by effort between the marks of a page."""
+    rows = [row_of(*item, count, 5_000) for item in grids.items()]
+    head = [
+        "| map | effort | solved | gap, median / 90 % | dearer than the shortest | CPU time |",
+        "|---|---|---|---|---|---|",
+    ]
+    before, _, rest = page.read_text().partition(MARKS[0])
+    _, _, after = rest.partition(MARKS[1])
+    page.write_text(before + "\n".join([MARKS[0], *head, *rows, MARKS[1]]) + after)
+
+
 def many(name: str, grid: OccupancyGrid, count: int) -> None:
     """Print one row: a search for many goals against the farthest goal's single plan."""
     todo = problems(grid, count)
@@ -232,6 +265,7 @@ def main() -> None:
     parser.add_argument("--many", action="store_true")
     parser.add_argument("--sizes", type=int, default=0, metavar="CELLS")
     parser.add_argument("--plot")
+    parser.add_argument("--write", type=Path, metavar="PAGE.md")
     given = parser.parse_args()
     own = sorted((Path(__file__).parents[1] / "maps").glob("*.yaml"))
     grids = {path.stem: read_map(path) for path in (given.maps or own)}
@@ -239,6 +273,9 @@ def main() -> None:
     if given.pairs and not given.maps:
         grids["yard"] = yard(2000)
     warm_up()
+    if given.write:
+        write_table(given.write, grids, given.pairs or 20)
+        return
     if given.pairs_file:
         known_pairs(given.pairs_file)
         return
