@@ -13,6 +13,7 @@ READONLY, STRIDED = "read-only", "strided"
 Floats = Annotated[NDArray[np.float64], 1]
 FloatTable = Annotated[NDArray[np.float64], 2]
 FloatBlock = Annotated[NDArray[np.float64], 3]
+WideBlock = Annotated[NDArray[np.float64], 4]
 Singles = Annotated[NDArray[np.float32], 1]
 SingleTable = Annotated[NDArray[np.float32], 2]
 Ints = Annotated[NDArray[np.int64], 1]
@@ -27,7 +28,7 @@ WordTable = Annotated[NDArray[np.uint64], 2]
 WordBlock = Annotated[NDArray[np.uint64], 3]
 Flags = Annotated[NDArray[np.bool_], 1]
 FlagTable = Annotated[NDArray[np.bool_], 2]
-"""A table has two dimensions, a block three."""
+"""A table has two dimensions, a block three, a wide block four."""
 
 Column = Annotated[NDArray[np.float64], 1, STRIDED, READONLY]
 AnyTable = Annotated[NDArray[np.float64], 2, STRIDED, READONLY]

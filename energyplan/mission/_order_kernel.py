@@ -14,7 +14,14 @@ from typing import NamedTuple
 import numpy as np
 
 from energyplan.compilation import njit
-from energyplan.compilation.arrays import FloatTable
+from energyplan.compilation.arrays import (
+    FloatBlock,
+    Floats,
+    FloatTable,
+    Ints,
+    IntTable,
+    WideBlock,
+)
 
 _GRAM = 1e-3
 _EPSILON = 1e-9
@@ -63,19 +70,19 @@ class Table(NamedTuple):
         Energy of an order that does everything: labels that cannot be better are left out [J].
     """
 
-    energy: np.ndarray
-    finish: np.ndarray
-    time: np.ndarray
-    finish_time: np.ndarray
-    service: np.ndarray
-    service_time: np.ndarray
-    window: np.ndarray
-    worth: np.ndarray
-    load: np.ndarray
-    load_index: np.ndarray
-    change: np.ndarray
-    capacity: np.ndarray
-    charge_power: np.ndarray
+    energy: WideBlock
+    finish: FloatTable
+    time: FloatBlock
+    finish_time: Floats
+    service: Floats
+    service_time: Floats
+    window: FloatTable
+    worth: Floats
+    load: Floats
+    load_index: Ints
+    change: Floats
+    capacity: Floats
+    charge_power: Floats
     budget: float
     start_time: float
     timed: bool
@@ -102,8 +109,8 @@ class Found(NamedTuple):
     complete: bool
     feasible: bool
     energy: float
-    stops: np.ndarray
-    ways: np.ndarray
+    stops: Ints
+    ways: Ints
 
 
 class Label(NamedTuple):
@@ -151,7 +158,7 @@ def _grown(table: FloatTable) -> FloatTable:
 
 
 @njit
-def _grown_links(table: np.ndarray) -> np.ndarray:
+def _grown_links(table: IntTable) -> IntTable:
     return np.concatenate((table, np.empty_like(table)))
 
 
@@ -179,7 +186,7 @@ def _as_good(one: Label, other: Label, timed: bool) -> bool:
 
 
 @njit
-def _rest(table: Table) -> np.ndarray:
+def _rest(table: Table) -> Floats:
     """Return what it takes at least to do the tasks that a subset leaves, and to end [J]."""
     n = len(table.worth)
     least = np.empty(n)
@@ -340,9 +347,9 @@ def search(table: Table) -> Found:
 
 @njit
 def _keep(
-    head: np.ndarray,
-    value: np.ndarray,
-    link: np.ndarray,
+    head: Ints,
+    value: FloatTable,
+    link: IntTable,
     bucket: int,
     new: Label,
     place: int,

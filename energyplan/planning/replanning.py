@@ -219,7 +219,7 @@ def replan(
     >>> former = plan(problem, effort=1000)
     >>> round(replan(problem, former, start=(4, 5, 0)).energy)
     800
-    >>> closed = hall.updated(np.ones((10, 10), bool), row=45, column=60)
+    >>> closed = hall.updated(np.ones((10, 10), bool), row=45, column=55)
     >>> replan(problem, former, start=(4, 5, 0), map=closed, effort=1000).energy > 820
     True
     """

@@ -267,7 +267,7 @@ def test_without_an_effect_p_values_are_uniform(width: int) -> None:
         blocks = rng.normal(size=(count, 3)) @ mixed
         covariance = np.cov(blocks, rowvar=False) / count
         nothing = np.zeros(1)
-        made = Fit(blocks.mean(axis=0), nothing, covariance, nothing, count)
+        made = Fit(blocks.mean(axis=0), nothing, covariance, nothing, count, np.ones(3))
         p_values.append(made.p_value(which))
     assert kstest(p_values, "uniform").pvalue > 1e-3
 

@@ -227,10 +227,10 @@ def test_it_learns_what_the_online_identifier_learns_and_sees_the_ground_change(
     log = simulate.drive(MARBLE, "survey", changes=[(30.0, CONCRETE)], power_noise=3.0)
     events = told(rows_of(log))
     online = OnlineIdentifier(MARBLE, period=0.05)
-    for k in range(len(log)):
-        online.update(
-            0.05 * (k + 1), log.channels["v_left"][k], log.channels["v_right"][k], log.power[k]
-        )
+    t = 0.0  # added up as the watcher does: looks for a change are due to the last bit of it
+    for k, step in enumerate(np.diff(log.t, prepend=log.t[0] - 0.05).tolist()):
+        t += step
+        online.update(t, log.channels["v_left"][k], log.channels["v_right"][k], log.power[k])
     assert events[-1].models[0].coefficients == pytest.approx(online.model.coefficients, rel=1e-6)
     [change] = only(events, Changed)
     assert 30.0 < change.t < 40.0
