@@ -99,7 +99,7 @@ async function replan() {
   try {
     const told = await post("compare", {
       map: scene.map.value, model: scene.model.value, surfaces: scene.surfaces.value || null,
-      start: start.pose, goal: goal.pose, time_limit: 0.4,
+      start: start.pose, goal: goal.pose, time_limit: 0.3,
     }, mine.signal);
     if (mine !== asked) return;
     show(told);
