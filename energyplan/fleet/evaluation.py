@@ -74,7 +74,7 @@ def evaluate_fleet(fleet: Fleet, progress: Callable[[str], None] | None = None) 
             found = solve(problems, worth, places)
         else:
             found = solve_by_search(
-                problems, worth, places, time_limit=60.0 if counted else _SEARCH_TIME,
+                problems, worth, places, time_limit=_SEARCH_TIME,
                 effort=_SEARCH_EFFORT if counted else None,
             )  # fmt: skip
         wanted = [

@@ -159,8 +159,9 @@ class _Search:
         options.first_solution_strategy = first.PARALLEL_CHEAPEST_INSERTION
         local = self._enums.LocalSearchMetaheuristic
         options.local_search_metaheuristic = local.GUIDED_LOCAL_SEARCH
-        options.time_limit.FromMilliseconds(int(1000 * time_limit))
-        if effort is not None:
+        if effort is None:
+            options.time_limit.FromMilliseconds(int(1000 * time_limit))
+        else:
             options.solution_limit = max(effort, 1)
         found = routing.SolveWithParameters(options)
         if found is None:

@@ -217,7 +217,7 @@ def test_a_search_is_near_the_best_and_its_bound_below_it(seed: int) -> None:
     problems = drawn(rng, 3, 7, 1, budget=30.0)
     worth = np.ones(7)
     best = solve(problems, worth, [1])
-    found = solve_by_search(problems, worth, [1], effort=300, time_limit=60.0)
+    found = solve_by_search(problems, worth, [1], effort=300)
     assert found.worth == best.worth
     assert best.energy <= found.energy + 1e-9 <= 1.1 * best.energy
     assert found.bound <= best.energy + 1e-9
