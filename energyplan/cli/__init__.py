@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import os
 import sys
 import warnings
 from pathlib import Path
@@ -24,7 +23,15 @@ from energyplan.cli import (
     _warmup,
     _watch,
 )
-from energyplan.cli.common import INTERRUPTED, Json, answer, app, warn, writes_folder
+from energyplan.cli.common import (
+    INTERRUPTED,
+    Json,
+    answer,
+    app,
+    give_up_stdout,
+    warn,
+    writes_folder,
+)
 from energyplan.errors import EnergyPlanError, MissingDependencyError, TimeLimitError
 
 __all__ = ["app", "main"]
@@ -85,8 +92,8 @@ def _show_warning(
 
 
 def _silent(message: str) -> int:
-    """Say that the answer is lost; Python, when it ends, must not try to write it once more."""
-    sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115
+    """Say that the answer is lost."""
+    give_up_stdout()
     return _fail(message, 1)
 
 

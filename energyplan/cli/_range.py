@@ -95,7 +95,7 @@ def reach(
     from energyplan.output import documents, plots, text
     from energyplan.output.report import image
     from energyplan.planning import PlanningProblem
-    from energyplan.studies.doubt import most_power
+    from energyplan.studies.doubt import energy_of_charge
     from energyplan.studies.energy_map import energy_map
 
     if pack and energy is not None:
@@ -113,10 +113,7 @@ def reach(
     )  # fmt: skip
     home = parse_pose(charger) if charger else pose
     if pack:
-        # at the power of the dearest motion, at which a battery delivers least
-        energy = float(
-            Battery.preset(pack).usable_energy(most_power(cost), 1.0 if soc is None else soc)
-        )
+        energy = energy_of_charge(cost, Battery.preset(pack), 1.0 if soc is None else soc)
     usable = np.inf if energy is None else (1.0 - reserve) * energy
     with progress("searching"):
         found = energy_map(

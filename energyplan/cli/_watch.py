@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as jsonlib
-import os
 import signal
 import sys
 import time
@@ -25,6 +24,7 @@ from energyplan.cli.common import (
     VehicleName,
     answer,
     app,
+    give_up_stdout,
     progress,
     read_logs,
     say,
@@ -112,8 +112,7 @@ def watch(
                     if out and learned is not None:
                         write_model(learned, out)
     except BrokenPipeError:
-        # Whoever read has seen enough; Python, when it ends, must not try to write once more.
-        sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115
+        give_up_stdout()  # whoever read has seen enough
         if out and learned is not None:
             write_model(learned, out)
 

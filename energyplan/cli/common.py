@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as jsonlib
 import math
+import os
 import select
 import sys
 from collections.abc import Callable, Iterator
@@ -332,6 +333,11 @@ NO, INTERRUPTED = 3, 130
 def say(text: str) -> None:
     """Print a line of the answer."""
     sys.stdout.write(text + "\n")
+
+
+def give_up_stdout() -> None:
+    """Write no more answers: Python, when it ends, must not try to write to what was closed."""
+    sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115
 
 
 def warn(text: str) -> None:

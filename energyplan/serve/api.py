@@ -55,7 +55,7 @@ from energyplan.serve.requests import (
 from energyplan.serve.store import KINDS, Store, UnknownFileError
 from energyplan.serve.work import BusyError, Job, Pool
 from energyplan.studies.comparison import compare
-from energyplan.studies.doubt import most_power
+from energyplan.studies.doubt import energy_of_charge
 from energyplan.studies.energy_map import energy_map
 from energyplan.terrain import OccupancyGrid
 
@@ -258,8 +258,7 @@ def create_app(
             )  # fmt: skip
             there_is = asked.energy
             if asked.pack:
-                power = most_power(cost)  # at which a battery delivers least
-                there_is = float(Battery.preset(asked.pack).usable_energy(power, asked.soc))
+                there_is = energy_of_charge(cost, Battery.preset(asked.pack), asked.soc)
             assert there_is is not None
             usable = (1.0 - asked.reserve) * there_is
             job.say("searching")

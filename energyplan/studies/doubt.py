@@ -13,6 +13,7 @@ from statistics import NormalDist
 
 import numpy as np
 
+from energyplan.battery import Battery
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
 from energyplan.path import FloatArray
@@ -107,6 +108,26 @@ def upper_prices(query: CompiledProblem, confidence: float, spread: float) -> Up
             level = cost.segment_energy(ds, dtheta)
             noise = max(noise, float(np.max(watts * cost.segment_duration(ds, dtheta) / level)))
     return UpperPrices(np.concatenate(extra).reshape(-1, len(ds)), noise, quantile)
+
+
+def energy_of_charge(cost: EnergyCost, battery: Battery, soc: float = 1.0) -> float:
+    """Return what a charge delivers at the power of the dearest motion, at which it is least [J].
+
+    Parameters
+    ----------
+    cost : EnergyCost
+        The cost of motion.
+    battery : Battery
+        The battery.
+    soc : float
+        Its state of charge.
+
+    Raises
+    ------
+    InvalidInputError
+        If nothing limits the speed.
+    """
+    return float(battery.usable_energy(most_power(cost), soc))
 
 
 def most_power(cost: EnergyCost) -> float:
