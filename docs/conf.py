@@ -1,12 +1,17 @@
 """How the documentation is built: ``sphinx-build -W -b html docs docs/_build``."""
 
+import sys
 from importlib.metadata import version as installed
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).parent))
 
 project = "energyplan"
 author = "the energyplan developers"
 release = version = installed("energyplan")
 
 extensions = [
+    "command_reference",
     "myst_parser",
     "sphinx.ext.autodoc",
     "numpydoc",
@@ -14,6 +19,8 @@ extensions = [
 ]
 exclude_patterns = ["_build"]
 html_theme = "furo"
+html_static_path = ["static"]
+html_css_files = ["narrow.css"]
 html_title = f"energyplan {release}"
 
 myst_enable_extensions = ["colon_fence"]
