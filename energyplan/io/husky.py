@@ -25,6 +25,13 @@ from energyplan.path import FloatArray
 
 WHEEL_COLUMNS = ("time", "curL", "curR", "velL", "velR")
 """Columns of a wheel file."""
+NOT_TOLD = (
+    "time, curL, curR, velL, velR may be a Husky's motor currents, from which its motors and wheel "
+    "radius make a power; nothing in the file says whose they are. If they are a Husky's, give "
+    "--vehicle husky_a200 (start: --like husky_a200; Python: topics='husky'); else say which "
+    "columns are what, as in --columns t=time,v_left=velL,v_right=velR,power=NAME"
+)
+"""What to say of such a file where nobody said whose it is."""
 _CREDIBLE = 0.3  # share of the yaw rate's variance from which a clock offset is believed
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from energyplan.errors import DriveLogError
 from energyplan.io.bags import bag_info, channels_served, is_bag, read_bag
-from energyplan.io.husky import WHEEL_COLUMNS, is_husky, read_husky
+from energyplan.io.husky import NOT_TOLD, WHEEL_COLUMNS, is_husky, read_husky
 from energyplan.io.project import read_columns
 from energyplan.io.topics import TOPIC_MAPS, TopicMap
 from energyplan.logs import DriveLog
@@ -81,13 +81,14 @@ def read_log(
     Parameters
     ----------
     path : str or Path
-        A table for `DriveLog.read`, a bag for `read_bag`, or a Husky's wheel file for
-        `read_husky`.
+        A table for `DriveLog.read`, a bag for `read_bag`, or, where `topics` says that the robot is
+        a Husky, its wheel file for `read_husky`.
     columns : str or mapping of str to str or Column, optional
         Which column serves as which channel, as for `DriveLog.read`, or a YAML file of them, such
         as a project's; a table is then read as is.
     topics : TopicMap, str or Path, optional
-        Which message field of a bag serves as which channel, as for `read_bag`; bags need it.
+        Which message field of a bag serves as which channel, as for `read_bag`; bags need it, and
+        wheel files of a Husky: ``"husky"``.
     progress : callable, optional
         Called with the fraction of a bag that is read.
 
@@ -108,8 +109,17 @@ def read_log(
     if isinstance(columns, str) and columns.endswith((".yaml", ".yml")):
         return DriveLog.read(path, read_columns(columns), others=False)
     if columns is None and is_husky(path):
+        if not _of_husky(topics):
+            raise DriveLogError(f"{Path(path).name}: {NOT_TOLD}")
         return read_husky(path)
     return DriveLog.read(path, columns)
+
+
+def _of_husky(topics: TopicMap | str | Path | None) -> bool:
+    """Tell whether a topic map is that of a Husky: nothing in a table says whose motors these are."""
+    if topics is None:
+        return False
+    return (topics if isinstance(topics, TopicMap) else TopicMap.read(topics)).name == "husky"
 
 
 def describe_log(path: str | Path) -> LogInfo:
@@ -175,7 +185,7 @@ def _describe_table(file: Path) -> LogInfo:
     found: tuple[str, ...]
     notes: tuple[str, ...]
     try:
-        log = read_log(file)
+        log = read_husky(file) if husky else read_log(file)
     except DriveLogError as problem:
         found = tuple(name for name in table.columns if name in UNITS)
         lacks = ", ".join(_missing(found))
@@ -184,6 +194,8 @@ def _describe_table(file: Path) -> LogInfo:
     else:
         found = tuple(log.channels)
         notes = (*map(str, log.set_aside), *log.warnings)
+        if husky:
+            notes = (f"told as if a Husky A200 had made it; {NOT_TOLD}", *notes)
     kind = "husky" if husky else "table"
     return LogInfo(file.name, kind, duration, tuple(entries), {"columns": found}, notes)
 

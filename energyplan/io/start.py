@@ -18,7 +18,7 @@ from energyplan.io.husky import is_husky
 from energyplan.io.logs import read_log
 from energyplan.io.project import Project
 from energyplan.io.robot import Given, build_vehicle, known_measures
-from energyplan.io.topics import TopicMap
+from energyplan.io.topics import TOPIC_MAPS, TopicMap, topic_map_of
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import find_runs
 from energyplan.logs.columns import (
@@ -95,8 +95,9 @@ def start(path: str | Path, given: Given | None = None) -> Start:
     if is_bag(path):
         return _start_bag(Path(path), known)
     if known.columns is None and is_husky(path):
-        log = read_log(path)
-        return _finish(Path(path), log, known, {}, None, {})
+        like = "" if known.like is None else known.like.name
+        log = read_log(path, topics=topic_map_of(like))
+        return _finish(Path(path), log, known, {}, TOPIC_MAPS["husky"], {})
     return _start_table(Path(path), known)
 
 

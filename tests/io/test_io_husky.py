@@ -16,6 +16,9 @@ from numpy.testing import assert_allclose
 from energyplan.errors import DriveLogError, EnergyPlanError
 from energyplan.fit import identify
 from energyplan.io.husky import HuskyDrive, is_husky, read_husky
+from energyplan.io.logs import read_log
+from energyplan.io.robot import Given
+from energyplan.io.start import start
 from energyplan.logs import DriveLog
 from energyplan.power import PowerModel
 from energyplan.simulate import drive, identification_drive
@@ -221,3 +224,22 @@ def test_the_example_goes_from_raw_files_to_parameters(shared_data, surface, cap
     errors = [float(text) for text in re.findall(r"predicted \(([+-][\d.]+)%\)", told)]
     assert len(errors) >= 3
     assert np.abs(errors).max() < 15.0
+
+
+def test_a_table_with_these_columns_is_not_taken_for_a_husky_s(tmp_path: Path) -> None:
+    write_drive(tmp_path, drive(PowerModel.preset("quadriga:empty:marble"), "straight"), 0.5)
+    file = tmp_path / "pro_00.csv"
+    with pytest.raises(DriveLogError, match=r"--vehicle husky_a200.*--columns t=time"):
+        read_log(file)
+    with pytest.raises(DriveLogError, match="pro_00.csv"):
+        read_log(file, topics="jackal")
+    with pytest.raises(DriveLogError, match="--like husky_a200"):
+        start(file)
+    assert read_log(file, topics="husky").energy == read_husky(file).energy
+    like = start(file, Given(like=Vehicle.preset("husky_a200")))
+    assert like.project.topics is not None
+    assert like.project.topics.name == "husky"
+    mapped = "t=time,v_left=velL,v_right=velR,p_left=curL*velL,p_right=curR*velR"
+    own = read_log(file, mapped)
+    raw = np.genfromtxt(file, delimiter=",", names=True)
+    np.testing.assert_allclose(own.channel("p_left"), raw["curL"] * raw["velL"])
