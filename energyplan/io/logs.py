@@ -116,7 +116,7 @@ def read_log(
 
 
 def _of_husky(topics: TopicMap | str | Path | None) -> bool:
-    """Tell whether a topic map is that of a Husky: nothing in a table says whose motors these are."""
+    """Tell whether a topic map is that of a Husky; a table says not whose motors these are."""
     if topics is None:
         return False
     return (topics if isinstance(topics, TopicMap) else TopicMap.read(topics)).name == "husky"

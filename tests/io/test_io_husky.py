@@ -231,7 +231,7 @@ def test_a_table_with_these_columns_is_not_taken_for_a_husky_s(tmp_path: Path) -
     file = tmp_path / "pro_00.csv"
     with pytest.raises(DriveLogError, match=r"--vehicle husky_a200.*--columns t=time"):
         read_log(file)
-    with pytest.raises(DriveLogError, match="pro_00.csv"):
+    with pytest.raises(DriveLogError, match=r"pro_00\.csv"):
         read_log(file, topics="jackal")
     with pytest.raises(DriveLogError, match="--like husky_a200"):
         start(file)
