@@ -18,7 +18,10 @@ extensions = [
     "sphinx.ext.viewcode",
 ]
 exclude_patterns = ["_build"]
+smartquotes_action = "qe"  # options keep their dashes
+
 html_theme = "furo"
+html_show_copyright = False
 html_static_path = ["static"]
 html_css_files = ["narrow.css"]
 html_title = f"energyplan {release}"

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, TextIO
 
 import typer
+from typer.models import CommandInfo
 
 from energyplan.cli import (
     _cost,
@@ -41,6 +42,12 @@ _COMMANDS = (
 )  # fmt: skip
 """Modules that register commands when they are imported."""
 
+_FIRST = (
+    "start", "identify", "diagnose", "icr", "plan", "compare", "range", "check", "mission", "fleet",
+    "watch", "drive", "close-the-loop", "design", "rmf", "cost-table", "serve", "warmup", "demo",
+)  # fmt: skip
+"""Commands in the order of the help: what a newcomer needs first stands first."""
+
 
 @app.command(epilog="Example: energyplan demo --out demo")
 def demo(
@@ -49,12 +56,23 @@ def demo(
     ),
     json: Json = False,
 ) -> None:
-    """Run the whole chain on input that comes with the library; makes pictures and a web page."""
+    """Run the whole chain on bundled input.
+
+    Makes pictures and a web page.
+    """
     from energyplan.demo import run
 
     files = run(out, say=(lambda text: None) if json else warn)
     names = [str(name) for name in files]
     answer({"files": names}, [*names, f"open {out / 'index.html'} in a browser"], json=json)
+
+
+def _place(command: CommandInfo) -> int:
+    name = command.name or getattr(command.callback, "__name__", "").replace("_", "-")
+    return _FIRST.index(name) if name in _FIRST else len(_FIRST)
+
+
+app.registered_commands.sort(key=_place)
 
 
 def main() -> None:

@@ -19,17 +19,24 @@ def cost_table(
     ],
     speeds: Annotated[
         str | None,
-        typer.Option(help="Tread speeds [m/s], such as 0.2,0.5,1; the cheapest where not given."),
+        typer.Option(help="Tread speeds [m/s], such as 0.2,0.5,1. Default: the cheapest one."),
     ] = None,
     battery: Annotated[
-        bool, typer.Option("--battery", help="Count energy at the battery.")
+        bool,
+        typer.Option(
+            "--battery",
+            help="Count the energy that the battery gives, losses of the drives included.",
+        ),
     ] = False,
     tolerance: Annotated[
-        float, typer.Option(help="Relative error to be left between entries.")
+        float, typer.Option(help="Largest relative error of interpolating between entries.")
     ] = 1e-3,
     json: Json = False,
 ) -> None:
-    """Write the energy of motions as a table that a planner in any language can read."""
+    """Write the energy of motions as a table.
+
+    A planner in any language can read it.
+    """
     from energyplan.cost import EnergyCost
     from energyplan.cost.table import tabulate
     from energyplan.io.config import read_model

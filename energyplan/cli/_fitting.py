@@ -49,25 +49,32 @@ def identify(
     terms: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME,NAME", help="Terms of the model; slip_friction,traction_resistance else."
+            metavar="NAME,NAME",
+            help="Terms of the model. Default: slip_friction,traction_resistance.",
         ),
     ] = None,
     without: Annotated[
-        str | None, typer.Option(metavar="NAME,NAME", help="Terms to leave out, as slip_friction.")
+        str | None,
+        typer.Option(metavar="NAME,NAME", help="Terms to leave out, such as slip_friction."),
     ] = None,
     hoisted: Annotated[
-        bool, typer.Option("--hoisted", help="The wheels are in the air: friction of each side.")
+        bool,
+        typer.Option(
+            "--hoisted", help="The wheels were off the ground: find the friction inside each side."
+        ),
     ] = False,
     motor_constant: Annotated[
         float | None,
-        typer.Option(metavar="N/A", help="With --hoisted: force per ampere of each side's motor."),
+        typer.Option(
+            metavar="K", help="With --hoisted: force per ampere of each side's motor [N/A]."
+        ),
     ] = None,
     out: OutModel = None,
     columns: Columns = None,
     topics: Topics = None,
     json: Json = False,
 ) -> None:
-    """Find a robot's power parameters on some ground from its drive logs.
+    """Find a robot's power parameters from drive logs.
 
     The method lad minimises the cost of Morales et al. (2010), "the paper", Eq. 7, exactly; simplex
     does so by the paper's search.
@@ -140,8 +147,8 @@ def diagnose(
         list[Path] | None,
         typer.Option(
             metavar="LOG...",
-            help="Drives kept for judging: all up to the next option. Without any, the last two "
-            "fifths of each drive.",
+            help="Drives to judge by, not to learn from: all names up to the next option. "
+            "Default: the last two fifths of each drive.",
         ),
     ] = None,
     out: OutModel = None,
@@ -151,7 +158,11 @@ def diagnose(
     json: Json = False,
     strict: Strict = False,
 ) -> None:
-    """Trace the residual of the power model to an effect, add it, and report before and after."""
+    """Find out why the model and the logs differ.
+
+    Traces the residual of the power model to effects, adds them to the model, and tells the error
+    before and after on drives that were not learned from.
+    """
     from energyplan.diagnosis import diagnose as run
     from energyplan.io.config import read_vehicle, write_model
     from energyplan.output import documents, text

@@ -35,23 +35,25 @@ Effects = Annotated[
     list[str] | None,
     typer.Option(
         "--effect",
-        help="NAME=SIZE[,DETAIL=VALUE]: an effect that the robot has and the model lacks; "
-        "repeatable.",
+        metavar="NAME=SIZE[,DETAIL=VALUE]",
+        help="An effect that the simulated robot has and the model lacks; repeatable.",
     ),
 ]
 Hidden = Annotated[
     int | None,
-    typer.Option(help="Seed: draw one or two effects at random, and keep them secret."),
+    typer.Option(
+        help="Give the simulated robot one or two effects drawn by this seed, and do not tell them."
+    ),
 ]
 Truth = Annotated[
     Path | None,
     typer.Option(
-        callback=writes(".json"), help="Write to this JSON file which effects are switched on."
+        callback=writes(".json"), help="Write the effects that the robot has to this JSON file."
     ),
 ]
 Measured = Annotated[
     Literal["sides", "total", "battery"],
-    typer.Option(help="What the log holds: power of both sides, of both together, or the battery."),
+    typer.Option(help="Whose power the log holds: each side's, both sides' sum, or the battery's."),
 ]
 Noise = Annotated[float, typer.Option(help="Standard deviation of each side's power [W].")]
 Seed = Annotated[int, typer.Option(help="Seed of the sensors' noise.")]
@@ -106,10 +108,11 @@ def drive(
     hidden: Hidden = None,
     truth: Truth = None,
     surfaces: Annotated[
-        Path | None, typer.Option(help="GeoJSON polygons that name a model each.")
+        Path | None,
+        typer.Option(help="Areas of other ground: GeoJSON polygons, each with a model."),
     ] = None,
     heights: Annotated[
-        Path | None, typer.Option(help="Heights of the ground: ESRI ASCII grid.")
+        Path | None, typer.Option(help="Heights of the ground: an ESRI ASCII grid.")
     ] = None,
     out: Annotated[
         Path | None,
@@ -124,18 +127,21 @@ def drive(
         float, typer.Option(help="Step to which tread speeds are rounded [m/s].")
     ] = 0.0,
     current_step: Annotated[
-        float, typer.Option(help="Step of the current sensors; less reads as nothing [A].")
+        float, typer.Option(help="Step of the current sensors [A]; smaller currents read as 0.")
     ] = 0.0,
-    delay: Annotated[float, typer.Option(help="By how much power is logged late [s].")] = 0.0,
+    delay: Annotated[float, typer.Option(help="Delay of the logged power [s].")] = 0.0,
     unsigned: Annotated[
-        bool, typer.Option("--unsigned", help="Sensors that lose the sign of the power.")
+        bool, typer.Option("--unsigned", help="The sensors lose the sign of the power.")
     ] = False,
     measured: Measured = "sides",
     seed: Seed = 0,
     json: Json = False,
     strict: Strict = False,
 ) -> None:
-    """Drive a trajectory in a physics engine, and compare predicted with measured energy."""
+    """Drive a trajectory in a physics engine.
+
+    Tells the predicted energy beside the energy that it took.
+    """
     from energyplan.io.trajectory import read_trajectory, write_log
     from energyplan.output import documents, text
     from energyplan.physics import Robot, Sensors, switch_on
@@ -172,21 +178,26 @@ def close_the_loop(
     heights: Heights = None,
     logs: Annotated[
         Path | None,
-        typer.Option(help="Folder of a real robot's logs, by name one for each round."),
+        typer.Option(
+            help="Folder of a real robot's drive logs, one a round in the order of their names."
+        ),
     ] = None,
     effect: Effects = None,
     hidden: Hidden = None,
     truth: Truth = None,
-    rounds: Annotated[int, typer.Option(help="How many times round at most.")] = 3,
+    rounds: Annotated[int, typer.Option(help="Largest number of rounds.")] = 3,
     tolerance: Annotated[
-        float, typer.Option(help="Relative error of the energy at which the loop stops.")
+        float,
+        typer.Option(help="Stop when the predicted energy is off by less than this fraction."),
     ] = 0.01,
     speed: Annotated[
         float | None, typer.Option(help="Largest tread speed on the routes [m/s].")
     ] = None,
     survey: Annotated[
         float,
-        typer.Option(help="Longest time of a designed drive after the first error [s]; 0: none."),
+        typer.Option(
+            help="Longest duration of the test drive after the first wrong prediction [s]; 0: none."
+        ),
     ] = 60.0,
     time_limit: Annotated[float, typer.Option(help="Time for each plan [s].")] = 5.0,
     effort: Effort = None,
@@ -195,7 +206,10 @@ def close_the_loop(
     json: Json = False,
     strict: Strict = False,
 ) -> None:
-    """Plan, drive, diagnose with all drives so far, and plan again, until the energy is right."""
+    """Plan, drive, diagnose, and plan again.
+
+    Diagnoses with all drives so far, until the predicted energy is right.
+    """
     from energyplan.cost import EnergyCost
     from energyplan.io.config import write_model
     from energyplan.io.maps import read_map
@@ -246,23 +260,24 @@ def design(
     model: ModelName,
     report: Annotated[
         Path | None,
-        typer.Option(help="What diagnose --json printed: the explanations that are left."),
+        typer.Option(help="Output of diagnose --json: which explanations to tell apart."),
     ] = None,
     map_file: Annotated[
-        Path | None, typer.Option("--map", help="map_server YAML file; an empty square if absent.")
+        Path | None, typer.Option("--map", help="Map to drive on; without it, an empty square.")
     ] = None,
     square: Annotated[float, typer.Option(help="Side of the empty square [m].")] = 6.0,
     start: Annotated[
-        str | None, typer.Option(help="X,Y,YAW; the roomiest place where not given.")
+        str | None,
+        typer.Option(metavar="X,Y,YAW", help="Where to begin; default: where most room is."),
     ] = None,
     duration: Annotated[float, typer.Option(help="Longest time of the drive [s].")] = 60.0,
     speed: Annotated[float | None, typer.Option(help="Largest tread speed [m/s].")] = None,
     noise: Annotated[
-        float, typer.Option(help="Standard deviation of what no model explains [W].")
+        float, typer.Option(help="Standard deviation of the noise of the power [W].")
     ] = 5.0,
     screen: Annotated[
         bool,
-        typer.Option("--screen", help="Without --report: look for any effect of the catalogue."),
+        typer.Option("--screen", help="Without --report: look for every effect of the catalogue."),
     ] = False,
     out: Annotated[
         Path | None,
@@ -272,7 +287,10 @@ def design(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Design the next drive: the one that best tells apart the explanations that are left."""
+    """Design the next test drive.
+
+    It is the one that best tells apart the explanations that are left.
+    """
     from energyplan.io.config import read_model
     from energyplan.io.maps import read_map
     from energyplan.io.trajectory import write_trajectory

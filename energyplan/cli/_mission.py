@@ -44,10 +44,19 @@ def mission(
         Path | None,
         typer.Argument(help="Mission YAML file; without it the options describe the mission."),
     ] = None,
-    map_file: Annotated[Path | None, typer.Option("--map", help="map_server YAML file.")] = None,
-    model: Annotated[str | None, typer.Option(help="Model: a preset or a YAML file.")] = None,
-    battery: Annotated[str | None, typer.Option(help="Battery: the name of a preset.")] = None,
-    start: Annotated[str | None, typer.Option(help="X,Y,YAW.")] = None,
+    map_file: Annotated[
+        Path | None, typer.Option("--map", help="The map: a YAML file of ROS map_server.")
+    ] = None,
+    model: Annotated[
+        str | None, typer.Option(metavar="MODEL", help="A preset or a YAML file.")
+    ] = None,
+    battery: Annotated[
+        str | None, typer.Option(metavar="BATTERY", help="The name of a preset.")
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,YAW", help="In metres and radians; 90deg is in degrees."),
+    ] = None,
     task: Annotated[
         list[str] | None,
         typer.Option(
@@ -58,26 +67,32 @@ def mission(
     ] = None,
     requests: Annotated[
         Path | None,
-        typer.Option(help="Task requests of Open-RMF (JSON) in the place of the file's tasks."),
+        typer.Option(help="Tasks from Open-RMF requests (JSON) instead of the file's own."),
     ] = None,
     soc: Annotated[str, typer.Option(help="State of charge at the start.")] = "100 %",
     reserve: Annotated[str, typer.Option(help="What must be left at the end.")] = "20 %",
     back: Annotated[bool, typer.Option("--return", help="Return to the start.")] = False,
     effort: Annotated[
         int | None,
-        typer.Option(help="Units of work for each route in place of time."),
+        typer.Option(
+            help="Work to spend on each route instead of time: the same answer on any machine."
+        ),
     ] = None,
     report: Report = None,
     trajectories: Annotated[
         Path | None,
         typer.Option(
-            callback=writes_folder, help="Write every leg as t,x,y,yaw,v,omega to this folder."
+            callback=writes_folder,
+            help="Write each drive between two stops to this folder, as t,x,y,yaw,v,omega.",
         ),
     ] = None,
     json: Json = False,
     strict: Strict = False,
 ) -> None:
-    """Budget a mission's battery, and flag the tasks that cannot be reached, with the reason."""
+    """Tell whether the battery lasts for a mission.
+
+    Names the tasks that cannot be done, why, and what would change that.
+    """
     from energyplan.io.mission import mission_from, read_mission
     from energyplan.mission import evaluate
     from energyplan.output import documents, text
@@ -136,16 +151,24 @@ def fleet(
     file: Annotated[Path, typer.Argument(help="Fleet YAML file.")],
     fail: Annotated[
         str | None,
-        typer.Option(metavar="NAME@TIME", help="This robot fails then [s]: who takes over?"),
+        typer.Option(
+            metavar="NAME@TIME",
+            help="Suppose that this robot fails at this time [s]: who takes over?",
+        ),
     ] = None,
     effort: Annotated[
         int | None,
-        typer.Option(help="Units of work for each route in place of time."),
+        typer.Option(
+            help="Work to spend on each route instead of time: the same answer on any machine."
+        ),
     ] = None,
     json: Json = False,
     strict: Strict = False,
 ) -> None:
-    """Tell which robot does what and charges when, with each one's budget."""
+    """Share tasks between robots.
+
+    Tells which robot does what and charges when, and what each one's battery holds.
+    """
     from energyplan.fleet import Fleet, evaluate_fleet
     from energyplan.io.fleet import read_fleet
     from energyplan.output import documents, text

@@ -36,31 +36,44 @@ if TYPE_CHECKING:
     from energyplan.vehicle import Vehicle
 
 RECORDING = ".mcap"
-MapFile = Annotated[Path, typer.Option("--map", help="map_server YAML file.")]
-Start = Annotated[str, typer.Option(help="X,Y,YAW; YAW in radians, or like 90deg.")]
-Surfaces = Annotated[Path | None, typer.Option(help="GeoJSON polygons that name a model each.")]
-Heights = Annotated[Path | None, typer.Option(help="Heights of the ground: ESRI ASCII grid.")]
-Battery = Annotated[bool, typer.Option("--battery", help="Count energy at the battery.")]
-Planner = Annotated[str, typer.Option(help="lattice, roadmap, or another planner's name.")]
-Objective = Annotated[str, typer.Option(help="energy, length or time.")]
-TimeLimit = Annotated[float, typer.Option(help="Time for improving the plan [s].")]
+MapFile = Annotated[Path, typer.Option("--map", help="The map: a YAML file of ROS map_server.")]
+Start = Annotated[
+    str, typer.Option(metavar="X,Y,YAW", help="In metres and radians; 90deg is in degrees.")
+]
+Surfaces = Annotated[
+    Path | None, typer.Option(help="Areas of other ground: GeoJSON polygons, each with a model.")
+]
+Heights = Annotated[Path | None, typer.Option(help="Heights of the ground: an ESRI ASCII grid.")]
+Battery = Annotated[
+    bool,
+    typer.Option(
+        "--battery", help="Count the energy that the battery gives, losses of the drives included."
+    ),
+]
+Planner = Annotated[str, typer.Option(help="lattice, roadmap, or the name of another planner.")]
+Objective = Annotated[str, typer.Option(help="What to make least: energy, length or time.")]
+TimeLimit = Annotated[
+    float, typer.Option(help="Time for planning [s]; the best plan found by then counts.")
+]
 Effort = Annotated[
     int | None,
-    typer.Option(help="Units of work in place of the time: the same plan on any machine."),
+    typer.Option(
+        help="Work to spend instead of time: the same plan on any machine. 50000 is about 1 s."
+    ),
 ]
-Clearance = Annotated[
-    float, typer.Option(help="Distance that the footprint keeps from obstacles [m].")
-]
+Clearance = Annotated[float, typer.Option(help="Distance to keep from obstacles [m].")]
 Keepout = Annotated[
-    Path | None, typer.Option(help="map_server YAML whose occupied cells are kept out of.")
+    Path | None, typer.Option(help="A second map; the robot stays out of its occupied cells.")
 ]
 Costmap = Annotated[
-    Path | None, typer.Option(help="map_server YAML of soft costs, such as an inflated costmap.")
+    Path | None,
+    typer.Option(help="A map of soft costs, such as an inflated costmap; takes --costmap-weight."),
 ]
 CostmapWeight = Annotated[
     float,
     typer.Option(
-        min=0.0, help="What a metre at the highest cost is worth, in the objective's unit."
+        min=0.0,
+        help="Price of one metre at the highest soft cost, in the objective's unit [J for energy].",
     ),
 ]
 OutPath = Annotated[
@@ -68,7 +81,7 @@ OutPath = Annotated[
     typer.Option(
         "--out",
         callback=writes(*TABLES, RECORDING),
-        help="Write the path to this CSV file; or to .mcap, as nav_msgs/Path with the map.",
+        help="Write the path to this file: .csv, or .mcap for nav_msgs/Path with the map.",
     ),
 ]
 OutTrajectory = Annotated[
@@ -76,20 +89,20 @@ OutTrajectory = Annotated[
     typer.Option(
         "--trajectory",
         callback=writes(*TABLES),
-        help="Time the path within the limits and write t,x,y,yaw,v,omega to this CSV file.",
+        help="Write the timed path to this CSV file: t,x,y,yaw,v,omega, within the motors' limits.",
     ),
 ]
 Speed = Annotated[
     str | None,
     typer.Option(
-        help="Tread speed to price and drive at [m/s], or 'cheapest'; by default the vehicle's "
-        "usual speed, else as fast as its motors go."
+        help="Tread speed to drive at [m/s], or 'cheapest'. Default: the vehicle's usual speed; "
+        "without one, as fast as its motors go."
     ),
 ]
 Tolerance = Annotated[
     float | None,
     typer.Option(
-        help="How far the robot may leave its path to round corners [m]; by default the "
+        help="How far the robot may leave its path to round corners [m]. Default: the "
         "vehicle's tracking tolerance."
     ),
 ]
@@ -97,7 +110,7 @@ Plot = Annotated[
     Path | None,
     typer.Option(
         callback=writes(*IMAGES),
-        help="Draw the map and the route to this file, .png, .svg or .pdf.",
+        help="Draw the map and the route into this file: .png, .svg or .pdf.",
     ),
 ]
 
@@ -233,7 +246,10 @@ def plan(
     json: Json = False,
     strict: Strict = False,
 ) -> None:
-    """Plan the route of least energy, and say how far from optimal it can be at most."""
+    """Plan the route of least energy.
+
+    Says how far from optimal it can be at most.
+    """
     from energyplan.output import documents, text
     from energyplan.planning import plan as run
 
@@ -283,7 +299,10 @@ def compare(
     json: Json = False,
     strict: Strict = False,
 ) -> None:
-    """Compare the route of least energy with the shortest one, both priced by the same model."""
+    """Compare the cheapest route with the shortest.
+
+    Plans the route of least energy and the shortest one, and prices both by the same model.
+    """
     from energyplan.output import documents, text
     from energyplan.output.pages import comparison_page
     from energyplan.studies.comparison import compare as run
@@ -374,7 +393,10 @@ def check(
     json: Json = False,
     strict: Strict = False,
 ) -> None:
-    """Tell whether the motors can drive a trajectory; where not, and how fast they could."""
+    """Tell whether the motors can drive a trajectory.
+
+    Where they cannot, tells where and why, and how fast the robot could drive it.
+    """
     from energyplan.io.config import read_vehicle
     from energyplan.io.trajectory import read_drive
     from energyplan.limits.feasibility import check as run

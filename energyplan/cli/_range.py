@@ -28,40 +28,60 @@ CONTOURS = 5
     "--from 2,2,0 --energy 5000 --return --confidence 0.95 --coefficient-spread 0.05",
 )
 def reach(
-    map_file: Annotated[Path, typer.Option("--map", help="map_server YAML file.")],
+    map_file: Annotated[
+        Path, typer.Option("--map", help="The map: a YAML file of ROS map_server.")
+    ],
     model: ModelName,
-    start: Annotated[str, typer.Option("--from", help="X,Y,YAW; YAW in radians, or like 90deg.")],
-    energy: Annotated[float | None, typer.Option(help="Energy that there is [J].")] = None,
-    reserve: Annotated[float, typer.Option(min=0.0, max=0.99, help="Part of it to be kept.")] = 0.0,
+    start: Annotated[
+        str,
+        typer.Option(
+            "--from", metavar="X,Y,YAW", help="In metres and radians; 90deg is in degrees."
+        ),
+    ],
+    energy: Annotated[float | None, typer.Option(help="Energy at hand [J].")] = None,
+    reserve: Annotated[
+        float, typer.Option(min=0.0, max=0.99, help="Fraction of it to keep.")
+    ] = 0.0,
     pack: Annotated[
         str | None,
-        typer.Option(help="Battery whose charge is the energy: the name of a preset."),
+        typer.Option(
+            metavar="BATTERY", help="Take the energy from this battery: the name of a preset."
+        ),
     ] = None,
     soc: Annotated[
         float | None,
-        typer.Option(min=0.0, max=1.0, help="State of charge of that battery; full if left out."),
+        typer.Option(min=0.0, max=1.0, help="State of charge of that battery. Default: full."),
     ] = None,
     confidence: Annotated[
         float | None,
-        typer.Option(help="Probability that a place told to be in reach is, such as 0.95."),
+        typer.Option(
+            help="Call a place within reach only if it is with this probability, such as 0.95."
+        ),
     ] = None,
     spread: Annotated[
         float,
         typer.Option(
-            "--coefficient-spread", help="Relative spread of each coefficient from day to day."
+            "--coefficient-spread",
+            help="Relative standard deviation of each coefficient from day to day.",
         ),
     ] = 0.0,
     back: Annotated[
         bool, typer.Option("--return", help="Count the way back to the start as well.")
     ] = False,
     charger: Annotated[
-        str | None, typer.Option(help="X,Y,YAW to get back to instead of the start.")
+        str | None,
+        typer.Option(metavar="X,Y,YAW", help="Count the way on to here, instead of to the start."),
     ] = None,
     surfaces: Annotated[
-        Path | None, typer.Option(help="GeoJSON polygons that name a model each.")
+        Path | None,
+        typer.Option(help="Areas of other ground: GeoJSON polygons, each with a model."),
     ] = None,
     battery: Annotated[
-        bool, typer.Option("--battery", help="Count energy at the battery.")
+        bool,
+        typer.Option(
+            "--battery",
+            help="Count the energy that the battery gives, losses of the drives included.",
+        ),
     ] = False,
     out: Annotated[
         Path | None,
@@ -72,16 +92,23 @@ def reach(
     contours: Annotated[
         Path | None,
         typer.Option(
-            callback=writes(".geojson", ".json"), help="Write the areas in reach to this GeoJSON."
+            callback=writes(".geojson", ".json"),
+            help="Write the areas within reach to this GeoJSON file.",
         ),
     ] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(callback=writes(*IMAGES), help="Draw the map and the areas to this file."),
+        typer.Option(
+            callback=writes(*IMAGES),
+            help="Draw the map and the areas into this file: .png, .svg or .pdf.",
+        ),
     ] = None,
     json: Json = False,
 ) -> None:
-    """Find the energy that every place takes to get to, and how far a given energy leads."""
+    """Find how far a given energy leads.
+
+    Finds the energy that it takes to get to every place of a map, there or there and back.
+    """
     import numpy as np
 
     from energyplan.battery import Battery

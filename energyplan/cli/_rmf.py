@@ -18,34 +18,47 @@ from energyplan.errors import InvalidInputError
 )
 def rmf(
     model: ModelName,
-    battery: Annotated[str, typer.Option(help="Battery: the name of a preset.")],
+    battery: Annotated[str, typer.Option(metavar="BATTERY", help="The name of a preset.")],
     charging_current: Annotated[
-        float | None, typer.Option(help="[A]; else the largest that the battery takes.")
+        float | None,
+        typer.Option(help="Charging current [A]. Default: the largest that the battery takes."),
     ] = None,
     tool_power: Annotated[float, typer.Option(min=0.0, help="Power of the tool [W].")] = 0.0,
     inertia: Annotated[
         float | None,
-        typer.Option(help="Moment of inertia about the vertical [kg m^2]; else of a plate."),
+        typer.Option(help="Moment of inertia about the vertical [kg m^2]. Default: a plate's."),
     ] = None,
     map_file: Annotated[
-        Path | None, typer.Option("--map", help="Tell the error that remains on this map.")
+        Path | None,
+        typer.Option("--map", help="Also tell how far Open-RMF's estimate is off on this map."),
     ] = None,
     surfaces: Annotated[
-        Path | None, typer.Option(help="GeoJSON polygons that name a model each.")
+        Path | None,
+        typer.Option(help="Areas of other ground: GeoJSON polygons, each with a model."),
     ] = None,
-    routes: Annotated[int, typer.Option(min=4, help="Routes that the error is told of.")] = 20,
-    seed: Annotated[int, typer.Option(help="Of the routes' places.")] = 0,
+    routes: Annotated[
+        int, typer.Option(min=4, help="Number of random routes to tell the error from.")
+    ] = 20,
+    seed: Annotated[int, typer.Option(help="Seed of the routes.")] = 0,
     fit: Annotated[
         bool,
-        typer.Option("--fit", help="Take the friction that is right for routes on the map."),
+        typer.Option(
+            "--fit", help="Fit the friction coefficient to half of the routes, judge on the rest."
+        ),
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option(callback=writes(*YAML), help="Write the adapter's configuration here."),
+        typer.Option(
+            callback=writes(*YAML),
+            help="Write the fleet adapter's configuration to this YAML file.",
+        ),
     ] = None,
     json: Json = False,
 ) -> None:
-    """Write what Open-RMF's battery estimate needs, and tell the error that it leaves."""
+    """Write what Open-RMF's battery estimate needs.
+
+    With a map, also tells how far that estimate is off.
+    """
     from dataclasses import replace
 
     import yaml

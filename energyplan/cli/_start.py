@@ -26,28 +26,47 @@ def start(
         float | None, typer.Option(metavar="M", help="Radius of the wheels.")
     ] = None,
     track: Annotated[
-        float | None, typer.Option(metavar="M", help="Left to right contact points.")
+        float | None,
+        typer.Option(
+            metavar="M", help="Distance between the left and the right wheels' contact points."
+        ),
     ] = None,
     wheelbase: Annotated[
-        float | None, typer.Option(metavar="M", help="Front to rear contact points.")
+        float | None,
+        typer.Option(
+            metavar="M", help="Distance between the front and the rear wheels' contact points."
+        ),
     ] = None,
-    mass: Annotated[float | None, typer.Option(metavar="KG", help="As it drives.")] = None,
-    length: Annotated[float | None, typer.Option(metavar="M", help="Of the footprint.")] = None,
-    width: Annotated[float | None, typer.Option(metavar="M", help="Of the footprint.")] = None,
-    name: Annotated[str, typer.Option(help="What to call the robot.")] = "",
+    mass: Annotated[
+        float | None,
+        typer.Option(metavar="KG", help="Mass of the robot as it drives, payload included."),
+    ] = None,
+    length: Annotated[
+        float | None, typer.Option(metavar="M", help="Length of the footprint.")
+    ] = None,
+    width: Annotated[
+        float | None, typer.Option(metavar="M", help="Width of the footprint.")
+    ] = None,
+    name: Annotated[str, typer.Option(help="Name of the robot.")] = "",
     like: Annotated[
-        str | None, typer.Option(help="A vehicle to take the rest from: a preset or a YAML file.")
+        str | None,
+        typer.Option(
+            metavar="VEHICLE",
+            help="Take what is not given from this vehicle: a preset or a YAML file.",
+        ),
     ] = None,
     columns: Annotated[
-        str | None, typer.Option(help="Columns that are known, such as v_left=velL.")
+        str | None,
+        typer.Option(help="Columns that you know, such as v_left=velL; the others are guessed."),
     ] = None,
     json: Json = False,
     strict: Strict = False,
 ) -> None:
-    """Tell what a robot's log holds, check it against the robot, and write a project.
+    """Write a project from a drive log.
 
-    Guesses which columns or topics are what, and in which units; what it cannot know it asks for on
-    a terminal, or takes from the options. Every command then takes --project.
+    Tells what the log holds and checks it against the robot. Guesses which columns or topics are
+    what, and in which units; what it cannot know it asks for on a terminal, or takes from the
+    options. Every command then takes --project.
     """
     from energyplan.io.config import read_vehicle
     from energyplan.io.project import write_project

@@ -17,7 +17,10 @@ def warmup(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Compile everything ahead, for an image or a test machine; what follows starts at once."""
+    """Compile everything ahead.
+
+    For an image or a test machine: what follows starts at once.
+    """
     from importlib import import_module
 
     from energyplan.compilation import cache_folder, compile_kernels, kernel_modules

@@ -46,36 +46,46 @@ _POLL = 0.2
 def watch(
     log: Annotated[str, typer.Argument(help="A CSV log that grows, or - for standard input.")],
     model: Annotated[
-        str | None, typer.Option(help="Model to begin with: a preset or a YAML file.")
+        str | None,
+        typer.Option(metavar="MODEL", help="Model to begin with: a preset or a YAML file."),
     ] = None,
     vehicle: Annotated[
-        str | None, typer.Option(help="Vehicle of which no model is known: preset or YAML file.")
+        str | None,
+        typer.Option(
+            metavar="VEHICLE",
+            help="Instead of a model: the vehicle alone, a preset or a YAML file.",
+        ),
     ] = None,
     mission: Annotated[
-        Path | None, typer.Option(help="Mission that is under way: its YAML file.")
+        Path | None, typer.Option(help="YAML file of the mission that the robot is on.")
     ] = None,
     columns: Columns = None,
     once: Annotated[
-        bool, typer.Option("--once", help="End at the end of the file, and follow it no further.")
+        bool, typer.Option("--once", help="Stop at the end of the file; do not wait for more.")
     ] = False,
     every: Annotated[float, typer.Option(help="Time between two reports [s].")] = 10.0,
     mission_every: Annotated[
-        float, typer.Option(help="Time between two looks at the mission's rest [s].")
+        float, typer.Option(help="Time between two assessments of the rest of the mission [s].")
     ] = 60.0,
     near: Annotated[
-        float, typer.Option(help="Within so far of a task's place a robot that stands does it [m].")
+        float,
+        typer.Option(
+            help="Largest distance from a task's place at which a resting robot does the task [m]."
+        ),
     ] = 0.5,
     soc: Annotated[
-        str | None, typer.Option(help="State of charge at the log's start; else the mission's.")
+        str | None,
+        typer.Option(help="State of charge at the start of the log. Default: the mission's."),
     ] = None,
     done: Annotated[
-        list[str] | None, typer.Option(metavar="NAME...", help="Tasks that were done before.")
+        list[str] | None, typer.Option(metavar="NAME...", help="Tasks that are already done.")
     ] = None,
     out: OutModel = None,
     json: Json = False,
 ) -> None:
-    """Follow a drive: learn its model, say when the ground changes, look at the mission's rest.
+    """Follow a drive while it happens.
 
+    Learns the robot's model, says when the ground changes, and looks at the rest of the mission.
     One line for each event; with --json each is a JSON document. Ctrl-C ends it.
     """
     from energyplan.io.config import read_model, read_vehicle, write_model
@@ -194,14 +204,19 @@ def icr(
     logs: Logs,
     vehicle: VehicleName,
     spin: Annotated[
-        bool, typer.Option("--spin", help="The log is one spin on the spot, the paper's way.")
+        bool,
+        typer.Option(
+            "--spin", help="The log holds one spin on the spot (Morales et al. 2010, Eq. 5)."
+        ),
     ] = False,
     angle: Annotated[
         str | None,
-        typer.Option(help="With --spin: angle turned through, as 3600deg; else the log's yaw."),
+        typer.Option(
+            help="With --spin: angle turned through, such as 3600deg. Default: from the log's yaw."
+        ),
     ] = None,
     angle_error: Annotated[
-        str, typer.Option(help="With --angle: its standard error, as 5deg.")
+        str, typer.Option(help="With --angle: its standard error, such as 5deg.")
     ] = "0deg",
     out: Annotated[
         Path | None,
@@ -211,7 +226,11 @@ def icr(
     topics: Topics = None,
     json: Json = False,
 ) -> None:
-    """Find a robot's tread ICRs, from a spin on the spot or from any drives with yaw or pose."""
+    """Find a robot's tread ICRs.
+
+    They are the points about which the two sides turn on the ground; found from one spin on the
+    spot, or from any drives with yaw or pose.
+    """
     from energyplan.fit import fit_icr, icr_from_spin
     from energyplan.io.config import read_vehicle, write_vehicle
     from energyplan.output import documents, text

@@ -197,7 +197,7 @@ def _project_option() -> Any:
                 callback=_take_project,
                 expose_value=False,
                 is_eager=True,
-                help="Project that start wrote: vehicle, columns, topics.",
+                help="File that start wrote; it stands for --vehicle, --columns and --topics.",
             ),
         ] = None,
     ) -> None:
@@ -279,16 +279,19 @@ def _yaml_files(incomplete: str) -> list[str]:
 
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
-Strict = Annotated[bool, typer.Option("--strict", help="Exit with 3 if the answer is no.")]
+Strict = Annotated[bool, typer.Option("--strict", help="End with exit code 3 if the answer is no.")]
 Logs = Annotated[
     list[Path],
-    typer.Argument(help="Drive logs: CSV, CSV.gz, Parquet, bags, Husky recordings."),
+    typer.Argument(
+        metavar="LOG...", help="Drive logs: CSV, CSV.gz, Parquet, bags, Husky recordings."
+    ),
 ]
 VehicleName = Annotated[
     str,
     typer.Option(
         "--vehicle",
-        help="Preset such as husky_a200, or a YAML file.",
+        metavar="VEHICLE",
+        help="A preset such as husky_a200, or a YAML file.",
         autocompletion=_complete("vehicle"),
     ),
 ]
@@ -296,24 +299,30 @@ ModelName = Annotated[
     str,
     typer.Option(
         "--model",
-        help="Preset such as husky_a200:flooring, or a YAML file.",
+        metavar="MODEL",
+        help="A preset such as husky_a200:flooring, or a YAML file.",
         autocompletion=_complete("model"),
     ),
 ]
 Method = Annotated[
     Literal["lad", "simplex", "huber"],
-    typer.Option(help="lad (exact), simplex (the paper's), huber (robust)."),
+    typer.Option(
+        help="lad: least absolute deviations, exact; simplex: the same by the paper's search; "
+        "huber: robust least squares."
+    ),
 ]
 Columns = Annotated[
     str | None,
     typer.Option(
-        help="Other column names, such as v_left=velL,yaw=heading[deg], or a YAML file of them."
+        metavar="NAME=COLUMN,...",
+        help="Columns with other names or units: v_left=velL,yaw=heading[deg]; or a YAML file.",
     ),
 ]
 Topics = Annotated[
     str | None,
     typer.Option(
-        help="Topic map of bags: husky, jackal, warthog, or a YAML file.",
+        metavar="TOPICS",
+        help="Which topics of a bag to read: husky, jackal, warthog, or a YAML file.",
         autocompletion=_complete("topics"),
     ),
 ]

@@ -26,6 +26,12 @@ def test_every_command_is_there() -> None:
     assert "energyplan log info" in COMMANDS
 
 
+def test_the_help_begins_with_what_a_newcomer_needs() -> None:
+    names = [name.split()[1] for name in COMMANDS]
+    assert names[:4] == ["start", "identify", "diagnose", "icr"]
+    assert names[-1] == "log"
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_the_page_says_what_help_says(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
