@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -15,7 +15,6 @@ from energyplan.cli.common import (
     Columns,
     Json,
     Logs,
-    Method,
     OutModel,
     Report,
     Strict,
@@ -37,6 +36,14 @@ if TYPE_CHECKING:
     from energyplan.fit.hoisted import InternalFriction
     from energyplan.logs import DriveLog
     from energyplan.power import Term
+
+Method = Annotated[
+    Literal["lad", "simplex", "huber"],
+    typer.Option(
+        help="lad: least absolute deviations, exact; simplex: the same by the paper's search; "
+        "huber: robust least squares."
+    ),
+]
 
 
 @app.command(

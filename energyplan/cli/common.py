@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -302,13 +302,6 @@ ModelName = Annotated[
         metavar="MODEL",
         help="A preset such as husky_a200:flooring, or a YAML file.",
         autocompletion=_complete("model"),
-    ),
-]
-Method = Annotated[
-    Literal["lad", "simplex", "huber"],
-    typer.Option(
-        help="lad: least absolute deviations, exact; simplex: the same by the paper's search; "
-        "huber: robust least squares."
     ),
 ]
 Columns = Annotated[
