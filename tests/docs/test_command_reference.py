@@ -42,7 +42,8 @@ def test_the_page_says_what_help_says(
     printed = capsys.readouterr().out
     command = COMMANDS[name]
     told = [option.usage.split()[0] for option in command.options]
-    assert told == re.findall(r"^  (--[\w-]+)", printed.split("Example:")[0], re.MULTILINE)
+    options = printed.split("\nOptions:")[1].split("Example:")[0]
+    assert told == re.findall(r"^  (--[\w-]+)", options, re.MULTILINE)
     printed = "".join(printed.split())
     for option in (*command.arguments, *command.options):
         assert "".join(option.help.split()) in printed
