@@ -82,7 +82,10 @@ def slowest_rate(x: FloatArray, y: FloatArray, limit: FloatArray, vehicle: Vehic
 
 
 def cheapest_rate(
-    slowest: FloatArray, limit: FloatArray, energy: Callable[[FloatArray], FloatArray]
+    slowest: FloatArray,
+    limit: FloatArray,
+    energy: Callable[[FloatArray], FloatArray],
+    scan: int = _SCAN,
 ) -> FloatArray:
     """Return the rate of least energy between `slowest` and `limit`.
 
@@ -92,21 +95,23 @@ def cheapest_rate(
         Range of rates [1/s], finite.
     energy : callable
         Energy [J] of the elements at given rates.
+    scan : int
+        Rates that are tried before the best is refined, in even ratios.
 
     Returns
     -------
     ndarray, shape (...)
         Rates [1/s]: the least of a scan over the range, refined by golden section.
     """
-    ratio = (limit / slowest) ** (1.0 / (_SCAN - 1))
+    ratio = (limit / slowest) ** (1.0 / (scan - 1))
     best = np.full(limit.shape, np.inf)
     place = np.zeros(limit.shape, int)
-    for k in range(_SCAN):
+    for k in range(scan):
         value = energy(slowest * ratio**k)
         better = value <= best
         best, place = np.where(better, value, best), np.where(better, k, place)
     low = slowest * ratio ** np.maximum(place - 1, 0)
-    high = slowest * ratio ** np.minimum(place + 1, _SCAN - 1)
+    high = slowest * ratio ** np.minimum(place + 1, scan - 1)
     for _ in range(28):
         gap = _INVERSE_GOLDEN * (high - low)
         down = energy(high - gap) < energy(low + gap)
