@@ -4,7 +4,8 @@ A label is a way to have done a subset of the tasks and to stand at one place: t
 took, the charge that is left, and the time. Where time matters charging may stop early. Such a
 label is a segment: after `time` with `left` on board, each further second, up to `slack`, adds
 `rate`; how much of it is used shows later. Waiting for a window is time to charge at no cost.
-Of the labels of a subset and place only those are kept that no other one beats in every respect.
+Of the labels of a subset and place only those are kept that no other one beats in every respect,
+and only those that can still lead to a better order than the best one known (`_order_bounds`).
 """
 
 from __future__ import annotations
@@ -13,82 +14,37 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import njit
-from energyplan.compilation.arrays import (
-    FloatBlock,
-    Floats,
-    FloatTable,
-    Ints,
-    IntTable,
-    WideBlock,
-)
+from energyplan.compilation import inner, njit
+from energyplan.compilation.arrays import Floats, FloatTable, Ints, IntTable
+from energyplan.mission._order_bounds import Rest, Table, energy_left, loosely
 
 _GRAM = 1e-3
 _EPSILON = 1e-9
 _FEW = 4096
+_GONE = -2
+_FAR = 1e15
+"""Rank of labels that do not lead to the worth that is known, beyond their energy [J]."""
 
 
-class Table(NamedTuple):
-    """An order problem as arrays; n tasks, m chargers, N places, L loads, M ways of driving.
+class Known(NamedTuple):
+    """An order that is known, and what is asked of a better one.
 
     Attributes
     ----------
-    energy : ndarray, shape (L, M, N, N)
-        Energies from place to place [J].
-    finish : ndarray, shape (L, N)
-        Energy to where the mission may end [J].
-    time : ndarray, shape (M, N, N)
-        Travel times [s].
-    finish_time : ndarray, shape (N,)
-        Time to where the mission may end [s].
-    service, service_time : ndarray, shape (n,)
-        Energy [J] and time [s] of each task.
-    window : ndarray, shape (n, 2)
-        Earliest and latest begin [s].
-    worth : ndarray, shape (n,)
-        What each task is worth.
-    load : ndarray, shape (2^n,)
-        Payload after each subset of tasks [kg].
-    load_index : ndarray of int, shape (2^n,)
-        Which of the L loads that is.
-    change : ndarray, shape (n,)
-        Change of the payload by each task [kg].
-    capacity, charge_power : ndarray, shape (m,)
-        Energy on leaving each charger when full [J], and stored per second [W].
-    budget : float
-        Energy at the start [J].
-    start_time : float
-        Time at the start [s].
-    timed : bool
-        Whether windows make time decide.
-    most : int
-        Most labels to keep.
-    width : int
-        Most labels to keep of a subset and place; fewer than there are make the search quick and
-        its answer one that need not be the best.
-    known : float
-        Energy of an order that does everything: labels that cannot be better are left out [J].
+    worth : float
+        Its worth; below zero where none is known.
+    energy : float
+        Its energy [J].
+    same : Rest
+        What it takes at least to reach its worth.
+    more : Rest
+        What it takes at least to reach more; empty where that is impossible.
     """
 
-    energy: WideBlock
-    finish: FloatTable
-    time: FloatBlock
-    finish_time: Floats
-    service: Floats
-    service_time: Floats
-    window: FloatTable
-    worth: Floats
-    load: Floats
-    load_index: Ints
-    change: Floats
-    capacity: Floats
-    charge_power: Floats
-    budget: float
-    start_time: float
-    timed: bool
-    most: int
-    width: int
-    known: float
+    worth: float
+    energy: float
+    same: Rest
+    more: Rest
 
 
 class Found(NamedTuple):
@@ -96,19 +52,26 @@ class Found(NamedTuple):
 
     Attributes
     ----------
-    complete : bool
-        Whether all labels fitted; if not, nothing is known.
-    feasible : bool
-        Whether any order can be done and ended.
-    energy : float
-        Energy of the best order, the way to its end included [J].
+    better : bool
+        Whether it is better than what was known.
+    worth, energy : float
+        Worth and energy of the best order, the way to its end included [J].
+    bound : float
+        Energy that no order of this worth undercuts [J].
+    open : bool
+        Whether an order of greater worth may have been left out.
+    labels : int
+        Labels kept.
     stops, ways : ndarray of int
         Places in the order of their visits, and the way of driving to each.
     """
 
-    complete: bool
-    feasible: bool
+    better: bool
+    worth: float
     energy: float
+    bound: float
+    open: bool
+    labels: int
     stops: Ints
     ways: Ints
 
@@ -123,7 +86,29 @@ class Label(NamedTuple):
     slack: float
 
 
-@njit
+class Store(NamedTuple):
+    """All labels.
+
+    Attributes
+    ----------
+    value : ndarray, shape (n, 6)
+        Each label's fields, and the least energy of an order that it leads to [J].
+    link : ndarray of int, shape (n, 4)
+        Label before, place, way of driving, next label of the bucket.
+    head : ndarray of int, shape (2^n * places,)
+        First label of each bucket: a subset of tasks and a place.
+    lost : ndarray, shape (2,)
+        Least energy of an order that a label left out for want of room may have led to, for the
+        worth that is known; and 1 where it may have led to more worth.
+    """
+
+    value: FloatTable
+    link: IntTable
+    head: Ints
+    lost: Floats
+
+
+@inner
 def _spend(label: Label, energy: float, seconds: float) -> Label:
     """Drive or work; charges longer before it where the charge would not do. May end below 0."""
     left, time, slack = label.left - energy, label.time + seconds, label.slack
@@ -135,7 +120,7 @@ def _spend(label: Label, energy: float, seconds: float) -> Label:
     return Label(label.energy + energy, left, time, label.rate, slack)
 
 
-@njit
+@inner
 def _begin(label: Label, earliest: float, latest: float) -> Label:
     """Wait for a window, charging meanwhile what may be charged; the time tells a miss."""
     left, time, slack = label.left, label.time, label.slack
@@ -145,34 +130,19 @@ def _begin(label: Label, earliest: float, latest: float) -> Label:
     return Label(label.energy, left, time, label.rate, max(min(slack, latest - time), 0.0))
 
 
-@njit
+@inner
 def _charged(label: Label) -> Label:
     """Charge as long as may be."""
     left = label.left + label.rate * label.slack
     return Label(label.energy, left, label.time + label.slack, 0.0, 0.0)
 
 
-@njit
-def _grown(table: FloatTable) -> FloatTable:
-    return np.concatenate((table, np.empty_like(table)))
-
-
-@njit
-def _grown_links(table: IntTable) -> IntTable:
-    return np.concatenate((table, np.empty_like(table)))
-
-
-@njit
-def _nothing() -> Found:
-    return Found(False, False, np.inf, np.empty(0, np.int64), np.empty(0, np.int64))
-
-
-@njit
+@inner
 def _left_at(label: Label, time: float) -> float:
     return label.left + label.rate * min(max(time - label.time, 0.0), label.slack)
 
 
-@njit
+@inner
 def _as_good(one: Label, other: Label, timed: bool) -> bool:
     """Tell whether a label is as good as another in every respect."""
     if one.energy > other.energy + _EPSILON:
@@ -185,128 +155,218 @@ def _as_good(one: Label, other: Label, timed: bool) -> bool:
     return _left_at(one, end) >= other.left + other.rate * other.slack - _EPSILON
 
 
-@njit
-def _rest(table: Table) -> Floats:
-    """Return what it takes at least to do the tasks that a subset leaves, and to end [J]."""
-    n = len(table.worth)
-    least = np.empty(n)
-    for t in range(n):
-        least[t] = table.service[t] + table.energy[:, :, : 1 + t, 1 + t].min()
-        if 2 + t < table.energy.shape[2]:
-            later = table.energy[:, :, 2 + t :, 1 + t].min()
-            least[t] = min(least[t], table.service[t] + later)
-    rest = np.full(2**n, table.finish.min())
-    for mask in range(2**n):
-        for t in range(n):
-            if not mask >> t & 1:
-                rest[mask] += least[t]
-    return rest
+@inner
+def _label(store: Store, k: int) -> Label:
+    value = store.value
+    return Label(value[k, 0], value[k, 1], value[k, 2], value[k, 3], value[k, 4])
+
+
+@inner
+def _with_room(store: Store, count: int, most: int) -> Store:
+    """Return a store with room for one more label, unless there are too many."""
+    if count < len(store.value) or count >= most:
+        return store
+    more = min(len(store.value), most - len(store.value))
+    return Store(
+        np.concatenate((store.value, np.empty((more, 6)))),
+        np.concatenate((store.link, np.empty((more, 4), np.int64))),
+        store.head,
+        store.lost,
+    )
+
+
+@inner
+def _take_out(store: Store, bucket: int, k: int, before: int) -> None:
+    """Take a label out of its bucket; what followed from it stays."""
+    if before < 0:
+        store.head[bucket] = store.link[k, 3]
+    else:
+        store.link[before, 3] = store.link[k, 3]
+    store.link[k, 3] = _GONE
+
+
+@inner
+def _more(known: Known, bucket: int, label: Label) -> bool:
+    """Tell whether a label may lead to more worth than is known."""
+    if not len(known.more.latest) or label.time > loosely(known.more.latest[bucket]):
+        return False
+    return energy_left(known.more, bucket, label.left + label.rate * label.slack) < np.inf
+
+
+@inner
+def _least(known: Known, bucket: int, label: Label) -> float:
+    """Return the least energy of an order of the worth known that a label leads to [J]."""
+    if label.time > loosely(known.same.latest[bucket]):
+        return np.inf
+    may = label.left + label.rate * label.slack
+    return label.energy + energy_left(known.same, bucket, may)
+
+
+@inner
+def _lose(store: Store, least: float, more: bool) -> None:
+    """Note what a label that is left out for want of room may have led to."""
+    store.lost[0] = min(store.lost[0], least)
+    if more:
+        store.lost[1] = 1.0
+
+
+@inner
+def _rank(label: Label, least: float) -> float:
+    return least if np.isfinite(least) else _FAR + label.energy
+
+
+@inner
+def _keep(store: Store, bucket: int, new: Label, count: int, table: Table, known: Known) -> bool:
+    """Add a label to its bucket; not where one there is as good, or where nothing comes of it."""
+    least, more = _least(known, bucket, new), _more(known, bucket, new)
+    if not (more or least <= loosely(known.energy)):
+        return False
+    timed = table.pressing[bucket // len(table.need)]
+    there, k = 0, store.head[bucket]
+    while k >= 0:
+        if _as_good(_label(store, k), new, timed):
+            return False
+        k = store.link[k, 3]
+    if count >= len(store.value):
+        _lose(store, least, more)
+        return False
+    before, worst, before_worst, k = -1, -1, -1, store.head[bucket]
+    highest = _rank(new, least)
+    while k >= 0:
+        after, old = store.link[k, 3], _label(store, k)
+        if _as_good(new, old, timed):
+            _take_out(store, bucket, k, before)
+        else:
+            there += 1
+            if _rank(old, store.value[k, 5]) > highest:
+                highest, worst, before_worst = _rank(old, store.value[k, 5]), k, before
+            before = k
+        k = after
+    if there >= table.width:
+        # as many labels as there may be: the one that promises least goes
+        if worst < 0:
+            _lose(store, least, more)
+            return False
+        _lose(store, store.value[worst, 5], _more(known, bucket, _label(store, worst)))
+        _take_out(store, bucket, worst, before_worst)
+    value = store.value
+    value[count, 0], value[count, 1], value[count, 2] = new.energy, new.left, new.time
+    value[count, 3], value[count, 4], value[count, 5] = new.rate, new.slack, least
+    store.link[count, 3] = store.head[bucket]
+    store.head[bucket] = count
+    return True
+
+
+@inner
+def _docked(table: Table, here: Label, charger: int, kind: int) -> Label:
+    """Begin to charge; after another charger: here only (0), there first (1), or not here (2)."""
+    power, full = table.charge_power[charger], table.capacity[charger]
+    new = _charged(here) if kind == 1 else here
+    if kind == 2:
+        return new
+    room = max(full - new.left, 0.0) / power
+    return Label(new.energy, new.left, new.time, power, room)
 
 
 @njit
-def search(table: Table) -> Found:
-    """Find the order of greatest worth, of least energy and then time among those.
+def search(table: Table, known: Known) -> Found:
+    """Find an order of greater worth than the one known, or of the same and less energy.
+
+    Of orders of the same energy the quickest is taken.
 
     Parameters
     ----------
     table : Table
         The problem.
+    known : Known
+        The order that is known.
 
     Returns
     -------
     Found
-        The best order.
+        The best order found, and whether a better one may have been left out.
     """
     n, m, ways = len(table.worth), len(table.capacity), table.energy.shape[1]
     places = 1 + n + m
-    value = np.empty((_FEW, 5))
-    link = np.empty((_FEW, 4), np.int64)  # parent, place, way, next in the bucket
-    head = np.full(2**n * places, -1, np.int64)
-    value[0, 0], value[0, 1], value[0, 2], value[0, 3], value[0, 4] = (
-        0.0, table.budget, table.start_time, 0.0, 0.0,
-    )  # fmt: skip
-    link[0, 0], link[0, 1], link[0, 2], link[0, 3] = -1, 0, 0, -1
-    head[0], count = 0, 1
-    best, best_worth, best_energy, best_time = -1, -1.0, np.inf, np.inf
+    store = Store(
+        np.empty((min(_FEW, table.most), 6)),
+        np.empty((min(_FEW, table.most), 4), np.int64),
+        np.full(2**n * places, -1, np.int64),
+        np.array([np.inf, 0.0]),
+    )
+    best, best_worth, best_energy, best_time = -1, known.worth, known.energy, np.inf
+    count = 0
+    start = Label(0.0, table.budget, table.start_time, 0.0, 0.0)
+    if _keep(store, 0, start, 0, table, known):
+        store.link[0, 0], store.link[0, 1], store.link[0, 2] = -1, 0, 0
+        count = 1
     queue = np.empty(256, np.int64)
-    rest = _rest(table)
     for mask in range(2**n):
-        first_bucket = mask * places
-        load = table.load[mask]
+        first, load = mask * places, table.load[mask]
         energy, finish = table.energy[table.load_index[mask]], table.finish[table.load_index[mask]]
         # chargers may lead to chargers: their labels stay within the subset
         waiting = 0
-        for place in range(places):
-            k = head[first_bucket + place]
+        for place in range(places if m > 0 else 0):
+            k = store.head[first + place]
             while k >= 0:
                 if waiting == len(queue):
                     queue = np.append(queue, np.empty(len(queue), np.int64))
                 queue[waiting] = k
                 waiting += 1
-                k = link[k, 3]
-        while waiting > 0 and m > 0:
+                k = store.link[k, 3]
+        while waiting > 0:
             waiting -= 1
             k = queue[waiting]
-            if link[k, 3] == -2:
+            if store.link[k, 3] == _GONE:
                 continue
-            here = Label(value[k, 0], value[k, 1], value[k, 2], value[k, 3], value[k, 4])
+            here, at = _label(store, k), store.link[k, 1]
             for c in range(m):
                 place = 1 + n + c
-                if place == link[k, 1]:
+                if place == at:
                     continue
                 for way in range(ways):
-                    spent = energy[way, link[k, 1], place]
+                    spent = energy[way, at, place]
                     if not np.isfinite(spent):
                         continue
-                    docked = _spend(here, spent, table.time[way, link[k, 1], place])
-                    if docked.left < 0.0:
+                    there = _spend(here, spent, table.time[way, at, place])
+                    if there.left < 0.0:
                         continue
-                    power, full = table.charge_power[c], table.capacity[c]
-                    # after a quicker charger: charge here only, there first, or there alone
-                    quicker = table.timed and docked.slack > 0.0 and docked.rate > power
+                    timed = table.pressing[mask]
+                    quicker = timed and there.slack > 0.0 and there.rate > table.charge_power[c]
                     for kind in range(3 if quicker else 1):
-                        new = docked
-                        if kind == 1:
-                            new = _charged(docked)
-                        if kind < 2:
-                            room = max(full - new.left, 0.0) / power
-                            new = Label(new.energy, new.left, new.time, power, room)
-                            if not table.timed:
-                                new = _charged(new)
-                        if new.energy + rest[mask] > table.known + _EPSILON:
-                            continue
-                        if count == len(value):
-                            if count >= table.most:
-                                return _nothing()
-                            value, link = _grown(value), _grown_links(link)
-                        if _keep(head, value, link, first_bucket + place, new, count, table):
+                        new = _docked(table, there, c, kind)
+                        if not timed:
+                            new = _charged(new)
+                        store = _with_room(store, count, table.most)
+                        if _keep(store, first + place, new, count, table, known):
+                            link = store.link
                             link[count, 0], link[count, 1], link[count, 2] = k, place, way
                             if waiting == len(queue):
                                 queue = np.append(queue, np.empty(len(queue), np.int64))
                             queue[waiting] = count
                             waiting += 1
                             count += 1
-        worth = 0.0
-        for t in range(n):
-            if mask >> t & 1:
-                worth += table.worth[t]
+        worth = table.worth_of[mask]
         for place in range(places):
-            k = head[first_bucket + place]
+            k = store.head[first + place]
             while k >= 0:
-                here = Label(value[k, 0], value[k, 1], value[k, 2], value[k, 3], value[k, 4])
+                here = _label(store, k)
                 last = _spend(here, finish[place], table.finish_time[place])
                 if last.left >= 0.0 and np.isfinite(last.energy):
                     better = worth > best_worth + _EPSILON
                     if not better and worth > best_worth - _EPSILON:
-                        better = last.energy < best_energy - _EPSILON or (
-                            last.energy < best_energy + _EPSILON and last.time < best_time
+                        rounding = loosely(best_energy) - best_energy
+                        better = last.energy < best_energy - rounding or (
+                            last.energy <= best_energy + rounding and last.time < best_time
                         )
                     if better:
                         best, best_worth = k, worth
                         best_energy, best_time = last.energy, last.time
+                        known = Known(best_worth, best_energy, known.same, known.more)
                 for t in range(n):
                     if mask >> t & 1 or load + table.change[t] < -_GRAM:
                         continue
+                    after = mask | 1 << t
                     for way in range(ways):
                         spent = energy[way, place, 1 + t]
                         if not np.isfinite(spent):
@@ -322,64 +382,26 @@ def search(table: Table) -> Found:
                             done.energy, done.left, done.time + table.service_time[t], done.rate,
                             done.slack,
                         )  # fmt: skip
-                        if count == len(value):
-                            if count >= table.most:
-                                return _nothing()
-                            value, link = _grown(value), _grown_links(link)
-                        if done.energy + rest[mask | 1 << t] > table.known + _EPSILON:
+                        if not table.pressing[after]:
+                            done = _charged(done)
+                        if done.left + done.rate * done.slack < table.need[1 + t] - _EPSILON:
                             continue
-                        bucket = (mask | 1 << t) * places + 1 + t
-                        if _keep(head, value, link, bucket, done, count, table):
+                        store = _with_room(store, count, table.most)
+                        if _keep(store, after * places + 1 + t, done, count, table, known):
+                            link = store.link
                             link[count, 0], link[count, 1], link[count, 2] = k, 1 + t, way
                             count += 1
-                k = link[k, 3]
+                k = store.link[k, 3]
     length, k = 0, best
     while k > 0:
-        length, k = length + 1, link[k, 0]
+        length, k = length + 1, store.link[k, 0]
     stops, driven = np.empty(length, np.int64), np.empty(length, np.int64)
     k = best
     while k > 0:
         length -= 1
-        stops[length], driven[length] = link[k, 1], link[k, 2]
-        k = link[k, 0]
-    return Found(True, best >= 0, best_energy, stops, driven)
-
-
-@njit
-def _keep(
-    head: Ints,
-    value: FloatTable,
-    link: IntTable,
-    bucket: int,
-    new: Label,
-    place: int,
-    table: Table,
-) -> bool:
-    """Add a label to its bucket unless one there is as good; take out those that it beats."""
-    there, k = 0, head[bucket]
-    while k >= 0:
-        old = Label(value[k, 0], value[k, 1], value[k, 2], value[k, 3], value[k, 4])
-        if _as_good(old, new, table.timed):
-            return False
-        k = link[k, 3]
-        there += 1
-    if there >= table.width:
-        return False
-    before, k = -1, head[bucket]
-    while k >= 0:
-        after = link[k, 3]
-        old = Label(value[k, 0], value[k, 1], value[k, 2], value[k, 3], value[k, 4])
-        if _as_good(new, old, table.timed):
-            if before < 0:
-                head[bucket] = after
-            else:
-                link[before, 3] = after
-            link[k, 3] = -2  # no longer in any bucket
-        else:
-            before = k
-        k = after
-    value[place, 0], value[place, 1], value[place, 2] = new.energy, new.left, new.time
-    value[place, 3], value[place, 4] = new.rate, new.slack
-    link[place, 3] = head[bucket]
-    head[bucket] = place
-    return True
+        stops[length], driven[length] = store.link[k, 1], store.link[k, 2]
+        k = store.link[k, 0]
+    bound = min(best_energy, store.lost[0])
+    return Found(
+        best >= 0, best_worth, best_energy, bound, store.lost[1] > 0.0, count, stops, driven
+    )

@@ -78,9 +78,9 @@ def best_stops(walk: Walk, progress: Callable[[str], None] | None = None) -> Sto
     if len(walk.mission.tasks) <= EXACT:
         matrix = _Matrix(walk, hopeful=True)
         hope = matrix.settled(progress)
-        hope = hope if hope.proven and matrix.true else None
-        if hope is not None and matrix.holds(hope):
+        if hope.proven and matrix.true and matrix.holds(hope):
             return Stops(hope.stops, _ways(hope), True, 0.0)
+        hope = hope if matrix.true else None
     matrix = _Matrix(walk, hopeful=False)
     found = matrix.settled(progress)
     while not matrix.holds(found) and matrix.shrink(found.stops):
@@ -326,4 +326,4 @@ class _Matrix:
         last = None if state is None else walk.finish(state)
         if last is None or worth[0] < worth[1] - _ROUNDING or last.total.mean <= 0:
             return float(np.nan)
-        return max(1.0 - hope.energy / last.total.mean, 0.0)
+        return max(1.0 - hope.bound / last.total.mean, 0.0)

@@ -312,3 +312,59 @@ def test_search_comes_close_to_the_exact_order(seed):
     assert drive(scaled, found.stops) is not None
     assert worth_of(scaled, found.stops) >= 0.95 * worth_of(scaled, exact.stops)
     assert not found.proven
+
+
+def pressed(seed: int, tasks: int, chargers: int) -> OrderProblem:
+    """A problem whose battery needs charging, with windows on some tasks."""
+    p = problem(seed, tasks, budget=6.0, chargers=chargers, windows=True)
+    rng = np.random.default_rng(seed)
+    window = np.where(rng.random((tasks, 1)) < 0.5, [0.0, np.inf], p.window + np.array([0.0, 10.0]))
+    return replace(p, window=window, capacity=np.full(chargers, 6.0))
+
+
+@pytest.mark.parametrize(("tasks", "chargers"), [(13, 3), (14, 1), (15, 2)])
+def test_many_tasks_with_chargers_and_windows_are_proven(tasks, chargers):
+    p = pressed(tasks, tasks, chargers)
+    order = solve_exactly(p)
+    assert order.proven
+    assert order.bound == pytest.approx(order.energy)
+    assert len(order.stops) > 5
+    assert scheduled(p, order.stops, order.hurried) == pytest.approx(order.energy)
+
+
+def test_an_order_without_room_for_its_labels_tells_a_bound():
+    bounds, open_ones = 0, 0
+    for seed, widths in product(range(8), ((1,), (1, 2), (2, 3))):
+        p = pressed(seed, 9, 2)
+        best, found = solve_exactly(p), solve_exactly(p, widths)
+        assert best.proven
+        if found.stops:
+            driven = scheduled(p, found.stops, found.hurried)
+            assert driven == pytest.approx(found.energy)
+        assert worth_of(p, found.stops) <= worth_of(p, best.stops) + 1e-9
+        if not np.isnan(found.bound):
+            # the bound tells that no order is worth more
+            assert worth_of(p, found.stops) == pytest.approx(worth_of(p, best.stops))
+            assert found.bound <= best.energy + 1e-9
+            assert best.energy <= found.energy + 1e-9
+            bounds += not found.proven
+        if found.proven:
+            assert found.energy == pytest.approx(best.energy)
+        open_ones += not found.proven
+    assert bounds > 0
+    assert open_ones > bounds  # of some not even the worth is known
+
+
+def test_round_trips_that_give_energy_away_are_no_reason_to_leave_anything_out():
+    """Down to the charger and up again gives a joule: only a model can do that, but it may."""
+    energy = np.array([[0, 2, -3], [2, 0, 2], [2, 2, 0]], float)
+    p = OrderProblem(
+        energy=lambda load: energy, finish=lambda load: energy[:, 0], time=np.abs(energy),
+        finish_time=np.abs(energy[:, 0]), service=np.zeros(1), service_time=np.zeros(1),
+        payload=0.0, payload_change=np.zeros(1), prize=np.ones(1), required=np.ones(1, bool),
+        window=np.array([[0.0, np.inf]]), budget=1.0, capacity=np.array([4.5]),
+        charge_power=np.ones(1),
+    )  # fmt: skip
+    order = solve_exactly(p)
+    assert order.stops == (2, 1)
+    assert order.energy == pytest.approx(-3 + 2 + 2)
