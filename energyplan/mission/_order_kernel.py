@@ -33,8 +33,8 @@ class Known(NamedTuple):
     ----------
     worth : float
         Its worth; below zero where none is known.
-    energy : float
-        Its energy [J].
+    energy, time : float
+        Its energy [J], and when it ends [s].
     same : Rest
         What it takes at least to reach its worth.
     more : Rest
@@ -43,6 +43,7 @@ class Known(NamedTuple):
 
     worth: float
     energy: float
+    time: float
     same: Rest
     more: Rest
 
@@ -54,8 +55,8 @@ class Found(NamedTuple):
     ----------
     better : bool
         Whether it is better than what was known.
-    worth, energy : float
-        Worth and energy of the best order, the way to its end included [J].
+    worth, energy, time : float
+        Worth and energy of the best order, the way to its end included [J], and its end [s].
     bound : float
         Energy that no order of this worth undercuts [J].
     open : bool
@@ -69,6 +70,7 @@ class Found(NamedTuple):
     better: bool
     worth: float
     energy: float
+    time: float
     bound: float
     open: bool
     labels: int
@@ -294,7 +296,7 @@ def search(table: Table, known: Known) -> Found:
         np.full(2**n * places, -1, np.int64),
         np.array([np.inf, 0.0]),
     )
-    best, best_worth, best_energy, best_time = -1, known.worth, known.energy, np.inf
+    best, best_worth, best_energy, best_time = -1, known.worth, known.energy, known.time
     count = 0
     start = Label(0.0, table.budget, table.start_time, 0.0, 0.0)
     if _keep(store, 0, start, 0, table, known):
@@ -357,12 +359,12 @@ def search(table: Table, known: Known) -> Found:
                     if not better and worth > best_worth - _EPSILON:
                         rounding = loosely(best_energy) - best_energy
                         better = last.energy < best_energy - rounding or (
-                            last.energy <= best_energy + rounding and last.time < best_time
+                            last.energy <= best_energy + rounding and loosely(last.time) < best_time
                         )
                     if better:
                         best, best_worth = k, worth
                         best_energy, best_time = last.energy, last.time
-                        known = Known(best_worth, best_energy, known.same, known.more)
+                        known = Known(best_worth, best_energy, best_time, known.same, known.more)
                 for t in range(n):
                     if mask >> t & 1 or load + table.change[t] < -_GRAM:
                         continue
@@ -403,5 +405,6 @@ def search(table: Table, known: Known) -> Found:
         k = store.link[k, 0]
     bound = min(best_energy, store.lost[0])
     return Found(
-        best >= 0, best_worth, best_energy, bound, store.lost[1] > 0.0, count, stops, driven
-    )
+        best >= 0, best_worth, best_energy, best_time, bound, store.lost[1] > 0.0, count, stops,
+        driven,
+    )  # fmt: skip

@@ -201,14 +201,14 @@ def solve_exactly(problem: OrderProblem, widths: Sequence[int] = _WIDTHS) -> Ord
     nearest = table.energy.min(axis=(0, 1, 2))[tasks]
     whole = float(table.worth[np.isfinite(nearest)].sum())
     # the first search looks for an order that does everything, and takes what it finds
-    known = Known(-1.0, np.inf, completions(table, whole), completions(table, -1.0))
+    known = Known(-1.0, np.inf, np.inf, completions(table, whole), completions(table, -1.0))
     best, proven, bound = known, False, np.nan
     stops, hurried = np.empty(0, int), np.empty(0, int)
     for width in widths:
         found = search(table._replace(width=width), known)
         if found.better:
             bound = bound if found.worth < best.worth + _LEAST else np.nan
-            best = best._replace(worth=found.worth, energy=found.energy)
+            best = best._replace(worth=found.worth, energy=found.energy, time=found.time)
             stops, hurried = found.stops, found.ways
         if not found.open or best.worth > whole - _LEAST:
             bound = np.nanmax([found.bound, bound])

@@ -64,7 +64,9 @@ def test_charging_ahead_of_need(order: str) -> None:
     )  # fmt: skip
     report = evaluate(asked)
     assert [task.verdict for task in report.tasks] == ["reachable", "reachable"]
-    assert report.order == ("dock", "near", "far")
+    # back from 27 m over 25 m or not: as far, so a free order may be either
+    both = [("dock", "near", "far"), ("dock", "far", "near")]
+    assert report.order in (both if order == "free" else both[:1])
 
 
 @pytest.mark.parametrize("order", ["given", "free"])
