@@ -63,7 +63,8 @@ def _likely_unit(name: str, unit: str, values: FloatArray) -> str:
     size = float(np.nanquantile(np.abs(values), 0.9))
     likely = {key: factor * size for key, factor in _SPEED_UNITS.items()}
     near = sorted(likely, key=lambda key: abs(np.log(max(likely[key], 1e-300) / _USUAL_SPEED)))
-    return "] or [".join(near[:3])
+    text = "] or [".join(near[:3])
+    return f"{text}], or, if these are the motors' rates, divide by the gear ratio, as in [*0.033"
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048, "in": 0.0254}
 _SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6, "mph": 0.44704, "ft/s": 0.3048}
 _ANGLE = {"rad": 1.0, "deg": pi / 180, "mrad": 1e-3, "rev": 2 * pi}
 _RATE = {"rad/s": 1.0, "deg/s": pi / 180, "rpm": pi / 30, "rev/s": 2 * pi, "mrad/s": 1e-3}
-_POWER = {"W": 1.0, "kW": 1e3, "mW": 1e-3}
+_POWER = {"W": 1.0, "kW": 1e3, "mW": 1e-3, "hp": 745.69987, "PS": 735.49875}
 
 UNITS: dict[str, dict[str, float]] = {
     "t": _TIME,
@@ -60,7 +60,8 @@ _ALIASES = {
     "radians/s": "rad/s", "rad/sec": "rad/s", "\u00b0/s": "deg/s", "dps": "deg/s",
     "degrees/s": "deg/s", "deg/sec": "deg/s", "1/min": "rpm", "r/min": "rpm", "u/min": "rpm",
     "min-1": "rpm", "min^-1": "rpm", "rps": "rev/s",
-    "watt": "W", "watts": "W", "kilowatt": "kW", "milliwatt": "mW", "volt": "V", "volts": "V",
+    "watt": "W", "watts": "W", "kilowatt": "kW", "horsepower": "hp",
+    "milliwatt": "mW", "volt": "V", "volts": "V",
     "amp": "A", "amps": "A", "ampere": "A", "amperes": "A", "milliampere": "mA",
     "m/s2": "m/s^2", "m/s\u00b2": "m/s^2", "m/s/s": "m/s^2", "mps2": "m/s^2",
     "\u00b0c": "degC", "celsius": "degC", "\u00b0f": "degF", "fahrenheit": "degF",

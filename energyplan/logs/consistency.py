@@ -18,6 +18,8 @@ from energyplan.logs.evidence import Evidence
 from energyplan.vehicle import GRAVITY, Vehicle, predict_icr
 
 _WHEEL_RADII = (0.04, 0.45)  # of robots that skid [m]
+_GEAR_RATIOS = (4.0, 250.0)  # between a motor and its wheel
+_NAMED = 4  # mistakes that are named, where several explain the same
 
 
 @dataclass(frozen=True)
@@ -257,7 +259,8 @@ def _mistakes(state: _State) -> list[_Mistake]:
         _Mistake("the tread speeds are in km/h", f"map {both('km/h')}", _speeds(1 / 3.6)),
         _Mistake("the tread speeds are in mm/s", f"map {both('mm/s')}", _speeds(1e-3)),
         _Mistake("the tread speeds are in cm/s", f"map {both('cm/s')}", _speeds(1e-2)),
-        _Mistake("the tread speeds are in mph", f"map {both('mph')}", _speeds(0.44704), 0.3),
+        _Mistake("the tread speeds are in mph", f"map {both('mph')}", _speeds(0.44704), 0.1),
+        _Mistake("the tread speeds are in ft/s", f"map {both('ft/s')}", _speeds(0.3048), 0.1),
         _Mistake(
             "a wheel's diameter was taken for its radius", "give half the wheel radius",
             _speeds(0.5),
@@ -267,15 +270,21 @@ def _mistakes(state: _State) -> list[_Mistake]:
         _Mistake("t is in ns", "map t=NAME[ns]", _time(1e-9)),
         _Mistake("t is in minutes", "map t=NAME[min]", _time(60.0)),
         _Mistake("yaw_rate is in degrees", "map yaw_rate=NAME[deg/s]", _gyro(pi / 180)),
+        _Mistake("yaw_rate is in rpm", "map yaw_rate=NAME[rpm]", _gyro(pi / 30), 0.1),
         _Mistake("yaw is in degrees", "map yaw=NAME[deg]", _heading(pi / 180)),
         _Mistake("x and y are in cm", "map x=NAME[cm],y=NAME[cm]", _pose(1e-2)),
         _Mistake("x and y are in mm", "map x=NAME[mm],y=NAME[mm]", _pose(1e-3)),
+        _Mistake("x and y are in ft", "map x=NAME[ft],y=NAME[ft]", _pose(0.3048), 0.1),
         _Mistake("the power is in kW", "map it with its unit, power=NAME[kW]", _power(1e3)),
         _Mistake("the power is in mW", "map it with its unit, power=NAME[mW]", _power(1e-3)),
+        _Mistake("the power is in hp", "map it with its unit, power=NAME[hp]", _power(745.7), 0.1),
         _Mistake("the current is in mA", "map current=NAME[mA]", _electricity(1e-3)),
         _Mistake("the voltage is in mV", "map voltage=NAME[mV]", _electricity(1e-3), 0.1),
         _Mistake("track and wheelbase are in cm", "give metres", _measures(1e-2, 1e-2)),
         _Mistake("track and wheelbase are in mm", "give metres", _measures(1e-3, 1e-3)),
+        _Mistake(
+            "track and wheelbase are in inches", "give metres", _measures(0.0254, 0.0254), 0.1
+        ),
         _Mistake("the track is in cm", "give metres", _measures(track=1e-2)),
         _Mistake("the track is in mm", "give metres", _measures(track=1e-3)),
         _Mistake("the wheelbase is in cm", "give metres", _measures(wheelbase=1e-2)),
@@ -283,6 +292,7 @@ def _mistakes(state: _State) -> list[_Mistake]:
         _Mistake("track and wheelbase are swapped", "swap them", _measures(swap=True), 0.1),
         _Mistake("the mass is in g", "give kilograms", _measures(mass=1e-3)),
         _Mistake("the mass is in lb", "give kilograms", _measures(mass=0.45359237)),
+        _Mistake("the mass is a weight in N", "give kilograms", _measures(mass=1 / 9.81), 0.1),
         _Mistake("the mass is in t", "give kilograms", _measures(mass=1e3)),
     ]  # fmt: skip
     # The factor that the pose asks for, or else the turning: what a wheel radius would have to be.
@@ -305,6 +315,16 @@ def _mistakes(state: _State) -> list[_Mistake]:
                         0.0 if unit != "deg/s" else 0.3,
                     )
                 )
+        if 1 / _GEAR_RATIOS[1] <= wanted <= 1 / _GEAR_RATIOS[0]:
+            found.append(
+                _Mistake(
+                    "the tread speeds are those of the motors, before their gear",
+                    f"divide them by its ratio, about {1 / wanted:.3g}, as in "
+                    f"{both(f'*{wanted:.3g}')}",
+                    _speeds(wanted),
+                    0.1,
+                )
+            )
         if 0.3 <= wanted <= 3.3:
             found.append(
                 _Mistake(
@@ -375,5 +395,5 @@ def _explain(state: _State) -> str:
             strain = sum(span.strain(value) for span, value in ratios) + mistake.rarity
             fitting.append((strain, mistake))
     fitting.sort(key=lambda pair: pair[0])
-    named = [f"perhaps {mistake.name}: {mistake.remedy}" for _, mistake in fitting[:3]]
+    named = [f"perhaps {mistake.name}: {mistake.remedy}" for _, mistake in fitting[:_NAMED]]
     return "; or ".join(named)

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from energyplan.logs.evidence import correlation, distance_ratio, yaw_rates
 from energyplan.path import FloatArray
 
+_POSE = {"x", "y", "yaw"}
 _ENOUGH = 20  # samples below which nothing is concluded
+_TURNS = 0.3  # yaw rate over a second that no robot has which is driven straight [rad/s]
+_SHARE = 0.05  # share of the samples in which it must
+_UNLIKE = 60.0  # ratio of both sides' powers that no ground explains
 
 
 def find_contradictions(
@@ -32,12 +37,81 @@ def find_contradictions(
         What contradicts each other, and what would mend it.
     """
     told = [
+        _same(channels, "v_left", "v_right", yaw_rates(channels, runs)),
+        _signs(channels, runs),
         _sides(channels, runs),
+        _powers(channels),
         _course(channels, runs),
         _motor_current(channels, power),
         _distance(channels, runs),
     ]
     return [text for text in told if text]
+
+
+def _same(
+    channels: Mapping[str, FloatArray], left: str, right: str, rates: Mapping[str, FloatArray]
+) -> str:
+    """Whether one column was taken for both speeds: they are equal while the robot turns."""
+    if not np.array_equal(channels[left], channels[right]):
+        return ""
+    second = max(int(1.0 / float(np.median(np.diff(channels["t"])))), 1)
+    turning = []
+    for name, rate in rates.items():
+        mean = rate[: len(rate) // second * second].reshape(-1, second).mean(axis=1)
+        if len(mean) and np.mean(np.abs(mean) > _TURNS) > _SHARE:
+            turning.append(name)
+    if not turning:
+        return ""
+    return (
+        f"{left} and {right} are the same while {turning[0]} tells that the robot turns: one "
+        "column was taken for both sides; map each to its own"
+    )
+
+
+def _signs(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
+    """Whether speeds lost their sign: on the spot both treads seem to go the same way."""
+    left, right = channels["v_left"], channels["v_right"]
+    top = float(np.quantile(left + right, 0.99))
+    if min(left.min(), right.min()) < -0.02 * top or np.array_equal(left, right):
+        return ""
+    equal = (np.abs(right - left) < 0.15 * (left + right)) & (left + right > 0.2 * top)
+    for name, rate in yaw_rates(channels, runs).items():
+        spinning = equal & (
+            np.abs(rate) > max(_TURNS, 0.5 * float(np.quantile(np.abs(rate), 0.99)))
+        )
+        if np.count_nonzero(spinning) > max(_ENOUGH, 0.5 * _SHARE * len(left)):
+            return (
+                f"{name} tells that the robot spins where both treads seem to go forwards alike: "
+                "the tread speeds lost their sign; log them with it, for unsigned speeds tell "
+                "neither turns nor reversing"
+            )
+    return ""
+
+
+def _powers(channels: Mapping[str, FloatArray]) -> str:
+    """Whether both sides' powers are two powers, in one unit."""
+    if not {"p_left", "p_right"} <= set(channels):
+        return ""
+    p_left, p_right = channels["p_left"], channels["p_right"]
+    apart = np.abs(np.abs(channels["v_left"]) - np.abs(channels["v_right"]))
+    unlike = apart > 0.2 * float(np.quantile(apart, 0.99))
+    drawing = unlike & (apart > 0) & ((p_left != 0) | (p_right != 0))
+    if np.count_nonzero(drawing) < _ENOUGH:
+        return ""
+    if np.array_equal(p_left[drawing], p_right[drawing]):
+        return (
+            "p_left and p_right are the same, though the sides go at different speeds: one column "
+            "was taken for both; map each to its own, or map a total as power=NAME"
+        )
+    sizes = [float(np.median(np.abs(power[drawing]))) for power in (p_left, p_right)]
+    if min(sizes) > 0 and max(sizes) > _UNLIKE * min(sizes):
+        less, more = ("p_left", "p_right") if sizes[0] < sizes[1] else ("p_right", "p_left")
+        ratio = max(sizes) / min(sizes)
+        return (
+            f"{more} is {ratio:.3g} times as large as {less}: one side is in another unit, or the "
+            f"sensor of {less} is dead; map both in one unit, as in {less}=NAME[kW]"
+        )
+    return ""
 
 
 def turning_against(channels: Mapping[str, FloatArray], runs: Sequence[slice], name: str) -> str:
@@ -74,7 +148,11 @@ def turning_against(channels: Mapping[str, FloatArray], runs: Sequence[slice], n
             "v_left=NAME[-m/s],v_right=NAME[-m/s]"
         )
     if abs(backwards) < 0.6:  # the heading goes with the pose
-        return "left and right are swapped; swap them in the column mapping"
+        return (
+            "left and right are swapped; swap them in the column mapping; or all of the pose is in "
+            "a frame whose z axis points down (NED): map y=NAME[-m],yaw=NAME[-rad] and, if there "
+            "is one, yaw_rate=NAME[-rad/s]"
+        )
     return (
         f"left and right are swapped, or {name} counts clockwise; swap them in the column mapping, "
         f"or {flip}"
@@ -98,6 +176,14 @@ def _sides(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
         if correlation(factors @ speeds, rate) < 0.93:
             continue
         left, right = (float(factor) for factor in factors)
+        shares = np.abs(factors) * scale
+        if shares.min() < 0.08 * shares.max():
+            turning = ("v_left", "v_right")[int(np.argmax(shares))]
+            return (
+                f"the yaw rate follows {turning} alone, as if it were an angular speed and the "
+                "other the robot's forward speed: tread speeds are those of the left and of the "
+                "right wheels"
+            )
         size = abs(right / left) if left else np.inf
         if left * right > 0 and 0.4 < size < 2.5:
             side = "v_right" if right < 0 else "v_left"
@@ -129,11 +215,39 @@ def course(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> float:
     float
         The angle; NaN where there is no pose, or it does not follow the treads.
     """
-    if not {"x", "y", "yaw"} <= set(channels):
+    if not set(channels) >= _POSE:
         return np.nan
+    direct = _courses(channels, runs).direct
+    return direct.angle if direct.alike >= 0.7 else np.nan
+
+
+class _Course(NamedTuple):
+    """From where the treads would take the robot to where the pose goes.
+
+    Parameters
+    ----------
+    angle : float
+        Angle between both [rad].
+    alike : float
+        How well one follows the other, at most 1.
+    """
+
+    angle: float
+    alike: float
+
+
+class _Courses(NamedTuple):
+    """The pose against the treads' way, and against that way's mirror image in the x axis."""
+
+    direct: _Course
+    mirrored: _Course
+
+
+def _courses(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> _Courses:
+    """Compare the pose with the treads' way, and with that way's mirror image in the x axis."""
     t, speed = channels["t"], 0.5 * (channels["v_left"] + channels["v_right"])
     heading = np.unwrap(channels["yaw"])
-    product, predicted, measured = 0.0 + 0.0j, 0.0, 0.0
+    product, image, predicted, measured = 0.0 + 0.0j, 0.0 + 0.0j, 0.0, 0.0
     for run in runs:
         edges = np.arange(t[run][0], t[run][-1], max(1.0, 5 * float(np.median(np.diff(t)))))
         if len(edges) < 2:
@@ -146,15 +260,27 @@ def course(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> float:
             np.interp(edges, t[run], place.real) + 1j * np.interp(edges, t[run], place.imag)
         )
         product += complex(np.vdot(goes, went))
+        image += complex(np.vdot(goes.conj(), went))
         predicted += float(np.vdot(goes, goes).real)
         measured += float(np.vdot(went, went).real)
     norm = np.sqrt(predicted * measured)
-    if norm <= 0 or abs(product) < 0.7 * norm:
-        return np.nan
-    return float(np.angle(product))
+    if norm <= 0:
+        return _Courses(_Course(np.nan, 0.0), _Course(np.nan, 0.0))
+    direct, mirrored = (_Course(float(np.angle(z)), abs(z) / norm) for z in (product, image))
+    return _Courses(direct, mirrored)
 
 
 def _course(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
+    if not set(channels) >= _POSE:
+        return ""
+    direct, mirrored = _courses(channels, runs)
+    if mirrored.alike > 0.9 and direct.alike < 0.9 * mirrored.alike:
+        if abs(abs(mirrored.angle) - 0.5 * np.pi) < 0.6:
+            return "the pose is a mirror image of the way: x and y are swapped; swap them"
+        return (
+            "the pose is a mirror image of the way: y counts to the right, or x backwards; map "
+            f"{'y' if abs(mirrored.angle) < 0.6 else 'x'}=NAME[-m]"
+        )
     angle = course(channels, runs)
     if not np.isfinite(angle) or abs(angle) < 0.6:
         return ""

@@ -228,7 +228,7 @@ def _check_time(t: FloatArray, runs: Sequence[slice], label: str) -> list[str]:
     """
     step = float(np.median(np.diff(t)))
     if not 1e-4 <= step <= 20.0:
-        usual = {"min": 60.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+        usual = {"min": 60.0, "h": 3600.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
         unit = next((name for name, size in usual.items() if 1e-3 <= step * size <= 5), "min")
         raise DriveLogError(
             f"{label}: the time step of t is {step:g} s; between 0.1 ms and 20 s is possible; name "

@@ -92,6 +92,23 @@ def motor_current(made: Columns) -> Columns:
     return {**rest, "voltage": np.full(len(total), 26.0), "current": 0.1 * force}
 
 
+def in_one_column(name: str, other: str) -> Callable[[Columns], Columns]:
+    return lambda made: {**made, other: made[name]}
+
+
+def unsigned(made: Columns) -> Columns:
+    return {**made, "v_left": np.abs(made["v_left"]), "v_right": np.abs(made["v_right"])}
+
+
+def twist(made: Columns) -> Columns:
+    """Forward speed and yaw rate where tread speeds belong."""
+    return {**made, "v_left": 0.5 * (made["v_left"] + made["v_right"]), "v_right": made["yaw_rate"]}
+
+
+def pointing_down(made: Columns) -> Columns:
+    return {**made, "y": -made["y"], "yaw": -made["yaw"], "yaw_rate": -made["yaw_rate"]}
+
+
 OWN = Measures.of(ROBOT)
 POSE = ("x", "y", "yaw")
 LOGS = {
@@ -125,6 +142,23 @@ LOGS = {
     "the radius of a small wheel": (speeds(0.5), r"wheel radius is not.*(2|1\.9\d) times"),
     "pose in mm": (scaled(x=1e3, y=1e3), r"x=NAME\[mm\]"),
     "pose in cm": (scaled(x=100.0, y=100.0), r"x=NAME\[cm\]"),
+    "gear ratio of 30 missing": (speeds(30.0), r"divide by the gear ratio"),
+    "gear ratio of 30 missing, in rpm": (
+        speeds(30 * 30 / np.pi / RADIUS), r"divide by the gear ratio"),
+    "gear ratio of 9 missing": (speeds(9.0), r"before their gear.*about (9|8\.9\d)"),
+    "speeds in mph": (speeds(1 / 0.44704), r"\[mph\]"),
+    "speeds without their sign": (unsigned, r"lost their sign"),
+    "speed and yaw rate for tread speeds": (twist, r"follows v_right alone"),
+    "one column for both speeds": (in_one_column("v_left", "v_right"), r"v_left and v_right are"),
+    "one column for both powers": (in_one_column("p_left", "p_right"), r"power=NAME"),
+    "power in horsepower": (powers(1 / 745.7), r"NAME\[hp\]"),
+    "one side's power in kW": (scaled(p_right=1e-3), r"another unit.*p_right=NAME\[kW\]"),
+    "yaw rate in rpm": (scaled(yaw_rate=30 / np.pi), r"yaw_rate=NAME\[rpm\]"),
+    "time in hours": (scaled(t=1 / 3600), r"t=NAME\[h\]"),
+    "pose in feet": (scaled(x=1 / 0.3048, y=1 / 0.3048), r"x=NAME\[ft\]"),
+    "x and y swapped": (swapped("x", "y"), r"x and y are swapped"),
+    "y to the right": (scaled(y=-1.0), r"y=NAME\[-m\]"),
+    "z axis down": (pointing_down, r"NED.*y=NAME\[-m\]"),
     "motor current for battery current": (motor_current, r"motor's current"),
 }  # fmt: skip
 BATTERY = {
@@ -139,6 +173,9 @@ MEASURES = {
     "track in mm": (Measures(400.0, 0.62, 30.0), r"the track is in mm"),
     "track and wheelbase swapped": (Measures(0.62, 0.4, 30.0), r"swapped"),
     "mass in g": (Measures(0.4, 0.62, 30e3), r"the mass is in g"),
+    "track and wheelbase in inches": (Measures(15.75, 24.41, 30.0), r"in inches"),
+    "mass as a weight": (Measures(0.4, 0.62, 294.3), r"a weight in N"),
+    "mass in t": (Measures(0.4, 0.62, 0.03), r"the mass is in t"),
     "mass in lb": (Measures(0.4, 0.62, 66.1), r"the mass is in lb"),
 }
 SEEDS = (1, 2)
@@ -181,10 +218,10 @@ def real_logs(data: Path) -> Iterator[tuple[ep.DriveLog, Measures]]:
     husky, warthog = Measures(0.555, 0.512, 70.0), Measures(1.13, 0.91, 470.0)
     for folder in ("borealtc", "vulpi"):
         for file in sorted((data / folder).glob("*/pro_*.csv")):
-            yield read_log(file), husky
+            yield read_log(file, topics="husky"), husky
     yield read_log(data / "drive" / "warthog_grass.csv", "yaw_rate=gyro_z"), warthog
     for file in sorted((data / "drive").glob("husky_hoisted_*.csv")):
-        yield read_log(file), husky
+        yield read_log(file, topics="husky"), husky
     for file in sorted((data / "quadriga_mujoco").glob("*_s2_valid.csv.gz")):
         yield read_log(file), Measures(0.5, 0.475, 83.1 if "empty" in file.name else 147.1)
 
@@ -199,7 +236,8 @@ def test_real_drives_raise_no_alarm(shared_data: Path) -> None:
         checks = check_consistency(gather(log.channels, log.power, log.runs), measures)
         alarms += [f"{log.name}: {check}" for check in checks if not check.ok]
         words = ("counts the other way", "another unit", "backwards", "beside", "jumps up",
-                 "swapped", "as far as")  # fmt: skip
+                 "swapped", "as far as", "their sign", "alone",
+                 "mirror", "are the same")  # fmt: skip
         alarms += [f"{log.name}: {text}" for text in log.warnings if any(w in text for w in words)]
     assert count > 90
     assert alarms == []
