@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import norm
 
+from energyplan.diagnosis.breakaway import drift_rates
 from energyplan.diagnosis.fitting import Problem
 from energyplan.diagnosis.linear import (
     held_forces,
@@ -25,6 +26,7 @@ from energyplan.power.effect_terms import WHEEL_FIGHT
 from energyplan.power.effects import Effect
 
 _WORTH = 0.01  # share of the energy that is worth naming
+_CHANCE = 0.01  # chance that none is there, from which on it is not named
 
 
 @dataclass(frozen=True)
@@ -74,12 +76,13 @@ def find_wheel_fight(problem: Problem, model: PowerModel) -> WheelFight | None:
     Returns
     -------
     WheelFight or None
-        None where there is no loss, the sides were not logged, or it is not worth naming.
+        None where there is no loss, the sides were not logged, or it is not worth naming. A
+        straight is what turns too slowly to be planned as a turn: steering drifts.
     """
     if not all(is_lossy(drive, model.terms) for drive in problem.drives):
         return None
     cases = [case for case in (_Case.of(d, problem, model) for d in problem.drives) if case]
-    if len(cases) < len(problem.drives) or problem.drives[0].breakaway == 0.0:
+    if len(cases) < len(problem.drives):
         return None
     spent = np.concatenate([case.by_block(case.cost(case.moment)) for case in cases])
     total = float(spent.sum())
@@ -102,10 +105,10 @@ def find_wheel_fight(problem: Problem, model: PowerModel) -> WheelFight | None:
     if not slope > 0.0:
         return None
     deviation = error / slope
-    return WheelFight(
-        size, deviation, total / energy, float(norm.sf(total / max(error, 1e-12))),
-        _with_fight(model, size, deviation),
-    )  # fmt: skip
+    chance = float(norm.sf(total / max(error, 1e-12)))
+    if chance > _CHANCE:
+        return None
+    return WheelFight(size, deviation, total / energy, chance, _with_fight(model, size, deviation))
 
 
 def _with_fight(model: PowerModel, size: float, deviation: float) -> PowerModel:
@@ -131,6 +134,8 @@ class _Case:
     def of(cls, drive: Drive, problem: Problem, model: PowerModel) -> _Case | None:
         if drive.between is None:
             return None
+        drift = drift_rates(problem.vehicle)[0]
+        drive = replace(drive, breakaway=max(drive.breakaway, float(drift)), fields={})
         terms, values = model.terms, model.coefficients
         losses = losses_of(drive, problem.vehicle, terms, values)
         forces = held_forces(drive, problem.vehicle, terms, values)
