@@ -31,6 +31,7 @@ FLOOR = 0.01
 
 _SLIP_LAW = 0.05  # part of the sides' difference that no law of sliding friction foretells
 _LOSS_ROUNDS = 12
+_WATCHED = 3  # full steps that may raise the loss before it is lower
 _SETTLED = 1e-6  # relative fall of the loss that is none
 _LEVELLING = 4  # rounds in which factors of runs and coefficients settle
 
@@ -354,6 +355,8 @@ class Problem:
     ) -> Design:
         """Return the design of some terms: Gauss-Newton where they are not linear.
 
+        Steps may raise the loss for a while (watchdog technique), and are halved after that.
+
         Parameters
         ----------
         terms : sequence of Term
@@ -377,6 +380,7 @@ class Problem:
         if not any(is_lossy(drive, terms) for drive in self.drives):
             return Design.of(self.drives, *self.tables(terms, values))
         best: tuple[float, FloatArray, Design] | None = None
+        step, watched = values, 0
         for _ in range(rounds):
             design = Design.of(self.drives, *self.tables(terms, values))
             scale = np.ones(len(design.rows)) if errors is None else errors
@@ -384,14 +388,17 @@ class Problem:
             signed = np.append(values, -1.0)
             loss = float(signed @ gram @ signed)
             if best is not None and not loss < best[0]:
-                # Too far: the losses turned out otherwise than they seemed from where it started.
-                values = 0.5 * (values + best[1])
+                # The losses turned out otherwise than they seemed from where it started. Some full
+                # steps may lead out of there (the watchdog technique); else the step was too far.
+                watched += 1
+                step = 0.5 * (step + best[1]) if watched > _WATCHED else step
+                values = step if watched > _WATCHED else solve(gram)
                 if np.allclose(values, best[1], rtol=1e-4):
                     break
                 continue
             settled = best is not None and loss > (1.0 - _SETTLED) * best[0]
-            best = (loss, values, design)
-            values = solve(gram)
+            best, watched = (loss, values, design), 0
+            step = values = solve(gram)
             if settled or np.allclose(values, best[1], rtol=1e-4):
                 break
         if best is None:
