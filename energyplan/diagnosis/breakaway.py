@@ -11,7 +11,6 @@ from energyplan.diagnosis.columns import columns_of
 from energyplan.diagnosis.fitting import PAPER, Problem, fit
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, Term
-from energyplan.vehicle import Vehicle
 
 _SLIP_SPEEDS = np.geomspace(0.003, 0.15, 12)  # mean slip speeds at which classes end [m/s]
 _SCATTER = 0.4  # misfit of the moment between the sides, over it, from which they do not slide
@@ -27,7 +26,8 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
 
     While contacts slide, the moment between the sides follows from the way the robot turns; while
     they hold it is whatever steering built up (docs/theory, section 6). Classes of yaw rate in
-    which the moment scatters by more than noise, from the slowest on, are those that hold.
+    which the moment scatters by more than noise, from the slowest on, are those that hold; the
+    slowest one always does.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
     if problem.drives[0].equations == 1:
         return problem
     vehicle = problem.vehicle
-    edges = drift_rates(vehicle)
+    edges = _SLIP_SPEEDS / (vehicle.slip_moment / float(vehicle.loads.sum()))
     terms = [*PAPER, *usual]
     sure = problem.of_totals
     for edge in [*edges[::-1], 0.0]:
@@ -65,15 +65,8 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
     usual_misfit = float(np.median(scatter[told[len(told) // 2 :]]))
     slides = told[scatter[told] < max(_SCATTER, 2.0 * usual_misfit)]
     held = told[told < (slides[0] if len(slides) else len(edges))]
-    return _holding(problem, float(edges[held[-1]]) if len(held) else 0.0)
-
-
-def drift_rates(vehicle: Vehicle) -> FloatArray:
-    """Return yaw rates at which classes of drives end, the slowest first [rad/s].
-
-    Up to the first of them a robot drives straight: nothing that turns so slowly is planned.
-    """
-    return np.asarray(_SLIP_SPEEDS / (vehicle.slip_moment / float(vehicle.loads.sum())))
+    # In the slowest class steering drifts about a straight, and no sensor is sure which way.
+    return _holding(problem, float(edges[held[-1] if len(held) else 0]))
 
 
 def _holding(problem: Problem, breakaway: float) -> Problem:

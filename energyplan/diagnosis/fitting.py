@@ -33,6 +33,7 @@ _SLIP_LAW = 0.05  # part of the sides' difference that no law of sliding frictio
 _LOSS_ROUNDS = 12
 _WATCHED = 3  # full steps that may raise the loss before it is lower
 _SETTLED = 1e-6  # relative fall of the loss that is none
+_RUNS = 6  # drives from which on each has a factor before effects are looked for
 _LEVELLING = 4  # rounds in which factors of runs and coefficients settle
 
 
@@ -138,8 +139,8 @@ def fit(design: Design, errors: FloatArray, by_block: bool = False) -> Fit:
     Returns
     -------
     Fit
-        Drives are left out where there are four or more, else blocks; the covariance always comes
-        from blocks.
+        Drives are left out where there are four or more and none outweighs the others, else blocks;
+        the covariance always comes from blocks.
     """
     grams = weighted(design, errors)
     total = grams.sum(axis=0)
@@ -148,7 +149,7 @@ def fit(design: Design, errors: FloatArray, by_block: bool = False) -> Fit:
     jack = _left_out(total, grams, blocks)
     centred = jack - jack.mean(axis=0)
     covariance = (len(grams) - 1) / len(grams) * centred.T @ centred
-    by_drive = int(design.drives.max()) >= 3 and not by_block
+    by_drive = design.comparable and not by_block
     held = _left_out(total, grams, design.drives)[design.drives] if by_drive else jack
     signed = np.column_stack([held, -np.ones(len(held))])
     losses = np.einsum("bi,bij,bj->b", signed, grams, signed)
@@ -313,9 +314,12 @@ class Problem:
         Returns
         -------
         Problem
-            The same problem where there are fewer than three drives.
+            The same problem where there are fewer than `_RUNS` drives: the factors of so few say
+            as much as any effect that not every drive shows.
         """
         problem = self
+        if len(self.drives) < _RUNS:
+            return self
         for _ in range(_LEVELLING):
             design = problem.design(terms)
             values = fit(design, problem.reference(design)).values

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from energyplan.diagnosis.columns import columns_of, held_field_of, of_equations
@@ -105,7 +106,52 @@ def linearise_drive(
     if fight is not None:
         # The moment follows the coefficients so that the sides' difference stays as measured.
         table[:, 0] -= fight.share[:, None] * table[:, 1]
+        known, most = _at_rest(drive, power[:, 0], held_loss(vehicle, terms, values, drive))
+        power[:, 0] += most
+        table[known, 0] = 0.0
     return Linear(drive.observed(power), drive.observed(table))
+
+
+def held_loss(
+    vehicle: Vehicle, terms: Sequence[Term], values: FloatArray, drive: Drive
+) -> float:
+    """Return the most that losses take at rest, where contacts hold all that friction allows [W].
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    terms : sequence of Term
+        Terms of the model.
+    values : ndarray, shape (k,)
+        Their coefficients.
+    drive : Drive
+        Tells the slip track, and whether efficiencies count.
+
+    Returns
+    -------
+    float
+        Zero where no loss acts at rest.
+    """
+    push = np.array(vehicle.slip_moment * slip_limit(terms, values) / drive.motion.icr.slip_track)
+    losses = losses_of(drive, vehicle, terms, values)
+    still = Motion(np.array(0.0), np.array(0.0), drive.motion.icr)
+    return float(lost_power(losses, still, vehicle, Sides(-push, push)).total)
+
+
+def _at_rest(drive: Drive, power: FloatArray, most: float) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Samples at rest whose power a held moment explains, and what it takes at each [W].
+
+    At rest the sides' difference is zero whatever contacts hold. What is drawn beyond the model, up
+    to what they can hold, is no evidence against it, nor for any coefficient.
+    """
+    rest = drive.holds & (drive.held.v_left == 0.0) & (drive.held.v_right == 0.0)
+    early = replace(drive, delay=-drive.delay, factor=1.0)
+    beyond = uniform_filter1d(
+        np.asarray(early.seen(drive.power) / drive.factor) - power, drive.samples_in(MOMENT)
+    )
+    taken = np.where(rest, np.clip(beyond, 0.0, most), 0.0)
+    return rest & (beyond > 0.0) & (beyond < most), taken
 
 
 def losses_of(

@@ -67,8 +67,17 @@ class Rest:
         self.count = len(power)
         self.mean = float(power.mean()) if len(power) else 0.0
 
-    def allows(self, constant: float) -> bool:
-        """Tell whether a constant power agrees with what is drawn at rest."""
+    def allows(self, constant: float, held: float = 0.0) -> bool:
+        """Tell whether a constant power agrees with what is drawn at rest.
+
+        Parameters
+        ----------
+        constant : float
+            The power [W].
+        held : float
+            The most that losses may take at rest beside it [W].
+        """
         if self.count < 10 or constant == 0.0:
             return True
-        return abs(self.mean - constant) <= 0.5 * abs(constant)
+        slack = 0.5 * abs(constant)
+        return -slack <= self.mean - constant <= slack + held

@@ -16,6 +16,7 @@ from scipy.optimize import minimize, minimize_scalar
 from energyplan.diagnosis.change_points import mark_changes
 from energyplan.diagnosis.explanations import Evaluated, Explanation, Found, Gain
 from energyplan.diagnosis.fitting import PAPER, Fit, Part, Problem, difference, fit
+from energyplan.diagnosis.linear import held_loss
 from energyplan.diagnosis.plausible import Rest, drivable
 from energyplan.diagnosis.proposals import (
     OF_LOG,
@@ -150,7 +151,9 @@ class Search(Proposals):
             for term, value in zip(terms, found.values, strict=True)
             if term.name in constant
         )
-        return self.rest.allows(resting)
+        drives = problem.drives
+        held = max(held_loss(problem.vehicle, terms, found.values, drive) for drive in drives)
+        return self.rest.allows(resting, held)
 
     def _gain(self, full: Evaluated, less: Evaluated, part: Part, looks: float) -> Gain:
         """Return what a part is worth in a set, against the set without it."""

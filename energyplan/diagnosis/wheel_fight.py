@@ -8,7 +8,6 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import norm
 
-from energyplan.diagnosis.breakaway import drift_rates
 from energyplan.diagnosis.fitting import Problem
 from energyplan.diagnosis.linear import (
     held_forces,
@@ -76,8 +75,7 @@ def find_wheel_fight(problem: Problem, model: PowerModel) -> WheelFight | None:
     Returns
     -------
     WheelFight or None
-        None where there is no loss, the sides were not logged, or it is not worth naming. A
-        straight is what turns too slowly to be planned as a turn: steering drifts.
+        None where there is no loss, the sides were not logged, or it is not worth naming.
     """
     if not all(is_lossy(drive, model.terms) for drive in problem.drives):
         return None
@@ -134,8 +132,6 @@ class _Case:
     def of(cls, drive: Drive, problem: Problem, model: PowerModel) -> _Case | None:
         if drive.between is None:
             return None
-        drift = drift_rates(problem.vehicle)[0]
-        drive = replace(drive, breakaway=max(drive.breakaway, float(drift)), fields={})
         terms, values = model.terms, model.coefficients
         losses = losses_of(drive, problem.vehicle, terms, values)
         forces = held_forces(drive, problem.vehicle, terms, values)

@@ -38,6 +38,7 @@ BLOCK = 8.0
 MOMENT = 0.5
 """Time over which what contacts hold is taken for one [s]."""
 
+_MUCH = 0.4  # share of all blocks that no drive may exceed to be left out as a whole
 _IDLE = 0.01  # share of the usual size of a block's columns below which it says nothing
 _MANY = 200_000  # samples that selection works on
 
@@ -342,10 +343,15 @@ class Design:
         keep = [*columns, -1]
         return replace(self, rows=tuple(table[:, keep] for table in self.rows))
 
+    @property
+    def comparable(self) -> bool:
+        """Whether whole drives foretell each other: four or more, none with most of the driving."""
+        share = np.bincount(self.drives) / len(self.drives)
+        return len(share) >= 4 and float(share.max()) <= _MUCH
+
     def with_folds(self, most: int) -> Design:
-        """Return the design with blocks joined to `most` at most: whole drives from four on."""
-        whole = int(self.drives.max()) >= 3
-        number = self.drives if whole else np.arange(len(self.drives))
+        """Return the design with blocks joined to `most` at most: whole drives where comparable."""
+        number = self.drives if self.comparable else np.arange(len(self.drives))
         count = int(number.max()) + 1
         if count > most:
             number = number * most // count

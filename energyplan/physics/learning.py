@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from energyplan.diagnosis import diagnose, result
 from energyplan.errors import DriveLogError, NotIdentifiableError
 from energyplan.fit import identify
@@ -14,8 +16,10 @@ from energyplan.physics.design import Explanation
 from energyplan.power import PowerModel
 from energyplan.vehicle import Vehicle
 
-SHORTEST = 18.0
-"""Shortest drive that diagnosis learns from, with some to spare [s]."""
+SHORTEST = 16.0
+"""Shortest drive that diagnosis learns from [s]."""
+DIAGNOSED = 36.0
+"""Driving in which effects are looked for; less shows too few manoeuvres [s]."""
 LIKELY = 0.02
 """Probability from which an explanation counts where the next drive is designed."""
 
@@ -43,9 +47,11 @@ class Learned(NamedTuple):
 
 
 def learn(logs: Sequence[DriveLog], vehicle: Vehicle) -> Learned:
-    """Diagnose all drives so far: the last part of each is held out, the rest is learned from.
+    """Diagnose all drives so far, all of each of them.
 
-    Where there is too little to hold any of it out, only the paper's parameters are identified.
+    None is held out: the next round is the test, whose energy is told before it is driven. Drives
+    under `SHORTEST` tell no effects. Where there is less than `DIAGNOSED` of longer ones, only the
+    paper's parameters are identified, from all.
 
     Parameters
     ----------
@@ -66,26 +72,19 @@ def learn(logs: Sequence[DriveLog], vehicle: Vehicle) -> Learned:
 
 
 def _learned(logs: Sequence[DriveLog], vehicle: Vehicle) -> Learned:
-    train: list[DriveLog] = []
-    held: list[DriveLog] = []
-    for log in logs:
-        parts = int(log.duration // SHORTEST)
-        blocks = log.blocks(log.duration / parts) if parts > 1 else [log]
-        train += blocks[:-1] or blocks
-        held += blocks[-1:] if parts > 1 else []
-    if not held and len(train) > 1:
-        held = [train.pop()]
-    if held:
-        told = diagnose(train, held, vehicle)
-        found = tuple(Found(e.name, e.value, e.std_error, e.unit) for e in told.effects)
-        likely = [e for e in told.explanations if e.probability >= LIKELY]
-        return Learned(told.model, found, tuple(map(_explanation, likely)))
-    model = identify(train, vehicle, method="huber").model
-    note = (
-        f"one drive of {train[0].duration:.0f} s is too short to look for effects; "
-        "its own resistance and friction were identified"
-    )
-    return Learned(model, (), note=note)
+    long = [log for log in logs if log.duration >= SHORTEST]
+    total = sum(log.duration for log in long)
+    if total < DIAGNOSED:
+        model = identify(logs, vehicle, method="huber").model
+        note = (
+            f"{total:.0f} s of driving are too short to look for effects; "
+            "resistance and friction alone were identified"
+        )
+        return Learned(model, (), note=note)
+    told = diagnose(long, [log.segment(float(log.t[0]), np.inf) for log in long], vehicle)
+    found = tuple(Found(e.name, e.value, e.std_error, e.unit) for e in told.effects)
+    likely = [e for e in told.explanations if e.probability >= LIKELY]
+    return Learned(told.model, found, tuple(map(_explanation, likely)))
 
 
 def _explanation(found: result.Explanation) -> Explanation:
