@@ -26,8 +26,8 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
 
     While contacts slide, the moment between the sides follows from the way the robot turns; while
     they hold it is whatever steering built up (docs/theory, section 6). Classes of yaw rate in
-    which the moment scatters by more than noise, from the slowest on, are those that hold; the
-    slowest one always does.
+    which the moment scatters by more than noise, from the slowest on, are those that hold.
+    In the slowest one a fit takes contacts to hold in any case.
 
     Parameters
     ----------
@@ -47,6 +47,9 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
         return problem
     vehicle = problem.vehicle
     edges = _SLIP_SPEEDS / (vehicle.slip_moment / float(vehicle.loads.sum()))
+    # In the slowest class steering drifts about a straight, and no sensor is sure which way.
+    drifting = [replace(drive, drift=float(edges[0]), fields={}) for drive in problem.drives]
+    problem = Problem(drifting, vehicle, problem.memory)
     terms = [*PAPER, *usual]
     sure = problem.of_totals
     for edge in [*edges[::-1], 0.0]:
@@ -65,8 +68,7 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
     usual_misfit = float(np.median(scatter[told[len(told) // 2 :]]))
     slides = told[scatter[told] < max(_SCATTER, 2.0 * usual_misfit)]
     held = told[told < (slides[0] if len(slides) else len(edges))]
-    # In the slowest class steering drifts about a straight, and no sensor is sure which way.
-    return _holding(problem, float(edges[held[-1] if len(held) else 0]))
+    return _holding(problem, float(edges[held[-1]]) if len(held) else 0.0)
 
 
 def _holding(problem: Problem, breakaway: float) -> Problem:

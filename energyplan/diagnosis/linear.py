@@ -112,9 +112,7 @@ def linearise_drive(
     return Linear(drive.observed(power), drive.observed(table))
 
 
-def held_loss(
-    vehicle: Vehicle, terms: Sequence[Term], values: FloatArray, drive: Drive
-) -> float:
+def held_loss(vehicle: Vehicle, terms: Sequence[Term], values: FloatArray, drive: Drive) -> float:
     """Return the most that losses take at rest, where contacts hold all that friction allows [W].
 
     Parameters
@@ -140,7 +138,7 @@ def held_loss(
 
 
 def _at_rest(drive: Drive, power: FloatArray, most: float) -> tuple[NDArray[np.bool_], FloatArray]:
-    """Samples at rest whose power a held moment explains, and what it takes at each [W].
+    """Return which samples at rest a held moment explains, and what it takes at each [W].
 
     At rest the sides' difference is zero whatever contacts hold. What is drawn beyond the model, up
     to what they can hold, is no evidence against it, nor for any coefficient.

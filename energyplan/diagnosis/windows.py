@@ -67,6 +67,9 @@ class Drive:
         Measured power of the right side less that of the left one [W], where both are used.
     breakaway : float
         Yaw rate up to which contacts hold [rad/s]; zero for straight lines alone.
+    drift : float
+        Yaw rate by which steering drifts about a straight [rad/s]: nothing tells which way, so that
+        contacts are taken to hold there too.
     fields : dict
         Forces of terms, kept for `field_of`.
     """
@@ -80,6 +83,7 @@ class Drive:
     factor: float = 1.0
     between: FloatArray | None = None
     breakaway: float = 0.0
+    drift: float = 0.0
     fields: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
@@ -131,7 +135,7 @@ class Drive:
     @cached_property
     def holds(self) -> NDArray[np.bool_]:
         """Tell where contacts hold, so that the moment of friction is anything up to its limit."""
-        return np.asarray(np.abs(self.motion.omega) <= self.breakaway)
+        return np.asarray(np.abs(self.motion.omega) <= max(self.breakaway, self.drift))
 
     @cached_property
     def holding(self) -> Motion:

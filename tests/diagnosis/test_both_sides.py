@@ -177,9 +177,7 @@ def test_the_yaw_rate_up_to_which_contacts_hold_is_fitted() -> None:
     assert 0.006 < held.drives[0].breakaway < 0.05  # corrections turn at up to 0.008 rad/s
     plain = simulate.identification_drive(model, power_noise=3.0, seed=5)
     free = with_breakaway(Problem(prepared([plain], vehicle), vehicle), ())
-    # No more than what steering drifts by on a straight: 3 mm/s of slip.
-    slip = free.drives[0].breakaway * vehicle.slip_moment / float(vehicle.loads.sum())
-    assert slip == pytest.approx(0.003)
+    assert free.drives[0].breakaway == 0.0
 
 
 def test_sensors_that_show_no_return_do_not_speak_for_their_sides() -> None:
