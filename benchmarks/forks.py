@@ -1,6 +1,6 @@
 """Maps with two ways to the goal: what a hidden effect makes dear changes which one is best.
 
-Both ways are corridors about a line each, and a room at the start in which a designed drive fits. The
+Both ways are corridors about a line each, with a room at the start for a designed drive. The
 second way is longer, or turns more, by a share of what the effect takes on the first one.
 """
 
@@ -52,7 +52,7 @@ def corridors(*ways: ArrayLike) -> ep.OccupancyGrid:
 
 
 def rough(share: float) -> Fork:
-    """Rough ground beyond a line, through which the shorter way goes."""
+    """Lay rough ground beyond a line, through which the shorter way goes."""
     short = [(0, 0), (0, 2.2), (9, 2.2), (9, 0)]
     long = [(0, 0), (0, -2.2 - share), (9, -2.2 - share), (9, 0)]
     effect = Effect("surface_border", 0.3, {"direction": np.pi / 2, "offset": 1.1})
@@ -61,7 +61,7 @@ def rough(share: float) -> Fork:
 
 
 def viscous(share: float) -> Fork:
-    """A viscous floor: the way with fewer metres and more turns."""
+    """Lay a viscous floor: the way with fewer metres and more turns is better then."""
     deep, far = 2.6, 9.0
     zigzag = [(0, 0), (2.0, 0), (2.0, deep), (5.0, deep), (5.0, 0), (far, 0)]
     length = 15.7 - share
@@ -73,7 +73,7 @@ def viscous(share: float) -> Fork:
 
 
 def dragging(share: float) -> Fork:
-    """A wheel that drags on one side: the way, or the gear, that turns the other way round."""
+    """Let a wheel drag: the way, or the gear, that turns the other way round is better then."""
     top, bottom = 2.5, -2.5
     over = [(0, 0), (0, top), (8, top), (8, 0)]
     under = [(0, 0), (0, bottom), (8, bottom), (8, 0)]
@@ -84,7 +84,7 @@ def dragging(share: float) -> Fork:
 
 
 def ridge(share: float) -> Fork:
-    """A known ridge across the shorter way, and motors that return nothing downhill."""
+    """Raise a known ridge across the shorter way, with motors that return nothing downhill."""
     short = [(0, 0), (0, 2.2), (10, 2.2), (10, 0)]
     down = -2.2 - 0.8 * share
     long = [(0, 0), (0, down), (10, down), (10, 0)]
@@ -103,4 +103,4 @@ def ridge(share: float) -> Fork:
 
 
 FORKS: tuple[Callable[[float], Fork], ...] = (rough, viscous, dragging, ridge)
-"""Families of such maps; each takes by how much the second way is worse without the effect, in m."""
+"""Families of such maps; each takes how much the second way is worse without the effect [m]."""
