@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from energyplan.diagnosis.columns import field_of
 from energyplan.diagnosis.fitting import Problem
+from energyplan.diagnosis.linear import held_loss
+from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Sides, Term
 from energyplan.vehicle import GRAVITY
 
@@ -53,6 +55,11 @@ def drivable(problem: Problem, terms: Sequence[Term], model: PowerModel) -> bool
             if np.isfinite(most) and float(np.quantile(np.abs(force * speed), _USUAL)) > most:
                 return False
     return True
+
+
+def most_held(problem: Problem, terms: Sequence[Term], values: FloatArray) -> float:
+    """Return the most that losses may take at rest in any drive [W]."""
+    return max(held_loss(problem.vehicle, terms, values, drive) for drive in problem.drives)
 
 
 class Rest:

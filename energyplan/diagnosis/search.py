@@ -16,8 +16,7 @@ from scipy.optimize import minimize, minimize_scalar
 from energyplan.diagnosis.change_points import mark_changes
 from energyplan.diagnosis.explanations import Evaluated, Explanation, Found, Gain
 from energyplan.diagnosis.fitting import PAPER, Fit, Part, Problem, difference, fit
-from energyplan.diagnosis.linear import held_loss
-from energyplan.diagnosis.plausible import Rest, drivable
+from energyplan.diagnosis.plausible import Rest, drivable, most_held
 from energyplan.diagnosis.proposals import (
     OF_LOG,
     RARE,
@@ -151,9 +150,7 @@ class Search(Proposals):
             for term, value in zip(terms, found.values, strict=True)
             if term.name in constant
         )
-        drives = problem.drives
-        held = max(held_loss(problem.vehicle, terms, found.values, drive) for drive in drives)
-        return self.rest.allows(resting, held)
+        return self.rest.allows(resting, most_held(problem, terms, found.values))
 
     def _gain(self, full: Evaluated, less: Evaluated, part: Part, looks: float) -> Gain:
         """Return what a part is worth in a set, against the set without it."""
