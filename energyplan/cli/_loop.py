@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from energyplan.cli._planning import Effort, Heights, MapFile, Start, Surfaces
+from energyplan.cli._planning import Effort, Heights, MapFile, Start, Surfaces, ground_of
 from energyplan.cli.common import (
     TABLES,
     Json,
@@ -82,19 +82,10 @@ def chosen_effects(
 
 def _believed(model: str, surfaces: Path | None, heights: Path | None) -> tuple[PowerModel, Ground]:
     """Return the model and the ground that options name; on heights every model has a weight."""
-    from energyplan.io.config import read_model
-    from energyplan.io.geojson import read_surfaces
-    from energyplan.io.heights import read_heights
     from energyplan.physics import Ground
-    from energyplan.power.effects import with_weight
-    from energyplan.terrain import with_weights
 
-    law = read_model(model)
-    regions = read_surfaces(surfaces) if surfaces else None
-    if heights is None:
-        return law, Ground(regions)
-    hills = read_heights(heights)
-    return with_weight(law), Ground(with_weights(regions) if regions else None, hills)
+    cost, regions, hills = ground_of(model, surfaces, heights, battery=True)
+    return cost.model, Ground(regions, hills)
 
 
 @app.command(
@@ -191,7 +182,11 @@ def close_the_loop(
         typer.Option(help="Stop when the predicted energy is off by less than this fraction."),
     ] = 0.01,
     speed: Annotated[
-        float | None, typer.Option(help="Largest tread speed on the routes [m/s].")
+        float | None,
+        typer.Option(
+            help="Tread speed to drive at [m/s]. Default: the vehicle's usual speed; without one, "
+            "three fifths of its motors', which leaves the controller room."
+        ),
     ] = None,
     survey: Annotated[
         float,

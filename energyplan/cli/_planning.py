@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
     from energyplan.planning import Plan, PlanningProblem
     from energyplan.planning.driven import DrivenPath
     from energyplan.terrain import HeightMap, SurfaceMap
-    from energyplan.vehicle import Vehicle
 
 RECORDING = ".mcap"
 MapFile = Annotated[Path, typer.Option("--map", help="The map: a YAML file of ROS map_server.")]
@@ -44,7 +42,7 @@ Surfaces = Annotated[
     Path | None, typer.Option(help="Areas of other ground: GeoJSON polygons, each with a model.")
 ]
 Heights = Annotated[Path | None, typer.Option(help="Heights of the ground: an ESRI ASCII grid.")]
-Battery = Annotated[
+AtBattery = Annotated[
     bool,
     typer.Option(
         "--battery", help="Count the energy that the battery gives, losses of the drives included."
@@ -137,7 +135,7 @@ def _problem(
     if (costmap is None) != (costmap_weight == 0.0):
         raise InvalidInputError("--costmap and --costmap-weight go together; give both or neither")
     ends = parse_pose(start), parse_pose(goal)
-    ground = _ground(model, surfaces, heights, battery, speed, tolerance)
+    ground = ground_of(model, surfaces, heights, battery, speed, tolerance)
     grid = read_map(map_file)
     if keepout:
         grid = grid.with_mask(read_map(keepout))
@@ -148,7 +146,7 @@ def _problem(
     )  # fmt: skip
 
 
-class _Ground(NamedTuple):
+class LaidGround(NamedTuple):
     """What is driven on, and what motions cost there."""
 
     cost: EnergyCost
@@ -156,15 +154,17 @@ class _Ground(NamedTuple):
     heights: HeightMap | None
 
 
-def _ground(
+def ground_of(
     model: str,
     surfaces: Path | None,
     heights: Path | None,
     battery: bool,
-    speed: str | None,
-    tolerance: float | None,
-) -> _Ground:
+    speed: str | None = None,
+    tolerance: float | None = None,
+) -> LaidGround:
+    """Return the ground that options name, and what motions cost on it at the speed asked for."""
     from energyplan.cost import EnergyCost
+    from energyplan.cost.speeds import asked_speed
     from energyplan.io.config import read_model
     from energyplan.io.geojson import read_surfaces
     from energyplan.io.heights import read_heights
@@ -180,26 +180,8 @@ def _ground(
         if not reads_slope(power):
             warn(f"no term of {power.name} reads slopes: {power.vehicle.mass:.4g} kg are added")
         power, ground = with_weight(power), with_weights(ground) if ground else None
-    cost = EnergyCost(power, battery=battery, speed=_speed(speed, power.vehicle))
-    return _Ground(cost, ground, hills)
-
-
-def _speed(text: str | None, vehicle: Vehicle) -> float | None:
-    """Return the tread speed to drive at; None stands for the cheapest."""
-    if text is None:
-        usual = vehicle.driving_speed
-        return usual if math.isfinite(usual) else None
-    if text == "cheapest":
-        return None
-    try:
-        speed = float(text)
-    except ValueError:
-        speed = math.nan
-    if not 0 < speed < math.inf:
-        raise InvalidInputError(
-            f"speed {text!r} is neither metres per second > 0 nor 'cheapest'; write it like 0.6"
-        )
-    return speed
+    cost = EnergyCost(power, battery=battery, speed=asked_speed(speed, power.vehicle))
+    return LaidGround(cost, ground, hills)
 
 
 def _driven(made: Plan, trajectory: Path | None) -> DrivenPath | None:
@@ -229,7 +211,7 @@ def plan(
     goal: Start,
     surfaces: Surfaces = None,
     heights: Heights = None,
-    battery: Battery = False,
+    battery: AtBattery = False,
     clearance: Clearance = 0.0,
     keepout: Keepout = None,
     costmap: Costmap = None,
@@ -283,7 +265,7 @@ def compare(
     goal: Start,
     surfaces: Surfaces = None,
     heights: Heights = None,
-    battery: Battery = False,
+    battery: AtBattery = False,
     clearance: Clearance = 0.0,
     keepout: Keepout = None,
     planner: Planner = "lattice",
@@ -387,7 +369,7 @@ def check(
     ] = None,
     surfaces: Surfaces = None,
     heights: Heights = None,
-    battery: Battery = False,
+    battery: AtBattery = False,
     speed: Speed = None,
     tolerance: Tolerance = None,
     json: Json = False,
@@ -397,6 +379,7 @@ def check(
 
     Where they cannot, tells where and why, and how fast the robot could drive it.
     """
+    from energyplan.cost.speeds import asked_speed
     from energyplan.io.config import read_vehicle
     from energyplan.io.trajectory import read_drive
     from energyplan.limits.feasibility import check as run
@@ -404,13 +387,12 @@ def check(
     from energyplan.path import Trajectory
     from energyplan.planning.driven import counted, drive_path
 
-    cost, ground, hills = _ground(model, surfaces, heights, battery, speed, tolerance)
+    cost, ground, hills = ground_of(model, surfaces, heights, battery, speed, tolerance)
     limits = read_vehicle(vehicle) if vehicle else None
     found = read_drive(trajectory, cost.icr.longitudinal)
     if not isinstance(found, Trajectory):
         if limits is not None:
-            usual = _speed(speed, limits)
-            cost = replace(cost, speed=usual)
+            cost = replace(cost, speed=asked_speed(speed, limits))
         found = drive_path(found, cost, ground, hills, vehicle=limits).trajectory
     elif speed is not None or tolerance is not None:
         raise InvalidInputError(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from energyplan.cli._planning import AtBattery, Heights, MapFile, Speed, Surfaces, ground_of
 from energyplan.cli.common import (
     IMAGES,
     Json,
@@ -18,9 +20,6 @@ from energyplan.cli.common import (
     writes,
 )
 
-CONTOURS = 5
-"""Contours where no energy is given."""
-
 
 @app.command(
     name="range",
@@ -28,9 +27,7 @@ CONTOURS = 5
     "--from 2,2,0 --energy 5000 --return --confidence 0.95 --coefficient-spread 0.05",
 )
 def reach(
-    map_file: Annotated[
-        Path, typer.Option("--map", help="The map: a YAML file of ROS map_server.")
-    ],
+    map_file: MapFile,
     model: ModelName,
     start: Annotated[
         str,
@@ -72,17 +69,10 @@ def reach(
         str | None,
         typer.Option(metavar="X,Y,YAW", help="Count the way on to here, instead of to the start."),
     ] = None,
-    surfaces: Annotated[
-        Path | None,
-        typer.Option(help="Areas of other ground: GeoJSON polygons, each with a model."),
-    ] = None,
-    battery: Annotated[
-        bool,
-        typer.Option(
-            "--battery",
-            help="Count the energy that the battery gives, losses of the drives included.",
-        ),
-    ] = False,
+    surfaces: Surfaces = None,
+    heights: Heights = None,
+    battery: AtBattery = False,
+    speed: Speed = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -109,15 +99,10 @@ def reach(
 
     Finds the energy that it takes to get to every place of a map, there or there and back.
     """
-    import numpy as np
-
     from energyplan.battery import Battery
-    from energyplan.cost import EnergyCost
     from energyplan.errors import InvalidInputError
-    from energyplan.io.config import read_model
     from energyplan.io.energy_map import write_contours, write_energies
     from energyplan.io.files import atomic_write
-    from energyplan.io.geojson import read_surfaces
     from energyplan.io.maps import read_map
     from energyplan.output import documents, plots, text
     from energyplan.output.report import image
@@ -133,24 +118,19 @@ def reach(
         raise InvalidInputError("--coefficient-spread counts with --confidence alone; give both")
     pose = parse_pose(start)
     # what a battery delivers is counted at the battery
-    cost = EnergyCost(read_model(model), battery=battery or pack is not None)
-    problem = PlanningProblem(
-        read_map(map_file), cost, pose, pose,
-        surfaces=read_surfaces(surfaces) if surfaces else None,
-    )  # fmt: skip
+    cost, ground, hills = ground_of(model, surfaces, heights, battery or pack is not None, speed)
+    problem = PlanningProblem(read_map(map_file), cost, pose, pose, surfaces=ground, heights=hills)
     home = parse_pose(charger) if charger else pose
     if pack:
         energy = energy_of_charge(cost, Battery.preset(pack), 1.0 if soc is None else soc)
-    usable = np.inf if energy is None else (1.0 - reserve) * energy
+    usable = None if energy is None else (1.0 - reserve) * energy
     with progress("searching"):
         found = energy_map(
-            problem, energy=usable, back=home if back or charger else None,
+            problem, energy=math.inf if usable is None else usable,
+            back=home if back or charger else None,
             confidence=confidence, coefficient_spread=spread,
         )  # fmt: skip
-    most = float(found.energy[np.isfinite(found.energy)].max(initial=0.0))
-    limit = most if energy is None else usable
-    parts = np.arange(1, CONTOURS + 1) / CONTOURS
-    areas = found.contours((parts * limit).tolist()) if limit > 0 else ()
+    areas = found.areas(usable)
     if out:
         write_energies(found, out)
     if contours:

@@ -10,14 +10,54 @@ from collections.abc import Callable
 
 import numpy as np
 
+from energyplan.errors import InvalidInputError
 from energyplan.path import FloatArray
 from energyplan.power import Sides
 from energyplan.vehicle import Vehicle
 
+CHEAPEST = "cheapest"
+"""What is asked for where every motion is to be driven as slowly as is cheapest."""
 _UNLIMITED = 1e6  # tread speed [m/s] beyond which a power limit is not looked for
 _SLOWEST = 0.05  # slowest tread speed, as a fraction of the vehicle's limit
 _SCAN = 25  # rates tried before the best is refined
 _INVERSE_GOLDEN = 0.5 * (5**0.5 - 1)
+
+
+def asked_speed(asked: float | str | None, vehicle: Vehicle) -> float | None:
+    """Return the tread speed that motions are priced and driven at, None for the cheapest.
+
+    Parameters
+    ----------
+    asked : float, str or None
+        Metres per second, as a number or its text; or `CHEAPEST`; or nothing, which stands for the
+        vehicle's usual speed, else the fastest of its motors.
+    vehicle : Vehicle
+        The vehicle.
+
+    Returns
+    -------
+    float or None
+        What `EnergyCost` takes as its speed [m/s].
+
+    Raises
+    ------
+    InvalidInputError
+        If what is asked is neither a positive number nor `CHEAPEST`.
+    """
+    if asked is None:
+        usual = vehicle.driving_speed
+        return usual if np.isfinite(usual) else None
+    if asked == CHEAPEST:
+        return None
+    try:
+        speed = float(asked)
+    except ValueError:
+        speed = np.nan
+    if not 0 < speed < np.inf:
+        raise InvalidInputError(
+            f"speed {asked!r} is neither metres per second > 0 nor {CHEAPEST!r}; write it like 0.6"
+        )
+    return speed
 
 
 def admissible_rate(

@@ -29,7 +29,7 @@ from energyplan.power import PowerModel, Sides
 from energyplan.power.effects import reads_slope
 
 SPEED_SHARE = 0.6
-"""Share of the largest tread speed that routes are timed to, so that the controller has room."""
+"""Share of the largest tread speed that is driven where none is usual: the controller has room."""
 SHARP = 0.1
 """Width of an interval over its energy beyond which being within it proves nothing."""
 NORMAL = 1.96
@@ -203,8 +203,8 @@ def close_loop(
     before : sequence of DriveLog
         Drives made earlier, to learn from beside those of the rounds.
     speed : float, optional
-        Largest tread speed on the routes [m/s]; `SPEED_SHARE` of what the motors reach where not
-        given.
+        Tread speed to price and drive at [m/s]; where not given the vehicle's usual one, else
+        `SPEED_SHARE` of what the motors reach.
     survey : float
         Longest time of the designed drive [s]; 0 for none.
     time_limit : float
@@ -308,7 +308,9 @@ def _survey(
 
 
 def _usual_speed(problem: PlanningProblem) -> float:
-    top = problem.cost.vehicle.motor.speed
+    usual, top = problem.cost.vehicle.usual_speed, problem.cost.vehicle.motor.speed
+    if np.isfinite(usual):
+        return min(usual, top)
     if not np.isfinite(top):
         raise InvalidInputError(
             f"{problem.cost.vehicle.name} has no largest tread speed; give the speed to drive at"

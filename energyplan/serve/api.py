@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import math
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import lru_cache, partial
@@ -22,6 +21,7 @@ from starlette.exceptions import HTTPException
 from energyplan import __version__
 from energyplan.battery import Battery
 from energyplan.cost import EnergyCost
+from energyplan.cost.speeds import asked_speed
 from energyplan.diagnosis import diagnose
 from energyplan.errors import (
     CancelledError,
@@ -161,11 +161,12 @@ def create_app(
                 return _of(CancelledError("the client went away"))
         return JSONResponse(waiting.result())
 
+    def priced(name: str, battery: bool) -> EnergyCost:
+        model = store.model(name)
+        return EnergyCost(model, battery=battery, speed=asked_speed(None, model.vehicle))
+
     def asked_problem(asked: PlanRequest) -> PlanningProblem:
-        model = store.model(asked.model)
-        usual = model.vehicle.driving_speed
-        speed = usual if math.isfinite(usual) else None
-        cost = EnergyCost(model, battery=asked.battery, speed=speed)
+        cost = priced(asked.model, asked.battery)
         grid = store.map(asked.map)
         return PlanningProblem(
             _masked(grid, store.map(asked.keepout)) if asked.keepout else grid,
@@ -250,7 +251,7 @@ def create_app(
             raise InvalidInputError("give either energy or pack, the name of a battery")
 
         def work(job: Job) -> dict[str, Any]:
-            cost = EnergyCost(store.model(asked.model), battery=asked.pack is not None)
+            cost = priced(asked.model, asked.pack is not None)
             start = Pose(*asked.start)
             question = PlanningProblem(
                 store.map(asked.map), cost, start, start,
@@ -266,7 +267,7 @@ def create_app(
                 question, energy=usable, back=asked.back, confidence=asked.confidence,
                 coefficient_spread=asked.coefficient_spread,
             )  # fmt: skip
-            areas = found.contours([usable * k / CONTOURS for k in range(1, CONTOURS + 1)])
+            areas = found.areas(usable)
             return {**documents.energy_map(found, areas), "areas": contours_document(areas)}
 
         return await answer(request, work)
@@ -339,9 +340,6 @@ def _masked(grid: OccupancyGrid, mask: OccupancyGrid) -> OccupancyGrid:
     """Return a map with a keep-out mask; the same object, with its tables, for the same two."""
     return grid.with_mask(mask)
 
-
-CONTOURS = 5
-"""Areas in reach that are told: with a fifth of what there is, two fifths, and so on."""
 
 _COLUMNS = ("t", "x", "y", "yaw", "v", "omega")
 _TIMELINE = ("t", "x", "y", "soc", "soc_lower", "soc_upper", "power")

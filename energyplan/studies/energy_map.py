@@ -26,6 +26,9 @@ from energyplan.studies.doubt import upper_prices
 CELLS = 2
 """Cells of the lattice to a cell of the raster, along either axis."""
 
+STEPS = 5
+"""Areas that are told of a map."""
+
 STRIDE = 20_000
 """Expansions between two looks at what is reached."""
 
@@ -141,6 +144,13 @@ class EnergyMap:
             area = shapely.MultiPolygon(polygons)
             found.append(Contour(float(level), shapely.transform(area, self._to_world)))
         return tuple(found)
+
+    def areas(self, energy: float | None = None) -> tuple[Contour, ...]:
+        """Return `contours` in `STEPS` even steps up to an energy [J], else up to the farthest."""
+        farthest = float(self.energy[np.isfinite(self.energy)].max(initial=0.0))
+        limit = farthest if energy is None else energy
+        levels = [limit * k / STEPS for k in range(1, STEPS + 1)]
+        return self.contours(levels) if limit > 0 else ()
 
     def _to_world(self, points: FloatArray) -> FloatArray:
         c, s = np.cos(self.origin.yaw), np.sin(self.origin.yaw)

@@ -120,6 +120,22 @@ def test_the_usual_speed_is_the_default_and_the_cheapest_a_choice(
     assert run("plan", *hall)["speed"] == pytest.approx(0.4)
 
 
+def test_a_range_is_priced_at_the_speed_that_plans_are(
+    run: Run, hall: list[object], tmp_path: Path
+) -> None:
+    base = [*hall[:4], "--from", "1.5,2,0"]
+    farthest = {}
+    for speed in (None, "1.2", "cheapest", "0.4"):
+        asked = [] if speed is None else ["--speed", speed]
+        farthest[speed] = run("range", *base, *asked)["contours"][-1]["energy"]
+    assert farthest[None] == farthest["1.2"]  # the motors', as no other is usual
+    assert farthest["cheapest"] < min(farthest["1.2"], farthest["0.4"])
+    write_model(replace(LAW, vehicle=replace(LAW.vehicle, usual_speed=0.4)), tmp_path / "own.yaml")
+    assert run("range", *base)["contours"][-1]["energy"] == farthest["0.4"]
+    refused = run("range", *base, "--speed", "fast", code=2)
+    assert "0.6" in refused["error"]
+
+
 def test_both_routes_of_a_comparison_are_driven(run: Run, hall: list[object]) -> None:
     told = run("compare", *hall)
     for name in ("energy_optimal", "shortest"):
