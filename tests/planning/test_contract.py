@@ -204,7 +204,7 @@ def test_a_planner_whose_package_is_absent_says_so(monkeypatch):
 def test_all_that_are_listed_can_be_used():
     assert set(PLANNERS) <= set(planners())
     for name in PLANNERS:
-        options = {"num_samples": 200} if name == "fmt" else {}
-        found = ep.plan(PROBLEM, name, effort=60_000, **options)
+        options = {"num_samples": 100} if name == "fmt" else {}
+        found = ep.plan(PROBLEM, name, effort=30_000, **options)
         assert found.lower_bound <= found.energy * (1 + 1e-9)
         assert found.effort > 0

@@ -256,11 +256,11 @@ def test_ends_that_almost_touch_are_left_with_room(spare):
         problem = PlanningProblem(grid, COST, (2.0, y, 0.0), (8.0, y, yaw))
         query = CompiledProblem(problem)
         assert not query.roomy(problem.start)
-        found = plan(problem, effort=25_000)
+        found = plan(problem, effort=10_000)
         assert grid.path_free(found.path, problem.robot)
         eased = ways_out(query, UNLIMITED, turn=0.0)[0]
         assert query.roomy(eased.problem.start) and query.roomy(eased.problem.goal)
-        inner = plan(eased.problem, effort=25_000)
+        inner = plan(eased.problem, effort=10_000)
         whole = eased.refined(inner.path, Budget(effort=10_000))
         assert grid.path_free(whole, problem.robot)
         np.testing.assert_allclose(whole.end[:2], problem.goal[:2], atol=1e-9)

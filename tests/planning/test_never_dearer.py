@@ -43,10 +43,10 @@ def compared(name, count, effort):
 
 @pytest.mark.parametrize("name", ["office", "warehouse", "orchard"])
 def test_a_plan_is_never_dearer_than_the_shortest_route(name):
-    assert compared(name, 4, 5000) > 1
+    assert compared(name, 8, 3000) > 4
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("effort", [2500, 5000])
 @pytest.mark.parametrize("name", ["office", "warehouse", "orchard"])
 def test_no_plan_of_many_is_dearer_than_the_shortest_route(name, effort):

@@ -28,8 +28,8 @@ PROBLEM = PlanningProblem(hall_with_pillar(), COST, (2, 4, 0), (8, 4, 1.0))
 
 @pytest.mark.parametrize("name", ["rrtstar", "informed_rrtstar", "bitstar", "fmt"])
 def test_geometric_planners_return_free_paths_priced_by_the_model(name):
-    options = {"num_samples": 300} if name == "fmt" else {}
-    found = plan(PROBLEM, name, effort=60_000, **options)
+    options = {"num_samples": 200} if name == "fmt" else {}
+    found = plan(PROBLEM, name, effort=40_000, **options)
     assert PROBLEM.map.path_free(found.path, PROBLEM.robot)
     assert found.energy == pytest.approx(COST.energy(found.path), rel=1e-12)
     assert sum(found.breakdown.values()) == pytest.approx(found.energy, rel=1e-9)
@@ -37,7 +37,7 @@ def test_geometric_planners_return_free_paths_priced_by_the_model(name):
     end = np.array(found.path.end)
     np.testing.assert_allclose(end[:2], PROBLEM.goal[:2], atol=1e-6)
     assert np.cos(end[2] - PROBLEM.goal.yaw) == pytest.approx(1.0, abs=1e-9)
-    best = plan(PROBLEM, effort=30_000)
+    best = plan(PROBLEM, effort=10_000)
     assert best.lower_bound <= best.energy <= found.energy * (1 + 1e-9)
 
 

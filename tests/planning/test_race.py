@@ -62,7 +62,7 @@ def test_headings_along_the_axes_find_gaps_that_others_miss():
 
 def test_plan_passes_the_gaps():
     asked = query(walls())
-    found = plan(asked.problem, effort=200_000)
+    found = plan(asked.problem, effort=50_000)
     assert asked.grid.path_free(found.path, COST.vehicle)
     assert found.energy < 2.0 * found.lower_bound
 

@@ -35,7 +35,7 @@ def walled():
 def test_the_front_of_a_straight_drive_is_the_closed_form():
     """At speed v: 8 m of ``2 K + 2 B v + P / v``; the best v for w is ``((P + w) / 2 B)^(1/2)``."""
     values = [0.0, 20.0, 60.0, 150.0, 1000.0]
-    front = pareto(AHEAD, values, effort=50_000)
+    front = pareto(AHEAD, values, effort=15_000)
     speed = np.minimum(np.sqrt((IDLE + np.array(values)) / (2 * VISCOUS)), TOP)
     assert front.duration == pytest.approx(8 / speed, rel=1e-4)
     assert front.energy == pytest.approx(8 * (226 + 2 * VISCOUS * speed + IDLE / speed), rel=1e-4)
@@ -48,7 +48,7 @@ def test_the_front_of_a_straight_drive_is_the_closed_form():
 
 def test_no_drive_beats_another_and_none_is_below_its_bound():
     problem = PlanningProblem(walled(), STIFF, (1.5, 2, 0), (10.5, 6, 2.0))
-    front = pareto(problem, effort=40_000)
+    front = pareto(problem, effort=10_000)
     assert len(front.points) >= 5
     assert np.all(np.diff(front.energy) > 0)
     assert np.all(np.diff(front.duration) < 0)
@@ -65,13 +65,13 @@ def test_no_drive_beats_another_and_none_is_below_its_bound():
         assert total <= others.min() * (1 + 1e-9)
         assert problem.map.path_free(point.plan.path, problem.robot)
     # the usual plan is its end of least energy
-    alone = plan(problem, effort=40_000)
+    alone = plan(problem, effort=10_000)
     assert front.energy[0] <= alone.energy * 1.01
 
 
 def test_without_a_price_of_speed_only_routes_can_differ():
     """In the open, where the straight way is best at both, one drive is left."""
-    front = pareto(replace(AHEAD, cost=EnergyCost(MODEL)), [0.0, 100.0, 1000.0], effort=50_000)
+    front = pareto(replace(AHEAD, cost=EnergyCost(MODEL)), [0.0, 100.0, 1000.0], effort=15_000)
     assert len(front.points) == 1
     assert front.duration[0] == pytest.approx(8 / TOP)
 
@@ -83,7 +83,7 @@ def test_grounds_trade_routes_against_time():
     ground.raster(OPEN)  # compile first
     cost = EnergyCost(MODEL)
     problem = PlanningProblem(OPEN, cost, (2, 5, 0), (10, 5, 0), surfaces=ground)
-    front = pareto(problem, [0.0, 2000.0], effort=75_000)
+    front = pareto(problem, [0.0, 2000.0], effort=25_000)
     assert len(front.points) == 2
     around, through = (point.plan for point in front.points)
     assert through.length == pytest.approx(8, rel=0.01)
@@ -94,7 +94,7 @@ def test_grounds_trade_routes_against_time():
 @pytest.mark.parametrize("planner", ["roadmap", "bitstar"])
 def test_other_planners_trade_as_well(planner):
     problem = PlanningProblem(walled(), STIFF, (1.5, 2, 0), (10.5, 6, 2.0))
-    front = pareto(problem, [0.0, 200.0], planner, effort=100_000)
+    front = pareto(problem, [0.0, 200.0], planner, effort=30_000)
     assert len(front.points) == 2
     assert front.points[0].plan.planner == planner
     assert np.all(front.least_energy(front.duration) <= front.energy)
@@ -102,16 +102,16 @@ def test_other_planners_trade_as_well(planner):
 
 def test_what_cannot_be_traded_is_refused():
     with pytest.raises(InvalidInputError, match="time_values is empty"):
-        pareto(AHEAD, [], effort=50_000)
+        pareto(AHEAD, [], effort=15_000)
     with pytest.raises(InvalidInputError, match="time_value"):
-        pareto(AHEAD, [-1.0], effort=50_000)
+        pareto(AHEAD, [-1.0], effort=15_000)
     free = replace(MODEL, vehicle=replace(MODEL.vehicle, motor=MotorLimits()))
     with pytest.raises(InvalidInputError, match="speed limit"):
         pareto(replace(AHEAD, cost=EnergyCost(free)), effort=10_000)
 
 
 def test_picture_of_a_front():
-    front = energyplan.pareto(AHEAD, [0.0, 60.0, 1000.0], effort=50_000)
+    front = energyplan.pareto(AHEAD, [0.0, 60.0, 1000.0], effort=15_000)
     ax = plots.figure().axes[0]
     assert plots.pareto(ax, front) is ax
     assert isinstance(ax, Axes)
