@@ -85,7 +85,7 @@ def test_no_path_beats_the_bound(seed):
     poses = free_poses(grid, 8, seed, COST.vehicle)
     for start, goal in zip(poses[::2], poses[1::2], strict=True):
         try:
-            found = plan(PlanningProblem(grid, COST, start, goal), effort=8_000, gap=0.0)
+            found = plan(PlanningProblem(grid, COST, start, goal), effort=4_000, gap=0.0)
         except (NoPathError, TimeLimitError):
             continue
         assert found.lower_bound <= found.energy * (1 + ROUNDING)
@@ -99,7 +99,7 @@ def test_bound_is_close_around_one_pillar():
     occupied = np.zeros((200, 300), bool)
     occupied[60:140, 140:160] = True
     grid = OccupancyGrid(occupied, 0.05)
-    found = plan(PlanningProblem(grid, COST, (2, 5, 0), (13, 5, 0)), effort=30_000)
+    found = plan(PlanningProblem(grid, COST, (2, 5, 0), (13, 5, 0)), effort=10_000)
     assert found.gap < 0.03
 
 
@@ -505,7 +505,7 @@ def test_no_path_over_surfaces_beats_the_bound(seed):
     for start, goal in zip(poses[::2], poses[1::2], strict=True):
         problem = PlanningProblem(grid, COST, start, goal, surfaces)
         try:
-            found = plan(problem, effort=8_000, gap=0.0)
+            found = plan(problem, effort=4_000, gap=0.0)
         except (NoPathError, TimeLimitError):
             continue
         query = CompiledProblem(problem)

@@ -59,7 +59,7 @@ def test_the_shorter_way_costs_more(name):
 
     def planned(where):
         problem = PlanningProblem(where, cost, world(start), world(goal), surfaces=ground)
-        return plan(problem, planner="roadmap", effort=150_000)
+        return plan(problem, planner="roadmap", effort=60_000)
 
     across = shapely.transform(
         shapely.box(*bar), lambda points: grid.to_world(points / grid.resolution)

@@ -99,7 +99,7 @@ def turn_drive(*points):
 def test_without_losses_a_tilted_plane_adds_the_weight_times_the_rise():
     problem = PlanningProblem(HALL, EnergyCost(MODEL), (2, 3, 0), (13, 9, 1.5))
     tilted = replace(problem, heights=plane(0.03, -0.02))
-    level, found = plan(problem, effort=15_000), plan(tilted, seed=1, effort=15_000)
+    level, found = plan(problem, effort=6_000), plan(tilted, seed=1, effort=6_000)
     rise = 0.03 * 11 - 0.02 * 6
     assert found.potential == pytest.approx(WEIGHT * rise, rel=1e-9)
     # lengths on the slope exceed those in plan view by half the square of the slope
@@ -115,14 +115,14 @@ def test_without_losses_a_tilted_plane_adds_the_weight_times_the_rise():
 def test_downhill_the_energy_can_be_less_than_nothing():
     steep = plane(-0.4, 0.0)
     problem = PlanningProblem(HALL, EnergyCost(MODEL), (2, 6, 0), (14, 6, 0), heights=steep)
-    found = plan(problem, effort=15_000)
+    found = plan(problem, effort=6_000)
     length = 12 * np.hypot(1, 0.4)
     assert found.energy == pytest.approx(226 * length - WEIGHT * 12 * 0.4, rel=1e-6)
     assert found.energy < 0
     assert found.lower_bound <= found.energy
     # 226 J a metre in plan view is the bound: driving across the slope is no longer on it
     assert found.gap == pytest.approx(np.hypot(1, 0.4) - 1, abs=1e-6)
-    told = compare(problem, effort=15_000)
+    told = compare(problem, effort=6_000)
     assert 0 <= told.saving < 1
 
 
@@ -130,7 +130,7 @@ def test_nothing_comes_back_and_a_gentle_descent_still_saves():
     """Where the weight stays below the resistance, no power is lost on the way down."""
     cost = at_battery()
     problem = PlanningProblem(HALL, cost, (14, 6, np.pi), (2, 6, np.pi), heights=plane(0.1, 0.0))
-    found = plan(problem, effort=15_000)
+    found = plan(problem, effort=6_000)
     expected = (226 * np.hypot(1, 0.1) - WEIGHT * 0.1) * 12 / 0.8
     assert found.energy == pytest.approx(expected, rel=1e-6)
     assert found.potential == pytest.approx(-WEIGHT / 0.8 * 0.1 * 12, rel=1e-6)
@@ -140,8 +140,8 @@ def test_level_heights_change_nothing():
     problem = PlanningProblem(HALL, EnergyCost(MODEL), (2, 3, 0), (13, 9, 1.5))
     flat = replace(problem, heights=plane(0.0, 0.0))
     assert CompiledProblem(flat).setting.hills is kernels.LEVEL
-    assert plan(flat, effort=15_000).energy == pytest.approx(
-        plan(problem, effort=15_000).energy, rel=1e-9
+    assert plan(flat, effort=6_000).energy == pytest.approx(
+        plan(problem, effort=6_000).energy, rel=1e-9
     )
 
 
@@ -149,7 +149,7 @@ def test_level_heights_change_nothing():
 def test_a_ridge_is_crossed_or_avoided_by_what_is_cheaper(height, around):
     ground, cost = ridge(height), at_battery()
     start, goal = (2.0, 5.0, 0.0), (14.0, 5.0, 0.0)
-    found = plan(PlanningProblem(HALL, cost, start, goal, heights=ground), effort=30_000)
+    found = plan(PlanningProblem(HALL, cost, start, goal, heights=ground), effort=10_000)
     over = path_price(turn_drive(start, goal), cost, None, ground).energy
     detours = [
         path_price(turn_drive(start, (x, y), (16 - x, y), goal), cost, None, ground).energy
@@ -281,7 +281,7 @@ def test_plans_lie_between_the_bound_and_an_exhaustive_search(seed):
     query = CompiledProblem(problem)
     worth = query.worth(Pose(3, 4, 0)) / float(problem.heights.height((3, 4)))
     least = exhaustive(problem, worth) + query.potential(problem.goal)
-    found = plan(problem, effort=30_000)
+    found = plan(problem, effort=10_000)
     assert found.lower_bound <= found.energy <= least * (1 + 1e-9)
     assert found.gap == pytest.approx(
         (found.energy - found.potential) / (found.lower_bound - found.potential) - 1
@@ -294,7 +294,7 @@ def test_energies_to_many_goals_include_the_height():
     goals = [(12, 9, 0), (4, 9, 1.0), (13, 3, -1.0)]
     told = energies(problem, goals, effort=1_000_000)
     for goal, energy in zip(goals, told, strict=True):
-        one = plan(replace(problem, goal=goal), effort=15_000)
+        one = plan(replace(problem, goal=goal), effort=6_000)
         assert one.lower_bound <= energy
         assert energy == pytest.approx(one.energy, rel=0.05)
 
@@ -305,11 +305,11 @@ def test_other_objectives_know_slopes():
         HALL, cost, (2, 2, 0), (12, 9, 0), heights=hills(6, 0.6),
         objective={"energy": 1, "time": 80},
     )  # fmt: skip
-    found = plan(problem, effort=15_000)
+    found = plan(problem, effort=6_000)
     assert found.cost == pytest.approx(found.energy + 80 * found.duration)
     assert found.lower_bound <= found.cost
     assert found.gap < 0.3
-    shortest = plan(replace(problem, objective="length"), effort=15_000)
+    shortest = plan(replace(problem, objective="length"), effort=6_000)
     assert shortest.length == pytest.approx(np.hypot(10, 7), rel=1e-3)
 
 
@@ -348,7 +348,7 @@ def test_surfaces_and_slopes_together():
     )
     assert path_price(path, cost, ground, heights).energy == pytest.approx(total, rel=2e-4)
     problem = PlanningProblem(HALL, cost, (2, 3, 0), (13, 8, 0), ground, heights=heights)
-    found = plan(problem, effort=15_000)
+    found = plan(problem, effort=6_000)
     assert found.energy == pytest.approx(path_price(found.path, cost, ground, heights).energy)
     assert found.lower_bound <= found.energy
     assert sum(found.breakdown.values()) == pytest.approx(found.energy)
@@ -362,7 +362,7 @@ def test_surfaces_whose_weights_differ_are_a_free_lunch():
         HALL, EnergyCost(light), (2, 6, 0), (13, 6, 0), ground, heights=plane(0.3, 0.0)
     )
     with pytest.raises(ModelError, match=r"climbing 16\.7 deg .* drive for ever"):
-        plan(problem, effort=15_000)
+        plan(problem, effort=6_000)
 
 
 # -- refusals --------------------------------------------------------------------------------------
@@ -377,12 +377,12 @@ def test_models_that_know_no_slope_are_refused():
         HALL, EnergyCost(LEVEL), (2, 6, 0), (13, 6, 0), heights=plane(0.1, 0.0)
     )
     with pytest.raises(InvalidInputError, match=r"with_weight\(model\).* 83\.1 kg"):
-        plan(problem, effort=15_000)
+        plan(problem, effort=6_000)
     bare = SurfaceMap((Surface(shapely.box(5, 0, 9, 12), LEVEL, "lawn"),))
     with pytest.raises(InvalidInputError, match="surface 'lawn'"):
-        plan(replace(problem, cost=EnergyCost(MODEL), surfaces=bare), effort=15_000)
+        plan(replace(problem, cost=EnergyCost(MODEL), surfaces=bare), effort=6_000)
     assert plan(
-        replace(problem, cost=EnergyCost(MODEL), surfaces=with_weights(bare)), effort=15_000
+        replace(problem, cost=EnergyCost(MODEL), surfaces=with_weights(bare)), effort=6_000
     ).energy == pytest.approx(226 * 11 * np.hypot(1, 0.1) + WEIGHT * 1.1, rel=1e-6)
 
 
@@ -390,10 +390,10 @@ def test_heights_must_cover_the_map():
     small = HeightMap(np.zeros((6, 6)) + 0.1 * np.arange(6), 1.0)
     problem = PlanningProblem(HALL, EnergyCost(MODEL), (2, 3, 0), (4, 4, 0), heights=small)
     with pytest.raises(MapError, match=r"do not cover the map: \(15\..* y from 0 to 5 m"):
-        plan(problem, effort=15_000)
+        plan(problem, effort=6_000)
     # what the robot cannot reach needs no heights
     walled = OccupancyGrid(np.pad(np.zeros((44, 44), bool), 3, constant_values=True), 0.1)
-    assert plan(replace(problem, map=walled, goal=(3.5, 3.5, 0)), effort=15_000).energy > 0
+    assert plan(replace(problem, map=walled, goal=(3.5, 3.5, 0)), effort=6_000).energy > 0
 
 
 def test_steep_ground_that_the_robot_cannot_reach_does_not_count():
@@ -417,15 +417,15 @@ def test_planners_of_level_ground_say_so(planner):
     with pytest.raises(
         UnsupportedPlannerError, match="cannot be used with heights; use one of lattice"
     ):
-        plan(problem, planner, effort=15_000)
+        plan(problem, planner, effort=6_000)
 
 
 def test_ompl_plans_on_slopes():
     cost, ground = at_battery(), ridge(5.0)
     problem = PlanningProblem(HALL, cost, (2.0, 5.0, 0.0), (14.0, 5.0, 0.0), heights=ground)
-    found = plan(problem, "rrtstar", effort=30_000)
+    found = plan(problem, "rrtstar", effort=10_000)
     assert found.energy == pytest.approx(path_price(found.path, cost, None, ground).energy)
-    assert found.lower_bound <= plan(problem, effort=15_000).energy <= found.energy
+    assert found.lower_bound <= plan(problem, effort=6_000).energy <= found.energy
 
 
 # -- missions --------------------------------------------------------------------------------------
@@ -586,7 +586,7 @@ def test_missions_name_a_file_of_heights(folder):
 
 def test_the_energy_along_a_path_ends_with_its_own():
     problem = PlanningProblem(HALL, at_battery(), (2, 2, 0), (12, 9, 0), heights=hills(2, 0.5))
-    found = plan(problem, effort=15_000)
+    found = plan(problem, effort=6_000)
     along = energy_along(found.path, problem)
     assert along.joules[-1] == pytest.approx(found.energy)
     assert along.metres[-1] == pytest.approx(found.length)

@@ -35,13 +35,13 @@ def solved(seed):
     assert found.lower_bound <= found.energy < problem.cost.energy(known)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(12))
 def test_who_drove_into_a_tight_place_gets_out_again(seed):
     solved(seed)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4, 48))
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", range(12, 80))
 def test_whoever_drove_into_a_tight_place_gets_out_again(seed):
     solved(seed)
 
