@@ -20,6 +20,8 @@ CHEAPEST = "cheapest"
 _UNLIMITED = 1e6  # tread speed [m/s] beyond which a power limit is not looked for
 _SLOWEST = 0.05  # slowest tread speed, as a fraction of the vehicle's limit
 _SCAN = 25  # rates tried before the best is refined
+_PARTS = 8  # parts in which an interval is cut at once: the calls cost more than the numbers
+_AT_ONCE = 1 << 18  # numbers in an array of rates to try
 _INVERSE_GOLDEN = 0.5 * (5**0.5 - 1)
 
 
@@ -102,10 +104,12 @@ def admissible_rate(
     low = np.where(good, high, 0.0)
     if np.all(good):
         return limit
-    for _ in range(60):  # power rises with speed, so the limit is where it is first reached
-        middle = 0.5 * (low + high)
-        fine = within(middle)
-        low, high = np.where(fine, middle, low), np.where(fine, high, middle)
+    parts = np.arange(1, _PARTS).reshape(-1, *[1] * limit.ndim) / _PARTS
+    for _ in range(20):  # power rises with speed, so the limit is where it is first reached
+        cuts = low + (high - low) * parts
+        fine = np.logical_and.accumulate(within(cuts), axis=0).sum(axis=0, keepdims=True)
+        edges = np.concatenate([low[None], cuts, high[None]])
+        low, high = (np.take_along_axis(edges, fine + k, axis=0)[0] for k in (0, 1))
     return np.where(good, limit, low)
 
 
@@ -134,7 +138,7 @@ def cheapest_rate(
     slowest, limit : ndarray, shape (...)
         Range of rates [1/s], finite.
     energy : callable
-        Energy [J] of the elements at given rates.
+        Energy [J] of the elements at given rates, shape (n, ...).
     scan : int
         Rates that are tried before the best is refined, in even ratios.
 
@@ -146,15 +150,18 @@ def cheapest_rate(
     ratio = (limit / slowest) ** (1.0 / (scan - 1))
     best = np.full(limit.shape, np.inf)
     place = np.zeros(limit.shape, int)
-    for k in range(scan):
-        value = energy(slowest * ratio**k)
-        better = value <= best
-        best, place = np.where(better, value, best), np.where(better, k, place)
+    steps = np.arange(scan).reshape(-1, *[1] * limit.ndim)
+    for some in np.array_split(steps, np.ceil(scan * limit.size / _AT_ONCE) or 1):
+        values = energy(slowest * ratio**some)
+        for k, value in zip(some.flat, values, strict=True):
+            better = value <= best
+            best, place = np.where(better, value, best), np.where(better, k, place)
     low = slowest * ratio ** np.maximum(place - 1, 0)
     high = slowest * ratio ** np.minimum(place + 1, scan - 1)
     for _ in range(28):
         gap = _INVERSE_GOLDEN * (high - low)
-        down = energy(high - gap) < energy(low + gap)
+        slow, fast = energy(np.stack([high - gap, low + gap]))
+        down = slow < fast
         low, high = np.where(down, low, high - gap), np.where(down, low + gap, high)
     rate = 0.5 * (low + high)
     for end in (slowest, limit):
