@@ -14,6 +14,7 @@ import numpy as np
 
 from energyplan.diagnosis import advice as _advice
 from energyplan.diagnosis.adequacy import adequacy, energies
+from energyplan.diagnosis.averaging import averaged, note_of
 from energyplan.diagnosis.breakaway import with_breakaway
 from energyplan.diagnosis.explanations import Found
 from energyplan.diagnosis.fitting import PAPER, Part, Problem
@@ -34,7 +35,7 @@ from energyplan.diagnosis.result import (
 )
 from energyplan.diagnosis.search import SIGNIFICANCE, Search, without_mimics
 from energyplan.diagnosis.wheel_fight import find_wheel_fight
-from energyplan.diagnosis.windows import Drive, prepared
+from energyplan.diagnosis.windows import Drive, Late, prepared
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
 from energyplan.logs import DriveLog
@@ -279,12 +280,14 @@ class _Case:
         fight = find_wheel_fight(best.problem, fitted.model) if entry else None
         if fight is not None:
             fitted = replace(fitted, model=fight.model)
-        after = [predict(fitted.model, parts, drive) for drive in self.held]
-        if fitted.model is self.paper:
+        average = averaged(best.problem, fitted)
+        told = fitted if average is None else average.fitted
+        after = [predict(told.model, parts, drive) for drive in self.held]
+        if told.model is self.paper:
             after = list(before)
         foretold, undated = after, None
         if any(part.effect.acts == "change" for part in parts):
-            foretold = [predict(fitted.model, parts, drive, dated=False) for drive in self.held]
+            foretold = [predict(told.model, parts, drive, dated=False) for drive in self.held]
             undated = score(foretold)
         found = self._found(chosen, fitted.model, fitted.errors, searched, after)
         if fight is not None and entry is not None:
@@ -311,6 +314,7 @@ class _Case:
             *_advice.worse_advice(names, *errors),
             *_advice.change_advice(undated),
             *_advice.untested_advice(searched.untested, names),
+            *(() if average is None else [note_of(average, names)]),
             *self.notes,
         ]
         verdict: Verdict = "no_effect"
@@ -322,9 +326,7 @@ class _Case:
         return Diagnosis(
             verdict=verdict,
             effects=found,
-            model=_for_planners(
-                fitted.model, used, replace(errors[1], run_spread=fitted.run_spread)
-            ),
+            model=_for_planners(told.model, used, replace(errors[1], run_spread=told.run_spread)),
             before=errors[0],
             after=errors[1],
             before_interval=interval(before),
@@ -339,7 +341,7 @@ class _Case:
             predictions_after=tuple(one.power for one in after),
             explanations=self._explanations(searched),
             adequacy=quality,
-            predictions=energies(best.problem, fitted, foretold),
+            predictions=energies(best.problem, told, foretold),
             training=tuple(log.name for log in self.logs[0]),
             judging=tuple(log.name for log in self.logs[1]),
             choosing=self._choosing(),
@@ -402,8 +404,8 @@ class _Case:
                 for one in after:
                     if one.change is not None:
                         details[f"time in {one.drive.name}"] = one.change
-            value = entry.value(model) if entry.terms else params["delay"]
-            error = size_error(entry, model) if entry.terms else errors["delay"]
+            value = entry.value(model) if entry.terms else Late.of(part.params).mean
+            error = size_error(entry, model) if entry.terms else errors["late"]
             gain = searched.best.gains[searched.best.parts.index(part)]
             found.append(
                 FoundEffect(

@@ -19,7 +19,7 @@ from scipy.stats import t as student
 
 from energyplan.diagnosis.columns import columns_of
 from energyplan.diagnosis.linear import is_lossy, linearise_drive
-from energyplan.diagnosis.windows import SCALES, Design, Drive, window_means
+from energyplan.diagnosis.windows import SCALES, Design, Drive, Late, window_means
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, Term
 from energyplan.power.effects import Effect
@@ -111,7 +111,7 @@ def solve(gram: FloatArray, weight: FloatArray | None = None) -> FloatArray:
     return np.asarray(np.linalg.solve(normal + ridge, moment[..., None])[..., 0] / scale)
 
 
-def _left_out(total: FloatArray, grams: FloatArray, fold: np.ndarray) -> FloatArray:
+def left_out(total: FloatArray, grams: FloatArray, fold: np.ndarray) -> FloatArray:
     """Coefficients fitted without each fold, shape (folds, k)."""
     count = int(fold.max()) + 1
     sums = np.zeros((count, *total.shape))
@@ -146,11 +146,11 @@ def fit(design: Design, errors: FloatArray, by_block: bool = False) -> Fit:
     total = grams.sum(axis=0)
     values = solve(total)
     blocks = np.arange(len(grams))
-    jack = _left_out(total, grams, blocks)
+    jack = left_out(total, grams, blocks)
     centred = jack - jack.mean(axis=0)
     covariance = (len(grams) - 1) / len(grams) * centred.T @ centred
     by_drive = design.comparable and not by_block
-    held = _left_out(total, grams, design.drives)[design.drives] if by_drive else jack
+    held = left_out(total, grams, design.drives)[design.drives] if by_drive else jack
     signed = np.column_stack([held, -np.ones(len(held))])
     losses = np.einsum("bi,bij,bj->b", signed, grams, signed)
     squares = np.einsum("bi,sbij,bj->s", signed, design.grams, signed)
@@ -290,9 +290,9 @@ class Problem:
         drives = [replace(drive, between=None) for drive in self.drives]
         return Problem(drives, self.vehicle, self.memory)
 
-    def delayed(self, delay: float) -> Problem:
-        """Return the drives with their power taken to be logged `delay` late [s]."""
-        drives = [replace(drive, delay=delay) for drive in self.drives]
+    def delayed(self, late: Late) -> Problem:
+        """Return the drives with their power taken to be logged late."""
+        drives = [replace(drive, late=late) for drive in self.drives]
         return Problem(drives, self.vehicle, self.memory)
 
     def with_factors(self, factors: Sequence[float]) -> Problem:

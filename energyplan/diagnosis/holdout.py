@@ -10,7 +10,7 @@ import numpy as np
 from energyplan.diagnosis.change_points import settle_change
 from energyplan.diagnosis.fitting import Part
 from energyplan.diagnosis.linear import linearise_drive
-from energyplan.diagnosis.windows import BLOCK, Drive
+from energyplan.diagnosis.windows import BLOCK, ON_TIME, Drive, Late
 from energyplan.fit.covariance import correlation_time
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual
@@ -41,7 +41,7 @@ def power_of(model: PowerModel, drive: Drive) -> FloatArray:
     for term in model.terms:
         for name in term.channels:
             drive.motion.channel(name, f"the term {term.name!r}")
-    return equations_of(model, replace(drive, between=None, delay=0.0, factor=1.0))[:, 0]
+    return equations_of(model, replace(drive, between=None, late=ON_TIME, factor=1.0))[:, 0]
 
 
 def equations_of(model: PowerModel, drive: Drive) -> FloatArray:
@@ -92,7 +92,7 @@ def predict(
     """
     for part in parts:
         if part.effect.name == "time_offset":
-            drive = replace(drive, delay=dict(part.params)["delay"])
+            drive = replace(drive, late=Late.of(part.params))
     whole = model.battery_side() if drive.battery else model
     steps = [
         k for k, term in enumerate(whole.terms) if term.name in ("slip_change", "traction_change")

@@ -9,12 +9,13 @@ import numpy as np
 
 from energyplan.diagnosis.fitting import PAPER, Part, Problem, RunSpread, fit
 from energyplan.diagnosis.holdout import equations_of
-from energyplan.diagnosis.windows import window_means
+from energyplan.diagnosis.windows import Late, window_means
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Term
 from energyplan.power.effects import Effect
 
 _STEP = 0.02  # relative step of a parameter's derivative
+_MOMENT = 0.02  # step of a time offset [s]
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,10 @@ def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
         covariance = wide.reported[:count, :count]
         deviation = np.sqrt(np.diag(wide.reported)[count:])
         searched = dict(zip(moved, (float(d) for d in deviation), strict=True))
+        late = [count + k for k, key in enumerate(moved) if key in Late._fields]
+        if late:
+            block = wide.reported[np.ix_(late, late)]
+            searched["late"] = float(np.sqrt(max(float(block.sum()), 0.0)))
     plain = problem.of_totals.with_factors([1.0] * len(problem.drives))
     spread = RunSpread.of(plain.design(terms), found.values)
     if spread is not None:
@@ -98,10 +103,16 @@ def _derivatives(
             whole = PowerModel(
                 problem.vehicle, tuple(terms), np.array([values[term.name] for term in terms])
             )
-            found["delay"] = [
-                -np.gradient(equations_of(whole, drive), drive.t, axis=0)
-                for drive in problem.drives
-            ]
+            late = Late.of(part.params)
+            for key, _ in late.params:
+                ahead, behind = (
+                    problem.delayed(late._replace(**{key: getattr(late, key) + step}))
+                    for step in (_MOMENT, -_MOMENT)
+                )
+                found[key] = [
+                    (equations_of(whole, a) - equations_of(whole, b)) / (2 * _MOMENT)
+                    for a, b in zip(ahead.drives, behind.drives, strict=True)
+                ]
         for key, value in part.params:
             if key not in part.effect.grid or not part.terms:
                 continue

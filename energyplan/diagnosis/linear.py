@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from energyplan.diagnosis.columns import columns_of, held_field_of, of_equations
-from energyplan.diagnosis.windows import MOMENT, Drive
+from energyplan.diagnosis.windows import MOMENT, Drive, Late
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS, SLIP, Sides, Term
@@ -253,7 +253,7 @@ def preload(
     sign = np.sign(motion.v_left + motion.v_right)
     track = drive.motion.icr.slip_track
     # As the model has it: in time with the motion, and without the run's own factor.
-    early = replace(drive, delay=-drive.delay, factor=1.0)
+    early = replace(drive, late=Late(-drive.late.mean), factor=1.0)
     wanted = np.asarray(early.seen(between) / drive.factor)[at]
 
     def powers(moment: FloatArray) -> Sides:

@@ -16,7 +16,7 @@ import numpy as np
 
 from energyplan.diagnosis.change_points import lines, mark_changes
 from energyplan.diagnosis.fitting import PAPER, Part, Problem, fit, solve
-from energyplan.diagnosis.windows import Design, channels_of
+from energyplan.diagnosis.windows import Design, Late, channels_of
 from energyplan.path import FloatArray
 from energyplan.power import Term
 from energyplan.power.effects import Effect
@@ -84,6 +84,15 @@ def with_changes(problem: Problem, marked: Problem) -> Problem:
         for drive, other in zip(problem.drives, marked.drives, strict=True)
     ]
     return Problem(drives, problem.vehicle, problem.memory)
+
+
+Key = tuple[str, tuple[tuple[str, float], ...]]
+About = dict[Key, float]
+"""Coefficients of terms, by their name and parameters: variants share a name."""
+
+
+def _key(term: Term) -> Key:
+    return term.name, tuple(sorted(term.params.items()))
 
 
 def terms_of(parts: Sequence[Part]) -> list[Term]:
@@ -183,17 +192,10 @@ class Proposals:
                 found.append(Candidate(part, columns, float(prior), change))
         return found
 
-    def _table(
-        self, problem: Problem, candidates: Sequence[Candidate], about: dict[str, float]
-    ) -> Design:
+    def _table(self, problem: Problem, candidates: Sequence[Candidate], about: About) -> Design:
         """Columns of the paper's terms and of all candidates, linearised about coefficients."""
         terms = [*PAPER, *(term for one in candidates for term in one.part.terms)]
-        values = np.zeros(len(terms))
-        taken: set[str] = set()
-        for k, term in enumerate(terms):
-            if term.name in about and term.name not in taken:
-                values[k] = about[term.name]
-                taken.add(term.name)
+        values = np.array([about.get(_key(term), 0.0) for term in terms])
         marked = next((one.marked for one in candidates if one.marked is not None), None)
         if marked is not None:
             problem = with_changes(problem, marked)
@@ -291,9 +293,9 @@ class Proposals:
                 break
         return known
 
-    def pool(self, delay: float, usual: Sequence[Part]) -> tuple[list[Candidate], list[Set]]:
-        """Return the candidates at a delay, and the best sets of them."""
-        problem = self.problem.delayed(delay)
+    def pool(self, late: Late, usual: Sequence[Part]) -> tuple[list[Candidate], list[Set]]:
+        """Return the candidates at a time offset, and the best sets of them."""
+        problem = self.problem.delayed(late)
         about, marked = self._about(problem, usual, None), None
         pooled: dict[frozenset[str], tuple[float, Labels]] = {}
         candidates: list[Candidate] = []
@@ -320,8 +322,9 @@ class Proposals:
             about = self._about(problem, parts, errors)
             if any(effect.acts == "change" for effect in self.effects):
                 marked = self._marked(problem, parts, errors)
-            lossy = any(t.kind == "loss" and abs(about[t.name]) > 0 for t in terms_of(parts))
-            if marked is None and not lossy:
+            # Losses act on the forces: those of the best set show others than the usual ones do.
+            losses = any(t.kind == "loss" for one in candidates for t in one.part.terms)
+            if marked is None and not (losses and set(top) != set(start)):
                 break
         names = {self._label(one): k for k, one in enumerate(candidates)}
         sets = []
@@ -354,14 +357,12 @@ class Proposals:
         )
         return None if between - within < 0.5 * (base - within) else marked
 
-    def _about(
-        self, problem: Problem, parts: Sequence[Part], errors: FloatArray | None
-    ) -> dict[str, float]:
-        """Return coefficients to linearise losses about: those of a model, by name."""
+    def _about(self, problem: Problem, parts: Sequence[Part], errors: FloatArray | None) -> About:
+        """Return coefficients to linearise losses about: those of a model."""
         design = problem.design(terms_of(parts), errors)
         scale = problem.reference(design) if errors is None else errors
         values = fit(design, scale).values
-        return dict(zip((t.name for t in terms_of(parts)), values.tolist(), strict=True))
+        return dict(zip((_key(t) for t in terms_of(parts)), values.tolist(), strict=True))
 
     def _label(self, one: Candidate) -> tuple[str, tuple[tuple[str, float], ...]]:
         """Name a candidate in a way that outlasts a new numbering."""

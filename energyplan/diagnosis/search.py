@@ -26,7 +26,7 @@ from energyplan.diagnosis.proposals import (
     terms_of,
     with_changes,
 )
-from energyplan.diagnosis.windows import SCALES
+from energyplan.diagnosis.windows import ON_TIME, SCALES, Late
 from energyplan.fit.covariance import autocorrelation
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL, PowerModel
@@ -44,6 +44,8 @@ WORTHWHILE = 0.05
 
 _APART = 0.05  # delays that are worth sets of their own [s]
 _DELAYS = np.round(np.arange(-1.0, 1.01, 0.1), 1)  # of the power [s]
+_LATE = -float(np.log(len(_DELAYS)))  # most logs' power is late: only the search for it counts
+_LAGS = (0.1, 0.2, 0.4, 0.8, 1.6)  # of its sensor [s]
 
 
 Make = Callable[[FloatArray], tuple[list[Part], Problem]]
@@ -75,9 +77,9 @@ class Search(Proposals):
         super().__init__(problem, effects, limit)
         self.progress = progress
         self.rest = Rest(problem)
-        self.evaluated: dict[tuple[Set, float], Evaluated] = {}
+        self.evaluated: dict[tuple[Set, Late], Evaluated] = {}
 
-    def _settle_repeats(self, pools: Mapping[float, tuple[list[Candidate], list[Set]]]) -> None:
+    def _settle_repeats(self, pools: Mapping[Late, tuple[list[Candidate], list[Set]]]) -> None:
         """Count neighbouring windows whose residuals repeat each other as fewer.
 
         By the residual of the set that fits best: what a worse one leaves is no noise.
@@ -95,10 +97,10 @@ class Search(Proposals):
             repeats.append(autocorrelation(residual, pieces).repeats)
         self.repeats = np.array(repeats)
 
-    def _best_of(self, pools: Mapping[float, tuple[list[Candidate], list[Set]]]) -> Evaluated:
+    def _best_of(self, pools: Mapping[Late, tuple[list[Candidate], list[Set]]]) -> Evaluated:
         every = [
-            self._evaluate(chosen, candidates, delay)
-            for delay, (candidates, sets) in pools.items() for chosen in sets
+            self._evaluate(chosen, candidates, late)
+            for late, (candidates, sets) in pools.items() for chosen in sets
         ]  # fmt: skip
         return max(every, key=self.score)
 
@@ -106,16 +108,16 @@ class Search(Proposals):
         """Return the logarithm of an evaluated set's likelihood."""
         return float(self.likelihood(one.fit.errors, one.counts))
 
-    def _evaluate(self, chosen: Set, candidates: Sequence[Candidate], delay: float) -> Evaluated:
+    def _evaluate(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> Evaluated:
         """Fit a set as it is, losses included."""
-        key = (chosen, delay)
+        key = (chosen, late)
         if key not in self.evaluated:
             parts = tuple(candidates[one].part for one in chosen)
             marked = next(
                 (candidates[one].marked for one in chosen if candidates[one].marked), None
             )
             problem = self.problem if marked is None else with_changes(self.problem, marked)
-            problem = problem.delayed(delay)
+            problem = problem.delayed(late)
             self.evaluated[key] = self._fitted(problem, parts)
         return self.evaluated[key]
 
@@ -177,12 +179,15 @@ class Search(Proposals):
             and gain.weight + prior > 0.0
         )
 
-    def _best_delay(self, parts: Sequence[Part], problem: Problem) -> float:
-        """Return the delay of the power at which a model predicts best [s]."""
+    def _best_delay(self, parts: Sequence[Part], problem: Problem) -> Late:
+        """Return the time offset of the power at which a model predicts best.
+
+        A lag smears as well as it delays: it is taken where that foretells more than its prior.
+        """
         terms, problem = terms_of(parts), problem.of_totals
 
-        def loss(delay: float) -> float:
-            design = problem.delayed(float(delay)).design(terms)
+        def loss(delay: float, lag: float = 0.0) -> float:
+            design = problem.delayed(Late(float(delay), lag)).design(terms)
             errors = fit(design, np.ones(len(design.rows))).errors
             return -float(self.likelihood(errors, design.evidence))
 
@@ -194,32 +199,39 @@ class Search(Proposals):
             method="bounded",
             options={"xatol": 0.005},
         )
-        return float(found.x)
+        delay = float(found.x)
+        if delay < _APART:
+            return Late(delay)
+        trials = [
+            (loss(delay - share * lag, lag), Late(delay - share * lag, lag))
+            for lag in _LAGS for share in (0.6, 1.0) if share * lag <= delay + _APART
+        ]  # fmt: skip
+        least, lagging = min(trials, default=(np.inf, ON_TIME))
+        return lagging if least < float(found.fun) + RARE else Late(delay)
 
-    def _delays(self, nuisance: Sequence[Part]) -> list[float]:
+    def _delays(self, nuisance: Sequence[Part]) -> list[Late]:
         if self.delay is None:
-            return [0.0]
+            return [ON_TIME]
         linear = [part for part in nuisance if not any(t.kind == "loss" for t in part.terms)]
         found = self._best_delay(linear, self.problem)
         plain, late = (
-            self.score(self._fitted(self.problem.delayed(delay), linear)) for delay in (0.0, found)
+            self.score(self._fitted(self.problem.delayed(each), linear))
+            for each in (ON_TIME, found)
         )
-        return [0.0, found] if late + RARE + OF_LOG > plain else [0.0]
+        return [ON_TIME, found] if late + RARE + OF_LOG > plain else [ON_TIME]
 
-    def _masked_delay(
-        self, pools: Mapping[float, tuple[list[Candidate], list[Set]]]
-    ) -> float | None:
-        """Return a delay that a strong effect hid; None where there is none."""
+    def _masked_delay(self, pools: Mapping[Late, tuple[list[Candidate], list[Set]]]) -> Late | None:
+        """Return a time offset that a strong effect hid; None where there is none."""
         if self.delay is None:
             return None
         best = self._best_of(pools)
-        totals = best.problem.of_totals.delayed(0.0)
+        totals = best.problem.of_totals.delayed(ON_TIME)
         found = self._best_delay(best.parts, totals)
-        if min(abs(found - delay) for delay in pools) < _APART:
+        if min(max(abs(found.mean - one.mean), abs(found.lag - one.lag)) for one in pools) < _APART:
             return None
         plain, late = (
-            self.score(self._fitted(totals.delayed(delay), best.parts))
-            for delay in (best.problem.drives[0].delay, found)
+            self.score(self._fitted(totals.delayed(each), best.parts))
+            for each in (best.problem.drives[0].late, found)
         )
         return found if late + RARE + OF_LOG > plain else None
 
@@ -232,37 +244,37 @@ class Search(Proposals):
         ]  # fmt: skip
         nuisance = [*usual, *(Part(e) for e in self.effects if e.terms == (HOTEL,))]
         self.problem = self._levelled(nuisance)
-        pools: dict[float, tuple[list[Candidate], list[Set]]] = {}
-        for delay in self._delays(nuisance):
-            pools[delay] = self.pool(delay, usual)
+        pools: dict[Late, tuple[list[Candidate], list[Set]]] = {}
+        for late in self._delays(nuisance):
+            pools[late] = self.pool(late, usual)
         self.progress(0.5, "fitting the best sets")
         masked = self._masked_delay(pools)
         if masked is not None:
             pools[masked] = self.pool(masked, usual)
         self._settle_repeats(pools)
-        weighed: dict[tuple[frozenset[int], float], float] = {}
-        for delay, (candidates, sets) in pools.items():
+        weighed: dict[tuple[frozenset[int], Late], float] = {}
+        for late, (candidates, sets) in pools.items():
             for chosen in sets:
-                one = self._reduced(chosen, candidates, delay)
-                weighed[(frozenset(one), delay)] = self._posterior(one, candidates, delay)
+                one = self._reduced(chosen, candidates, late)
+                weighed[(frozenset(one), late)] = self._posterior(one, candidates, late)
         return self._explained(weighed, {d: pool[0] for d, pool in pools.items()})
 
     def _levelled(self, nuisance: Sequence[Part]) -> Problem:
         """Give each run the factor by which it differs as a whole: else long runs decide."""
         return self.problem.levelled(terms_of(nuisance))
 
-    def _posterior(self, chosen: Set, candidates: Sequence[Candidate], delay: float) -> float:
-        one = self._evaluate(chosen, candidates, delay)
+    def _posterior(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> float:
+        one = self._evaluate(chosen, candidates, late)
         prior = sum(candidates[k].prior for k in chosen)
-        if delay != 0.0:
-            prior += RARE + OF_LOG - np.log(len(_DELAYS))
+        if late != ON_TIME:
+            prior += _LATE
         return self.score(one) + prior
 
-    def _reduced(self, chosen: Set, candidates: Sequence[Candidate], delay: float) -> Set:
+    def _reduced(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> Set:
         """Take out what earns no place, the worst first."""
         now = chosen
         while now:
-            full = self._evaluate(now, candidates, delay)
+            full = self._evaluate(now, candidates, late)
             looks = {
                 k: 1.0 if candidates[k].part.effect.usual else float(len(self.effects)) for k in now
             }
@@ -272,7 +284,7 @@ class Search(Proposals):
                 gains = {
                     k: self._gain(
                         full,
-                        self._evaluate(tuple(j for j in now if j != k), candidates, delay),
+                        self._evaluate(tuple(j for j in now if j != k), candidates, late),
                         candidates[k].part,
                         looks[k],
                     )
@@ -289,8 +301,8 @@ class Search(Proposals):
 
     def _explained(
         self,
-        weighed: dict[tuple[frozenset[int], float], float],
-        pools: dict[float, list[Candidate]],
+        weighed: dict[tuple[frozenset[int], Late], float],
+        pools: dict[Late, list[Candidate]],
     ) -> Found:
         # Exact ties go to the effect that comes first in the catalogue.
         keys = sorted(weighed, key=lambda key: (-round(weighed[key], 2), sorted(key[0])))
@@ -298,21 +310,21 @@ class Search(Proposals):
         share = np.exp(values - values.max())
         share /= share.sum()
         explanations = []
-        for (chosen, delay), probability in zip(keys, share, strict=True):
-            candidates = pools[delay]
+        for (chosen, offset), probability in zip(keys, share, strict=True):
+            candidates = pools[offset]
             numbers = tuple(sorted(chosen))
-            one = self._evaluate(numbers, candidates, delay)
+            one = self._evaluate(numbers, candidates, offset)
             order = sorted(
                 numbers,
                 key=lambda k: (candidates[k].part.effect.usual, -one.gains[k].weight),
             )
             parts = [candidates[k].part for k in order]
             gains = [one.gains[k] for k in order]
-            if delay != 0.0 and self.delay is not None:
-                still = self._evaluate(numbers, candidates, 0.0) if pools.get(0.0) else one
-                late = Part(self.delay, (("delay", delay),))
+            if offset != ON_TIME and self.delay is not None:
+                still = self._evaluate(numbers, candidates, ON_TIME) if pools.get(ON_TIME) else one
+                late = Part(self.delay, offset.params)
                 gain = self._gain(one, still, late, 1.0)
-                if gain.weight + RARE + OF_LOG < 0.0 or gain.improvement < WORTHWHILE:
+                if gain.weight + _LATE < 0.0 or gain.improvement < WORTHWHILE:
                     continue
                 place = sum(other.weight > gain.weight for other in gains)
                 usual = sum(part.effect.usual for part in parts)
@@ -389,7 +401,7 @@ class Search(Proposals):
             named = zip((key for key, _ in part.params), values.tolist(), strict=True)
             trial = [*parts[:k], replace(part, params=tuple(named)), *parts[k + 1 :]]
             late = part.effect is self.delay
-            return trial, problem.delayed(float(values[0])) if late else problem
+            return trial, problem.delayed(Late.of(trial[k].params)) if late else problem
 
         return made
 
@@ -398,7 +410,7 @@ class Search(Proposals):
         if part.effect.acts == "place":
             return np.array([np.pi / 16, 0.3])
         if part.effect is self.delay:
-            return np.array([0.03])
+            return np.array([0.03, 0.05])[: len(part.params)]
         return np.array([0.2 * abs(value) for _, value in part.params])
 
     def take_all(self) -> Found:
@@ -412,9 +424,9 @@ class Search(Proposals):
             trials = [self._fitted(problem, [*parts, part]) for part in variants]
             parts.append(variants[int(np.argmax([self.score(one) for one in trials]))])
         if self.delay is not None:
-            delay = self._best_delay(parts, problem)
-            problem = problem.delayed(delay)
-            parts.append(Part(self.delay, (("delay", delay),)))
+            late = self._best_delay(parts, problem)
+            problem = problem.delayed(late)
+            parts.append(Part(self.delay, late.params))
         full = self._fitted(problem, parts)
         gains = []
         for part in parts:

@@ -14,11 +14,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
+from scipy.signal import lfilter
 
 from energyplan.diagnosis.denoise import quiet, speed_noise
 from energyplan.diagnosis.window_kernels import block_grams
@@ -43,6 +44,57 @@ _IDLE = 0.01  # share of the usual size of a block's columns below which it says
 _MANY = 200_000  # samples that selection works on
 
 
+class Late(NamedTuple):
+    """How the logged power is behind the motion.
+
+    Parameters
+    ----------
+    delay : float
+        Time after which it is logged [s].
+    lag : float
+        Time constant of a first-order lag on top of that, as of a filtering sensor [s].
+    """
+
+    delay: float = 0.0
+    lag: float = 0.0
+
+    @property
+    def mean(self) -> float:
+        """Mean time by which the power is late [s]."""
+        return self.delay + self.lag
+
+    @property
+    def params(self) -> tuple[tuple[str, float], ...]:
+        """Parameters by name; the lag where there is one."""
+        told = (("delay", self.delay), ("lag", self.lag))
+        return told if self.lag > 0.0 else told[:1]
+
+    @classmethod
+    def of(cls, params: Sequence[tuple[str, float]]) -> Late:
+        """Return what parameters by name say; a lag is not negative."""
+        named = dict(params)
+        return cls(named["delay"], max(named.get("lag", 0.0), 0.0))
+
+
+ON_TIME = Late()
+
+
+def lagged(values: FloatArray, t: FloatArray, lag: float) -> FloatArray:
+    """Return values, shape (n, ...), as a first-order lag passes them on, at rest to begin with.
+
+    Exact for values that are linear between samples a period apart.
+    """
+    if len(t) < 2:
+        return values
+    ratio = float(np.median(np.diff(t))) / lag
+    fade = float(np.exp(-ratio))
+    new = 1.0 + np.expm1(-ratio) / ratio
+    old = 1.0 - fade - new
+    start = (1.0 - new) * values[:1]
+    found, _ = lfilter([new, old], [1.0, -fade], values, axis=0, zi=start)
+    return np.asarray(found)
+
+
 @dataclass(frozen=True)
 class Drive:
     """A log ready for regression.
@@ -59,8 +111,8 @@ class Drive:
         Measured total power [W].
     battery : bool
         Whether it was measured at the battery.
-    delay : float
-        By how much the logged power lags behind the motion [s].
+    late : Late
+        By how much the logged power is behind the motion.
     factor : float
         Power of this drive over that of the model: what differs from drive to drive as a whole.
     between : ndarray, shape (n,), optional
@@ -79,7 +131,7 @@ class Drive:
     motion: Motion
     power: FloatArray
     battery: bool = False
-    delay: float = 0.0
+    late: Late = ON_TIME
     factor: float = 1.0
     between: FloatArray | None = None
     breakaway: float = 0.0
@@ -167,7 +219,7 @@ class Drive:
         width = self.samples_in(MOMENT)
         settled = np.abs(uniform_filter1d(turn, width, mode="nearest")) > 1.0 - 0.5 / width
         # Whole samples later, so that no delay makes the samples that count fewer.
-        by = round(self.delay / float(np.median(np.diff(self.t))))
+        by = round(self.late.mean / float(np.median(np.diff(self.t))))
         at = np.clip(np.arange(len(self.t)) - by, 0, len(self.t) - 1)
         return np.asarray(settled[at], float)
 
@@ -204,21 +256,23 @@ class Drive:
     def seen(self, power: FloatArray) -> FloatArray:
         """Return a predicted power, shape (n, ...), as the log shows it: late, and by the factor.
 
-        The prediction is shifted and the measurement left as it is: a shifted measurement is
-        smoother, and flatters whoever predicts it.
+        The prediction is shifted and lags, and the measurement is left as it is: a shifted
+        measurement is smoother, and flatters whoever predicts it.
         """
         late = power
-        if self.delay != 0.0:
+        if self.late.delay != 0.0:
             late = np.array(power)
             for run in self.runs:
                 t = self.t[run]
                 if len(t) < 2:
                     continue
-                at = t - self.delay
+                at = t - self.late.delay
                 k = np.clip(np.searchsorted(t, at) - 1, 0, len(t) - 2)
                 share = np.clip((at - t[k]) / (t[k + 1] - t[k]), 0.0, 1.0)
                 share = share.reshape(-1, *[1] * (power.ndim - 1))
                 late[run] = power[run][k] * (1.0 - share) + power[run][k + 1] * share
+        if self.late.lag > 0.0:
+            late = np.concatenate([lagged(late[r], self.t[r], self.late.lag) for r in self.runs])
         return late if self.factor == 1.0 else late * self.factor
 
     def thinned(self, step: int) -> Drive:

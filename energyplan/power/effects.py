@@ -260,8 +260,10 @@ _ENTRIES = (
     Effect.of(
         COPPER_LOSS, plausible=(0.0, 1.0), manoeuvre=_SPIN + "; hold the robot on a slope",
     ),
-    Effect.of(DRIVE_LOSS, plausible=(0.0, 5.0), manoeuvre=_TURNS),
+    # Powers tell these two apart only by the size of all forces: the first one is what such a log
+    # is told by, and forces and mass are then those over the drive's efficiency.
     Effect.of(REGENERATION_LOSS, plausible=(0.0, 1.0), manoeuvre=_TURNS),
+    Effect.of(DRIVE_LOSS, plausible=(0.0, 5.0), manoeuvre=_TURNS),
     Effect.of(WARM_UP, plausible=(0.0, 1e4), manoeuvre=_REPEAT, planner="with the time, else warm",
               grid={"time_constant": (10.0, 20.0, 40.0, 80.0, 160.0, 320.0)}),
     Effect(

@@ -1,0 +1,80 @@
+"""Power that is logged late, by a delay and by the lag of a sensor that filters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from energyplan import DriveLog, Vehicle, diagnose, simulate
+from energyplan.diagnosis.windows import Late, lagged
+from energyplan.power import PowerModel
+from energyplan.power.effects import LINEAR_INERTIA
+
+
+@pytest.mark.parametrize("period", [0.02, 0.1, 0.5])
+def test_a_ramp_lags_as_its_differential_equation_says(period: float) -> None:
+    t = np.arange(0.0, 6.0, period)
+    lag = 0.4
+    # lag y' + y = t, from rest: the response is t - lag + lag exp(-t / lag), exactly.
+    exact = t - lag + lag * np.exp(-t / lag)
+    assert_allclose(lagged(t, t, lag), exact, atol=1e-12)
+    both = lagged(np.stack([t, 2.0 * t], axis=-1), t, lag)
+    assert_allclose(both[:, 1], 2.0 * exact, atol=1e-12)
+
+
+def test_a_constant_is_not_late() -> None:
+    t = np.linspace(0.0, 1.0, 11)
+    assert_allclose(lagged(np.full(11, 7.0), t, 1e-3), 7.0)
+    assert_allclose(lagged(np.full(11, 7.0), t, 1e3), 7.0)
+    assert_allclose(lagged(np.ones(1), t[:1], 0.1), 1.0)
+
+
+def test_what_is_late_is_told_by_its_parameters() -> None:
+    assert Late(0.3).params == (("delay", 0.3),)
+    assert Late.of(Late(0.1, 0.4).params) == Late(0.1, 0.4)
+    assert Late(0.1, 0.4).mean == pytest.approx(0.5)
+    assert Late.of((("delay", 0.1), ("lag", -0.2))).lag == 0.0
+
+
+@pytest.mark.parametrize(("delay", "lag"), [(0.4, 0.0), (0.1, 0.5)])
+def test_delay_and_lag_are_found_beside_each_other(delay: float, lag: float) -> None:
+    truth = PowerModel.preset("quadriga:full:concrete").with_term(LINEAR_INERTIA, 147.0)
+
+    def late(log: DriveLog, seed: int) -> DriveLog:
+        log = log.shifted(p_left=delay, p_right=delay)
+        rng, sides = np.random.default_rng(seed), {}
+        for name in ("p_left", "p_right"):
+            power = log.channel(name)
+            seen = power if lag == 0.0 else lagged(power, log.t, lag)
+            sides[name] = seen + 5.0 * rng.standard_normal(len(power))
+        return DriveLog({**log.channels, **sides}, log.name)
+
+    train = late(simulate.identification_drive(truth, seed=3, speed_noise=0.003), 5)
+    unseen = late(simulate.validation_drive(truth, seed=4, speed_noise=0.003), 6)
+    told = diagnose(train, unseen, truth.vehicle)
+    (found,) = (effect for effect in told.effects if effect.name == "time_offset")
+    assert found.value == pytest.approx(delay + lag, abs=0.05)
+    assert found.details.get("lag", 0.0) == pytest.approx(lag, abs=0.1)
+    # Scored on the power as it was logged: what is left is the noise, and no smoother.
+    assert told.after.rmse == pytest.approx(np.hypot(5.0, 5.0), rel=0.25)
+
+
+@pytest.mark.shared
+@pytest.mark.nightly
+def test_a_warthog_on_grass_tells_its_mass_and_the_delay_of_its_power(shared_data: Path) -> None:
+    from energyplan.io.robot import Given
+    from energyplan.io.start import start
+
+    file = shared_data / "drive" / "warthog_grass.csv"
+    vehicle = Vehicle.preset("warthog")
+    columns = start(file, Given(like=vehicle)).project.columns
+    log = DriveLog.read(file, columns, others=False)
+    unseen = log.segment(290.0, float(log.t[-1]))
+    told = diagnose(log, unseen, vehicle)
+    found = {effect.name: effect for effect in told.effects}
+    assert found["specific_force"].value == pytest.approx(470.0, rel=0.2)
+    assert found["time_offset"].value == pytest.approx(0.48, abs=0.12)
+    assert "regeneration_efficiency" in found
