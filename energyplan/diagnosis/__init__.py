@@ -20,6 +20,7 @@ from energyplan.diagnosis.explanations import Found
 from energyplan.diagnosis.fitting import PAPER, Part, Problem
 from energyplan.diagnosis.holdout import ErrorInterval, Prediction, interval, predict, score
 from energyplan.diagnosis.joint_fit import final_fit, size_error
+from energyplan.diagnosis.late import Late
 from energyplan.diagnosis.mass_centre import MassCentre, find_mass_centre
 from energyplan.diagnosis.proposals import terms_of
 from energyplan.diagnosis.residual import Dependence, dependences
@@ -35,7 +36,7 @@ from energyplan.diagnosis.result import (
 )
 from energyplan.diagnosis.search import SIGNIFICANCE, Search, without_mimics
 from energyplan.diagnosis.wheel_fight import find_wheel_fight
-from energyplan.diagnosis.windows import Drive, Late, prepared
+from energyplan.diagnosis.windows import Drive, prepared
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
 from energyplan.logs import DriveLog

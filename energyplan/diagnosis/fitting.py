@@ -18,8 +18,9 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from energyplan.diagnosis.columns import columns_of
+from energyplan.diagnosis.late import Late
 from energyplan.diagnosis.linear import is_lossy, linearise_drive
-from energyplan.diagnosis.windows import SCALES, Design, Drive, Late, window_means
+from energyplan.diagnosis.windows import SCALES, Design, Drive, window_means
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, Term
 from energyplan.power.effects import Effect

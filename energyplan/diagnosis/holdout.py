@@ -9,8 +9,9 @@ import numpy as np
 
 from energyplan.diagnosis.change_points import settle_change
 from energyplan.diagnosis.fitting import Part
+from energyplan.diagnosis.late import ON_TIME, Late
 from energyplan.diagnosis.linear import linearise_drive
-from energyplan.diagnosis.windows import BLOCK, ON_TIME, Drive, Late
+from energyplan.diagnosis.windows import BLOCK, Drive
 from energyplan.fit.covariance import correlation_time
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual

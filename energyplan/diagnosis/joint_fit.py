@@ -9,7 +9,8 @@ import numpy as np
 
 from energyplan.diagnosis.fitting import PAPER, Part, Problem, RunSpread, fit
 from energyplan.diagnosis.holdout import equations_of
-from energyplan.diagnosis.windows import Late, window_means
+from energyplan.diagnosis.late import Late
+from energyplan.diagnosis.windows import window_means
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Term
 from energyplan.power.effects import Effect

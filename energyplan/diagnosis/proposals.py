@@ -16,7 +16,8 @@ import numpy as np
 
 from energyplan.diagnosis.change_points import lines, mark_changes
 from energyplan.diagnosis.fitting import PAPER, Part, Problem, fit, solve
-from energyplan.diagnosis.windows import Design, Late, channels_of
+from energyplan.diagnosis.late import Late
+from energyplan.diagnosis.windows import Design, channels_of
 from energyplan.path import FloatArray
 from energyplan.power import Term
 from energyplan.power.effects import Effect

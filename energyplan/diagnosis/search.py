@@ -11,11 +11,12 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize
 
 from energyplan.diagnosis.change_points import mark_changes
 from energyplan.diagnosis.explanations import Evaluated, Explanation, Found, Gain
 from energyplan.diagnosis.fitting import PAPER, Fit, Part, Problem, difference, fit
+from energyplan.diagnosis.late import DELAYS, ON_TIME, Late, least_late
 from energyplan.diagnosis.plausible import Rest, drivable, most_held
 from energyplan.diagnosis.proposals import (
     OF_LOG,
@@ -26,7 +27,7 @@ from energyplan.diagnosis.proposals import (
     terms_of,
     with_changes,
 )
-from energyplan.diagnosis.windows import ON_TIME, SCALES, Late
+from energyplan.diagnosis.windows import SCALES
 from energyplan.fit.covariance import autocorrelation
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL, PowerModel
@@ -43,9 +44,7 @@ WORTHWHILE = 0.05
 """Smallest fall of the cross-validated error, mean over the scales, that is worth an effect."""
 
 _APART = 0.05  # delays that are worth sets of their own [s]
-_DELAYS = np.round(np.arange(-1.0, 1.01, 0.1), 1)  # of the power [s]
-_LATE = -float(np.log(len(_DELAYS)))  # most logs' power is late: only the search for it counts
-_LAGS = (0.1, 0.2, 0.4, 0.8, 1.6)  # of its sensor [s]
+_LATE = -float(np.log(len(DELAYS)))  # most logs' power is late: only the search for it counts
 
 
 Make = Callable[[FloatArray], tuple[list[Part], Problem]]
@@ -180,34 +179,15 @@ class Search(Proposals):
         )
 
     def _best_delay(self, parts: Sequence[Part], problem: Problem) -> Late:
-        """Return the time offset of the power at which a model predicts best.
-
-        A lag smears as well as it delays: it is taken where that foretells more than its prior.
-        """
+        """Return the time offset of the power at which a model predicts best."""
         terms, problem = terms_of(parts), problem.of_totals
 
-        def loss(delay: float, lag: float = 0.0) -> float:
-            design = problem.delayed(Late(float(delay), lag)).design(terms)
+        def loss(late: Late) -> float:
+            design = problem.delayed(late).design(terms)
             errors = fit(design, np.ones(len(design.rows))).errors
             return -float(self.likelihood(errors, design.evidence))
 
-        losses = [loss(delay) for delay in _DELAYS]
-        k = int(np.argmin(losses))
-        found = minimize_scalar(
-            loss,
-            bounds=(float(_DELAYS[max(k - 1, 0)]), float(_DELAYS[min(k + 1, len(_DELAYS) - 1)])),
-            method="bounded",
-            options={"xatol": 0.005},
-        )
-        delay = float(found.x)
-        if delay < _APART:
-            return Late(delay)
-        trials = [
-            (loss(delay - share * lag, lag), Late(delay - share * lag, lag))
-            for lag in _LAGS for share in (0.6, 1.0) if share * lag <= delay + _APART
-        ]  # fmt: skip
-        least, lagging = min(trials, default=(np.inf, ON_TIME))
-        return lagging if least < float(found.fun) + RARE else Late(delay)
+        return least_late(loss, -RARE, _APART)
 
     def _delays(self, nuisance: Sequence[Part]) -> list[Late]:
         if self.delay is None:

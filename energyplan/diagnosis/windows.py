@@ -14,14 +14,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import lfilter
 
 from energyplan.diagnosis.denoise import quiet, speed_noise
+from energyplan.diagnosis.late import ON_TIME, Late, lagged
 from energyplan.diagnosis.window_kernels import block_grams
 from energyplan.errors import DriveLogError
 from energyplan.logs import DriveLog
@@ -42,57 +42,6 @@ MOMENT = 0.5
 _MUCH = 0.4  # share of all blocks that no drive may exceed to be left out as a whole
 _IDLE = 0.01  # share of the usual size of a block's columns below which it says nothing
 _MANY = 200_000  # samples that selection works on
-
-
-class Late(NamedTuple):
-    """How the logged power is behind the motion.
-
-    Parameters
-    ----------
-    delay : float
-        Time after which it is logged [s].
-    lag : float
-        Time constant of a first-order lag on top of that, as of a filtering sensor [s].
-    """
-
-    delay: float = 0.0
-    lag: float = 0.0
-
-    @property
-    def mean(self) -> float:
-        """Mean time by which the power is late [s]."""
-        return self.delay + self.lag
-
-    @property
-    def params(self) -> tuple[tuple[str, float], ...]:
-        """Parameters by name; the lag where there is one."""
-        told = (("delay", self.delay), ("lag", self.lag))
-        return told if self.lag > 0.0 else told[:1]
-
-    @classmethod
-    def of(cls, params: Sequence[tuple[str, float]]) -> Late:
-        """Return what parameters by name say; a lag is not negative."""
-        named = dict(params)
-        return cls(named["delay"], max(named.get("lag", 0.0), 0.0))
-
-
-ON_TIME = Late()
-
-
-def lagged(values: FloatArray, t: FloatArray, lag: float) -> FloatArray:
-    """Return values, shape (n, ...), as a first-order lag passes them on, at rest to begin with.
-
-    Exact for values that are linear between samples a period apart.
-    """
-    if len(t) < 2:
-        return values
-    ratio = float(np.median(np.diff(t))) / lag
-    fade = float(np.exp(-ratio))
-    new = 1.0 + np.expm1(-ratio) / ratio
-    old = 1.0 - fade - new
-    start = (1.0 - new) * values[:1]
-    found, _ = lfilter([new, old], [1.0, -fade], values, axis=0, zi=start)
-    return np.asarray(found)
 
 
 @dataclass(frozen=True)

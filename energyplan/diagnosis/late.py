@@ -1,0 +1,109 @@
+"""How the logged power is behind the motion: by a delay, and by the lag of its sensor (private)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
+
+from energyplan.path import FloatArray
+
+DELAYS = np.round(np.arange(-1.0, 1.01, 0.1), 1)
+"""Delays of the power that are tried first [s]."""
+
+_LAGS = (0.1, 0.2, 0.4, 0.8, 1.6)  # of its sensor [s]
+_SHARES = (0.6, 1.0)  # of a lag, by which it is as good as a delay
+
+
+class Late(NamedTuple):
+    """How the logged power is behind the motion.
+
+    Parameters
+    ----------
+    delay : float
+        Time after which it is logged [s].
+    lag : float
+        Time constant of a first-order lag on top of that, as of a filtering sensor [s].
+    """
+
+    delay: float = 0.0
+    lag: float = 0.0
+
+    @property
+    def mean(self) -> float:
+        """Mean time by which the power is late [s]."""
+        return self.delay + self.lag
+
+    @property
+    def params(self) -> tuple[tuple[str, float], ...]:
+        """Parameters by name; the lag where there is one."""
+        told = (("delay", self.delay), ("lag", self.lag))
+        return told if self.lag > 0.0 else told[:1]
+
+    @classmethod
+    def of(cls, params: Sequence[tuple[str, float]]) -> Late:
+        """Return what parameters by name say; a lag is not negative."""
+        named = dict(params)
+        return cls(named["delay"], max(named.get("lag", 0.0), 0.0))
+
+
+ON_TIME = Late()
+
+
+def lagged(values: FloatArray, t: FloatArray, lag: float) -> FloatArray:
+    """Return values, shape (n, ...), as a first-order lag passes them on, at rest to begin with.
+
+    Exact for values that are linear between samples a period apart.
+    """
+    if len(t) < 2:
+        return values
+    ratio = float(np.median(np.diff(t))) / lag
+    fade = float(np.exp(-ratio))
+    new = 1.0 + np.expm1(-ratio) / ratio
+    old = 1.0 - fade - new
+    start = (1.0 - new) * values[:1]
+    found, _ = lfilter([new, old], [1.0, -fade], values, axis=0, zi=start)
+    return np.asarray(found)
+
+
+def least_late(loss: Callable[[Late], float], worth: float, shortest: float) -> Late:
+    """Return the time offset of least loss.
+
+    A lag smears as well as it delays, and is taken where that is worth it.
+
+    Parameters
+    ----------
+    loss : callable
+        Loss at an offset.
+    worth : float
+        By how much the loss must fall for a lag.
+    shortest : float
+        Delay below which no lag is looked for [s].
+
+    Returns
+    -------
+    Late
+        The offset.
+    """
+    losses = [loss(Late(delay)) for delay in DELAYS.tolist()]
+    k = int(np.argmin(losses))
+    found = minimize_scalar(
+        lambda delay: loss(Late(float(delay))),
+        bounds=(float(DELAYS[max(k - 1, 0)]), float(DELAYS[min(k + 1, len(DELAYS) - 1)])),
+        method="bounded",
+        options={"xatol": 0.005},
+    )
+    delay = float(found.x)
+    if delay < shortest:
+        return Late(delay)
+    trials = [
+        Late(delay - share * lag, lag)
+        for lag in _LAGS for share in _SHARES if share * lag <= delay + shortest
+    ]  # fmt: skip
+    losses = [loss(trial) for trial in trials]
+    if not losses or min(losses) >= float(found.fun) - worth:
+        return Late(delay)
+    return trials[int(np.argmin(losses))]
