@@ -137,7 +137,8 @@ def runs_table(folder: Path) -> str:
             print(f"  {ground.name} {run.name}: {run.two_terms:+.3f} {run.after:+.3f} {run.within}")
         lines.append(
             f"| {ground.name.lower().replace('_', ' ')} | {len(made)} "
-            f"| {100 * before.mean():.1f} % | {100 * after.mean():.1f} % | {100 * (after.mean() / before.mean() - 1):+.0f} % "
+            f"| {100 * before.mean():.1f} % | {100 * after.mean():.1f} % "
+            f"| {100 * (after.mean() / before.mean() - 1):+.0f} % "
             f"| {np.count_nonzero(after > before + 0.01)} | {100 * after.max():.0f} % "
             f"| {sum(run.within for run in made)} of {len(made)} |"
         )

@@ -145,7 +145,7 @@ def _at_rest(drive: Drive, power: FloatArray, most: float) -> tuple[NDArray[np.b
     to what they can hold, is no evidence against it, nor for any coefficient.
     """
     rest = drive.holds & (drive.held.v_left == 0.0) & (drive.held.v_right == 0.0)
-    early = replace(drive, delay=-drive.delay, factor=1.0)
+    early = replace(drive, late=Late(-drive.late.mean), factor=1.0)
     beyond = uniform_filter1d(
         np.asarray(early.seen(drive.power) / drive.factor) - power, drive.samples_in(MOMENT)
     )
