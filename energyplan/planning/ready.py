@@ -10,7 +10,7 @@ from energyplan.cost.steering import StaticSteering
 from energyplan.planning.bound import prepare_bound
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.planning.scene.guide import places_for
+from energyplan.planning.scene.guide import regions_for
 
 PLANNING = (
     "energyplan.planning",
@@ -57,5 +57,5 @@ def prepare(problem: PlanningProblem, *, guided: bool = True) -> None:
     """
     query = CompiledProblem(problem)
     if guided:
-        places_for(query.setting)
+        regions_for(query.setting)
     prepare_bound(query)

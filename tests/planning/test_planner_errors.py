@@ -24,6 +24,7 @@ from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.reachability import check_way, none_found
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid, SurfaceMap
+from energyplan.vehicle import Vehicle
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 USED = sorted(PLANNERS)
@@ -156,8 +157,15 @@ def test_what_is_proven_has_no_path_at_any_width_that_is_driven(yaw):
 
 
 def test_only_a_resolution_is_named_where_a_finer_search_might_find_one():
-    """A lattice of one size only, too coarse for a gap that the body barely passes."""
+    """A lattice of one size only, too coarse for a gap that the body barely passes aslant."""
+    angle, size = 0.37, 0.02
+    y, x = (np.mgrid[:300, :400] + 0.5) * size - np.array([3.0, 4.0])[:, None, None]
+    along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
+    grid = OccupancyGrid((np.abs(along) < 0.5) & (np.abs(across) > 0.315), size)
+    robot = Vehicle.from_geometry("thin", mass=40, wheelbase=0.6, track=0.5, length=1.0, width=0.6)
+    cost = EnergyCost.from_coefficients(150.0, 60.0, robot.icr)
+    problem = PlanningProblem(grid, cost, (1.5, 3, 0), (6.5, 3, 0), vehicle=robot)
     with pytest.raises(NoPathError, match="none was found in cells of") as told:
-        plan(replace(gap(0.65), start=(2, 2, 0.3)), effort=500_000, finest=1.0)
+        plan(problem, effort=500_000, finest=1.0)
     assert told.value.certainty == "at_resolution"
     assert 0.05 <= told.value.resolution < 0.5

@@ -29,15 +29,15 @@ from energyplan.planning.lattice.rounds import ROUNDS, Guide
 from energyplan.planning.lattice.search import (
     Search,
     lattice_for,
-    way_along,
 )
 from energyplan.planning.lattice.stops import SHARE, least_driven, stops_count
 from energyplan.planning.lattice.tight_ends import Ends, ways_out
+from energyplan.planning.lattice.way_along import way_along
 from energyplan.planning.lattice.wide_arcs import with_wide_arcs
 from energyplan.planning.parallel import side_by_side
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
-from energyplan.planning.scene.guide import distance_to_go, places_for, reached
+from energyplan.planning.scene.guide import distance_to_go, reached, regions_for
 from energyplan.planning.scene.guide_kernels import DistanceToGo
 from energyplan.planning.scene.motions import KernelProblem
 from energyplan.planning.scene.reachability import check_configurations, none_found
@@ -58,6 +58,9 @@ class Attempt(NamedTuple):
     scale: float
     search: Search
 
+
+WAYS = (PENALTY, 2.0, 1.0)
+"""And for the ways along guides."""
 
 HASTE = 0.25
 """Time below which the first round is left out [s]."""
@@ -83,7 +86,7 @@ GUIDE_SHARE = 0.3
 STEPS = 12_000
 """Steps of that search that count as a unit of work."""
 
-TURNS = 50
+TURNS = 120
 """Turns of nodes, where distances to go are found, that count as a unit of work."""
 
 MOST_LATTICES = 16
@@ -147,7 +150,7 @@ def plan(
         If the budget was over before a first plan.
     """
     query = CompiledProblem(problem)
-    budget.beside(lambda: places_for(query.setting))
+    budget.beside(lambda: regions_for(query.setting))
     known = query.drivable(initial)
     # a path between tight ends may prove not to be free: then planning is done anew
     whole, stops = budget, stops_count(query)
@@ -159,7 +162,6 @@ def plan(
         work.offer_path(path)
     work.first_plan(finest)
     first = budget.elapsed
-    work.round_hills()
     work.improve()
     try:
         path = query.path(work.portfolio.best)
@@ -189,6 +191,7 @@ class _Improvement:
         self.ends = Ends(query)
         self.fields: dict[float, DistanceToGo] = {}
         self.searches: list[tuple[Search, float]] = []
+        self.entered: set[float] = set()
         self._bound = Bound(0.0, False)
         self._spent: Spent = {}
 
@@ -234,6 +237,9 @@ class _Improvement:
             return
         if not self.ends.eased:
             check_configurations(self.query, self.field(PENALTY))
+        for penalty in WAYS:
+            if self._enter_way(penalty):
+                return
         turn = FIRST_TURN
         waiting = [(self.ends, 2.0**-k) for k in range(MOST_LATTICES) if 2.0**-k >= finest]
         if self.ends.eased:
@@ -286,6 +292,7 @@ class _Improvement:
         """Have searches begin and end elsewhere."""
         self.ends = ends
         self.fields.clear()
+        self.entered.clear()
 
     def _shortest_way(self, budget: Budget) -> Segments | None:
         """Return the way that a search for the shortest one finds first, made shorter a little.
@@ -338,6 +345,8 @@ class _Improvement:
                 continue  # refining what is known gains more
             if not searching.over and not self.done:
                 self._distances(penalties, searching)
+                for penalty in sorted(penalties - self.entered):
+                    self._enter_way(penalty)
                 fresh = [self._search(scale, weight, guide) for guide in guides]
                 self._advance(fresh, searching, most)
         self.portfolio.run(budget, self.enough)
@@ -359,14 +368,13 @@ class _Improvement:
             budget.spend(units)
         self._bound = Bound(max(value, self.bound), final)
 
-    def round_hills(self) -> None:
-        """Enter the ways that the fields know: a search is slow to leave the straight way."""
-        if self.setting.hills.bins == 1:
-            return
-        for penalty in (1.0, PENALTY):
-            way = way_along(self.ends.between(self.setting), self.field(penalty))
-            if way is not None:
-                self.portfolio.enter(self.ends.whole(way))
+    def _enter_way(self, penalty: float) -> bool:
+        """Enter the way that a guide knows, if it is one; tell whether it is."""
+        self.entered.add(penalty)
+        way = way_along(self.ends.between(self.setting), self.field(penalty), self.budget)
+        if way is not None:
+            self.portfolio.enter(self.ends.whole(way))
+        return way is not None
 
     def field(self, penalty: float) -> DistanceToGo:
         """Return the distance to go, with tight places counted longer."""

@@ -14,14 +14,12 @@ from energyplan.planning.lattice import search_kernels as kernels
 from energyplan.planning.scene.compiled import Segments
 from energyplan.planning.scene.field import Field, distance_field
 from energyplan.planning.scene.guide import inscribed
-from energyplan.planning.scene.guide_kernels import DistanceToGo, node_at
+from energyplan.planning.scene.guide_kernels import DistanceToGo
 from energyplan.planning.scene.motions import (
     DIRECTIONS,
     KernelProblem,
-    drive,
     heights_of_points,
     join,
-    spin_drive_spin,
 )
 from energyplan.steering.kernels import MAX_SEGMENTS
 from energyplan.terrain.collision import motion_free
@@ -113,50 +111,6 @@ def field_for(setting: KernelProblem, penalty: float = 1.0) -> Field:
         hills.steepest,
     )
     return Field(distance * np.float32(res), direction, stride * res, far)
-
-
-def way_along(setting: KernelProblem, to_go: DistanceToGo, stride: float = 1.0) -> Segments | None:
-    """Return the motions that follow the way to go in straight lines, if they are free.
-
-    Parameters
-    ----------
-    setting : KernelProblem
-        The problem.
-    to_go : DistanceToGo
-        Distance to go.
-    stride : float
-        Length of the lines [m].
-
-    Returns
-    -------
-    Segments or None
-        Straight lines with turns on the spot; None where the body does not pass, or nothing leads
-        to the goal.
-    """
-    space = setting.space
-    x, y, yaw = setting.start_x, setting.start_y, setting.start_yaw
-    ds: list[float] = []
-    dtheta: list[float] = []
-    left = np.inf
-    while np.hypot(setting.goal_x - x, setting.goal_y - y) > 1.5 * stride:
-        node = node_at(to_go, space, x, y, yaw)
-        if node < 0 or not to_go.distance[node] < left:
-            return None
-        left = float(to_go.distance[node])
-        turn = remainder(float(to_go.direction[node]) + space.yaw - yaw, 2 * np.pi)
-        ds += [0.0, stride]
-        dtheta += [turn, 0.0]
-        yaw += turn
-        x += stride * np.cos(yaw)
-        y += stride * np.sin(yaw)
-    last_ds, last_turn = np.empty(3), np.empty(3)
-    spin_drive_spin(
-        setting.goal_x - x, setting.goal_y - y, yaw, setting.goal_yaw, False, last_ds, last_turn
-    )
-    found = Segments(np.append(ds, last_ds), np.append(dtheta, last_turn))
-    start = setting.start_x, setting.start_y, setting.start_yaw
-    free = drive(setting, *start, found.ds, found.dtheta, len(found.ds), np.inf) < np.inf
-    return found if free else None
 
 
 @dataclass

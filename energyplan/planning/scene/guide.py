@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +19,12 @@ from energyplan.planning.scene.guide_kernels import (
     way_to_go,
 )
 from energyplan.planning.scene.motions import DIRECTIONS, KernelProblem
+from energyplan.planning.scene.region_kernels import (
+    Regions,
+    fill_beside,
+    join_regions,
+    ways_between,
+)
 from energyplan.terrain.collision import Body
 from energyplan.terrain.updates import Window, tables_of
 
@@ -26,10 +34,10 @@ AHEAD = 1.5
 TIGHT = 0.5
 """Clearance below which a place is tight: 0 the inscribed disc's, 1 the circumscribed one's."""
 
-REACH = 1.2
+REACH = 1.05
 """How much further than the start the guide reaches."""
 
-SLACK = 4.0
+SLACK = 1.0
 """And how much beyond that, in lengths of the body."""
 
 
@@ -65,6 +73,13 @@ def places_for(kernel: KernelProblem, enlarged: bool = False) -> Places:
         return connect_places(found.masks, space, found.spacing)
 
     return tables_of(space).get(("places", body, enlarged), make, update)
+
+
+def regions_for(kernel: KernelProblem, enlarged: bool = False) -> Regions:
+    """Return the regions of these nodes; see `places_for`."""
+    places = places_for(kernel, enlarged)
+    key = ("regions", kernel.body, enlarged)
+    return tables_of(kernel.space).get(key, lambda: join_regions(places))
 
 
 def inscribed(kernel: KernelProblem) -> float:
@@ -107,7 +122,8 @@ def no_distance() -> DistanceToGo:
         1,
         1.0,
     )
-    return DistanceToGo(places, np.zeros(0, np.float32), np.zeros(0, np.float32), 0.0, 0)
+    none = np.zeros(0, np.float32)
+    return DistanceToGo(places, none, none, np.zeros(0, np.int32), 0.0, 0)
 
 
 def reached(to_go: DistanceToGo, kernel: KernelProblem) -> bool:
@@ -121,30 +137,53 @@ def _guide(kernel: KernelProblem, penalty: float, enlarged: bool) -> DistanceToG
     hills, space = kernel.hills, kernel.space
     # where it turns for nothing within this distance, reversing can be cheaper
     far = 2.0 * kernel.least_radian / kernel.least_metre
-    distance = np.zeros(len(places.arcs), np.float32)
-    to_go = DistanceToGo(places, distance, np.zeros(len(places.arcs), np.float32), far, 0)
+    distance, direction = np.zeros((2, len(places.arcs)), np.float32)
+    after = np.full(len(places.arcs), -1, np.int32)
+    to_go = DistanceToGo(places, distance, direction, after, far, 0)
     goal = node_at(to_go, space, kernel.goal_x, kernel.goal_y, kernel.goal_yaw)
     start = node_at(to_go, space, kernel.start_x, kernel.start_y, kernel.start_yaw)
     straight = kernel.prices.reshape(-1, hills.bins, DIRECTIONS + 1)
     # what is uphill forwards is downhill for one who faces the other way
     cheapest = np.minimum(straight[..., 0], straight[:, ::-1, DIRECTIONS // 2])
     disc = inscribed(kernel)
-    work = way_to_go(
+    tight = disc + TIGHT * (kernel.reach - disc)
+    surface = _surface(places, kernel)
+    dearness = cheapest / kernel.least_metre
+    height = heights_of_places(places, hills, space)
+    regions = regions_for(kernel, enlarged)
+    near = np.ones(len(regions.x), bool)
+    work = 0
+    if start >= 0 and goal >= 0:
+        ends = int(regions.of_node[goal]), int(regions.of_node[start])
+        slack = SLACK * 2.0 * kernel.reach
+        back, out = (np.empty(len(near), np.float32) for _ in range(2))
+        between = partial(
+            ways_between, regions, margin=REACH, slack=slack, tight=tight, penalty=penalty,
+            surface=surface, dearness=dearness, height=height, steepest=hills.steepest,
+        )  # fmt: skip
+        work += between(start=ends[0], stop=ends[1], leaving=False, distance=back)
+        if np.isfinite(back[ends[1]]):
+            work += between(start=ends[1], stop=ends[0], leaving=True, distance=out)
+            near = back + out <= REACH * back[ends[1]] + slack
+            distance[:] = np.inf
+    work += way_to_go(
         places,
         np.array([goal] if goal >= 0 else [], np.int32),
-        start,
-        REACH,
-        SLACK * 2.0 * kernel.reach,
+        regions.of_node,
+        near,
         AHEAD,
-        disc + TIGHT * (kernel.reach - disc),
+        tight,
         penalty,
-        _surface(places, kernel),
-        cheapest / kernel.least_metre,
-        heights_of_places(places, hills, space),
+        surface,
+        dearness,
+        height,
         hills.steepest,
         to_go.distance,
         to_go.direction,
+        to_go.after,
     )
+    if not near.all():
+        fill_beside(regions, near, back, to_go.distance)
     return to_go._replace(work=work)
 
 

@@ -18,11 +18,13 @@ from energyplan.compilation import inner, njit
 from energyplan.compilation.arrays import (
     READONLY,
     Bytes,
+    Flags,
     Floats,
     FloatTable,
     ShortInts,
     Singles,
     Words,
+    WordTable,
 )
 from energyplan.planning.scene.field import STEP_COLUMNS, STEP_ROWS, longer_ints
 from energyplan.planning.scene.motions import Hills, height_at
@@ -85,6 +87,8 @@ class DistanceToGo(NamedTuple):
         leads to the goal.
     direction : ndarray of float32, shape (nodes,)
         Direction in which the way to the goal sets out, in the frame of the grid [rad].
+    after : ndarray of int32, shape (nodes,)
+        The node to which the way to the goal leads next; -1 at the goal, and where none was sought.
     far : float
         Distance to go beyond which the direction counts [m].
     work : int
@@ -94,6 +98,7 @@ class DistanceToGo(NamedTuple):
     places: Places
     distance: Singles
     direction: Singles
+    after: ShortInts
     far: float
     work: int
 
@@ -113,6 +118,34 @@ def _ones(word: np.uint64) -> np.int64:
     )
     word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
     return np.int64((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
+
+
+@inner
+def headings_aside() -> WordTable:
+    """Headings no further than so many steps from a neighbour's direction or its opposite.
+
+    One row for each neighbour, one column for each number of steps up to a quarter turn.
+    """
+    quarter = HEADINGS // 4
+    turn = 2.0 * pi / HEADINGS
+    out = np.empty((STEPS, quarter + 1), np.uint64)
+    for n in range(quarter + 1):
+        for k in range(STEPS):
+            out[k, n] = np.uint64(0)
+            for h in range(HEADINGS):
+                off = (h * turn - atan2(STEP_ROWS[k], STEP_COLUMNS[k])) % pi
+                if min(off, pi - off) <= turn * (n + 0.5) + 1e-9:
+                    out[k, n] |= np.uint64(1) << np.uint64(h)
+    return out
+
+
+@inner
+def to_and_fro() -> Floats:
+    """How much longer a way is to and fro along headings so many steps aside of it."""
+    out = np.empty(HEADINGS // 4 + 1)
+    for n in range(len(out)):
+        out[n] = 1.0 / cos(2.0 * pi / HEADINGS * max(n - 0.5, 0.0))
+    return out
 
 
 @njit
@@ -250,9 +283,8 @@ def heights_of_places(places: Places, hills: Hills, space: Space) -> Floats:
 def way_to_go(
     places: Places,
     goals: ShortInts,
-    stop: int,
-    margin: float,
-    slack: float,
+    region: ShortInts,
+    near: Flags,
     ahead: float,
     tight: float,
     penalty: float,
@@ -262,10 +294,9 @@ def way_to_go(
     steepest: float,
     distance: Singles,
     direction: Singles,
+    parent: ShortInts,
 ) -> int:
-    """Write the distance of every node from the goal, over 16 neighbours; return the work.
-
-    Nodes come by their distance and the straight line to where the distances are needed.
+    """Write the distance of the nodes from the goal, over 16 neighbours; return the work.
 
     Parameters
     ----------
@@ -273,11 +304,10 @@ def way_to_go(
         The nodes.
     goals : ndarray of int32
         Nodes where the distance is zero.
-    stop : int
-        Node at which distances are needed; -1 if at all of them.
-    margin, slack : float
-        How much further than the shortest way to that node the ways to it may be that pass through
-        a node whose distance is needed: factor, and [m].
+    region : ndarray of int32, shape (nodes,)
+        Region of each node.
+    near : ndarray of bool, shape (regions,)
+        Whether the nodes of each region count. The distances of the others stay as they are.
     ahead : float
         How far ahead directions look [m].
     tight : float
@@ -293,8 +323,8 @@ def way_to_go(
         Height of the places [m]; a single one on level ground.
     steepest : float
         See above.
-    distance, direction : ndarray of float32, shape (nodes,)
-        As in `DistanceToGo`.
+    distance, direction, parent : ndarray, shape (nodes,)
+        As in `DistanceToGo`, `parent` as its `after`; written where the nodes count.
     """
     across = places.columns + 2 * RIM
     steps_r = STEP_ROWS
@@ -309,25 +339,13 @@ def way_to_go(
             half_r = floor(0.5 * steps_r[k]) if side == 0 else ceil(0.5 * steps_r[k])
             half_c = floor(0.5 * steps_c[k]) if side == 0 else ceil(0.5 * steps_c[k])
             beside[k, side] = half_r * across + half_c
-    # headings no further than so many steps from a direction or its opposite, and what a way to
-    # and fro along them costs
-    quarter = HEADINGS // 4
-    near = np.empty((STEPS, quarter + 1), np.uint64)
-    factors = np.empty(quarter + 1)
-    turn = 2.0 * pi / HEADINGS
-    for n in range(quarter + 1):
-        factors[n] = 1.0 / cos(turn * max(n - 0.5, 0.0))
-        for k in range(STEPS):
-            near[k, n] = np.uint64(0)
-            for h in range(HEADINGS):
-                off = (h * turn - atan2(steps_r[k], steps_c[k])) % pi
-                if min(off, pi - off) <= turn * (n + 0.5) + 1e-9:
-                    near[k, n] |= np.uint64(1) << np.uint64(h)
+    aside = headings_aside()
+    factors = to_and_fro()
     varied = surface.size > 1
     slopes = dearness.shape[1]
     even = not varied and slopes == 1
-    # Buckets of nodes by the way through them, as wide as the shortest step, as lists in `nodes`
-    # linked by `older`. A node that is lowered after its turn has another one.
+    # Buckets of nodes by their distance, as wide as the shortest step, as lists in `nodes` linked
+    # by `older`. A node that is lowered after its turn has another one.
     cheapest = inf
     dearest = 0.0
     for r in range(dearness.shape[0]):
@@ -335,7 +353,7 @@ def way_to_go(
             cheapest = min(cheapest, dearness[r, c])
             dearest = max(dearest, dearness[r, c])
     width = places.spacing * cheapest
-    most = lengths[STEPS - 1] * (dearest * max(penalty, 1.0) * factors[quarter] + cheapest)
+    most = lengths[STEPS - 1] * dearest * max(penalty, 1.0) * factors[-1]
     ring = int(most / width) + 2
     bucket = np.empty(ring, np.int32)
     for k in range(ring):
@@ -344,40 +362,27 @@ def way_to_go(
     nodes = np.empty(capacity, np.int32)
     older = np.empty(capacity, np.int32)
     total = len(places.arcs)
-    parent = np.empty(total, np.int32)
     target = np.empty(total, np.int32)
     closed = np.empty(total, np.bool_)
     for node in range(total):
         parent[node] = -1
         target[node] = -1
         closed[node] = False
-        distance[node] = inf
+        if near[region[node]]:
+            distance[node] = inf
     rounding = ROUNDING * places.spacing
-    stop_r = 0
-    stop_c = 0
-    line = 0.0
-    if stop >= 0:
-        stop_r = int(places.home[stop]) // across
-        stop_c = int(places.home[stop]) % across
-        # a little less than the straight line, so that rounding makes no way through a node shorter
-        line = (1.0 - 1e-6) * width
     count = 0
     waiting = 0
-    at_bucket = 1 << 60
     for k in range(len(goals)):
-        goal = int(places.home[goals[k]])
-        way = line * hypot(goal // across - stop_r, goal % across - stop_c)
-        slot = int(way / width)
-        at_bucket = min(at_bucket, slot)
         distance[goals[k]] = 0.0
         target[goals[k]] = goals[k]
         nodes[count] = goals[k]
-        older[count] = bucket[slot % ring]
-        bucket[slot % ring] = count
+        older[count] = bucket[0]
+        bucket[0] = count
         count += 1
         waiting += 1
-    limit = inf
-    while waiting > 0 and at_bucket * width <= limit:
+    at_bucket = 0
+    while waiting > 0:
         entry = int(bucket[at_bucket % ring])
         if entry < 0:
             at_bucket += 1
@@ -403,8 +408,6 @@ def way_to_go(
             target[node] = far
             goal = int(places.home[far])
             direction[node] = atan2(goal // across - row, goal % across - column)
-        if node == stop and limit == inf:
-            limit = margin * d + slack
         arc = places.arcs[node]
         here = int(surface[place]) if varied else 0
         factor = dearness[here, 0]
@@ -425,13 +428,13 @@ def way_to_go(
                     factor = 0.5 * (factor + dearness[surface[there], at])
             step = factor * lengths[k] * (penalty if places.room[there] < tight else 1.0)
             for other in range(places.first[there], places.first[there + 1]):
-                if d + step >= distance[other] - rounding:
+                if d + step >= distance[other] - rounding or not near[region[other]]:
                     continue
                 shared = common & places.arcs[other]
                 if shared == 0:
                     continue
                 n = 0
-                while shared & near[k, n] == 0:
+                while shared & aside[k, n] == 0:
                     n += 1
                 dd = d + step * factors[n]
                 if dd < distance[other] - rounding:
@@ -443,18 +446,10 @@ def way_to_go(
                         capacity *= 2
                         nodes = longer_ints(nodes)
                         older = longer_ints(older)
-                    way = dd + line * hypot(row + steps_r[k] - stop_r, column + steps_c[k] - stop_c)
-                    slot = max(int(way / width), at_bucket) % ring
+                    slot = max(int(dd / width), at_bucket) % ring
                     nodes[count] = other
                     older[count] = bucket[slot]
                     bucket[slot] = count
                     count += 1
                     waiting += 1
-    if waiting > 0:
-        # ended early: the ways through what had no turn are longer than the limit
-        for node in range(total):
-            if not closed[node]:
-                row = int(places.home[node]) // across
-                column = int(places.home[node]) % across
-                distance[node] = max(limit - line * hypot(row - stop_r, column - stop_c), 0.0)
     return count

@@ -1,0 +1,348 @@
+"""The way that a guide knows, driven: its places become poses, and exact steering joins these.
+
+A guide leads from place to place, at each with the headings that are free there. What it costs to
+turn decides which of them are taken. Where the body has little room every place is a pose, where it
+has much a few are; of those within reach of each other the cheapest free motions are taken. So
+gaps are passed that a lattice meets by chance only.
+"""
+
+from __future__ import annotations
+
+from math import atan2, hypot, inf, pi
+from typing import NamedTuple
+
+import numpy as np
+
+from energyplan.compilation import inner, njit
+from energyplan.compilation.arrays import Floats, FloatTable
+from energyplan.path import FloatArray, Pose
+from energyplan.planning.budget import Budget
+from energyplan.planning.lattice.search import Search, lattice_for
+from energyplan.planning.scene.compiled import Segments
+from energyplan.planning.scene.guide_kernels import HEADINGS, RIM, DistanceToGo, node_at, to_and_fro
+from energyplan.planning.scene.motions import KernelProblem, join
+from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy
+from energyplan.terrain.collision import pose_free
+
+BACK = (1, 2, 3, 5, 8, 13, 21)
+"""How many poses before a pose those lie from which it is sought to be reached."""
+
+JOINED = 0.35
+"""Units of work that joining two poses counts as."""
+
+STRIDE = 0.5
+"""Distance between poses, in units of the room at them."""
+
+BEYOND = (8, 20)
+"""How many poses further a search leads that is made where no pose further on is reached."""
+
+ACROSS = 1500
+"""Expansions of that search, at most."""
+
+WEIGHT = 2.0
+"""And its weight."""
+
+
+class Joined(NamedTuple):
+    """How far motions along poses lead.
+
+    Attributes
+    ----------
+    last : int
+        The furthest pose that is reached.
+    motions : int
+        Number of motions to it.
+    tried : int
+        Pairs of poses that were tried.
+    """
+
+    last: int
+    motions: int
+    tried: int
+
+
+def way_along(setting: KernelProblem, to_go: DistanceToGo, budget: Budget) -> Segments | None:
+    """Return motions along the way to go.
+
+    Parameters
+    ----------
+    setting : KernelProblem
+        The problem.
+    to_go : DistanceToGo
+        Distance to go.
+    budget : Budget
+        What may be spent.
+
+    Returns
+    -------
+    Segments or None
+        The motions, free of collisions; None where poses are not joined, or nothing leads to the
+        goal.
+    """
+    poses = poses_along(to_go, setting)
+    parts: list[Segments] = []
+    at, end = 0, len(poses) - 1
+    while at < end and not budget.over:
+        ds, dtheta = np.empty((2, (end - at) * MAX_SEGMENTS))
+        limit = int(min(budget.left / JOINED, 1 << 40))
+        found = join_poses(setting, poses[at:], limit, ds, dtheta)
+        budget.spend(JOINED * found.tried)
+        parts.append(Segments(ds[: found.motions], dtheta[: found.motions]))
+        at += found.last
+        for beyond in BEYOND if at < end else ():
+            ahead = min(at + beyond, end)
+            crossing = _across(setting, to_go, poses[at], poses[ahead], budget)
+            if crossing is not None:
+                parts.append(crossing)
+                at = ahead
+                break
+        else:
+            break
+    if at < end or not parts:
+        return None
+    return Segments(*(np.concatenate([part[n] for part in parts]) for n in range(2)))
+
+
+def _across(
+    setting: KernelProblem, to_go: DistanceToGo, begin: FloatArray, end: FloatArray, budget: Budget
+) -> Segments | None:
+    """Return the motions that a short search finds from one pose to another, if it finds any."""
+    x, y, yaw = begin.tolist()
+    goal_x, goal_y, goal_yaw = end.tolist()
+    part = setting._replace(
+        start_x=x, start_y=y, start_yaw=yaw, goal_x=goal_x, goal_y=goal_y, goal_yaw=goal_yaw
+    )
+    search = Search(part, to_go, lattice_for(setting), WEIGHT)
+    search.run(budget, stop_at_first=True, expansions=ACROSS)
+    return search.segments() if search.found else None
+
+
+@njit
+def poses_along(to_go: DistanceToGo, setting: KernelProblem) -> FloatTable:
+    """Return poses along the way to go, from the start to the goal; none where it is not known.
+
+    Parameters
+    ----------
+    to_go : DistanceToGo
+        Distance to go.
+    setting : KernelProblem
+        The problem.
+    """
+    places = to_go.places
+    space = setting.space
+    node = node_at(to_go, space, setting.start_x, setting.start_y, setting.start_yaw)
+    count = 0
+    if node >= 0 and to_go.distance[node] < inf:
+        while node >= 0:
+            count += 1
+            node = int(to_go.after[node])
+    chain = np.empty(count, np.int64)
+    if count == 0:
+        return np.empty((0, 3))
+    node = node_at(to_go, space, setting.start_x, setting.start_y, setting.start_yaw)
+    for k in range(count):
+        chain[k] = node
+        node = int(to_go.after[node])
+    across = places.columns + 2 * RIM
+    turn = 2.0 * pi / HEADINGS
+    per_turn = setting.least_radian * turn
+    aside = to_and_fro()
+    # cost of being at a place with a heading, before and after the turn there
+    cost = np.empty(HEADINGS)
+    came = np.empty((count, HEADINGS), np.int64)
+    first = int((setting.start_yaw - space.yaw) / turn + HEADINGS * 64.5) % HEADINGS
+    last = int((setting.goal_yaw - space.yaw) / turn + HEADINGS * 64.5) % HEADINGS
+    for h in range(HEADINGS):
+        off = abs(h - first)
+        cost[h] = per_turn * min(off, HEADINGS - off)
+    for k in range(count):
+        arc = places.arcs[chain[k]]
+        if k > 0:
+            row = places.home[chain[k]] // across - places.home[chain[k - 1]] // across
+            column = places.home[chain[k]] % across - places.home[chain[k - 1]] % across
+            length = setting.least_metre * places.spacing * hypot(row, column)
+            way = atan2(row, column) / turn
+            shared = arc & places.arcs[chain[k - 1]]
+            for h in range(HEADINGS):
+                if shared & (np.uint64(1) << np.uint64(h)) == 0:
+                    cost[h] = inf
+                    continue
+                aslant = abs(h - way) % (HEADINGS // 2)
+                aslant = min(aslant, HEADINGS // 2 - aslant)
+                cost[h] += length * aside[int(aslant + 0.5)]
+        for h in range(HEADINGS):
+            came[k, h] = h
+            if arc & (np.uint64(1) << np.uint64(h)) == 0 and k > 0:
+                cost[h] = inf
+        for way in range(2):
+            for n in range(2 * HEADINGS):
+                h = n % HEADINGS if way == 0 else HEADINGS - 1 - n % HEADINGS
+                g = (h + 1) % HEADINGS if way == 0 else (h + HEADINGS - 1) % HEADINGS
+                free = arc & (np.uint64(1) << np.uint64(g)) != 0
+                if free and cost[h] + per_turn < cost[g]:
+                    cost[g] = cost[h] + per_turn
+                    came[k, g] = came[k, h]
+    best = inf
+    heading = last
+    arc = places.arcs[chain[count - 1]]
+    for h in range(HEADINGS):
+        off = abs(h - last)
+        total = cost[h] + per_turn * min(off, HEADINGS - off)
+        if total < best:
+            best = total
+            heading = h
+    # what is kept of these, from the goal back
+    poses = np.empty((2 * count + 2, 3))
+    kept = 1
+    poses[0, 0] = setting.goal_x
+    poses[0, 1] = setting.goal_y
+    poses[0, 2] = setting.goal_yaw
+    gone = 0.0
+    for k in range(count - 1, -1, -1):
+        place = int(places.home[chain[k]])
+        along = (place % across - RIM + 0.5) * places.spacing
+        up = (place // across - RIM + 0.5) * places.spacing
+        before = int(came[k, heading])
+        if k < count - 1:
+            other = int(places.home[chain[k + 1]])
+            gone += places.spacing * hypot(
+                place // across - other // across, place % across - other % across
+            )
+        room = float(places.room[place])
+        if before != heading or room < setting.reach or gone >= STRIDE * room or k == 0:
+            for part in range(1 if before == heading else 2):
+                yaw = space.yaw + (heading if part == 0 else before) * turn
+                pose = _free_in(setting, along, up, yaw, places.spacing)
+                poses[kept, 0] = pose.x
+                poses[kept, 1] = pose.y
+                poses[kept, 2] = yaw
+                kept += 1
+            gone = 0.0
+        heading = before
+    poses[kept, 0] = setting.start_x
+    poses[kept, 1] = setting.start_y
+    poses[kept, 2] = setting.start_yaw
+    return poses[: kept + 1][::-1].copy()
+
+
+@inner
+def _free_in(setting: KernelProblem, along: float, up: float, yaw: float, spacing: float) -> Pose:
+    """Return the free pose of a place that is nearest to its middle; its middle where none is.
+
+    What is known of a place is that one of the cells that it gathers is free.
+    """
+    space = setting.space
+    several = max(int(spacing / space.resolution + 0.5), 1)
+    best = Pose(
+        space.x + space.cos * along - space.sin * up,
+        space.y + space.sin * along + space.cos * up,
+        yaw,
+    )
+    if several == 1 or pose_free(space, setting.body, best.x, best.y, yaw):
+        return best
+    nearest = inf
+    for row in range(several):
+        for column in range(several):
+            dx = ((column + 0.5) / several - 0.5) * spacing
+            dy = ((row + 0.5) / several - 0.5) * spacing
+            if hypot(dx, dy) >= nearest:
+                continue
+            x = space.x + space.cos * (along + dx) - space.sin * (up + dy)
+            y = space.y + space.sin * (along + dx) + space.cos * (up + dy)
+            if pose_free(space, setting.body, x, y, yaw):
+                nearest = hypot(dx, dy)
+                best = Pose(x, y, yaw)
+    return best
+
+
+@njit
+def join_poses(
+    setting: KernelProblem, poses: FloatTable, limit: int, ds: Floats, dtheta: Floats
+) -> Joined:
+    """Write the cheapest motions from the first pose to the furthest one that is reached.
+
+    Parameters
+    ----------
+    setting : KernelProblem
+        The problem.
+    poses : ndarray, shape (n, 3)
+        The poses.
+    limit : int
+        Largest number of pairs that are joined.
+    ds, dtheta : ndarray
+        Motions written.
+
+    Returns
+    -------
+    Joined
+        How far they lead.
+    """
+    count = len(poses)
+    part_ds = np.empty(MAX_SEGMENTS)
+    part_dtheta = np.empty(MAX_SEGMENTS)
+    best = np.empty(count)
+    before = np.empty(count, np.int64)
+    best[0] = 0.0
+    before[0] = -1
+    tried = 0
+    for j in range(1, count):
+        best[j] = inf
+        before[j] = -1
+        for back in BACK:
+            i = j - back
+            if i < 0 or tried >= limit:
+                break
+            left = best[j] - best[i]
+            if not left > 0.0:
+                continue
+            dx = poses[j, 0] - poses[i, 0]
+            dy = poses[j, 1] - poses[i, 1]
+            if steer_energy(dx, dy, poses[i, 2], poses[j, 2], setting.steering) >= left:
+                continue
+            tried += 1
+            cost, _ = join(
+                setting,
+                poses[i, 0],
+                poses[i, 1],
+                poses[i, 2],
+                poses[j, 0],
+                poses[j, 1],
+                poses[j, 2],
+                left,
+                part_ds,
+                part_dtheta,
+            )
+            if cost < left:
+                best[j] = best[i] + cost
+                before[j] = i
+    last = count - 1
+    while best[last] == inf:
+        last -= 1
+    order = np.empty(count, np.int64)
+    n = 0
+    j = last
+    while j >= 0:
+        order[n] = j
+        n += 1
+        j = before[j]
+    written = 0
+    for k in range(n - 1, 0, -1):
+        i = order[k]
+        j = order[k - 1]
+        _, m = join(
+            setting,
+            poses[i, 0],
+            poses[i, 1],
+            poses[i, 2],
+            poses[j, 0],
+            poses[j, 1],
+            poses[j, 2],
+            inf,
+            part_ds,
+            part_dtheta,
+        )
+        for s in range(m):
+            ds[written + s] = part_ds[s]
+            dtheta[written + s] = part_dtheta[s]
+        written += m
+    return Joined(last, written, tried)

@@ -1,0 +1,218 @@
+"""The guide: regions join what is joined, its distances are right, and its way can be driven."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import PlanningError
+from energyplan.path import Path, Pose
+from energyplan.planning import Budget, PlanningProblem, plan
+from energyplan.planning.lattice.way_along import way_along
+from energyplan.planning.scene import guide
+from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.scene.guide import distance_to_go, places_for, reached, regions_for
+from energyplan.planning.scene.guide_kernels import RIM, node_at
+from energyplan.terrain import OccupancyGrid
+from energyplan.vehicle import Vehicle
+
+ROBOTS = {
+    "small": (0.3, 0.25, 0.0),
+    "long": (3.0, 0.7, 0.0),
+    "wide": (0.5, 1.2, 0.0),
+    "ahead": (1.0, 0.6, 0.35),
+}
+"""Length, width, and how far the footprint lies ahead of the robot's centre [m]."""
+
+
+def robot(kind: str) -> Vehicle:
+    """Return a robot of a kind."""
+    length, width, ahead = ROBOTS[kind]
+    corners = [[ahead - length / 2, -width / 2], [ahead + length / 2, width / 2]]
+    made = Vehicle.from_geometry(
+        kind, mass=30.0, wheelbase=0.5 * length, track=0.8 * width, length=length, width=width
+    )
+    return replace(made, footprint=np.array(corners))
+
+
+def floor(kind: str, seed: int, resolution: float, scale: float) -> OccupancyGrid:
+    """Return a floor for robots about `scale` long: rooms, a maze, clutter, or aslant corridors."""
+    rng = np.random.default_rng(seed)
+    cells = round(14.0 * scale / resolution)
+    occupied = np.zeros((cells, cells), bool)
+    unit = cells / 14.0
+    if kind == "rooms":
+        for k in (4.5, 9.0):
+            wall = slice(int(k * unit), int(k * unit) + max(int(0.15 * unit), 1))
+            occupied[wall, :] = occupied[:, wall] = True
+        for k in (4.5, 9.0):
+            wall = slice(int(k * unit) - 1, int((k + 0.2) * unit) + 2)
+            for room in range(3):
+                at = (4.5 * room + rng.uniform(0.5, 2.0)) * unit
+                door = slice(int(at), int(at + rng.uniform(1.0, 1.7) * unit))
+                occupied[wall, door] = False
+                occupied[door, wall] = rng.random() < 0.3
+    elif kind == "clutter":
+        for _ in range(40):
+            row, column = rng.uniform(0, 14, 2) * unit
+            height, width = rng.uniform(0.1, 0.9, 2) * unit
+            occupied[int(row) : int(row + height) + 1, int(column) : int(column + width) + 1] = True
+    elif kind == "maze":
+        # walls of a grid of 1.9 units, of which a spanning tree's are open
+        side, nodes = 2.0 * unit, 7
+        occupied[:] = True
+        todo, seen = [(0, 0)], {(0, 0)}
+        while todo:
+            here = todo[-1]
+            ways = [(here[0] + r, here[1] + c) for r, c in ((0, 1), (1, 0), (0, -1), (-1, 0))]
+            ways = [w for w in ways if w not in seen and min(w) >= 0 and max(w) < nodes]
+            if not ways:
+                todo.pop()
+                continue
+            there = ways[rng.integers(len(ways))]
+            seen.add(there)
+            todo.append(there)
+            low, high = np.minimum(here, there), np.maximum(here, there) + 0.8
+            (r0, c0), (r1, c1) = (low * side).astype(int), np.ceil(high * side).astype(int)
+            occupied[r0 : r1 + 1, c0 : c1 + 1] = False
+    else:
+        y, x = (np.mgrid[:cells, :cells] + 0.5) / unit - 7.0
+        angle = rng.uniform(0.1, 0.7)
+        along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
+        width = rng.uniform(0.9, 1.5, 4)
+        occupied[:] = np.abs(along) > 5.0
+        for k, wall in enumerate((-4.5, -1.5, 1.5, 4.5)):
+            gap = np.abs(along - rng.uniform(-4, 4)) < 0.5 * width[k]
+            occupied |= (np.abs(across - wall) < 0.4) & ~gap
+    return OccupancyGrid(occupied, resolution, Pose(-1.0, 2.0, 0.2))
+
+
+def problems(kind: str, made: str, seed: int, resolution: float, count: int):
+    """Return problems between random free poses of a floor."""
+    vehicle = robot(made)
+    grid = floor(kind, seed, resolution, 0.8 * max(ROBOTS[made][:2]))
+    cost = EnergyCost.from_coefficients(150.0, 60.0, vehicle.icr)
+    rng = np.random.default_rng(seed)
+    rows, columns = grid.shape
+    poses: list[np.ndarray] = []
+    for _ in range(200):
+        tried = grid.to_world(rng.uniform((0, 0), (columns, rows), (20, 2)))
+        tried = np.column_stack([tried, rng.uniform(-np.pi, np.pi, 20)])
+        poses.extend(tried[grid.footprint_free(tried, vehicle)])
+        if len(poses) >= 2 * count:
+            break
+    pairs = zip(poses[::2], poses[1::2], strict=False)
+    return [PlanningProblem(grid, cost, a, b, vehicle=vehicle) for a, b in list(pairs)[:count]]
+
+
+def joined_nodes(places) -> np.ndarray:
+    """Return the connected part that each node is of: neighbouring places share a heading."""
+    across = places.columns + 2 * RIM
+    one, two = [], []
+    for step in (1, across - 1, across, across + 1):
+        for node, place in enumerate(places.home.tolist()):
+            for other in range(places.first[place + step], places.first[place + step + 1]):
+                if places.arcs[node] & places.arcs[other]:
+                    one.append(node)
+                    two.append(other)
+    count = len(places.arcs)
+    graph = coo_matrix((np.ones(len(one)), (one, two)), (count, count))
+    return connected_components(graph, directed=False)[1]
+
+
+@pytest.mark.parametrize("made", ROBOTS)
+def test_regions_join_what_is_joined(made):
+    for kind in ("rooms", "aslant"):
+        kernel = CompiledProblem(problems(kind, made, 1, 0.05, 1)[0]).setting
+        places, regions = places_for(kernel), regions_for(kernel)
+        links = np.zeros(len(regions.to), int)
+        for region, first in enumerate(regions.head.tolist()):
+            link = first
+            while link >= 0:
+                links[link] = region
+                link = int(regions.after[link])
+        count = len(regions.x)
+        graph = coo_matrix((np.ones(len(links)), (links, regions.to)), (count, count))
+        parts = connected_components(graph, directed=False)[1][regions.of_node]
+        # the same parts, whatever their numbers
+        pairs = np.unique(np.column_stack([parts, joined_nodes(places)]), axis=0)
+        assert len(np.unique(pairs[:, 0])) == len(np.unique(pairs[:, 1])) == len(pairs)
+
+
+@pytest.mark.parametrize("penalty", [1.0, 8.0])
+@pytest.mark.parametrize("kind", ["rooms", "clutter", "maze", "aslant"])
+def test_few_regions_tell_what_all_places_tell(kind, penalty, monkeypatch):
+    """Looked at are the places near the shortest ways between regions; against all of them."""
+    asked = [p for made in ("long", "ahead") for p in problems(kind, made, 2, 0.05, 4)]
+    few = [distance_to_go(CompiledProblem(p).setting, penalty) for p in asked]
+    monkeypatch.setattr(guide, "REACH", 1e9)
+    ratios = []
+    for problem, found in zip(asked, few, strict=True):
+        kernel = CompiledProblem(problem).setting
+        every = distance_to_go(kernel, penalty)
+        assert reached(found, kernel) == reached(every, kernel)
+        # what leads to the goal is told to
+        assert np.isfinite(found.distance[np.isfinite(every.distance)]).all()
+        if reached(every, kernel):
+            here = kernel.start_x, kernel.start_y, kernel.start_yaw
+            node = node_at(every, kernel.space, *here)
+            ratios.append(found.distance[node] / every.distance[node])
+    # a way among fewer places is no shorter; in tight places that of the regions may be another
+    assert len(ratios) >= 4
+    assert min(ratios) > 0.999
+    assert np.median(ratios) < 1.01
+    assert max(ratios) < 1.25
+
+
+@pytest.mark.parametrize("kind", ["rooms", "clutter", "aslant"])
+@pytest.mark.parametrize(("made", "resolution"), [("small", 0.01), ("long", 0.2), ("ahead", 0.05)])
+def test_a_plan_of_little_effort_is_found_where_free_configurations_are_joined(
+    kind, made, resolution
+):
+    ways = joined = 0
+    for problem in problems(kind, made, 0, resolution, 4):
+        query = CompiledProblem(problem)
+        kernel = query.setting
+        to_go = guide._guide(kernel, 8.0, enlarged=False)
+        if not reached(to_go, kernel):
+            try:  # poses between those that were tested may join them
+                plan(problem, effort=2_500, gap=10.0)
+            except PlanningError as error:
+                assert error.certainty == "proven" or "effort" in str(error)
+            continue
+        joined += 1
+        way = way_along(kernel, to_go, Budget())
+        if way is not None:
+            ways += 1
+            query.path(way)  # which must be free
+        assert plan(problem, effort=2_500, gap=10.0).energy > 0
+    assert ways >= joined - 1
+
+
+def test_a_way_follows_the_guide_through_a_gap_that_a_lattice_misses():
+    occupied = np.zeros((160, 200), bool)
+    occupied[:, 96:104] = True
+    occupied[70:83, 96:104] = False
+    grid = OccupancyGrid(occupied, 0.05)
+    vehicle = Vehicle.from_geometry(
+        "exact", mass=40.0, wheelbase=0.6, track=0.5, length=0.8, width=0.64
+    )
+    cost = EnergyCost.from_coefficients(150.0, 60.0, vehicle.icr)
+    problem = PlanningProblem(grid, cost, (2, 2, 0.3), (8, 6, 1.0), vehicle=vehicle)
+    query = CompiledProblem(problem)
+    budget = Budget(effort=1000)
+    way = way_along(query.setting, distance_to_go(query.setting, 8.0), budget)
+    assert way is not None
+    assert budget.spent < 300
+    path: Path = query.path(way)
+    assert grid.path_free(path, vehicle)
+    assert path.end.x == pytest.approx(8, abs=1e-6)
+    # one that may spend nothing is not there
+    spent = Budget(effort=1)
+    spent.spend(1)
+    assert way_along(query.setting, distance_to_go(query.setting, 8.0), spent) is None
