@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -121,14 +121,16 @@ def two_terms(rest: list[ep.DriveLog], unseen: ep.DriveLog, vehicle: ep.Vehicle)
     return fit_residual(model, unseen).energy_error
 
 
-def runs_table(folder: Path) -> str:
-    """Return the table of all grounds with runs that were left out, as Markdown."""
+def runs_table(folder: Path, only: Sequence[str] = ()) -> str:
+    """Return the table of grounds with runs that were left out, as Markdown."""
     lines = [
         "| ground | runs | two terms | with diagnosis | change | worse by a point | largest "
         "| in the 90 % interval |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for ground in (*sorted(folder.glob("borealtc/*/")), *sorted(folder.glob("vulpi/*/"))):
+        if only and ground.name not in only:
+            continue
         made = runs_left_out(ground)
         before, after = (
             np.abs([getattr(run, which) for run in made]) for which in ("two_terms", "after")
@@ -194,10 +196,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, help="folder of recorded drives")
     parser.add_argument("--out", type=Path, help="page whose table is made anew")
-    parser.add_argument("--runs", action="store_true", help="runs left out alone")
+    parser.add_argument(
+        "--runs", nargs="*", metavar="GROUND", help="runs left out alone, of these grounds or all"
+    )
     asked = parser.parse_args()
-    if asked.runs:
-        runs_table(asked.data)
+    if asked.runs is not None:
+        print(runs_table(asked.data, asked.runs))
         return
     made = list(rows(simulated()))
     if asked.data:
