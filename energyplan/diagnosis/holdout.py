@@ -163,7 +163,7 @@ def interval(predictions: Sequence[Prediction], seed: int = 0) -> ErrorInterval:
         )
         sums = np.zeros((int(block.max()) + 1, values.shape[1]))
         np.add.at(sums, block, values)
-        rows.append(sums)
+        rows.append(sums[sums[:, 0] > 0])  # none of a gap
     table = np.concatenate(rows)
     draws = np.random.default_rng(seed).integers(0, len(table), (_RESAMPLES, len(table)))
     n, square, absolute, plain, measured, predicted = table[draws].sum(axis=1).T
