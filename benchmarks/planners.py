@@ -3,6 +3,7 @@
     python benchmarks/planners.py                       every table, small: less than two minutes
     python benchmarks/planners.py MAP.yaml --pairs 100  first plan, gap, shortest route
     python benchmarks/planners.py --pairs-file PAIRS.json  the same on pairs of poses from a file
+    python benchmarks/planners.py --pairs-file PAIRS.json --effort 5000 50000   by effort
     python benchmarks/planners.py MAP.yaml --rivals 10  0.1 s of ours against 10 s of OMPL's
     python benchmarks/planners.py MAP.yaml --many       one search for many goals
     python benchmarks/planners.py --sizes 4096 [--plot sizes.png]
@@ -52,29 +53,31 @@ def problems(grid: OccupancyGrid, count: int, seed: int = 0) -> list[PlanningPro
     return [PlanningProblem(grid, COST, a, b) for a, b in list(pairs)[:count]]
 
 
-def known_pairs(path: Path) -> None:
+def known_pairs(path: Path, efforts: list[int]) -> None:
     """Print a table of the pairs in a file: first plan, excess over the best known, gap, work."""
     given = json.loads(path.read_text())
     grid = read_map(path.parent / given["map"])
     cost = EnergyCost(PowerModel.preset(given["model"]))
-    for limit in (0.1, 1.0):
+    spendings: list[dict[str, float]] = [{"time_limit": 0.1}, {"time_limit": 1.0}]
+    for spending in [{"effort": effort} for effort in efforts] or spendings:
         first, gap, excess, work = [], [], [], []
         for pair in given["pairs"]:
             problem = PlanningProblem(grid, cost, pair["start"], pair["goal"])
             if not first:
                 with suppress(PlanningError):
-                    plan(problem, time_limit=limit)  # what is kept with the map
+                    plan(problem, **spending)  # what is kept with the map
             begun = time.process_time()
             try:
-                found = plan(problem, time_limit=limit)
+                found = plan(problem, **spending)
             except PlanningError:
                 continue
             work.append(time.process_time() - begun)
             first.append(1e3 * found.first_time)
             gap.append(100 * found.gap)
             excess.append(100 * (found.energy / pair["best_known_energy"] - 1))
+        name, much = next(iter(spending.items()))
         print(
-            f"{path.stem}, {limit:g} s: {len(gap)} of {len(given['pairs'])} found; "
+            f"{path.stem}, {name} {much:g}: {len(gap)} of {len(given['pairs'])} found; "
             f"first {np.median(first):.0f} / {max(first):.0f} ms (median / worst); "
             f"excess over the best known {np.median(excess):.2f} / {max(excess):.2f} %; "
             f"gap {np.median(gap):.2f} / {np.quantile(gap, 0.9):.2f} / {max(gap):.2f} % (median / "
@@ -259,6 +262,9 @@ def main() -> None:
     parser.add_argument("maps", nargs="*", type=Path)
     parser.add_argument("--pairs", type=int, default=None, help="pairs of poses on each map")
     parser.add_argument("--pairs-file", type=Path, metavar="PAIRS.json")
+    parser.add_argument(
+        "--effort", type=int, nargs="*", default=[], help="work for the pairs of a file, not time"
+    )
     parser.add_argument("--time", type=float, default=1.0, help="time for each plan [s]")
     parser.add_argument("--rivals", type=int, default=0, metavar="PAIRS")
     parser.add_argument("--rival-time", type=float, default=10.0)
@@ -277,7 +283,7 @@ def main() -> None:
         write_table(given.write, grids, given.pairs or 20)
         return
     if given.pairs_file:
-        known_pairs(given.pairs_file)
+        known_pairs(given.pairs_file, given.effort)
         return
     if (given.pairs and not (given.rivals or given.many)) or not chosen:
         count = given.pairs or 6

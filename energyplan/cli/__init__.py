@@ -19,6 +19,7 @@ from energyplan.cli import (
     _planning,
     _range,
     _rmf,
+    _routes,
     _serve,
     _start,
     _warmup,
@@ -38,13 +39,15 @@ from energyplan.errors import EnergyPlanError, MissingDependencyError, TimeLimit
 __all__ = ["app", "main"]
 
 _COMMANDS = (
-    _start, _fitting, _planning, _range, _mission, _rmf, _cost, _loop, _serve, _warmup, _watch
+    _start, _fitting, _planning, _routes, _range, _mission, _rmf, _cost, _loop, _serve, _warmup,
+    _watch,
 )  # fmt: skip
 """Modules that register commands when they are imported."""
 
 _FIRST = (
-    "start", "identify", "diagnose", "icr", "plan", "compare", "range", "check", "mission", "fleet",
-    "watch", "drive", "close-the-loop", "design", "rmf", "cost-table", "serve", "warmup", "demo",
+    "start", "identify", "diagnose", "icr", "plan", "compare", "replan", "range", "check",
+    "mission", "fleet", "watch", "drive", "close-the-loop", "design", "rmf", "plan-edges",
+    "nav2-lattice", "cost-table", "serve", "warmup", "demo",
 )  # fmt: skip
 """Commands in the order of the help: what a newcomer needs first stands first."""
 

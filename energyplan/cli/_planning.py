@@ -29,6 +29,7 @@ from energyplan.errors import InfeasibleMotionError, InvalidInputError, NoPathEr
 
 if TYPE_CHECKING:
     from energyplan.cost import EnergyCost
+    from energyplan.path import Pose
     from energyplan.planning import Plan, PlanningProblem
     from energyplan.planning.driven import DrivenPath
     from energyplan.terrain import HeightMap, SurfaceMap
@@ -113,11 +114,11 @@ Plot = Annotated[
 ]
 
 
-def _problem(
+def problem_of(
     map_file: Path,
     model: str,
-    start: str,
-    goal: str,
+    start: Pose,
+    goal: Pose,
     surfaces: Path | None,
     heights: Path | None,
     battery: bool,
@@ -129,18 +130,18 @@ def _problem(
     costmap: Path | None = None,
     costmap_weight: float = 0.0,
 ) -> PlanningProblem:
+    """Return the problem that options name."""
     from energyplan.io.maps import read_costmap, read_map
     from energyplan.planning import PlanningProblem
 
     if (costmap is None) != (costmap_weight == 0.0):
         raise InvalidInputError("--costmap and --costmap-weight go together; give both or neither")
-    ends = parse_pose(start), parse_pose(goal)
     ground = ground_of(model, surfaces, heights, battery, speed, tolerance)
     grid = read_map(map_file)
     if keepout:
         grid = grid.with_mask(read_map(keepout))
     return PlanningProblem(
-        grid, ground.cost, *ends, surfaces=ground.surfaces, objective=objective,
+        grid, ground.cost, start, goal, surfaces=ground.surfaces, objective=objective,
         heights=ground.heights, clearance=clearance,
         costmap=read_costmap(costmap) if costmap else None, costmap_weight=costmap_weight,
     )  # fmt: skip
@@ -184,7 +185,7 @@ def ground_of(
     return LaidGround(cost, ground, hills)
 
 
-def _driven(made: Plan, trajectory: Path | None) -> DrivenPath | None:
+def driven(made: Plan, trajectory: Path | None) -> DrivenPath | None:
     """Drive a plan and write its trajectory; None with a word why where it cannot be driven."""
     from energyplan.io.trajectory import write_trajectory
 
@@ -236,18 +237,18 @@ def plan(
     from energyplan.planning import plan as run
 
     _writable(out)
-    problem = _problem(
-        map_file, model, start, goal, surfaces, heights, battery, objective, speed, tolerance,
-        clearance, keepout, costmap, costmap_weight,
+    problem = problem_of(
+        map_file, model, parse_pose(start), parse_pose(goal), surfaces, heights, battery, objective,
+        speed, tolerance, clearance, keepout, costmap, costmap_weight,
     )  # fmt: skip
     try:
         with progress("planning"):
             made = run(problem, planner=planner, time_limit=time_limit, effort=effort)
     except NoPathError as error:
-        _no_path(error, json, strict)
-    told = _driven(made, trajectory)
+        no_path(error, json, strict)
+    told = driven(made, trajectory)
     if out:
-        _write(out, problem, plan=made)
+        write_plans(out, problem, plan=made)
     if plot:
         _draw(problem, {planner: made.path}, plot)
     document = {**documents.plan(made), **documents.driven_path(told)}
@@ -290,18 +291,18 @@ def compare(
     from energyplan.studies.comparison import compare as run
 
     _writable(out)
-    problem = _problem(
-        map_file, model, start, goal, surfaces, heights, battery, objective, speed, tolerance,
-        clearance, keepout,
+    problem = problem_of(
+        map_file, model, parse_pose(start), parse_pose(goal), surfaces, heights, battery, objective,
+        speed, tolerance, clearance, keepout,
     )  # fmt: skip
     try:
         with progress("planning"):
             made = run(problem, planner=planner, time_limit=time_limit, effort=effort)
     except NoPathError as error:
-        _no_path(error, json, strict)
-    best, shortest = _driven(made.energy_optimal, trajectory), _driven(made.shortest, None)
+        no_path(error, json, strict)
+    best, shortest = driven(made.energy_optimal, trajectory), driven(made.shortest, None)
     if out:
-        _write(out, problem, least_energy=made.energy_optimal, shortest=made.shortest)
+        write_plans(out, problem, least_energy=made.energy_optimal, shortest=made.shortest)
     if plot:
         both = {"least energy": made.energy_optimal.path, "shortest": made.shortest.path}
         _draw(problem, both, plot)
@@ -324,7 +325,7 @@ def _writable(out: Path | None) -> None:
         need_rosbags()
 
 
-def _write(out: Path, problem: PlanningProblem, **plans: Plan) -> None:
+def write_plans(out: Path, problem: PlanningProblem, **plans: Plan) -> None:
     """Write the first of some plans as a table, or all of them as a recording."""
     from energyplan.io.trajectory import write_path
     from energyplan.ros.recording import write_recording
@@ -335,7 +336,8 @@ def _write(out: Path, problem: PlanningProblem, **plans: Plan) -> None:
         write_path(next(iter(plans.values())).path, out)
 
 
-def _no_path(error: NoPathError, json: bool, strict: bool) -> NoReturn:
+def no_path(error: NoPathError, json: bool, strict: bool) -> NoReturn:
+    """Answer that there is no path."""
     from energyplan.output import documents, text
 
     answer(documents.no_path(error), text.no_path(error), json=json)

@@ -169,7 +169,7 @@ def _bound_left(former: Plan, problem: PlanningProblem, here: Pose) -> float:
 
 def replan(
     problem: PlanningProblem,
-    former: Plan,
+    former: Plan | Path,
     *,
     start: ArrayLike,
     map: OccupancyGrid | None = None,
@@ -186,8 +186,8 @@ def replan(
     ----------
     problem : PlanningProblem
         The problem that the former plan answers.
-    former : Plan
-        That plan.
+    former : Plan or Path
+        That plan, or its path alone.
     start : array_like, shape (3,)
         Where the robot is now: x, y [m], yaw [rad] of the body frame.
     map : OccupancyGrid, optional
@@ -223,6 +223,9 @@ def replan(
     >>> replan(problem, former, start=(4, 5, 0), map=closed, effort=1000).energy > 820
     True
     """
+    if isinstance(former, Path):
+        query = CompiledProblem(replace(problem, start=former.start))
+        former = priced_plan(query, former, query.least_in_free_space, "lattice", planning_time=0.0)
     _check_answers(former, problem)
     budget = Budget(time_limit, effort=effort)
     here = as_pose(start, "start")
