@@ -4,7 +4,7 @@
     python benchmarks/loop.py hidden 60         # one or two hidden effects
     python benchmarks/loop.py one 60            # one hidden effect, each kind in turn
     python benchmarks/loop.py one 20 40         # the same, 20 of them from number 40 on
-    python benchmarks/loop.py routes 10         # effects that change which route is best
+    python benchmarks/loop.py routes 12         # effects that change which route is best
     python benchmarks/loop.py design 10         # designed drives against random ones
 
 Each line is printed as soon as it is measured; a Markdown table comes last. Needs the extra
@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
+from forks import FORKS
 
 import energyplan as ep
 from energyplan.errors import EnergyPlanError
@@ -26,7 +27,7 @@ from energyplan.io.bundled import bundled
 from energyplan.limits.speed import profile
 from energyplan.physics import EFFECTS, Effect, Robot, Sensors, draw_effects, drive, switch_on
 from energyplan.physics.design import SETTLED, Explanation, design
-from energyplan.physics.loop import SPEED_SHARE, EngineDrives, Loop, close_loop
+from energyplan.physics.loop import SPEED_SHARE, EngineDrives, Loop, Round, close_loop
 from energyplan.physics.manoeuvres import Option, joined, manoeuvres
 from energyplan.power import Sides
 from energyplan.power.effects import term
@@ -38,6 +39,8 @@ MODEL = ep.PowerModel.paper(VEHICLE, K=118.0, mu=0.647)
 ROBOT = Robot.from_model(MODEL)
 EFFORT = 100_000
 """Units of work for each plan: some two seconds."""
+SHARES = (0.5, 0.75, 1.0)
+"""By how much the second way is worse without the effect, as `forks` takes it [m]."""
 
 
 def maps() -> list[ep.OccupancyGrid]:
@@ -155,31 +158,40 @@ def hidden(count: int, single: bool, begin: int = 0) -> None:
           f"{100 * np.median(after):.1f} %")  # fmt: skip
 
 
-def routes(count: int) -> None:
-    """Effects that change which route is best: whether the second one takes less."""
-    grids = maps()
-    cases = [
-        (Effect("surface_border", 0.3, {"direction": 0.0, "offset": 10.0}),),
-        (Effect("viscous_loss", 250.0),),
-        (Effect("dragging_wheel_left", 150.0),),
-        (Effect("tilted_plane", 0.07, {"direction": 1.0}), Effect("regeneration_efficiency", 1.0)),
-    ]
-    saved = []
-    for k in range(count):
-        effects = cases[k % len(cases)]
-        label = ", ".join(f"{e.name} {e.size:.3g}" for e in effects)
+def routes(count: int, begin: int = 0) -> None:
+    """Effects that change which route is best: by how much less the second one takes."""
+    rows = list[tuple[str, Round, Round]]()
+    for k in range(begin, begin + count):
+        fork = FORKS[k % len(FORKS)](SHARES[k // len(FORKS) % len(SHARES)])
+        source = EngineDrives(switch_on(ROBOT, fork.effects), fork.ground)
         try:
-            made = closed(effects, pair(grids, 100 + k))
+            made = close_loop(
+                fork.problem(MODEL), source, rounds=2, tolerance=0.0, effort=EFFORT // 2
+            )
         except EnergyPlanError as reason:
-            print(f"{k}: {label}: {reason}", flush=True)
+            print(f"{k}: {fork.name}: {type(reason).__name__}: {reason}", flush=True)
             continue
         first, last = made.rounds[0], made.rounds[-1]
-        saved.append(1 - last.energy_taken / first.energy_taken)
-        print(f"{k}: {label}: taken {first.energy_taken:.0f} J, then {last.energy_taken:.0f} J "
-              f"({100 * saved[-1]:+.1f} % less), length {first.length:.1f} m, then "
-              f"{last.length:.1f} m", flush=True)  # fmt: skip
-    print(f"\nthe second route takes less in {100 * np.mean(np.array(saved) > 0):.0f} % of "
-          f"{len(saved)}, median {100 * np.median(saved):.1f} %")  # fmt: skip
+        rows.append((fork.name, first, last))
+        print(f"{k}: {fork.name}: error {100 * first.error:+.1f} % -> {100 * last.error:+.1f} %, "
+              f"taken {first.energy_taken:.0f} J, then {last.energy_taken:.0f} J "
+              f"({100 * less(first, last):+.1f} % less), found "
+              f"{', '.join(e.name for e in first.effects) or first.note}", flush=True)  # fmt: skip
+    print("\n| map | error before | after | first route | second route | takes less |\n"
+          "|---|---|---|---|---|---|")  # fmt: skip
+    for name, first, last in rows:
+        print(f"| {name} | {100 * first.error:+.1f} % | {100 * last.error:+.1f} % | "
+              f"{first.length:.1f} m, {first.energy_taken:.0f} J | "
+              f"{last.length:.1f} m, {last.energy_taken:.0f} J | "
+              f"{100 * less(first, last):.1f} % |")  # fmt: skip
+    saved = np.array([less(first, last) for _, first, last in rows])
+    print(f"\nthe second route takes less in {100 * np.mean(saved > 0):.0f} % of {len(saved)}, "
+          f"median {100 * np.median(saved):.1f} %")  # fmt: skip
+
+
+def less(first: Round, last: Round) -> float:
+    """Return how much less one route took than another, as a fraction."""
+    return 1 - last.energy_taken / first.energy_taken
 
 
 PAIRS = (
@@ -243,6 +255,6 @@ if __name__ == "__main__":
     elif what == "design":
         designed(number)
     elif what == "routes":
-        routes(number)
+        routes(number, int(sys.argv[3]) if len(sys.argv) > 3 else 0)
     else:
         hidden(number, what == "one", int(sys.argv[3]) if len(sys.argv) > 3 else 0)

@@ -21,6 +21,7 @@ from energyplan.path import FloatArray, Trajectory
 from energyplan.physics.belief import Belief, believed
 from energyplan.physics.design import Explanation, design
 from energyplan.physics.driving import Driven, drive, energy_told
+from energyplan.physics.engine import require_mujoco
 from energyplan.physics.learning import Found, learn
 from energyplan.physics.robot import Ground, Robot
 from energyplan.physics.sensors import Sensors
@@ -144,11 +145,19 @@ class EngineDrives:
     sensors : Sensors, optional
         How drives are recorded. Where not given, an inclinometer and an accelerometer are there
         only if the ground has heights: a slope that is not on the map has to be found.
+
+    Raises
+    ------
+    MissingDependencyError
+        If the engine is not installed: before anything is planned.
     """
 
     robot: Robot
     ground: Ground | None = None
     sensors: Sensors | None = None
+
+    def __post_init__(self) -> None:
+        require_mujoco()
 
     def __call__(self, trajectory: Trajectory, model: PowerModel, count: int) -> Driven:
         """Drive a route; `model` serves the controller, `count` numbers the drive."""
