@@ -11,6 +11,7 @@ import pytest
 import energyplan as ep
 from energyplan import cli
 from energyplan.errors import InvalidInputError, UnknownNameError
+from energyplan.io.bundled import bundled
 from energyplan.io.trajectory import write_trajectory
 from energyplan.limits.speed import profile
 from energyplan.physics import Driven, Effect, Ground, Robot, Sensors, drive, energy_told
@@ -176,9 +177,15 @@ def test_without_the_extra_the_error_names_it(
     write_trajectory(trajectory(), file)
     code, _, err = run_command(["drive", str(file), "--model", "quadriga"], capsys)
     assert code == 2  # no such model: bad input comes first
-    code, _, err = run_command(["drive", str(file), "--model", "quadriga:full:concrete"], capsys)
-    assert code == 1
-    assert "energyplan[physics]" in err
+    model = ["--model", "quadriga:full:concrete"]
+    loop = ["close-the-loop", "--map", str(bundled("warehouse.yaml")), "--start", "2,2,0",
+            "--goal", "20,12,90deg"]  # fmt: skip
+    for command in (["drive", str(file)], loop):
+        code, _, err = run_command([*command, *model], capsys)
+        assert code == 1
+        assert "energyplan[physics]" in err
+    # A design needs no engine.
+    assert run_command(["design", *model, "--duration", "20"], capsys)[0] == 0
 
 
 def test_effects_parse() -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,12 +18,20 @@ from energyplan.output import documents, text
 from energyplan.output.pages import loop_page
 from energyplan.physics import Effect, EngineDrives, Loop, Robot, close_loop, switch_on
 from energyplan.physics.belief import believed
+from energyplan.physics.driving import energy_told
 from energyplan.physics.learning import Learned, learn
-from energyplan.physics.loop import Round
+from energyplan.physics.loop import SPEED_SHARE, Round, timed
 from energyplan.power.effects import term
 from energyplan.vehicle import predict_icr
 
 pytest.importorskip("mujoco")
+
+SPEC = importlib.util.spec_from_file_location(
+    "forks", Path(__file__).parents[2] / "benchmarks" / "forks.py"
+)
+forks = importlib.util.module_from_spec(SPEC)
+sys.modules["forks"] = forks
+SPEC.loader.exec_module(forks)
 
 pytestmark = pytest.mark.usefixtures("counted")
 
@@ -45,35 +56,79 @@ def test_nothing_hidden() -> None:
     assert abs(made.rounds[0].error) < 0.015
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("effect", "near"),
     [
-        pytest.param(Effect("viscous_loss", 100.0), 0.03, id="viscous_loss"),
-        *(
-            pytest.param(Effect(name, size), near, id=name, marks=pytest.mark.nightly)
-            for name, size, near in (
-                ("dragging_wheel_left", 60.0, 0.03),
-                ("payload", 30.0, 0.03),
-                # The treads push against each other, which no model without this preload knows.
-                ("drive_efficiency", 0.25, 0.06),
-            )
-        ),
+        (Effect("viscous_loss", 100.0), 0.03),
+        (Effect("dragging_wheel_left", 60.0), 0.03),
+        (Effect("payload", 30.0), 0.03),
+        # The treads push against each other, by other moments on every drive.
+        (Effect("drive_efficiency", 0.25), 0.06),
+        (Effect("copper_loss", 0.001), 0.06),
     ],
+    ids=lambda value: value.name if isinstance(value, Effect) else "",
 )
 def test_after_one_round_the_energy_told_is_right(effect: Effect, near: float) -> None:
-    made = closed(effect)
+    first, last = closed(effect).rounds
+    assert abs(first.error) > 0.06
+    assert abs(last.error) < near
+
+
+def true_model(effect: Effect) -> ep.PowerModel:
+    """Return the model that knows an effect."""
+    if effect.name != "surface_border":
+        return MODEL.with_term(term(effect.name), effect.size)
+    place = dict(effect.details)
+    model, rise = MODEL, effect.size / MODEL.coefficient("slip_friction")
+    for name, base in (
+        ("slip_beyond", "slip_friction"),
+        ("traction_beyond", "traction_resistance"),
+    ):
+        model = model.with_term(replace(term(name), params=place), rise * MODEL.coefficient(base))
+    return model
+
+
+@pytest.mark.parametrize(
+    "fork",
+    [
+        pytest.param(one(0.75), marks=() if one is forks.dragging else pytest.mark.nightly)
+        for one in forks.FORKS
+    ],
+    ids=lambda fork: fork.name,
+)
+def test_who_knows_the_effect_takes_another_way(fork: forks.Fork) -> None:
+    """Without the engine: the routes of two models, both by the one that is right."""
+    speed = SPEED_SHARE * VEHICLE.motor.speed
+    problem, true = fork.problem(MODEL), true_model(fork.effects[0])
+    right, taken = believed(true, problem), []
+    for model in (MODEL, true):
+        belief = believed(model, problem)
+        made = ep.plan(belief.planned(speed), effort=30_000)
+        taken.append(
+            sum(energy_told(timed(made, belief, speed), right.model, right.ground).values())
+        )
+    assert taken[1] < 0.98 * taken[0]
+
+
+@pytest.mark.slow
+def test_the_second_route_takes_less() -> None:
+    fork = forks.rough(0.5)
+    source = EngineDrives(switch_on(Robot.from_model(MODEL), fork.effects))
+    problem = fork.problem(MODEL)
+    made = close_loop(problem, source, rounds=2, tolerance=0.0, effort=30_000)
     first, last = made.rounds
     assert first.driven is not None and last.driven is not None
     assert first.driven.arrived and last.driven.arrived
-    assert abs(first.error) > 0.06
-    assert abs(last.error) < near
+    assert first.error < -0.1
+    assert abs(last.error) < 0.03
+    assert last.energy_taken < 0.9 * first.energy_taken
     document = documents.loop(made)
     assert set(document["rounds"][0]) >= {
         "energy_told", "energy_interval", "energy_taken", "effects", "length",
     }  # fmt: skip
     assert text.loop(made)[0].startswith("round 1")
-    assert "round" in loop_page(made, PROBLEM).html()
+    assert "round" in loop_page(made, problem).html()
 
 
 def test_real_logs_take_the_place_of_the_engine() -> None:
