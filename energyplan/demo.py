@@ -1,4 +1,4 @@
-"""The whole chain on bundled input: drives, models, routes, limits, a mission."""
+"""The whole chain on bundled input: drives, models, routes, limits, a mission, a closed loop."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from shapely import box
 
 from energyplan import simulate
 from energyplan.compilation import compiling_beside
 from energyplan.cost import EnergyCost
 from energyplan.diagnosis import diagnose
+from energyplan.errors import MissingDependencyError
 from energyplan.fit import identify
 from energyplan.io.bundled import bundled
 from energyplan.io.config import write_model
@@ -36,10 +38,13 @@ from energyplan.output.pages import (
 )
 from energyplan.output.report import Page, png
 from energyplan.path import Pose
+from energyplan.physics import Effect, EngineDrives, Robot, close_loop
+from energyplan.physics.engine import require_mujoco
 from energyplan.planning import PlanningProblem
 from energyplan.planning.ready import kernels
 from energyplan.power import HOTEL, TABLE_II, PowerModel, effects
 from energyplan.studies.comparison import Comparison, compare
+from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
 
 SHOWN = "quadriga:full:marble"
@@ -100,18 +105,20 @@ def run(out: Path, say: Callable[[str], None]) -> list[Path]:
         *kernels(), "energyplan.diagnosis", "energyplan.limits", "energyplan.battery"
     ):
         say(
-            "1/6 identifying Quadriga on four grounds (the first time, kernels are compiled beside)"
+            "1/7 identifying Quadriga on four grounds (the first time, kernels are compiled beside)"
         )
         _identification(demo)
-        say("2/6 diagnosing a residual")
+        say("2/7 diagnosing a residual")
         _diagnosis(demo)
-        say("3/6 planning")
+        say("3/7 planning")
         made = _routes(demo)
-        say("4/6 checking motor limits")
+        say("4/7 checking motor limits")
         _limits(demo, made)
-        say("5/6 budgeting a mission")
+        say("5/7 budgeting a mission")
         _mission(demo)
-    say("6/6 writing the page")
+        say("6/7 driving it in a physics engine")
+        _driven(demo)
+    say("7/7 writing the page")
     demo.page.made_from(call="energyplan demo")
     atomic_write(demo.path("index.html"), demo.page.html())
     return demo.files
@@ -268,3 +275,49 @@ def _mission(demo: _Demo) -> None:
     page.table(MISSION_HEADER, mission_rows(report))
     for name, figure, caption in mission_pictures(report):
         demo.picture(f"mission-{name}.png", figure, caption)
+
+
+def _driven(demo: _Demo) -> None:
+    page = demo.page
+    page.heading("6. What does it take when it is driven?")
+    try:
+        require_mujoco()
+    except MissingDependencyError as reason:
+        page.paragraph(f"This part was left out: {reason}.")
+        return
+    model = PowerModel.preset("quadriga:full:concrete")
+    model = replace(model, vehicle=model.vehicle.with_mass(model.vehicle.mass))  # centred
+    hall, block = box(-2.0, -4.2, 11.0, 3.6), box(1.2, -1.9, 7.8, 1.1)
+    walls = [hall.buffer(0.5, join_style="mitre") - hall, block]
+    grid = OccupancyGrid.from_polygons(walls, hall.buffer(0.5).bounds, 0.1)
+    problem = PlanningProblem(grid, EnergyCost(model), Pose(0.0, 0.0, 0.0), Pose(9.0, 0.0, 0.0))
+    border = {"direction": math.pi / 2, "offset": 1.1}
+    robot = Effect("surface_border", 0.3, border).on(Robot.from_model(model))
+    made = close_loop(
+        problem, EngineDrives(robot), rounds=2, tolerance=0.0, survey=40.0, effort=20_000
+    )
+    first, last = made.rounds[0], made.rounds[-1]
+    page.paragraph(
+        "A physics engine that knows nothing of the model drives the planned route. It hides that "
+        f"the ground is rougher above y = {border['offset']} m. The first drive takes "
+        f"{100 * (first.energy_taken / first.energy_told - 1):.0f} % more than told. A designed "
+        "drive shows why; the route of the second round takes "
+        f"{100 * (1 - last.energy_taken / first.energy_taken):.0f} % less than the first one."
+    )
+    page.table(
+        ("round", "told [J]", "taken [J]", "error", "length [m]", "found"),
+        [
+            (k, r.energy_told, r.energy_taken, f"{100 * r.error:+.1f} %", r.length,
+             ", ".join(effect.name for effect in r.effects) or "-")
+            for k, r in enumerate(made.rounds, 1)
+        ],
+    )  # fmt: skip
+    rough = box(-2.0, border["offset"], 11.0, 3.6)
+    demo.picture(
+        "loop.png",
+        plots.routes(
+            grid, {f"round {k}": r.plan.path for k, r in enumerate(made.rounds, 1)},
+            surfaces=[("rough ground", rough)],
+        ),
+        "What was learned changes the route.",
+    )  # fmt: skip
