@@ -178,12 +178,11 @@ def routes(count: int, begin: int = 0) -> None:
               f"taken {first.energy_taken:.0f} J, then {last.energy_taken:.0f} J "
               f"({100 * less(first, last):+.1f} % less), found "
               f"{', '.join(e.name for e in first.effects) or first.note}", flush=True)  # fmt: skip
-    print("\n| map | error before | after | first route | second route | takes less |\n"
+    print("\n| map | error before | after | first route [J] | second route [J] | takes less |\n"
           "|---|---|---|---|---|---|")  # fmt: skip
     for name, first, last in rows:
         print(f"| {name} | {100 * first.error:+.1f} % | {100 * last.error:+.1f} % | "
-              f"{first.length:.1f} m, {first.energy_taken:.0f} J | "
-              f"{last.length:.1f} m, {last.energy_taken:.0f} J | "
+              f"{first.energy_taken:.0f} | {last.energy_taken:.0f} | "
               f"{100 * less(first, last):.1f} % |")  # fmt: skip
     saved = np.array([less(first, last) for _, first, last in rows])
     print(f"\nthe second route takes less in {100 * np.mean(saved > 0):.0f} % of {len(saved)}, "

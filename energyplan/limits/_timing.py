@@ -193,7 +193,7 @@ class Course:
             places = subdivided(float(head[k]), float(length - tail[k]), step)
             if k:
                 gap = float(tail[k - 1] + head[k])
-                # Where no corner is rounded, the runs share a point.
+                # Where no corner is rounded, or by next to nothing, the runs share a point.
                 parts = int(np.ceil(gap / ROUNDED - 1e-9)) if gap > 0 else 0
                 for i in range(1, parts):
                     share = i / parts
@@ -201,8 +201,9 @@ class Course:
                     run.append(k - 1 if place < 0 else k)
                     at.append(float(self.length[k - 1]) + place if place < 0 else place)
                     bent.append((1 - share) * shape[k - 1] + share * shape[k])
-                cell += [gap / parts] * parts
-                if not parts:
+                if parts:
+                    cell += [gap / parts] * parts
+                else:
                     cell += [places[1] - places[0]] if len(places) > 1 else []
                     places = places[1:]
             cell += list(np.diff(places))

@@ -8,6 +8,7 @@ from scipy.sparse import diags_array, vstack
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
 from energyplan.limits import _timing_kernels
+from energyplan.limits._timing import Course
 from energyplan.limits.economy import cheapest
 from energyplan.limits.feasibility import check
 from energyplan.limits.speed import profile
@@ -476,3 +477,14 @@ def test_other_vehicles(name):
     model = PowerModel.paper(Vehicle.preset(name), K=30.0, mu=0.5)
     found = profile(random_path(np.random.default_rng(2), 6), model)
     assert check(found, model).feasible
+
+
+def test_a_corner_that_is_rounded_by_next_to_nothing_has_no_cell() -> None:
+    path = Path(Pose(0.0, 0.0, 0.0), ds=[1.0, 1.0], dtheta=[0.0, 0.5])
+    course = Course(
+        path, np.array([1.0, 1.2]), np.array([0.0, 0.5, 0.0]), np.array([True]), tolerance=1e-30
+    )
+    assert 0.0 < course.reach[0] < 1e-12
+    grid = course.grid(0.1)
+    assert len(grid.cell) == len(grid.at) - 1
+    assert np.all(grid.cell > 1e-3)
