@@ -74,8 +74,17 @@ def robot(rng: np.random.Generator) -> PowerModel:
     return PowerModel.paper(vehicle, K=force, mu=float(rng.uniform(0.3, 0.8)))
 
 
-def case(seed: int) -> Outcome:
-    """Hide up to three effects, and diagnose."""
+@dataclass(frozen=True)
+class Hidden:
+    """A random robot's two drives, and the sizes of the effects that they hide."""
+
+    logs: tuple[DriveLog, DriveLog]
+    vehicle: Vehicle
+    sizes: dict[str, float]
+
+
+def hidden(seed: int) -> Hidden:
+    """Hide up to three effects in two drives of a random robot."""
     rng = np.random.default_rng(seed)
     model = robot(rng)
     vehicle, K = model.vehicle, model.coefficient("traction_resistance")
@@ -113,9 +122,16 @@ def case(seed: int) -> Outcome:
             without={"accel_x"}, seed=2 * seed + k, name=f"case {seed}, drive {k + 1}",
         )  # fmt: skip
         logs.append(stepped(log, step, names[measured]))
-    told = diagnose(logs[0], logs[1], vehicle)
     if delay:
         sizes["time_offset"] = delay
+    return Hidden((logs[0], logs[1]), vehicle, sizes)
+
+
+def case(seed: int) -> Outcome:
+    """Hide up to three effects, and diagnose."""
+    made = hidden(seed)
+    logs, vehicle, sizes = made.logs, made.vehicle, made.sizes
+    told = diagnose(logs[0], logs[1], vehicle)
     entries = known.catalogue()
     usual = {name for name, entry in entries.items() if entry.usual}
     stated: dict[frozenset[str], float] = {}
@@ -129,9 +145,9 @@ def case(seed: int) -> Outcome:
     oracle = diagnose(
         logs[0], logs[1], vehicle, effects=[entries[name] for name in sizes], choose=False
     ).after.rmse
-    hidden = frozenset(SAME.get(name, name) for name in sizes)
+    true = frozenset(SAME.get(name, name) for name in sizes)
     return Outcome(
-        hidden, stated, covered, told.after.rmse / oracle, told.verdict, told.adequacy.adequate
+        true, stated, covered, told.after.rmse / oracle, told.verdict, told.adequacy.adequate
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,83 @@ _NOISELESS = 1e-4  # speed noise not worth smoothing [m/s]
 _ROUNDING = 1e-6  # a smaller difference of noiseless speeds is none [m/s]
 _CREEP = 2e-3  # a slower tread is at rest [m/s]
 _DRIVING = 0.1  # share of the usual speed that is driving, whatever the noise
+_KEPT = 0.9  # share of the differences that noise makes, the rest being corners
+_KEPT_SQUARE = 0.6231  # mean square of that share of standard normal values
+_AGREES = 0.7  # correlation of another sensor of the turn with the wheels, from which it is one
+_RESTING = 20  # samples at rest that tell an offset
 _SHORTEST = 7  # samples in a stretch below which nothing is smoothed
+
+
+@dataclass(frozen=True)
+class Turning:
+    """How a robot turns, by another sensor than its wheels.
+
+    Parameters
+    ----------
+    difference : ndarray, shape (n,)
+        The difference of the tread speeds that it stands for, free of its offset [m/s].
+    noise : float
+        Standard deviation of the white noise of a sample [m/s].
+    offset_error : float
+        Standard error of the offset that was taken off [m/s].
+    """
+
+    difference: FloatArray
+    noise: float
+    offset_error: float
+
+    @classmethod
+    def of(cls, rate: FloatArray, motion: Motion) -> Turning | None:
+        """Compare a yaw rate with the wheels.
+
+        Parameters
+        ----------
+        rate : ndarray, shape (n,)
+            Yaw rate of a gyroscope, or slope of a heading [rad/s].
+        motion : Motion, shape (n,)
+            As measured.
+
+        Returns
+        -------
+        Turning or None
+            None where both do not go together, as of a sensor in another unit or at another time.
+        """
+        seen = motion.icr.slip_track * rate
+        wheels = motion.v_right - motion.v_left
+        if np.std(seen) == 0.0 or np.std(wheels) == 0.0:
+            return None
+        if np.corrcoef(seen, wheels)[0, 1] < _AGREES:
+            return None
+        rest = np.maximum(np.abs(motion.v_left), np.abs(motion.v_right)) < _CREEP
+        # At rest the sensor shows its offset alone; else what it shows more than the wheels do.
+        free = seen[rest] if np.count_nonzero(rest) >= _RESTING else seen - wheels
+        scatter = 1.4826 * float(np.median(np.abs(free - np.median(free))))
+        error = 1.25 * scatter / np.sqrt(len(free))
+        return cls(seen - float(np.median(free)), reading_noise(seen), float(error))
+
+
+def turning(motion: Motion, t: FloatArray) -> Turning | None:
+    """Return what tells best how a robot turns beside its wheels: a gyroscope, or a heading.
+
+    Parameters
+    ----------
+    motion : Motion, shape (n,)
+        As measured; of its channels ``yaw_rate`` [rad/s] and ``yaw`` [rad] are read.
+    t : ndarray, shape (n,)
+        Time [s].
+
+    Returns
+    -------
+    Turning or None
+        None where no sensor tells it.
+    """
+    rates = []
+    if "yaw_rate" in motion.channels:
+        rates.append(np.asarray(motion.channels["yaw_rate"]))
+    if "yaw" in motion.channels and len(t) > 2:
+        rates.append(np.gradient(np.unwrap(motion.channels["yaw"]), t))
+    told = [found for rate in rates if (found := Turning.of(rate, motion)) is not None]
+    return min(told, key=lambda one: one.noise + one.offset_error, default=None)
 
 
 def quiet(motion: Motion, t: FloatArray) -> Motion:
@@ -30,7 +106,8 @@ def quiet(motion: Motion, t: FloatArray) -> Motion:
     by a local parabola. A speed that noise can explain is zero. A difference of both treads'
     speeds that noise can explain is averaged over longer and longer stretches, and zero where it
     stays within the noise: the friction of a slight turn is that of a sharp one, so that it matters
-    which way the robot turned, however little. Without noise only creep at rest is taken out.
+    which way the robot turned, however little. Where a gyroscope or a heading tells slight turns
+    better than the wheels do, it decides. Without noise only creep at rest is taken out.
 
     Parameters
     ----------
@@ -45,16 +122,20 @@ def quiet(motion: Motion, t: FloatArray) -> Motion:
         The same channels with cleaned tread speeds.
     """
     left, right = np.array(motion.v_left), np.array(motion.v_right)
+    other = turning(motion, t)
     for run in find_runs(t):
-        left[run], right[run] = _quiet_run(left[run], right[run], t[run])
+        seen = None if other is None else replace(other, difference=other.difference[run])
+        left[run], right[run] = _quiet_run(left[run], right[run], t[run], seen)
     return replace(motion, v_left=left, v_right=right)
 
 
-def _quiet_run(left: FloatArray, right: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _quiet_run(
+    left: FloatArray, right: FloatArray, t: FloatArray, other: Turning | None
+) -> tuple[FloatArray, FloatArray]:
     """Return both tread speeds of a stretch without a gap, freed of noise."""
     if len(t) < _SHORTEST:
         return left, right
-    noise = max(speed_noise(left), speed_noise(right))
+    noise = max(reading_noise(left), reading_noise(right))
     period = float(np.median(np.diff(t)))
     width = 2 * round(0.5 * _SMOOTHING / period) + 1
     level = _SIGMA * noise
@@ -72,17 +153,39 @@ def _quiet_run(left: FloatArray, right: FloatArray, t: FloatArray) -> tuple[Floa
     level = min(level, most)
     mean = 0.5 * (left + right)
     moving = np.maximum(np.abs(left), np.abs(right)) > max(level, _CREEP)
-    turn = _turn(right - left, np.sqrt(2) * level, np.sqrt(2) * _SIGMA * noise, moving, period)
+    level, wide = np.sqrt(2) * level, np.sqrt(2) * _SIGMA * noise
+    sample = None if other is None else _SIGMA * np.hypot(other.noise, other.offset_error)
+    if other is None or sample is None or sample >= wide:
+        turn = _turn(right - left, level, wide, moving, period)
+    else:
+        turn = _told_turn(right - left, level, other, moving, width, period)
+    level /= np.sqrt(2)
     left, right = mean - 0.5 * turn, mean + 0.5 * turn
     level = max(level, _CREEP)
     left, right = (np.where(np.abs(v) < level, 0.0, v) for v in (left, right))
     return left, right
 
 
+def _told_turn(
+    wheels: FloatArray, level: float, other: Turning, moving: NDArray[np.bool_], width: int,
+    period: float,
+) -> FloatArray:  # fmt: skip
+    """Difference of the tread speeds, told by another sensor where the wheels' noise hides it."""
+    seen, noise = other.difference, _SIGMA * other.noise
+    if other.noise > _NOISELESS and 5 <= width <= len(seen):
+        seen, noise = savgol_filter(seen, width, 2), noise * 1.5 / np.sqrt(width)
+    offset = _SIGMA * other.offset_error
+    told = _turn(seen, noise + offset, _SIGMA * other.noise, moving, period, offset)
+    turn = np.where(np.abs(wheels) < level, told, wheels)
+    # Both are right about a clear turn; a faint one of the wheels alone is their noise.
+    return np.where((told == 0.0) & (np.abs(wheels) < 2.0 * level), 0.0, turn)
+
+
 def _turn(
-    difference: FloatArray, level: float, sample: float, moving: NDArray[np.bool_], period: float
-) -> FloatArray:
-    """Difference of the tread speeds, zero where noise can explain it."""
+    difference: FloatArray, level: float, sample: float, moving: NDArray[np.bool_], period: float,
+    offset: float = 0.0,
+) -> FloatArray:  # fmt: skip
+    """Difference of the tread speeds, zero where noise or an offset can explain it."""
     straight = np.abs(difference) < max(level, _ROUNDING)
     turn = np.where(straight, 0.0, difference)
     if sample < _NOISELESS:
@@ -94,7 +197,7 @@ def _turn(
         # Only where the whole stretch is straight so far: nothing leaks in from a turn beside it.
         calm = maximum_filter1d((~straight | ~moving).astype(float), size) == 0.0
         average = uniform_filter1d(difference, size)
-        told = calm & (np.abs(average) > sample / np.sqrt(size))
+        told = calm & (np.abs(average) > sample / np.sqrt(size) + offset)
         # A stretch ends where the turn does: carry the finding to its ends.
         reach = maximum_filter1d(told.astype(float), size) > 0.0
         near = reach & straight & moving
@@ -107,3 +210,16 @@ def _turn(
 def speed_noise(values: FloatArray) -> float:
     """Return the deviation of white noise on a smooth signal, from its third differences."""
     return float(1.4826 * np.median(np.abs(np.diff(values, 3))) / np.sqrt(20.0))
+
+
+def reading_noise(values: FloatArray) -> float:
+    """Return the deviation of white noise on a smooth signal that is read in steps.
+
+    Of readings that mostly repeat, the median third difference is zero though they flicker between
+    two steps: the mean square of all but the largest tenth counts too, up to half a step. Of normal
+    noise both give the same.
+    """
+    square = np.sort(np.diff(values, 3) ** 2)[: max(int(_KEPT * (len(values) - 3)), 1)]
+    kept = float(np.sqrt(np.mean(square) / _KEPT_SQUARE / 20.0))
+    step = float(np.median(np.diff(np.unique(values)))) if np.ptp(values) > 0.0 else 0.0
+    return max(speed_noise(values), min(kept, 0.5 * step))
