@@ -134,9 +134,17 @@ def case(seed: int) -> Outcome:
     told = diagnose(logs[0], logs[1], vehicle)
     entries = known.catalogue()
     usual = {name for name, entry in entries.items() if entry.usual}
+
+    def told_apart(names: tuple[str, ...]) -> frozenset[str]:
+        return frozenset(SAME.get(name, name) for name in names if name not in usual)
+
+    # What the report says that these drives cannot tell apart is one statement: any of them. Where
+    # the truth is one of them, it stands for all.
+    true = frozenset(SAME.get(name, name) for name in sizes)
     stated: dict[frozenset[str], float] = {}
     for one in told.explanations:
-        key = frozenset(SAME.get(name, name) for name in one.effects if name not in usual)
+        alike = [told_apart(names) for names in (one.effects, *one.alike)]
+        key = true if true in alike else next((k for k in stated if k in alike), alike[0])
         stated[key] = stated.get(key, 0.0) + one.probability
     covered = tuple(
         abs(effect.value - sizes[effect.name]) <= 1.96 * effect.std_error
@@ -145,7 +153,6 @@ def case(seed: int) -> Outcome:
     oracle = diagnose(
         logs[0], logs[1], vehicle, effects=[entries[name] for name in sizes], choose=False
     ).after.rmse
-    true = frozenset(SAME.get(name, name) for name in sizes)
     return Outcome(
         true, stated, covered, told.after.rmse / oracle, told.verdict, told.adequacy.adequate
     )

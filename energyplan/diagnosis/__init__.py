@@ -22,6 +22,7 @@ from energyplan.diagnosis.holdout import ErrorInterval, Prediction, interval, pr
 from energyplan.diagnosis.joint_fit import final_fit, size_error
 from energyplan.diagnosis.late import Late
 from energyplan.diagnosis.mass_centre import MassCentre, find_mass_centre
+from energyplan.diagnosis.mimics import without_mimics
 from energyplan.diagnosis.proposals import terms_of
 from energyplan.diagnosis.residual import Dependence, dependences
 from energyplan.diagnosis.result import (
@@ -34,7 +35,7 @@ from energyplan.diagnosis.result import (
     Unexplained,
     Verdict,
 )
-from energyplan.diagnosis.search import SIGNIFICANCE, Search, without_mimics
+from energyplan.diagnosis.search import SIGNIFICANCE, Search
 from energyplan.diagnosis.wheel_fight import find_wheel_fight
 from energyplan.diagnosis.windows import Drive, prepared
 from energyplan.errors import InvalidInputError, NotIdentifiableError
@@ -375,6 +376,7 @@ class _Case:
                 (*moved, *one.names), one.probability,
                 _for_planners(final_fit(one.problem, one.parts).model,
                               [part.effect for part in one.parts], None),
+                tuple((*moved, *names) for names in one.alike),
             )
             for one in searched.explanations[:_SHOWN]
         )  # fmt: skip

@@ -24,12 +24,15 @@ class Explanation:
         The drives, with delays, factors and times of changes as this set has them.
     gains : tuple of Gain
         What each effect of the set is worth in it.
+    alike : tuple of tuple of str
+        Effects of the explanations that the drives cannot tell from this one.
     """
 
     parts: tuple[Part, ...]
     probability: float
     problem: Problem
     gains: tuple[Gain, ...]
+    alike: tuple[tuple[str, ...], ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -50,12 +53,15 @@ class Gain:
         Of its coefficients being zero, times the number of candidates.
     weight : float
         By how much it raises the logarithm of the set's likelihood.
+    share : float
+        Root of the fall of the mean square error, over the root mean square power.
     """
 
     improvement: float
     error: float
     p_value: float
     weight: float
+    share: float
 
 
 @dataclass(frozen=True)
@@ -88,9 +94,13 @@ class Found:
 
 @dataclass
 class Evaluated:
-    """A set fitted as it is."""
+    """A set fitted as it is.
+
+    `shares` are those of the residual's variance, at each scale, that its past does not foretell.
+    """
 
     counts: FloatArray
+    shares: FloatArray
     errors: FloatArray
     fit: Fit
     problem: Problem

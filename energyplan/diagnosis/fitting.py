@@ -27,7 +27,7 @@ from energyplan.power.effects import Effect
 from energyplan.vehicle import Vehicle
 
 PAPER = (SLIP, TRACTION)
-FLOOR = 0.003
+FLOOR = 0.01
 """Error that is not worth an effect, as a fraction of the root mean square power."""
 
 _SLIP_LAW = 0.05  # part of the sides' difference that no law of sliding friction foretells

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.diagnosis.columns import field_of
-from energyplan.diagnosis.fitting import Problem
+from energyplan.diagnosis.fitting import PAPER, Fit, Part, Problem
 from energyplan.diagnosis.linear import held_loss
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Sides, Term
@@ -88,3 +88,28 @@ class Rest:
             return True
         slack = 0.5 * abs(constant)
         return -slack <= self.mean - constant <= slack + held
+
+    def agrees(self, problem: Problem, parts: Sequence[Part], found: Fit) -> bool:
+        """Tell whether coefficients are possible, and what the robot draws at rest too."""
+        terms = [*PAPER, *(term for part in parts for term in part.terms)]
+        slack = 3 * np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+        for term, value, wide in zip(terms, found.values, slack, strict=True):
+            margin = float(wide) if term in PAPER else 0.0
+            if not term.bounds[0] - margin <= value <= term.bounds[1] + margin:
+                return False
+        model = PowerModel(problem.vehicle, tuple(terms), found.values)
+        for part in parts:
+            if not part.terms:
+                continue
+            low, high = part.effect.limits(problem.vehicle)
+            if not low <= part.effect.value(model) <= high:
+                return False
+        if not all(drivable(problem, part.terms, model) for part in parts):
+            return False
+        constant = {term.name for part in parts for term in part.terms if term.kind == "power"}
+        resting = sum(
+            float(value)
+            for term, value in zip(terms, found.values, strict=True)
+            if term.name in constant
+        )
+        return self.allows(resting, most_held(problem, terms, found.values))

@@ -31,6 +31,7 @@ RARE = -6.0
 OF_LOG = -1.0
 """What is added for an effect of the log: the robot is the first suspect."""
 
+_FINE = 0.1  # part of the floor that likelihoods count as nothing
 _NEAR = 4.0  # logarithm of the odds at which a replacement is a rival
 _PAIRED = 24  # effects of which all pairs are tried
 _BEAM = 8  # sets that grow
@@ -127,7 +128,6 @@ class Proposals:
         self.effects = [
             e for e in testable if e.acts not in ("kinematics", "hold") and e is not self.delay
         ]
-        self.repeats = np.ones(len(WEIGHTS) * problem.drives[0].equations)
         self.errors: FloatArray | None = None
 
     def _testable(self, effect: Effect) -> bool:
@@ -149,7 +149,7 @@ class Proposals:
         errors : ndarray, shape (scales, ...)
             Mean square errors [W^2].
         windows : ndarray, shape (scales,)
-            Number of windows, of which correlated ones count as fewer.
+            Number of windows.
 
         Returns
         -------
@@ -157,8 +157,9 @@ class Proposals:
             Normal likelihood, a weighted mean over the scales: each alone is one.
         """
         count = np.tile(WEIGHTS, len(windows) // len(WEIGHTS)) * windows
-        count = count / self.repeats[: len(windows)]
-        floor = self.problem.floor[: len(windows)].reshape(-1, *[1] * (np.ndim(errors) - 1))
+        floor = (_FINE * self.problem.floor[: len(windows)]).reshape(
+            -1, *[1] * (np.ndim(errors) - 1)
+        )
         fall = np.log(np.maximum(errors, 0.0) + floor + 1e-300)
         return np.asarray(-0.5 * np.tensordot(count, fall, axes=(0, 0)))
 

@@ -89,11 +89,16 @@ class Explanation:
         That it is the right one, among those that the catalogue can give.
     model : PowerModel
         The model with these effects, fitted to the training drives.
+    alike : tuple of tuple of str
+        Effects of the explanations that the drives cannot tell from this one: each, fitted to what
+        the other predicts, would follow it so closely that odds of 20 to 1 are not to be expected.
+        Which of them is named first is a matter of what is usual; their probabilities add up.
     """
 
     effects: tuple[str, ...]
     probability: float
     model: PowerModel
+    alike: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import minimize
 
 from energyplan.diagnosis.change_points import mark_changes
+from energyplan.diagnosis.evidence import Account, classes, innovations, residuals
 from energyplan.diagnosis.explanations import Evaluated, Explanation, Found, Gain
-from energyplan.diagnosis.fitting import PAPER, Fit, Part, Problem, difference, fit
+from energyplan.diagnosis.fitting import FLOOR, Part, Problem, difference, fit
 from energyplan.diagnosis.late import DELAYS, ON_TIME, Late, least_late
-from energyplan.diagnosis.plausible import Rest, drivable, most_held
+from energyplan.diagnosis.plausible import Rest
 from energyplan.diagnosis.proposals import (
     OF_LOG,
     RARE,
@@ -28,9 +28,8 @@ from energyplan.diagnosis.proposals import (
     with_changes,
 )
 from energyplan.diagnosis.windows import SCALES
-from energyplan.fit.covariance import autocorrelation
 from energyplan.path import FloatArray
-from energyplan.power import HOTEL, PowerModel
+from energyplan.power import HOTEL
 from energyplan.power.effects import Effect
 
 SIGNIFICANCE = 0.01
@@ -43,6 +42,12 @@ predicts unseen blocks better and outweighs its prior: three gates, each of whic
 WORTHWHILE = 0.05
 """Smallest fall of the cross-validated error, mean over the scales, that is worth an effect."""
 
+WORTH = 0.004
+"""Smallest part of the root mean square power that is worth an effect: no model of a robot is true
+to less, and what is left of it looks like one effect or another."""
+
+_TRIED = 6  # neighbours of the best set that are fitted as they are
+_COMPARED = 1e-3  # probability from which on explanations are held against each other
 _APART = 0.05  # delays that are worth sets of their own [s]
 _LATE = -float(np.log(len(DELAYS)))  # most logs' power is late: only the search for it counts
 
@@ -78,24 +83,6 @@ class Search(Proposals):
         self.rest = Rest(problem)
         self.evaluated: dict[tuple[Set, Late], Evaluated] = {}
 
-    def _settle_repeats(self, pools: Mapping[Late, tuple[list[Candidate], list[Set]]]) -> None:
-        """Count neighbouring windows whose residuals repeat each other as fewer.
-
-        By the residual of the set that fits best: what a worse one leaves is no noise.
-        """
-        best = self._best_of(pools)
-        self.errors = best.errors
-        design = best.problem.design(terms_of(best.parts), best.errors)
-        repeats = []
-        for table, block in zip(design.rows, design.blocks, strict=True):
-            kept = np.any(table != 0.0, axis=1)
-            residual = (table[:, -1] - table[:, :-1] @ best.fit.values)[kept]
-            owner = design.drives[block[kept]]
-            edges = np.concatenate([[0], np.flatnonzero(np.diff(owner)) + 1, [len(owner)]])
-            pieces = [slice(a, b) for a, b in pairwise(edges.tolist())]
-            repeats.append(autocorrelation(residual, pieces).repeats)
-        self.repeats = np.array(repeats)
-
     def _best_of(self, pools: Mapping[Late, tuple[list[Candidate], list[Set]]]) -> Evaluated:
         every = [
             self._evaluate(chosen, candidates, late)
@@ -104,8 +91,12 @@ class Search(Proposals):
         return max(every, key=self.score)
 
     def score(self, one: Evaluated) -> float:
-        """Return the logarithm of an evaluated set's likelihood."""
-        return float(self.likelihood(one.fit.errors, one.counts))
+        """Return the logarithm of an evaluated set's likelihood, that of its innovations.
+
+        What the past of a residual foretells is no evidence against a set, and a fall of what lasts
+        alone is none for it.
+        """
+        return float(self.likelihood(one.fit.errors * one.shares, one.counts))
 
     def _evaluate(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> Evaluated:
         """Fit a set as it is, losses included."""
@@ -125,44 +116,24 @@ class Search(Proposals):
         design = problem.design(terms, self.errors)
         errors = problem.reference(design)
         found = fit(design, errors)
-        sound = self._plausible(problem, parts, found)
-        return Evaluated(design.evidence, errors, found, problem, sound, tuple(parts))
-
-    def _plausible(self, problem: Problem, parts: Sequence[Part], found: Fit) -> bool:
-        """Tell whether coefficients are possible, and what the robot draws at rest too."""
-        terms = terms_of(parts)
-        slack = 3 * np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
-        for term, value, wide in zip(terms, found.values, slack, strict=True):
-            margin = float(wide) if term in PAPER else 0.0
-            if not term.bounds[0] - margin <= value <= term.bounds[1] + margin:
-                return False
-        model = PowerModel(problem.vehicle, tuple(terms), found.values)
-        for part in parts:
-            if not part.terms:
-                continue
-            low, high = part.effect.limits(problem.vehicle)
-            if not low <= part.effect.value(model) <= high:
-                return False
-        if not all(drivable(problem, part.terms, model) for part in parts):
-            return False
-        constant = {term.name for part in parts for term in part.terms if term.kind == "power"}
-        resting = sum(
-            float(value)
-            for term, value in zip(terms, found.values, strict=True)
-            if term.name in constant
-        )
-        return self.rest.allows(resting, most_held(problem, terms, found.values))
+        sound = self.rest.agrees(problem, parts, found)
+        shares = innovations(design, residuals(design, found.values))
+        return Evaluated(design.evidence, shares, errors, found, problem, sound, tuple(parts))
 
     def _gain(self, full: Evaluated, less: Evaluated, part: Part, looks: float) -> Gain:
         """Return what a part is worth in a set, against the set without it."""
         floor = self.problem.floor
         scale = 1.0 / (less.errors + floor)
         # What shows in one equation alone is no less worth for it.
-        falls = ((less.fit.errors - full.fit.errors) * scale).reshape(-1, len(SCALES))
+        fall = less.fit.errors - full.fit.errors
+        falls, shares = (
+            (fall * by).reshape(-1, len(SCALES)).mean(axis=1).max()
+            for by in (scale, FLOOR**2 / floor)
+        )
         _, error = difference(less.fit.losses, full.fit.losses)
         return Gain(
-            float(falls.mean(axis=1).max()), error / len(SCALES), self._p_value(full, part, looks),
-            self.score(full) - self.score(less),
+            float(falls), error / len(SCALES), self._p_value(full, part, looks),
+            self.score(full) - self.score(less), float(np.sqrt(max(shares, 0.0))),
         )  # fmt: skip
 
     def _p_value(self, full: Evaluated, part: Part, looks: float) -> float:
@@ -174,6 +145,7 @@ class Search(Proposals):
     def _acceptable(self, gain: Gain, prior: float) -> bool:
         return (
             gain.improvement > max(WORTHWHILE, gain.error)
+            and gain.share > WORTH
             and gain.p_value < _CHANCE
             and gain.weight + prior > 0.0
         )
@@ -231,13 +203,46 @@ class Search(Proposals):
         masked = self._masked_delay(pools)
         if masked is not None:
             pools[masked] = self.pool(masked, usual)
-        self._settle_repeats(pools)
+        self.errors = self._best_of(pools).errors
         weighed: dict[tuple[frozenset[int], Late], float] = {}
         for late, (candidates, sets) in pools.items():
             for chosen in sets:
                 one = self._reduced(chosen, candidates, late)
                 weighed[(frozenset(one), late)] = self._posterior(one, candidates, late)
+        self._climb(weighed, {late: pool[0] for late, pool in pools.items()})
         return self._explained(weighed, {d: pool[0] for d, pool in pools.items()})
+
+    def _climb(
+        self,
+        weighed: dict[tuple[frozenset[int], Late], float],
+        pools: Mapping[Late, list[Candidate]],
+    ) -> None:
+        """Add to the best set, or replace in it, one effect after the other while that helps.
+
+        The quick search weighs sets about coefficients of another one. About its own, a set shows
+        what else it needs.
+        """
+        for _ in range(self.limit):
+            chosen, late = max(weighed, key=lambda key: weighed[key])
+            now, candidates = tuple(sorted(chosen)), pools[late]
+            one = self._evaluate(now, candidates, late)
+            about = self._about(one.problem, one.parts, one.errors)
+            design = self._table(self.problem.delayed(late), candidates, about)
+            others = [k for k in range(len(candidates)) if k not in chosen]
+            trials = [{*now, new} for new in others]
+            trials += [
+                {*now, new} - {old} for old in now for new in others
+                if not candidates[old].part.effect.usual
+            ]  # fmt: skip
+            sets = [tuple(sorted(some)) for some in trials]
+            sets = [some for some in sets if self._compatible(candidates, some)]
+            scores = self._scores(design, candidates, sets, one.errors)
+            before = set(weighed)
+            for k in np.argsort(-scores, kind="stable")[:_TRIED]:
+                reduced = self._reduced(sets[k], candidates, late)
+                weighed[(frozenset(reduced), late)] = self._posterior(reduced, candidates, late)
+            if max(weighed, key=lambda key: weighed[key]) in before:
+                return
 
     def _levelled(self, nuisance: Sequence[Part]) -> Problem:
         """Give each run the factor by which it differs as a whole: else long runs decide."""
@@ -324,12 +329,34 @@ class Search(Proposals):
                 else replace(known, probability=known.probability + new.probability)
             )  # fmt: skip
         total = sum(new.probability for new in joined.values())
-        ranked = sorted(joined.values(), key=lambda new: -round(new.probability / total, 3))
-        ranked[0] = self._refined(ranked[0])
-        return Found(
-            tuple(replace(new, probability=new.probability / total) for new in ranked),
-            tuple(self.untested),
+        ranked = self._classed(
+            [
+                replace(new, probability=new.probability / total)
+                for new in sorted(joined.values(), key=lambda n: -round(n.probability / total, 3))
+            ]
         )
+        ranked[0] = self._refined(ranked[0])
+        return Found(tuple(ranked), tuple(self.untested))
+
+    def _classed(self, ranked: Sequence[Explanation]) -> list[Explanation]:
+        """Say of each explanation which others these drives cannot tell it from."""
+        compared = [one for one in ranked if one.probability > _COMPARED]
+        accounts = []
+        for one in compared:
+            design = one.problem.design(terms_of(one.parts), self.errors)
+            errors = one.problem.reference(design)
+            accounts.append(Account(design, fit(design, errors), errors))
+        number = classes(accounts, lambda e, n: float(self.likelihood(e, n)))
+        return [
+            replace(
+                one,
+                alike=tuple(
+                    compared[j].names for j in range(len(compared))
+                    if k < len(compared) and j != k and number[j] == number[k]
+                ),
+            )
+            for k, one in enumerate(ranked)
+        ]  # fmt: skip
 
     def _refined(self, best: Explanation) -> Explanation:
         """Move the parameters that were searched on a grid to where the loss is least."""
@@ -414,46 +441,6 @@ class Search(Proposals):
             gains.append(self._gain(full, self._fitted(problem, rest), part, 1.0))
         one = Explanation(tuple(parts), 1.0, problem, tuple(gains))
         return Found((one,), tuple(self.untested))
-
-
-def without_mimics(
-    problem: Problem, parts: tuple[Part, ...], smooth: Part
-) -> tuple[tuple[Part, ...], list[str]]:
-    """Take out effects that only stand in for what the catalogue does not have.
-
-    Parameters
-    ----------
-    problem : Problem
-        The drives.
-    parts : tuple of Part
-        Effects that were found.
-    smooth : Part
-        A smooth term of the channel that still explains most.
-
-    Returns
-    -------
-    tuple
-        What is left of the parts, and the names of those taken out: effects that are of no use
-        beside the smooth term, where that alone does better than all of them.
-    """
-    usual = [part for part in parts if part.effect.usual or not part.terms]
-    others = [part for part in parts if part not in usual]
-    errors = _errors(problem, parts)
-
-    def loss(some: Sequence[Part]) -> Fit:
-        return fit(problem.design(terms_of(some), errors), errors)
-
-    gap, error = difference(loss(parts).losses, loss([*usual, smooth]).losses)
-    if gap <= max(error, WORTHWHILE * len(errors)):
-        return parts, []
-    kept, gone = list(parts), list[str]()
-    for part in [*others, *(part for part in usual if part.terms)]:
-        rest = [other for other in kept if other is not part]
-        gap, error = difference(loss([*rest, smooth]).losses, loss([*kept, smooth]).losses)
-        if gap <= max(error, WORTHWHILE * len(errors)):
-            kept = rest
-            gone.append(part.effect.name)
-    return tuple(kept), gone
 
 
 def _errors(problem: Problem, parts: Sequence[Part]) -> FloatArray:

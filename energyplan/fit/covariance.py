@@ -175,6 +175,50 @@ def autocorrelation(
     return Correlation(rho, kept)
 
 
+def innovation_share(series: FloatArray, pieces: Sequence[slice]) -> float:
+    """Share of a series' variance that its own past does not foretell.
+
+    One for white noise. The likelihood of a normal series depends on its innovations alone: what
+    repeats is no new evidence (Schweppe's form).
+
+    Parameters
+    ----------
+    series : ndarray, shape (n,)
+        The series; its mean is taken off.
+    pieces : sequence of slice
+        Stretches without a break.
+
+    Returns
+    -------
+    float
+        In (0, 1], of the autoregression with the least value of Akaike's criterion, as corrected
+        for short series.
+
+    References
+    ----------
+    Schweppe (1965), IEEE Trans. Inf. Theory 11, 61-70. Hurvich and Tsai (1989), Biometrika 76.
+    """
+    count = len(series)
+    lags = min(_LARGEST_ORDER, max(s.stop - s.start for s in pieces) // 4)
+    centred = series - series.mean()
+    covariance = _products(centred, centred, pieces, lags) / count
+    if covariance[0] <= 0.0:
+        return 1.0
+    rho, current, variance = covariance / covariance[0], np.zeros(0), 1.0
+    best, least = 1.0, 2.0 * count / max(count - 2, 1)
+    for order in range(1, lags + 1):
+        partial = (rho[order] - float(current @ rho[order - 1 : 0 : -1])) / variance
+        partial = min(max(partial, -_LARGEST_PARTIAL), _LARGEST_PARTIAL)
+        current = np.append(current - partial * current[::-1], partial)
+        variance *= 1.0 - partial**2
+        if count <= order + 3:
+            break
+        criterion = count * np.log(variance) + 2.0 * count * (order + 1) / (count - order - 2)
+        if criterion < least:
+            best, least = variance, criterion
+    return float(best)
+
+
 def sum_covariance(
     regressors: FloatArray, scale: FloatArray, rho: FloatArray, pieces: Sequence[slice]
 ) -> FloatArray:

@@ -114,7 +114,11 @@ def diagnosis(told: Diagnosis) -> Document:
         "verdict": told.verdict,
         "effects": [plain(effect) for effect in told.effects],
         "explanations": [
-            {"effects": list(one.effects), "probability": plain(one.probability)}
+            {
+                "effects": list(one.effects),
+                "probability": plain(one.probability),
+                "alike": [list(names) for names in one.alike],
+            }
             for one in told.explanations
         ],
         "before": residual(told.before),

@@ -78,11 +78,12 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
     if len(told.explanations) > 1:
         page.heading("Possible explanations")
         page.table(
-            ("effects", "probability"),
+            ("effects", "probability", "not told apart from"),
             [
                 (
-                    " and ".join(name.replace("_", " ") for name in one.effects) or "none",
+                    _together(one.effects),
                     f"{one.probability:.2f}" if one.probability >= 0.01 else "below 0.01",
+                    "; ".join(_together(names) for names in one.alike) or "-",
                 )
                 for one in told.explanations
             ],
@@ -292,6 +293,11 @@ def mission_pictures(told: MissionReport) -> Iterator[Picture]:
 def _probability(told: Diagnosis) -> float:
     """Probability of the explanation that is reported."""
     return told.explanations[0].probability
+
+
+def _together(names: Sequence[str]) -> str:
+    """Return effects that act together."""
+    return " and ".join(name.replace("_", " ") for name in names) or "none"
 
 
 def _names(told: Diagnosis) -> str:

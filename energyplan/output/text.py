@@ -68,6 +68,10 @@ def diagnosis(told: Diagnosis) -> list[str]:
         + (" and ".join(name.replace("_", " ") for name in one.effects) or "no effect")
         for one in others
     ]
+    if told.explanations and told.explanations[0].alike:
+        alike = ((told.explanations[0].effects), *told.explanations[0].alike)
+        names = (" and ".join(n.replace("_", " ") for n in one) or "no effect" for one in alike)
+        lines.append(f"these drives cannot tell apart: {'; or '.join(names)}")
     for name, misfit in (("before", told.before), ("after", told.after)):
         lines.append(
             f"hold-out {name}: rmse {number(misfit.rmse)} W, mae {number(misfit.mae)} W, "

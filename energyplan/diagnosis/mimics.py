@@ -1,0 +1,49 @@
+"""Effects that only stand in for what the catalogue does not have (private)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from energyplan.diagnosis.fitting import Fit, Part, Problem, difference, fit
+from energyplan.diagnosis.proposals import terms_of
+from energyplan.diagnosis.search import WORTHWHILE
+
+
+def without_mimics(
+    problem: Problem, parts: tuple[Part, ...], smooth: Part
+) -> tuple[tuple[Part, ...], list[str]]:
+    """Take out effects that only stand in for what the catalogue does not have.
+
+    Parameters
+    ----------
+    problem : Problem
+        The drives.
+    parts : tuple of Part
+        Effects that were found.
+    smooth : Part
+        A smooth term of the channel that still explains most.
+
+    Returns
+    -------
+    tuple
+        What is left of the parts, and the names of those taken out: effects that are of no use
+        beside the smooth term, where that alone does better than all of them.
+    """
+    usual = [part for part in parts if part.effect.usual or not part.terms]
+    others = [part for part in parts if part not in usual]
+    errors = problem.reference(problem.design(terms_of(parts)))
+
+    def loss(some: Sequence[Part]) -> Fit:
+        return fit(problem.design(terms_of(some), errors), errors)
+
+    gap, error = difference(loss(parts).losses, loss([*usual, smooth]).losses)
+    if gap <= max(error, WORTHWHILE * len(errors)):
+        return parts, []
+    kept, gone = list(parts), list[str]()
+    for part in [*others, *(part for part in usual if part.terms)]:
+        rest = [other for other in kept if other is not part]
+        gap, error = difference(loss([*rest, smooth]).losses, loss([*kept, smooth]).losses)
+        if gap <= max(error, WORTHWHILE * len(errors)):
+            kept = rest
+            gone.append(part.effect.name)
+    return tuple(kept), gone
