@@ -1,11 +1,13 @@
 """Whether the probabilities, sizes and errors of a diagnosis are what they say.
 
     python benchmarks/calibration.py COUNT              as many drives of random robots
-    python benchmarks/calibration.py COUNT --write      the same, into docs/diagnosis.md
+    python benchmarks/calibration.py COUNT FIRST        from that seed on, not from 0
+    python benchmarks/calibration.py COUNT FIRST --write      the same, into docs/diagnosis.md
+    python benchmarks/calibration.py empty COUNT FIRST  as many that hide nothing
 
 Each robot has a size, parameters and sensors of its own: powers of both sides, of both together or
 of the battery; 20, 10 or 2 readings a second; steps of speed and power; a late power; long
-standstill. It hides up to three effects. Odd drives fit one number, the temperature at which stated
+standstill; a gyroscope and a pose, or neither. It hides up to three effects. Odd drives fit one number, the temperature at which stated
 probabilities are true; even ones judge. Effects that no power can tell apart count as one.
 """
 
@@ -83,8 +85,8 @@ class Hidden:
     sizes: dict[str, float]
 
 
-def hidden(seed: int) -> Hidden:
-    """Hide up to three effects in two drives of a random robot."""
+def hidden(seed: int, most: int = 3) -> Hidden:
+    """Hide one to `most` effects, or none, in two drives of a random robot."""
     rng = np.random.default_rng(seed)
     model = robot(rng)
     vehicle, K = model.vehicle, model.coefficient("traction_resistance")
@@ -100,7 +102,8 @@ def hidden(seed: int) -> Hidden:
         "warm_up": (replace(known.WARM_UP, params={"time_constant": 50.0}), 0.4 * K),
     }  # fmt: skip
     sizes = {}
-    for name in rng.choice(sorted(choices), int(rng.integers(1, 4)), replace=False):
+    number = int(rng.integers(1, most + 1)) if most else 0
+    for name in rng.choice(sorted(choices), number, replace=False):
         term, size = choices[str(name)]
         sizes[str(name)] = size * float(rng.uniform(0.6, 1.4))
         model = model.with_term(term, sizes[str(name)])
@@ -110,6 +113,13 @@ def hidden(seed: int) -> Hidden:
     step = float(rng.choice([0.0, 1 / 127, 0.02]))
     delay = float(rng.uniform(0.2, 0.6)) if rng.random() < 0.25 else 0.0
     rest = float(rng.choice([0.0, 60.0]))
+    # How the robot turns is told by a gyroscope and a pose, noisy both; one in four has neither.
+    other = np.random.default_rng([seed, 1])
+    turning = {"yaw_rate": float(other.uniform(0.002, 0.02)), "yaw": 0.005, "x": 0.01, "y": 0.01}
+    bias = {"yaw_rate": float(other.normal(0.0, 0.003))}
+    without = {"accel_x"}
+    if other.random() < 0.25:
+        without, turning, bias = without | set(turning), {}, {}
     logs = []
     for k, pattern in enumerate((simulate.IDENTIFICATION, simulate.VALIDATION)):
         names = {"sides": ("p_left", "p_right"), "total": ("power",), "battery": ("current",)}
@@ -117,9 +127,10 @@ def hidden(seed: int) -> Hidden:
         log = simulate.drive(
             model.battery_side() if measured == "battery" else model,
             [part for part in parts if part[1] > 0], rate=rate, speed_noise=0.003,
-            power_noise=noise, noise={"current": noise / 24.0} if measured == "battery" else None,
+            power_noise=noise, biases=bias,
+            noise={**turning, **({"current": noise / 24.0} if measured == "battery" else {})},
             measured=measured, delays=dict.fromkeys(names[measured], delay) if delay else None,
-            without={"accel_x"}, seed=2 * seed + k, name=f"case {seed}, drive {k + 1}",
+            without=without, seed=2 * seed + k, name=f"case {seed}, drive {k + 1}",
         )  # fmt: skip
         logs.append(stepped(log, step, names[measured]))
     if delay:
@@ -219,10 +230,24 @@ def report(outcomes: list[Outcome], temperature: float, fitted: int) -> str:
     )  # fmt: skip
 
 
-def main(count: int, write: bool) -> None:
+def empty(count: int, first: int) -> None:
+    """Count what is claimed of robots that hide nothing."""
+    false = 0
+    for seed in range(first, first + count):
+        made = hidden(seed, most=0)
+        told = diagnose(*made.logs, made.vehicle)
+        entries = known.catalogue()
+        claimed = [one.name for one in told.effects if not entries[one.name].usual]
+        claimed = [name for name in claimed if name not in made.sizes]
+        false += bool(claimed)
+        print(f"{seed:5} {told.verdict} {claimed}", flush=True)
+    print(f"{false} of {count} drives that hide nothing were given an effect")
+
+
+def main(count: int, first: int, write: bool) -> None:
     """Run, print, and write where asked."""
     outcomes = []
-    for seed in range(count):
+    for seed in range(first, first + count):
         outcomes.append(case(seed))
         one = outcomes[-1]
         print(
@@ -244,9 +269,13 @@ def main(count: int, write: bool) -> None:
 
 if __name__ == "__main__":
     match sys.argv[1:]:
+        case ["empty", count, start]:
+            empty(int(count), int(start))
         case [count]:
-            main(int(count), False)
-        case [count, "--write"]:
-            main(int(count), True)
+            main(int(count), 0, False)
+        case [count, start]:
+            main(int(count), int(start), False)
+        case [count, start, "--write"]:
+            main(int(count), int(start), True)
         case _:
             sys.exit(__doc__)

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from energyplan.diagnosis import advice as _advice
-from energyplan.diagnosis.adequacy import adequacy, energies
+from energyplan.diagnosis.adequacy import adequacy, energies, holds
 from energyplan.diagnosis.averaging import averaged, note_of
 from energyplan.diagnosis.breakaway import with_breakaway
 from energyplan.diagnosis.explanations import Found
@@ -305,6 +305,7 @@ class _Case:
         names = [effect.name for effect in found]
         used = [part.effect for part in chosen]
         errors = score(before), score(after)
+        held = holds(quality, errors[1].rmse)
         advice = [
             *self.limits,
             *_advice.mimic_advice(left, names, mimics),
@@ -314,6 +315,7 @@ class _Case:
             *_advice.mass_advice(fitted.model, names),
             *_advice.log_advice(used),
             *_advice.worse_advice(names, *errors),
+            *([] if held or not found else _advice.unheld_advice(names, quality, errors[1])),
             *_advice.change_advice(undated),
             *_advice.untested_advice(searched.untested, names),
             *(() if average is None else [note_of(average, names)]),
@@ -321,7 +323,7 @@ class _Case:
         ]
         verdict: Verdict = "no_effect"
         if found:
-            verdict = "effect_found"
+            verdict = "effect_found" if held else "unexplained"
         elif left or not quality.adequate:
             verdict = "unexplained"
         report(1.0, "done")

@@ -21,7 +21,8 @@ from energyplan.power import PowerModel
 _SLOW = 1  # scale at which colour is looked for: two seconds
 _FLOOR = 0.02
 """What is no more than this fraction of the root mean square power is as good as nothing."""
-_RESTING = 20  # samples at rest that tell the noise
+_RESTING = 20  # samples of a rest that tell the noise
+_HOLDS = 1.5  # error on other drives, over that on the training drives, that is no surprise
 _LEVEL = 0.9  # of the intervals of energies
 
 
@@ -35,7 +36,7 @@ def adequacy(problem: Problem, fitted: FinalFit) -> Adequacy:
     """Compare what a model leaves of the training drives with their noise.
 
     The noise of a sample is what neighbouring samples differ by beyond a smooth curve, or the
-    scatter at rest where that is larger; how much of it lasts is told by the samples at rest.
+    scatter within a rest where that is larger; how much of it lasts is told by the samples at rest.
 
     Parameters
     ----------
@@ -56,8 +57,10 @@ def adequacy(problem: Problem, fitted: FinalFit) -> Adequacy:
         if len(residual) > 4:
             whites.append(speed_noise(drive.power))
         still = (drive.motion.v_left == 0) & (drive.motion.v_right == 0)
-        if np.count_nonzero(still) >= _RESTING:
-            rests.append(residual[still] - residual[still].mean())
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            if stop - start >= _RESTING:
+                rests.append(residual[start:stop] - np.median(residual[start:stop]))
         windows = drive.windows[_SLOW]
         slow.append(windows.mean(residual))
         counts.append(windows.counts)
@@ -66,7 +69,8 @@ def adequacy(problem: Problem, fitted: FinalFit) -> Adequacy:
     noise, repeats = float(np.median(whites)) if whites else 0.0, 1.0
     if rests:
         rest = np.concatenate(rests)
-        spread = float(rest.std())
+        # A load that comes and goes at rest is no noise: what most samples scatter by is.
+        spread = 1.4826 * float(np.median(np.abs(rest)))
         if spread > 0:
             stops = np.cumsum([len(part) for part in rests]).tolist()
             pieces = [slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
@@ -81,6 +85,25 @@ def adequacy(problem: Problem, fitted: FinalFit) -> Adequacy:
         noise, float(np.sqrt(np.mean(every**2))), slow_noise, slow_residual,
         bool(slow_residual > 2.0 * max(slow_noise, 0.5 * _FLOOR * size)),
     )  # fmt: skip
+
+
+def holds(quality: Adequacy, error: float) -> bool:
+    """Tell whether what was found on the training drives holds on others.
+
+    Parameters
+    ----------
+    quality : Adequacy
+        What the model leaves of the training drives.
+    error : float
+        Its root mean square error on drives that took no part [W].
+
+    Returns
+    -------
+    bool
+        False where that is clearly more than what is left of the training drives and than noise:
+        then effects that were looked for at any time or place fitted those drives alone.
+    """
+    return error <= _HOLDS * max(quality.residual, quality.noise)
 
 
 def energies(

@@ -56,6 +56,16 @@ def worse_advice(effects: Sequence[str], before: Residual, after: Residual) -> l
     ]
 
 
+def unheld_advice(effects: Sequence[str], quality: Adequacy, after: Residual) -> list[str]:
+    """Say that what was found does not hold on the drives that took no part."""
+    names = ", ".join(_plain(name) for name in effects)
+    return [
+        f"{names} fit the training drives (rmse {quality.residual:.3g} W) and not the hold-out "
+        f"drives ({after.rmse:.3g} W): do not believe them; something else, or another state of "
+        "robot or ground, is behind it. Give both kinds of drives to learn from"
+    ]
+
+
 def change_advice(undated: Residual | None) -> list[str]:
     """Say what the error is where the time of a change is not taken from the judged drive."""
     if undated is None:

@@ -20,12 +20,15 @@ from energyplan.diagnosis.windows import Design, Drive, channels_of, window_mean
 from energyplan.motion import CHANNELS
 from energyplan.path import FloatArray
 from energyplan.power import Sides, Term
-from energyplan.power.empirical import CARRIERS, DERIVED, carry, signal
+from energyplan.power.empirical import CARRIERS, DERIVED, carry, place, signal, spoken
 
 _KNOTS = 6
 _NOT_SIGNALS = {"changed", "p_left", "p_right", "power", "yaw_rate"}
 _POWER_PARTS = ("current", "voltage")  # of a battery, a motor, a side: parts of power, no reasons
 _CONSEQUENCE = 0.9  # correlation with the measured power from which a channel is a part of it
+_PLACES = 7  # points of a grid each way, about which friction may differ
+_REACHES = (0.08, 0.2)  # of a patch, over the size of the ground that was driven on
+_SLOW = 1  # scale at which a patch is looked for: two seconds
 _PERIODS = (2.0, 60.0)  # of a periodic load [s]
 _WAVES = 12  # drives in which a periodic load is looked for
 _WINDOWS = 4  # longest windows that a drive needs to show how much it scatters
@@ -91,9 +94,9 @@ def _knots(drives: Sequence[Drive], name: str) -> FloatArray:
     places = np.unique(np.round(np.concatenate([[low], 0.5 * (inner + even), [high]]), 9))
     gap = (high - low) / (3 * _KNOTS)
     kept = [places[0]]
-    for place in places[1:]:
-        if place - kept[-1] > gap:
-            kept.append(place)
+    for at in places[1:]:
+        if at - kept[-1] > gap:
+            kept.append(at)
     return np.array(kept)
 
 
@@ -143,7 +146,8 @@ def dependences(
     now = fit(design, errors)
     width = len(terms)
     found = []
-    for name in signals(problem.drives):
+    here = _place(problem, now, design)
+    for name in [*signals(problem.drives), *([here] if here else [])]:
         knots = _knots(problem.drives, name)
         if len(knots) < 3:
             continue
@@ -154,11 +158,51 @@ def dependences(
             full = design.joined(window_means(problem.drives, columns))
             new = fit(full, errors)
             shape = np.insert(new.values[width:], skipped, 0.0)
-            found.append(_dependence(name, carrier, knots, shape, now, new, width))
+            one = _dependence(name, carrier, knots, shape, now, new, width)
+            # The place was looked for.
+            looks = _PLACES**2 * len(_REACHES) if name == here else 1
+            found.append(replace(one, p_value=min(looks * one.p_value, 1.0)))
     found += _periodic(problem, now, errors, design)
     plain = problem.with_factors([1.0] * len(problem.drives)).design(terms, errors)
     settled = [*_holm(found), *_between_drives(now, plain)]
     return tuple(sorted(settled, key=lambda one: -one.explained_variance))
+
+
+def _place(problem: Problem, now: Fit, design: Design) -> str | None:
+    """Find the place from which on the residual's friction falls or rises most.
+
+    A bump of friction about every point of a grid, of several reaches, is held against the means
+    over two seconds.
+
+    Returns
+    -------
+    str or None
+        Name of the signal; None where the drives know no place.
+    """
+    drives = problem.drives
+    if not {"x", "y"} <= channels_of(drives):
+        return None
+    x, y = (
+        np.concatenate([d.windows[_SLOW].mean(d.motion.channels[name]) for d in drives])
+        for name in ("x", "y")
+    )
+    table = design.rows[_SLOW]
+    residual = table[:, -1] - table[:, :-1] @ now.values
+    base, _ = np.linalg.qr(table[:, :-1])
+    size = max(float(np.ptp(x)), float(np.ptp(y)))
+    if size <= 0.0:
+        return None
+    best = (0.0, 0.0, 0.0)
+    for cx in np.linspace(x.min(), x.max(), _PLACES):
+        for cy in np.linspace(y.min(), y.max(), _PLACES):
+            far = (x - cx) ** 2 + (y - cy) ** 2
+            for reach in _REACHES:
+                bump = table[:, 1] * np.exp(-0.5 * far / (reach * size) ** 2)
+                free = bump - base @ (base.T @ bump)
+                norm = float(np.sqrt(free @ free))
+                if norm > 1e-6 * float(np.sqrt(bump @ bump)):
+                    best = max(best, (abs(float(free @ residual)) / norm, float(cx), float(cy)))
+    return place(best[1], best[2]) if best[0] > 0.0 else None
 
 
 def _between_drives(now: Fit, design: Design) -> list[Dependence]:
@@ -246,10 +290,13 @@ def _periodic(problem: Problem, now: Fit, errors: FloatArray, design: Design) ->
         angle = 2 * np.pi * frequency * drive.t
         waves[:, 2 * k], waves[:, 2 * k + 1] = np.cos(angle), np.sin(angle)
         tables.append(waves[:, None])
+    # A load that is on for a part of its period has a mean, which is no wave.
+    level = window_means(drives, [np.ones((len(drive.t), 1, 1)) for drive in drives])
+    design = design.joined(level)
     joined = design.joined(window_means(drives, tables))
     new = fit(joined, errors, by_block=True)
     gain, error = difference(fit(design, errors, by_block=True).losses, new.losses)
-    width = len(now.values)
+    width = len(now.values) + 1
     p_value = min(new.p_value(range(width, len(new.values))) * len(frequencies), 1.0)
     words = f"periodic load, period {1 / frequency:.2g} s"
     return [Dependence("t", "power", words, gain / len(errors), error / len(errors), p_value)]
@@ -269,7 +316,7 @@ _CARRIED = {"power": "power", "traction": "traction resistance", "slip": "slip m
 
 def in_words(name: str, carrier: str, knots: FloatArray, shape: FloatArray) -> str:
     """Describe a shape: rises, falls, step, only on one side, a valley or a hump."""
-    what = _CARRIED[carrier]
+    what, name = _CARRIED[carrier], spoken(name)
     spread = float(np.ptp(shape))
     steps = np.diff(shape)
     if spread == 0.0:

@@ -184,7 +184,8 @@ class Diagnosis:
     ----------
     verdict : {"effect_found", "no_effect", "unexplained"}
         The answer in a word. ``no_effect``: the paper's model leaves no more than noise.
-        ``unexplained``: it leaves more, and no entry of the catalogue helps.
+        ``unexplained``: it leaves more, and no entry of the catalogue helps, or what was found does
+        not hold on the hold-out drives.
     effects : tuple of FoundEffect
         Those of the most probable explanation: the one that explains most first, last what nearly
         every robot has.

@@ -24,15 +24,38 @@ DERIVED = ("v", "omega", "curvature")
 """Signals that every motion has beside its channels."""
 
 
+_PLACE = "place_"
+
+
+def place(x: float, y: float) -> str:
+    """Return the name of the signal that is the distance from a place [m]."""
+    return f"{_PLACE}{x:.3g}_{y:.3g}"
+
+
+def spoken(name: str) -> str:
+    """Return the name of a signal for sentences."""
+    if not name.startswith(_PLACE):
+        return name
+    x, _, y = name.removeprefix(_PLACE).partition("_")
+    return f"the distance from ({x}, {y})"
+
+
+def _is_known(motion: Motion, name: str) -> bool:
+    if name.startswith(_PLACE):
+        return {"x", "y"} <= set(motion.channels)
+    return name in motion.channels or name in DERIVED
+
+
 def signal(motion: Motion, name: str) -> FloatArray:
-    """Return a channel or a signal derived from the tread speeds; zero where it is not known.
+    """Return a channel or a signal derived from the motion; zero where it is not known.
 
     Parameters
     ----------
     motion : Motion, shape (...)
         The motion.
     name : str
-        A channel, or one of `DERIVED`; curvature is limited to 20 per metre.
+        A channel, one of `DERIVED` (curvature is limited to 20 per metre), or a name that `place`
+        gives.
 
     Returns
     -------
@@ -46,11 +69,16 @@ def signal(motion: Motion, name: str) -> FloatArray:
     if name == "curvature":
         speed = np.where(np.abs(motion.v) > 1e-3, motion.v, 1e-3)
         return np.clip(motion.omega / speed, -20.0, 20.0)
+    if name.startswith(_PLACE) and _is_known(motion, name):
+        x, _, y = name.removeprefix(_PLACE).partition("_")
+        return np.hypot(motion.channels["x"] - float(x), motion.channels["y"] - float(y))
     return motion.channels.get(name, np.zeros(motion.shape))
 
 
 def unit(name: str) -> str:
     """Return the unit of a channel or of a signal derived from the tread speeds."""
+    if name.startswith(_PLACE):
+        return "m"
     derived = {"v": "m/s", "omega": "rad/s", "curvature": "1/m"}
     described = CHANNELS.get(name, "")
     return derived.get(name) or described.partition("[")[2].rstrip("]") or "its own unit"
@@ -72,7 +100,7 @@ def _empirical(
     knots = [params[f"x{k}"] for k in range(count)]
     values = [params[f"y{k}"] for k in range(count)]
     shape = np.zeros(motion.shape)
-    if count and (channel in motion.channels or channel in DERIVED):
+    if count and _is_known(motion, channel):
         shape = np.interp(signal(motion, channel), knots, values)
     return carry(motion, vehicle, carrier, shape)
 
