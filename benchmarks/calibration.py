@@ -2,13 +2,15 @@
 
     python benchmarks/calibration.py COUNT              as many drives of random robots
     python benchmarks/calibration.py COUNT FIRST        from that seed on, not from 0
-    python benchmarks/calibration.py COUNT FIRST --write      the same, into docs/diagnosis.md
+    python benchmarks/calibration.py COUNT FIRST --write    the same, into docs/diagnosis.md
     python benchmarks/calibration.py empty COUNT FIRST  as many that hide nothing
 
 Each robot has a size, parameters and sensors of its own: powers of both sides, of both together or
 of the battery; 20, 10 or 2 readings a second; steps of speed and power; a late power; long
-standstill; a gyroscope and a pose, or neither. It hides up to three effects. Odd drives fit one number, the temperature at which stated
-probabilities are true; even ones judge. Effects that no power can tell apart count as one.
+standstill; a gyroscope and a pose, or neither. It hides up to three effects. Odd drives fit one
+number, the temperature at which stated probabilities are true; even ones judge. Effects that no
+power can tell apart count as one, and so do explanations that the report says these drives cannot
+tell apart.
 """
 
 from __future__ import annotations

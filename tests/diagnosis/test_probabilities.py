@@ -1,0 +1,126 @@
+"""Evidence: innovations, slight turns, and explanations that drives cannot tell apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from energyplan import DriveLog, PowerModel, diagnose, simulate
+from energyplan.diagnosis.denoise import Turning, quiet, reading_noise, turning
+from energyplan.fit.covariance import innovation_share
+from energyplan.motion import Motion
+from energyplan.power import HOTEL, effects
+from energyplan.vehicle import TreadICR
+
+ICR = TreadICR(0.45, 0.45)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_innovations_of_an_autoregression(rho: float) -> None:
+    # The variance of x[t] = rho x[t-1] + e[t] is that of e over 1 - rho^2.
+    noise = np.random.default_rng(3).normal(size=6000)
+    series = lfilter([1.0], [1.0, -rho], noise)
+    share = innovation_share(series, [slice(0, 3000), slice(3000, 6000)])
+    assert share == pytest.approx(1.0 - rho**2, rel=0.06)
+
+
+def test_a_short_series_is_not_fitted_away() -> None:
+    shares = [
+        innovation_share(np.random.default_rng(seed).normal(size=18), [slice(0, 18)])
+        for seed in range(60)
+    ]
+    assert np.mean(shares) > 0.9
+
+
+def test_noise_of_readings_in_steps() -> None:
+    true = 0.4 + np.random.default_rng(0).normal(0.0, 0.003, 4000)
+    stepped = 0.02 * np.round(true / 0.02)
+    assert 0.0 <= reading_noise(stepped) <= 0.5 * 0.02
+    flickering = 0.02 * np.round((true + 0.01) / 0.02)
+    # Half of the readings on either side of a step: a deviation of half a step.
+    assert reading_noise(flickering) == pytest.approx(0.01, rel=0.1)
+    fine = np.random.default_rng(1).normal(0.0, 0.003, 4000)
+    assert reading_noise(fine) == pytest.approx(0.003, rel=0.1)
+    # Without noise the corners of a schedule are no noise.
+    t = np.arange(0.0, 60.0, 0.05)
+    assert reading_noise(np.interp(t, [0, 10, 12, 30, 33, 60], [0, 0, 0.6, 0.6, 0.2, 0.2])) < 1e-12
+
+
+def slight_turn(rate_noise: float, offset: float, seed: int = 0) -> tuple[Motion, np.ndarray]:
+    """Standing, spinning, then a turn of 3 mm/s that the wheels' noise hides, then none."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 60.0, 0.05)
+    mean = np.select([t < 10, t < 30], [0.0, 0.0], 0.5)
+    difference = np.select([t < 10, t < 30, t < 45], [0.0, 0.6, 0.003], 0.0)
+    left, right = mean - difference / 2, mean + difference / 2
+    rate = difference / ICR.slip_track + offset + rng.normal(0.0, rate_noise, len(t))
+    moving = (mean != 0.0) | (difference != 0.0)
+    left, right = (v + moving * rng.normal(0.0, 0.015, len(t)) for v in (left, right))
+    return Motion(left, right, ICR, {"yaw_rate": rate}), t
+
+
+def test_a_gyroscope_tells_slight_turns() -> None:
+    motion, t = slight_turn(rate_noise=0.003, offset=0.01)
+    plain = quiet(Motion(motion.v_left, motion.v_right, ICR), t)
+    told = quiet(motion, t)
+    turns, straight = (t > 32) & (t < 43), (t > 47) & (t < 58)
+    assert np.mean(plain.omega[turns] > 0) < 0.5
+    assert np.mean(told.omega[turns] > 0) > 0.95
+    assert np.mean(told.omega[straight] == 0.0) > 0.95
+
+
+def test_an_offset_is_no_turn_and_its_error_counts() -> None:
+    motion, t = slight_turn(rate_noise=0.01, offset=0.05)
+    found = turning(motion, t)
+    assert found is not None
+    standing = t < 10
+    assert abs(float(np.mean(found.difference[standing]))) < 4.0 * found.offset_error
+    assert found.offset_error > 0.0
+
+
+def test_a_sensor_that_does_not_go_with_the_wheels_tells_nothing() -> None:
+    motion, t = slight_turn(rate_noise=0.003, offset=0.0)
+    rate = motion.channels["yaw_rate"]
+    assert Turning.of(-rate, motion) is None
+    assert Turning.of(np.roll(rate, len(t) // 2), motion) is None
+    assert Turning.of(np.zeros(len(t)), motion) is None
+
+
+def test_copper_loss_on_a_total_with_slight_turns() -> None:
+    # Friction turns with the least turn, and copper loss counts its square: a turn that the
+    # wheels' readings in steps hide was taken for another ground.
+    model = PowerModel.preset("quadriga:empty:marble").with_term(effects.COPPER_LOSS, 6e-4)
+    model = model.with_term(effects.VISCOUS_LOSS, 25.0)
+    logs = []
+    for k, pattern in enumerate((simulate.identification_drive, simulate.validation_drive)):
+        log = pattern(
+            model, measured="total", power_noise=3.0, speed_noise=0.003, without={"accel_x"},
+            noise={"yaw_rate": 0.005, "yaw": 0.003}, biases={"yaw_rate": 0.002}, seed=30 + k,
+        )  # fmt: skip
+        channels = dict(log.channels)
+        for side in ("v_left", "v_right"):
+            channels[side] = np.round(channels[side] / 0.02) * 0.02
+        logs.append(DriveLog(channels, log.name))
+    told = diagnose(logs[0], logs[1], model.vehicle)
+    assert {one.name for one in told.effects} == {"copper_loss", "viscous_loss"}
+    for one in told.effects:
+        true = {"copper_loss": 6e-4, "viscous_loss": 25.0}[one.name]
+        assert abs(one.value - true) < 3.0 * one.std_error
+
+
+def test_explanations_that_no_drive_tells_apart_share_their_probability() -> None:
+    model = PowerModel.preset("quadriga:full:concrete").with_term(HOTEL, 40.0)
+    train = simulate.identification_drive(model, power_noise=5.0, seed=4)
+    other = simulate.validation_drive(model, power_noise=5.0, seed=5)
+    entries = effects.catalogue()
+    chosen = [entries[name] for name in ("hotel_load", "power_offset", "air_drag")]
+    told = diagnose(train, other, model.vehicle, effects=chosen)
+    first, second = told.explanations[:2]
+    assert first.effects == ("hotel_load",)
+    assert second.effects == ("power_offset",)
+    assert first.alike == (("power_offset",),)
+    assert second.alike == (("hotel_load",),)
+    assert first.probability + second.probability == pytest.approx(1.0, abs=1e-3)
+    assert second.probability > 0.1
+    assert all(one.alike == () for one in told.explanations[2:])
