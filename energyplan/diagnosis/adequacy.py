@@ -21,7 +21,8 @@ from energyplan.power import PowerModel
 _SLOW = 1  # scale at which colour is looked for: two seconds
 _FLOOR = 0.02
 """What is no more than this fraction of the root mean square power is as good as nothing."""
-_RESTING = 20  # samples of a rest that tell the noise
+_RESTING = 20  # samples at rest that tell the noise
+_SIGMA = 4.0  # standard deviations that noise does not exceed
 _HOLDS = 1.5  # error on other drives, over that on the training drives, that is no surprise
 _LEVEL = 0.9  # of the intervals of energies
 
@@ -36,7 +37,7 @@ def adequacy(problem: Problem, fitted: FinalFit) -> Adequacy:
     """Compare what a model leaves of the training drives with their noise.
 
     The noise of a sample is what neighbouring samples differ by beyond a smooth curve, or the
-    scatter within a rest where that is larger; how much of it lasts is told by the samples at rest.
+    scatter at rest where that is larger; how much of it lasts is told by the samples at rest.
 
     Parameters
     ----------
@@ -57,10 +58,8 @@ def adequacy(problem: Problem, fitted: FinalFit) -> Adequacy:
         if len(residual) > 4:
             whites.append(speed_noise(drive.power))
         still = (drive.motion.v_left == 0) & (drive.motion.v_right == 0)
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
-        for start, stop in zip(edges[::2], edges[1::2], strict=True):
-            if stop - start >= _RESTING:
-                rests.append(residual[start:stop] - np.median(residual[start:stop]))
+        if np.count_nonzero(still) >= _RESTING:
+            rests.append(residual[still] - np.median(residual[still]))
         windows = drive.windows[_SLOW]
         slow.append(windows.mean(residual))
         counts.append(windows.counts)
@@ -74,7 +73,8 @@ def adequacy(problem: Problem, fitted: FinalFit) -> Adequacy:
         if spread > 0:
             stops = np.cumsum([len(part) for part in rests]).tolist()
             pieces = [slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
-            repeats = autocorrelation(rest, pieces).repeats if spread > 0.5 * noise else 1.0
+            usual = np.clip(rest, -_SIGMA * spread, _SIGMA * spread)
+            repeats = autocorrelation(usual, pieces).repeats if spread > 0.5 * noise else 1.0
         noise = max(noise, spread)
     noise = max(noise, 0.5 * _FLOOR * size)
     number = float(np.median(np.concatenate(counts)))
