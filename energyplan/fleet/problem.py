@@ -197,7 +197,10 @@ class Sources:
             whole[np.ix_(*[mine] * values.ndim)] = values[np.ix_(*[theirs] * values.ndim)]
             return whole
 
-        time[:, 1 : 1 + len(mission.tasks)] += mission.waiting  # lost before a task begins
+        time *= 1.0 + walk.quantile * mission.spreads.speed
+        for own in range(len(mission.tasks)):  # lost before a task begins
+            wait = np.linalg.norm(grounds.waiting_time(own))
+            time[:, 1 + own] += mission.waiting + walk.quantile * float(wait)
         ends = self.ends(robot)
         safe = [legs.home, *legs.chargers]
         nearest = energy[:, ends].argmin(axis=1)
@@ -211,7 +214,8 @@ class Sources:
                 region = legs.region(own + 1)
                 done = grounds.waiting(region, own, payload) + grounds.work(region, own, payload)
                 service[k] = self._upper(robot, done)
-                service_time[k] = task.dwell
+                dwell = np.linalg.norm(grounds.dwell_time(own))
+                service_time[k] = task.dwell + walk.quantile * float(dwell)
         reserve, scale = self._stored(robot, mission.reserve), float(self.scale[robot])
         return RobotProblem(
             energy=spread(energy),

@@ -146,6 +146,7 @@ class _Spreads(_Strict):
     power: Fraction | None = None
     dwell: Fraction | None = None
     run: Fraction | None = None
+    speed: Fraction | None = None
     waiting: Fraction | None = None
 
 

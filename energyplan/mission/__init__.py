@@ -186,7 +186,7 @@ class _Evaluation:
                 docked = self.walk.drive(state, stop, hurried)
                 if docked is not None and self.walk.holds(docked):
                     rest = found.stops[at + 1 :], found.hurried[at + 1 :]
-                    leave = self.walk.leave_by(stop, docked.payload, *rest)
+                    leave = self.walk.leave_by(docked, *rest)
                     state = self.walk.charge(docked, leave)
             else:
                 state = self._do(state, stop - 1, hurried)
@@ -265,7 +265,7 @@ class _Evaluation:
                 task.name, "reachable", "none", True, used.mean, used.upper(self.walk.quantile),
                 attempt.after.expected.soc, 0.0, "", "", attempt.after.time - task.dwell,
                 arrival=self._arrival(k), departure=attempt.after.time,
-                soc_lower=attempt.after.worst.soc,
+                soc_lower=attempt.after.worst.soc, start_upper=attempt.begin,
             )  # fmt: skip
         alone = attempt if not self.done else self.walk.attempt_charged(self.walk.start, k)
         blocked = alone.reason == "none"
@@ -339,7 +339,7 @@ class _Evaluation:
         faster = np.isfinite(top) and (now is None or now < top)
         speeds = [Remedy("speed", top, "m/s")] if faster else []
         in_turn = self.attempts[k].attempt
-        times = [a.after.time for a in (told, in_turn) if a.reason == "late"]
+        times = [self.walk.latest(a.after) for a in (told, in_turn) if a.reason == "late"]
         late = sorted({float(np.ceil(time - task.window[1])) for time in times})
         windows = [Remedy("window", s, "s", task.name) for s in (*late, 2 * late[-1])]
         return [*self._first(tasks, speeds), *self._first(tasks, windows)]

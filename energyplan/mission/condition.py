@@ -77,7 +77,9 @@ class Condition:
     payload : float
         Payload [kg].
     time : float
-        Time [s].
+        Time as expected [s].
+    lateness : ndarray, shape (n,)
+        How the time changes with each shared unknown [s].
     spent, total : Estimate
         Energy since the last charge as the battery feels it, what is open about the battery
         included, and energy in all.
@@ -94,6 +96,7 @@ class Condition:
     node: int
     payload: float
     time: float
+    lateness: FloatArray
     spent: Estimate
     total: Estimate
     origin: tuple[float, float]
@@ -101,6 +104,11 @@ class Condition:
     worst: Charge
     pieces: tuple[Piece, ...] = ()
     stretches: tuple[Estimate, ...] = ()
+
+    @property
+    def time_spread(self) -> float:
+        """Standard deviation of the time [s]."""
+        return float(np.linalg.norm(self.lateness))
 
 
 class Attempt(NamedTuple):
@@ -117,12 +125,15 @@ class Attempt(NamedTuple):
         At the nearest safe place after it.
     detail : str
         Why not, in one sentence.
+    begin : float
+        When it begins at the bound [s].
     """
 
     reason: str
     after: Condition
     safe: Condition
     detail: str = ""
+    begin: float = np.nan
 
 
 def as_good(one: Condition, other: Condition) -> bool:
@@ -130,6 +141,7 @@ def as_good(one: Condition, other: Condition) -> bool:
     return (
         one.total.mean <= other.total.mean + _ROUNDING
         and one.time <= other.time + _INSTANT
+        and one.time_spread <= other.time_spread + _INSTANT
         and one.worst.soc >= other.worst.soc - _ROUNDING
         and one.payload == other.payload
         and one.node == other.node

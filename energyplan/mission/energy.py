@@ -340,10 +340,9 @@ class Grounds:
         idle = self.idle(region, asked.dwell, payload)
         drawn = asked.power + self.idle(region, 1.0, payload).mean
         tool = spreads.power * asked.power if asked.power_spread is None else asked.power_spread
-        dwell = spreads.dwell * asked.dwell if asked.dwell_spread is None else asked.dwell_spread
         done = replace(idle, mean=idle.mean + asked.power * asked.dwell)
         done = done + self._unknown(self._unknowns.tools[task], tool * asked.dwell)
-        return done + self._unknown(self._unknowns.dwells[task], dwell * drawn)
+        return done + self._unknown(self._unknowns.dwells[task], self._dwell_spread(task) * drawn)
 
     def waiting(self, region: int, task: int, payload: float) -> Estimate:
         """Return the energy of the time lost before a task begins."""
@@ -351,11 +350,34 @@ class Grounds:
         spread = self._mission.spreads.waiting * idle.mean
         return idle + self._unknown(self._unknowns.waits[task], spread)
 
+    # -- time -------------------------------------------------------------------------------------
+
+    def driving_time(self, duration: float) -> FloatArray:
+        """Return how a drive's duration changes with each unknown [s], shape (size,)."""
+        return self._sensitivity(self._unknowns.speed, self._mission.spreads.speed * duration)
+
+    def waiting_time(self, task: int) -> FloatArray:
+        """Return how the time lost before a task changes with each unknown [s]."""
+        spread = self._mission.spreads.waiting * self._mission.waiting
+        return self._sensitivity(self._unknowns.waits[task], spread)
+
+    def dwell_time(self, task: int) -> FloatArray:
+        """Return how the duration of a task changes with each unknown [s]."""
+        return self._sensitivity(self._unknowns.dwells[task], self._dwell_spread(task))
+
+    def _dwell_spread(self, task: int) -> float:
+        asked = self._mission.tasks[task]
+        told = asked.dwell_spread
+        return self._mission.spreads.dwell * asked.dwell if told is None else told
+
+    def _sensitivity(self, place: int, value: float) -> FloatArray:
+        sensitivity = np.zeros(self.size)
+        sensitivity[self._models + place] = value
+        return sensitivity
+
     def _unknown(self, place: int, energy: float) -> Estimate:
         """Return an energy that is nothing but its sensitivity to one unknown [J]."""
-        sensitivity = np.zeros(self.size)
-        sensitivity[self._models + place] = energy
-        return Estimate(0.0, sensitivity)
+        return Estimate(0.0, self._sensitivity(place, energy))
 
     # -- battery ----------------------------------------------------------------------------------
 

@@ -140,11 +140,6 @@ class Legs:
         """Tread speed to drive at [m/s]: the mission's, the vehicle's usual, or the cheapest."""
         return self.mission.tread_speed
 
-    @property
-    def can_hurry(self) -> bool:
-        """Whether a way may be driven as quickly as may be, where energy is not all."""
-        return self._speed is None
-
     # -- places -----------------------------------------------------------------------------------
 
     @property
@@ -225,9 +220,9 @@ class Legs:
 
     def planned(self, start: int, goal: int, hurried: bool = False) -> bool:
         """Tell whether the route from node to node is known."""
-        here, there, quick = self.poses[start], self.poses[goal], hurried and self.can_hurry
-        known = (here, there, quick) in self._routes
-        return known or (self._symmetric and (there, here, quick) in self._routes)
+        here, there = self.poses[start], self.poses[goal]
+        known = (here, there, hurried) in self._routes
+        return known or (self._symmetric and (there, here, hurried) in self._routes)
 
     # -- legs -------------------------------------------------------------------------------------
 
@@ -236,10 +231,9 @@ class Legs:
 
         It is that of least energy; in a hurry that of least time.
         """
-        quick = hurried and self.can_hurry
-        key = (start, goal, payload, quick)
+        key = (start, goal, payload, hurried)
         if key not in self._legs:
-            self._legs[key] = self._priced(self._route(start, goal, quick), payload, quick)
+            self._legs[key] = self._priced(self._route(start, goal, hurried), payload, hurried)
         return self._legs[key]
 
     def _route(self, start: int, goal: int, hurried: bool) -> _Route:
@@ -371,7 +365,7 @@ class GuessedLegs(Legs):
 
     def planned(self, start: int, goal: int, hurried: bool = False) -> bool:
         """Tell whether the route from node to node is known or guessed."""
-        guess = self.poses[start], self.poses[goal], hurried and self.can_hurry
+        guess = self.poses[start], self.poses[goal], hurried
         return guess in self._guessed or super().planned(start, goal, hurried)
 
     def _route(self, start: int, goal: int, hurried: bool) -> _Route:

@@ -26,6 +26,8 @@ _SEARCH_TIME = 2.0
 _LEVELS = 3
 _MOST_LOADS = 64
 _ROUNDING = 1e-6
+_CAUTION = 0.5
+"""Share of the bounds of single times that is held back first: they seldom all come together."""
 
 _LOSSLESS = 1.0
 """Power so small that a battery loses nothing to its resistance [W]."""
@@ -124,6 +126,7 @@ class _Matrix:
         self._ends = self._end_nodes()
         self._inflation = 1.0
         self._scale = 1.0
+        self._caution = 0.0 if hopeful or not walk.timed else _CAUTION
         self._power = walk.legs.grounds.driving_power
         self._cache: dict[tuple[float, bool], FloatArray] = {}
 
@@ -150,9 +153,11 @@ class _Matrix:
                 level = int(np.argmin(np.abs(self._levels - payload)))
                 matrix = self._bounds[level] * self._inflation
             for i, j in np.argwhere(np.ones_like(matrix)):
-                if legs.planned(int(i), int(j), hurried):
-                    energy = legs.leg(int(i), int(j), payload, hurried).energy
-                    matrix[i, j] = self._counted(energy)
+                # a route of least time takes no less than that of least energy
+                for quick in (False, True) if hurried else (False,):
+                    if legs.planned(int(i), int(j), quick):
+                        energy = legs.leg(int(i), int(j), payload, quick).energy
+                        matrix[i, j] = self._counted(energy)
             self._cache[payload, hurried] = matrix
         return self._cache[payload, hurried]
 
@@ -197,7 +202,8 @@ class _Matrix:
         for i, j in np.argwhere(np.ones_like(times)):
             if legs.planned(int(i), int(j), hurried):
                 times[i, j] = legs.leg(int(i), int(j), payload, hurried).duration
-        return times
+        slower = self._walk.quantile * self._walk.mission.spreads.speed
+        return np.asarray(times * (1.0 + self._caution * slower))
 
     # -- the problem ------------------------------------------------------------------------------
 
@@ -222,7 +228,7 @@ class _Matrix:
             time=times,
             finish_time=times[:, self._ends].min(axis=1),
             service=np.array(service),
-            service_time=np.array([mission.waiting + task.dwell for task in tasks]),
+            service_time=np.array([self._service_time(k) for k in range(len(tasks))]),
             payload=payload,
             payload_change=np.array([task.payload for task in tasks]),
             prize=np.array([task.prize for task in tasks]),
@@ -237,6 +243,13 @@ class _Matrix:
             hurried_energy=partial(self._energy, hurried=True) if hurry else None,
             hurried_time=self._times(hurried=True) if hurry else None,
         )
+
+    def _service_time(self, task: int) -> float:
+        """Return the time that a task takes, with part of its bound where windows press [s]."""
+        mission, grounds = self._walk.mission, self._walk.legs.grounds
+        spread = np.linalg.norm(grounds.waiting_time(task) + grounds.dwell_time(task))
+        told = mission.waiting + mission.tasks[task].dwell
+        return float(told + self._caution * self._walk.quantile * spread)
 
     def _stored(self, soc: float) -> float:
         power = _LOSSLESS if self._hopeful else self._power
@@ -308,12 +321,15 @@ class _Matrix:
         return state is not None and self._walk.finish(state) is not None
 
     def shrink(self, stops: tuple[int, ...]) -> bool:
-        """Take the battery for a little smaller; tell whether that is worth another try.
+        """Take times for longer, the battery for smaller; tell whether another try is worth it.
 
         The order is found on energies that add up; the battery holds less at high power.
         """
         if self._scale < 0.8 or not stops:
             return False
+        if self._caution and self._caution < 1.0:
+            self._caution = 1.0
+            return True
         self._scale *= 0.98
         return True
 

@@ -47,6 +47,8 @@ class TaskReport:
         Why not, in one sentence with figures.
     start : float
         When it begins [s]; nan where it does not.
+    start_upper : float
+        When it begins at the latest, at the confidence asked [s]; nan where it does not.
     remedies : tuple of Remedy
         What `remedy` says that can be applied by a program: each was tried.
     arrival, departure : float
@@ -70,6 +72,7 @@ class TaskReport:
     arrival: float = np.nan
     departure: float = np.nan
     soc_lower: float = np.nan
+    start_upper: float = np.nan
 
 
 @dataclass(frozen=True)

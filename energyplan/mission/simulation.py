@@ -50,7 +50,10 @@ class Walk:
         mission, nothing = self.mission, self.legs.grounds.nothing
         told, least = Charge(mission.soc), Charge(self.at_least(mission.soc))
         gauge, origin = self.legs.grounds.gauge, (mission.soc, mission.time)
-        return Condition(0, mission.payload, mission.time, gauge, nothing, origin, told, least)
+        known = np.zeros(self.legs.grounds.size)
+        return Condition(
+            0, mission.payload, mission.time, known, gauge, nothing, origin, told, least
+        )
 
     def at_least(self, soc: float) -> float:
         """Return the state of charge at the bound when the gauge tells one."""
@@ -59,6 +62,10 @@ class Walk:
     def _told(self, soc: float) -> float:
         """Return what the gauge tells when the state of charge is at the bound."""
         return min(soc + self.quantile * self.mission.spreads.soc, 1.0)
+
+    def latest(self, state: Condition) -> float:
+        """Return the time of a condition at the bound [s]."""
+        return state.time + self.quantile * state.time_spread
 
     def holds(self, state: Condition) -> bool:
         """Tell whether the reserve is left at the bound."""
@@ -77,13 +84,22 @@ class Walk:
         moved = self._draw(
             state, "drive", goal, leg.trajectory.t, leg.power, leg.spread, leg.energy, leg
         )
-        return replace(moved, node=goal)
+        late = state.lateness + self.legs.grounds.driving_time(leg.duration)
+        return replace(moved, node=goal, lateness=late)
 
     def wait(self, state: Condition, duration: float) -> Condition:
         """Stand still for so long [s]."""
         region = self.legs.region(state.node)
         energy = self.legs.grounds.idle(region, duration, state.payload)
         return self._stay(state, "wait", duration, energy)
+
+    def wait_until(self, state: Condition, time: float) -> Condition:
+        """Stand still until a time [s]; who is there before it in any case is no longer late."""
+        latest = self.latest(state)
+        if state.time >= time:
+            return state
+        late = max(latest - time, 0.0) / max(latest - state.time, _INSTANT)
+        return replace(self.wait(state, time - state.time), lateness=late * state.lateness)
 
     def _stay(self, state: Condition, kind: str, duration: float, energy: Estimate) -> Condition:
         """Stand still for so long [s], which takes an energy."""
@@ -197,18 +213,21 @@ class Walk:
         grounds, region = self.legs.grounds, self.legs.region(node)
         lost = grounds.waiting(region, task, there.payload)
         there = self._stay(there, "wait", self.mission.waiting, lost)
-        if there.time > asked.window[1]:
+        there = replace(there, lateness=there.lateness + grounds.waiting_time(task))
+        latest = self.latest(there)
+        if latest > asked.window[1]:
+            expected = f", {there.time:.0f} s as expected" if latest > there.time + 0.5 else ""
             return Attempt(
                 "late",
                 there,
                 there,
                 f"it must begin by {asked.window[1]:.0f} s, and the robot is there at "
-                f"{there.time:.0f} s",
+                f"{latest:.0f} s{expected}",
             )
-        early = asked.window[0] - there.time
-        begun = self.wait(there, early)
+        begun = self.wait_until(there, asked.window[0])
         work = grounds.work(region, task, begun.payload)
         done = self._stay(begun, "work", asked.dwell, work)
+        done = replace(done, lateness=done.lateness + grounds.dwell_time(task))
         carried = done.payload + asked.payload
         if carried < -_GRAM:
             return Attempt(
@@ -223,12 +242,12 @@ class Walk:
             return Attempt(trouble.trouble, done, done, f"no way back: {trouble.detail}")
         if not self.holds(safe):
             return Attempt("battery", done, safe, self._why_not(safe))
-        return Attempt("none", done, safe)
+        return Attempt("none", done, safe, begin=max(latest, asked.window[0]))
 
     def attempt_charged(self, state: Condition, task: int) -> Attempt:
         """Try a task, charging before it where it cannot be done otherwise."""
         best = self.attempt(state, task)
-        if best.reason == "late" and self.legs.can_hurry:
+        if best.reason == "late":
             hurried = self.attempt(state, task, hurried=True)
             best = best if hurried.reason == "late" else hurried
         if best.reason != "battery":
@@ -247,20 +266,22 @@ class Walk:
 
     @property
     def ways(self) -> tuple[bool, ...]:
-        """Whether to hurry: no, or both where windows press."""
-        return (False, True) if self.timed and self.legs.can_hurry else (False,)
+        """Whether to hurry: no, or both where windows press.
+
+        Where no window ends a quicker way that takes more helps nothing: with the way of least
+        energy in its place all that follows can be done with more charge, later.
+        """
+        return (False, True) if self.timed else (False,)
 
     def leave_by(
-        self, node: int, payload: float, stops: Sequence[int], hurried: Sequence[bool] = ()
+        self, state: Condition, stops: Sequence[int], hurried: Sequence[bool] = ()
     ) -> float:
         """Return when to leave a place at the latest so that no window of what follows is missed.
 
         Parameters
         ----------
-        node : int
-            The place.
-        payload : float
-            Payload on leaving [kg].
+        state : Condition
+            The condition at the place.
         stops : sequence of int
             Places to come, tasks and chargers; no time is left for charging at the latter.
         hurried : sequence of bool
@@ -271,23 +292,22 @@ class Walk:
         float
             Time [s]; infinite where no window ends, minus infinite where a way cannot be driven.
         """
-        tasks, waiting = self.mission.tasks, self.mission.waiting
+        tasks, grounds = self.mission.tasks, self.legs.grounds
         ways = (*hurried, *(False for _ in stops[len(hurried) :]))
-        lasts, deadlines = [], []
+        node, payload, spent, late, latest = state.node, state.payload, 0.0, state.lateness, np.inf
         for stop, quick in zip(stops, ways, strict=True):
             leg = self.legs.leg(node, stop, payload, quick)
             if leg.trouble:
                 return -np.inf
-            lasts.append(leg.duration)
-            deadlines.append(tasks[stop - 1].window[1] if stop <= len(tasks) else np.inf)
+            spent, late = spent + leg.duration, late + grounds.driving_time(leg.duration)
             if stop <= len(tasks):
-                payload = max(payload + tasks[stop - 1].payload, 0.0)
+                task = tasks[stop - 1]
+                spent, late = spent + self.mission.waiting, late + grounds.waiting_time(stop - 1)
+                margin = self.quantile * float(np.linalg.norm(late))
+                latest = min(latest, task.window[1] - margin - spent)
+                spent, late = spent + task.dwell, late + grounds.dwell_time(stop - 1)
+                payload = max(payload + task.payload, 0.0)
             node = stop
-        latest = np.inf
-        for stop, last, deadline in reversed(list(zip(stops, lasts, deadlines, strict=True))):
-            if stop <= len(tasks):
-                latest = min(deadline, latest - tasks[stop - 1].dwell) - waiting
-            latest -= last
         return float(latest)
 
     def follow(self, stops: Sequence[int], hurried: Sequence[bool]) -> Condition | None:
@@ -299,7 +319,7 @@ class Walk:
                 if docked is None or not self.holds(docked):
                     return None
                 rest = stops[k + 1 :], hurried[k + 1 :]
-                state = self.charge(docked, self.leave_by(stop, docked.payload, *rest))
+                state = self.charge(docked, self.leave_by(docked, *rest))
             else:
                 attempt = self.attempt(state, stop - 1, quick)
                 if attempt.reason != "none":
@@ -330,7 +350,7 @@ class Walk:
                     stops = [task + 1 for task in plan]
                     for quick in self.ways:
                         hurried = [quick] * len(stops)
-                        leave = self.leave_by(charger, docked.payload, stops, hurried)
+                        leave = self.leave_by(docked, stops, hurried)
                         if docked.time < leave < full.time:
                             ends.append(self.charge(docked, leave))
                 for end in ends:

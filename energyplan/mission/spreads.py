@@ -36,6 +36,9 @@ class Spreads:
     run : float
         Energy of all driving from run to run, relative, for models that do not bring it: what
         diagnosis found is in ``PowerModel.residual.run_spread``.
+    speed : float
+        Time of all driving from run to run, relative: robots slow down for people, and followers
+        lag. It makes arrivals uncertain; what it takes in energy is part of `run`.
     waiting : float
         Waiting at each task, relative; 1 is that of waiting times that come at random
         (exponential).
@@ -53,6 +56,7 @@ class Spreads:
     power: float = 0.1
     dwell: float = 0.1
     run: float = 0.05
+    speed: float = 0.05
     waiting: float = 1.0
 
     def __post_init__(self) -> None:

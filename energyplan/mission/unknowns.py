@@ -27,6 +27,8 @@ class Unknowns:
         What each belongs to.
     tools, dwells, waits : tuple of int
         Place for each task; tasks with the same tool share one.
+    speed : int
+        Place of the time that driving takes.
     gauge : int
         Place of the state of charge.
     gauge_energy : float
@@ -40,6 +42,7 @@ class Unknowns:
     tools: tuple[int, ...]
     dwells: tuple[int, ...]
     waits: tuple[int, ...]
+    speed: int
     gauge: int
     gauge_energy: float
     battery: Mapping[int, float]
@@ -71,6 +74,7 @@ class Unknowns:
             tools=tuple(tools[task.power, task.power_spread] for task in mission.tasks),
             dwells=tuple(new("duration of tasks") for _ in mission.tasks),
             waits=tuple(new("waiting") for _ in mission.tasks),
+            speed=new("speed of driving"),
             gauge=new("state of charge"),
             gauge_energy=mission.spreads.soc * stored,
             battery=battery,

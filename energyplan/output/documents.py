@@ -205,7 +205,7 @@ def mission(report: MissionReport) -> Document:
     """Return what ``energyplan mission --json`` prints."""
     keys = (
         "name", "verdict", "reason", "reachable_alone", "energy", "energy_upper", "soc_after",
-"shortfall", "remedy", "remedies", "arrival", "departure", "soc_lower",
+"shortfall", "remedy", "remedies", "arrival", "departure", "soc_lower", "start", "start_upper",
     )  # fmt: skip
     whole = (
         "headline", "order", "route", "energy", "energy_upper", "soc_end", "soc_end_lower", "end",
