@@ -59,8 +59,8 @@ class Table(NamedTuple):
         Charge without which no charger and no end is reached from a place [J].
     capacity, charge_power : ndarray, shape (m,)
         Energy on leaving each charger when full [J], and stored per second [W].
-    budget : float
-        Energy at the start [J].
+    budget, full : float
+        Energy at the start and of a full battery [J].
     start_time : float
         Time at the start [s].
     visits : int
@@ -89,6 +89,7 @@ class Table(NamedTuple):
     capacity: Floats
     charge_power: Floats
     budget: float
+    full: float
     start_time: float
     visits: int
     most: int

@@ -111,9 +111,16 @@ class Store(NamedTuple):
 
 
 @inner
-def _spend(label: Label, energy: float, seconds: float) -> Label:
-    """Drive or work; charges longer before it where the charge would not do. May end below 0."""
+def _spend(label: Label, energy: float, seconds: float, full: float) -> Label:
+    """Drive or work; charges longer before it where the charge would not do. May end below 0.
+
+    What comes back finds room up to a full battery.
+    """
     left, time, slack = label.left - energy, label.time + seconds, label.slack
+    if left > full:
+        left = max(full, label.left)
+    if slack > 0.0:
+        slack = max(min(slack, (full - left) / label.rate), 0.0)
     if left < 0.0 and slack > 0.0:
         more = min(-left / label.rate, slack)
         left, time, slack = left + label.rate * more, time + more, slack - more
@@ -330,7 +337,7 @@ def search(table: Table, known: Known) -> Found:
                     spent = energy[way, at, place]
                     if not np.isfinite(spent):
                         continue
-                    there = _spend(here, spent, table.time[way, at, place])
+                    there = _spend(here, spent, table.time[way, at, place], table.full)
                     if there.left < 0.0:
                         continue
                     timed = table.pressing[mask]
@@ -353,7 +360,7 @@ def search(table: Table, known: Known) -> Found:
             k = store.head[first + place]
             while k >= 0:
                 here = _label(store, k)
-                last = _spend(here, finish[place], table.finish_time[place])
+                last = _spend(here, finish[place], table.finish_time[place], table.full)
                 if last.left >= 0.0 and np.isfinite(last.energy):
                     better = worth > best_worth + _EPSILON
                     if not better and worth > best_worth - _EPSILON:
@@ -373,11 +380,11 @@ def search(table: Table, known: Known) -> Found:
                         spent = energy[way, place, 1 + t]
                         if not np.isfinite(spent):
                             continue
-                        there = _spend(here, spent, table.time[way, place, 1 + t])
+                        there = _spend(here, spent, table.time[way, place, 1 + t], table.full)
                         if there.left < 0.0 or there.time > table.window[t, 1] + _EPSILON:
                             continue
                         begun = _begin(there, table.window[t, 0], table.window[t, 1])
-                        done = _spend(begun, table.service[t], 0.0)
+                        done = _spend(begun, table.service[t], 0.0, table.full)
                         if done.left < 0.0 or done.time > table.window[t, 1] + _EPSILON:
                             continue
                         done = Label(

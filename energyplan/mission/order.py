@@ -76,6 +76,9 @@ class OrderProblem:
         Energy stored per second at each charger [W].
     start_time : float
         Time at the start [s].
+    full : float
+        Energy of a full battery, the reserve taken off [J]: what comes back downhill finds no more
+        room than that.
     hurried_energy, hurried_time : optional
         As `energy` and `time`, for driving as quickly as may be; where windows press.
     """
@@ -95,6 +98,7 @@ class OrderProblem:
     capacity: FloatArray
     charge_power: FloatArray
     start_time: float = 0.0
+    full: float = np.inf
     hurried_energy: Callable[[float], FloatArray] | None = None
     hurried_time: FloatArray | None = None
 
@@ -270,6 +274,7 @@ def _table(problem: OrderProblem) -> Table:
         capacity=np.asarray(problem.capacity, float),
         charge_power=np.asarray(problem.charge_power, float),
         budget=float(problem.budget),
+        full=float(problem.full),
         start_time=float(problem.start_time),
         visits=_VISITS,
         most=_MOST_LABELS,

@@ -240,6 +240,7 @@ class _Matrix:
             ),
             charge_power=np.array([c.power for c in chargers]) * efficiency,
             start_time=mission.time,
+            full=self._scale * (self._stored(1.0) - reserve),
             hurried_energy=partial(self._energy, hurried=True) if hurry else None,
             hurried_time=self._times(hurried=True) if hurry else None,
         )

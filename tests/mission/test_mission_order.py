@@ -368,3 +368,32 @@ def test_round_trips_that_give_energy_away_are_no_reason_to_leave_anything_out()
     order = solve_exactly(p)
     assert order.stops == (2, 1)
     assert order.energy == pytest.approx(-3 + 2 + 2)
+
+
+@pytest.mark.parametrize(("full", "possible"), [(np.inf, True), (12.0, True), (10.5, False)])
+def test_what_comes_back_finds_no_room_in_a_full_battery(full, possible):
+    """Down to the task gives 2, up again takes 11.5 of the 10 at the start."""
+    energy = np.array([[0, -2], [11.5, 0]], float)
+    p = OrderProblem(
+        energy=lambda load: energy, finish=lambda load: energy[:, 0], time=np.ones((2, 2)),
+        finish_time=np.ones(2), service=np.zeros(1), service_time=np.zeros(1), payload=0.0,
+        payload_change=np.zeros(1), prize=np.ones(1), required=np.ones(1, bool),
+        window=np.array([[0.0, np.inf]]), budget=10.0, capacity=np.zeros(0),
+        charge_power=np.zeros(0), full=full,
+    )  # fmt: skip
+    assert solve_exactly(p).stops == ((1,) if possible else ())
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_quicker_way_that_takes_more_helps_only_where_windows_end(seed):
+    p = problem(seed, 6, budget=7.0, chargers=1)
+    p = replace(p, window=np.column_stack([np.full(6, 3.0), np.full(6, np.inf)]))
+    rng = np.random.default_rng(seed)
+    dearer = rng.uniform(1.0, 1.5, p.time.shape)
+    quicker = rng.uniform(0.3, 1.0, p.time.shape)
+    both = replace(
+        p, hurried_energy=lambda load: dearer * p.energy(load), hurried_time=quicker * p.time
+    )
+    one, two = solve_exactly(p), solve_exactly(both)
+    assert worth_of(p, two.stops) == worth_of(p, one.stops)
+    assert two.energy == pytest.approx(one.energy)
