@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from energyplan.errors import MissionError
+from energyplan.fleet.bound import least_energy
 from energyplan.fleet.exact import Solution, is_small, solve
 from energyplan.fleet.problem import Sources
 from energyplan.fleet.report import FleetReport, LeftOut, RobotReport
@@ -93,6 +94,11 @@ def evaluate_fleet(fleet: Fleet, progress: Callable[[str], None] | None = None) 
             break
         sources.scale[weak] *= 0.98
     driven = _Drive(fleet, sources, places).run(found.sequences)
+    if not exact:
+        number = {task.name: k for k, task in enumerate(tasks)}
+        done = sorted(number[name] for names in driven.done for name in names)
+        bound = least_energy(problems, np.array(done, int), found.energy)
+        found = replace(found, bound=bound)
     return _report(fleet, walks, driven, found, settled)
 
 

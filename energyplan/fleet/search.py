@@ -1,4 +1,4 @@
-"""Assignments of many tasks by OR-Tools' routing solver, with a bound of their energy."""
+"""Assignments of many tasks by OR-Tools' routing solver."""
 
 from __future__ import annotations
 
@@ -6,9 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linprog
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import maximum_flow
 
 from energyplan.errors import MissingDependencyError
 from energyplan.fleet.exact import Solution, best_tour
@@ -19,14 +16,11 @@ from energyplan.path import FloatArray
 _FAR = 10**10
 """Stands for an infinite energy or time in the solver's integers."""
 
-_CUTS = 40
-"""Rounds of cutting planes for the bound."""
-
 _POLISHED = 8
 """Most tasks of a robot whose order is found exactly."""
 
 _UNITS = 1e6
-"""Whole units that a flow of 1, and the largest battery, is counted in."""
+"""Whole units that the largest battery is counted in."""
 
 _TICK = 0.1
 """Unit of time of the solver [s]."""
@@ -60,7 +54,7 @@ def solve_by_search(
     Returns
     -------
     Solution
-        The best one found, with a bound of the energy that its tasks take.
+        The best one found; nothing bounds it yet (`energyplan.fleet.bound`).
 
     Raises
     ------
@@ -79,8 +73,7 @@ def solve_by_search(
     done = [stop - 1 for stops in sequences for stop in stops if stop <= n]
     told = run(problems, sequences, places)
     energy = float("inf") if told is None else told.energy
-    bound = least_energy(problems, np.array(sorted(done), int))
-    return Solution(sequences, float(worth[done].sum()), energy, bound, False)
+    return Solution(sequences, float(worth[done].sum()), energy, -np.inf, False)
 
 
 def _polished(
@@ -245,106 +238,3 @@ def _owner(solver: Any, routing: Any, index: int, full: list[int]) -> Any:
     """Return the robot at a node, as a place in a list with one more entry for none."""
     vehicle = routing.VehicleVar(index)
     return solver.ConditionalExpression(vehicle >= 0, vehicle, len(full)).Var()
-
-
-# -- the bound -----------------------------------------------------------------------------------
-
-
-def least_energy(problems: Sequence[RobotProblem], tasks: np.ndarray) -> float:
-    """Bound the energy that tasks take from below.
-
-    Each task is come to and left once, at the price of the robot to which this is cheapest, over
-    chargers where that is less; no group of tasks is a round trip of its own. Batteries and
-    windows are left out. A linear programme with cutting planes.
-
-    Parameters
-    ----------
-    problems : sequence of RobotProblem
-        Each robot's part.
-    tasks : ndarray of int
-        The tasks.
-
-    Returns
-    -------
-    float
-        The bound [J].
-    """
-    home = sum(float(problem.finish[0]) for problem in problems)  # of robots that do nothing
-    if not len(tasks):
-        return home
-    ways = np.min([_closed(problem) for problem in problems], axis=0)
-    start = np.min([_closed(p)[0, tasks + 1] for p in problems], axis=0)
-    finish = np.min([p.finish[tasks + 1] for p in problems], axis=0)
-    least = [np.inf if not np.isfinite(p.energy[:, tasks + 1]).any() else 0.0 for p in problems]
-    service = np.min(
-        [
-            np.where(np.isfinite(p.energy[:, tasks + 1]).any(axis=0), p.service[tasks], np.inf)
-            for p in problems
-        ],
-        axis=0,
-    )
-    spared = sum(float(p.finish[0]) for p, far in zip(problems, least, strict=True) if far == 0.0)
-    between = ways[np.ix_(tasks + 1, tasks + 1)]
-    return home - spared + float(service.sum()) + _least_tours(between, start, finish)
-
-
-def _closed(problem: RobotProblem) -> FloatArray:
-    """Energies between nodes, over chargers where that is less."""
-    ways = problem.energy.copy()
-    for c in range(1 + problem.tasks, len(ways)):
-        ways = np.minimum(ways, ways[:, c : c + 1] + ways[c : c + 1, :])
-    return ways
-
-
-def _least_tours(between: FloatArray, start: FloatArray, finish: FloatArray) -> float:
-    """Least cost of tours through all tasks; node n stands for all starts and ends."""
-    n = len(start)
-    whole = np.full((n + 1, n + 1), np.inf)
-    whole[:n, :n], whole[n, :n], whole[:n, n] = between, start, finish
-    np.fill_diagonal(whole, np.inf)
-    tail, head = np.nonzero(np.isfinite(whole))
-    cost = whole[tail, head]
-    edges = np.arange(len(tail))
-    ones = np.ones(len(tail))
-    into = coo_array((ones[head < n], (head[head < n], edges[head < n])), shape=(n, len(tail)))
-    out = coo_array((ones[tail < n], (tail[tail < n], edges[tail < n])), shape=(n, len(tail)))
-    equal = csr_array(np.vstack([into.toarray(), out.toarray()]))
-    solver: Any = linprog
-    cuts: list[np.ndarray] = []
-    best = 0.0
-    for _ in range(_CUTS):
-        limits: Any = (-np.array(cuts), -np.ones(len(cuts))) if cuts else (None, None)
-        solved: Any = solver(cost, *limits, equal, np.ones(2 * n), (0.0, 1.0))
-        if solved.status != 0:
-            break
-        best = float(solved.fun)
-        found = _violated(tail, head, solved.x, n)
-        if not found:
-            break
-        cuts += [(~np.isin(tail, group) & np.isin(head, group)).astype(float) for group in found]
-    return best
-
-
-def _violated(tail: np.ndarray, head: np.ndarray, flow: FloatArray, n: int) -> list[np.ndarray]:
-    """Return groups of tasks that less than one robot comes to."""
-    units = np.round(flow * _UNITS).astype(np.int32)
-    net = csr_array((units, (tail, head)), shape=(n + 1, n + 1))
-    net.eliminate_zeros()
-    groups: dict[bytes, np.ndarray] = {}
-    for task in range(n):
-        told = maximum_flow(net, n, task)
-        if told.flow_value >= 0.999 * _UNITS:
-            continue
-        left: Any = csr_array(net - told.flow)
-        left.data[left.data < 0] = 0
-        left.eliminate_zeros()
-        reached, pending = {n}, [n]
-        while pending:
-            node = pending.pop()
-            for other in left.indices[left.indptr[node] : left.indptr[node + 1]].tolist():
-                if other not in reached:
-                    reached.add(other)
-                    pending.append(other)
-        group = np.array([k for k in range(n) if k not in reached])
-        groups[group.tobytes()] = group
-    return list(groups.values())

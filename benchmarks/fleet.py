@@ -1,0 +1,104 @@
+"""A fleet of many robots and tasks: ``python benchmarks/fleet.py [ROBOTS TASKS]``.
+
+First as sums of energies in a hall, alike robots and unlike ones, without a map; then 10 robots and
+60 tasks with their routes planned. CPU time and wall time stand side by side.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from energyplan.battery import Battery
+from energyplan.fleet import Fleet, Robot, evaluate_fleet
+from energyplan.fleet.bound import least_energy
+from energyplan.fleet.problem import RobotProblem
+from energyplan.fleet.search import solve_by_search
+from energyplan.mission import Charger, Mission, Task
+from energyplan.path import Pose
+from energyplan.power import PowerModel
+from energyplan.terrain import OccupancyGrid
+
+
+def problems(robots: int, tasks: int, unlike: bool, seed: int = 0) -> list[RobotProblem]:
+    """Return robots in a hall with two chargers; unlike ones differ up to threefold."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform((0, 0), (60, 40), (tasks + 2, 2))
+    work, made = rng.uniform(500, 3000, tasks), []
+    for _ in range(robots):
+        thirst = float(rng.uniform(0.6, 1.8)) if unlike else 1.0
+        nodes = np.vstack([rng.uniform((0, 0), (60, 40), (1, 2)), places])
+        apart = np.linalg.norm(nodes[:, None] - nodes[None], axis=-1)
+        energy = 300.0 * thirst * apart
+        safe = energy[:, [0, 1 + tasks, 2 + tasks]].min(axis=1)
+        made.append(
+            RobotProblem(
+                energy=energy, time=apart / 0.8, finish=safe, finish_time=apart[:, 0] / 0.8,
+                refuge=safe, service=work, service_time=np.full(tasks, 60.0),
+                idle=np.full(len(nodes), 10.0), window=np.tile([0.0, np.inf], (tasks, 1)),
+                budget=40e3, capacity=np.full(2, 50e3), charge_power=np.full(2, 500.0),
+            )
+        )  # fmt: skip
+    return made
+
+
+def sums(robots: int, tasks: int) -> None:
+    """Search and bound without a map."""
+    for unlike in (False, True):
+        drawn = problems(robots, tasks, unlike)
+        begun, wall = time.process_time(), time.perf_counter()
+        found = solve_by_search(drawn, np.ones(tasks), [1, 1], effort=300)
+        middle = time.process_time()
+        bound = least_energy(drawn, np.arange(tasks), found.energy)
+        print(
+            f"{robots} {'unlike' if unlike else 'alike'} robots, {found.worth:.0f} of {tasks} done:"
+            f" {found.energy / 3600:.1f} Wh, gap {100 * (1 - bound / found.energy):.1f} %;"
+            f" search {middle - begun:.1f}, bound {time.process_time() - middle:.1f} s of CPU,"
+            f" {time.perf_counter() - wall:.1f} s",
+            flush=True,
+        )
+
+
+def planned(robots: int, tasks: int) -> None:
+    """Plan the routes of a whole fleet, some of it with heavier models."""
+    blocked = np.zeros((300, 400), bool)
+    for column in range(40, 360, 40):
+        blocked[40:260, column : column + 8] = True
+    grid = OccupancyGrid(blocked, 0.1)
+    models = [PowerModel.preset(f"quadriga:{load}:concrete") for load in ("empty", "full")]
+    rng = np.random.default_rng(0)
+
+    def free(count: int) -> list[Pose]:
+        poses: list[Pose] = []
+        while len(poses) < count:
+            pose = Pose(*rng.uniform((1, 1), (39, 29)), float(rng.uniform(-np.pi, np.pi)))
+            if grid.footprint_free([pose], models[1].vehicle)[0]:
+                poses.append(pose)
+        return poses
+
+    work = tuple(Task(f"t{k}", pose, 60.0, 100.0) for k, pose in enumerate(free(tasks)))
+    docks = tuple(Charger(f"c{k}", pose, 400.0) for k, pose in enumerate(free(2)))
+    first = Mission(
+        models[0], grid, Battery.preset("quadriga"), Pose(1.0, 1.0, 0.0), work, docks, soc=0.6,
+        coefficient_spread=0.05, order="free", planning_effort=2500,
+    )  # fmt: skip
+    members = tuple(
+        Robot(f"r{k}", replace(first, start=pose, model=models[k % 2]))
+        for k, pose in enumerate(free(robots))
+    )
+    begun, wall = time.process_time(), time.perf_counter()
+    report = evaluate_fleet(Fleet(members))
+    print(
+        f"{robots} robots, {tasks} tasks with routes: {tasks - len(report.left_out)} done,"
+        f" {report.energy / 3600:.0f} Wh, gap {100 * report.gap:.1f} %,"
+        f" {time.process_time() - begun:.1f} s of CPU, {time.perf_counter() - wall:.1f} s"
+    )
+
+
+if __name__ == "__main__":
+    size = [int(word) for word in sys.argv[1:3]] or [10, 60]
+    sums(*size)
+    planned(*size)
