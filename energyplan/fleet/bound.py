@@ -110,7 +110,7 @@ def _arcs(problems: Sequence[RobotProblem], members: list[int], tasks: np.ndarra
         left = np.maximum(left, (gain[count:, None] - ways[count:]).max(axis=0))
     elif np.any(np.diag(ways) < 0):
         left = np.full(len(places), np.inf)
-    room = _ROUNDING * np.maximum(np.abs(left), 1.0)
+    room = _ROUNDING * np.where(np.isfinite(left), np.maximum(np.abs(left), 1.0), 0.0)
     between = np.where(between + safe[None, :] > (left + room)[:, None], np.inf, between)
     starts = np.where(starts + safe[None, :] > (budgets * (1 + _ROUNDING))[:, None], np.inf, starts)
     spared = np.array([problems[r].finish[0] for r in members])
@@ -172,7 +172,7 @@ class _Programme:
         self._upper = np.where(single, 1.0, np.inf)
 
     def least(self, best: float) -> float:
-        """Solve it with cuts, without the ways that cost too much to be part of less than `best`."""
+        """Solve it with cuts, and without ways that cannot be part of less than `best`."""
         keep = np.arange(len(self._cost))
         cuts: list[np.ndarray] = []
         least = -np.inf

@@ -253,7 +253,7 @@ def _table(problem: OrderProblem) -> Table:
     need, left = _need(closed, finish.min(axis=0), n), _most_left(problem, closed, size)
     # no battery lasts for a way from which nothing can be reached
     asked = least + (need + np.concatenate([[0.0], service, np.zeros(size - 1 - n)]))[None, :]
-    room = _ROUNDING * np.maximum(np.abs(left), 1.0)
+    room = _ROUNDING * np.where(np.isfinite(left), np.maximum(np.abs(left), 1.0), 0.0)
     energy[:, :, asked > (left + room)[:, None]] = np.inf
     ends = np.isfinite(problem.window[:, 1])
     return Table(

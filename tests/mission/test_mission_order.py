@@ -397,3 +397,13 @@ def test_a_quicker_way_that_takes_more_helps_only_where_windows_end(seed):
     one, two = solve_exactly(p), solve_exactly(both)
     assert worth_of(p, two.stops) == worth_of(p, one.stops)
     assert two.energy == pytest.approx(one.energy)
+
+
+def test_a_charger_that_nothing_leads_to_is_no_trouble():
+    p = problem(0, 3, chargers=1, budget=20.0)
+    away = p.energy(0.0).copy()
+    away[np.isinf(away)] = 5.0
+    away[:4, 4] = away[4, :4] = np.inf
+    told = solve_exactly(replace(p, energy=lambda load: away, finish=lambda load: away[:, 0]))
+    assert told.proven
+    assert sorted(told.stops) == [1, 2, 3]
