@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linprog
 from scipy.sparse import coo_array, csr_array, vstack
-from scipy.sparse.csgraph import maximum_flow
+from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from energyplan.fleet.problem import RobotProblem
 from energyplan.path import FloatArray
 
-_CUTS = 12
+_CUTS = 40
 """Rounds of cutting planes."""
 
 _UNITS = 1e6
@@ -218,21 +218,15 @@ class _Programme:
         net.sum_duplicates()
         groups: dict[bytes, np.ndarray] = {}
         for task in range(self._count):
-            if any(task in group for group in groups.values()):
-                continue
             told = maximum_flow(net, source, task)
             if told.flow_value >= 0.999 * _UNITS:
                 continue
             left: Any = csr_array(net - told.flow)
             left.data[left.data < 0] = 0
             left.eliminate_zeros()
-            reached, pending = {source}, [source]
-            while pending:
-                node = pending.pop()
-                for other in left.indices[left.indptr[node] : left.indptr[node + 1]].tolist():
-                    if other not in reached:
-                        reached.add(other)
-                        pending.append(other)
-            group = np.array([k for k in range(self._size) if k not in reached])
-            groups[group.tobytes()] = group
+            # the largest group and the smallest one that the flow cannot fill
+            reached = breadth_first_order(left, source, return_predecessors=False)
+            reaching = breadth_first_order(csr_array(left.T), task, return_predecessors=False)
+            for group in (np.setdiff1d(np.arange(self._size), reached), np.sort(reaching)):
+                groups[group.tobytes()] = group
         return list(groups.values())

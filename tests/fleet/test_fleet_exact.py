@@ -225,7 +225,7 @@ def test_a_search_is_near_the_best_and_its_bound_below_it(seed: int) -> None:
     for known in (np.inf, found.energy):
         bound = least_energy(problems, np.arange(7), known)
         assert bound <= best.energy + 1e-6
-        assert bound >= 0.8 * best.energy
+        assert bound >= 0.7 * best.energy
 
 
 def test_the_bound_is_tight_where_one_robot_goes_round_a_ring() -> None:
