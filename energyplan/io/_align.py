@@ -13,6 +13,10 @@ LONGEST_BRIDGE = 1.0
 """Longest hole in a channel that is interpolated across [s]."""
 
 
+AS_LOGGED = "as logged"
+"""How a channel came that is on the clock already."""
+
+
 class Series(NamedTuple):
     """A channel on its own clock."""
 
@@ -53,7 +57,7 @@ def align(series: Series, clock: FloatArray) -> Aligned:
     """
     t, values = series
     if len(t) == len(clock) and np.array_equal(t, clock):
-        return Aligned(values, "as logged", None)
+        return Aligned(values, AS_LOGGED, None)
     if len(t) < 2:
         return Aligned(np.full(len(clock), np.nan), "sampled once", None)
     step, period = float(np.median(np.diff(t))), float(np.median(np.diff(clock)))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from energyplan.errors import DriveLogError, EnergyPlanError, MissingDependencyError
-from energyplan.io._align import Series, align
+from energyplan.io._align import AS_LOGGED, Series, align
 from energyplan.io._unpack import bound_unpacking
 from energyplan.io.files import is_file
 from energyplan.io.topics import TOPIC_MAPS, TopicMap, TopicSource
@@ -184,12 +184,19 @@ def read_bag(
         series, aside, warnings = _collect(reader, chosen, file.name, progress)
     clock = series["v_left"].t
     channels = {"t": clock - clock[0]}
+    plain = []
     for name, one in series.items():
         aligned = align(one, clock)
         channels[name] = aligned.values
         source = chosen[name]
+        told = f"{name} is {source.topic} {source.source.field}"
+        if aligned.error is None and aligned.how == AS_LOGGED:
+            plain.append(told)
+            continue
         error = "" if aligned.error is None else f", error about {aligned.error:.2g} (rms)"
-        warnings.append(f"{name} is {source.topic} {source.source.field}, {aligned.how}{error}")
+        warnings.append(f"{told}, {aligned.how}{error}")
+    if plain:
+        warnings.append(f"{AS_LOGGED}: {', '.join(plain)}")
     log = DriveLog.from_columns(channels, file.name)
     return replace(log, set_aside=(*aside, *log.set_aside), warnings=(*warnings, *log.warnings))
 

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 __all__ = ["DriveLog", "SetAside", "parse_columns"]
 
 _MOST_INTERVALS = 50_000_000
+_EPOCH = 1e6  # times beyond are those of a calendar, not of a drive [s]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -340,7 +341,9 @@ class DriveLog:
                 f"{self.name}: {max(0, int(last - first))} samples lie in {t0:g} <= t < {t1:g} s, "
                 f"two are needed; the log covers {self.t[0]:g} to {self.t[-1]:g} s"
             )
-        return self._part(slice(int(first), int(last)), f"{self.name} from {t0:g} to {t1:g} s")
+        since = float(self.t[0]) if self.t[0] > _EPOCH else 0.0
+        label = f"{self.name} from {t0 - since:g} to {t1 - since:g} s"
+        return self._part(slice(int(first), int(last)), label)
 
     def blocks(self, duration: float) -> list[DriveLog]:
         """Cut the log into blocks of about equal length that hold every sample once.

@@ -292,9 +292,9 @@ def split_unit(name: str) -> tuple[str, str]:
 
 def _resolve(entry: _Entry, names: Collection[str]) -> Column:
     """Find what a mapping's entry means: a name as a whole, or a name with a unit after it."""
-    if entry.quoted:
+    if entry.unit:
         return column_from(entry.channel, entry.text, entry.unit)
-    if entry.text in names:
+    if entry.quoted or entry.text in names:
         # What a name says of its unit, such as "speed [km/h]", is believed.
         unit = split_unit(entry.text)[1]
         spelt = known_unit(entry.channel, unit) if unit else None

@@ -9,19 +9,21 @@ from typing import NamedTuple
 from energyplan.logs.columns import known_unit, split_unit
 
 _WORDS = {
-    "left": {"left", "l", "lh", "port", "links", "gauche"},
-    "right": {"right", "r", "rh", "starboard", "rechts", "droite"},
+    "left": {"left", "l", "lh", "port", "links", "gauche", "izquierda", "izq"},
+    "right": {"right", "r", "rh", "starboard", "rechts", "droite", "derecha", "der"},
     "speed": {
         "v", "vel", "velocity", "speed", "wheel", "wheels", "track", "tread", "rpm", "omega",
         "rate", "spd", "w", "velocities", "speeds", "angvel", "rotation",
+        "geschwindigkeit", "geschw", "vitesse", "roue", "velocidad", "rueda",
     },
-    "power": {"p", "power", "watt", "watts", "pwr"},
-    "voltage": {"u", "volt", "volts", "voltage"},
-    "current": {"i", "cur", "curr", "current", "amp", "amps", "ampere", "amperes", "currents"},
+    "power": {"p", "power", "watt", "watts", "pwr", "leistung", "puissance", "potencia"},
+    "voltage": {"u", "volt", "volts", "voltage", "spannung", "tension"},
+    "current": {"i", "cur", "curr", "current", "amp", "amps", "ampere", "amperes", "currents",
+                "strom", "courant", "corriente"},
     "time": {"t", "time", "timestamp", "stamp", "sec", "secs", "seconds", "clock", "elapsed",
-             "zeit"},
-    "yaw": {"yaw", "heading", "theta", "psi", "hdg"},
-    "turn": {"gyro", "angular", "yawrate", "wz", "gz", "gyr", "omega"},
+             "zeit", "zeitstempel", "temps", "tiempo"},
+    "yaw": {"yaw", "heading", "theta", "psi", "hdg", "gierwinkel", "cap", "rumbo"},
+    "turn": {"gyro", "angular", "yawrate", "wz", "gz", "gyr", "omega", "drehrate", "gierrate"},
     "accel": {"acc", "accel", "acceleration", "ax"},
     "temperature": {"temp", "temperature"},
 }  # fmt: skip
@@ -88,7 +90,7 @@ def _score(channel: str, name: str) -> float:
         return 0.0
     if channel in ("power", "voltage", "current"):
         others = [kind for kind in ("power", "voltage", "current") if kind != channel]
-        whole = 0.5 * bool(said & {"battery", "total", "bus", "bms", "batt"})
+        whole = 0.5 * bool(said & {"battery", "total", "bus", "bms", "batt", "gesamt", "batterie"})
         return (2.0 + whole) * has[channel] * (not any(has[other] for other in others))
     if channel in ("x", "y"):
         place = said & {"pos", "pose", "position", "odom", "odometry", "slam", "gps", "map"}
@@ -99,7 +101,7 @@ def _score(channel: str, name: str) -> float:
     if channel == "yaw_rate":
         named = has["yaw"] and said & {"rate", "vel", "velocity", "speed", "dot"}
         z = "z" in said and has["turn"]
-        alone = said & {"yawrate", "wz", "gz"}
+        alone = said & {"yawrate", "wz", "gz", "drehrate", "gierrate"}
         return 3.0 * bool(named) + 2.0 * bool(z) + 2.0 * bool(alone)
     if channel == "accel_x":
         return 2.0 * (has["accel"] and bool(said & {"x", "ax"}))

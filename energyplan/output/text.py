@@ -126,7 +126,7 @@ def start(made: Start) -> list[str]:
     project = made.project
     lines = [
         f"{channel}: {one.source}{f' * {one.times}' if one.times else ''}"
-        f"{f' [{one.unit}]' if one.unit else ''}"
+        f"{f' [{one.unit}]' if one.unit and not one.source.endswith(f'[{one.unit}]') else ''}"
         for channel, one in project.columns.items()
     ]
     if project.topics is not None:

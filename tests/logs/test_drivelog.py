@@ -575,6 +575,10 @@ def test_power_from_sides_total_and_battery(model):
 
 def test_segments_and_blocks_partition_the_log(noisy):
     part = noisy.segment(10.0, 20.0)
+    assert part.name.endswith("from 10 to 20 s")
+    dated = DriveLog({**noisy.channels, "t": noisy.t + 1.7e9}, "dated")
+    begin = float(dated.t[0])
+    assert dated.segment(begin + 10, begin + 20).name == "dated from 10 to 20 s"
     assert part.t[0] == 10.0
     assert part.t[-1] == pytest.approx(19.95)
     blocks = noisy.blocks(10.0)
