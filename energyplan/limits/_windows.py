@@ -12,8 +12,11 @@ from scipy.sparse import csr_array, diags_array, hstack, vstack
 
 from energyplan.path import FloatArray
 
-KNOTS = 12
-"""Knots per thermal window between which a program changes the rates."""
+KNOTS, CLOSE = 12, 24
+"""Knots per thermal window between which a program changes rates: at least, and on short paths."""
+
+SHORT = 240
+"""Knots up to which they are as close as on short paths."""
 
 FEWEST, MOST = 60, 400
 """Knots at least and at most."""
@@ -111,7 +114,8 @@ class Basis(NamedTuple):
         """Spread knots evenly over time and drawn energy together."""
         n = len(time)
         place = time / time[-1] + drawn / drawn[-1]
-        count = int(np.clip(KNOTS * drawn[-1] / window.energy, FEWEST, MOST))
+        windows = drawn[-1] / window.energy
+        count = int(np.clip(max(min(CLOSE * windows, SHORT), KNOTS * windows), FEWEST, MOST))
         wanted = np.linspace(0.0, place[-1], min(count, n))
         knots = np.unique(np.append(np.searchsorted(place, wanted).clip(0, n - 1), [0, n - 1]))
         behind = np.searchsorted(knots, np.arange(n), side="right") - 1
