@@ -49,5 +49,5 @@ def test_every_picture_is_shown_somewhere() -> None:
     assert [name for name in unused if name not in DEMO_ONLY] == []
 
 
-DEMO_ONLY = {"diagnosis-residual.png", "routes-energy.png"}
+DEMO_ONLY = {"diagnosis-residual.png", "loop.png", "routes-energy.png"}
 """Pictures that the demo draws beside those that the pages show."""
