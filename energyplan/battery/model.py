@@ -34,6 +34,13 @@ class BatteryRun:
         Why: voltage below cut-off under the load, empty, or more current than it may deliver.
     polarisation : float
         Voltage of the RC pair at the end [V]; what a next run starts with.
+
+    Examples
+    --------
+    >>> from energyplan.battery import Battery
+    >>> run = Battery.preset("quadriga").simulate([0.0, 60.0, 120.0], [300.0, 300.0, 0.0])
+    >>> round(float(run.soc[-1]), 3), run.reason
+    (0.991, 'none')
     """
 
     t: FloatArray
@@ -53,7 +60,15 @@ class BatteryRun:
 
 
 class BatteryModel(Protocol):
-    """What a mission reads of a battery: `Battery` is one, and any class with these is another."""
+    """What a mission reads of a battery: `Battery` is one, and any class with these is another.
+
+    Examples
+    --------
+    >>> from energyplan.battery import Battery
+    >>> battery: BatteryModel = Battery.preset("quadriga")
+    >>> 0 <= battery.cutoff_soc < 1
+    True
+    """
 
     @property
     def cutoff_soc(self) -> float:

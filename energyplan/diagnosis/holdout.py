@@ -29,6 +29,13 @@ class ErrorInterval:
         Lower and upper end [W].
     energy_error : tuple of float
         Lower and upper end of predicted over measured energy, minus 1.
+
+    Examples
+    --------
+    >>> after = ErrorInterval((4.8, 5.5), (3.7, 4.3), (-0.4, 0.5), energy_error=(-0.01, 0.02))
+    >>> low, high = after.energy_error
+    >>> low < 0 < high  # no bias of the energy is shown
+    True
     """
 
     rmse: tuple[float, float]

@@ -55,6 +55,15 @@ class Dependence:
     knots, values : tuple of float
         The fitted shape; values in the carrier's unit. Of drives that differ as a whole, the
         standard deviation between them as a fraction of their power.
+
+    Examples
+    --------
+    >>> seen = Dependence(
+    ...     "slope", "power", "rises with slope", explained_variance=0.5, std_error=0.05,
+    ...     p_value=1e-6, knots=(-0.1, 0.1), values=(-80.0, 80.0),
+    ... )
+    >>> (seen.values[1] - seen.values[0]) / (seen.knots[1] - seen.knots[0])
+    800.0
     """
 
     channel: str

@@ -29,6 +29,12 @@ class Evidence:
         Its standard error over blocks.
     p_value : float
         Probability of such coefficients by chance, times the number of candidates tried.
+
+    Examples
+    --------
+    >>> evidence = Evidence(improvement=0.42, improvement_std_error=0.06, p_value=1e-8)
+    >>> evidence.improvement > 3 * evidence.improvement_std_error
+    True
     """
 
     improvement: float
@@ -56,6 +62,16 @@ class FoundEffect:
         Further numbers, such as a time constant or a direction.
     planner : str
         Whether a planner can use it, or what it needs to.
+
+    Examples
+    --------
+    >>> found = FoundEffect(
+    ...     name="hotel_load", symbol="P_0", value=40.2, unit="W", std_error=0.6,
+    ...     evidence=Evidence(0.42, 0.06, 1e-8), probability=0.98, rivals=(), details={},
+    ...     meaning="a load that is always on", planner="counted",
+    ... )
+    >>> f"{found.name} = {found.value} +- {found.std_error} {found.unit}"
+    'hotel_load = 40.2 +- 0.6 W'
     """
 
     name: str
@@ -93,6 +109,14 @@ class Explanation:
         Effects of the explanations that the drives cannot tell from this one: each, fitted to what
         the other predicts, would follow it so closely that odds of 20 to 1 are not to be expected.
         Which of them is named first is a matter of what is usual; their probabilities add up.
+
+    Examples
+    --------
+    >>> from energyplan.power import HOTEL, PowerModel
+    >>> model = PowerModel.preset("quadriga:full:marble").with_term(HOTEL, 40.0)
+    >>> told = Explanation(("hotel_load",), probability=0.97, model=model)
+    >>> told.model.coefficient("hotel_load")
+    40.0
     """
 
     effects: tuple[str, ...]
@@ -115,6 +139,14 @@ class Adequacy:
         The same of means over two seconds [W].
     coloured : bool
         Whether more of the residual lasts than the noise would let last.
+
+    Examples
+    --------
+    Noise that varies quickly averages out over two seconds; something that is missing does not:
+
+    >>> left = Adequacy(noise=5.0, residual=5.4, slow_noise=0.8, slow_residual=2.3, coloured=True)
+    >>> round(left.slow_residual / left.slow_noise, 1)
+    2.9
     """
 
     noise: float
@@ -143,6 +175,13 @@ class EnergyPrediction:
         Ends of its 90 % interval: coefficients, noise, and by how much runs differ as a whole [J].
     measured : float
         Measured energy [J].
+
+    Examples
+    --------
+    >>> told = EnergyPrediction("b.csv", 980.0, energy_interval=(930.0, 1030.0), measured=1010.0)
+    >>> low, high = told.energy_interval
+    >>> low <= told.measured <= high
+    True
     """
 
     drive: str
@@ -167,6 +206,12 @@ class Unexplained:
         Adjusted for the number of signals tried.
     empirical : bool
         Whether a smooth term of the channel was added to the model.
+
+    Examples
+    --------
+    >>> left = Unexplained("temperature", "falls with temperature", 0.12, 0.003, empirical=False)
+    >>> f"{left.channel} explains {left.explained_variance:.0%} of what is left"
+    'temperature explains 12% of what is left'
     """
 
     channel: str

@@ -42,6 +42,15 @@ class ICREstimate:
         Yaw that the logs turned through in all [rad].
     source : str
         What it comes from: ``"spin"``, ``"yaw"``, ``"yaw_rate"`` or ``"pose"``.
+
+    Examples
+    --------
+    >>> from energyplan import simulate
+    >>> from energyplan.power import PowerModel
+    >>> truth = PowerModel.preset("quadriga:full:marble")
+    >>> found = fit_icr(simulate.drive(truth, "spiral"), truth.vehicle.icr)
+    >>> round(found.icr.half_track, 2), found.source
+    (0.47, 'pose')
     """
 
     icr: TreadICR

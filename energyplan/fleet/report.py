@@ -33,6 +33,22 @@ class RobotReport:
         Time of it spent waiting for chargers [s].
     end : Condition
         Where it ends, with all that it did.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> mission = ep.Mission(
+    ...     ep.PowerModel.preset("quadriga:empty:marble"), hall, ep.Battery.preset("quadriga"),
+    ...     start=(1, 2, 0), tasks=[ep.Task("look", (5, 2, 0), dwell=60.0)], confidence=0.5,
+    ...     planning_effort=5000,
+    ... )
+    >>> from energyplan.fleet import Fleet, Robot, evaluate_fleet
+    >>> report = evaluate_fleet(Fleet((Robot("alpha", mission),)))
+    >>> [robot] = report.robots
+    >>> robot.name, robot.tasks, [stop.kind for stop in robot.route]
+    ('alpha', ('look',), ['start', 'task', 'end'])
     """
 
     name: str
@@ -94,6 +110,12 @@ class LeftOut:
     reasons : tuple of str
         For each robot that could do it: why not, were it alone in the world; ``"none"`` where it
         could, but not beside what it does.
+
+    Examples
+    --------
+    >>> task = LeftOut("hedge", required=False, reasons=("battery", "no_path"))
+    >>> all(reason != "none" for reason in task.reasons)  # no robot could do it
+    True
     """
 
     name: str
@@ -122,6 +144,21 @@ class FleetReport:
         where robots get into each other's way so that their energies do not add up.
     feasible : bool
         Whether all required tasks are done and each robot ends where it must.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> mission = ep.Mission(
+    ...     ep.PowerModel.preset("quadriga:empty:marble"), hall, ep.Battery.preset("quadriga"),
+    ...     start=(1, 2, 0), tasks=[ep.Task("look", (5, 2, 0), dwell=60.0)], confidence=0.5,
+    ...     planning_effort=5000,
+    ... )
+    >>> from energyplan.fleet import Fleet, Robot, evaluate_fleet
+    >>> report = evaluate_fleet(Fleet((Robot("alpha", mission),)))
+    >>> report.feasible, report.proven, report.left_out
+    (True, True, ())
     """
 
     fleet: Fleet

@@ -21,6 +21,15 @@ class Robot:
         Its name.
     mission : Mission
         What it is, where it is, what its battery holds, and all tasks that it could do.
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> from energyplan.io.bundled import bundled
+    >>> fleet = ep.read_fleet(bundled("fleet_warehouse.yaml"))
+    >>> robot = fleet.robots[0]
+    >>> robot.name, len(robot.mission.tasks) > 0
+    ('alpha', True)
     """
 
     name: str
@@ -45,6 +54,12 @@ class RobotState:
         Tasks that it has done.
     time : float
         Time [s].
+
+    Examples
+    --------
+    >>> from energyplan.path import Pose
+    >>> RobotState(Pose(18.0, 2.0, 0.0), soc=0.34, done=("gate",), time=100.0).soc
+    0.34
     """
 
     pose: Pose
@@ -72,6 +87,14 @@ class Fleet:
     ------
     MissionError
         If there is no robot, names are not unique, or what they share differs.
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> from energyplan.io.bundled import bundled
+    >>> fleet = ep.read_fleet(bundled("fleet_warehouse.yaml"))
+    >>> [robot.name for robot in fleet.robots]
+    ['alpha', 'beta', 'gamma']
     """
 
     robots: tuple[Robot, ...]

@@ -23,6 +23,12 @@ class Trouble:
     count : int
         How often it came. A kind of trouble is told when it comes first; how often it came again,
         with the next report.
+
+    Examples
+    --------
+    >>> trouble = Trouble("line 12", "5 cells, where 6 are needed", count=3)
+    >>> f"{trouble.place}: {trouble.reason} ({trouble.count} times)"
+    'line 12: 5 cells, where 6 are needed (3 times)'
     """
 
     place: str
@@ -42,6 +48,13 @@ class Learned:
         The model of the ground at hand, with covariance.
     samples : int
         Samples so far.
+
+    Examples
+    --------
+    >>> from energyplan.power import PowerModel
+    >>> event = Learned(10.0, PowerModel.preset("quadriga:full:marble"), samples=100)
+    >>> round(event.model.coefficient("slip_friction"), 3)
+    0.431
     """
 
     t: float
@@ -63,6 +76,13 @@ class Changed:
         How clear it is: chi-squared, with one degree of freedom a coefficient.
     before : PowerModel
         The model up to then.
+
+    Examples
+    --------
+    >>> from energyplan.power import PowerModel
+    >>> event = Changed(61.0, 58.5, 44.0, PowerModel.preset("quadriga:full:marble"))
+    >>> event.t - event.onset  # noticed so much later [s]
+    2.5
     """
 
     t: float
@@ -81,6 +101,11 @@ class Done:
         Time [s].
     task : str
         Its name.
+
+    Examples
+    --------
+    >>> Done(95.0, "gate").task
+    'gate'
     """
 
     t: float
@@ -103,6 +128,12 @@ class Reassessed:
         Tasks that are done.
     report : MissionReport or None
         The rest of the mission; None where all tasks are done.
+
+    Examples
+    --------
+    >>> from energyplan.path import Pose
+    >>> Reassessed(60.0, Pose(3.0, 1.0, 0.0), soc=0.72, done=("gate",), report=None).done
+    ('gate',)
     """
 
     t: float
@@ -126,6 +157,11 @@ class Ended:
         Changes of the ground.
     models : tuple of PowerModel
         What was learned: a model for each ground of the map that was driven on.
+
+    Examples
+    --------
+    >>> Ended(samples=5900, changes=0, models=(), set_aside={"no number": 3}).set_aside
+    {'no number': 3}
     """
 
     samples: int

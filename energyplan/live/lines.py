@@ -17,7 +17,7 @@ MAX_LINE = 1 << 16
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a log.
+    r"""A line of a log.
 
     Parameters
     ----------
@@ -27,6 +27,12 @@ class Line:
         Its text, without the end of line.
     whole : bool
         Whether its end has been written.
+
+    Examples
+    --------
+    >>> import io
+    >>> next(lines_of(io.BytesIO(b"t,power\n0,12\n")))
+    Line(number=1, text='t,power', whole=True)
     """
 
     number: int
@@ -42,6 +48,11 @@ class Restart:
     ----------
     reason : str
         What happened to it.
+
+    Examples
+    --------
+    >>> Restart("the file was cut").reason
+    'the file was cut'
     """
 
     reason: str
@@ -67,6 +78,12 @@ def follow(path: str | Path, wait: Callable[[], bool] | None = None) -> Iterator
     ------
     DriveLogError
         If the file cannot be read, or a line is too long.
+
+    Examples
+    --------
+    >>> from energyplan.io.bundled import bundled
+    >>> next(follow(bundled("warehouse.yaml"))).number
+    1
     """
     file = Path(path)
     stream = _open(file)
@@ -98,7 +115,7 @@ def follow(path: str | Path, wait: Callable[[], bool] | None = None) -> Iterator
 
 
 def lines_of(stream: BinaryIO | Iterable[bytes]) -> Iterator[Line | Restart]:
-    """Yield the lines of a pipe until it ends.
+    r"""Yield the lines of a pipe until it ends.
 
     Parameters
     ----------
@@ -114,6 +131,12 @@ def lines_of(stream: BinaryIO | Iterable[bytes]) -> Iterator[Line | Restart]:
     ------
     DriveLogError
         If a line is too long.
+
+    Examples
+    --------
+    >>> import io
+    >>> [line.text for line in lines_of(io.BytesIO(b"t,power\n0,12\n"))]
+    ['t,power', '0,12']
     """
     read = getattr(stream, "readline", None)
     raws = iter(stream) if read is None else iter(lambda: read(MAX_LINE + 1), b"")

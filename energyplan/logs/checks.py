@@ -79,6 +79,11 @@ class SetAside:
         How many samples.
     where : str
         Where the first ones were.
+
+    Examples
+    --------
+    >>> str(SetAside("time goes back", 3, "from t = 12.1 s on").count)
+    '3'
     """
 
     reason: str

@@ -36,6 +36,12 @@ class Remedy:
         Unit of the amount; ``"1"`` is a fraction.
     task : str
         The task that is changed or dropped; empty where the whole mission is.
+
+    Examples
+    --------
+    >>> remedy = Remedy("charge", 0.88, "1", "")
+    >>> f"charge to {remedy.amount:.0%} before leaving"
+    'charge to 88% before leaving'
     """
 
     kind: RemedyKind

@@ -55,6 +55,20 @@ class TaskReport:
         When the robot gets there and leaves [s]; nan where the task is not done.
     soc_lower : float
         State of charge at the bound when it is done; nan where it cannot be.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> mission = ep.Mission(
+    ...     ep.PowerModel.preset("quadriga:empty:marble"), hall, ep.Battery.preset("quadriga"),
+    ...     start=(1, 2, 0), tasks=[ep.Task("look", (5, 2, 0), dwell=60.0)], confidence=0.5,
+    ...     planning_effort=5000,
+    ... )
+    >>> [task] = ep.evaluate(mission).tasks
+    >>> task.name, task.verdict, task.reason
+    ('look', 'reachable', 'none')
     """
 
     name: str
@@ -91,6 +105,13 @@ class Stop:
         When it gets there and leaves [s].
     soc, soc_lower : float
         State of charge on leaving, expected and at the bound.
+
+    Examples
+    --------
+    >>> from energyplan.path import Pose
+    >>> stop = Stop("gate", "task", Pose(3.0, 1.0, 0.0), 95.0, 155.0, soc=0.81, soc_lower=0.79)
+    >>> stop.departure - stop.arrival
+    60.0
     """
 
     name: str
@@ -118,6 +139,20 @@ class LegReport:
         The drive, from time 0.
     soc, soc_lower : ndarray, shape (n,)
         State of charge at each of its samples, expected and at the bound.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> mission = ep.Mission(
+    ...     ep.PowerModel.preset("quadriga:empty:marble"), hall, ep.Battery.preset("quadriga"),
+    ...     start=(1, 2, 0), tasks=[ep.Task("look", (5, 2, 0), dwell=60.0)], confidence=0.5,
+    ...     planning_effort=5000,
+    ... )
+    >>> leg = ep.evaluate(mission).legs[0]
+    >>> leg.goal, leg.trajectory.duration > 0, bool(leg.soc[-1] < leg.soc[0])
+    ('look', True, True)
     """
 
     start: str
@@ -143,6 +178,12 @@ class ChargerReport:
         How long in all [s].
     energy : float
         Energy that it supplies, as expected [J].
+
+    Examples
+    --------
+    >>> used = ChargerReport("dock", visits=2, duration=1800.0, energy=5.4e5)
+    >>> used.energy / used.duration  # mean power [W]
+    300.0
     """
 
     name: str
@@ -163,6 +204,12 @@ class Doubt:
         Standard deviation that it alone gives the energy [J].
     saving : float
         Energy that need not be held back at the confidence asked once it is measured [J].
+
+    Examples
+    --------
+    >>> doubts = [Doubt("tools", 900.0, 150.0), Doubt("run to run", 2400.0, 1700.0)]
+    >>> max(doubts, key=lambda doubt: doubt.saving).source
+    'run to run'
     """
 
     source: str
@@ -185,6 +232,14 @@ class Timeline:
     soc, soc_lower, soc_upper : ndarray, shape (n,)
         State of charge: expected, and the band that holds it with the confidence asked on
         either side. The upper edge mirrors the lower one.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> t, still, soc = np.array([0.0, 1.0, 2.0]), np.zeros(3), np.array([0.9, 0.8, 0.7])
+    >>> over = Timeline(t, still, still, still, np.full(3, 50.0), soc, soc - 0.1, soc + 0.1)
+    >>> float(over.power[:-1] @ np.diff(over.t))  # energy [J]
+    100.0
     """
 
     t: FloatArray

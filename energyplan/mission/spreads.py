@@ -47,6 +47,11 @@ class Spreads:
     ------
     MissionError
         If a value is negative or not finite.
+
+    Examples
+    --------
+    >>> Spreads(soc=0.03, run=0.08).dwell  # what is not given has its default
+    0.1
     """
 
     soc: float = 0.02

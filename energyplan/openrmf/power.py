@@ -66,6 +66,15 @@ class FleetConfig:
         State of charge below which it goes to charge, and up to which.
     notes : tuple of str
         What stands on an assumption.
+
+    Examples
+    --------
+    >>> from energyplan.battery import Battery
+    >>> from energyplan.power import PowerModel
+    >>> model, battery = PowerModel.preset("quadriga:full:concrete"), Battery.preset("quadriga")
+    >>> config = fleet_config(model, battery, charging_current=10.0)
+    >>> round(config.friction_coefficient, 3), config.reversible
+    (0.164, True)
     """
 
     name: str
@@ -143,6 +152,16 @@ class PowerError:
         The same errors with it, on the routes that did not choose it.
     errors : tuple of float
         Relative error of each route.
+
+    Examples
+    --------
+    >>> told = PowerError(
+    ...     routes=4, energy=20e3, estimate=19e3, bias=-0.05, rms=0.2, worst=-0.3, turning=0.25,
+    ...     fitted_friction=0.17, fitted_bias=-0.01, fitted_rms=0.2, fitted_worst=-0.3,
+    ...     errors=(-0.3, 0.1, 0.1, -0.1),
+    ... )
+    >>> f"{told.turning:.0%} of the energy goes into turning"
+    '25% of the energy goes into turning'
     """
 
     routes: int
@@ -212,6 +231,14 @@ def fleet_config(
     ------
     InvalidInputError
         If nothing tells the charging current, or a value is none that Open-RMF takes.
+
+    Examples
+    --------
+    >>> from energyplan.battery import Battery
+    >>> from energyplan.power import PowerModel
+    >>> model, battery = PowerModel.preset("quadriga:full:concrete"), Battery.preset("quadriga")
+    >>> fleet_config(model, battery, charging_current=10.0, tool_power=30.0).tool_power
+    30.0
     """
     vehicle, speed = model.vehicle, _speed(model)
     notes = []
@@ -270,6 +297,18 @@ def sink_energy(config: FleetConfig, trajectory: Trajectory) -> Mapping[str, flo
     mapping of str to float
         ``friction``, ``acceleration`` and ``ambient``, as `SimpleMotionPowerSink` and
         `SimpleDevicePowerSink` count them, in steps of half a second.
+
+    Examples
+    --------
+    >>> from energyplan import speed
+    >>> from energyplan.battery import Battery
+    >>> from energyplan.path import Path, Pose
+    >>> from energyplan.power import PowerModel
+    >>> model, battery = PowerModel.preset("quadriga:full:concrete"), Battery.preset("quadriga")
+    >>> config = fleet_config(model, battery, charging_current=10.0)
+    >>> spin = speed.profile(Path(Pose(0, 0, 0), ds=[0.0], dtheta=[3.0]), model)
+    >>> sink_energy(config, spin)["friction"]  # turning on the spot is free there
+    0.0
     """
     t = np.arange(trajectory.t[0], trajectory.t[-1] + 1e-9, _STEP)
     v = np.abs(np.interp(t, trajectory.t, trajectory.v))
@@ -327,6 +366,18 @@ def power_error(
     ------
     InvalidInputError
         If there is no room on the map, or too few routes are asked.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> model = ep.PowerModel.preset("quadriga:full:concrete")
+    >>> battery = ep.Battery.preset("quadriga")
+    >>> hall = ep.OccupancyGrid(np.zeros((60, 60), bool), resolution=0.1)
+    >>> config = fleet_config(model, battery, charging_current=10.0)
+    >>> told = power_error(config, model, battery, hall, routes=4, effort=3000)
+    >>> told.routes, -1 < told.bias < 0
+    (4, True)
     """
     if routes < 4:
         raise InvalidInputError(f"{routes} routes tell nothing; ask for 4 or more")

@@ -31,6 +31,14 @@ def read_requests(path: str | Path) -> list[dict[str, Any]]:
     ------
     MissionError
         If the file is no such JSON.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> file = pathlib.Path(tempfile.mkdtemp(), "tasks.json")
+    >>> _ = file.write_text('{"category": "patrol", "description": {"places": ["gate"]}}')
+    >>> [request["category"] for request in read_requests(file)]
+    ['patrol']
     """
     file = Path(path)
     try:
@@ -90,6 +98,13 @@ def tasks_of(
     ------
     MissionError
         If a request is of a kind that tells no places, or names one that is not known.
+
+    Examples
+    --------
+    >>> request = {"category": "patrol", "description": {"places": ["gate", "shed"], "rounds": 1}}
+    >>> tasks = tasks_of([request], {"gate": [3, 1, 0], "shed": [9, 4, 0]})
+    >>> [task["pose"] for task in tasks]
+    [[3, 1, 0], [9, 4, 0]]
     """
     starts = [_start(r, f"{name}, request {k}") for k, r in enumerate(requests, start=1)]
     first = min((start for start in starts if start > 0), default=0.0)

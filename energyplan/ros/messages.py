@@ -127,6 +127,14 @@ def pose_from_transform(message: Any) -> Pose:
     ------
     MessageError
         If a field is missing, not finite, or the quaternion is not of length 1.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace as Message
+    >>> turned = Message(x=0.0, y=0.0, z=1.0, w=0.0)
+    >>> transform = Message(translation=Message(x=2.0, y=1.0, z=0.0), rotation=turned)
+    >>> [round(value, 3) for value in pose_from_transform(transform)]
+    [2.0, 1.0, 3.142]
     """
     body = message.transform if hasattr(message, "transform") else message
     x, y = _numbers(body, "translation.x", "translation.y")
@@ -162,6 +170,17 @@ def grid_from_message(
         is tilted.
     MapError
         If the map has too many cells or no sensible resolution.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace as Message
+    >>> origin = Message(
+    ...     position=Message(x=0.0, y=0.0, z=0.0), orientation=Message(x=0.0, y=0.0, z=0.0, w=1.0)
+    ... )
+    >>> info = Message(resolution=0.1, width=3, height=2, origin=origin)
+    >>> grid = grid_from_message(Message(info=info, data=[0, 0, 100, 0, 0, -1]))
+    >>> grid.shape, int(grid.blocked.sum())  # the unknown cell is blocked too
+    ((2, 3), 2)
     """
     cells = _cells(message, occupied_from)
     place = _placed(message)
@@ -199,6 +218,18 @@ def updated_grid(
         As for `grid_from_message`.
     MapError
         If the patch does not lie on the map.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace as Message
+    >>> origin = Message(
+    ...     position=Message(x=0.0, y=0.0, z=0.0), orientation=Message(x=0.0, y=0.0, z=0.0, w=1.0)
+    ... )
+    >>> info = Message(resolution=0.1, width=3, height=2, origin=origin)
+    >>> grid = grid_from_message(Message(info=info, data=[0, 0, 100, 0, 0, -1]))
+    >>> patch = Message(x=0, y=1, width=1, height=1, data=[100])
+    >>> int(updated_grid(grid, patch).blocked.sum())
+    3
     """
     cells = _cells(message, occupied_from)
     column, row = _numbers(message, "x", "y")
@@ -223,6 +254,17 @@ def costs_from_message(message: Any) -> CostMap:
     ------
     MessageError
         As for `grid_from_message`.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace as Message
+    >>> origin = Message(
+    ...     position=Message(x=0.0, y=0.0, z=0.0), orientation=Message(x=0.0, y=0.0, z=0.0, w=1.0)
+    ... )
+    >>> info = Message(resolution=0.1, width=3, height=2, origin=origin)
+    >>> costs = costs_from_message(Message(info=info, data=[0, 50, 100, 0, 0, -1]))
+    >>> costs.at([0.15, 0.05]).item()
+    0.5
     """
     cells, place = _cells(message, None), _placed(message)
     most = LETHAL if hasattr(message, "metadata") else 100
@@ -320,6 +362,15 @@ def footprint_from_message(message: Any, vehicle: Vehicle, frame: str | None = N
         If there are fewer than three corners, or one is not finite.
     VehicleError
         If the polygon has no area.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace as Message
+    >>> corners = [(0.5, 0.3), (0.5, -0.3), (-0.5, -0.3), (-0.5, 0.3)]
+    >>> polygon = Message(points=[Message(x=x, y=y, z=0.0) for x, y in corners])
+    >>> from energyplan.vehicle import Vehicle
+    >>> footprint_from_message(polygon, Vehicle.preset("quadriga")).footprint.tolist()
+    [[-0.5, -0.3], [0.5, 0.3]]
     """
     if hasattr(message, "polygon"):
         name = str(field(message, "header.frame_id"))

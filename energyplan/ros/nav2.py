@@ -42,7 +42,13 @@ from energyplan.terrain import OccupancyGrid
 
 
 class ToPoseError(IntEnum):
-    """Error codes of nav2_msgs/action/ComputePathToPose."""
+    """Error codes of nav2_msgs/action/ComputePathToPose.
+
+    Examples
+    --------
+    >>> ToPoseError.NO_VALID_PATH.value
+    208
+    """
 
     NONE = 0
     UNKNOWN = 200
@@ -57,7 +63,13 @@ class ToPoseError(IntEnum):
 
 
 class ThroughPosesError(IntEnum):
-    """Error codes of nav2_msgs/action/ComputePathThroughPoses."""
+    """Error codes of nav2_msgs/action/ComputePathThroughPoses.
+
+    Examples
+    --------
+    >>> ThroughPosesError.NO_VIAPOINTS_GIVEN.value
+    309
+    """
 
     NONE = 0
     UNKNOWN = 300
@@ -108,6 +120,12 @@ def error_code(
     -------
     ToPoseError or ThroughPosesError
         The code; ``UNKNOWN`` for what Nav2 has no name for, such as a malformed message.
+
+    Examples
+    --------
+    >>> from energyplan.errors import TimeLimitError
+    >>> error_code(TimeLimitError("no path was found in time"), ToPoseError).name
+    'TIMEOUT'
     """
     if isinstance(error, OutsideMapError) and problem is not None:
         on_map = problem.terrain.obstacles.inside(problem.start[:2])

@@ -29,7 +29,14 @@ def plan_values(answer: Answer) -> dict[str, str]:
 
 
 def model_values(model: PowerModel) -> dict[str, str]:
-    """Return what diagnostics tell of a model: each coefficient, with its standard error."""
+    """Return what diagnostics tell of a model: each coefficient, with its standard error.
+
+    Examples
+    --------
+    >>> from energyplan.power import PowerModel
+    >>> list(model_values(PowerModel.preset("quadriga:empty:marble")))
+    ['slip_friction [1]', 'traction_resistance [N]']
+    """
     values = {}
     for term, value in zip(model.terms, model.coefficients.tolist(), strict=True):
         error = model.std_error(term.name)

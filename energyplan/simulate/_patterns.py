@@ -25,6 +25,15 @@ class Leg:
         How long to hold them [s].
     ramp : float
         How long the ramp takes [s]; longer where the acceleration limit asks for it.
+
+    Examples
+    --------
+    >>> from energyplan import simulate
+    >>> from energyplan.power import PowerModel
+    >>> model = PowerModel.preset("quadriga:full:marble")
+    >>> log = simulate.drive(model, [Leg(0.4, 0.4, hold=5.0), Leg(-0.2, 0.2, hold=5.0)])
+    >>> round(float(log.channel("v_left").max()), 2)
+    0.4
     """
 
     v_left: float

@@ -42,6 +42,12 @@ class Contour(NamedTuple):
         The energy [J].
     area : shapely.MultiPolygon
         The places, in the world [m].
+
+    Examples
+    --------
+    >>> from shapely import MultiPolygon, box
+    >>> Contour(5000.0, MultiPolygon([box(0, 0, 4, 3)])).area.area  # [m^2]
+    12.0
     """
 
     energy: float

@@ -193,6 +193,17 @@ class HeightMap:
 
 
 def with_weights(surfaces: SurfaceMap) -> SurfaceMap:
-    """Return surfaces whose models hold their vehicle's weight; see `effects.with_weight`."""
+    """Return surfaces whose models hold their vehicle's weight; see `effects.with_weight`.
+
+    Examples
+    --------
+    >>> from shapely import box
+    >>> from energyplan.power import PowerModel
+    >>> from energyplan.terrain import Surface, SurfaceMap
+    >>> marble = Surface(box(0, 0, 1, 1), PowerModel.preset("quadriga:empty:marble"), "marble")
+    >>> [surface] = with_weights(SurfaceMap((marble,))).surfaces
+    >>> "grade" in [term.name for term in surface.model.terms]
+    True
+    """
     heavy = (replace(s, model=with_weight(s.model)) for s in surfaces.surfaces)
     return replace(surfaces, surfaces=tuple(heavy))

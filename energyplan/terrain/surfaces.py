@@ -57,6 +57,13 @@ class Surface:
     ------
     MapError
         If the area is not a valid polygon.
+
+    Examples
+    --------
+    >>> from shapely import box
+    >>> marble = Surface(box(1, -1, 9, 1), PowerModel.preset("quadriga:empty:marble"), "marble")
+    >>> marble.name, marble.area.area
+    ('marble', 16.0)
     """
 
     area: BaseGeometry

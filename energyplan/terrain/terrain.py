@@ -43,6 +43,16 @@ class Piece(NamedTuple):
         Segments at their length on the slope; where surfaces divide the way, they do not join.
     slope : ndarray, shape (n,)
         Slope along the heading of each segment [rad].
+
+    Examples
+    --------
+    >>> from energyplan.cost import EnergyCost
+    >>> from energyplan.path import Path, Pose
+    >>> from energyplan.power import PowerModel
+    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+    >>> [piece] = path_pieces(Path(Pose(0, 0, 0), ds=[3.0], dtheta=[0.0]), cost)
+    >>> piece.path.length, piece.slope.tolist()
+    (3.0, [0.0])
     """
 
     cost: EnergyCost
@@ -61,6 +71,16 @@ class PathPrice(NamedTuple):
         The same by term of the power models [J].
     duration : float
         Time at the speeds of the costs [s]; NaN where a vehicle has no speed limit.
+
+    Examples
+    --------
+    >>> from energyplan.cost import EnergyCost
+    >>> from energyplan.path import Path, Pose
+    >>> from energyplan.power import PowerModel
+    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+    >>> price = path_price(Path(Pose(0, 0, 0), ds=[3.0], dtheta=[0.0]), cost)
+    >>> round(price.energy), sorted(price.by_term)
+    (678, ['slip_friction', 'traction_resistance'])
     """
 
     energy: float
@@ -100,6 +120,19 @@ def path_pieces(
     ------
     MapError
         If the path leaves the heights.
+
+    Examples
+    --------
+    >>> from shapely import box
+    >>> from energyplan.path import Pose
+    >>> from energyplan.power import PowerModel
+    >>> from energyplan.terrain import Surface, SurfaceMap
+    >>> concrete = PowerModel.preset("quadriga:empty:concrete")
+    >>> marble = PowerModel.preset("quadriga:empty:marble")
+    >>> surfaces = SurfaceMap((Surface(box(1, -1, 9, 1), marble, "marble"),))
+    >>> way = Path(Pose(0, 0, 0), ds=[3.0], dtheta=[0.0])
+    >>> [round(p.path.length, 2) for p in path_pieces(way, EnergyCost(concrete), surfaces)]
+    [1.0, 2.0]
     """
     cut = path if heights is None else heights.cut(path)
     slope = np.zeros(len(cut)) if heights is None else heights.slopes(cut)
@@ -142,6 +175,15 @@ def path_price(
     ------
     MapError
         If the path leaves the heights.
+
+    Examples
+    --------
+    >>> from energyplan.path import Pose
+    >>> from energyplan.power import PowerModel
+    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+    >>> corner = Path(Pose(0, 0, 0), ds=[2.0, 0.0, 2.0], dtheta=[0.0, 1.57, 0.0])
+    >>> round(path_price(corner, cost).energy)
+    1331
     """
     pieces = path_pieces(path, cost, surfaces, heights)
     timed = all(p.cost.speed is not None or p.cost.vehicle.motor.speed < np.inf for p in pieces)

@@ -66,10 +66,15 @@ def test_docstrings_document_exactly_the_parameters(name: str) -> None:
 
 
 LIBRARY = (
-    "battery", "fit", "limits", "logs", "mission", "path", "planning", "power", "simulate",
-    "steering", "studies",
+    "battery", "cost", "diagnosis", "fit", "fleet", "limits", "live", "logs", "mission", "openrmf",
+    "path", "planning", "planning.roadmap", "power", "simulate", "steering", "studies", "terrain",
+    "vehicle",
 )  # fmt: skip
-"""Packages whose functions have an example each, as all names of ``energyplan`` have."""
+"""Packages whose functions and classes have an example each, as all names of ``energyplan`` have.
+"""
+
+FOR_KERNELS = {"terrain.footprint"}
+"""What serves the kernels of other packages, not users."""
 
 
 def names_with_examples() -> Iterator[tuple[str, object]]:
@@ -79,10 +84,13 @@ def names_with_examples() -> Iterator[tuple[str, object]]:
             yield name, value
     for package in LIBRARY:
         module = importlib.import_module(f"energyplan.{package}")
+        listed = hasattr(module, "__all__")
         for name in getattr(module, "__all__", vars(module)):
             value = getattr(module, name)
-            own = getattr(value, "__module__", "").startswith("energyplan.")
-            if own and inspect.isfunction(value) and not name.startswith("_"):
+            home = getattr(value, "__module__", "")
+            own = home.startswith("energyplan.") if listed else home == module.__name__
+            shown = inspect.isfunction(value) or inspect.isclass(value)
+            if own and shown and name[0] != "_" and f"{package}.{name}" not in FOR_KERNELS:
                 yield f"{package}.{name}", value
 
 

@@ -74,6 +74,16 @@ def price_edges(graph: Graph, cost: EnergyCost, surfaces: SurfaceMap | None = No
     networkx graph
         The copy, of the same kind. Of an undirected edge the dearer way counts. Loops, which lead
         nowhere, are left as they are.
+
+    Examples
+    --------
+    >>> import networkx as nx
+    >>> from energyplan.power import PowerModel
+    >>> graph = nx.Graph([("dock", "gate")])
+    >>> nx.set_node_attributes(graph, {"dock": (0, 0), "gate": (5, 0)}, "pos")
+    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+    >>> round(price_edges(graph, cost)["dock"]["gate"]["cost"])
+    1130
     """
     priced = graph.copy()
     edges = edges_of(graph, reverse=False)
@@ -141,6 +151,18 @@ def plan(
         If the graph holds no free route.
     TimeLimitError
         If the budget was over before one was found; the message says how far it got.
+
+    Examples
+    --------
+    `energyplan.plan` calls it by its name:
+
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> cost = ep.EnergyCost(ep.PowerModel.preset("quadriga:empty:concrete"))
+    >>> problem = ep.PlanningProblem(hall, cost, start=(1, 2, 0), goal=(5, 2, 0))
+    >>> round(ep.plan(problem, "roadmap", effort=5000).path.length, 2)
+    4.0
     """
     polish = graph is None if refine is None else refine
     query = CompiledProblem(problem)

@@ -48,6 +48,11 @@ class State(NamedTuple):
         Its key in a multigraph; None in others.
     gear : int
         1 forwards, -1 backwards.
+
+    Examples
+    --------
+    >>> State("dock", "gate", None, gear=-1).gear  # driven backwards
+    -1
     """
 
     source: Hashable

@@ -40,6 +40,18 @@ class Route:
         Its energy, priced by the model itself [J].
     cost : float
         The objective's value: `energy` itself where energy is the objective.
+
+    Examples
+    --------
+    >>> import networkx as nx
+    >>> from energyplan.cost import EnergyCost
+    >>> from energyplan.power import PowerModel
+    >>> graph = nx.Graph([("dock", "gate"), ("gate", "shed")])
+    >>> nx.set_node_attributes(graph, {"dock": (0, 0), "gate": (5, 0), "shed": (5, 4)}, "pos")
+    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+    >>> found = Roadmap(graph, cost).route("dock", "shed")
+    >>> found.nodes, round(found.energy)
+    (('dock', 'gate', 'shed'), 2461)
     """
 
     nodes: tuple[Hashable, ...]

@@ -98,6 +98,13 @@ def visibility_graph(
     ----------
     Lozano-Perez and Wesley (1979), An algorithm for planning collision-free paths among
     polyhedral obstacles.
+
+    Examples
+    --------
+    >>> from shapely import box
+    >>> graph = visibility_graph(box(2, -1, 3, 1), clearance=0.4, points=[(0, 0), (5, 0)])
+    >>> len(graph), graph.has_edge(0, 1)  # four corners and two points; the box hides the goal
+    (6, False)
     """
     if not clearance > 0:
         raise InvalidInputError(f"clearance is {clearance} m; give a positive number")

@@ -1,0 +1,85 @@
+"""How long the four ways of docs/paths.md take, step by step: processor time, cold and warm.
+
+    python benchmarks/ways.py                      print the table
+    python benchmarks/ways.py --out docs/paths.md  write it into that page
+
+Every command runs as a process of its own in an empty folder that holds only what the reader has.
+"Cold" begins with no compiled kernels, "warm" with those of the run before. Installing is not
+timed: it depends on the network. All of it takes about ten minutes of processor time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path += [str(ROOT / "tests"), str(ROOT / "tests" / "docs")]
+
+from test_paths import WAYS, bring, commands  # noqa: E402
+
+MARKS = "<!-- ways: python benchmarks/ways.py -->", "<!-- end of ways -->"
+
+
+def spent() -> float:
+    """Return the processor time of all processes that have ended [s]."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def run(words: list[str], folder: Path, kernels: Path) -> float:
+    """Run a command, a server until it listens; return its processor time [s]."""
+    begun = spent()
+    call = [sys.executable, "-m", "energyplan", *words[1:]]
+    surroundings = {**os.environ, "ENERGYPLAN_CACHE_DIR": str(kernels), "PYTHONUNBUFFERED": "1"}
+    if words[1] == "serve":
+        call += ["--port", "0"]
+        with subprocess.Popen(
+            call, cwd=folder, env=surroundings, stderr=subprocess.STDOUT, stdout=subprocess.PIPE
+        ) as server:
+            assert server.stdout is not None
+            server.stdout.readline()
+            server.terminate()
+        return spent() - begun
+    done = subprocess.run(call, cwd=folder, env=surroundings, capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(words)}: {done.stderr}")
+    return spent() - begun
+
+
+def table() -> str:
+    """Return the table of the ways."""
+    lines = ["| way | steps that run | cold | warm |", "|---|---|---|---|"]
+    for way in WAYS:
+        with tempfile.TemporaryDirectory() as kernels:
+            told = []
+            for _ in ("cold", "warm"):
+                with tempfile.TemporaryDirectory() as name:
+                    bring(way, Path(name))
+                    told.append([run(c, Path(name), Path(kernels)) for c in commands(way)])
+        names = ", ".join(f"`{words[1]}`" for words in commands(way))
+        sums = [f"{sum(times):.0f} s ({' + '.join(f'{t:.0f}' for t in times)})" for times in told]
+        lines.append(f"| {way} | {names} | {' | '.join(sums)} |")
+        print(lines[-1], flush=True)
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Time the ways; write the table where asked to."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, help="page whose table is made anew")
+    out = parser.parse_args().out
+    text = table()
+    if out is not None:
+        before, _, rest = out.read_text().partition(MARKS[0])
+        _, _, after = rest.partition(MARKS[1])
+        out.write_text(f"{before}{MARKS[0]}\n{text}\n{MARKS[1]}{after}")
+
+
+if __name__ == "__main__":
+    main()
