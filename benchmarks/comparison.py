@@ -32,6 +32,7 @@ import steering as words
 
 import energyplan as ep
 from energyplan.errors import EnergyPlanError, PlanningError
+from energyplan.io.husky import read_husky
 from energyplan.path import Path, Pose, wrap_angle
 from energyplan.planning import PlanningProblem, plan
 from energyplan.studies.control_set import USUAL, Penalties, control_set, penalties
@@ -303,6 +304,17 @@ def polynomial(log: ep.DriveLog, vehicle: ep.Vehicle) -> np.ndarray:
     return np.column_stack([sum(side**k for side in sides) for k in range(7)])
 
 
+def husky(folder: File) -> Iterator[card.Case]:
+    """Yield a real Husky's runs by ground; every third run judges."""
+    for ground in sorted(path for path in folder.iterdir() if path.is_dir()):
+        logs = [read_husky(file) for file in sorted(ground.glob("pro_*.csv"))]
+        logs = [log for log in logs if log.duration >= card.SHORTEST]
+        judge = logs[::3]
+        train = [log for log in logs if log not in judge]
+        name = ground.name.lower().replace("_", " ")
+        yield card.Case("Husky A200, real", name, train, judge, ep.Vehicle.preset("husky_a200"))
+
+
 def on_drives(folder: File) -> str:
     """Return the table of power models on recorded drives that they were not fitted to."""
     names = ["rolling friction (Open-RMF)", "polynomial of the motors' speeds (Mei et al. 2004)",
@@ -311,7 +323,7 @@ def on_drives(folder: File) -> str:
         f"| robot, ground | drives judged | {' | '.join(names)} |",
         f"|{'---|' * (len(names) + 2)}",
     ]
-    cases = [*card.husky(folder / "borealtc"), *card.warthog(folder / "drive/warthog_grass.csv")]
+    cases = [*husky(folder / "borealtc"), *card.warthog(folder / "drive/warthog_grass.csv")]
     for case in cases:
         try:
             told = ep.diagnose(case.train, holdout=case.judge, vehicle=case.vehicle)
