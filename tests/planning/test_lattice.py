@@ -20,6 +20,7 @@ from energyplan.planning.scene.compiled import MARGIN, CompiledProblem, Segments
 from energyplan.planning.scene.guide import distance_to_go, inscribed
 from energyplan.power import HOTEL, PowerModel
 from energyplan.terrain import OccupancyGrid
+from energyplan.vehicle import TreadICR, Vehicle
 
 MODEL = PowerModel.preset("quadriga:empty:concrete")
 COST = EnergyCost(MODEL)
@@ -273,3 +274,22 @@ def test_ends_that_almost_touch_are_left_with_room(spare):
         # a path that is known and cheaper is kept
         again = plan(problem, effort=2_500, initial=[found.path])
         assert again.energy <= found.energy * (1 + 1e-12)
+
+
+@pytest.mark.parametrize("turn", [np.pi, 3.0, -2.0])
+@pytest.mark.parametrize("icr", [TreadICR(0.5, 0.5, 0.0), TreadICR(0.6, 0.4, 0.1)])
+def test_a_turn_in_place_is_one_spin_and_not_pivots_of_the_same_energy(turn, icr):
+    vehicle = replace(Vehicle.preset("quadriga:full"), icr=icr)
+    cost = EnergyCost(PowerModel.paper(vehicle, K=118.0, mu=0.4))
+    grid = OccupancyGrid(np.zeros((100, 100), bool), 0.1)
+    # about the centre of the tread ICRs
+    ahead, lateral = icr.centre
+    start = np.array([5.0, 5.0, 0.4])
+    goal = start + np.array([0.0, 0.0, turn])
+    for pose in (start, goal):
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        pose[:2] -= [c * ahead - s * lateral, s * ahead + c * lateral]
+    found = plan(PlanningProblem(grid, cost, start, goal), effort=2000)
+    assert found.path.turning == pytest.approx(abs(turn))
+    assert len(found.path) == 1
+    assert found.gap == pytest.approx(0.0, abs=1e-9)

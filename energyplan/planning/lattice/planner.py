@@ -23,6 +23,7 @@ from energyplan.planning.bound import Bound, Spent, lower_bound
 from energyplan.planning.budget import PACE, Budget
 from energyplan.planning.contract import Candidate
 from energyplan.planning.lattice import search_kernels as kernels
+from energyplan.planning.lattice.fewer_motions import with_fewer_motions
 from energyplan.planning.lattice.portfolio import Portfolio
 from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.lattice.rounds import ROUNDS, Guide
@@ -174,6 +175,7 @@ def plan(
         path = ends.refined(inner.path, budget)
     # what the tables made of the cost of a known path is not what the models make of it
     path = with_wide_arcs(query, min([path, *known], key=query.value))
+    path = with_fewer_motions(query, path)
     if stops:
         path = least_driven(query, path, work.portfolio.others, work.field(1.0), whole)
     return Candidate(path, query.potential(problem.goal) + work.bound, first)
