@@ -9,12 +9,14 @@ from worlds import cluttered, free_poses
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
+from energyplan.cost.steering import StaticSteering
 from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.bound import DETAILS, EFFORT, lower_bound, outline
 from energyplan.planning.bound import corners as kernels
 from energyplan.planning.bound.corners import HEADINGS, Rates
+from energyplan.planning.bound.ends import MOST, NORMALS, Beyond, Section, to_gate
 from energyplan.planning.bound.gates import gate
 from energyplan.planning.bound.geodesic import Ends, ways_to_goal
 from energyplan.planning.bound.sight import line_open, no_links
@@ -120,7 +122,7 @@ def exact_gauge(headings, direction):
 @pytest.mark.parametrize("seed", range(4))
 def test_a_line_costs_no_more_than_any_way_along_it(seed):
     rng = np.random.default_rng(seed)
-    rates = Rates(200.0, 150.0, 0.0, rng.uniform(-3, 3), 0.0)
+    rates = Rates(200.0, 150.0, 0.0, rng.uniform(-3, 3), 0.0, static(200.0, 150.0, 0.4))
     nodes = rates.goal + SPACING * np.arange(HEADINGS)
     for _ in range(20):
         entered = rng.uniform(-np.pi, np.pi)
@@ -139,7 +141,7 @@ def test_a_line_costs_no_more_than_any_way_along_it(seed):
 
 
 def test_a_line_is_charged_its_length_and_the_turn_into_it():
-    rates = Rates(200.0, 150.0, 0.0, 0.0, 0.0)
+    rates = Rates(200.0, 150.0, 0.0, 0.0, 0.0, static(200.0, 150.0, 0.4))
     nodes = SPACING * np.arange(HEADINGS)
     before = rates.radian * np.abs(np.angle(np.exp(1j * nodes)))
     after = kernels.along_line(before, np.pi / 3, 10.0, rates, True, True)
@@ -192,7 +194,7 @@ def shortest_ways(direction, strict_left, strict_right):
 def test_past_a_line_no_way_over_the_nodes_costs_less_and_the_best_hardly_more(strict):
     """All sweeps over the headings are tried: from any node, over any range, to any node."""
     rng = np.random.default_rng(6)
-    rates, n = Rates(226.0, 165.0, 0.0, 0.0, 0.0), HEADINGS
+    rates, n = Rates(226.0, 165.0, 0.0, 0.0, 0.0, static(226.0, 165.0, 0.47)), HEADINGS
     turn = rates.radian * SPACING
     for length in (0.05, 0.6, 4.0):
         before = rng.uniform(0, 500, n)
@@ -218,7 +220,7 @@ def test_past_a_line_no_way_over_the_nodes_costs_less_and_the_best_hardly_more(s
 
 def test_kernels_agree_with_their_plain_twins():
     rng = np.random.default_rng(5)
-    rates = Rates(226.0, 165.0, 0.3, -1.1, 0.0)
+    rates = Rates(226.0, 165.0, 0.3, -1.1, 0.0, static(226.0, 165.0, 0.47))
     before = rng.uniform(0, 500, HEADINGS)
     kernels.spread(before, rates.radian * SPACING)
     for strict in ((True, False), (False, False), (True, True)):
@@ -244,7 +246,10 @@ def test_a_gate_forbids_only_what_cannot_cross_it():
     corner = corners.point[np.argmin(np.hypot(*(corners.point - (1.968, 2.0)).T))]
     closed = np.ones(HEADINGS, bool)
     body = Body(x_min, y_min, x_max, y_max)
-    assert gate(grid.space, body, corners, 0.0, *corner, 1.0, 0.0, closed)
+    found = gate(grid.space, body, corners, 0.0, *corner, 1.0, 0.0, closed)
+    assert found.barred
+    # the disc's centre gets no nearer to the other side than the disc is wide
+    assert 2.4 - 0.318 <= corner[0] + found.width <= 2.4 - 0.318 + 0.05
     # brute force over places on the gate and headings in between the nodes
     across = corner[0] + np.arange(0, 2.18 - corner[0], 0.01)
     headings = (np.arange(4 * HEADINGS) + 0.5) * SPACING / 4
@@ -256,6 +261,121 @@ def test_a_gate_forbids_only_what_cannot_cross_it():
     # along the wall nothing passes, and through it something does
     assert closed[0]
     assert not closed[HEADINGS // 4]
+
+
+# -- the ends --------------------------------------------------------------------------------------
+
+
+def room_to_work():
+    return Beyond(*(np.empty((NORMALS, MOST + 1)) for _ in range(4)))
+
+
+def static(metre, radian, half_track):
+    return StaticSteering(half_track, 0.0, 0.0, metre, metre * half_track + radian)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_to_a_gate_no_motion_takes_less(seed):
+    """Exact steering to 61 places on the gate, for gates of all lengths, far and near."""
+    rng = np.random.default_rng(seed)
+    losses = []
+    for k in range(60):
+        metre, radian, half_track = 10.0 ** rng.uniform((1, 0.5, -1.5), (3, 3, 0.3))
+        x, y = 10.0 ** rng.uniform(-1.5, 1.2) * half_track * rng.normal(size=2)
+        start, end, direction = rng.uniform(-np.pi, np.pi, 3)
+        width = float(rng.choice([0.0, 0.3, 3.0]) * half_track)
+        section = Section(x, y, float(np.cos(direction)), float(np.sin(direction)), width)
+        steering_cost = static(metre, radian, half_track)
+        found = to_gate(section, start, end, steering_cost, 1e9, room_to_work()).cost
+        out = np.linspace(0.0, width, 61 if width else 1)[:, None]
+        places = np.array([x, y]) + out * [np.cos(direction), np.sin(direction)]
+        goals = np.column_stack([places, np.full(len(places), end)])
+        cost = EnergyCost.from_coefficients(metre, radian, half_track)
+        exact = float(steering.energy(np.array([0.0, 0.0, start]), goals, cost).min())
+        assert found <= exact * (1 + 1e-9)
+        losses.append(1 - found / exact)
+        # what is of no interest is left out, and what is found does not depend on it
+        low, high = 0.9 * found, 1.1 * found
+        assert to_gate(section, start, end, steering_cost, low, room_to_work()).cost == low
+        assert to_gate(section, start, end, steering_cost, high, room_to_work()).cost == (
+            pytest.approx(found)
+        )
+        if k < 3:
+            plain = to_gate.py_func(section, start, end, steering_cost, high, room_to_work())
+            assert plain.cost == pytest.approx(found)
+    assert np.median(losses) < 0.01
+
+
+def test_of_a_gate_without_end_only_the_way_straight_to_it_is_charged():
+    across, along = (3.0, 0.0, 0.0, 1.0), static(200.0, 80.0, 0.4)
+    for width in (0.0, 1.0, np.inf):
+        ahead = to_gate(Section(*across, width), 0.0, 0.0, along, 1e9, room_to_work()).cost
+        assert ahead == pytest.approx(600.0)
+    # with the gate on the side that the turn leads to, the turn is driven: b - C |cos| a radian
+    turned = to_gate(Section(*across, np.inf), 0.0, 0.5, along, 1e9, room_to_work()).cost
+    assert turned == pytest.approx(600.0 + 160.0 * 0.5 - 200.0 * 0.4 * np.sin(0.5))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_first_and_last_lines_cost_no_more_than_any_crossing(seed):
+    """Headings between the nodes and all places on the gate are tried."""
+    rng = np.random.default_rng(seed)
+    metre, radian, half_track = 226.0, 165.0, 0.47
+    cost = EnergyCost.from_coefficients(metre, radian, half_track)
+    start, goal = rng.uniform(-3, 3, 2)
+    rates = Rates(metre, radian, start, goal, 0.0, static(metre, radian, half_track))
+    nodes = goal + SPACING * np.arange(HEADINGS)
+    to_goal = radian * np.abs(np.angle(np.exp(1j * (nodes - goal))))
+    direction = rng.uniform(-np.pi, np.pi)
+    x, y, width = 1.5 * np.cos(direction), 1.5 * np.sin(direction), 0.3
+    gate_x, gate_y = float(-np.sin(direction)), float(np.cos(direction))
+    section = Section(x, y, gate_x, gate_y, width)
+    headings = goal + rng.uniform(-np.pi, np.pi, 400)
+    out = rng.uniform(0.0, width, 400)
+    poses = np.column_stack([x + out * gate_x, y + out * gate_y, headings])
+    # out from the start
+    before = radian * np.abs(np.angle(np.exp(1j * (nodes - start)))) + metre * 1.5
+    past = before.copy()
+    kernels.from_start(past, section, to_goal, 1e6, rates, room_to_work())
+    assert np.all(past >= before)
+    exact = steering.energy(np.array([0.0, 0.0, start]), poses, cost)
+    apart = np.abs(np.angle(np.exp(1j * (nodes[:, None] - headings))))
+    assert np.all(past <= (exact + radian * apart).min(axis=1) + 1e-6)
+    assert past.min() > before.min() + 1.0
+    # and in to the goal
+    reached = np.full(HEADINGS, 100.0) + rng.uniform(0, 400, HEADINGS)
+    kernels.spread(reached, radian * SPACING)
+    found = kernels.to_end(reached, section, to_goal, 1e6, rates, room_to_work()).cost
+    last = steering.energy(
+        np.column_stack([np.zeros((400, 2)), headings]),
+        np.column_stack([poses[:, :2], np.full(400, goal)]),
+        cost,
+    )
+    crossing = np.interp(
+        np.mod(headings - goal, 2 * np.pi),
+        np.append(SPACING * np.arange(HEADINGS), 2 * np.pi),
+        np.append(reached, reached[0]),
+    )
+    assert found <= (crossing + last).min()
+    assert found > 100.0 + metre * 1.5
+
+
+def test_a_turn_behind_a_door_takes_what_steering_takes(monkeypatch):
+    """Through a door of 1.2 m to a pose beside it, where the disc alone would spin for less."""
+    occupied = np.zeros((120, 160), bool)
+    occupied[:, 78:82] = True
+    occupied[48:72, 78:82] = False
+    grid = OccupancyGrid(occupied, 0.05)
+    problem = PlanningProblem(grid, COST, (1.2, 4.9, -0.5), (5.0, 4.4, -np.pi / 2))
+    found = plan(problem, effort=10_000, gap=0.0)
+    assert found.lower_bound <= found.energy * (1 + ROUNDING)
+
+    def disc_alone(*given):
+        return kernels.least_over_corners(*given[:-1], False)
+
+    monkeypatch.setattr("energyplan.planning.bound.least_over_corners", disc_alone)
+    before = lower_bound(CompiledProblem(problem), found.energy).value
+    assert found.lower_bound - before > 0.3 * (found.energy - before)
 
 
 # -- shortest ways ---------------------------------------------------------------------------------

@@ -277,9 +277,10 @@ def lower_bound(
         return Bound(free, True)
     excess = least_excess(query, radius, limit)
     # what dear surfaces add comes on top of the rates alone
+    apart = setting if excess == 0.0 else _apart(setting)
     direct = free if excess == 0.0 else _without_obstacles(setting)
     among, final = _among_obstacles(
-        query.grid, setting, radius, direct, limit - excess, effort, {} if spent is None else spent
+        query.grid, apart, radius, direct, limit - excess, effort, {} if spent is None else spent
     )
     return Bound(max(free, among + excess), final)
 
@@ -316,9 +317,14 @@ def _without_obstacles(kernel: KernelProblem) -> float:
     metre, radian = kernel.least_metre, kernel.least_radian
     if radian <= metre * SHORT_TRACK:
         return metre * hypot(kernel.goal_x - kernel.start_x, kernel.goal_y - kernel.start_y)
+    return float(free_energy(_apart(kernel), kernel.start_x, kernel.start_y, kernel.start_yaw))
+
+
+def _apart(kernel: KernelProblem) -> KernelProblem:
+    """Return the problem with metres and radians paid apart in steering too."""
+    metre, radian = kernel.least_metre, kernel.least_radian
     steering = kernel.steering._replace(half_track=SHORT_TRACK, per_metre=metre, per_radian=radian)
-    apart = kernel._replace(steering=steering)
-    return float(free_energy(apart, kernel.start_x, kernel.start_y, kernel.start_yaw))
+    return kernel._replace(steering=steering)
 
 
 def _among_obstacles(
@@ -339,26 +345,33 @@ def _among_obstacles(
     true_body = Body(
         body.x_min + margin, body.y_min + margin, body.x_max - margin, body.y_max - margin
     )
-    rates = Rates(kernel.least_metre, kernel.least_radian, kernel.start_yaw, kernel.goal_yaw, free)
+    rates = Rates(
+        kernel.least_metre,
+        kernel.least_radian,
+        kernel.start_yaw,
+        kernel.goal_yaw,
+        free,
+        kernel.steering,
+    )
     paid = spent.setdefault(id(found), np.zeros(len(found.outline.point), bool))
     with found.lock:
         ways = ways_to_goal(
             kernel.space, found.outline, found.links, paid, ends, longest, WAYS_SHARE * effort
         )
         found.links = ways.links
-        least = least_over_corners(
-            kernel.space,
-            true_body,
-            found.outline,
-            paid,
-            ends,
-            ways,
-            rates,
-            cost,
-            effort - ways.steps,
-        )
-        found.links = least.links
-    return Bound(float(least.value), bool(least.final))
+        left = effort - ways.steps
+        value, final = 0.0, True
+        # what steering takes at the ends comes second: it takes longer than the rest
+        for steer in (False, True):
+            least = least_over_corners(
+                kernel.space, true_body, found.outline, paid, ends, ways, rates, cost, left, steer
+            )
+            found.links = least.links
+            left -= least.steps
+            value, final = max(value, float(least.value)), bool(least.final)
+            if value >= cost or not final:
+                break
+    return Bound(value, final)
 
 
 def _fine_enough(grid: OccupancyGrid, radius: float, ends: Ends, longest: float) -> Sights:

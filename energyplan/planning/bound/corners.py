@@ -22,6 +22,8 @@ from energyplan.compilation.arrays import (
     ShortInts,
     ShortIntTable,
 )
+from energyplan.cost.steering import StaticSteering
+from energyplan.planning.bound.ends import Beyond, Reached, Section, no_tables, to_gate
 from energyplan.planning.bound.gates import gate
 from energyplan.planning.bound.geodesic import Ends, Ways
 from energyplan.planning.bound.sight import Links, Outline, linked, side
@@ -55,6 +57,8 @@ class Rates(NamedTuple):
         Headings.
     direct : float
         Least cost from start to goal without obstacles.
+    steering : StaticSteering
+        What no motion costs less than, pivots included.
     """
 
     metre: float
@@ -62,6 +66,7 @@ class Rates(NamedTuple):
     start: float
     goal: float
     direct: float
+    steering: StaticSteering
 
 
 @inner
@@ -159,6 +164,85 @@ def _pass_gate(cost: Floats, closed: Flags, turn: float) -> None:
     spread(cost, turn)
 
 
+@inner
+def _slack(rates: Rates) -> float:
+    """Return what a heading between two nodes can take less than the nearer one."""
+    return (rates.radian + rates.steering.per_radian) * pi / HEADINGS
+
+
+@inner
+def from_start(
+    cost: Floats, section: Section, to_goal: Floats, limit: float, rates: Rates, tables: Beyond
+) -> float:
+    """Raise the cost of being past the first line to what steering takes; return the steps.
+
+    Parameters
+    ----------
+    cost : ndarray, shape (HEADINGS,)
+        Least cost by heading, at least; raised.
+    section : Section
+        Where the gate lies from the start.
+    to_goal : ndarray, shape (HEADINGS,)
+        What turning to the goal's heading costs from each.
+    limit : float
+        What the cost and that come to at most where they are of interest.
+    rates : Rates
+        Costs.
+    tables : Beyond
+        Room to work in.
+    """
+    n = len(cost)
+    exact = np.empty(n)
+    steps = 0.0
+    slack = _slack(rates)
+    for j in range(n):
+        exact[j] = cost[j]
+        most = limit - to_goal[j] + slack
+        if cost[j] < most:
+            heading = rates.goal + j * 2.0 * pi / n
+            found = to_gate(section, rates.start, heading, rates.steering, most, tables)
+            exact[j] = max(cost[j], found.cost)
+            steps += found.steps
+    spread(exact, rates.radian * 2.0 * pi / n)
+    for j in range(n):
+        cost[j] = max(cost[j], exact[j] - slack)
+    return steps
+
+
+@inner
+def to_end(
+    cost: Floats, section: Section, to_goal: Floats, limit: float, rates: Rates, tables: Beyond
+) -> Reached:
+    """Return what steering takes from the last gate to the goal, and to that gate, at least.
+
+    Parameters
+    ----------
+    cost : ndarray, shape (HEADINGS,)
+        Least cost by heading before the last line.
+    section : Section
+        Where the goal lies from the gate.
+    to_goal, limit, rates, tables
+        As in `from_start`.
+    """
+    n = len(cost)
+    straight = rates.metre * hypot(section.x, section.y)
+    slack = _slack(rates)
+    best = limit + slack
+    steps = float(n)
+    first = 0
+    for j in range(n):
+        if cost[j] + to_goal[j] < cost[first] + to_goal[first]:
+            first = j
+    for k in range(n):
+        j = (first + k) % n
+        if cost[j] + to_goal[j] + straight < best:
+            heading = rates.goal + j * 2.0 * pi / n
+            found = to_gate(section, heading, rates.goal, rates.steering, best - cost[j], tables)
+            best = min(best, cost[j] + found.cost)
+            steps += found.steps
+    return Reached(best - slack, steps)
+
+
 class Lines(NamedTuple):
     """Lines between corners in use, one a row.
 
@@ -172,6 +256,8 @@ class Lines(NamedTuple):
         Whether each is to be looked at.
     gates : ndarray of int, shape (2, lines)
         What is known of the first and the second gate of each.
+    width : ndarray, shape (lines, 2)
+        How far out these are crossed at most [m].
     closed : ndarray of bool, shape (2 lines, HEADINGS)
         Headings that these do not let through, those of one line after the other.
     """
@@ -181,6 +267,7 @@ class Lines(NamedTuple):
     head: ShortInts
     waiting: Flags
     gates: ShortIntTable
+    width: FloatTable
     closed: FlagTable
 
 
@@ -188,6 +275,7 @@ class Lines(NamedTuple):
 def _no_lines(rows: int) -> Lines:
     before = np.empty((rows, HEADINGS))
     gates = np.empty((2, rows), np.int32)
+    width = np.empty((rows, 2))
     waiting = np.empty(rows, np.bool_)
     for k in range(rows):
         gates[0, k] = FRESH
@@ -196,7 +284,7 @@ def _no_lines(rows: int) -> Lines:
         for j in range(HEADINGS):
             before[k, j] = inf
     return Lines(
-        before, np.empty(rows, np.int32), np.empty(rows, np.int32), waiting, gates,
+        before, np.empty(rows, np.int32), np.empty(rows, np.int32), waiting, gates, width,
         np.empty((2 * rows, HEADINGS), np.bool_),
     )  # fmt: skip
 
@@ -211,6 +299,7 @@ def _more_lines(lines: Lines) -> Lines:
         more.waiting[k] = lines.waiting[k]
         for which in range(2):
             more.gates[which, k] = lines.gates[which, k]
+            more.width[k, which] = lines.width[k, which]
         for j in range(HEADINGS):
             more.before[k, j] = lines.before[k, j]
             more.closed[2 * k, j] = lines.closed[2 * k, j]
@@ -237,11 +326,14 @@ class Least(NamedTuple):
         Whether the search came to its end.
     links : Links
         What is known of the corners now.
+    steps : float
+        Steps taken.
     """
 
     value: float
     final: bool
     links: Links
+    steps: float
 
 
 @njit
@@ -255,6 +347,7 @@ def least_over_corners(
     rates: Rates,
     limit: float,
     effort: float,
+    steer: bool,
 ) -> Least:
     """Return a lower bound on the cost of going from start to goal, at most `limit`.
 
@@ -281,6 +374,9 @@ def least_over_corners(
         Costs at or above are of no interest.
     effort : float
         Number of steps, of some nanoseconds each, at which to stop with what is known by then.
+    steer : bool
+        Whether to count what steering takes from the start to the first gate, and from the last one
+        to the goal.
 
     Returns
     -------
@@ -291,6 +387,7 @@ def least_over_corners(
     start = n
     goal = n + 1
     turn = rates.radian * 2.0 * pi / HEADINGS
+    tables = no_tables()
     to_goal = np.empty(HEADINGS)
     cost = np.empty(HEADINGS)
     for j in range(HEADINGS):
@@ -335,8 +432,9 @@ def least_over_corners(
                     of_link = longer
                 begin = int(links.first[at])
                 many = links.number[at] + 1
-        x = ends.start_x if at == start else outline.point[at, 0]
-        y = ends.start_y if at == start else outline.point[at, 1]
+        # at the goal there is nothing to look at
+        x = ends.start_x if at == start else outline.point[min(at, n - 1), 0]
+        y = ends.start_y if at == start else outline.point[min(at, n - 1), 1]
         steps += 10.0 * many
         for i in range(many):
             # the last one is the goal, except from the start, where it is known already
@@ -398,9 +496,9 @@ def least_over_corners(
                 line = int(heap_node[0])
             size = pop(heap_f, heap_node, size)
         if line < 0 or f >= limit:
-            return Least(limit, True, links)
+            return Least(limit, True, links, steps)
         if steps > effort:
-            return Least(f, False, links)
+            return Least(f, False, links, steps)
         lines.waiting[line] = False
         u = int(lines.tail[line])
         at = int(lines.head[line])
@@ -420,19 +518,25 @@ def least_over_corners(
             steps += 30000.0
             lines.gates[0, line] = FREE
             lines.gates[1, line] = FREE
-            if u != start and gate(
-                space, body, outline, rates.goal,
-                ux, uy, behind * iy / length, -behind * ix / length, lines.closed[2 * line],
-            ):  # fmt: skip
-                lines.gates[0, line] = BARRED
-            if at != goal and gate(
-                space, body, outline, rates.goal,
-                x, y, about * iy / length, -about * ix / length, lines.closed[2 * line + 1],
-            ):  # fmt: skip
-                lines.gates[1, line] = BARRED
+            if u != start:
+                found = gate(
+                    space, body, outline, rates.goal,
+                    ux, uy, behind * iy / length, -behind * ix / length, lines.closed[2 * line],
+                )  # fmt: skip
+                lines.width[line, 0] = found.width
+                if found.barred:
+                    lines.gates[0, line] = BARRED
+            if at != goal:
+                found = gate(
+                    space, body, outline, rates.goal,
+                    x, y, about * iy / length, -about * ix / length, lines.closed[2 * line + 1],
+                )  # fmt: skip
+                lines.width[line, 1] = found.width
+                if found.barred:
+                    lines.gates[1, line] = BARRED
         if lines.gates[0, line] == BARRED:
             _pass_gate(cost, lines.closed[2 * line], turn)
-        cost = along_line(
+        past = along_line(
             cost,
             atan2(iy, ix),
             length,
@@ -440,6 +544,20 @@ def least_over_corners(
             about != -1 and behind != 1,
             about != 1 and behind != -1,
         )
+        if steer and u == start:
+            section = Section(
+                ix, iy, about * iy / length, -about * ix / length, lines.width[line, 1]
+            )
+            rest = rates.metre * ways.to_goal[at]
+            steps += from_start(past, section, to_goal, limit - rest, rates, tables)
+        elif steer and at == goal:
+            section = Section(
+                ix, iy, -behind * iy / length, behind * ix / length, lines.width[line, 0]
+            )
+            reached = to_end(cost, section, to_goal, limit, rates, tables)
+            steps += reached.steps
+            past[0] = max(past[0], reached.cost)
+        cost = past
         if at == goal:
             limit = min(limit, cost[0])
             for j in range(HEADINGS):

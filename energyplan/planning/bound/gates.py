@@ -1,8 +1,9 @@
-"""Kernel for the gates at the ends of a line: the headings with which the robot can cross them."""
+"""Kernel for the gates at the ends of a line: how wide they are, and what can cross them."""
 
 from __future__ import annotations
 
-from math import floor, hypot, pi
+from math import floor, hypot, inf, pi
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +16,22 @@ STEP = 0.02
 """Distance between the places tried on a gate [m]."""
 
 LONG = 3.0
-"""Length from which a gate forbids no heading [m]."""
+"""Length from which a gate forbids no heading, and is taken to have no end [m]."""
+
+
+class Gate(NamedTuple):
+    """What is known of a gate.
+
+    Attributes
+    ----------
+    width : float
+        How far from the corner it is crossed at most; infinite for a long one [m].
+    barred : bool
+        Whether there are headings with which the body cannot cross.
+    """
+
+    width: float
+    barred: bool
 
 
 @inner
@@ -29,11 +45,11 @@ def gate(
     ux: float,
     uy: float,
     closed: Flags,
-) -> bool:
-    """Mark the headings with which the body cannot cross a gate; tell whether there are any.
+) -> Gate:
+    """Measure a gate, and mark the headings with which the body cannot cross it.
 
-    A gate is a ray from a corner, up to the next obstacle. Where it leads into the open or is long,
-    it forbids nothing.
+    A gate is a ray from a corner, up to the next obstacle. Where a place on it lies in the open, or
+    where it is long, it forbids no heading.
 
     Parameters
     ----------
@@ -45,6 +61,11 @@ def gate(
         Corner and direction of the ray.
     closed : ndarray of bool, shape (HEADINGS,)
         Filled: whether no pose between the neighbours of a node can cross.
+
+    Returns
+    -------
+    Gate
+        What is known of it.
     """
     n = len(closed)
     spacing = 2.0 * pi / n
@@ -54,6 +75,7 @@ def gate(
     for j in range(n):
         closed[j] = False
     length = 0.0
+    roomy = False
     while True:
         here = in_cells(space, x + length * ux, y + length * uy)
         column = floor(here.column)
@@ -62,11 +84,14 @@ def gate(
             break
         off = hypot(here.column - column - 0.5, here.row - row - 0.5) * res
         near = float(space.clearance[row, column]) * res
-        if near - off > reach or length > LONG:
-            return False
+        if length > LONG:
+            return Gate(inf, False)
         if near + off < outline.inside - 1e-9:
             break
+        roomy = roomy or near - off > reach
         length += STEP
+    if roomy:
+        return Gate(length, False)
     # a body that is smaller by what a place and a heading stand for
     less = 0.5 * STEP + 0.5 * spacing * reach
     small = Body(body.x_min + less, body.y_min + less, body.x_max - less, body.y_max - less)
@@ -87,4 +112,4 @@ def gate(
     for j in range(n):
         closed[j] = not (open_between[j - 1] or open_between[j])
         any_closed = any_closed or closed[j]
-    return any_closed
+    return Gate(length, any_closed)

@@ -1,0 +1,238 @@
+"""Kernel for the ends of a way: what steering takes between a pose and a gate, at least.
+
+Between a pose and a gate nothing of the obstacles is known but where the gate is. So a section of a
+way at either of its ends costs no less than the cheapest motion to any place on the gate, which is
+the exact minimum of docs/theory, section 4, for a goal that is a segment instead of a point.
+"""
+
+from __future__ import annotations
+
+from math import atan2, ceil, cos, floor, hypot, inf, pi, sin
+from typing import NamedTuple
+
+import numpy as np
+
+from energyplan.compilation import inner, njit
+from energyplan.compilation.arrays import Floats, FloatTable
+from energyplan.cost.steering import StaticSteering
+from energyplan.planning.scene.field import angle_between
+
+BEYOND = pi / 72
+"""Steps in which headings beyond the two ends of a turn are tried [rad]."""
+
+NORMALS = 16
+"""Directions tried for the force of the dual, over half a circle; even, so one is straight on."""
+
+MOST = 96
+"""Steps of `BEYOND` beyond either end; more than half a turn, beyond which nothing is new."""
+
+
+class Section(NamedTuple):
+    """Where a gate lies, seen from a pose.
+
+    Attributes
+    ----------
+    x, y : float
+        Displacement to the corner that the gate starts from [m].
+    gate_x, gate_y, width : float
+        Direction of the gate, and its length, which may be infinite [m].
+    """
+
+    x: float
+    y: float
+    gate_x: float
+    gate_y: float
+    width: float
+
+
+class Reached(NamedTuple):
+    """What a gate takes to reach.
+
+    Attributes
+    ----------
+    cost : float
+        At least this much.
+    steps : float
+        Steps that finding it took.
+    """
+
+    cost: float
+    steps: float
+
+
+@inner
+def _headway(angle: float) -> float:
+    """Return the integral of the absolute cosine from zero to an angle."""
+    half_turns = floor(angle / pi + 0.5)
+    rest = angle - half_turns * pi
+    return 2.0 * half_turns + sin(rest)
+
+
+class Beyond(NamedTuple):
+    """Tables by direction of the force and by steps beyond the lower and the upper end of a turn.
+
+    Attributes
+    ----------
+    low, high : ndarray, shape (NORMALS, MOST + 1)
+        Greatest absolute cosine to the force among the headings from the end outward.
+    below, above : ndarray, shape (NORMALS, MOST + 1)
+        Integral of the absolute cosine over them.
+    """
+
+    low: FloatTable
+    high: FloatTable
+    below: FloatTable
+    above: FloatTable
+
+
+@inner
+def no_tables() -> Beyond:
+    """Return tables to be filled."""
+    return Beyond(
+        np.empty((NORMALS, MOST + 1)),
+        np.empty((NORMALS, MOST + 1)),
+        np.empty((NORMALS, MOST + 1)),
+        np.empty((NORMALS, MOST + 1)),
+    )
+
+
+@inner
+def _outward(heading: float, step: float, many: int, greatest: Floats, headway: Floats) -> None:
+    """Fill in the tables of one force and one end.
+
+    Parameters
+    ----------
+    heading : float
+        Heading at the end, from the force [rad].
+    step : float
+        Step outward [rad].
+    many : int
+        Number of steps.
+    greatest, headway : ndarray
+        Filled: see `Beyond`.
+    """
+    c = cos(heading)
+    s = sin(heading)
+    turn_c = cos(step)
+    turn_s = sin(step)
+    most = abs(c)
+    total = 0.0
+    greatest[0] = most
+    headway[0] = 0.0
+    for i in range(1, many + 1):
+        cc = c * turn_c - s * turn_s
+        ss = s * turn_c + c * turn_s
+        # the cosine is at its greatest where the sine passes zero
+        most = 1.0 if s * ss <= 0.0 else max(most, abs(cc))
+        total += abs(ss - s) if c * cc >= 0.0 else 2.0 - abs(s) - abs(ss)
+        greatest[i] = most
+        headway[i] = total
+        c = cc
+        s = ss
+
+
+@njit
+def to_gate(
+    section: Section,
+    start: float,
+    end: float,
+    steering: StaticSteering,
+    limit: float,
+    tables: Beyond,
+) -> Reached:
+    """Return what a motion from a heading to another costs at least that ends on a segment.
+
+    For a force ``p = a n / M`` every motion costs at least ``p . d`` for its displacement `d`, and
+    ``b - C |p . u|`` for each radian that it turns through a heading `u`, if no heading on the way
+    has ``|n . u| > M``. For the headings a motion passes, told by how far they reach beyond its
+    first and last one, the best force of `NORMALS` counts; of all such ranges, the cheapest. To
+    turn to and fro within a range more than once only adds to that.
+
+    Parameters
+    ----------
+    section : Section
+        Where the segment lies.
+    start, end : float
+        First and last heading [rad].
+    steering : StaticSteering
+        The cost.
+    limit : float
+        More than this is of no interest.
+    tables : Beyond
+        Room to work in.
+
+    Returns
+    -------
+    Reached
+        The cost, at most `limit`.
+    """
+    x = section.x
+    y = section.y
+    turn = (end - start) % (2.0 * pi)
+    metre = steering.per_metre
+    radian = steering.per_radian
+    steps = 100.0
+    towards = atan2(y, x)
+    shift = towards - 0.5 * pi
+    # no more than to turn to the corner, to drive there, forwards or backwards, and to turn
+    best = limit
+    for heading in (towards, towards + pi):
+        turns = angle_between(heading, start) + angle_between(heading, end)
+        best = min(best, radian * turns + metre * hypot(x, y))
+    ahead = np.empty(NORMALS)
+    once = np.empty(NORMALS)
+    inside = np.empty(NORMALS)
+    for way in range(4):
+        # to the left by less than a turn or by one more, and to the right likewise
+        total = turn if way == 0 else 2.0 * pi - turn if way == 1 else turn + 2.0 * pi
+        if way == 3:
+            total = 4.0 * pi - turn
+        left = way % 2 == 0
+        if radian * total >= best:
+            continue
+        low = start if left else start - total
+        high = low + total
+        many = min(int((best - radian * total) / (2.0 * radian * BEYOND)) + 2, MOST)
+        for k in range(NORMALS):
+            angle = shift + k * pi / NORMALS
+            nx = cos(angle)
+            ny = sin(angle)
+            ahead[k] = x * nx + y * ny
+            off = section.gate_x * nx + section.gate_y * ny
+            if off < 0.0:
+                ahead[k] = ahead[k] + section.width * off if section.width < inf else -inf
+            passes = ceil((low - angle) / pi) * pi <= high - angle
+            inside[k] = 1.0 if passes else 0.0
+            once[k] = _headway(high - angle) - _headway(low - angle)
+            _outward(low - angle, -BEYOND, many, tables.low[k], tables.below[k])
+            _outward(high - angle, BEYOND, many, tables.high[k], tables.above[k])
+        steps += NORMALS * (50.0 + 6.0 * many)
+        last = NORMALS // 2
+        for i in range(many + 1):
+            short = max(i - 1, 0)
+            if radian * (total + 2.0 * short * BEYOND) >= best:
+                break
+            for j in range(many + 1):
+                less = max(j - 1, 0)
+                turned = radian * (total + 2.0 * (short + less) * BEYOND)
+                if turned >= best:
+                    break
+                value = turned
+                for m in range(NORMALS):
+                    # the force that was the best one before comes first
+                    k = (last + m) % NORMALS
+                    left_over = ahead[k] - steering.half_track * (
+                        once[k] + 2.0 * (tables.below[k, short] + tables.above[k, less])
+                    )
+                    steps += 2.0
+                    if left_over <= 0.0:
+                        continue
+                    most = max(inside[k], tables.low[k, i], tables.high[k, j])
+                    there = turned + metre * left_over / max(most, 1e-9)
+                    if there > value:
+                        value = there
+                        if value >= best:
+                            last = k
+                            break
+                best = min(best, value)
+    return Reached(max(best, 0.0), steps)
