@@ -15,12 +15,11 @@ from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.io.maps import read_map
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, plan
-from energyplan.planning.bound import DETAILS, EFFORT, lower_bound, outline
-from energyplan.planning.bound import corners as kernels
-from energyplan.planning.bound.corners import HEADINGS, Rates
+from energyplan.planning.bound import DETAILS, EFFORT, corners, ends, lower_bound, one_line, outline
 from energyplan.planning.bound.ends import MOST, NORMALS, Beyond, Section, to_gate
 from energyplan.planning.bound.gates import gate
 from energyplan.planning.bound.geodesic import Ends, ways_to_goal
+from energyplan.planning.bound.one_line import HEADINGS, Rates
 from energyplan.planning.bound.sight import line_open, no_links
 from energyplan.planning.bound.surface_excess import least_excess, least_steps
 from energyplan.planning.contract import ROUNDING
@@ -131,7 +130,7 @@ def test_a_line_costs_no_more_than_any_way_along_it(seed):
         entered = rng.uniform(-np.pi, np.pi)
         before = rates.radian * np.abs(np.angle(np.exp(1j * (nodes - entered))))
         direction, length = rng.uniform(-np.pi, np.pi), rng.uniform(0.05, 3.0)
-        after = kernels.along_line(before, direction, length, rates, True, True)
+        after = one_line.along_line(before, direction, length, rates, True, True)
         # headings that are swept: from the entrance to `first`, then on to `last`, then to the exit
         first, last = entered + rng.uniform(-2, 2), entered + rng.uniform(-2, 2)
         swept = np.linspace(min(entered, first, last), max(entered, first, last), 400)
@@ -147,7 +146,7 @@ def test_a_line_is_charged_its_length_and_the_turn_into_it():
     rates = Rates(200.0, 150.0, 0.0, 0.0, 0.0, static(200.0, 150.0, 0.4))
     nodes = SPACING * np.arange(HEADINGS)
     before = rates.radian * np.abs(np.angle(np.exp(1j * nodes)))
-    after = kernels.along_line(before, np.pi / 3, 10.0, rates, True, True)
+    after = one_line.along_line(before, np.pi / 3, 10.0, rates, True, True)
     there = int(np.round(np.pi / 3 / SPACING))
     spare = 2 * rates.radian * SPACING
     turn = rates.radian * np.pi / 3
@@ -156,7 +155,7 @@ def test_a_line_is_charged_its_length_and_the_turn_into_it():
     assert after[0] == pytest.approx(2000 + 2 * turn, abs=spare)
     assert after[0] <= 2000 + 2 * turn
     # where the way may end up beside the line, some of that turn is saved, at a cost
-    beside = kernels.along_line(before, np.pi / 3, 10.0, rates, False, False)
+    beside = one_line.along_line(before, np.pi / 3, 10.0, rates, False, False)
     lag = np.linspace(0, np.pi / 3, 1001)
     exact = (2000 / np.cos(lag) + 2 * rates.radian * (np.pi / 3 - lag)).min()
     assert exact - spare <= beside[0] <= exact
@@ -201,7 +200,7 @@ def test_past_a_line_no_way_over_the_nodes_costs_less_and_the_best_hardly_more(s
     turn = rates.radian * SPACING
     for length in (0.05, 0.6, 4.0):
         before = rng.uniform(0, 500, n)
-        kernels.spread(before, turn)
+        one_line.spread(before, turn)
         direction = rng.uniform(-np.pi, np.pi)
         ways = rates.metre * length * shortest_ways(direction, *strict)
         best = np.full(n, np.inf)
@@ -213,7 +212,7 @@ def test_past_a_line_no_way_over_the_nodes_costs_less_and_the_best_hardly_more(s
             down = (before[place] + turn * i).min(axis=1, keepdims=True) + turn * (2 * b - i)
             there = np.minimum(up, down) + ways[:, b, None]
             np.minimum.at(best, place, there)
-        found = kernels.along_line(before, direction, length, rates, *strict)
+        found = one_line.along_line(before, direction, length, rates, *strict)
         assert np.all(found <= best * (1 + 1e-9))
         # a node stands for the headings up to its neighbours, before and after; how far a way's
         # headings spread is told in classes, which hardly matters along long lines
@@ -225,13 +224,13 @@ def test_kernels_agree_with_their_plain_twins():
     rng = np.random.default_rng(5)
     rates = Rates(226.0, 165.0, 0.3, -1.1, 0.0, static(226.0, 165.0, 0.47))
     before = rng.uniform(0, 500, HEADINGS)
-    kernels.spread(before, rates.radian * SPACING)
+    one_line.spread(before, rates.radian * SPACING)
     for strict in ((True, False), (False, False), (True, True)):
-        fast = kernels.along_line(before, 0.7, 1.3, rates, *strict)
-        plain = kernels.along_line.py_func(before, 0.7, 1.3, rates, *strict)
+        fast = one_line.along_line(before, 0.7, 1.3, rates, *strict)
+        plain = one_line.along_line.py_func(before, 0.7, 1.3, rates, *strict)
         np.testing.assert_allclose(fast, plain, rtol=1e-12)
     once = before.copy()
-    kernels.spread.py_func(once, rates.radian * SPACING)
+    one_line.spread.py_func(once, rates.radian * SPACING)
     np.testing.assert_allclose(once, before, rtol=1e-12)
 
 
@@ -339,7 +338,7 @@ def test_first_and_last_lines_cost_no_more_than_any_crossing(seed):
     # out from the start
     before = radian * np.abs(np.angle(np.exp(1j * (nodes - start)))) + metre * 1.5
     past = before.copy()
-    kernels.from_start(past, section, to_goal, 1e6, rates, room_to_work())
+    ends.from_start(past, section, to_goal, 1e6, rates, room_to_work())
     assert np.all(past >= before)
     exact = steering.energy(np.array([0.0, 0.0, start]), poses, cost)
     apart = np.abs(np.angle(np.exp(1j * (nodes[:, None] - headings))))
@@ -347,8 +346,8 @@ def test_first_and_last_lines_cost_no_more_than_any_crossing(seed):
     assert past.min() > before.min() + 1.0
     # and in to the goal
     reached = np.full(HEADINGS, 100.0) + rng.uniform(0, 400, HEADINGS)
-    kernels.spread(reached, radian * SPACING)
-    found = kernels.to_end(reached, section, to_goal, 1e6, rates, room_to_work()).cost
+    one_line.spread(reached, radian * SPACING)
+    found = ends.to_end(reached, section, to_goal, 1e6, rates, room_to_work()).cost
     last = steering.energy(
         np.column_stack([np.zeros((400, 2)), headings]),
         np.column_stack([poses[:, :2], np.full(400, goal)]),
@@ -371,7 +370,7 @@ def test_turns_behind_doors_take_what_steering_takes(monkeypatch):
     assert found.lower_bound <= found.energy * (1 + ROUNDING)
 
     def disc_alone(*given):
-        return kernels.least_over_corners(*given[:-1], False)
+        return corners.least_over_corners(*given[:-1], False)
 
     monkeypatch.setattr("energyplan.planning.bound.least_over_corners", disc_alone)
     before = lower_bound(CompiledProblem(problem), found.energy).value

@@ -21,8 +21,9 @@ import shapely
 from numpy.typing import NDArray
 
 from energyplan.path import FloatArray
-from energyplan.planning.bound.corners import Rates, least_over_corners
+from energyplan.planning.bound.corners import least_over_corners
 from energyplan.planning.bound.geodesic import Ends, ways_to_goal
+from energyplan.planning.bound.one_line import Rates
 from energyplan.planning.bound.sight import Outline, gaps, no_links, squares_of_edges
 from energyplan.planning.bound.surface_excess import certain_regions, least_excess
 from energyplan.planning.parallel import workers

@@ -1,14 +1,13 @@
 """Kernels of the lower bound: a search over the corners of the obstacles (docs/planning.md).
 
-The robot is a disc that drives along its heading, forwards or backwards, and pays for metres and
-radians apart. What is kept for each line between two corners is a function of the heading, at
-`HEADINGS` nodes around the circle: the least cost at which any way of the disc that is drawn
-taut along this line can have got there.
+What is kept for each line between two corners is a function of the heading, at `HEADINGS` nodes
+around the circle: the least cost at which any way of the disc that is drawn taut along this line
+can have got there.
 """
 
 from __future__ import annotations
 
-from math import atan2, cos, hypot, inf, pi, sin
+from math import atan2, hypot, inf, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -17,15 +16,14 @@ from energyplan.compilation import inner, njit
 from energyplan.compilation.arrays import (
     Flags,
     FlagTable,
-    Floats,
     FloatTable,
     ShortInts,
     ShortIntTable,
 )
-from energyplan.cost.steering import StaticSteering
-from energyplan.planning.bound.ends import Beyond, Reached, Section, no_tables, to_gate
+from energyplan.planning.bound.ends import Section, from_start, no_tables, to_end
 from energyplan.planning.bound.gates import gate
 from energyplan.planning.bound.geodesic import Ends, Ways
+from energyplan.planning.bound.one_line import HEADINGS, Rates, along_line, pass_gate
 from energyplan.planning.bound.sight import Links, Outline, linked, side
 from energyplan.planning.scene.field import (
     angle_between,
@@ -36,211 +34,8 @@ from energyplan.planning.scene.field import (
 )
 from energyplan.terrain.collision import Body, Space
 
-HEADINGS = 256
-"""Nodes of the heading."""
-
-SWEEPS = (0.0, pi / 6, pi / 3, pi / 2, 2 * pi / 3, pi)
-"""Limits of the classes of ways along a line, by how far their headings spread [rad]."""
-
 FRESH, FREE, BARRED = 0, 1, 2
 """What is known of the gates of a line: nothing, that all headings pass, that some do not."""
-
-
-class Rates(NamedTuple):
-    """Costs of the relaxed problem.
-
-    Attributes
-    ----------
-    metre, radian : float
-        Cost per metre driven and per radian turned.
-    start, goal : float
-        Headings.
-    direct : float
-        Least cost from start to goal without obstacles.
-    steering : StaticSteering
-        What no motion costs less than, pivots included.
-    """
-
-    metre: float
-    radian: float
-    start: float
-    goal: float
-    direct: float
-    steering: StaticSteering
-
-
-@inner
-def spread(cost: Floats, turn: float) -> None:
-    """Lower each node's cost to that of turning there from another node, at `turn` a node."""
-    n = len(cost)
-    best = inf
-    for k in range(2 * n):
-        j = k % n
-        best = min(best + turn, cost[j])
-        cost[j] = best
-    best = inf
-    for k in range(2 * n - 1, -1, -1):
-        j = k % n
-        best = min(best + turn, cost[j])
-        cost[j] = best
-
-
-@inner
-def _least(cost: Floats) -> float:
-    best = inf
-    for j in range(len(cost)):
-        best = min(best, cost[j])
-    return best
-
-
-@inner
-def along_line(
-    cost: Floats,
-    direction: float,
-    length: float,
-    rates: Rates,
-    strict_left: bool,
-    strict_right: bool,
-) -> Floats:
-    """Return the least cost of being past a line by heading, given that of being before it.
-
-    A way whose headings all stay away from the line by some angle, its lag, is longer than the
-    line: by the cosine of the lag, and where it must end up on the line again, by how much it has
-    to go to and fro, the more so the less its headings spread.
-
-    Parameters
-    ----------
-    cost : ndarray, shape (HEADINGS,)
-        Least cost by heading, such that neighbours differ by no more than the turn between them.
-        Node 0 is the heading at the goal.
-    direction, length : float
-        The line [rad], [m].
-    rates : Rates
-        Costs.
-    strict_left, strict_right : bool
-        Whether a way whose headings stay to the left, or right, of the line must end up on it.
-    """
-    n = len(cost)
-    spacing = 2.0 * pi / n
-    straight = rates.metre * length
-    lowest = _least(cost)
-    strict = strict_left or strict_right
-    sine = np.empty(n)
-    cosine = np.empty(n)
-    beside = np.empty(n, np.bool_)
-    for j in range(n):
-        aside = (rates.goal + j * spacing - direction) % pi
-        left = aside <= 0.5 * pi
-        # a node stands for the headings up to its neighbours
-        lag = max((aside if left else pi - aside) - spacing, 0.0)
-        sine[j] = sin(lag)
-        cosine[j] = max(cos(lag), 1e-6)
-        beside[j] = not (strict_left if left else strict_right)
-    out = np.empty(n)
-    past = np.empty(n)
-    for j in range(n):
-        out[j] = inf
-    for k in range(1 if strict else len(SWEEPS) - 1, len(SWEEPS)):
-        wide = cos(0.5 * SWEEPS[k]) / sin(0.5 * SWEEPS[k])
-        for j in range(n):
-            longer = 1.0 / cosine[j]
-            if not beside[j]:
-                longer = max(longer, sine[j] * wide + cosine[j])
-            past[j] = cost[j] + straight * longer
-        spread(past, rates.radian * spacing)
-        # ways of this class turn by more than the class before covers
-        least = lowest + straight + (rates.radian * SWEEPS[k - 1] if strict else 0.0)
-        for j in range(n):
-            out[j] = min(out[j], max(past[j], least))
-    return out
-
-
-@inner
-def _pass_gate(cost: Floats, closed: Flags, turn: float) -> None:
-    """Raise the cost of the headings that a gate does not let through."""
-    for j in range(len(cost)):
-        if closed[j]:
-            cost[j] = inf
-    spread(cost, turn)
-
-
-@inner
-def _slack(rates: Rates) -> float:
-    """Return what a heading between two nodes can take less than the nearer one."""
-    return (rates.radian + rates.steering.per_radian) * pi / HEADINGS
-
-
-@inner
-def from_start(
-    cost: Floats, section: Section, to_goal: Floats, limit: float, rates: Rates, tables: Beyond
-) -> float:
-    """Raise the cost of being past the first line to what steering takes; return the steps.
-
-    Parameters
-    ----------
-    cost : ndarray, shape (HEADINGS,)
-        Least cost by heading, at least; raised.
-    section : Section
-        Where the gate lies from the start.
-    to_goal : ndarray, shape (HEADINGS,)
-        What turning to the goal's heading costs from each.
-    limit : float
-        What the cost and that come to at most where they are of interest.
-    rates : Rates
-        Costs.
-    tables : Beyond
-        Room to work in.
-    """
-    n = len(cost)
-    exact = np.empty(n)
-    steps = 0.0
-    slack = _slack(rates)
-    for j in range(n):
-        exact[j] = cost[j]
-        most = limit - to_goal[j] + slack
-        if cost[j] < most:
-            heading = rates.goal + j * 2.0 * pi / n
-            found = to_gate(section, rates.start, heading, rates.steering, most, tables)
-            exact[j] = max(cost[j], found.cost)
-            steps += found.steps
-    spread(exact, rates.radian * 2.0 * pi / n)
-    for j in range(n):
-        cost[j] = max(cost[j], exact[j] - slack)
-    return steps
-
-
-@inner
-def to_end(
-    cost: Floats, section: Section, to_goal: Floats, limit: float, rates: Rates, tables: Beyond
-) -> Reached:
-    """Return what steering takes from the last gate to the goal, and to that gate, at least.
-
-    Parameters
-    ----------
-    cost : ndarray, shape (HEADINGS,)
-        Least cost by heading before the last line.
-    section : Section
-        Where the goal lies from the gate.
-    to_goal, limit, rates, tables
-        As in `from_start`.
-    """
-    n = len(cost)
-    straight = rates.metre * hypot(section.x, section.y)
-    slack = _slack(rates)
-    best = limit + slack
-    steps = float(n)
-    first = 0
-    for j in range(n):
-        if cost[j] + to_goal[j] < cost[first] + to_goal[first]:
-            first = j
-    for k in range(n):
-        j = (first + k) % n
-        if cost[j] + to_goal[j] + straight < best:
-            heading = rates.goal + j * 2.0 * pi / n
-            found = to_gate(section, heading, rates.goal, rates.steering, best - cost[j], tables)
-            best = min(best, cost[j] + found.cost)
-            steps += found.steps
-    return Reached(best - slack, steps)
 
 
 class Lines(NamedTuple):
@@ -535,7 +330,7 @@ def least_over_corners(
                 if found.barred:
                     lines.gates[1, line] = BARRED
         if lines.gates[0, line] == BARRED:
-            _pass_gate(cost, lines.closed[2 * line], turn)
+            pass_gate(cost, lines.closed[2 * line], turn)
         past = along_line(
             cost,
             atan2(iy, ix),
@@ -564,4 +359,4 @@ def least_over_corners(
                 cost[j] = inf
             continue
         if lines.gates[1, line] == BARRED:
-            _pass_gate(cost, lines.closed[2 * line + 1], turn)
+            pass_gate(cost, lines.closed[2 * line + 1], turn)

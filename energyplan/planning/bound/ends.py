@@ -1,4 +1,4 @@
-"""Kernel for the ends of a way: what steering takes between a pose and a gate, at least.
+"""Kernels for the ends of a way: what steering takes between a pose and a gate, at least.
 
 Between a pose and a gate nothing of the obstacles is known but where the gate is. So a section of a
 way at either of its ends costs no less than the cheapest motion to any place on the gate, which is
@@ -15,6 +15,7 @@ import numpy as np
 from energyplan.compilation import inner, njit
 from energyplan.compilation.arrays import Floats, FloatTable
 from energyplan.cost.steering import StaticSteering
+from energyplan.planning.bound.one_line import HEADINGS, Rates, spread
 from energyplan.planning.scene.field import angle_between
 
 BEYOND = pi / 72
@@ -236,3 +237,82 @@ def to_gate(
                             break
                 best = min(best, value)
     return Reached(max(best, 0.0), steps)
+
+
+@inner
+def _slack(rates: Rates) -> float:
+    """Return what a heading between two nodes can take less than the nearer one."""
+    return (rates.radian + rates.steering.per_radian) * pi / HEADINGS
+
+
+@inner
+def from_start(
+    cost: Floats, section: Section, to_goal: Floats, limit: float, rates: Rates, tables: Beyond
+) -> float:
+    """Raise the cost of being past the first line to what steering takes; return the steps.
+
+    Parameters
+    ----------
+    cost : ndarray, shape (HEADINGS,)
+        Least cost by heading, at least; raised.
+    section : Section
+        Where the gate lies from the start.
+    to_goal : ndarray, shape (HEADINGS,)
+        What turning to the goal's heading costs from each.
+    limit : float
+        What the cost and that come to at most where they are of interest.
+    rates : Rates
+        Costs.
+    tables : Beyond
+        Room to work in.
+    """
+    n = len(cost)
+    exact = np.empty(n)
+    steps = 0.0
+    slack = _slack(rates)
+    for j in range(n):
+        exact[j] = cost[j]
+        most = limit - to_goal[j] + slack
+        if cost[j] < most:
+            heading = rates.goal + j * 2.0 * pi / n
+            found = to_gate(section, rates.start, heading, rates.steering, most, tables)
+            exact[j] = max(cost[j], found.cost)
+            steps += found.steps
+    spread(exact, rates.radian * 2.0 * pi / n)
+    for j in range(n):
+        cost[j] = max(cost[j], exact[j] - slack)
+    return steps
+
+
+@inner
+def to_end(
+    cost: Floats, section: Section, to_goal: Floats, limit: float, rates: Rates, tables: Beyond
+) -> Reached:
+    """Return what steering takes from the last gate to the goal, and to that gate, at least.
+
+    Parameters
+    ----------
+    cost : ndarray, shape (HEADINGS,)
+        Least cost by heading before the last line.
+    section : Section
+        Where the goal lies from the gate.
+    to_goal, limit, rates, tables
+        As in `from_start`.
+    """
+    n = len(cost)
+    straight = rates.metre * hypot(section.x, section.y)
+    slack = _slack(rates)
+    best = limit + slack
+    steps = float(n)
+    first = 0
+    for j in range(n):
+        if cost[j] + to_goal[j] < cost[first] + to_goal[first]:
+            first = j
+    for k in range(n):
+        j = (first + k) % n
+        if cost[j] + to_goal[j] + straight < best:
+            heading = rates.goal + j * 2.0 * pi / n
+            found = to_gate(section, heading, rates.goal, rates.steering, best - cost[j], tables)
+            best = min(best, cost[j] + found.cost)
+            steps += found.steps
+    return Reached(best - slack, steps)

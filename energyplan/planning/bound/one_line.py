@@ -1,0 +1,140 @@
+"""Kernels for one line of the lower bound: what a way along it costs, by heading.
+
+The robot is a disc that drives along its heading, forwards or backwards, and pays for metres and
+radians apart (docs/planning.md).
+"""
+
+from __future__ import annotations
+
+from math import cos, inf, pi, sin
+from typing import NamedTuple
+
+import numpy as np
+
+from energyplan.compilation import inner
+from energyplan.compilation.arrays import Flags, Floats
+from energyplan.cost.steering import StaticSteering
+
+HEADINGS = 256
+"""Nodes of the heading."""
+
+SWEEPS = (0.0, pi / 6, pi / 3, pi / 2, 2 * pi / 3, pi)
+"""Limits of the classes of ways along a line, by how far their headings spread [rad]."""
+
+
+class Rates(NamedTuple):
+    """Costs of the relaxed problem.
+
+    Attributes
+    ----------
+    metre, radian : float
+        Cost per metre driven and per radian turned.
+    start, goal : float
+        Headings.
+    direct : float
+        Least cost from start to goal without obstacles.
+    steering : StaticSteering
+        What no motion costs less than, pivots included.
+    """
+
+    metre: float
+    radian: float
+    start: float
+    goal: float
+    direct: float
+    steering: StaticSteering
+
+
+@inner
+def spread(cost: Floats, turn: float) -> None:
+    """Lower each node's cost to that of turning there from another node, at `turn` a node."""
+    n = len(cost)
+    best = inf
+    for k in range(2 * n):
+        j = k % n
+        best = min(best + turn, cost[j])
+        cost[j] = best
+    best = inf
+    for k in range(2 * n - 1, -1, -1):
+        j = k % n
+        best = min(best + turn, cost[j])
+        cost[j] = best
+
+
+@inner
+def _least(cost: Floats) -> float:
+    best = inf
+    for j in range(len(cost)):
+        best = min(best, cost[j])
+    return best
+
+
+@inner
+def along_line(
+    cost: Floats,
+    direction: float,
+    length: float,
+    rates: Rates,
+    strict_left: bool,
+    strict_right: bool,
+) -> Floats:
+    """Return the least cost of being past a line by heading, given that of being before it.
+
+    A way whose headings all stay away from the line by some angle, its lag, is longer than the
+    line: by the cosine of the lag, and where it must end up on the line again, by how much it has
+    to go to and fro, the more so the less its headings spread.
+
+    Parameters
+    ----------
+    cost : ndarray, shape (HEADINGS,)
+        Least cost by heading, such that neighbours differ by no more than the turn between them.
+        Node 0 is the heading at the goal.
+    direction, length : float
+        The line [rad], [m].
+    rates : Rates
+        Costs.
+    strict_left, strict_right : bool
+        Whether a way whose headings stay to the left, or right, of the line must end up on it.
+    """
+    n = len(cost)
+    spacing = 2.0 * pi / n
+    straight = rates.metre * length
+    lowest = _least(cost)
+    strict = strict_left or strict_right
+    sine = np.empty(n)
+    cosine = np.empty(n)
+    beside = np.empty(n, np.bool_)
+    for j in range(n):
+        aside = (rates.goal + j * spacing - direction) % pi
+        left = aside <= 0.5 * pi
+        # a node stands for the headings up to its neighbours
+        lag = max((aside if left else pi - aside) - spacing, 0.0)
+        sine[j] = sin(lag)
+        cosine[j] = max(cos(lag), 1e-6)
+        beside[j] = not (strict_left if left else strict_right)
+    out = np.empty(n)
+    past = np.empty(n)
+    for j in range(n):
+        out[j] = inf
+    for k in range(1 if strict else len(SWEEPS) - 1, len(SWEEPS)):
+        wide = cos(0.5 * SWEEPS[k]) / sin(0.5 * SWEEPS[k])
+        for j in range(n):
+            longer = 1.0 / cosine[j]
+            if not beside[j]:
+                longer = max(longer, sine[j] * wide + cosine[j])
+            past[j] = cost[j] + straight * longer
+        spread(past, rates.radian * spacing)
+        # ways of this class turn by more than the class before covers
+        least = lowest + straight + (rates.radian * SWEEPS[k - 1] if strict else 0.0)
+        for j in range(n):
+            out[j] = min(out[j], max(past[j], least))
+    return out
+
+
+@inner
+def pass_gate(cost: Floats, closed: Flags, turn: float) -> None:
+    """Raise the cost of the headings that a gate does not let through."""
+    for j in range(len(cost)):
+        if closed[j]:
+            cost[j] = inf
+    spread(cost, turn)
