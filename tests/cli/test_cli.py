@@ -99,7 +99,8 @@ def test_mission_flags_what_is_out_of_reach(run: Run, tmp_path: Path) -> None:
     for task in result.json["tasks"]:
         assert set(task) == {"name", "verdict", "reason", "reachable_alone", "energy",
                              "energy_upper", "soc_after", "shortfall", "remedy", "remedies",
-                             "arrival", "departure", "pose", "soc_lower"}  # fmt: skip
+                             "arrival", "departure", "pose", "soc_lower", "start",
+                             "start_upper"}  # fmt: skip
     assert "wash the marble hall" in report.read_text()
 
 
