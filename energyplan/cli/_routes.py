@@ -31,8 +31,8 @@ from energyplan.errors import InvalidInputError, NoPathError
 
 
 @app.command(
-    epilog="Example: energyplan replan path.csv --map warehouse_now.yaml "
-    "--former-map warehouse.yaml --model quadriga:empty:concrete --from 5,2,0"
+    epilog="Example: energyplan replan route.csv --map warehouse.yaml "
+    "--model quadriga:empty:concrete --from 5,2,0 --out rest.csv"
 )
 def replan(
     path: Annotated[Path, typer.Argument(help="The path being driven, as plan --out writes it.")],

@@ -99,6 +99,16 @@ def material(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (place / "drive.jsonl").write_text("\n".join(lines))
     route = ep.Path(ep.Pose(0, 0, 0), ds=[2.0, 0.5, 1.0], dtheta=[0.0, 1.0, 0.0])
     write_path(route, place / "path.csv")
+    write_path(ep.Path(ep.Pose(2, 2, 0), ds=[6.0], dtheta=[0.0]), place / "route.csv")
+    ends = {0: (2, 2), 1: (8, 2)}
+    points = [({"id": k}, "Point", at) for k, at in ends.items()]
+    line = ({"id": 2, "startid": 0, "endid": 1}, "MultiLineString", [[*ends.values()]])
+    features = [
+        {"type": "Feature", "properties": told, "geometry": {"type": kind, "coordinates": at}}
+        for told, kind, at in (*points, line)
+    ]
+    graph = {"type": "FeatureCollection", "features": features}
+    (place / "graph.geojson").write_text(json.dumps(graph))
     write_trajectory(ep.speed.profile(route, MODEL), place / "trajectory.csv")
     for file in (ROOT / "maps").iterdir():
         if file.suffix in (".yaml", ".png", ".geojson"):
