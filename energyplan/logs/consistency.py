@@ -359,7 +359,10 @@ def check_consistency(told: Evidence, known: Measures) -> list[Check]:
     wrong = [span for span, value in ratios if not span.holds(value)]
     remedy = _explain(state) if wrong else ""
     if wrong and not remedy:
-        remedy = "no single mistake explains it: check the units, the wheel radius and the measures"
+        remedy = (
+            "no single mistake explains it: check that the vehicle is this robot, the units, the "
+            "wheel radius and the measures"
+        )
     return [
         Check(span.what, value, span.expected, span not in wrong, remedy if span in wrong else "")
         for span, value in ratios
