@@ -168,7 +168,9 @@ def completions(table: Table, worth: float) -> Rest:
             for t in range(n):
                 if mask >> t & 1 or table.load[mask] + table.change[t] < -_GRAM:
                     continue
-                way = energy[:, p, 1 + t].min()
+                way = energy[0, p, 1 + t]
+                for other in range(1, ways):
+                    way = min(way, energy[other, p, 1 + t])
                 if not np.isfinite(way):
                     continue
                 after = (mask | 1 << t) * places + 1 + t
@@ -189,7 +191,9 @@ def completions(table: Table, worth: float) -> Rest:
                 for c in range(m):
                     if 1 + n + c == p:
                         continue
-                    way = energy[:, p, 1 + n + c].min()
+                    way = energy[0, p, 1 + n + c]
+                    for other in range(1, ways):
+                        way = min(way, energy[other, p, 1 + n + c])
                     if not np.isfinite(way):
                         continue
                     bucket, there = mask * places + p, mask * places + 1 + n + c

@@ -119,8 +119,9 @@ def _spend(label: Label, energy: float, seconds: float, full: float) -> Label:
     left, time, slack = label.left - energy, label.time + seconds, label.slack
     if left > full:
         left = max(full, label.left)
-    if slack > 0.0:
-        slack = max(min(slack, (full - left) / label.rate), 0.0)
+    room = max(full - left, 0.0)
+    if slack * label.rate > room:
+        slack = room / label.rate
     if left < 0.0 and slack > 0.0:
         more = min(-left / label.rate, slack)
         left, time, slack = left + label.rate * more, time + more, slack - more
@@ -225,12 +226,13 @@ def _rank(label: Label, least: float) -> float:
 
 
 @inner
-def _keep(store: Store, bucket: int, new: Label, count: int, table: Table, known: Known) -> bool:
+def _keep(
+    store: Store, bucket: int, new: Label, count: int, timed: bool, width: int, known: Known
+) -> bool:
     """Add a label to its bucket; not where one there is as good, or where nothing comes of it."""
     least, more = _least(known, bucket, new), _more(known, bucket, new)
     if not (more or least <= loosely(known.energy)):
         return False
-    timed = table.pressing[bucket // len(table.need)]
     there, k = 0, store.head[bucket]
     while k >= 0:
         if _as_good(_label(store, k), new, timed):
@@ -251,7 +253,7 @@ def _keep(store: Store, bucket: int, new: Label, count: int, table: Table, known
                 highest, worst, before_worst = _rank(old, store.value[k, 5]), k, before
             before = k
         k = after
-    if there >= table.width:
+    if there >= width:
         # as many labels as there may be: the one that promises least goes
         if worst < 0:
             _lose(store, least, more)
@@ -296,7 +298,7 @@ def search(table: Table, known: Known) -> Found:
         The best order found, and whether a better one may have been left out.
     """
     n, m, ways = len(table.worth), len(table.capacity), table.energy.shape[1]
-    places = 1 + n + m
+    places, width = 1 + n + m, table.width
     store = Store(
         np.empty((min(_FEW, table.most), 6)),
         np.empty((min(_FEW, table.most), 4), np.int64),
@@ -306,7 +308,7 @@ def search(table: Table, known: Known) -> Found:
     best, best_worth, best_energy, best_time = -1, known.worth, known.energy, known.time
     count = 0
     start = Label(0.0, table.budget, table.start_time, 0.0, 0.0)
-    if _keep(store, 0, start, 0, table, known):
+    if _keep(store, 0, start, 0, table.pressing[0], table.width, known):
         store.link[0, 0], store.link[0, 1], store.link[0, 2] = -1, 0, 0
         count = 1
     queue = np.empty(256, np.int64)
@@ -347,7 +349,7 @@ def search(table: Table, known: Known) -> Found:
                         if not timed:
                             new = _charged(new)
                         store = _with_room(store, count, table.most)
-                        if _keep(store, first + place, new, count, table, known):
+                        if _keep(store, first + place, new, count, timed, width, known):
                             link = store.link
                             link[count, 0], link[count, 1], link[count, 2] = k, place, way
                             if waiting == len(queue):
@@ -376,6 +378,7 @@ def search(table: Table, known: Known) -> Found:
                     if mask >> t & 1 or load + table.change[t] < -_GRAM:
                         continue
                     after = mask | 1 << t
+                    pressing = table.pressing[after]
                     for way in range(ways):
                         spent = energy[way, place, 1 + t]
                         if not np.isfinite(spent):
@@ -391,12 +394,14 @@ def search(table: Table, known: Known) -> Found:
                             done.energy, done.left, done.time + table.service_time[t], done.rate,
                             done.slack,
                         )  # fmt: skip
-                        if not table.pressing[after]:
+                        if not pressing:
                             done = _charged(done)
                         if done.left + done.rate * done.slack < table.need[1 + t] - _EPSILON:
                             continue
                         store = _with_room(store, count, table.most)
-                        if _keep(store, after * places + 1 + t, done, count, table, known):
+                        if _keep(
+                            store, after * places + 1 + t, done, count, pressing, width, known
+                        ):
                             link = store.link
                             link[count, 0], link[count, 1], link[count, 2] = k, 1 + t, way
                             count += 1
