@@ -194,7 +194,9 @@ class Walk:
                 run = self.mission.battery.simulate(
                     short, np.full(len(short), -power), soc=float(run.soc[stop - 1])
                 )
-                end = int(np.flatnonzero(run.soc >= until)[0])
+                # the shorter steps need not get there by the last bit
+                enough = np.flatnonzero(run.soc >= until)
+                end = int(enough[0]) if len(enough) else _PARTS
                 t.append(hour + steps[stop - 1] + short[end])
                 soc.append(until)
             elif run.soc_end - begun < 1e-3:

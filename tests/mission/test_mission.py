@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from energyplan.battery import Battery
@@ -378,6 +378,8 @@ def test_what_is_left_must_be_on_board():
     assert free.feasible
 
 
+# charging in shorter steps ends one bit below what it is to reach
+@example(soc=0.402, more=0.0, reserve=0.25, dwell=12.0, confidence=0.5)
 @settings(max_examples=15, deadline=None)
 @given(
     soc=st.floats(0.3, 0.95),
