@@ -16,7 +16,10 @@ STEP = 0.02
 """Distance between the places tried on a gate [m]."""
 
 LONG = 3.0
-"""Length from which a gate forbids no heading, and is taken to have no end [m]."""
+"""Length from which a gate forbids no heading [m]."""
+
+ENDLESS = 10.0
+"""Length from which a gate is taken to have no end [m]."""
 
 
 class Gate(NamedTuple):
@@ -84,13 +87,13 @@ def gate(
             break
         off = hypot(here.column - column - 0.5, here.row - row - 0.5) * res
         near = float(space.clearance[row, column]) * res
-        if length > LONG:
+        if length > ENDLESS:
             return Gate(inf, False)
         if near + off < outline.inside - 1e-9:
             break
         roomy = roomy or near - off > reach
         length += STEP
-    if roomy:
+    if roomy or length > LONG:
         return Gate(length, False)
     # a body that is smaller by what a place and a heading stand for
     less = 0.5 * STEP + 0.5 * spacing * reach
