@@ -219,8 +219,7 @@ class _Improvement:
 
     def offer_path(self, path: Path) -> None:
         """Take a path that somebody else made, and that can be driven from start to goal."""
-        lateral = self.query.problem.cost.icr.centre[1]
-        self.portfolio.enter(Segments(path.ds - lateral * path.dtheta, path.dtheta))
+        self.portfolio.enter(self.query.of_centre(path))
 
     def know_bound(self, value: float) -> None:
         """Take a lower bound that somebody else found, less the potential; none is sought then."""

@@ -118,9 +118,8 @@ def least_driven(
         return path
     price = extra / max(int(np.count_nonzero(still)) - 1, 1)
     least = told.energy
-    lateral = query.problem.cost.icr.centre[1]
     known = {_key(path)}
-    looked = [Segments(path.ds - lateral * path.dtheta, path.dtheta), *others]
+    looked = [query.of_centre(path), *others]
     if extra > DEAR * abs(told.energy) and path.turning > 0:
         dear = _with_dear_turns(query.setting, extra / path.turning)
         looked[1:1] = _searched(dear, to_go, budget)

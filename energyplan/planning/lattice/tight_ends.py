@@ -116,10 +116,8 @@ class Ends:
         """Return `around(inner)`, refined with the margin where it fits."""
         query = self.query
         whole = self.around(inner)
-        lateral = query.problem.cost.icr.centre[1]
-        motions = Segments(whole.ds - lateral * whole.dtheta, whole.dtheta)
         # what is not free with the margin stays as it is
-        refiner = Refiner(query.setting._replace(body=query.grown), motions)
+        refiner = Refiner(query.setting._replace(body=query.grown), query.of_centre(whole))
         refiner.shortcut(budget)
         refiner.polish(budget)
         try:

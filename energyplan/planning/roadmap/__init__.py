@@ -31,7 +31,7 @@ from energyplan.planning.roadmap.energy_graph import (
 )
 from energyplan.planning.roadmap.routes import Roadmap, Route
 from energyplan.planning.roadmap.visibility import traced, visibility_graph
-from energyplan.planning.scene.compiled import CompiledProblem, Segments
+from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.motions import DIRECTIONS
 from energyplan.planning.scene.prices import Prices
 from energyplan.terrain import SurfaceMap
@@ -318,8 +318,7 @@ def _free_route(roadmap: Roadmap, ends: tuple[Hashable, Hashable], query: Compil
 
 def _refined(path: Path, query: CompiledProblem, budget: Budget) -> Path:
     """Return a route made cheaper with exact steering, or the route itself."""
-    lateral = query.problem.cost.icr.centre[1]
-    motions = Segments(path.ds - lateral * path.dtheta, path.dtheta)
+    motions = query.of_centre(path)
     setting = query.setting
     centre = Path(query.centre(path.start), motions.ds, motions.dtheta)
     # the planners' footprint is a little larger than the robot's

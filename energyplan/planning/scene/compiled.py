@@ -287,6 +287,10 @@ class CompiledProblem:
         """Return motions of `Path`'s reference point, given those of the centre."""
         return Segments(ds + self.problem.cost.icr.centre[1] * dtheta, dtheta)
 
+    def of_centre(self, path: Path) -> Segments:
+        """Return motions of the centre, given the path of the reference point."""
+        return Segments(path.ds - self.problem.cost.icr.centre[1] * path.dtheta, path.dtheta)
+
     def path(self, segments: Segments) -> Path:
         """Return the path that starts at the problem's start.
 
