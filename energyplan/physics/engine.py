@@ -12,9 +12,13 @@ the instantaneous centre of rotation lies anywhere between 0.5 and 1.3 m where 0
   contacts, not MuJoCo's rolling friction, which is a torque about a soft contact;
 - the wheels of a side turn together: what they press on the ground is one tread, a body that slides
   along the robot and is put back after each step. Wheels on axles of their own, coupled by stiff
-  constraints, shake against the contacts and lose their grip. Their inertia is an armature.
+  constraints, shake against the contacts and lose their grip. Their inertia is an armature;
+- a velocity servo drives each side, with the speed at the end of each step, for it is stiff. That
+  is the same as its gain times the step in armature. MuJoCo's own implicit integrator would tell
+  the contacts nothing of it: they would believe in more acceleration than there is, let the body
+  run ahead of its treads, and do work on it at each start and stop.
 
-A velocity servo drives each side. The ground is a plane. Slopes tilt gravity.
+The ground is a plane. Slopes tilt gravity.
 """
 
 from __future__ import annotations
@@ -131,9 +135,7 @@ class Engine:
         length, width = vehicle.footprint[1] - vehicle.footprint[0]
         tall = 2 * robot.centre_height
         box = np.array([width**2 + tall**2, length**2 + tall**2, length**2 + width**2])
-        treads, motors = [], []
-        limit = vehicle.motor.force
-        held = f'forcelimited="true" forcerange="{-limit} {limit}"' if np.isfinite(limit) else ""
+        treads = []
         for side, wheels in enumerate(np.split(np.arange(len(self.loads)), [self.left])):
             spheres = "".join(
                 f'<geom name="wheel{k}" type="sphere" size="{_BALL}" mass="0" contype="0" '
@@ -149,7 +151,6 @@ class Engine:
                 f'<inertial pos="{_words(centre)}" mass="{tread}" '
                 f'diaginertia="{_words(tread / 12 * box)}"/>{spheres}</body>'
             )
-            motors.append(f'<velocity joint="tread{side}" kv="{0.5 * mass / SERVO}" {held}/>')
         pairs = [
             f'<pair geom1="ground" geom2="wheel{k}" condim="3" margin="{REACH}" gap="0" '
             f'friction="1 1 0 0 0" solimp="{_IMPEDANCE} {_IMPEDANCE} 1 0.5 1"/>'
@@ -157,13 +158,13 @@ class Engine:
         ]
         text = (
             f'<mujoco><option timestep="{STEP}" cone="elliptic" impratio="{_RATIO}" '
-            'solver="Newton" integrator="implicitfast" iterations="50" tolerance="1e-12"/>'
+            'solver="Newton" iterations="50" tolerance="1e-12"><flag eulerdamp="disable"/></option>'
             "<worldbody>"
             '<geom name="ground" type="plane" size="1 1 1" contype="0" conaffinity="0"/>'
             f'<body name="robot" pos="0 0 {REACH - SINK}"><freejoint/>'
             f'<inertial pos="{_words(centre)}" mass="{body}" '
             f'diaginertia="{_words(body / 12 * box)}"/>{"".join(treads)}</body></worldbody>'
-            f"<contact>{''.join(pairs)}</contact><actuator>{''.join(motors)}</actuator></mujoco>"
+            f"<contact>{''.join(pairs)}</contact></mujoco>"
         )
         model = self.mujoco.MjModel.from_xml_string(text)
         springs = self.loads / SINK
@@ -240,9 +241,8 @@ class _Book:
         traction = np.array(robot.traction)
         self._dry = (1 - robot.rolling_share) * traction
         self._rolling = robot.rolling_share * traction / loads
-        self._gain = engine.model.actuator_gainprm[:, 0]
-        limited = engine.model.actuator_forcelimited.astype(bool)
-        self._most = np.where(limited, engine.model.actuator_forcerange[:, 1], np.inf)
+        self._gain, self._most = 0.5 * robot.vehicle.mass / SERVO, robot.vehicle.motor.force
+        self._armature = engine.model.dof_armature[6:].copy()
         self._centre = engine.loads @ engine.points / engine.loads.sum()
         self._integral, self._target = np.zeros(2), np.zeros(2)
         self._count = 0
@@ -268,6 +268,7 @@ class _Book:
         speed = self._data.qvel
         product = np.zeros(len(speed))
         self._engine.mujoco.mj_mulM(self._model, self._data, product, speed)
+        product[6:] -= (self._model.dof_armature[6:] - self._armature) * speed[6:]
         return 0.5 * float(speed @ product)
 
     def _yaw(self) -> float:
@@ -314,15 +315,23 @@ class _Book:
         outer = self._prepare(t)
         before, self._target = self._target, np.array(command)
         error = before - data.qvel[6:]
-        most = self._most / self._gain
+        gain, stiff = self._gain, STEP * self._gain
+        most = self._most / gain
         self._integral = np.clip(self._integral + error * (PERIOD / RESET), -most, most)
+        still = self._armature + STEP * self._engine.robot.viscous
         speeds = np.empty((TICK + 1, 8))
         motor, friction = np.empty((TICK, 2)), np.empty((TICK, 2))
         speeds[0] = data.qvel
         self._force[0], self._slip[0] = self._force[-1], self._slip[-1]
         rows = 2 + 3 * self._wheels
+        shares = np.arange(1, TICK + 1)[:, None] / TICK
+        aims = before + (self._target - before) * shares + self._integral
+        applied, armature = data.qfrc_applied[6:], model.dof_armature[6:]
         for k in range(TICK):
-            data.ctrl[:] = before + (self._target - before) * ((k + 1) / TICK) + self._integral
+            wanted = gain * (aims[k] - speeds[k, 6:])
+            free = stiff * (np.abs(wanted) < self._most)
+            applied[:] = np.minimum(np.maximum(wanted, -self._most), self._most)
+            armature[:] = still + free
             step(model, data)
             force = data.efc_force
             if len(force) != rows:
@@ -332,14 +341,12 @@ class _Book:
                 )
             data.qpos[7:] = 0.0
             speeds[k + 1] = data.qvel
-            motor[k] = data.actuator_force
+            motor[k] = applied - free * data.qacc[6:]
             friction[k] = force[:2]
             self._force[k + 1] = force[2:].reshape(-1, 3)
             self._slip[k + 1] = data.efc_vel[2:].reshape(-1, 3)
         if not np.all(np.isfinite(speeds)):
             raise PhysicsError(f"the motion diverged at {max(t, 0.0):.2f} s")
-        # The integrator takes the servo's force at the end of the step, unless it is limited.
-        motor -= (np.abs(motor) < self._most) * self._gain * np.diff(speeds[:, 6:], axis=0)
         self._count += 1
         self._enter(outer, speeds, motor, friction)
 

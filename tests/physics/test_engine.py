@@ -73,6 +73,21 @@ def test_straight_is_the_traction_resistance() -> None:
     assert held(run, run.power) == pytest.approx(118.0, rel=0.001)
 
 
+@pytest.mark.parametrize(("speed", "acceleration"), [(0.72, 0.5), (0.36, 1.0)])
+def test_starts_and_stops_straight_ahead_take_nothing(speed: float, acceleration: float) -> None:
+    """From rest to rest only the metres count: what a start takes the stop returns."""
+    cycle = 2 * speed / acceleration + 1.0
+
+    def controller(state: State) -> tuple[float, float] | None:
+        at = state.t % cycle
+        v = float(np.clip(acceleration * min(at, cycle - 0.5 - at), 0.0, speed))
+        return None if state.t >= 2 * cycle else (v, v)
+
+    run = Engine(ROBOT).drive(controller)
+    assert run.taken == pytest.approx(2 * 118.0 * (run.x[-1] - run.x[0]), rel=5e-4)
+    assert run.energy["slip_friction"] == pytest.approx(0.0, abs=2e-4 * run.taken)
+
+
 @pytest.mark.parametrize("direction", [0.0, np.pi, np.pi / 2])
 def test_slope_adds_the_weight(direction: float) -> None:
     robot = Effect("tilted_plane", 0.05, {"direction": direction}).on(ROBOT)
