@@ -20,13 +20,13 @@ from energyplan.fit.identifiability import linearise
 from energyplan.fit.online import OnlineIdentifier
 from energyplan.logs import DriveLog
 from energyplan.power import PowerModel
-from energyplan.simulate import Leg
+from energyplan.simulate import Setpoint
 
 MARBLE = PowerModel.preset("quadriga:empty:marble")
 CONCRETE = PowerModel.preset("quadriga:empty:concrete")
 MIXED = [
-    Leg(0.7, 0.7, 1.0), Leg(0.6, 0.1, 1.0), Leg(0.7, 0.7, 1.0), Leg(-0.5, 0.5, 1.0),
-    Leg(0.5, 0.7, 1.0), Leg(0.1, 0.7, 1.0),
+    Setpoint(0.7, 0.7, 1.0), Setpoint(0.6, 0.1, 1.0), Setpoint(0.7, 0.7, 1.0),
+    Setpoint(-0.5, 0.5, 1.0), Setpoint(0.5, 0.7, 1.0), Setpoint(0.1, 0.7, 1.0),
 ]  # fmt: skip
 
 

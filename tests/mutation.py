@@ -25,7 +25,8 @@ from cosmic_ray.work_item import TestOutcome, WorkerOutcome
 
 ROOT = Path(__file__).resolve().parents[1]
 TESTS = {
-    "power": "tests/power", "vehicle.py": "tests/test_vehicle.py", "cost": "tests/cost",
+    "power": "tests/power", "vehicle.py": "tests/test_vehicle.py",
+    "cost": "tests/cost tests/limits/test_chain.py",
     "steering": "tests/steering", "planning/bound": "tests/planning/test_bound.py",
     "fit": "tests/fit", "mission": "tests/mission", "limits": "tests/limits",
 }  # fmt: skip
@@ -84,8 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 name = str(module.relative_to("energyplan"))
                 if any(fnmatch(name, f"{pattern}*") for pattern in asked.modules):
                     subprocess.run(
-                        [sys.executable, "-m", "pytest", "-q", tests], cwd=copy, check=True,
-                        stdout=subprocess.DEVNULL,
+                        [sys.executable, "-m", "pytest", "-q", *tests.split()],
+                        cwd=copy, check=True, stdout=subprocess.DEVNULL,
                     )  # fmt: skip
                     score = try_module(copy, module, tests, asked.mutations, asked.seed)
                     scores.append(score)

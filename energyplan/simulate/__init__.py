@@ -17,13 +17,13 @@ from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Pose, Trajectory
 from energyplan.power import PowerModel
-from energyplan.simulate._patterns import PATTERNS, Brief, Leg, Schedule, schedule
+from energyplan.simulate._patterns import PATTERNS, Brief, Schedule, Setpoint, schedule
 from energyplan.vehicle import GRAVITY
 
-__all__ = ["PATTERNS", "Leg", "drive", "identification_drive", "validation_drive"]
+__all__ = ["PATTERNS", "Setpoint", "drive", "identification_drive", "validation_drive"]
 
-Part = str | tuple[str, float] | Leg
-"""A pattern's name, a name with its duration [s], or a leg of one's own."""
+Part = str | tuple[str, float] | Setpoint
+"""A pattern's name, a name with its duration [s], or a setpoint of one's own."""
 
 Slope = float | Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 """Inclination of the ground plane [rad], or a function of x, y, yaw that returns the slope."""
@@ -79,8 +79,8 @@ def drive(
         What the robot draws; its vehicle's tread ICRs say how it moves.
     pattern : str, sequence or Trajectory
         Name of a pattern in `PATTERNS`; or a sequence of names, of ``(name, duration)`` pairs and
-        of `Leg` objects, driven one after the other; or a trajectory, whose speeds are driven from
-        its first pose on.
+        of `Setpoint` objects, driven one after the other; or a trajectory, whose speeds are driven
+        from its first pose on.
     duration : float, optional
         Length of the drive [s]; the named patterns of a sequence share it in proportion to their
         own durations, a trajectory is driven faster or slower.
@@ -149,7 +149,7 @@ def drive(
     if isinstance(pattern, Trajectory):
         plan, start = _followed(model, pattern, duration)
     else:
-        plan = schedule(_legs(model, pattern, duration, speed, accel_limit, seed), accel_limit)
+        plan = schedule(_setpoints(model, pattern, duration, speed, accel_limit, seed), accel_limit)
     t = np.arange(int(np.floor(plan.duration * rate + 1e-9)) + 1) / rate
     world = _World(plan, ((0.0, model), *changes), slope, uphill, channels or {}, start)
     log = _logged(world.at(t), measured, voltage, ground=slope != 0.0)
@@ -266,14 +266,14 @@ def _followed(
     return plan, Pose(*(float(value) for value in trajectory.poses[0]))
 
 
-def _legs(
+def _setpoints(
     model: PowerModel,
     pattern: str | Sequence[Part],
     duration: float | None,
     speed: float,
     accel_limit: float,
     seed: int,
-) -> list[Leg]:
+) -> list[Setpoint]:
     parts = [pattern] if isinstance(pattern, str) else list(pattern)
     times: list[float] = []
     for part in parts:
@@ -281,20 +281,20 @@ def _legs(
         if label not in PATTERNS:
             raise UnknownNameError("drive pattern", label, PATTERNS)
         times.append(
-            0.0 if isinstance(part, Leg)
+            0.0 if isinstance(part, Setpoint)
             else part[1] if isinstance(part, tuple)
             else PATTERNS[part].duration
         )  # fmt: skip
     scale = 1.0 if duration is None or not any(times) else duration / sum(times)
-    legs: list[Leg] = []
+    setpoints: list[Setpoint] = []
     for k, (part, time) in enumerate(zip(parts, times, strict=True)):
-        if isinstance(part, Leg):
-            legs.append(part)
+        if isinstance(part, Setpoint):
+            setpoints.append(part)
             continue
         label = part if isinstance(part, str) else part[0]
         brief = Brief(model.vehicle, time * scale, speed, accel_limit, _stream(seed, f"{label}{k}"))
-        legs += PATTERNS[label].legs(brief)
-    return legs
+        setpoints += PATTERNS[label].setpoints(brief)
+    return setpoints
 
 
 def _logged(

@@ -1,4 +1,4 @@
-"""Manoeuvres as legs: tread speeds to reach and to hold, and the speed schedule they add up to."""
+"""Manoeuvres as setpoints: tread speeds to reach and to hold, and the schedule they add up to."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from energyplan.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
-class Leg:
+class Setpoint:
     """Tread speeds to reach by a linear ramp, then to hold.
 
     Parameters
@@ -31,7 +31,7 @@ class Leg:
     >>> from energyplan import simulate
     >>> from energyplan.power import PowerModel
     >>> model = PowerModel.preset("quadriga:full:marble")
-    >>> log = simulate.drive(model, [Leg(0.4, 0.4, hold=5.0), Leg(-0.2, 0.2, hold=5.0)])
+    >>> log = simulate.drive(model, [Setpoint(0.4, 0.4, hold=5.0), Setpoint(-0.2, 0.2, hold=5.0)])
     >>> round(float(log.channel("v_left").max()), 2)
     0.4
     """
@@ -67,19 +67,19 @@ class Schedule:
         return float(self.t[-1])
 
 
-def _ramp(before: Leg, leg: Leg, accel_limit: float) -> float:
+def _ramp(before: Setpoint, setpoint: Setpoint, accel_limit: float) -> float:
     """Time that the change of speeds takes [s]."""
-    change = max(abs(leg.v_left - before.v_left), abs(leg.v_right - before.v_right))
-    return max(leg.ramp, change / accel_limit) if change > 0 else 0.0
+    change = max(abs(setpoint.v_left - before.v_left), abs(setpoint.v_right - before.v_right))
+    return max(setpoint.ramp, change / accel_limit) if change > 0 else 0.0
 
 
-def schedule(legs: Sequence[Leg], accel_limit: float) -> Schedule:
-    """Join legs from rest to rest.
+def schedule(setpoints: Sequence[Setpoint], accel_limit: float) -> Schedule:
+    """Join setpoints from rest to rest.
 
     Parameters
     ----------
-    legs : sequence of Leg
-        The legs; a stop is added where the last one does not end at rest.
+    setpoints : sequence of Setpoint
+        The setpoints; a stop is added where the last one does not end at rest.
     accel_limit : float
         Largest tread acceleration [m/s^2].
 
@@ -91,23 +91,25 @@ def schedule(legs: Sequence[Leg], accel_limit: float) -> Schedule:
     Raises
     ------
     InvalidInputError
-        If the legs take no time.
+        If the setpoints take no time.
     """
-    here, corners = Leg(0.0, 0.0), [(0.0, 0.0, 0.0)]
-    for leg in [*legs, Leg(0.0, 0.0)]:
-        for step in (_ramp(here, leg, accel_limit), leg.hold):
+    here, corners = Setpoint(0.0, 0.0), [(0.0, 0.0, 0.0)]
+    for setpoint in [*setpoints, Setpoint(0.0, 0.0)]:
+        for step in (_ramp(here, setpoint, accel_limit), setpoint.hold):
             if step > 0:
-                corners.append((corners[-1][0] + step, leg.v_left, leg.v_right))
-        here = leg
+                corners.append((corners[-1][0] + step, setpoint.v_left, setpoint.v_right))
+        here = setpoint
     if len(corners) < 2:
-        raise InvalidInputError("the legs take no time; give one that moves or holds")
+        raise InvalidInputError("the setpoints take no time; give one that moves or holds")
     return Schedule(*np.array(corners).T)
 
 
-def _fill(targets: Sequence[tuple[float, float]], duration: float, accel_limit: float) -> list[Leg]:
-    """Legs to the target speeds and back to rest, held equally long to fill `duration`."""
-    legs = [Leg(left, right) for left, right in targets]
-    ends = [Leg(0.0, 0.0), *legs, Leg(0.0, 0.0)]
+def _fill(
+    targets: Sequence[tuple[float, float]], duration: float, accel_limit: float
+) -> list[Setpoint]:
+    """Setpoints: to the target speeds and back to rest, held equally long to fill `duration`."""
+    setpoints = [Setpoint(left, right) for left, right in targets]
+    ends = [Setpoint(0.0, 0.0), *setpoints, Setpoint(0.0, 0.0)]
     ramps = sum(_ramp(a, b, accel_limit) for a, b in pairwise(ends))
     spare = duration - ramps
     if spare < 0:
@@ -115,8 +117,8 @@ def _fill(targets: Sequence[tuple[float, float]], duration: float, accel_limit: 
             f"the manoeuvre's speed ramps alone take {ramps:.1f} s, longer than its {duration:g} s;"
             " give a longer duration, a lower speed or a higher accel_limit"
         )
-    held = spare / len(legs)
-    return [*(Leg(leg.v_left, leg.v_right, held) for leg in legs), Leg(0.0, 0.0)]
+    held = spare / len(setpoints)
+    return [*(Setpoint(s.v_left, s.v_right, held) for s in setpoints), Setpoint(0.0, 0.0)]
 
 
 @dataclass(frozen=True)
@@ -130,24 +132,24 @@ class Brief:
     rng: np.random.Generator
 
 
-def rest(brief: Brief) -> list[Leg]:
+def rest(brief: Brief) -> list[Setpoint]:
     """Stand still."""
-    return [Leg(0.0, 0.0, brief.duration)]
+    return [Setpoint(0.0, 0.0, brief.duration)]
 
 
-def spin(brief: Brief) -> list[Leg]:
+def spin(brief: Brief) -> list[Setpoint]:
     """Turn on the spot, left and right, at half and at full tread speed."""
     speeds = brief.speed * np.array([-0.5, 0.5, -1.0, 1.0])
     return _fill([(float(s), float(-s)) for s in speeds], brief.duration, brief.accel_limit)
 
 
-def straight(brief: Brief) -> list[Leg]:
+def straight(brief: Brief) -> list[Setpoint]:
     """Drive straight, forwards and backwards, at half and at full speed."""
     speeds = brief.speed * np.array([0.5, -0.5, 1.0, -1.0])
     return _fill([(float(s), float(s)) for s in speeds], brief.duration, brief.accel_limit)
 
 
-def spiral(brief: Brief) -> list[Leg]:
+def spiral(brief: Brief) -> list[Setpoint]:
     """From straight through ever tighter arcs to a spin and back, to the right, then to the left.
 
     The outer tread keeps its speed: the paper's identification drive (its Fig. 5).
@@ -159,10 +161,14 @@ def spiral(brief: Brief) -> list[Leg]:
             f"a spiral at {s:g} m/s needs {10 * s / limit:.1f} s or more, not {brief.duration:g} s"
         )
     inner = ((s, -s), (s, s), (-s, s), (s, s))
-    return [Leg(s, s), *(Leg(left, right, ramp=sweep) for left, right in inner), Leg(0.0, 0.0)]
+    return [
+        Setpoint(s, s),
+        *(Setpoint(left, right, ramp=sweep) for left, right in inner),
+        Setpoint(0.0, 0.0),
+    ]
 
 
-def figure8(brief: Brief) -> list[Leg]:
+def figure8(brief: Brief) -> list[Setpoint]:
     """Draw a circle to the left, then one to the right, each of a full turn."""
     s, limit, track = brief.speed, brief.accel_limit, brief.vehicle.icr.slip_track
     # Each circle's yaw rate integrates to a full turn, the ramps included: a quadratic in the
@@ -191,14 +197,14 @@ def _random_targets(brief: Brief, count: int) -> list[tuple[float, float]]:
     return [(float(left), float(right)) for left, right in brief.speed * pairs]
 
 
-def survey(brief: Brief) -> list[Leg]:
+def survey(brief: Brief) -> list[Setpoint]:
     """Random smooth manoeuvres, a new one every four seconds or so."""
     pause = 4.0 + brief.speed / brief.accel_limit
     count = max(1, int(brief.duration / pause))
     return _fill(_random_targets(brief, count), brief.duration, brief.accel_limit)
 
 
-def stop_and_go(brief: Brief) -> list[Leg]:
+def stop_and_go(brief: Brief) -> list[Setpoint]:
     """Random manoeuvres with a stop after each."""
     pause = 3.0 + 2 * brief.speed / brief.accel_limit
     targets = _random_targets(brief, max(1, int(brief.duration / pause)))
@@ -210,7 +216,7 @@ def stop_and_go(brief: Brief) -> list[Leg]:
 class Pattern:
     """A named manoeuvre and the time that it takes where none is given [s]."""
 
-    legs: Callable[[Brief], list[Leg]]
+    setpoints: Callable[[Brief], list[Setpoint]]
     duration: float
 
 

@@ -16,7 +16,7 @@ from energyplan.diagnosis.windows import Drive, prepared
 from energyplan.motion import Motion
 from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS, SLIP, TRACTION, PowerModel
 from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, TURN_ASYMMETRY, WHEEL_FIGHT
-from energyplan.simulate import Leg
+from energyplan.simulate import Setpoint
 from energyplan.vehicle import Vehicle
 
 
@@ -32,13 +32,16 @@ def _robot(rng: np.random.Generator) -> PowerModel:
     return PowerModel.paper(vehicle, K=K, mu=float(rng.uniform(0.3, 0.8)))
 
 
-def _straights_and_spins(rng: np.random.Generator) -> list[Leg]:
+def _straights_and_spins(rng: np.random.Generator) -> list[Setpoint]:
     """Both treads as fast as each other, all the time."""
-    legs = []
+    setpoints = []
     for k in range(16):
         speed = float(rng.uniform(0.2, 0.6)) * float(rng.choice([-1.0, 1.0]))
-        legs += [Leg(speed if k % 2 else -speed, speed, hold=5.0), Leg(0.0, 0.0, hold=0.5)]
-    return legs
+        setpoints += [
+            Setpoint(speed if k % 2 else -speed, speed, hold=5.0),
+            Setpoint(0.0, 0.0, hold=0.5),
+        ]
+    return setpoints
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -50,7 +50,7 @@ def command(*words: str) -> Callable[[Path], object]:
 
 
 def straight(folder: Path) -> object:
-    log = simulate.drive(MODEL, [simulate.Leg(0.5, 0.5, hold=10.0)], power_noise=2.0, seed=1)
+    log = simulate.drive(MODEL, [simulate.Setpoint(0.5, 0.5, hold=10.0)], power_noise=2.0, seed=1)
     return ep.identify(log, MODEL.vehicle)
 
 

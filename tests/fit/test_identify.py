@@ -32,7 +32,7 @@ from energyplan.power import (
     PowerModel,
     effects,
 )
-from energyplan.simulate import Leg
+from energyplan.simulate import Setpoint
 from energyplan.vehicle import TreadICR, Vehicle
 
 NOISE = {"power_noise": 5.0, "speed_noise": 0.005, "correlation_time": 0.3}
@@ -367,7 +367,7 @@ def test_no_turning_no_friction_coefficient(truth: PowerModel) -> None:
     assert alone.model.coefficient("traction_resistance") == pytest.approx(118.0, rel=0.02)
 
 
-@pytest.mark.parametrize("pattern", ["spin", [Leg(0.3, 0.6, 30.0)]])
+@pytest.mark.parametrize("pattern", ["spin", [Setpoint(0.3, 0.6, 30.0)]])
 def test_one_radius_cannot_tell_slip_from_traction(truth: PowerModel, pattern: object) -> None:
     log = simulate.drive(truth, pattern, seed=1, **NOISE).segment(2.5, 29.0)
     with pytest.raises(NotIdentifiableError, match=r"slip_friction.*traction.*straight lines"):
@@ -380,7 +380,7 @@ def test_one_radius_cannot_tell_slip_from_traction(truth: PowerModel, pattern: o
 
 def test_constant_speed_with_a_hotel_load(truth: PowerModel) -> None:
     model = truth.with_term(HOTEL, 40.0)
-    log = simulate.drive(model, [Leg(0.5, 0.5, 60.0)], seed=1, **NOISE).segment(3.0, 55.0)
+    log = simulate.drive(model, [Setpoint(0.5, 0.5, 60.0)], seed=1, **NOISE).segment(3.0, 55.0)
     with pytest.raises(NotIdentifiableError, match=r"traction_resistance.*hotel_load.*a stop"):
         identify(log, truth.vehicle, terms=[TRACTION, HOTEL])
     drive = simulate.identification_drive(model, seed=1, **NOISE)

@@ -15,7 +15,7 @@ from energyplan.fit import identify
 from energyplan.fit.online import OnlineIdentifier
 from energyplan.logs import DriveLog
 from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel, effects
-from energyplan.simulate import Leg
+from energyplan.simulate import Setpoint
 from energyplan.vehicle import Vehicle
 
 MARBLE = PowerModel.preset("quadriga:empty:marble")
@@ -23,8 +23,8 @@ CONCRETE = PowerModel.preset("quadriga:empty:concrete")
 NOISE = {"power_noise": 5.0, "speed_noise": 0.005}
 
 MIXED = [
-    Leg(0.7, 0.7, 1.0), Leg(0.6, 0.1, 1.0), Leg(0.7, 0.7, 1.0), Leg(-0.5, 0.5, 1.0),
-    Leg(0.5, 0.7, 1.0), Leg(0.1, 0.7, 1.0),
+    Setpoint(0.7, 0.7, 1.0), Setpoint(0.6, 0.1, 1.0), Setpoint(0.7, 0.7, 1.0),
+    Setpoint(-0.5, 0.5, 1.0), Setpoint(0.5, 0.7, 1.0), Setpoint(0.1, 0.7, 1.0),
 ]  # fmt: skip
 """Straight lines, arcs and spins, a new one every two seconds or so."""
 
@@ -193,7 +193,7 @@ def test_what_is_not_excited_becomes_uncertain_and_no_more() -> None:
     online = OnlineIdentifier(CONCRETE.vehicle)
     online.run(simulate.drive(CONCRETE, "survey", duration=120.0, seed=1, **NOISE))
     known = online.model
-    straight = simulate.drive(CONCRETE, [Leg(0.6, 0.6, 3600.0)], seed=2, power_noise=5.0)
+    straight = simulate.drive(CONCRETE, [Setpoint(0.6, 0.6, 3600.0)], seed=2, power_noise=5.0)
     online.run(straight)
     later = online.model
     assert later.std_error("slip_friction") > 5 * known.std_error("slip_friction")

@@ -23,7 +23,7 @@ from energyplan.logs.columns import UNITS, parse_columns
 from energyplan.logs.plausible import find_offset
 from energyplan.power import PowerModel
 from energyplan.power.effects import ANGULAR_INERTIA, LINEAR_INERTIA
-from energyplan.simulate import Leg, drive, identification_drive
+from energyplan.simulate import Setpoint, drive, identification_drive
 from energyplan.vehicle import TreadICR
 
 
@@ -486,7 +486,10 @@ def test_descending_with_regeneration_is_no_wrong_sign(model):
 
     heavy = model.with_term(GRADE, 147.0)
     log = drive(
-        heavy, [Leg(0.6, 0.6, 20.0)], slope=lambda x, y, yaw: np.full_like(x, -0.3), power_noise=2.0
+        heavy,
+        [Setpoint(0.6, 0.6, 20.0)],
+        slope=lambda x, y, yaw: np.full_like(x, -0.3),
+        power_noise=2.0,
     )
     assert log.energy < 0
     again = DriveLog.from_columns(log.channels)

@@ -13,7 +13,7 @@ from energyplan.motion import Motion
 from energyplan.path import Path, Pose, Trajectory
 from energyplan.power import HOTEL, SLIP, PowerModel
 from energyplan.power.effects import GRADE, LINEAR_INERTIA
-from energyplan.simulate import PATTERNS, Leg, drive, identification_drive, validation_drive
+from energyplan.simulate import PATTERNS, Setpoint, drive, identification_drive, validation_drive
 from energyplan.vehicle import GRAVITY, TreadICR
 
 
@@ -48,7 +48,11 @@ def test_pose_is_that_of_the_same_arcs_driven_exactly(model):
     vehicle = model.vehicle.with_icr(TreadICR(0.4, 0.55, 0.07))
     lopsided = replace(model, vehicle=vehicle)
     # Both treads ramp in proportion, so that every ramp is an arc of one curvature.
-    log = drive(lopsided, [Leg(0.3, 0.6, 4.0), Leg(0.0, 0.0, 1.0), Leg(-0.5, 0.1, 3.0)], rate=100.0)
+    log = drive(
+        lopsided,
+        [Setpoint(0.3, 0.6, 4.0), Setpoint(0.0, 0.0, 1.0), Setpoint(-0.5, 0.1, 3.0)],
+        rate=100.0,
+    )
     icr = vehicle.icr
     seconds = (4.0 + 2.0, 3.0 + 0.5 / 0.3)
     arcs = Motion([0.3, -0.5], [0.6, 0.1], icr)
@@ -63,7 +67,7 @@ def test_pose_is_that_of_the_same_arcs_driven_exactly(model):
 def test_a_trajectory_is_driven_from_its_first_pose_to_its_last(model):
     t = np.linspace(2.0, 12.0, 401)
     v, omega = 0.4 * np.sin(0.6 * (t - 2)) ** 2, 0.5 * np.cos(t)
-    known = drive(model, [Leg(0.2, 0.5, 4.0), Leg(-0.4, 0.3, 2.0)], rate=50.0)
+    known = drive(model, [Setpoint(0.2, 0.5, 4.0), Setpoint(-0.4, 0.3, 2.0)], rate=50.0)
     poses = [known.channels[name] for name in ("x", "y", "yaw")]
     motion = known.motion(model.vehicle.icr)
     there = Trajectory(known.t + 7.0, *poses, motion.v, motion.omega)
@@ -133,8 +137,8 @@ def test_inertia_costs_nothing_from_rest_to_rest(model):
 
 def test_climbing_takes_the_potential_energy(model):
     mass, incline = 100.0, np.radians(6.0)
-    log = drive(model.with_term(GRADE, mass), [Leg(0.6, 0.6, 10.0)], slope=incline)
-    bare = drive(model, [Leg(0.6, 0.6, 10.0)])
+    log = drive(model.with_term(GRADE, mass), [Setpoint(0.6, 0.6, 10.0)], slope=incline)
+    bare = drive(model, [Setpoint(0.6, 0.6, 10.0)])
     climbed = mass * GRAVITY * np.sin(incline) * log.channels["x"][-1]
     assert energy(log) - energy(bare) == pytest.approx(climbed, rel=1e-3)
     assert_allclose(log.channels["slope"], incline)
@@ -153,7 +157,7 @@ def test_slope_follows_the_heading_and_a_terrain(model):
 def test_change_of_surface_and_of_icr_at_a_time(model):
     rough = PowerModel.preset("quadriga:full:concrete")
     wide = replace(rough, vehicle=rough.vehicle.with_icr(TreadICR.symmetric(0.6)))
-    log = drive(model, [Leg(-0.5, 0.5, 10.0)], changes=[(5.0, wide)])
+    log = drive(model, [Setpoint(-0.5, 0.5, 10.0)], changes=[(5.0, wide)])
     before, after = log.t < 5.0, log.t >= 5.0
     motion = Motion(log.channels["v_left"], log.channels["v_right"], model.vehicle.icr)
     wider = Motion(log.channels["v_left"], log.channels["v_right"], wide.vehicle.icr)
