@@ -147,7 +147,7 @@ def problem_of(
     )  # fmt: skip
 
 
-class LaidGround(NamedTuple):
+class PricedGround(NamedTuple):
     """What is driven on, and what motions cost there."""
 
     cost: EnergyCost
@@ -162,7 +162,7 @@ def ground_of(
     battery: bool,
     speed: str | None = None,
     tolerance: float | None = None,
-) -> LaidGround:
+) -> PricedGround:
     """Return the ground that options name, and what motions cost on it at the speed asked for."""
     from energyplan.cost import EnergyCost
     from energyplan.cost.speeds import asked_speed
@@ -170,19 +170,23 @@ def ground_of(
     from energyplan.io.geojson import read_surfaces
     from energyplan.io.heights import read_heights
     from energyplan.power.effects import reads_slope, with_weight
-    from energyplan.terrain import with_weights
+    from energyplan.terrain import knows_ground, with_weights
 
     power = read_model(model)
     if tolerance is not None:
         power = replace(power, vehicle=replace(power.vehicle, tracking_tolerance=tolerance))
     ground = read_surfaces(surfaces) if surfaces else None
     hills = read_heights(heights) if heights else None
+    if knows_ground(power):
+        warn(
+            f"{power.name} knows of ground: it counts where no file of surfaces or heights is given"
+        )
     if hills is not None:
         if not reads_slope(power):
             warn(f"no term of {power.name} reads slopes: {power.vehicle.mass:.4g} kg are added")
         power, ground = with_weight(power), with_weights(ground) if ground else None
     cost = EnergyCost(power, battery=battery, speed=asked_speed(speed, power.vehicle))
-    return LaidGround(cost, ground, hills)
+    return PricedGround(cost, ground, hills)
 
 
 def driven(made: Plan, trajectory: Path | None) -> DrivenPath | None:

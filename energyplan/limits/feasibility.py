@@ -28,7 +28,7 @@ from energyplan.limits.motor import ROUNDING, Limits, largest_within, relative
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
 from energyplan.power import PowerModel
-from energyplan.terrain import HeightMap, SurfaceMap
+from energyplan.terrain import HeightMap, SurfaceMap, laid_out
 from energyplan.vehicle import Vehicle
 
 
@@ -239,7 +239,8 @@ def check(
         battery_power=battery_power,
         battery_return=battery_return,
     )
-    ground = Ground(model, surfaces, heights)
+    points = np.column_stack([trajectory.x, trajectory.y])
+    ground = Ground(*laid_out(model, points, surfaces, heights))
     drive = LimitedDrive(Drive(trajectory, ground, dict(channels or {})), limits)
     survey = drive.survey()
     violations = sorted(

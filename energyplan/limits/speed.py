@@ -32,7 +32,7 @@ from energyplan.limits.motor import ROUNDING, Limits
 from energyplan.limits.thermal import Thermal
 from energyplan.path import FloatArray, Path, Trajectory
 from energyplan.power import PowerModel
-from energyplan.terrain import HeightMap, SurfaceMap
+from energyplan.terrain import HeightMap, SurfaceMap, laid_out
 from energyplan.vehicle import Vehicle
 
 RUNGS = 96
@@ -196,6 +196,7 @@ def profile(
         battery_power=battery_power,
         battery_return=battery_return,
     )
+    model, surfaces, heights = laid_out(model, _about(path), surfaces, heights)
     known, ground = dict(channels or {}), Ground(model, surfaces, heights)
     if heights is not None:
         most = max(SLOPED, 0.5 * heights.resolution), 0.2
@@ -224,6 +225,11 @@ def profile(
     hasty = objective == "time" and duration is None
     cool = partial(task.cool, duration) if limits.motor.thermal_time > 0 else None
     return accepted(solve, survey, limits, cool, hasty)
+
+
+def _about(path: Path) -> FloatArray:
+    """Return two corners between which a path lies wherever it turns, shape (2, 2) [m]."""
+    return np.asarray(path.start[:2]) + np.array([[-1.0], [1.0]]) * path.length
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from energyplan.path import Pose
 from energyplan.planning.problem import nearest_free
 from energyplan.power import PowerModel
 from energyplan.power.effects import reads_slope
-from energyplan.terrain import OccupancyGrid
+from energyplan.terrain import OccupancyGrid, knows_ground, laid_out, on_laid_ground
 from energyplan.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -95,6 +95,8 @@ class Mission:
     heights : HeightMap, optional
         Heights of the ground where it slopes. All models need a term that reads the slope
         (`energyplan.power.effects.with_weight`); payload adds to the mass of the term grade.
+        Where surfaces or heights are left out, the ground that the model knows of stands for them
+        (`energyplan.terrain.laid_out`).
 
     Raises
     ------
@@ -149,6 +151,7 @@ class Mission:
         object.__setattr__(self, "start", checked_pose(self.start, "start", "start"))
         home = self.start if self.home is None else checked_pose(self.home, "home", "home")
         object.__setattr__(self, "home", home)
+        self._lay_ground()
         models = {key: MappingProxyType(dict(v)) for key, v in self.payload_models.items()}
         object.__setattr__(self, "payload_models", MappingProxyType(models))
         require(self.tasks, "the mission has no task; list at least one", "tasks")
@@ -156,6 +159,17 @@ class Mission:
         self._check_numbers()
         self._check_models()
         self._check_poses()
+
+    def _lay_ground(self) -> None:
+        if knows_ground(self.model):
+            ground = laid_out(self.model, self.map.corners, self.surfaces, self.heights)
+            models = {
+                name: {payload: on_laid_ground(model, ground) for payload, model in known.items()}
+                for name, known in self.payload_models.items()
+            }
+            told = {**ground._asdict(), "payload_models": models}
+            for name, value in told.items():
+                object.__setattr__(self, name, value)
 
     def __getstate__(self) -> dict[str, object]:
         plain = {key: dict(value) for key, value in self.payload_models.items()}

@@ -21,7 +21,15 @@ from energyplan.errors import (
     StartInCollisionError,
 )
 from energyplan.path import FloatArray, Path, Pose
-from energyplan.terrain import CostMap, HeightMap, OccupancyGrid, SurfaceMap, Terrain
+from energyplan.terrain import (
+    CostMap,
+    HeightMap,
+    OccupancyGrid,
+    SurfaceMap,
+    Terrain,
+    knows_ground,
+    laid_out,
+)
 from energyplan.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -39,7 +47,10 @@ def as_pose(value: ArrayLike, name: str) -> Pose:
     InvalidInputError
         If they are not three finite numbers.
     """
-    row = np.asarray(value, float)
+    try:
+        row = np.asarray(value, float)
+    except (TypeError, ValueError):
+        row = np.zeros(0)
     if row.shape != (3,) or not np.all(np.isfinite(row)):
         raise InvalidInputError(f"{name} is {value!r}; give x, y [m] and yaw [rad]")
     return Pose(*(float(v) for v in row))
@@ -88,6 +99,8 @@ class PlanningProblem:
     heights : HeightMap, optional
         Heights of the ground where it slopes. All power models need a term that reads the slope,
         such as the grade (`energyplan.power.effects.with_weight`).
+        Where surfaces or heights are left out, the ground that the model knows of stands for them,
+        such as the tilted plane that a diagnosis found (`energyplan.terrain.laid_out`).
     clearance : float
         Distance that the footprint keeps from obstacles on every side, at start and goal too [m].
         A path of least energy grazes them otherwise.
@@ -137,6 +150,12 @@ class PlanningProblem:
         object.__setattr__(self, "start", as_pose(self.start, "start"))
         object.__setattr__(self, "goal", as_pose(self.goal, "goal"))
         objective_weights(self.objective)
+        if knows_ground(self.cost.model):
+            corners = self.map.corners
+            ground = laid_out(self.cost.model, corners, self.surfaces, self.heights)
+            object.__setattr__(self, "cost", replace(self.cost, model=ground.model))
+            object.__setattr__(self, "surfaces", ground.surfaces)
+            object.__setattr__(self, "heights", ground.heights)
 
     @cached_property
     def terrain(self) -> Terrain:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from energyplan.terrain.costs import CostMap
+from energyplan.terrain.found import LaidGround, knows_ground, laid_out, on_laid_ground
 from energyplan.terrain.grid import OccupancyGrid, footprint
 from energyplan.terrain.heights import HeightMap, with_weights
 from energyplan.terrain.surfaces import Surface, SurfaceMap
@@ -11,6 +12,7 @@ from energyplan.terrain.terrain import PathPrice, Piece, Terrain, path_pieces, p
 __all__ = [
     "CostMap",
     "HeightMap",
+    "LaidGround",
     "OccupancyGrid",
     "PathPrice",
     "Piece",
@@ -18,6 +20,9 @@ __all__ = [
     "SurfaceMap",
     "Terrain",
     "footprint",
+    "knows_ground",
+    "laid_out",
+    "on_laid_ground",
     "path_pieces",
     "path_price",
     "with_weights",

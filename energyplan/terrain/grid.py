@@ -119,6 +119,13 @@ class OccupancyGrid:
         rows, columns = self.shape
         return columns * self.resolution, rows * self.resolution
 
+    @property
+    def corners(self) -> FloatArray:
+        """Corners of the map in the world, shape (4, 2) [m]."""
+        rows, columns = self.shape
+        cells = np.array([(0, 0), (columns, 0), (columns, rows), (0, rows)], float)
+        return np.asarray(self.to_world(cells))
+
     @cached_property
     def blocked(self) -> BoolArray:
         """Cells that the robot must not touch, shape (rows, columns)."""

@@ -1,0 +1,167 @@
+"""Ground that a model knows of: a tilted plane, or another surface beyond a line, put on a map.
+
+A diagnosis finds such ground from a drive. On a map it belongs to the place, not to the robot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike
+
+from energyplan.path import FloatArray, Pose
+from energyplan.power import PowerModel
+from energyplan.power.effect_terms import SLIP_BEYOND, TILT_X, TILT_Y, TRACTION_BEYOND
+from energyplan.power.effects import reads_slope, with_weight
+from energyplan.terrain.heights import HeightMap, with_weights
+from energyplan.terrain.surfaces import Surface, SurfaceMap
+
+_TILTS, _BEYOND = (TILT_X.name, TILT_Y.name), (SLIP_BEYOND.name, TRACTION_BEYOND.name)
+
+
+class LaidGround(NamedTuple):
+    """A model without the terms of the ground, and the ground with what they said.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The model where no surface says otherwise.
+    surfaces : SurfaceMap or None
+        Grounds with models of their own.
+    heights : HeightMap or None
+        Heights of the ground.
+
+    Examples
+    --------
+    >>> level = LaidGround(PowerModel.preset("quadriga:empty:marble"), None, None)
+    >>> level.model.name
+    'quadriga:empty:marble'
+    """
+
+    model: PowerModel
+    surfaces: SurfaceMap | None
+    heights: HeightMap | None
+
+
+def knows_ground(model: PowerModel) -> bool:
+    """Tell whether a model has terms of a place: a tilted plane, or another surface.
+
+    Examples
+    --------
+    >>> knows_ground(PowerModel.preset("quadriga:empty:marble"))
+    False
+    """
+    return any(term.name in (*_TILTS, *_BEYOND) for term in model.terms)
+
+
+def laid_out(
+    model: PowerModel,
+    points: ArrayLike,
+    surfaces: SurfaceMap | None = None,
+    heights: HeightMap | None = None,
+) -> LaidGround:
+    """Take the ground that a model knows of out of the model, as surfaces and heights.
+
+    Surfaces and heights that are given say more than the model's terms, which they replace.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The model, such as one that a diagnosis has corrected.
+    points : array_like, shape (n, 2)
+        Corners of the map, or places of a path, in the frame of the log that the model was found
+        from [m]. The ground reaches 2 m beyond them.
+    surfaces : SurfaceMap, optional
+        Surfaces that are known.
+    heights : HeightMap, optional
+        Heights that are known.
+
+    Returns
+    -------
+    LaidGround
+        The same model, surfaces and heights where the model knows of no ground.
+
+    Examples
+    --------
+    >>> from energyplan.power.effects import term
+    >>> level = PowerModel.preset("quadriga:empty:marble")
+    >>> tilted = level.with_term(term("tilt_x"), level.vehicle.mass * np.sin(0.05))
+    >>> ground = laid_out(tilted, [(0.0, 0.0), (6.0, 4.0)])
+    >>> ground.model.has("tilt_x"), round(float(ground.heights.slope([3.0, 2.0, 0.0])), 3)
+    (False, 0.05)
+    """
+    if not knows_ground(model):
+        return LaidGround(model, surfaces, heights)
+    corners = np.asarray(points, float)
+    values = dict(zip((t.name for t in model.terms), model.coefficients.tolist(), strict=True))
+    plain = _without(model, {*_TILTS, *_BEYOND})
+    if heights is None and set(values) & set(_TILTS):
+        sine = np.array([values.get(name, 0.0) for name in _TILTS]) / model.vehicle.mass
+        heights = _plane(corners, sine / np.sqrt(max(1.0 - float(sine @ sine), 0.01)))
+    if heights is not None and not reads_slope(plain):
+        plain = with_weight(plain)
+    beyond = [term for term in model.terms if term.name in _BEYOND]
+    if beyond and surfaces is None:
+        more = {
+            "slip_friction": values.get(SLIP_BEYOND.name, 0.0),
+            "traction_resistance": values.get(TRACTION_BEYOND.name, 0.0),
+        }
+        there = plain.with_coefficients(
+            plain.coefficients + np.array([more.get(t.name, 0.0) for t in plain.terms])
+        )
+        area = _half_plane(corners, beyond[0].params["direction"], beyond[0].params["offset"])
+        if area is not None:
+            surfaces = SurfaceMap((Surface(area, replace(there, name="found beyond a line")),))
+    if surfaces is not None and heights is not None:
+        surfaces = with_weights(surfaces)
+    return LaidGround(plain, surfaces, heights)
+
+
+def on_laid_ground(model: PowerModel, ground: LaidGround) -> PowerModel:
+    """Return another model of the robot, such as one with a payload, for the same ground.
+
+    Examples
+    --------
+    >>> model = PowerModel.preset("quadriga:empty:marble")
+    >>> on_laid_ground(model, LaidGround(model, None, None)).terms == model.terms
+    True
+    """
+    plain = _without(model, {*_TILTS, *_BEYOND})
+    return plain if ground.heights is None else with_weight(plain)
+
+
+def _without(model: PowerModel, names: set[str]) -> PowerModel:
+    keep = np.array([term.name not in names for term in model.terms])
+    covariance = model.covariance
+    return replace(
+        model,
+        terms=tuple(term for term, stays in zip(model.terms, keep, strict=True) if stays),
+        coefficients=model.coefficients[keep],
+        covariance=None if covariance is None else covariance[np.ix_(keep, keep)],
+    )
+
+
+def _plane(corners: FloatArray, gradient: FloatArray) -> HeightMap:
+    """Heights of a plane about some points."""
+    low, high = corners.min(axis=0) - 2.0, corners.max(axis=0) + 2.0
+    size = float(np.max(high - low))
+    node = np.array([0.0, 1.0])
+    heights = size * (gradient[0] * node[None, :] + gradient[1] * node[:, None])
+    return HeightMap(heights, size, Pose(float(low[0]), float(low[1]), 0.0))
+
+
+def _half_plane(corners: FloatArray, direction: float, offset: float) -> shapely.Polygon | None:
+    """Return what lies beyond a line, of the rectangle about some points; None if nothing does."""
+    low, high = corners.min(axis=0) - 2.0, corners.max(axis=0) + 2.0
+    size = 2.0 * float(np.max(high - low)) + 10.0
+    normal = np.array([np.cos(direction), np.sin(direction)])
+    along = np.array([-normal[1], normal[0]])
+    middle = 0.5 * (low + high)
+    foot = middle + (offset - middle @ normal) * normal
+    far = [foot + size * along, foot - size * along]
+    area = shapely.Polygon([*far, far[1] + 2 * size * normal, far[0] + 2 * size * normal])
+    part = area.intersection(shapely.box(*low, *high))
+    return part if isinstance(part, shapely.Polygon) and part.area > 0 else None
