@@ -123,8 +123,7 @@ class OccupancyGrid:
     def corners(self) -> FloatArray:
         """Corners of the map in the world, shape (4, 2) [m]."""
         rows, columns = self.shape
-        cells = np.array([(0, 0), (columns, 0), (columns, rows), (0, rows)], float)
-        return np.asarray(self.to_world(cells))
+        return self.to_world([(0, 0), (columns, 0), (columns, rows), (0, rows)])
 
     @cached_property
     def blocked(self) -> BoolArray:
@@ -304,20 +303,14 @@ class OccupancyGrid:
         rows, columns = self.shape
         return np.asarray(np.all((cells >= 0) & (cells <= np.array([columns, rows])), axis=-1))
 
-    def contains(self, x: float, y: float) -> bool:
-        """Tell whether a world point [m] lies on the map."""
-        return bool(self.inside((x, y)))
-
     def describe_extent(self) -> str:
         """Return where the map lies, in words."""
         width, height = self.size
         x, y, yaw = self.origin
         if yaw == 0.0:
             return f"x from {x:g} to {x + width:g} m and y from {y:g} to {y + height:g} m"
-        return (
-            f"{width:g} m by {height:g} m from its corner ({x:g}, {y:g}), turned by "
-            f"{np.degrees(yaw):.1f} deg"
-        )
+        corner = f"{width:g} m by {height:g} m from its corner ({x:g}, {y:g})"
+        return f"{corner}, turned by {np.degrees(yaw):.1f} deg"
 
     def clearance_at(self, points: ArrayLike) -> FloatArray:
         """Return the clearance of the cells that hold world points (..., 2) [m]; 0 off the map."""

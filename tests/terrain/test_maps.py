@@ -212,10 +212,10 @@ def test_absurd_bounds_are_refused():
 @pytest.mark.parametrize("far", [1e308, -1e308, np.inf, np.nan])
 def test_what_lies_beyond_all_numbers_lies_on_no_map(far):
     grid = OccupancyGrid(np.zeros((9, 9), bool), resolution=0.1, origin=Pose(1.0, 2.0, 0.4))
-    assert not grid.contains(far, far)
-    assert not grid.contains(far, -far)
-    assert not grid.contains(1.1, far)
-    assert grid.contains(1.1, 2.3)
+    assert not grid.inside((far, far))
+    assert not grid.inside((far, -far))
+    assert not grid.inside((1.1, far))
+    assert grid.inside((1.1, 2.3))
 
 
 def test_a_mask_of_the_same_frame_keeps_out_of_its_occupied_cells():

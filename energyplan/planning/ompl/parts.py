@@ -148,9 +148,7 @@ class PoseChecker(base.StateValidityChecker):
 def pose_space(query: CompiledProblem) -> Any:
     """Return OMPL's space of the poses on the map."""
     space = base.SE2StateSpace()
-    grid = query.grid
-    rows, columns = grid.shape
-    corners = grid.to_world([(0, 0), (columns, 0), (columns, rows), (0, rows)])
+    corners = query.grid.corners
     bounds = base.RealVectorBounds(2)
     for axis in range(2):
         bounds.setLow(axis, float(corners[:, axis].min()))

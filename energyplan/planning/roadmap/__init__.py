@@ -244,8 +244,7 @@ def _first_reach(query: CompiledProblem) -> float:
 
 def _farthest(query: CompiledProblem, places: Sequence[tuple[float, float]]) -> float:
     """Return the longest way from start to goal by way of any place on the map [m]."""
-    rows, columns = query.grid.shape
-    corners = query.grid.to_world([(0, 0), (columns, 0), (columns, rows), (0, rows)])
+    corners = query.grid.corners
     return float(np.max(sum(np.hypot(*(corners - place).T) for place in places)))
 
 
