@@ -5,16 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from energyplan import html
-from energyplan.motion import Motion
-from energyplan.path import FloatArray, Pose, Trajectory, wrap_angle
+from energyplan.limits.drive import Drive
+from energyplan.limits.drive import Ground as ModelledGround
+from energyplan.path import Pose, Trajectory, wrap_angle
 from energyplan.physics.engine import Engine
 from energyplan.physics.record import Run
 from energyplan.physics.robot import Ground, Robot
 from energyplan.physics.tracking import Tracker, Tracking
 from energyplan.power import PowerModel
+from energyplan.terrain import laid_out
 
 DYNAMIC = ("kinetic", "other")
 """Parts of the engine's energy that no term of a power model stands for."""
@@ -105,35 +106,12 @@ def energy_told(
         Energy by term [J].
     """
     here = ground or Ground()
-    icr, step = model.vehicle.icr, np.diff(trajectory.t)
-
-    def middle(values: FloatArray) -> FloatArray:
-        return np.asarray(0.5 * (values[1:] + values[:-1]))
-
-    yaw = trajectory.yaw[:-1] + 0.5 * wrap_angle(np.diff(trajectory.yaw))
-    x, y = middle(trajectory.x), middle(trajectory.y)
-    slope: ArrayLike = 0.0
-    if here.heights is not None:
-        slope = here.heights.slope(np.column_stack([x, y, yaw]))
-    channels: dict[str, ArrayLike] = {
-        "t": middle(trajectory.t) - trajectory.t[0], "x": x, "y": y, "yaw": yaw,
-        "accel": np.diff(trajectory.v) / step, "yaw_accel": np.diff(trajectory.omega) / step,
-    }  # fmt: skip
-    if here.heights is not None or not any(t.name.startswith("tilt_") for t in model.terms):
-        channels["slope"] = slope
-    motion = Motion.from_twist(middle(trajectory.v), middle(trajectory.omega), icr, **channels)
-    models = [model]
-    region = np.zeros(len(step), int)
-    if here.surfaces is not None:
-        models += [surface.model for surface in here.surfaces.surfaces]
-        ahead = icr.longitudinal
-        points = np.column_stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw)])
-        region = here.surfaces.region_at(points)
-    told: dict[str, float] = {}
-    for k, law in enumerate(models):
-        for name, power in law.battery_side().breakdown(motion).items():
-            told[name] = told.get(name, 0.0) + float(np.sum(step * power * (region == k)))
-    return told
+    points = np.column_stack([trajectory.x, trajectory.y])
+    law, surfaces, heights = laid_out(model, points, here.surfaces, here.heights)
+    grounds = () if surfaces is None else surfaces.surfaces
+    others = tuple(surface.model.battery_side() for surface in grounds)
+    driven_on = ModelledGround(law.battery_side(), surfaces, heights, others)
+    return Drive(trajectory, driven_on).breakdown()
 
 
 def drive(
