@@ -220,14 +220,14 @@ def report(outcomes: list[Outcome], temperature: float, fitted: int) -> str:
     return "\n".join(
         [
             *rows, "",
-            f"{len(outcomes)} drives that judge: the right explanation came first in {first:.0%};",
-            f"{np.mean(covered):.0%} of {len(covered)} sizes lay within their 95 % interval; the",
-            "RMSE of the hold-out was at most 1.15 times that of a model that was told in",
-            f"{np.mean(ratios <= 1.15):.0%}, worst {ratios.max():.2f}; `no_effect` was said {none}",
-            f"times. Where `adequacy` says that nothing is missing ({len(whole)} drives), the",
-            f"right explanation came first in {sound:.0%}. The other {fitted} drives ask for a",
-            f"temperature of {temperature:.2f} on top of the one in use (1 leaves all",
-            "as it is).", "",
+            f"{len(outcomes)} of these drives judge. The right explanation came first in",
+            f"{first:.0%}. Of {len(covered)} sizes, {np.mean(covered):.0%} lay within their 95 %",
+            "interval. The RMSE of the hold-out drive was at most 1.15 times that of a model that",
+            f"was given the hidden effects in {np.mean(ratios <= 1.15):.0%} of the drives, and",
+            f"{ratios.max():.2f} times at worst. The verdict was `no_effect` {none} times. Where",
+            f"`adequacy` reports nothing missing ({len(whole)} drives), the right explanation came",
+            f"first in {sound:.0%}. The other {fitted} drives were used to fit a temperature that",
+            f"scales the log probabilities: {temperature:.2f}, where 1 changes nothing.", "",
         ]
     )  # fmt: skip
 
