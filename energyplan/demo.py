@@ -18,9 +18,10 @@ from energyplan.cost import EnergyCost
 from energyplan.diagnosis import diagnose
 from energyplan.errors import MissingDependencyError
 from energyplan.fit import identify
+from energyplan.html import quantity, words
 from energyplan.io.bundled import bundled
 from energyplan.io.config import write_model
-from energyplan.io.files import atomic_write
+from energyplan.io.files import atomic_write, files_behind
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.maps import read_map
 from energyplan.io.mission import read_mission
@@ -172,7 +173,7 @@ def _identification(demo: _Demo) -> None:
 
 
 def _value(model: PowerModel, term: str) -> str:
-    return f"{model.coefficient(term):.4g} +- {model.std_error(term):.2g}"
+    return quantity(model.coefficient(term), model.std_error(term), "1")
 
 
 def _diagnosis(demo: _Demo) -> None:
@@ -197,8 +198,8 @@ def _diagnosis(demo: _Demo) -> None:
         "effect, the effect is added, and the error is reported on a drive not fitted to."
     )
     page.table(
-        ("effect found", "symbol", "value", "std. error", "unit"),
-        [(e.name, e.symbol, e.value, e.std_error, e.unit) for e in told.effects],
+        ("effect found", "symbol", "size"),
+        [(words(e.name), e.symbol, quantity(e.value, e.std_error, e.unit)) for e in told.effects],
     )
     page.table(
         ("on the hold-out drive", "rmse [W]", "mae [W]", "bias [W]", "energy error"),
@@ -220,6 +221,9 @@ def _routes(demo: _Demo) -> Comparison:
     page.heading("3. Which route takes the least energy?")
     ground = read_surfaces(bundled("warehouse_surfaces.geojson"))
     grid = read_map(bundled("warehouse.yaml"))
+    inputs = ("warehouse.yaml", "warehouse_surfaces.geojson", "mission_warehouse.yaml")
+    files = dict.fromkeys(file for name in inputs for file in files_behind(bundled(name)))
+    page.made_from(files=files, model=PowerModel.preset("quadriga:full:concrete"))
     cost = EnergyCost(PowerModel.preset("quadriga:full:concrete"))
     problem = PlanningProblem(
         grid, cost, Pose(2.0, 2.0, 0.0), Pose(20.0, 12.0, math.pi / 2), surfaces=ground
@@ -241,7 +245,7 @@ def _routes(demo: _Demo) -> Comparison:
         plots.routes(grid, {label: p.path for label, p in plans.items()}, surfaces=ground.polygons),
         f"The route of least energy saves {100 * made.saving:.1f} % of the shortest one's energy.",
     )
-    figure = plots.figure(size=(8.0, 2.6))
+    figure = plots.figure(size=(plots.WIDTH, 2.0))
     plots.breakdown(figure.axes[0], {label: p.breakdown for label, p in plans.items()})
     demo.picture("routes-energy.png", figure, "Where the energy of both routes goes.")
     return made
@@ -261,7 +265,7 @@ def _limits(demo: _Demo, made: Comparison) -> None:
         f"{'feasible' if fast.feasible else 'not'}: {fast.reason}"
     )
     region = feasible_region(model, np.linspace(-3, 3, 181), np.linspace(0.05, 1.4, 109))
-    figure = plots.figure(size=(8.0, 4.5))
+    figure = plots.figure()
     plots.feasible_region(figure.axes[0], region)
     demo.picture(
         "limits.png", figure, "Curvatures and speeds that the motors can drive: full, concrete."
@@ -300,15 +304,15 @@ def _driven(demo: _Demo) -> None:
     page.paragraph(
         "A physics engine that knows nothing of the model drives the planned route. It hides that "
         f"the ground is rougher above y = {border['offset']} m. The first drive takes "
-        f"{100 * (first.energy_taken / first.energy_told - 1):.0f} % more than told. A designed "
-        "drive shows why; the route of the second round takes "
+        f"{100 * (first.energy_taken / first.energy_told - 1):.0f} % more than predicted. A "
+        "designed drive shows why; the route of the second round takes "
         f"{100 * (1 - last.energy_taken / first.energy_taken):.0f} % less than the first one."
     )
     page.table(
-        ("round", "told [J]", "taken [J]", "error", "length [m]", "found"),
+        ("round", "predicted [J]", "measured [J]", "error", "length [m]", "found"),
         [
             (k, r.energy_told, r.energy_taken, f"{100 * r.error:+.1f} %", r.length,
-             ", ".join(effect.name for effect in r.effects) or "-")
+             ", ".join(words(effect.name) for effect in r.effects) or "-")
             for k, r in enumerate(made.rounds, 1)
         ],
     )  # fmt: skip

@@ -1,8 +1,10 @@
-"""Tables in HTML, for reports and for results shown in notebooks (private)."""
+"""Numbers, names and tables as readers want them, for reports and for results in notebooks."""
 
 from __future__ import annotations
 
 import html
+import math
+import re
 from collections.abc import Iterable, Sequence
 
 
@@ -12,22 +14,70 @@ def number(value: float, digits: int = 4) -> str:
     return f"{value:.0f}" if "e" in text and abs(value) >= 1 and abs(value) < 1e9 else text
 
 
+def words(name: str) -> str:
+    """Return a name of the code, such as that of an effect, in words."""
+    return name.replace("_", " ")
+
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def unit(symbol: str) -> str:
+    """Return a unit as it is printed: powers raised, nothing for the unit of a pure number."""
+    return re.sub(r"\^(-?\d+)", lambda m: m[1].translate(_RAISED), symbol) if symbol != "1" else ""
+
+
+def quantity(value: float, error: float | None, symbol: str) -> str:
+    """Return a value with its standard error and unit; the error decides on the digits.
+
+    Parameters
+    ----------
+    value : float
+        The value.
+    error : float, optional
+        Its standard error, where it is known.
+    symbol : str
+        The unit, such as ``"m/s^2"``; ``"1"`` for a pure number.
+
+    Returns
+    -------
+    str
+        Such as ``"144.2 ± 2.8 kg"``; the value alone where the error is zero or not known.
+
+    Examples
+    --------
+    >>> quantity(144.1963, 2.794, "kg"), quantity(0.25, None, "1")
+    ('144.2 ± 2.8 kg', '0.25')
+    """
+    told = number(value)
+    if error is not None and math.isfinite(error) and error > 0:
+        places = max(0, 1 - math.floor(math.log10(error)))
+        shown = (f"{value:.{places}f}", f"{error:.{places}f}")
+        told = " ± ".join(shown if places <= 8 else (number(value), number(error, 2)))
+    return f"{told} {unit(symbol)}".rstrip()
+
+
 WIDE = 4
 """A table of more columns than these is shown row by row where a page is narrow."""
 
+_NUMERIC = re.compile(r"[-+]?\d[-+\d.e±%() to]*|-")
+
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table; numbers are aligned to the right and shown with four digits."""
+    """Return a table; columns of numbers are aligned to the right, a ``-`` stands for nothing."""
     names = [html.escape(name) for name in header]
-    head = "".join(f"<th>{name}</th>" for name in names)
     wide = len(names) > WIDE
-    lines = []
-    for row in rows:
-        labels = names if wide else [""] * len(row)
-        cells = (_cell(value, label) for value, label in zip(row, labels, strict=True))
-        lines.append(f"<tr>{''.join(cells)}</tr>")
+    labels = names if wide else [""] * len(names)
+    body = [[_text(value) for value in row] for row in rows]
+    kinds = [_is_numeric(column) for column in zip(*body, strict=True)] or [False] * len(names)
+    head = "".join(
+        f"<th {_RIGHT}>{name}</th>" if right else f"<th>{name}</th>"
+        for name, right in zip(names, kinds, strict=True)
+    )
+    lines = ["".join(_cell(*one) for one in zip(row, labels, kinds, strict=True)) for row in body]
     kind = ' class="wide"' if wide else ""
-    return f"<table{kind}><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+    rest = "".join(f"<tr>{line}</tr>" for line in lines)
+    return f"<table{kind}><thead><tr>{head}</tr></thead><tbody>{rest}</tbody></table>"
 
 
 def result(
@@ -39,8 +89,23 @@ def result(
     return f"<div><b>{html.escape(title)}</b>{table(header, rows)}{said}</div>"
 
 
-def _cell(value: object, label: str) -> str:
-    told = f' data-label="{label}"' if label else ""
+_RIGHT = 'style="text-align:right"'
+
+
+def _text(value: object) -> str:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        return f"<td{told}>{html.escape(str(value))}</td>"
-    return f'<td class="number" style="text-align:right"{told}>{number(float(value))}</td>'
+        return str(value)
+    return number(float(value))
+
+
+def _is_numeric(column: Sequence[str]) -> bool:
+    """Tell whether a column is one of numbers, some of which may be absent."""
+    return any(text != "-" for text in column) and all(map(_NUMERIC.fullmatch, column))
+
+
+def _cell(text: str, label: str, right: bool) -> str:
+    kinds = [name for name, is_it in (("number", right), ("none", text == "-")) if is_it]
+    told = f' class="{" ".join(kinds)}"' if kinds else ""
+    told += f" {_RIGHT}" if right else ""
+    told += f' data-label="{label}"' if label else ""
+    return f"<td{told}>{html.escape(text)}</td>"

@@ -20,7 +20,7 @@ from energyplan.diagnosis.windows import Design, Drive, channels_of, window_mean
 from energyplan.motion import CHANNELS
 from energyplan.path import FloatArray
 from energyplan.power import Sides, Term
-from energyplan.power.empirical import CARRIERS, DERIVED, carry, place, signal, spoken
+from energyplan.power.empirical import CARRIERS, DERIVED, carry, described, place, signal
 
 _KNOTS = 6
 _NOT_SIGNALS = {"changed", "p_left", "p_right", "power", "yaw_rate"}
@@ -325,7 +325,7 @@ _CARRIED = {"power": "power", "traction": "traction resistance", "slip": "slip m
 
 def in_words(name: str, carrier: str, knots: FloatArray, shape: FloatArray) -> str:
     """Describe a shape: rises, falls, step, only on one side, a valley or a hump."""
-    what, name = _CARRIED[carrier], spoken(name)
+    what, name = _CARRIED[carrier], described(name).name
     spread = float(np.ptp(shape))
     steps = np.diff(shape)
     if spread == 0.0:

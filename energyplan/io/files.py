@@ -11,6 +11,7 @@ from typing import Any
 
 from energyplan.errors import InvalidInputError
 from energyplan.io._yaml import load
+from energyplan.io.bundled import bundle
 
 _PROBE = bytes(1 << 16)  # what a place must be able to take before work for it begins
 _LARGEST_JSON = 1 << 25  # bytes of a file of surfaces that is searched for names of files
@@ -201,8 +202,9 @@ def files_behind(source: str | Path) -> list[Path]:
     Returns
     -------
     list of Path
-        The files. A configuration file's strings that name files are followed, as are the folders
-        of bags, and the file of inertial readings beside a Husky's wheel file.
+        The files. A configuration file's strings that name files, beside it or of the library, are
+        followed, as are the folders of bags, and the file of inertial readings beside a Husky's
+        wheel file.
     """
     found: dict[Path, None] = {}
     try:
@@ -239,7 +241,8 @@ def _follow(file: Path, found: dict[Path, None]) -> None:
     beside = file.with_name(file.name.replace("pro_", "imu_", 1))  # of a Husky's wheel file
     names = [beside.name] if beside != file else []
     for name in (*names, *_strings(_content(file))):
-        _follow(file.parent / name, found)
+        near = file.parent / name
+        _follow(near if is_file(near) else bundle().get(name, near), found)
 
 
 def _content(file: Path) -> Any:

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from energyplan.html import number
+from energyplan.errors import InfeasibleMotionError, InvalidInputError
+from energyplan.html import number, quantity, words
 from energyplan.output import plots
 from energyplan.output.report import Page
 from energyplan.path import wrap_angle
-from energyplan.power.empirical import signal, unit
+from energyplan.power.empirical import described, signal
 from energyplan.studies.comparison import energy_along
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from energyplan.logs import DriveLog
     from energyplan.mission import MissionReport
     from energyplan.physics import Loop
-    from energyplan.planning import PlanningProblem
+    from energyplan.planning import Plan, PlanningProblem
     from energyplan.power import PowerModel, Residual
     from energyplan.studies.comparison import Comparison
     from energyplan.terrain import SurfaceMap
@@ -54,8 +55,8 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
     page.paragraph(
         {
             "effect_found": f"The most probable cause of the residual is {_names(told)}, with a "
-            f"probability of {_probability(told):.2f}. On drives that were not fitted to, the root "
-            f"mean square error is {before} without it and {after} with it.",
+            f"probability of {_chance(told.explanations[0].probability)}. On drives that were not "
+            f"fitted to, the root mean square error is {before} without it and {after} with it.",
             "no_effect": "No effect of the catalogue predicts these drives better than the paper's "
             "model alone.",
             "unexplained": "Part of the residual depends on a channel in a way that no effect of "
@@ -66,15 +67,17 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
     if told.effects:
         page.heading("Effects found, largest first")
         page.table(
-            ("effect", "symbol", "value", "std. error", "unit", "probability", "or instead"),
+            ("effect", "symbol", "size", "probability", "or instead"),
             [
                 (
-                    effect.name.replace("_", " "), effect.symbol, effect.value, effect.std_error,
-                    effect.unit, effect.probability, ", ".join(effect.rivals) or "-",
+                    words(effect.name), effect.symbol,
+                    quantity(effect.value, effect.std_error, effect.unit),
+                    _chance(effect.probability), ", ".join(map(words, effect.rivals)) or "-",
                 )
                 for effect in told.effects
             ],
         )  # fmt: skip
+        page.paragraph("A size is told with its standard error.")
     if len(told.explanations) > 1:
         page.heading("Possible explanations")
         page.table(
@@ -82,7 +85,7 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
             [
                 (
                     _together(one.effects),
-                    f"{one.probability:.2f}" if one.probability >= 0.01 else "below 0.01",
+                    _chance(one.probability),
                     "; ".join(_together(names) for names in one.alike) or "-",
                 )
                 for one in told.explanations
@@ -127,7 +130,8 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
         )
     for found in told.unexplained:
         page.paragraph(
-            f"Unexplained: the residual depends on {found.channel} ({found.shape}); "
+            f"Unexplained: the residual depends on the {described(found.channel).name} "
+            f"({found.shape}); "
             f"{100 * found.explained_variance:.0f} % of its variance.",
             "flag",
         )
@@ -171,7 +175,7 @@ def _guilty_channel(told: Diagnosis, holdout: Sequence[DriveLog]) -> Picture:
         )
     }
     figure = plots.figure()
-    plots.residual_against(figure.axes[0], values, residuals, f"{channel} [{unit(channel)}]")
+    plots.residual_against(figure.axes[0], values, residuals, str(described(channel)))
     return Picture("residual", figure, "The residual against the channel that it depends on most.")
 
 
@@ -187,18 +191,23 @@ def comparison_page(made: Comparison, problem: PlanningProblem) -> Page:
         "lead",
     )
     page.table(
-        ("route", "energy [J]", "length [m]", "turning [deg]", "duration [s]"),
+        ("route", "energy [J]", "length [m]", "turning [deg]", "driven: energy [J]",
+         "driven: time [s]"),
         [
-            (label, plan.energy, plan.length, float(np.degrees(plan.turning)), plan.duration)
+            (label, plan.energy, plan.length, float(np.degrees(plan.turning)), *_driven(plan))
             for label, plan in (("least energy", best), ("shortest", shortest))
         ],
+    )  # fmt: skip
+    page.paragraph(
+        "The energy is that of the path at steady speed; driven, the robot also starts, slows down "
+        "in corners and stops."
     )
     page.heading("Where the energy goes")
     page.table(
         ("term", "least energy [J]", "shortest [J]", "saved [J]"),
         [
             (
-                name.replace("_", " "), best.breakdown.get(name, 0.0),
+                words(name), best.breakdown.get(name, 0.0),
                 shortest.breakdown.get(name, 0.0), saved,
             )
             for name, saved in made.by_term.items()
@@ -206,6 +215,14 @@ def comparison_page(made: Comparison, problem: PlanningProblem) -> Page:
     )  # fmt: skip
     _illustrate(page, comparison_pictures(made, problem))
     return page
+
+
+def _driven(plan: Plan) -> tuple[object, object]:
+    """Return energy [J] and time [s] of driving a plan, where the motors can."""
+    try:
+        return plan.driven.energy, plan.driven.duration
+    except (InfeasibleMotionError, InvalidInputError):
+        return "-", "-"
 
 
 def comparison_pictures(made: Comparison, problem: PlanningProblem) -> Iterator[Picture]:
@@ -254,6 +271,20 @@ def mission_page(told: MissionReport) -> Page:
         page.paragraph(f"Warning: {warning}.", "flag")
     page.table(MISSION_HEADER, mission_rows(told))
     _illustrate(page, mission_pictures(told))
+    if told.uncertainty:
+        page.heading("What is uncertain")
+        page.table(
+            ("source", "standard deviation [Wh]", "freed if known [Wh]"),
+            list(
+                _rounded(
+                    [(one.source, one.energy / 3600, one.saving / 3600) for one in told.uncertainty]
+                )
+            ),
+        )
+        page.paragraph(
+            "Energy is held back so that the mission succeeds with the confidence asked for; "
+            "what a source frees need not be held back once that source is measured."
+        )
     return page
 
 
@@ -268,7 +299,8 @@ def mission_rows(told: MissionReport) -> Iterator[Sequence[object]]:
     """Yield a row for each task, flagged ones first."""
     for task in map(told.task, told.table["name"]):
         yield (
-            task.name, task.verdict, str(task.reason).replace("_", " "), task.remedy or "-", *(
+            task.name, task.verdict,
+            "-" if task.reason == "none" else words(task.reason), task.remedy or "-", *(
                 number(joules / 3600) if np.isfinite(joules) else "-"
                 for joules in (task.energy, task.energy_upper)
             ),
@@ -290,18 +322,20 @@ def mission_pictures(told: MissionReport) -> Iterator[Picture]:
     )
 
 
-def _probability(told: Diagnosis) -> float:
-    """Probability of the explanation that is reported."""
-    return told.explanations[0].probability
+def _chance(probability: float) -> str:
+    """Return a probability with as many digits as it bears."""
+    if probability < 0.01:
+        return "below 0.01"
+    return f"{probability:.2f}" if probability <= 0.99 else "above 0.99"
 
 
 def _together(names: Sequence[str]) -> str:
     """Return effects that act together."""
-    return " and ".join(name.replace("_", " ") for name in names) or "none"
+    return " and ".join(map(words, names)) or "none"
 
 
 def _names(told: Diagnosis) -> str:
-    return " and ".join(effect.name.replace("_", " ") for effect in told.effects)
+    return _together([effect.name for effect in told.effects])
 
 
 def _with_interval(residual: Residual, interval: object, key: str, scale: float = 1.0) -> str:
@@ -314,10 +348,12 @@ def loop_page(made: Loop, problem: PlanningProblem) -> Page:
     """Return the report of a closed loop; `problem` is what was planned."""
     page = Page("Plan, drive, learn, plan again")
     _models(page, problem.cost.model, problem.surfaces)
+    page.made_from(model=made.model)
     first, last = made.rounds[0], made.rounds[-1]
+    later = f" and {_off(last.error)} it in round {len(made.rounds)}" if last is not first else ""
     page.paragraph(
-        f"The predicted energy was off by {100 * first.error:+.1f} % in the first round and by "
-        f"{100 * last.error:+.1f} % in round {len(made.rounds)}. "
+        f"The predicted energy was {_off(first.error)} what was measured in the first "
+        f"round{later}. "
         f"The first drive took {number(first.energy_taken)} J, the last one "
         f"{number(last.energy_taken)} J.",
         "lead",
@@ -327,22 +363,57 @@ def loop_page(made: Loop, problem: PlanningProblem) -> Page:
          "found"),
         [
             (
-                k, now.energy_told,
+                k, number(now.energy_told),
                 " to ".join(number(v) for v in now.energy_interval or ()) or "-",
-                now.energy_taken, f"{100 * now.error:+.1f} %", now.length,
-                ", ".join(
-                    f"{e.name.replace('_', ' ')} {number(e.value)} {e.unit}" for e in now.effects
-                ) or now.note or "-",
+                number(now.energy_taken), f"{100 * now.error:+.1f} %", number(now.length),
+                ", ".join(words(e.name) for e in now.effects) or now.note or "-",
             )
             for k, now in enumerate(made.rounds, 1)
         ],
     )  # fmt: skip
+    _illustrate(page, loop_pictures(made, problem))
+    for k, now in enumerate(made.rounds, 1):
+        if now.effects:
+            page.heading(f"Round {k}: what was found")
+            page.table(
+                ("effect", "size"),
+                [(words(e.name), quantity(e.value, e.std_error, e.unit))
+                 for e in now.effects],
+            )  # fmt: skip
+        if now.driven is not None:
+            page.heading(f"Round {k}: where the energy went")
+            page.table(
+                ("term", "predicted [J]", "measured [J]"),
+                list(_rounded(now.driven.terms)),
+            )
+    return page
+
+
+def _off(error: float) -> str:
+    """Return how a prediction lies to what was measured."""
+    return f"{100 * abs(error):.1f} % {'above' if error > 0 else 'below'}"
+
+
+def _rounded(rows: Sequence[tuple[str, float, float]]) -> Iterator[tuple[str, str, str]]:
+    """Yield energies by name, all to the place of the largest one's fourth digit; none of zero."""
+    most = max((abs(joules) for _, *both in rows for joules in both), default=0.0)
+    places = max(0, 3 - int(np.floor(np.log10(most)))) if most > 0 else 0
+    for name, *both in rows:
+        shown = [f"{round(joules, places) + 0.0:.{places}f}" for joules in both]
+        if any(float(text) for text in shown):
+            yield words(name), shown[0], shown[1]
+
+
+def loop_pictures(made: Loop, problem: PlanningProblem) -> Iterator[Picture]:
+    """Yield predicted and measured energy by round, and the first and the last route."""
+    yield Picture(
+        "rounds",
+        plots.rounds(made),
+        "Predicted energy, with its 95 % interval, and measured energy.",
+    )
     paths = {f"round {k}": now.plan.path for k, now in enumerate(made.rounds, 1)}
     shown = dict(list(paths.items())[:1] + list(paths.items())[-1:])
     areas = problem.surfaces.polygons if problem.surfaces else ()
-    page.picture(plots.routes(problem.map, shown, surfaces=areas), "The first and the last route.")
-    for k, now in enumerate(made.rounds, 1):
-        if now.driven is not None:
-            page.heading(f"Round {k}: where the energy went")
-            page.table(("term", "predicted [J]", "measured [J]"), now.driven.terms)
-    return page
+    yield Picture(
+        "routes", plots.routes(problem.map, shown, surfaces=areas), "The first and the last route."
+    )

@@ -36,8 +36,8 @@ table { border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .
 th, td { padding: .3rem .7rem; border-bottom: 1px solid #d8d8d8; text-align: left;
          vertical-align: top; }
 th { border-bottom: 2px solid #888; }
-td.number { text-align: right; }
-figure { margin: 1rem 0; } figure img { width: 100%; max-width: 46rem; height: auto; }
+td.number { white-space: nowrap; }
+figure { margin: 1rem 0; } figure img { width: 100%; max-width: 38rem; height: auto; }
 figcaption { color: #555; font-size: .9rem; margin-top: .5rem; }
 footer { margin-top: 3rem; border-top: 1px solid #d8d8d8; padding-top: .6rem; color: #555;
          font-size: .85rem; overflow-wrap: anywhere; }
@@ -52,13 +52,14 @@ code { background: #f2f2f2; padding: .1rem .3rem; overflow-wrap: anywhere; }
   table.wide tr { border-bottom: 2px solid #888; padding: .4rem 0; }
   table.wide td, table.wide td.number { display: grid; grid-template-columns: 9rem 1fr;
          border: 0; text-align: left !important; padding: .1rem .2rem; overflow-wrap: anywhere; }
+  td.number { white-space: normal; } table.wide td.none:not(:first-child) { display: none; }
   table.wide td:first-child { font-weight: 600; }
   table.wide td::before { content: attr(data-label); color: #555; padding-right: .5rem; }
 }
 @media print {
   body { font-size: 11pt; max-width: none; padding: 0; }
-  h2 { break-after: avoid; } figure, tr, footer { break-inside: avoid; }
-  figure img { max-width: 32rem; } .scroll { overflow: visible; } table { font-size: 9pt; }
+  h2 { break-after: avoid; } figure, table, tr, footer { break-inside: avoid; }
+  figure img { max-width: 28rem; } .scroll { overflow: visible; } table { font-size: 9pt; }
 }
 """
 
@@ -187,8 +188,7 @@ class Page:
             robot = model.vehicle
             told = f"{robot.name}: {_html.number(robot.mass)} kg, slip track "
             values = ", ".join(
-                f"{term.name.replace('_', ' ')} {_html.number(value)}"
-                + (f" {term.unit}" if term.unit != "1" else "")
+                f"{_html.words(term.name)} {_html.quantity(value, None, term.unit)}"
                 for term, value in zip(model.terms, model.coefficients.tolist(), strict=True)
             )
             lines += [

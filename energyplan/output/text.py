@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from energyplan.html import number
+from energyplan.html import number, words
 from energyplan.output.documents import terms
 
 if TYPE_CHECKING:
@@ -61,7 +61,8 @@ def diagnosis(told: Diagnosis) -> list[str]:
         )
         lines[-1] += f", probability {effect.probability:.2f}"
         if effect.rivals:
-            lines.append(f"  these drives cannot tell it from: {', '.join(effect.rivals)}")
+            rivals = ", ".join(map(words, effect.rivals))
+            lines.append(f"  these drives cannot tell it from: {rivals}")
     others = [one for one in told.explanations[1:] if one.probability >= 0.01]
     lines += [
         f"or, with probability {one.probability:.2f}: "
@@ -289,12 +290,13 @@ def mission(told: MissionReport) -> list[str]:
     )
     if told.uncertainty:
         parts = (
-            f"{doubt.source} {number(doubt.energy / 3600, 2)} Wh" for doubt in told.uncertainty
+            f"{words(doubt.source)} {number(doubt.energy / 3600, 2)} Wh"
+            for doubt in told.uncertainty
         )
         lines.append(f"one standard deviation of the energy by source: {', '.join(parts)}")
         dearest = told.uncertainty[0]
         lines.append(
-            f"the largest uncertainty: {dearest.source}; knowing it exactly would free "
+            f"the largest uncertainty: {words(dearest.source)}; knowing it exactly would free "
             f"{number(dearest.saving / 3600, 2)} Wh of the margin"
         )
     lines += [f"warning: {warning}" for warning in told.warnings]

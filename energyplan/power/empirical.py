@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +21,22 @@ from energyplan.vehicle import Vehicle
 CARRIERS = {"power": "W", "traction": "N", "slip": "N m"}
 """What may scale with a channel, and the unit of the shape."""
 
-DERIVED = ("v", "omega", "curvature")
+
+class Described(NamedTuple):
+    """A channel or signal in words: its name, and its unit."""
+
+    name: str
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.name} [{self.unit}]"
+
+
+DERIVED = {
+    "v": Described("forward speed", "m/s"),
+    "omega": Described("yaw rate", "rad/s"),
+    "curvature": Described("curvature", "1/m"),
+}
 """Signals that every motion has beside its channels."""
 
 
@@ -32,12 +48,21 @@ def place(x: float, y: float) -> str:
     return f"{_PLACE}{x:.3g}_{y:.3g}"
 
 
-def spoken(name: str) -> str:
-    """Return the name of a signal for sentences."""
-    if not name.startswith(_PLACE):
-        return name
-    x, _, y = name.removeprefix(_PLACE).partition("_")
-    return f"the distance from ({x}, {y})"
+def described(name: str) -> Described:
+    """Return a channel, or a signal derived from the tread speeds, in words.
+
+    Examples
+    --------
+    >>> str(described("omega")), str(described("slope"))
+    ('yaw rate [rad/s]', 'ground slope along the heading [rad]')
+    """
+    if name.startswith(_PLACE):
+        x, _, y = name.removeprefix(_PLACE).partition("_")
+        return Described(f"distance from ({x} m, {y} m)", "m")
+    if name in DERIVED:
+        return DERIVED[name]
+    words, _, symbol = CHANNELS.get(name, "").partition("[")
+    return Described(words.partition(",")[0].strip() or name, symbol.rstrip("]") or "its own unit")
 
 
 def _is_known(motion: Motion, name: str) -> bool:
@@ -73,15 +98,6 @@ def signal(motion: Motion, name: str) -> FloatArray:
         x, _, y = name.removeprefix(_PLACE).partition("_")
         return np.hypot(motion.channels["x"] - float(x), motion.channels["y"] - float(y))
     return motion.channels.get(name, np.zeros(motion.shape))
-
-
-def unit(name: str) -> str:
-    """Return the unit of a channel or of a signal derived from the tread speeds."""
-    if name.startswith(_PLACE):
-        return "m"
-    derived = {"v": "m/s", "omega": "rad/s", "curvature": "1/m"}
-    described = CHANNELS.get(name, "")
-    return derived.get(name) or described.partition("[")[2].rstrip("]") or "its own unit"
 
 
 def carry(motion: Motion, vehicle: Vehicle, carrier: str, shape: FloatArray) -> Sides | FloatArray:

@@ -135,6 +135,10 @@ def test_what_a_mission_names_is_behind_it(folder: Path) -> None:
     (folder / "grounds.geojson").write_text('{"features": [{"model": "robot.yaml"}]}')
     names = {file.name for file in files_behind(mission)}
     assert {"round.yaml", "model.yaml", "office.yaml", "grounds.geojson", "robot.yaml"} < names
+    mission.write_text("map: warehouse.yaml\n")  # of the library
+    names = {file.name for file in files_behind(mission)}
+    assert names == {"round.yaml", "warehouse.yaml", "warehouse.png"}
+    mission.write_text("model: model.yaml\nmap: office.yaml\nsurfaces: grounds.geojson\n")
     with pytest.raises(ep.errors.InvalidInputError, match=r"belongs to round\.yaml"):
         refuse_overwriting(["robot.yaml"], [Path("round.yaml")])
 

@@ -144,7 +144,7 @@ def test_sources_of_doubt_add_up_to_the_bound() -> None:
     # without it the others would still hold back theirs
     rest = NormalDist().inv_cdf(0.95) * np.sqrt(std**2 - told["coefficient_spread"] ** 2)
     assert listed[0]["saving"] == pytest.approx(margin - rest, rel=1e-6)
-    assert "the largest uncertainty: coefficient_spread" in text.mission(report)[-1]
+    assert "the largest uncertainty: coefficient spread" in text.mission(report)[-1]
 
 
 def test_without_doubt_no_source_is_listed() -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import pytest
 
 from energyplan import __version__
 from energyplan.errors import InvalidInputError
-from energyplan.html import number, table
+from energyplan.html import number, quantity, table, unit
 from energyplan.output import plots
 from energyplan.output.report import Page, svg
 from energyplan.power import PowerModel
@@ -114,6 +115,34 @@ def test_cells_of_wide_tables_carry_their_header() -> None:
     assert wide.count("data-label=") == 5
     assert 'data-label="&lt;e&gt;"' in wide
     assert "data-label=" not in table(("a", "b"), [(1, 2)])
+
+
+def test_columns_of_numbers_stand_to_the_right_and_what_is_absent_is_told() -> None:
+    rows = [("a 1", "1 to 2", "-", 1.5), ("b", "-", "-", 2)]
+    made = table(("name", "span", "gone", "size"), rows)
+    assert made.count('<th style="text-align:right">') == 2
+    assert re.findall(r'<td class="([a-z ]+)"[^>]*>([^<]*)', made) == [
+        ("number", "1 to 2"), ("none", "-"), ("number", "1.5"),
+        ("number none", "-"), ("none", "-"), ("number", "2"),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "symbol", "text"),
+    [
+        (144.1963, 2.794, "kg", "144.2 ± 2.8 kg"), (26161.0, 412.0, "J", "26161 ± 412 J"),
+        (6.907e-4, 1.3e-5, "W/N^2", "0.000691 ± 0.000013 W/N²"), (0.5, 0.0, "1", "0.5"),
+        (1.5e-12, 2e-13, "m", "1.5e-12 ± 2e-13 m"), (2.0, float("nan"), "m", "2 m"),
+    ],
+)  # fmt: skip
+def test_an_error_decides_on_the_digits(value: float, error: float, symbol: str, text: str) -> None:
+    assert quantity(value, error, symbol) == text
+
+
+def test_units_are_printed_with_raised_powers() -> None:
+    assert [unit(u) for u in ("m/s^2", "kg m^2", "m^-1", "1", "W")] == [
+        "m/s²", "kg m²", "m⁻¹", "", "W",
+    ]  # fmt: skip
 
 
 def test_a_figure_is_the_same_bytes_twice() -> None:

@@ -13,6 +13,7 @@ from energyplan.output.plots.drives import (
     power_over_time,
     prediction,
     residual_against,
+    rounds,
     tread_speeds,
 )
 from energyplan.output.plots.routes import (
@@ -62,6 +63,7 @@ __all__ = [
     "power_over_time",
     "prediction",
     "residual_against",
+    "rounds",
     "route",
     "routes",
     "state_of_charge",

@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
+from energyplan import html
 from energyplan.logs import DriveLog
 from energyplan.path import FloatArray
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from energyplan.limits.feasibility import FeasibleRegion
+    from energyplan.physics import Loop
     from energyplan.studies.pareto import ParetoFront
 
 from energyplan.output.plots.style import (
@@ -174,9 +176,50 @@ def residual_against(
         ax.plot(x[thin], r[thin], ".", ms=2, color=color, alpha=0.15, rasterized=True)
         ax.plot(centre, mean, color=color, ls=dash, marker="o", ms=3, label=f"{name} (bin mean)")
     ax.axhline(0, color=BLACK, lw=0.8)
-    style_label(ax, label, "measured - predicted [W]", f"Residual against {label}")
+    known = label.partition(" [")[0]
+    style_label(ax, html.unit(label), "measured - predicted [W]", f"Residual against the {known}")
     legend(ax, above=True)
     return ax
+
+
+def rounds(made: Loop) -> Figure:
+    """Draw predicted and measured energy by round of a closed loop.
+
+    Parameters
+    ----------
+    made : Loop
+        Result of `energyplan.physics.close_loop`.
+
+    Returns
+    -------
+    Figure
+        One axes.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace as Some
+    >>> first = Some(energy_told=900.0, energy_interval=None, energy_taken=1200.0)
+    >>> last = Some(energy_told=1100.0, energy_interval=(1050.0, 1150.0), energy_taken=1120.0)
+    >>> rounds(Some(rounds=(first, last))).axes[0].get_ylabel()
+    'energy [kJ]'
+    """
+    drawn = figure(size=(WIDTH, 2.8))
+    ax = drawn.axes[0]
+    at = np.arange(1, len(made.rounds) + 1)
+    told = np.array([now.energy_told for now in made.rounds]) / 1e3
+    spans = [now.energy_interval or (now.energy_told, now.energy_told) for now in made.rounds]
+    ends = np.array(spans).T / 1e3
+    away = np.maximum([told - ends[0], ends[1] - told], 0.0)
+    ax.errorbar(at - 0.05, told, yerr=away, fmt="none", color=BLUE, capsize=5, lw=1.2)
+    ax.plot(at - 0.05, told, "s", ms=5, color=BLUE, label="predicted")
+    taken = [now.energy_taken / 1e3 for now in made.rounds]
+    ax.plot(at + 0.05, taken, "o", ms=5, color=RED, label="measured")
+    ax.set_xticks(at)
+    ax.set_xlim(0.5, len(at) + 0.5)
+    ax.set_ylim(0.0, 1.08 * max(*taken, *ends[1]))
+    style_label(ax, "round", "energy [kJ]", "")
+    legend(ax, above=True)
+    return drawn
 
 
 def breakdown(ax: Axes, parts: Mapping[str, Mapping[str, float]]) -> Axes:
@@ -201,7 +244,7 @@ def breakdown(ax: Axes, parts: Mapping[str, Mapping[str, float]]) -> Axes:
         values = np.array([part.get(name, 0.0) for part in parts.values()]) / 1e3
         ax.barh(
             list(parts), values, left=below, color=colors[k % len(colors)],
-            label=name.replace("_", " "),
+            label=html.words(name),
         )  # fmt: skip
         below = below + values
     style_label(ax, "energy [kJ]", "", "Energy by term")
