@@ -37,7 +37,17 @@ _STRIKES = 2
 
 
 class BatchError(EnergyPlanError):
-    """An item of a batch failed; the message is that of its error."""
+    """An item of a batch failed; the message is that of its error.
+
+    Examples
+    --------
+    >>> try:
+    ...     Outcome(1, (), error="ValueError: no such map").value
+    ... except BatchError as error:
+    ...     print(error)
+    ...
+    item 1 failed: ValueError: no such map
+    """
 
 
 @dataclass(frozen=True)
@@ -52,6 +62,11 @@ class Outcome(Generic[R]):
         Kind and message of its error; empty if it went well.
     trace : str
         Where the error came from.
+
+    Examples
+    --------
+    >>> Outcome(0, (42,)).value, Outcome(1, (), error="ValueError: no such map").ok
+    (42, False)
     """
 
     index: int
@@ -171,6 +186,25 @@ def evaluate_variants(
     ------
     Outcome
         With the mission's report.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> mission = ep.Mission(
+    ...     model, hall, ep.Battery.preset("quadriga"), (1, 2, 0),
+    ...     (ep.Task("look", (4, 2, 0), dwell=60.0, power=20.0),),
+    ...     planning_effort=1000, coefficient_spread=0.05,
+    ... )
+    >>> from concurrent.futures import ThreadPoolExecutor
+    >>> charges = [{"soc": 0.9}, {"soc": 0.3}]
+    >>> with ThreadPoolExecutor(1) as pool:
+    ...     made = list(evaluate_variants(mission, charges, executor=pool))
+    ...
+    >>> sorted((one.index, one.value.feasible) for one in made)
+    [(0, True), (1, True)]
     """
     place = _place(_step, mission, executor, scheduler, workers)
     try:

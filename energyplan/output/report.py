@@ -65,7 +65,14 @@ code { background: #f2f2f2; padding: .1rem .3rem; overflow-wrap: anywhere; }
 
 
 def svg(figure: Figure) -> bytes:
-    """Return a figure as an SVG drawing; dense clouds of points in it are pictures."""
+    """Return a figure as an SVG drawing; dense clouds of points in it are pictures.
+
+    Examples
+    --------
+    >>> from energyplan.output import plots
+    >>> svg(plots.figure())[:5]
+    b'<?xml'
+    """
     return image(figure, ".svg")
 
 
@@ -88,6 +95,12 @@ def image(figure: Figure, suffix: str) -> bytes:
     ------
     UnknownNameError
         If there is no such kind.
+
+    Examples
+    --------
+    >>> from energyplan.output import plots
+    >>> image(plots.figure(), ".pdf")[:5]
+    b'%PDF-'
     """
     undated: dict[str, dict[str, Any]] = {
         ".png": {"Software": None},
@@ -105,7 +118,14 @@ def image(figure: Figure, suffix: str) -> bytes:
 
 
 def png(figure: Figure) -> bytes:
-    """Return a figure as a PNG image."""
+    """Return a figure as a PNG image.
+
+    Examples
+    --------
+    >>> from energyplan.output import plots
+    >>> png(plots.figure())[1:4]
+    b'PNG'
+    """
     return image(figure, ".png")
 
 

@@ -42,6 +42,16 @@ class Driven:
         same time.
     final_error : float
         Distance from the end of the trajectory [m].
+
+    Examples
+    --------
+    >>> from energyplan.limits.speed import profile
+    >>> from energyplan.path import Path
+    >>> model = PowerModel.preset("quadriga:empty:concrete")
+    >>> path = Path(Pose(0, 0, 0), ds=[2.0], dtheta=[0.0])
+    >>> made = drive(profile(path, model), Robot.from_model(model), model)
+    >>> made.arrived, made.final_error < 0.05, [name for name, *_ in made.terms][0]
+    (True, True, 'traction_resistance')
     """
 
     trajectory: Trajectory
@@ -104,6 +114,16 @@ def energy_told(
     -------
     dict of str to float
         Energy by term [J].
+
+    Examples
+    --------
+    >>> from energyplan.path import Path
+    >>> from energyplan.limits.speed import profile
+    >>> model = PowerModel.preset("quadriga:empty:concrete")
+    >>> path = Path(Pose(0, 0, 0), ds=[2.0], dtheta=[0.0])
+    >>> told = energy_told(profile(path, model), model)
+    >>> {name: round(joules) for name, joules in told.items() if joules > 1}
+    {'traction_resistance': 452}
     """
     here = ground or Ground()
     points = np.column_stack([trajectory.x, trajectory.y])

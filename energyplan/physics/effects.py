@@ -273,7 +273,15 @@ class Effect:
 
 
 def switch_on(robot: Robot, effects: Iterable[Effect]) -> Robot:
-    """Return a robot with effects switched on, one after the other."""
+    """Return a robot with effects switched on, one after the other.
+
+    Examples
+    --------
+    >>> from energyplan.power import PowerModel
+    >>> robot = Robot.from_model(PowerModel.preset("quadriga:empty:concrete"))
+    >>> switch_on(robot, [Effect("viscous_loss", 60.0), Effect("hotel_load", 25.0)]).hotel
+    25.0
+    """
     for effect in effects:
         robot = effect.on(robot)
     return robot
@@ -305,6 +313,14 @@ def draw_effects(
     -------
     tuple of Effect
         The effects.
+
+    Examples
+    --------
+    >>> from energyplan.power import PowerModel
+    >>> robot = Robot.from_model(PowerModel.preset("quadriga:empty:concrete"))
+    >>> drawn = draw_effects(robot, seed=1, count=2)
+    >>> len(drawn), drawn == draw_effects(robot, seed=1, count=2)
+    (2, True)
     """
     rng = np.random.default_rng([seed, 0x5EED])
     number = int(rng.integers(1, 3)) if count is None else count

@@ -106,6 +106,15 @@ class Engine:
     ------
     MissingDependencyError
         If MuJoCo is not installed.
+
+    Examples
+    --------
+    >>> from energyplan.power import PowerModel
+    >>> from energyplan.physics import Engine, Robot
+    >>> robot = Robot.from_model(PowerModel.preset("quadriga:empty:concrete"))
+    >>> run = Engine(robot).drive(lambda state: 2 * (min(0.5, state.t),) if state.t < 2.0 else None)
+    >>> round(float(run.x[-1]), 1), run.taken > 0
+    (0.9, True)
     """
 
     def __init__(

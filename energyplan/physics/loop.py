@@ -65,6 +65,19 @@ class Round:
         The designed drive that was made after it, to learn from; None where there was none.
     note : str
         Why nothing was learned, if so.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> truth = ep.PowerModel.preset("quadriga:empty:concrete")
+    >>> log = ep.simulate.drive(truth, "figure8", duration=30.0)
+    >>> first = close_loop(problem, [log], rounds=1, effort=1000).rounds[0]
+    >>> first.energy_told > first.energy_taken, first.within
+    (False, False)
     """
 
     energy_told: float
@@ -109,6 +122,19 @@ class Loop:
         What is believed in the end.
     closed : bool
         Whether the last energy told was right: within its interval, or within the tolerance.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> truth = ep.PowerModel.preset("quadriga:empty:concrete")
+    >>> log = ep.simulate.drive(truth, "figure8", duration=30.0)
+    >>> made = close_loop(problem, [log, log], rounds=2, effort=1000)
+    >>> len(made.rounds), made.closed
+    (2, True)
     """
 
     rounds: tuple[Round, ...]
@@ -150,6 +176,16 @@ class EngineDrives:
     ------
     MissingDependencyError
         If the engine is not installed: before anything is planned.
+
+    Examples
+    --------
+    >>> from energyplan.limits.speed import profile
+    >>> from energyplan.path import Path, Pose
+    >>> model = PowerModel.preset("quadriga:empty:concrete")
+    >>> drives = EngineDrives(Robot.from_model(model))
+    >>> made = drives(profile(Path(Pose(0, 0, 0), ds=[2.0], dtheta=[0.0]), model), model, 0)
+    >>> drives.log(made, 0).name
+    'round 0'
     """
 
     robot: Robot
@@ -235,6 +271,19 @@ def close_loop(
     ------
     InvalidInputError
         If an option is out of range, or there is no log.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> truth = ep.PowerModel.preset("quadriga:empty:concrete")
+    >>> log = ep.simulate.drive(truth, "figure8", duration=30.0)
+    >>> made = close_loop(problem, [log, log], rounds=2, effort=1000)
+    >>> [f"{100 * now.error:+.0f} %" for now in made.rounds]
+    ['-25 %', '-0 %']
     """
     if rounds < 1 or not tolerance >= 0 or not survey >= 0:
         raise InvalidInputError(

@@ -44,6 +44,15 @@ class Run:
         Where the battery's energy went, by the term of a power model that stands for it [J].
     closure : float
         What the motors did beyond all mechanical terms [J]: the engine's own error.
+
+    Examples
+    --------
+    >>> from energyplan.physics import Engine, Robot
+    >>> from energyplan.power import PowerModel
+    >>> robot = Robot.from_model(PowerModel.preset("quadriga:empty:concrete"))
+    >>> run = Engine(robot).drive(lambda state: 2 * (min(0.5, state.t),) if state.t < 2.0 else None)
+    >>> round(float(run.x[-1]), 1), run.taken > 0, round(run.period, 3)
+    (0.9, True, 0.01)
     """
 
     t: FloatArray
@@ -84,7 +93,13 @@ class Run:
 
 @dataclass(frozen=True)
 class State:
-    """What a controller is told: time [s], pose [m], [rad], and tread speeds [m/s]."""
+    """What a controller is told: time [s], pose [m], [rad], and tread speeds [m/s].
+
+    Examples
+    --------
+    >>> State(t=0.0, pose=Pose(1.0, 2.0, 0.0), v_left=0.5, v_right=0.5).pose.x
+    1.0
+    """
 
     t: float
     pose: Pose

@@ -44,6 +44,13 @@ class Border:
         Direction of the normal that points beyond the border [rad].
     offset : float
         Distance of the border from the world's origin along that normal [m].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rough = Border(friction=0.2, offset=1.0)  # where x is over 1 m
+    >>> rough.beyond(np.array([[0.0, 0.0], [2.0, 0.0]])).tolist()
+    [False, True]
     """
 
     friction: float = 0.0
@@ -242,6 +249,14 @@ class Ground:
         every wheel. Elsewhere the robot's own values hold.
     heights : HeightMap, optional
         Heights of the ground; its gradient under the robot tilts gravity.
+
+    Examples
+    --------
+    >>> from energyplan.terrain import HeightMap
+    >>> hills = HeightMap(np.array([[0.0, 0.1], [0.0, 0.1]]), resolution=1.0)
+    >>> robot = Robot.from_model(PowerModel.preset("quadriga:empty:concrete"))
+    >>> Ground(heights=hills).gradient(robot, 1.0, 1.0).round(3).tolist()
+    [0.1, 0.0]
     """
 
     surfaces: SurfaceMap | None = None

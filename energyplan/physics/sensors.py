@@ -49,6 +49,16 @@ class Sensors:
         If a number is out of range.
     UnknownNameError
         If there is no such way to measure.
+
+    Examples
+    --------
+    >>> from energyplan.physics import Engine, Robot
+    >>> from energyplan.power import PowerModel
+    >>> robot = Robot.from_model(PowerModel.preset("quadriga:empty:concrete"))
+    >>> run = Engine(robot).drive(lambda state: 2 * (min(0.5, state.t),) if state.t < 2.0 else None)
+    >>> log = Sensors(rate=10.0, measured="battery").log(run)
+    >>> len(log), "voltage" in log.channels, "p_left" in log.channels
+    (20, True, False)
     """
 
     rate: float = 20.0

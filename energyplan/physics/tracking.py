@@ -38,6 +38,12 @@ class Tracking:
     ----------
     Samson (1993), "Time-varying feedback stabilization of car-like wheeled mobile robots";
     Kanayama et al. (1990), "A stable tracking control method for an autonomous mobile robot".
+
+    Examples
+    --------
+    >>> careful = Tracking(position=0.02, angle=0.02)
+    >>> careful.across, careful.position
+    (6.0, 0.02)
     """
 
     along: float = 2.0

@@ -418,6 +418,16 @@ def path_to_message(
     -------
     object
         The message.
+
+    Examples
+    --------
+    >>> from rosbags.typesys import Stores, get_typestore
+    >>> factory = get_typestore(Stores.ROS2_HUMBLE).types.__getitem__
+    >>> stamp = factory("builtin_interfaces/msg/Time")(sec=0, nanosec=0)
+    >>> path = Path(Pose(1, 2, 0), ds=[1.0], dtheta=[0.0])
+    >>> message = path_to_message(path, "map", stamp, factory)
+    >>> message.header.frame_id, message.poses[-1].pose.position.x
+    ('map', 2.0)
     """
     legs = [paths] if isinstance(paths, Path) else list(paths)
     rows = [leg.poses(max_ds, max_dtheta)[min(k, 1) :] for k, leg in enumerate(legs)]

@@ -181,6 +181,24 @@ def request_to_problems(
         If a request through poses has no goals.
     MessageError
         If a field is missing or malformed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> from types import SimpleNamespace as Message
+    >>> turned = Message(x=0.0, y=0.0, z=0.0, w=1.0)
+    >>> def stamped(x, y):
+    ...     place = Message(position=Message(x=x, y=y, z=0.0), orientation=turned)
+    ...     return Message(header=Message(frame_id="map"), pose=place)
+    ...
+    >>> start, there = stamped(1.0, 2.0), stamped(4.0, 2.0)
+    >>> goal = Message(start=start, goal=there, use_start=True, planner_id="")
+    >>> (problem,) = request_to_problems(goal, hall, ep.EnergyCost(model))
+    >>> problem.goal.x
+    4.0
     """
 
     def pose(message: Any) -> Pose:
@@ -256,6 +274,24 @@ class Answer:
         What went wrong, and what helps; empty if nothing did.
     planning_time : float
         Time spent [s].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> from types import SimpleNamespace as Message
+    >>> turned = Message(x=0.0, y=0.0, z=0.0, w=1.0)
+    >>> def stamped(x, y):
+    ...     place = Message(position=Message(x=x, y=y, z=0.0), orientation=turned)
+    ...     return Message(header=Message(frame_id="map"), pose=place)
+    ...
+    >>> start, there = stamped(1.0, 2.0), stamped(4.0, 2.0)
+    >>> goal = Message(start=start, goal=there, use_start=True, planner_id="")
+    >>> told = answer(goal, hall, ep.EnergyCost(model), effort=1000)
+    >>> told.code.name, round(told.energy), told.lower_bound <= told.energy
+    ('NONE', 540, True)
     """
 
     plans: tuple[Plan, ...]
@@ -315,6 +351,25 @@ def answer(
     ------
     CancelledError
         If the goal was cancelled.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> from types import SimpleNamespace as Message
+    >>> turned = Message(x=0.0, y=0.0, z=0.0, w=1.0)
+    >>> def stamped(x, y):
+    ...     place = Message(position=Message(x=x, y=y, z=0.0), orientation=turned)
+    ...     return Message(header=Message(frame_id="map"), pose=place)
+    ...
+    >>> start, there = stamped(1.0, 2.0), stamped(4.0, 2.0)
+    >>> goal = Message(start=start, goal=there, use_start=True, planner_id="")
+    >>> answer(goal, hall, ep.EnergyCost(model), effort=1000).code.name
+    'NONE'
+    >>> answer(goal, None, ep.EnergyCost(model)).message
+    'no map has come yet; publish one, or name its topic'
     """
     began = time.perf_counter()
     codes = codes_of(request)
@@ -360,6 +415,17 @@ def fill_result(result: Any, answer: Answer, frame: str, stamp: Any, factory: Fa
     -------
     object
         The same result.
+
+    Examples
+    --------
+    >>> from rosbags.typesys import Stores, get_typestore
+    >>> factory = get_typestore(Stores.ROS2_HUMBLE).types.__getitem__
+    >>> stamp = factory("builtin_interfaces/msg/Time")(sec=0, nanosec=0)
+    >>> nothing = Answer((), ToPoseError.TIMEOUT, "no path was found in time", 1.5)
+    >>> from types import SimpleNamespace
+    >>> result = SimpleNamespace(path=None, planning_time=None, error_code=0, error_msg="")
+    >>> fill_result(result, nothing, "map", stamp, factory).error_code
+    207
     """
     seconds = int(answer.planning_time)
     rest = min(round((answer.planning_time - seconds) * 1e9), 10**9 - 1)

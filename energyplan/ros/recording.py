@@ -58,6 +58,18 @@ def write_recording(
         If the package rosbags is missing.
     InvalidInputError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from energyplan.path import Pose
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = File(folder) / "plan.mcap"
+    ...     write_recording({"/plan": Path(Pose(1, 2, 0), ds=[1.0], dtheta=[0.0])}, file)
+    ...     start = file.read_bytes()[1:5]
+    ...
+    >>> start
+    b'MCAP'
     """
     need_rosbags()
     from rosbags.rosbag2 import StoragePlugin, Writer

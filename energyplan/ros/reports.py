@@ -17,7 +17,14 @@ from energyplan.ros.nav2 import Answer
 
 
 def plan_values(answer: Answer) -> dict[str, str]:
-    """Return what diagnostics tell of a plan: energy, bound [J] and the time it took [s]."""
+    """Return what diagnostics tell of a plan: energy, bound [J] and the time it took [s].
+
+    Examples
+    --------
+    >>> from energyplan.ros.nav2 import ToPoseError
+    >>> plan_values(Answer((), ToPoseError.TIMEOUT, "no path was found in time", 1.0))
+    {'error': 'no path was found in time'}
+    """
     if not answer.plans:
         return {"error": answer.message}
     return {
@@ -70,6 +77,16 @@ def diagnostics_message(
     -------
     object
         The message.
+
+    Examples
+    --------
+    >>> from rosbags.typesys import Stores, get_typestore
+    >>> factory = get_typestore(Stores.ROS2_HUMBLE).types.__getitem__
+    >>> stamp = factory("builtin_interfaces/msg/Time")(sec=0, nanosec=0)
+    >>> values = {"energy [J]": "540"}
+    >>> message = diagnostics_message("energyplan: plan", "planned", values, stamp, factory)
+    >>> message.status[0].values[0].value
+    '540'
     """
     status = factory("diagnostic_msgs/msg/DiagnosticStatus")
     pair = factory("diagnostic_msgs/msg/KeyValue")
@@ -100,6 +117,11 @@ def mission_answer(text: str, folder: str | Path) -> str:
     str
         JSON: the keys of ``energyplan mission --json``; or ``error``, what is wrong with the
         mission.
+
+    Examples
+    --------
+    >>> mission_answer("tasks: []", ".")[:9]
+    '{"error":'
     """
     try:
         return json.dumps(documents.mission(evaluate(mission_from(text, folder))))

@@ -31,6 +31,15 @@ def create_app(
     ------
     MissingDependencyError
         If the extra ``serve`` is not installed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     app = create_app(folder, workers=1)
+    ...
+    >>> app.title
+    'energyplan'
     """
     try:
         from energyplan.serve.api import create_app

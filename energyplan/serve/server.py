@@ -48,6 +48,13 @@ def run(
         If the folder is none, or the address can be reached by others and no token is given.
     MissingDependencyError
         If the extra ``serve`` is not installed.
+
+    Examples
+    --------
+    >>> run(".", host="0.0.0.0")
+    Traceback (most recent call last):
+        ...
+    energyplan.errors.InvalidInputError: 0.0.0.0 can be reached by others; give --token, or ...
     """
     if not is_loopback(host) and not token:
         raise InvalidInputError(

@@ -66,8 +66,9 @@ def test_docstrings_document_exactly_the_parameters(name: str) -> None:
 
 
 LIBRARY = (
-    "battery", "cost", "diagnosis", "fit", "fleet", "limits", "live", "logs", "mission", "openrmf",
-    "path", "planning", "planning.roadmap", "power", "simulate", "steering", "studies", "terrain",
+    "batch", "battery", "cost", "diagnosis", "fit", "fleet", "limits", "live", "logs", "mission",
+    "openrmf", "output.plots", "output.report", "path", "physics", "planning", "planning.ompl",
+    "planning.roadmap", "power", "ros", "serve", "simulate", "steering", "studies", "terrain",
     "vehicle",
 )  # fmt: skip
 """Packages whose functions and classes have an example each, as all names of ``energyplan`` have.

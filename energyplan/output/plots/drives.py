@@ -44,7 +44,16 @@ from energyplan.output.plots.style import label as style_label
 
 
 def tread_speeds(ax: Axes, log: DriveLog) -> Axes:
-    """Draw the speeds of both sides over time."""
+    """Draw the speeds of both sides over time.
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> log = ep.simulate.drive(model, [ep.simulate.Setpoint(0.4, 0.5, hold=5.0)])
+    >>> tread_speeds(figure().axes[0], log).get_ylabel()
+    'tread speed [m/s]'
+    """
     ax.plot(log.t, log.channel("v_left"), color=BLUE, lw=1.2, label="left")
     ax.plot(log.t, log.channel("v_right"), color=ORANGE, lw=1.2, ls="--", label="right")
     style_label(ax, "time [s]", "tread speed [m/s]", "Tread speeds")
@@ -68,6 +77,16 @@ def power_over_time(ax: Axes, log: DriveLog, predictions: Mapping[str, ArrayLike
     -------
     Axes
         `ax`.
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> log = ep.simulate.drive(model, [ep.simulate.Setpoint(0.4, 0.5, hold=5.0)])
+    >>> predicted = model.power(log.motion(model.vehicle.icr))
+    >>> ax = power_over_time(figure().axes[0], log, {"predicted": predicted})
+    >>> [line.get_label() for line in ax.lines]
+    ['measured', 'predicted']
     """
     ax.plot(log.t, log.power, color="0.6", lw=0.8, label="measured")
     for (label, power), (color, dash) in zip(predictions.items(), LINES, strict=False):
@@ -78,7 +97,17 @@ def power_over_time(ax: Axes, log: DriveLog, predictions: Mapping[str, ArrayLike
 
 
 def energy_over_time(ax: Axes, log: DriveLog, predictions: Mapping[str, ArrayLike]) -> Axes:
-    """Draw measured and predicted energy since the start; arguments as in `power_over_time`."""
+    """Draw measured and predicted energy since the start; arguments as in `power_over_time`.
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> log = ep.simulate.drive(model, [ep.simulate.Setpoint(0.4, 0.5, hold=5.0)])
+    >>> predicted = model.power(log.motion(model.vehicle.icr))
+    >>> energy_over_time(figure().axes[0], log, {"predicted": predicted}).get_ylabel()
+    'energy [kJ]'
+    """
     ax.plot(log.t, _integral(log.t, log.power) / 1e3, color="0.6", lw=2.5, label="measured")
     for (label, power), (color, dash) in zip(predictions.items(), LINES, strict=False):
         energy = _integral(log.t, np.asarray(power, float)) / 1e3
@@ -104,6 +133,16 @@ def prediction(log: DriveLog, predictions: Mapping[str, ArrayLike], title: str =
     -------
     Figure
         Three axes, one above the other.
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> log = ep.simulate.drive(model, [ep.simulate.Setpoint(0.4, 0.5, hold=5.0)])
+    >>> predicted = model.power(log.motion(model.vehicle.icr))
+    >>> made = prediction(log, {"predicted": predicted}, "Figure-8")
+    >>> [ax.get_ylabel() for ax in made.axes]
+    ['tread speed [m/s]', 'power [W]', 'energy [kJ]']
     """
     made = figure(3, 1, size=(WIDTH, 7.0))
     tread_speeds(made.axes[0], log)
@@ -131,6 +170,12 @@ def bin_means(x: ArrayLike, series: Sequence[ArrayLike], bins: int = 24) -> list
     -------
     list of ndarray, shape (m,)
         The means of `x`, then those of each series, by bin.
+
+    Examples
+    --------
+    >>> x, twice = bin_means([1.0, 2.0, 3.0, 4.0], [[2.0, 4.0, 6.0, 8.0]], bins=2)
+    >>> x.tolist(), twice.tolist()
+    ([1.5, 3.5], [3.0, 7.0])
     """
     known = np.asarray(x, float)
     edges = np.unique(np.quantile(known, np.linspace(0, 1, bins + 1)))
@@ -167,6 +212,14 @@ def residual_against(
     -------
     Axes
         `ax`.
+
+    Examples
+    --------
+    >>> speed = np.linspace(0.1, 1.0, 50)
+    >>> left = {"before": 30.0 * speed, "after": 0.0 * speed}
+    >>> ax = residual_against(figure().axes[0], speed, left, "forward speed [m/s]")
+    >>> ax.get_title(loc="left")
+    'Residual against the forward speed'
     """
     x = np.asarray(channel, float)
     centre, *means = bin_means(x, list(residuals.values()), bins)
@@ -236,6 +289,13 @@ def breakdown(ax: Axes, parts: Mapping[str, Mapping[str, float]]) -> Axes:
     -------
     Axes
         `ax`.
+
+    Examples
+    --------
+    >>> parts = {"shortest": {"slip_friction": 900.0, "traction_resistance": 5000.0}}
+    >>> ax = breakdown(figure().axes[0], parts)
+    >>> [text.get_text() for text in ax.get_legend().get_texts()]
+    ['slip friction', 'traction resistance']
     """
     names = list(dict.fromkeys(name for part in parts.values() for name in part))
     below = np.zeros(len(parts))
@@ -266,6 +326,17 @@ def pareto(ax: Axes, front: ParetoFront) -> Axes:
     -------
     Axes
         `ax`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> front = ep.pareto(problem, time_values=(0.0, 9.0), effort=1000)
+    >>> pareto(figure().axes[0], front).get_ylabel()
+    'energy [kJ]'
     """
     times, energies = front.duration, front.energy / 1e3
     span = np.linspace(0.95 * times.min(), 1.05 * times.max(), 200)
@@ -297,6 +368,14 @@ def feasible_region(ax: Axes, region: FeasibleRegion) -> Axes:
     -------
     Axes
         `ax`.
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> model = ep.PowerModel.preset("quadriga:full:concrete")
+    >>> region = ep.feasibility.feasible_region(model, [-1.0, 0.0, 1.0], [0.3, 0.6, 0.9])
+    >>> feasible_region(figure().axes[0], region).get_xlabel()
+    'curvature [1/m]'
     """
     level = region.sustained.astype(float) + region.brief
     shades = mpl.colors.ListedColormap(["0.85", YELLOW, GREEN])

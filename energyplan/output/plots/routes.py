@@ -43,7 +43,16 @@ from energyplan.output.plots.style import label as style_label
 
 
 def occupancy(ax: Axes, grid: OccupancyGrid) -> Axes:
-    """Draw a map's occupied cells."""
+    """Draw a map's occupied cells.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> [float(x) for x in occupancy(figure().axes[0], hall).get_xlim()]
+    [0.0, 6.0]
+    """
     x, y, yaw = (float(v) for v in grid.origin)
     rows, columns = grid.occupied.shape
     image = ax.imshow(
@@ -63,7 +72,19 @@ def occupancy(ax: Axes, grid: OccupancyGrid) -> Axes:
 
 
 def energy_map(found: EnergyMap, grid: OccupancyGrid, levels: int = 8) -> Figure:
-    """Draw the energy that each place takes, over its map."""
+    """Draw the energy that each place takes, over its map.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> made = energy_map(ep.energy_map(problem), hall)
+    >>> made.axes[-1].get_xlabel()
+    'energy to get there [kJ]'
+    """
     made = figure(size=(WIDTH, 4.4))
     ax = occupancy(made.axes[0], grid)
     energy = np.ma.masked_invalid(found.energy / 1e3)
@@ -95,7 +116,17 @@ def energy_map(found: EnergyMap, grid: OccupancyGrid, levels: int = 8) -> Figure
 def route(
     ax: Axes, path: Path, label: str, color: str = BLUE, dash: str = "-", arrows: bool = True
 ) -> Axes:
-    """Draw a path, its start and, with `arrows`, its headings."""
+    """Draw a path, its start and, with `arrows`, its headings.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> path = ep.Path(ep.Pose(1, 2, 0), ds=[3.0], dtheta=[0.0])
+    >>> route(occupancy(figure().axes[0], hall), path, "straight on").get_ylabel()
+    'y [m]'
+    """
     poses = path.poses()
     ax.plot(poses[:, 0], poses[:, 1], color=color, ls=dash, lw=2, label=label, zorder=3)
     ax.plot(*poses[0, :2], "o", color=color, ms=5, zorder=3)
@@ -132,6 +163,16 @@ def routes(
     -------
     Figure
         One axes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> path = ep.Path(ep.Pose(1, 2, 0), ds=[3.0], dtheta=[0.0])
+    >>> made = routes(hall, {"straight on": path})
+    >>> [text.get_text() for text in made.axes[0].get_legend().get_texts()]
+    ['straight on']
     """
     rows, columns = grid.occupied.shape
     height = float(np.clip((WIDTH - 0.7) * rows / columns + 1.0, 2.4, 7.5))
@@ -162,7 +203,23 @@ def _surfaces(ax: Axes, surfaces: Sequence[tuple[str, BaseGeometry]]) -> None:
 
 
 def mission_map(report: MissionReport) -> Figure:
-    """Draw a mission's route, coloured by power, and its tasks: crossed where unreachable."""
+    """Draw a mission's route, coloured by power, and its tasks: crossed where unreachable.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> mission = ep.Mission(
+    ...     model, hall, ep.Battery.preset("quadriga"), (1, 2, 0),
+    ...     (ep.Task("look", (4, 2, 0), dwell=60.0, power=20.0),),
+    ...     planning_effort=1000, coefficient_spread=0.05,
+    ... )
+    >>> report = ep.evaluate(mission)
+    >>> mission_map(report).axes[-1].get_xlabel()
+    'power [W]'
+    """
     mission, line = report.mission, report.timeline
     areas = mission.surfaces.polygons if mission.surfaces else ()
     made = routes(mission.map, {}, surfaces=areas)
@@ -249,6 +306,21 @@ def state_of_charge(ax: Axes, report: MissionReport) -> Axes:
     -------
     Axes
         `ax`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> mission = ep.Mission(
+    ...     model, hall, ep.Battery.preset("quadriga"), (1, 2, 0),
+    ...     (ep.Task("look", (4, 2, 0), dwell=60.0, power=20.0),),
+    ...     planning_effort=1000, coefficient_spread=0.05,
+    ... )
+    >>> report = ep.evaluate(mission)
+    >>> state_of_charge(figure().axes[0], report).get_ylabel()
+    'state of charge [%]'
     """
     line, mission = report.timeline, report.mission
     minutes = line.t / 60
@@ -280,7 +352,23 @@ def visits(ax: Axes, report: MissionReport) -> Axes:
 
 
 def mission_charge(report: MissionReport) -> Figure:
-    """Draw charge over a mission, where the robot is, and the power at the battery."""
+    """Draw charge over a mission, where the robot is, and the power at the battery.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> mission = ep.Mission(
+    ...     model, hall, ep.Battery.preset("quadriga"), (1, 2, 0),
+    ...     (ep.Task("look", (4, 2, 0), dwell=60.0, power=20.0),),
+    ...     planning_effort=1000, coefficient_spread=0.05,
+    ... )
+    >>> report = ep.evaluate(mission)
+    >>> [ax.get_ylabel() for ax in mission_charge(report).axes]
+    ['state of charge [%]', '', 'power [W]']
+    """
     count = len({stop.name for stop in report.route})
     made = Figure(figsize=(WIDTH, 4.2 + 0.22 * count), layout="constrained")
     charge, where, power = made.subplots(

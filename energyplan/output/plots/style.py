@@ -39,6 +39,12 @@ def figure(rows: int = 1, columns: int = 1, *, size: tuple[float, float] = (WIDT
     -------
     Figure
         The figure; its axes are in ``figure.axes``, row by row.
+
+    Examples
+    --------
+    >>> made = figure(2, 1)
+    >>> len(made.axes), float(made.get_figwidth())
+    (2, 5.2)
     """
     made = Figure(figsize=size, layout="constrained")
     for ax in made.subplots(rows, columns, squeeze=False).flat:
@@ -57,7 +63,16 @@ _ABOVE = "legend above its axes"
 
 
 def legend(ax: Axes, above: bool = False, **options: Any) -> None:
-    """Add a legend without a frame; with `above`, over the axes, where no curve is."""
+    """Add a legend without a frame; with `above`, over the axes, where no curve is.
+
+    Examples
+    --------
+    >>> ax = figure().axes[0]
+    >>> _ = ax.plot([0, 1], [0, 1], label="predicted")
+    >>> legend(ax, above=True)
+    >>> [text.get_text() for text in ax.get_legend().get_texts()]
+    ['predicted']
+    """
     if not above:
         ax.legend(frameon=False, fontsize="small", **options)
         return

@@ -141,6 +141,17 @@ def rrtstar(
     TimeLimitError
         If the budget was over before a path was found; OMPL's planners cannot tell whether there
         is one.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> found = rrtstar(problem, Budget(effort=500))
+    >>> round(found.path.length, 1) >= 3.0
+    True
     """
     return _geometric(geometric.RRTstar, "rrtstar", problem, budget, seed, parameters)
 
@@ -148,7 +159,19 @@ def rrtstar(
 def informed_rrtstar(
     problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
 ) -> Candidate:
-    """Plan with OMPL's informed RRT*; parameters as in `rrtstar`."""
+    """Plan with OMPL's informed RRT*; parameters as in `rrtstar`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> found = informed_rrtstar(problem, Budget(effort=500))
+    >>> round(found.path.length, 1) >= 3.0
+    True
+    """
     make = geometric.InformedRRTstar
     return _geometric(make, "informed_rrtstar", problem, budget, seed, parameters)
 
@@ -156,7 +179,19 @@ def informed_rrtstar(
 def bitstar(
     problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
 ) -> Candidate:
-    """Plan with OMPL's BIT*; parameters as in `rrtstar`."""
+    """Plan with OMPL's BIT*; parameters as in `rrtstar`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> found = bitstar(problem, Budget(effort=500))
+    >>> round(found.path.length, 1) >= 3.0
+    True
+    """
     return _geometric(geometric.BITstar, "bitstar", problem, budget, seed, parameters)
 
 
@@ -166,6 +201,17 @@ def fmt(
     """Plan with OMPL's FMT*; parameters as in `rrtstar`.
 
     FMT* is not anytime: it draws ``num_samples`` samples, then searches once.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> found = fmt(problem, Budget(effort=20000), num_samples=50)
+    >>> round(found.path.length, 1) >= 3.0
+    True
     """
     return _geometric(geometric.FMT, "fmt", problem, budget, seed, parameters)
 
@@ -198,6 +244,28 @@ class LatticePlanner(base.Planner):
     ----------
     plan : Plan or None
         The plan of the last `solve`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> space = base.ReedsSheppStateSpace(0.5 * model.vehicle.icr.slip_track)
+    >>> bounds = base.RealVectorBounds(2)
+    >>> bounds.setLow(0.0)
+    >>> bounds.setHigh(6.0)
+    >>> space.setBounds(bounds)
+    >>> setup = geometric.SimpleSetup(space)
+    >>> information = setup.getSpaceInformation()
+    >>> setup.setStateValidityChecker(base.AllValidStateValidityChecker(information))
+    >>> start, goal = pose_state(space, 1.0, 2.0, 0.0), pose_state(space, 4.0, 2.0, 0.0)
+    >>> setup.setStartAndGoalStates(start, goal)
+    >>> planner = LatticePlanner(information, hall, ep.EnergyCost(model), gap=0.05)
+    >>> setup.setPlanner(planner)
+    >>> _ = setup.solve(5.0)
+    >>> round(planner.plan.energy)
+    540
     """
 
     def __init__(

@@ -53,6 +53,23 @@ class EnergyObjective(DirectedObjective):
         The problem.
     budget : Budget
         What each motion is spent from.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> from energyplan.planning.scene.compiled import CompiledProblem
+    >>> query = CompiledProblem(problem)
+    >>> space = pose_space(query)
+    >>> information = base.SpaceInformation(space)
+    >>> information.setStateValidityChecker(PoseChecker(information, query))
+    >>> objective = EnergyObjective(information, query)
+    >>> here, there = pose_state(space, 1.0, 2.0, 0.0), pose_state(space, 4.0, 2.0, 0.0)
+    >>> round(objective.motionCost(here, there).value())
+    540
     """
 
     def __init__(
@@ -105,6 +122,21 @@ class SteeringValidator(base.MotionValidator):
         The problem.
     budget : Budget
         What each motion is spent from.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> from energyplan.planning.scene.compiled import CompiledProblem
+    >>> query = CompiledProblem(problem)
+    >>> space = pose_space(query)
+    >>> information = base.SpaceInformation(space)
+    >>> validator = SteeringValidator(information, query)
+    >>> validator.checkMotion(pose_state(space, 1.0, 2.0, 0.0), pose_state(space, 4.0, 2.0, 0.0))
+    True
     """
 
     def __init__(
@@ -132,7 +164,23 @@ class SteeringValidator(base.MotionValidator):
 
 
 class PoseChecker(base.StateValidityChecker):
-    """Tells whether the footprint is free at a state."""
+    """Tells whether the footprint is free at a state.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> from energyplan.planning.scene.compiled import CompiledProblem
+    >>> query = CompiledProblem(problem)
+    >>> space = pose_space(query)
+    >>> information = base.SpaceInformation(space)
+    >>> checker = PoseChecker(information, query)
+    >>> [checker.isValid(pose_state(space, x, 2.0, 0.0)) for x in (2.0, 0.1)]
+    [True, False]
+    """
 
     def __init__(self, information: Any, query: CompiledProblem) -> None:
         super().__init__(information)
@@ -146,7 +194,20 @@ class PoseChecker(base.StateValidityChecker):
 
 
 def pose_space(query: CompiledProblem) -> Any:
-    """Return OMPL's space of the poses on the map."""
+    """Return OMPL's space of the poses on the map.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> from energyplan.planning.scene.compiled import CompiledProblem
+    >>> query = CompiledProblem(problem)
+    >>> pose_space(query).getBounds().high[0]
+    6.0
+    """
     space = base.SE2StateSpace()
     corners = query.grid.corners
     bounds = base.RealVectorBounds(2)
@@ -162,7 +223,21 @@ def pose_space(query: CompiledProblem) -> Any:
 
 
 def pose_state(space: Any, x: float, y: float, yaw: float) -> Any:
-    """Return a state of OMPL's at a pose; Python owns it."""
+    """Return a state of OMPL's at a pose; Python owns it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> from energyplan.planning.scene.compiled import CompiledProblem
+    >>> query = CompiledProblem(problem)
+    >>> state = pose_state(pose_space(query), 1.0, 2.0, 0.5)
+    >>> state.getX(), state.getYaw()
+    (1.0, 0.5)
+    """
     state = space.allocState()
     place(state, x, y, yaw)
     return state
