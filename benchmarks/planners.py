@@ -154,7 +154,7 @@ def rivals(name: str, grid: OccupancyGrid, count: int, limit: float) -> None:
 
 
 def row_of(name: str, grid: OccupancyGrid, count: int, effort: int) -> str:
-    """Return a row of the table: pairs solved, gaps, and what is dearer than the shortest."""
+    """Return a row of the table: pairs solved, gaps, and plans worse than the shortest."""
     gaps, solved, dearer, spent = [], 0, 0, 0.0
     todo = problems(grid, count)
     for problem in todo:
@@ -176,7 +176,7 @@ def write_table(page: Path, grids: dict[str, OccupancyGrid], count: int) -> None
     """Write the table of plans by effort between the marks of a page."""
     rows = [row_of(*item, count, 5_000) for item in grids.items()]
     head = [
-        "| map | effort | solved | gap, median / 90 % | dearer than the shortest | CPU time |",
+        "| map | effort | solved | gap, median / 90 % | more energy than the shortest | CPU time |",
         "|---|---|---|---|---|---|",
     ]
     before, _, rest = page.read_text().partition(MARKS[0])
@@ -290,7 +290,7 @@ def main() -> None:
         print(f"{count} random pairs, {given.time:g} s each")
         print(
             "map                     columns x rows  plans lost   first [ms] med max   "
-            "gap [%] med 90 max   dearer than shortest"
+            "gap [%] med 90 max   more than shortest  "
         )
         for name, grid in grids.items():
             measure(name, grid, count, given.time)

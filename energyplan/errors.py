@@ -1,7 +1,7 @@
 """Named errors. Each says what was wrong, where, and what would be right.
 
 Bad input derives from both `EnergyPlanError` and `ValueError`; a question that has no answer
-(no path, a parameter that the log cannot tell) derives from `EnergyPlanError` alone.
+(no path, a parameter that the log does not determine) derives from `EnergyPlanError` alone.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class NoViapointsError(MessageError):
 
 
 class NotIdentifiableError(EnergyPlanError):
-    """The data cannot tell a parameter; the message says what to drive instead."""
+    """The data do not determine a parameter; the message says what to drive instead."""
 
 
 class PlanningError(EnergyPlanError):

@@ -44,7 +44,7 @@ def _broadcast(array: FloatArray, shape: tuple[int, ...]) -> FloatArray:
 
 @dataclass(frozen=True)
 class Motion:
-    """Tread speeds and whatever else is known at each instant; arrays of any one shape.
+    """Tread speeds and further channels at each instant; arrays of one shape.
 
     Parameters
     ----------

@@ -181,7 +181,7 @@ class Battery:
         nearest = low if self.temperature < low else high
         return (
             f"battery {self.name}: its capacity is known {known}; at {self.temperature:g} degC "
-            f"that of {nearest:g} degC is taken, which may be too much"
+            f"that of {nearest:g} degC is used, which may be too much"
         )
 
     @property

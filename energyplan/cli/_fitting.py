@@ -97,7 +97,7 @@ def identify(
     drives = read_logs(logs, columns, topics, vehicle)
     if hoisted:
         if out or terms or without:
-            raise InvalidInputError("--hoisted tells friction, no model: leave out --out and terms")
+            raise InvalidInputError("--hoisted makes no model; leave out --out and the terms")
         sides = inside(drives, motor_constant)
         told = [*notes(drives), *_doubts_inside(sides, motor_constant)]
         document = {"sides": documents.plain(sides), "warnings": told}
@@ -167,8 +167,8 @@ def diagnose(
 ) -> None:
     """Find out why the model and the logs differ.
 
-    Traces the residual of the power model to effects, adds them to the model, and tells the error
-    before and after on drives that were not learned from.
+    Traces the residual of the power model to effects, adds them to the model, and reports the error
+    before and after on hold-out drives.
     """
     from energyplan.diagnosis import diagnose as run
     from energyplan.io.config import read_vehicle, write_model
@@ -204,7 +204,7 @@ def _apart(logs: list[Path], holdout: list[Path]) -> None:
         for other in holdout:
             if path.exists() and other.exists() and path.samefile(other):
                 raise InvalidInputError(
-                    f"{path.name} is learned from and held out; give it to one of them"
+                    f"{path.name} is both a training and a hold-out drive; leave it in one list"
                 )
 
 

@@ -41,9 +41,7 @@ Effects = Annotated[
 ]
 Hidden = Annotated[
     int | None,
-    typer.Option(
-        help="Give the simulated robot one or two effects drawn by this seed, and do not tell them."
-    ),
+    typer.Option(help="Give the simulated robot one or two effects drawn by this seed, unprinted."),
 ]
 Truth = Annotated[
     Path | None,
@@ -131,7 +129,7 @@ def drive(
 ) -> None:
     """Drive a trajectory in a physics engine.
 
-    Tells the predicted energy beside the energy that it took.
+    Prints the predicted energy and the energy that the drive took.
     """
     from energyplan.io.trajectory import read_trajectory, write_log
     from energyplan.output import documents, text
@@ -255,7 +253,7 @@ def design(
     model: ModelName,
     report: Annotated[
         Path | None,
-        typer.Option(help="Output of diagnose --json: which explanations to tell apart."),
+        typer.Option(help="Output of diagnose --json: which explanations to separate."),
     ] = None,
     map_file: Annotated[
         Path | None, typer.Option("--map", help="Map to drive on; without it, an empty square.")
@@ -284,7 +282,7 @@ def design(
 ) -> None:
     """Design the next test drive.
 
-    It is the one that best tells apart the explanations that are left.
+    It is the one that best separates the explanations that are left.
     """
     from energyplan.io.config import read_model
     from energyplan.io.maps import read_map

@@ -89,7 +89,7 @@ def mission(
     json: Json = False,
     strict: Strict = False,
 ) -> None:
-    """Tell whether the battery lasts for a mission.
+    """Find out whether the battery lasts for a mission.
 
     Names the tasks that cannot be done, why, and what would change that.
     """
@@ -105,13 +105,13 @@ def mission(
             raise InvalidInputError(f"{', '.join(clash)} and a mission's file: give one of them")
         asked = read_mission(file) if requests is None else _requested(file, requests)
     elif requests is not None:
-        raise InvalidInputError("--requests needs a mission's file, which tells the places")
+        raise InvalidInputError("--requests needs a mission's file, which names the places")
     else:
         missing = [f"--{name}" for name, value in told_by.items() if not value]
         if missing:
             raise InvalidInputError(
-                f"without a mission's file {', '.join(missing)} must be given; docs/missions tells "
-                "what a file may hold"
+                f"without a mission's file {', '.join(missing)} must be given; docs/missions lists "
+                "what a file may contain"
             )
         asked = mission_from(
             {
@@ -167,7 +167,7 @@ def fleet(
 ) -> None:
     """Share tasks between robots.
 
-    Tells which robot does what and charges when, and what each one's battery holds.
+    Says which robot does which task, when it charges, and what is left in its battery.
     """
     from energyplan.fleet import Fleet, evaluate_fleet
     from energyplan.io.fleet import read_fleet

@@ -179,11 +179,14 @@ def ground_of(
     hills = read_heights(heights) if heights else None
     if knows_ground(power):
         warn(
-            f"{power.name} knows of ground: it counts where no file of surfaces or heights is given"
+            f"{power.name} contains ground: it counts unless a file of surfaces or heights is given"
         )
     if hills is not None:
         if not reads_slope(power):
-            warn(f"no term of {power.name} reads slopes: {power.vehicle.mass:.4g} kg are added")
+            warn(
+                f"no term of {power.name} depends on slope: the weight of "
+                f"{power.vehicle.mass:.4g} kg is added"
+            )
         power, ground = with_weight(power), with_weights(ground) if ground else None
     cost = EnergyCost(power, battery=battery, speed=asked_speed(speed, power.vehicle))
     return PricedGround(cost, ground, hills)
@@ -381,9 +384,9 @@ def check(
     json: Json = False,
     strict: Strict = False,
 ) -> None:
-    """Tell whether the motors can drive a trajectory.
+    """Check whether the motors can drive a trajectory.
 
-    Where they cannot, tells where and why, and how fast the robot could drive it.
+    If they cannot, says where and why, and how fast the robot could drive it.
     """
     from energyplan.cost.speeds import asked_speed
     from energyplan.io.config import read_vehicle

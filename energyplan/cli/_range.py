@@ -111,11 +111,11 @@ def reach(
     from energyplan.studies.energy_map import energy_map
 
     if pack and energy is not None:
-        raise InvalidInputError("--pack and --energy both tell what there is; give one of them")
+        raise InvalidInputError("--pack and --energy both set the energy at hand; give one")
     if soc is not None and pack is None:
         raise InvalidInputError("--soc is the charge of a battery; give --pack, or leave it out")
     if spread > 0 and confidence is None:
-        raise InvalidInputError("--coefficient-spread counts with --confidence alone; give both")
+        raise InvalidInputError("--coefficient-spread needs --confidence; give both")
     pose = parse_pose(start)
     # what a battery delivers is counted at the battery
     cost, ground, hills = ground_of(model, surfaces, heights, battery or pack is not None, speed)

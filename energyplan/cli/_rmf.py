@@ -30,14 +30,14 @@ def rmf(
     ] = None,
     map_file: Annotated[
         Path | None,
-        typer.Option("--map", help="Also tell how far Open-RMF's estimate is off on this map."),
+        typer.Option("--map", help="Also measure how wrong Open-RMF's estimate is on this map."),
     ] = None,
     surfaces: Annotated[
         Path | None,
         typer.Option(help="Areas of other ground: GeoJSON polygons, each with a model."),
     ] = None,
     routes: Annotated[
-        int, typer.Option(min=4, help="Number of random routes to tell the error from.")
+        int, typer.Option(min=4, help="Number of random routes to measure the error on.")
     ] = 20,
     seed: Annotated[int, typer.Option(help="Seed of the routes.")] = 0,
     fit: Annotated[
@@ -57,7 +57,7 @@ def rmf(
 ) -> None:
     """Write what Open-RMF's battery estimate needs.
 
-    With a map, also tells how far that estimate is off.
+    With a map, also measures how wrong that estimate is.
     """
     from dataclasses import replace
 

@@ -183,7 +183,7 @@ def nav2_lattice(
 ) -> None:
     """Write primitives and penalties for Nav2's SmacPlannerLattice.
 
-    They come nearest to the energy of the model; the error that remains is told.
+    They come nearest to the energy of the model. Prints the error that remains.
     """
     from energyplan.cli._planning import ground_of
     from energyplan.io.nav2_lattice import write_lattice, write_penalties

@@ -42,5 +42,5 @@ def warmup(
         f"{len(made.compiled)} kernels compiled in {made.seconds:.1f} s by {made.processes} "
         f"process{'es' if made.processes > 1 else ''}, {made.found} found; "
     )
-    where = f"kept in {cache_folder()}" if made.kept else "not kept: the next process compiles anew"
+    where = f"kept in {cache_folder()}" if made.kept else "not kept: the next process compiles too"
     answer(document, [text + where], json=json)

@@ -98,7 +98,7 @@ def watch(
     if model and vehicle:
         raise InvalidInputError("--model and --vehicle: a model has its vehicle; give one of them")
     if not (model or vehicle or mission):
-        raise InvalidInputError("nothing tells the robot; give --model, --vehicle or --mission")
+        raise InvalidInputError("the robot is not known; give --model, --vehicle or --mission")
     for name, given in (("--soc", soc), ("--done", done)):
         if given is not None and mission is None:
             raise InvalidInputError(f"{name} goes with --mission; give both or neither")

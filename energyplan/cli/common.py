@@ -417,7 +417,7 @@ def read_logs(
     chosen = topics or topic_map_of(vehicle)
     if bags and chosen is None:
         raise InvalidInputError(
-            f"{bags[0]}: which topics and what wheel radius serve is not known: give --topics, or "
+            f"{bags[0]}: the topics and the wheel radius are not known: give --topics, or "
             f"a project that energyplan start {bags[0]} --out PROJECT.yaml makes"
         )
     with progress("reading") as update:

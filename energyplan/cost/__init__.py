@@ -38,7 +38,7 @@ STEADY |= {"accel_x": 0.0}
 
 @dataclass(frozen=True, eq=False)
 class EnergyCost:
-    """Joules for path elements, from any power model.
+    """Energy of path elements, from any power model.
 
     Parameters
     ----------

@@ -172,8 +172,8 @@ def _answerable(logs: Sequence[DriveLog]) -> None:
         raise NotIdentifiableError(f"{names}: the measured power is zero throughout; check it")
     if not any(np.any(log.channel(side)) for log in logs for side in ("v_left", "v_right")):
         raise NotIdentifiableError(
-            f"{names}: the robot stands still throughout; standstill tells the load at rest and "
-            "nothing of friction: add a drive"
+            f"{names}: the robot stands still throughout; standstill shows the load at rest, but "
+            "no friction: add a drive"
         )
 
 

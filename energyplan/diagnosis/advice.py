@@ -26,8 +26,8 @@ def rival_advice(found: Sequence[FoundEffect], entries: Mapping[str, Effect]) ->
         ways = [entries[name].manoeuvre for name in (effect.name, *effect.rivals)]
         told = "; ".join(dict.fromkeys(way for way in ways if way))
         lines.append(
-            f"these drives cannot tell {_plain(effect.name)} from {names}; "
-            f"to tell them apart: {told}"
+            f"these drives cannot separate {_plain(effect.name)} from {names}; "
+            f"to separate them: {told}"
         )
     return lines
 

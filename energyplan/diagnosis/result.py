@@ -23,8 +23,8 @@ class Evidence:
     Parameters
     ----------
     improvement : float
-        Fall of the cross-validated mean square error, as a fraction, mean over means of half a
-        second, two and eight seconds.
+        Fall of the cross-validated mean square error, as a fraction; averaged over the errors of
+        means of half a second, two and eight seconds.
     improvement_std_error : float
         Its standard error over blocks.
     p_value : float
@@ -57,7 +57,7 @@ class FoundEffect:
     probability : float
         That it is there, over all explanations.
     rivals : tuple of str
-        Effects that these drives cannot tell from it.
+        Effects that these drives cannot separate from it.
     details : mapping of str to float
         Further numbers, such as a time constant or a direction.
     planner : str
@@ -106,9 +106,9 @@ class Explanation:
     model : PowerModel
         The model with these effects, fitted to the training drives.
     alike : tuple of tuple of str
-        Effects of the explanations that the drives cannot tell from this one: each, fitted to what
-        the other predicts, would follow it so closely that odds of 20 to 1 are not to be expected.
-        Which of them is named first is a matter of what is usual; their probabilities add up.
+        Effects of the explanations that the drives cannot separate from this one. Each, fitted to
+        the predictions of the other, follows them so closely that odds of 20 to 1 are not to be
+        expected. The most usual one is named first; their probabilities add up.
 
     Examples
     --------
@@ -127,7 +127,7 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Adequacy:
-    """What is left on the training drives, against the noise that no model can explain.
+    """Residual on the training drives, beside the noise that no model can explain.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ class Adequacy:
     slow_noise, slow_residual : float
         The same of means over two seconds [W].
     coloured : bool
-        Whether more of the residual lasts than the noise would let last.
+        Whether the residual lasts longer than noise would.
 
     Examples
     --------
@@ -223,7 +223,7 @@ class Unexplained:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found.
+    """The effects that explain the residual of the paper's model.
 
     Parameters
     ----------
@@ -310,7 +310,7 @@ class Diagnosis:
         """Return the effects and both errors as tables, for notebooks."""
         effects = html.result(
             f"verdict: {self.verdict.replace('_', ' ')}",
-            ("effect", "symbol", "value", "standard error", "unit", "cannot be told from"),
+            ("effect", "symbol", "value", "standard error", "unit", "cannot be separated from"),
             [
                 (e.name, e.symbol, e.value, e.std_error, e.unit, ", ".join(e.rivals) or "-")
                 for e in self.effects

@@ -59,7 +59,7 @@ class InternalFriction:
     classes : tuple of SpeedClass
         The force by speed.
     left_out : int
-        Moving samples at which the sensor's dead band told nothing but an upper end.
+        Moving samples in the sensor's dead band, which give only an upper limit.
     """
 
     side: str
@@ -99,7 +99,7 @@ def hoisted(
     NotIdentifiableError
         If a side hardly turns.
     InvalidInputError
-        If the logs do not tell both sides.
+        If the logs lack the power of a side.
 
     References
     ----------
@@ -118,8 +118,8 @@ def _side(drives: Sequence[DriveLog], side: str, constant: float | None) -> Inte
     for log in drives:
         if not log.has(channel):
             raise InvalidInputError(
-                f"{log.name}: there is no {channel}, and only both sides tell where the friction "
-                f"is; map a column to it, as in {channel}=NAME"
+                f"{log.name}: there is no {channel}, and the friction of each side needs "
+                f"both; map a column to it, as in {channel}=NAME"
             )
         speed = np.abs(log.channel(f"v_{side}"))
         reading = np.abs(log.channel(channel))

@@ -80,7 +80,7 @@ class _Increments:
 
 
 def yaw_channel(logs: Sequence[DriveLog]) -> str | None:
-    """Name the channel that tells how the robot turned in any of the logs, or None."""
+    """Name the channel of the logs that shows how the robot turned, or None."""
     for name in ("yaw", "yaw_rate"):
         if any(log.has(name) for log in logs):
             return name
@@ -217,7 +217,7 @@ def fit_icr(
     posed = channel == "yaw" and all(log.has("x") and log.has("y") for log in drives)
     if asymmetric and not posed:
         raise NotIdentifiableError(
-            "left, right and longitudinal tread ICR cannot be told apart without the channels x, "
+            "left, right and longitudinal tread ICR cannot be separated without the channels x, "
             "y and yaw; record a pose, or ask for symmetric ICRs"
         )
     pose = posed if asymmetric is None else asymmetric
@@ -308,7 +308,7 @@ def icr_from_spin(
     Raises
     ------
     NotIdentifiableError
-        If the log is no spin, or tells no angle and none is given.
+        If the log is no spin, or has no angle and none is given.
 
     References
     ----------

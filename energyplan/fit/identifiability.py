@@ -291,15 +291,15 @@ def check_identifiable(model: PowerModel, jacobian: FloatArray) -> tuple[str, ..
     remedy = _best(gains) if gains else "drives in which they vary apart"
     if gap < _COLLINEAR and gains and gains[remedy] < 2 * gap:
         raise NotIdentifiableError(
-            f"{_named(chosen)} cannot be told apart, and no common manoeuvre would tell them: "
+            f"{_named(chosen)} cannot be separated, and no common manoeuvre would separate them: "
             "leave one of the terms out, or measure it by other means"
         )
     if gap < _COLLINEAR:
         raise NotIdentifiableError(
-            f"{_named(chosen)} cannot be told apart: what they multiply is proportional throughout "
+            f"{_named(chosen)} cannot be separated: what they multiply is proportional throughout "
             f"these logs; add {remedy}, or leave one of the terms out"
         )
     return (
-        f"{_named(chosen)} can hardly be told apart by these logs (what they multiply differs by "
+        f"{_named(chosen)} can hardly be separated by these logs (what they multiply differs by "
         f"{100 * gap:.0f} %); {remedy} would separate them",
     )

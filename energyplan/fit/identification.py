@@ -53,7 +53,7 @@ class Identification:
     effective_samples : float
         How many independent samples the autocorrelated residual is worth.
     warnings : tuple of str
-        What the logs cannot tell, or hardly.
+        What the logs do not determine, or hardly.
 
     Examples
     --------
@@ -103,7 +103,7 @@ class Identification:
 
     @property
     def icr(self) -> TreadICR:
-        """Tread ICRs: identified, or the vehicle's where the logs cannot tell them."""
+        """Tread ICRs: identified, or the vehicle's if the logs do not determine them."""
         return self.model.vehicle.icr
 
     @property
@@ -162,16 +162,15 @@ def identify(
     vehicle : Vehicle
         The robot: contacts and loads, and the tread ICRs to fall back to.
     terms : sequence of Term
-        What the robot may draw power for; any terms, also ones that are not linear in the
-        coefficients.
+        Terms of the model; also ones that are not linear in their coefficients.
     method : {"lad", "simplex", "huber"}
         ``lad``: least sum of absolute residuals, exact (Eq. 7 as a linear program). ``simplex``:
         the same sum by the paper's Nelder-Mead search. ``huber``: squares near zero, absolute
         values beyond, for Gaussian noise with outliers.
     icr : {"auto", "symmetric", "asymmetric", "vehicle"} or TreadICR
-        ``auto``: all that the logs tell about the tread ICRs, the vehicle's for the rest.
-        ``symmetric`` and ``asymmetric`` raise where they cannot be told. ``vehicle`` or given
-        values: not identified.
+        ``auto``: the tread ICRs that the logs determine, the vehicle's for the rest.
+        ``symmetric`` and ``asymmetric`` raise if the logs do not determine them. ``vehicle`` or
+        given values: not identified.
     name : str
         Name of the model.
 
@@ -184,7 +183,8 @@ def identify(
     Raises
     ------
     NotIdentifiableError
-        If the logs cannot tell a coefficient, or two apart; the message says what to drive.
+        If the logs do not determine a coefficient, or cannot separate two; the message says what
+        to drive.
     MissingChannelError
         If a term needs a channel that a log lacks.
     InvalidInputError
@@ -376,7 +376,7 @@ def _find_icr(
     worst = max(estimate.std_error.values())
     if estimate.source == "pose" and worst > _LARGEST_ICR_ERROR * estimate.icr.half_track:
         warnings.append(
-            "the pose is too coarse to tell left, right and longitudinal tread ICR apart "
+            "the pose is too coarse to separate left, right and longitudinal tread ICR "
             f"(standard error {worst:.2g} m): only their distance was identified"
         )
         return fit_icr(drives, vehicle.icr, asymmetric=False)

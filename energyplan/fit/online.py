@@ -67,14 +67,14 @@ def _typical(term: Term, vehicle: Vehicle) -> float:
 class OnlineIdentifier:
     """Identifies a power model sample by sample.
 
-    Recursive least squares in information form with three precautions. Information fades into the
-    prior's, so that a coefficient that the drive does not excite becomes uncertain and no more.
-    A residual pulls no harder than four standard deviations. And a sample counts only as much
-    as the correlation of the residual allows, so that the covariance holds.
+    This is recursive least squares in information form, with three precautions. Old information
+    fades towards that of the prior, so a coefficient that the drive does not excite becomes
+    uncertain, but not wrong. A residual counts as four standard deviations at most. And a sample
+    counts only as much as the correlation of the residual allows, so that the covariance holds.
 
     Four times a second the residuals of the last 1, 2, 4 and 8 s of driving are tested for a change
     of the coefficients, with the variance of correlated noise and of the coefficients themselves.
-    After a change the coefficients start afresh from a wide prior about what the test found.
+    After a change the coefficients start again, from a wide prior about what the test found.
 
     Parameters
     ----------

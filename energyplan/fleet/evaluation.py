@@ -52,7 +52,7 @@ def evaluate_fleet(fleet: Fleet, progress: Callable[[str], None] | None = None) 
     Raises
     ------
     MissionError
-        If a bound is asked of models whose uncertainty nothing tells.
+        If a bound is asked of models without a known uncertainty.
     MissingDependencyError
         If there are many robots or tasks and OR-Tools is not installed.
 

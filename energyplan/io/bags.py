@@ -167,7 +167,7 @@ def read_bag(
     file = Path(path)
     if topics is None:
         raise DriveLogError(
-            f"{file.name}: whose drive it is, and so the radius of the wheels, is not known; give "
+            f"{file.name}: the robot, and so the radius of its wheels, is not known; give "
             f"topics={' or '.join(repr(name) for name in TOPIC_MAPS)}, or a topic map of your own: "
             f"energyplan start {file.name} --wheel-radius M --out PROJECT.yaml writes one"
         )
@@ -341,7 +341,7 @@ def opened_bag(file: Path) -> Iterator[Any]:
         raise
     except unsound as problem:
         first = (str(problem).splitlines() or [""])[0] or type(problem).__name__
-        raise DriveLogError(f"{file} is no sound bag: {first}; record or copy it anew") from None
+        raise DriveLogError(f"{file} is no sound bag: {first}; record or copy it again") from None
 
 
 def _check_beginning(file: Path) -> None:

@@ -103,7 +103,7 @@ def read_husky(
     DriveLog
         Channels ``t``, ``v_left``, ``v_right``, ``p_left``, ``p_right``; with an IMU ``yaw_rate``
         and ``accel_x``. `set_aside` counts what was mended or left out, `warnings` states the clock
-        offset and what the sensors cannot tell.
+        offset and what the sensors do not show.
 
     Raises
     ------
@@ -125,7 +125,7 @@ def read_husky(
         faint = current <= train.dead_band
         drawn = np.where(faint, 0.5 * train.dead_band, current)
         channels[name] = train.power_per_current * drawn * np.abs(speed)
-        reason = f"{name}: current within the dead band of {train.dead_band:g} A; half of it taken"
+        reason = f"{name}: current within the dead band of {train.dead_band:g} A; half of it used"
         _note(aside, table, faint & (speed != 0), reason)
     channels = {name: np.array(values) for name, values in channels.items()}
     inner = _blind_inner(left, right, current_left, current_right, train)
@@ -136,12 +136,12 @@ def read_husky(
     _note(aside, table, lost, f"the inner motor of an arc reads nothing and may generate; {fate}")
     warnings = [
         f"speeds come in steps of {train.quantum:.4f} m/s",
-        "the current sensors see no direction: what a motor gives back while it generates or "
-        "brakes cannot be told",
+        "the current sensors see no direction: what a motor returns while it generates or "
+        "brakes is not known",
     ]
     file = _beside(Path(wheels), imu)
     if file is None:
-        warnings.append("there is no IMU: nothing tells the yaw rate, and so the tread ICRs")
+        warnings.append("there is no IMU, so the yaw rate and the tread ICRs are not known")
     else:
         readings = read_table(file, DriveLogError)
         channels |= _inertial(readings, t, right - left, largest_offset, warnings)
@@ -227,8 +227,8 @@ def _inertial(
     seconds = 0.0
     if offset is None:
         warnings.append(
-            "the turning is too steady to tell the IMU's clock offset; taken as zero, it may be a "
-            "second or more"
+            "the turning is too steady to find the IMU's clock offset; zero is assumed, but it "
+            "may be a second or more"
         )
     else:
         seconds = offset.seconds

@@ -195,7 +195,7 @@ def _describe_table(file: Path) -> LogInfo:
         found = tuple(log.channels)
         notes = (*map(str, log.set_aside), *log.warnings)
         if husky:
-            notes = (f"told as if a Husky A200 had made it; {NOT_TOLD}", *notes)
+            notes = (f"described as if a Husky A200 had made it; {NOT_TOLD}", *notes)
     kind = "husky" if husky else "table"
     return LogInfo(file.name, kind, duration, tuple(entries), {"columns": found}, notes)
 

@@ -105,8 +105,8 @@ def build_vehicle(file: Path, log: DriveLog, evidence: Evidence, known: Given) -
     if not isfinite(track):
         if not isfinite(slip):
             raise InvalidInputError(
-                f"{file.name}: the log does not tell how wide the robot is: give the distance of "
-                "its left from its right wheels [m], as in --track 0.555"
+                f"{file.name}: the log does not show the track: give the distance between "
+                "left and right wheels [m], as in --track 0.555"
             )
         # of a robot a tenth longer than wide, as most are
         ratio = (wheelbase / slip) if isfinite(wheelbase) else nan

@@ -68,7 +68,7 @@ class Start:
 def start(path: str | Path, given: Given | None = None) -> Start:
     """Guess what a log's columns or topics are, and hold them against the robot.
 
-    Names tell which channel is what; units are those that names tell or else the ones that
+    Names say which channel is what. Units come from the names, or are the ones with which
     odometry, gyroscope, pose, power and geometry agree on.
 
     Parameters
@@ -89,7 +89,7 @@ def start(path: str | Path, given: Given | None = None) -> Start:
         If a channel that is needed cannot be guessed, or channels contradict each other; the
         message says which and what to give.
     InvalidInputError
-        If a measure of the robot is missing that the log does not tell.
+        If a measure of the robot is missing that the log does not show.
     """
     known = given or Given()
     if is_bag(path):
@@ -248,8 +248,8 @@ def _with_units(
         radius = _radius_from(raw, chosen, measures)
         if not isfinite(radius):
             raise InvalidInputError(
-                "the tread speeds are the wheels' rates, and no pose tells how far the robot went: "
-                "give the wheel radius [m], as in --wheel-radius 0.165"
+                "the tread speeds are the wheels' rates, and there is no pose to find "
+                "the radius from: give the wheel radius [m], as in --wheel-radius 0.165"
             )
     made = dict(columns)
     for channel, unit in chosen.items():
@@ -353,7 +353,7 @@ def _read_signed(file: Path, columns: dict[str, Column]) -> _Read:
             for name in turned:
                 one = made[name]
                 made[name] = column_from(name, one.source, _negative(one.unit), one.times)
-            notes.append(f"{' and '.join(turned)} counted the other way and was turned round")
+            notes.append(f"{' and '.join(turned)} had the opposite sign, which was corrected")
     return _Read(DriveLog.read(file, made, others=False), made, tuple(notes))
 
 
@@ -389,8 +389,8 @@ def _start_bag(file: Path, known: Given) -> Start:
         radius = 1.0 / evidence.distance
         if not (isfinite(radius) and 0.02 <= radius <= 0.8):
             raise InvalidInputError(
-                f"{file.name}: the tread speeds are the wheels' rates, and no pose tells how far "
-                "the robot went: give the wheel radius [m], as in --wheel-radius 0.165"
+                f"{file.name}: the tread speeds are the wheels' rates, and there is no pose to "
+                "find the radius from: give the wheel radius [m], as in --wheel-radius 0.165"
             )
         assumed["wheel_radius"] = f"{radius:.4g} m, from the pose"
         log = read_bag(file, mapped(radius))

@@ -215,7 +215,7 @@ class Ladder:
             k = int(np.argmin(usable[0]))
             raise InfeasibleMotionError(
                 f"{runs.place(k)} the limits leave nothing to speed up or slow down with; "
-                "it takes another path, less load, other ground or stronger motors"
+                "use another path, less load, other ground or stronger motors"
             )
         last = np.take_along_axis(rate, usable.sum(axis=0)[None], axis=0)
         up, down = (np.where(usable, gain, full) for gain in gains)

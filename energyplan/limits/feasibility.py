@@ -1,9 +1,9 @@
 """Whether the motors can drive a trajectory; if not, where not, and how fast they could.
 
 Every limit is tested per side through the whole power model: a total never shows an overloaded
-outer motor. Between samples speeds run straight (`energyplan.limits.drive`); what they ask for is
-evaluated at the beginning, the middle and the end of each interval and runs straight in between, so
-that a violated interval begins and ends where it crosses its limit.
+outer motor. Between samples, speeds are linear in time (`energyplan.limits.drive`). Powers and
+forces are evaluated at the beginning, the middle and the end of each interval, and are linear in
+between. So a violated interval begins and ends where the value crosses its limit.
 
 Inertia counts towards forces and power exactly if the model has inertia terms; the acceleration
 limit is tested in any case.
@@ -90,7 +90,7 @@ class Instant(NamedTuple):
 
 @dataclass(frozen=True)
 class FeasibilityReport:
-    """What `check` found.
+    """Whether motors and battery can drive a trajectory, as `check` found.
 
     Parameters
     ----------

@@ -85,9 +85,9 @@ def watch(
     name: str = "log",
     settings: Settings | None = None,
 ) -> Iterator[Event]:
-    """Watch a drive: learn the power model, note changes of ground, look at the mission's rest.
+    """Watch a drive: learn the power model, notice changes of ground, evaluate the mission's rest.
 
-    Each ground that the mission's map tells apart has a model of its own, so that driving from one
+    Each surface of the mission's map has a model of its own, so that driving from one
     to the other is no change.
 
     Parameters
@@ -126,7 +126,7 @@ def watch(
     (600, 0)
     """
     if prior is None and mission is None:
-        raise InvalidInputError("nothing tells the robot; give a model, a vehicle or a mission")
+        raise InvalidInputError("the robot is not known; give a model, a vehicle or a mission")
     yield from _Watch(prior, mission, settings or Settings()).run(lines, columns, name)
 
 
@@ -286,7 +286,7 @@ class _Watch:
 
     def _begin(self, header: Header, name: str) -> Iterator[Event]:
         if self._samples and header.battery_side != self._battery_side:
-            raise InvalidInputError(f"{name}: the columns of power changed on the way; start anew")
+            raise InvalidInputError(f"{name}: the columns of power changed on the way; start again")
         self._battery_side = header.battery_side
         if self._mission is None:
             return
@@ -297,8 +297,8 @@ class _Watch:
         if self._carries:
             yield Trouble(
                 name,
-                "the mission moves payload: what is learned is told, and its models stay as they "
-                "are",
+                "the mission moves payload: what is learned is reported, and its models stay as "
+                "they are",
             )
 
     def _region(self, sample: Sample) -> int:
@@ -316,7 +316,7 @@ class _Watch:
                 known = surfaces.surfaces[region - 1].model if surfaces and region else None
                 prior = known or self._mission.model
             if prior is None:
-                raise InvalidInputError("nothing tells the robot; give a model or a vehicle")
+                raise InvalidInputError("the robot is not known; give a model or a vehicle")
             self._grounds[region] = _Ground(
                 OnlineIdentifier(prior, battery=self._battery_side, period=self._period)
             )

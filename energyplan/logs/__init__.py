@@ -40,8 +40,8 @@ _EPOCH = 1e6  # times beyond are those of a calendar, not of a drive [s]
 class DriveLog:
     """One drive: named channels over time.
 
-    Built directly, the channels must be sound; `from_columns` and `read` mend what can be mended
-    and keep count of it.
+    `from_columns` and `read` correct what can be corrected, and count it. If you build a log
+    directly, its channels must be without faults.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ _NAMED = 4  # mistakes that are named, where several explain the same
 
 @dataclass(frozen=True)
 class Check:
-    """Something that a log tells twice, or that must lie in a range.
+    """A quantity that is in a log twice, or that must lie in a range.
 
     Parameters
     ----------
@@ -262,7 +262,7 @@ def _mistakes(state: _State) -> list[_Mistake]:
         _Mistake("the tread speeds are in mph", f"map {both('mph')}", _speeds(0.44704), 0.1),
         _Mistake("the tread speeds are in ft/s", f"map {both('ft/s')}", _speeds(0.3048), 0.1),
         _Mistake(
-            "a wheel's diameter was taken for its radius", "give half the wheel radius",
+            "a wheel's diameter is in the place of its radius", "give half the wheel radius",
             _speeds(0.5),
         ),
         _Mistake("t is in ms", "map t=NAME[ms]", _time(1e-3)),
@@ -339,12 +339,12 @@ def _mistakes(state: _State) -> list[_Mistake]:
 
 
 def check_consistency(told: Evidence, known: Measures) -> list[Check]:
-    """Hold what a log tells against itself and against the robot's measures.
+    """Compare the quantities of a log with each other and with the robot's measures.
 
     Parameters
     ----------
     told : Evidence
-        What the log tells.
+        What the log shows.
     known : Measures
         What is known of the robot.
 
@@ -375,7 +375,7 @@ def strain(told: Evidence, known: Measures) -> float:
     Parameters
     ----------
     told : Evidence
-        What the log tells.
+        What the log shows.
     known : Measures
         What is known of the robot.
 

@@ -63,8 +63,8 @@ def _same(
     if not turning:
         return ""
     return (
-        f"{left} and {right} are the same while {turning[0]} tells that the robot turns: one "
-        "column was taken for both sides; map each to its own"
+        f"{left} and {right} are the same while {turning[0]} shows that the robot turns: one "
+        "column was used for both sides; map each to its own"
     )
 
 
@@ -81,8 +81,8 @@ def _signs(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
         )
         if np.count_nonzero(spinning) > max(_ENOUGH, 0.5 * _SHARE * len(left)):
             return (
-                f"{name} tells that the robot spins where both treads seem to go forwards alike: "
-                "the tread speeds lost their sign; log them with it, for unsigned speeds tell "
+                f"{name} shows that the robot spins where both treads seem to go forwards: the "
+                "tread speeds lost their sign; log them with it, for unsigned speeds show "
                 "neither turns nor reversing"
             )
     return ""
@@ -101,7 +101,7 @@ def _powers(channels: Mapping[str, FloatArray]) -> str:
     if np.array_equal(p_left[drawing], p_right[drawing]):
         return (
             "p_left and p_right are the same, though the sides go at different speeds: one column "
-            "was taken for both; map each to its own, or map a total as power=NAME"
+            "was used for both; map each to its own, or map a total as power=NAME"
         )
     sizes = [float(np.median(np.abs(power[drawing]))) for power in (p_left, p_right)]
     if min(sizes) > 0 and max(sizes) > _UNLIKE * min(sizes):
@@ -193,7 +193,7 @@ def _sides(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
             )
         if left * right < 0 and not 0.6 < size < 1.6:
             return (
-                f"the yaw rate tells that v_left counts {size:.3g} times as much as v_right: one "
+                f"the yaw rate shows that v_left counts {size:.3g} times as much as v_right: one "
                 "side is in another unit or has another wheel radius; give both the same, or map "
                 f"v_left=NAME[*{1 / size:.4g}]"
             )
@@ -276,9 +276,9 @@ def _course(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
     direct, mirrored = _courses(channels, runs)
     if mirrored.alike > 0.9 and direct.alike < 0.9 * mirrored.alike:
         if abs(abs(mirrored.angle) - 0.5 * np.pi) < 0.6:
-            return "the pose is a mirror image of the way: x and y are swapped; swap them"
+            return "the pose is a mirror image of the motion: x and y are swapped; swap them"
         return (
-            "the pose is a mirror image of the way: y counts to the right, or x backwards; map "
+            "the pose is a mirror image of the motion: y counts to the right, or x backwards; map "
             f"{'y' if abs(mirrored.angle) < 0.6 else 'x'}=NAME[-m]"
         )
     angle = course(channels, runs)

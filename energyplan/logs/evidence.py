@@ -19,7 +19,7 @@ _INERTIA_ERROR = 0.13  # share to which a mass must be told, three of which are 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a log tells of a robot; NaN where it does not.
+    """What a log shows of a robot; NaN where it does not.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Evidence:
 def gather(
     channels: Mapping[str, FloatArray], power: FloatArray, runs: Sequence[slice]
 ) -> Evidence:
-    """Find what a log tells of the robot.
+    """Find what a log shows of the robot.
 
     Parameters
     ----------

@@ -329,7 +329,7 @@ def _check_power(
     moving = effort > 2 * _MOVING
     told: list[str] = []
     if np.count_nonzero(moving) < _ENOUGH:
-        return ["the robot hardly moves; nothing can be told about its power parameters"]
+        return ["the robot hardly moves; its power parameters cannot be found"]
     if not np.any(power):
         return ["power is zero all along"]
     sides = [name for name in ("p_left", "p_right") if {"p_left", "p_right"} <= set(channels)]

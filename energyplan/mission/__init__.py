@@ -52,7 +52,7 @@ _MOST = 10.0
 
 
 def evaluate(mission: Mission, progress: Callable[[str], None] | None = None) -> MissionReport:
-    """Tell which tasks of a mission the battery lasts for, and what it takes.
+    """Find which tasks of a mission can be done, and the energy that they take.
 
     Parameters
     ----------
@@ -69,8 +69,8 @@ def evaluate(mission: Mission, progress: Callable[[str], None] | None = None) ->
     Raises
     ------
     MissionError
-        If a bound is asked of models whose uncertainty nothing tells, or a payload leaves the
-        range of its models.
+        If a bound is asked of models without a known uncertainty, or a payload leaves the range
+        of its models.
     MissingDependencyError
         If a free order of many tasks is asked and OR-Tools is not installed.
 
@@ -294,7 +294,7 @@ class _Evaluation:
         task = self.mission.tasks[k]
         used = _between(self.attempts[k].before, attempt.after)
         later = [self.mission.tasks[d].name for d in self.done if d not in earlier]
-        names = ", ".join(repr(name) for name in later) or "the way to the end"
+        names = ", ".join(repr(name) for name in later) or "the rest of the route"
         remedies, remedy = self._remedy(k, "blocked_by_earlier", attempt)
         return TaskReport(
             task.name, "unreachable", "blocked_by_earlier", True, used.mean,
@@ -305,7 +305,7 @@ class _Evaluation:
     def _remedy(self, k: int, reason: Reason, told: Attempt) -> tuple[tuple[Remedy, ...], str]:
         """Return what makes a task reachable, and the sentence that says so."""
         if reason == "no_path":
-            return (), f"clear the way or move the task: {told.detail}"
+            return (), f"clear the route or move the task: {told.detail}"
         remedies, advice = self._drop(k) if reason == "blocked_by_earlier" else [], ""
         if told.reason == "late":
             remedies += self._sooner(k, told)
@@ -318,7 +318,7 @@ class _Evaluation:
             if self.mission.payload > 0:
                 advice += ", or leave payload behind"
         elif told.reason == "no_path":
-            advice = f"clear the way back: {told.detail}"
+            advice = f"clear the route back: {told.detail}"
         else:
             earlier = self.attempts[k].earlier if reason == "blocked_by_earlier" else ()
             tasks = (*earlier, k)

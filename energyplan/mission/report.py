@@ -36,13 +36,13 @@ class TaskReport:
         Whether it would be reachable as the mission's only task.
     energy, energy_upper : float
         Energy to get there from the stop before and do it, expected and at the bound [J]; nan
-        where there is no way.
+        if there is no route.
     soc_after : float
         Expected state of charge when it is done; nan where it cannot be.
     shortfall : float
-        Energy that is missing, the way to a safe place and the reserve included [J].
+        Missing energy, including the route to a safe place and the reserve [J].
     remedy : str
-        What would change the verdict; empty where it is good.
+        What would make the task reachable; empty if it is.
     detail : str
         Why not, in one sentence with figures.
     start : float
@@ -50,7 +50,7 @@ class TaskReport:
     start_upper : float
         When it begins at the latest, at the confidence asked [s]; nan where it does not.
     remedies : tuple of Remedy
-        What `remedy` says that can be applied by a program: each was tried.
+        The remedies that a program can apply; each was tried.
     arrival, departure : float
         When the robot gets there and leaves [s]; nan where the task is not done.
     soc_lower : float
@@ -277,8 +277,8 @@ class MissionReport:
     proven : bool
         Whether, for a free order, no better one exists on the routes known.
     gap : float
-        By which fraction of the energy a better order may exist at most; nan where one might do
-        more tasks, or where nothing is known.
+        Fraction of the energy that a better order could save at most; nan if one might do more
+        tasks, or if nothing is known.
     timeline : Timeline
         The mission over time.
     paths : tuple of Path
@@ -288,9 +288,9 @@ class MissionReport:
     route : tuple of Stop
         The stops with their times, from the start to the end.
     uncertainty : tuple of Doubt
-        What each unknown costs, the dearest first, as the battery feels it between the charges
-        where the most is held back; without charges that is the whole mission. The squares of
-        their energies add up to the variance.
+        Standard deviation of the energy by source, the largest first. It is taken between the
+        charges where the largest margin is needed; without charges that is the whole mission. The
+        squares add up to the variance.
     legs : tuple of LegReport
         The drives from stop to stop with the charge along them.
     chargers : tuple of ChargerReport

@@ -15,12 +15,12 @@ class Spreads:
 
     The defaults are round figures for robots that nobody has measured; what is known better is
     better said. A battery that is not a `Battery` has no health and no temperature of its own:
-    all that is open about it counts as capacity.
+    all its uncertainty counts as that of the capacity.
 
     Parameters
     ----------
     soc : float
-        State of charge that a gauge tells, at the start and after charging, absolute. Gauges that
+        State of charge that a gauge shows, at the start and after charging, absolute. Gauges that
         count charge drift by 1 to 5 % between full charges.
     capacity : float
         Capacity of the battery, relative. New stationary lead-acid blocks must hold 95 % of what

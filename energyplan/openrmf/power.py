@@ -230,7 +230,7 @@ def fleet_config(
     Raises
     ------
     InvalidInputError
-        If nothing tells the charging current, or a value is none that Open-RMF takes.
+        If the charging current is not known, or a value is none that Open-RMF takes.
 
     Examples
     --------
@@ -246,7 +246,7 @@ def fleet_config(
         charging_current = battery.max_charge_current
         if not np.isfinite(charging_current):
             raise InvalidInputError(
-                f"nothing tells the charging current of {battery.name}; give it, in amperes"
+                f"the charging current of {battery.name} is not known; give it, in amperes"
             )
         notes.append("the charging current is the largest that the battery takes")
     mass = vehicle.mass
@@ -336,7 +336,7 @@ def power_error(
     seed: int = 0,
     effort: int = 3000,
 ) -> PowerError:
-    """Tell what Open-RMF's estimate misses on routes of least energy between places at random.
+    """Measure the error of Open-RMF's estimate on routes of least energy between random places.
 
     Parameters
     ----------
@@ -380,7 +380,7 @@ def power_error(
     (4, True)
     """
     if routes < 4:
-        raise InvalidInputError(f"{routes} routes tell nothing; ask for 4 or more")
+        raise InvalidInputError(f"{routes} routes are too few; ask for 4 or more")
     places = _places(model, grid, surfaces, routes + 1, seed)
     mission = Mission(
         model=model, map=grid, battery=battery, start=places[0], surfaces=surfaces,

@@ -97,7 +97,7 @@ def tasks_of(
     Raises
     ------
     MissionError
-        If a request is of a kind that tells no places, or names one that is not known.
+        If a request is of a kind that names no place, or names one that is not known.
 
     Examples
     --------
@@ -153,7 +153,7 @@ def _stops(category: str, told: Any, here: str) -> Iterator[tuple[Any, float]]:
         yield from _activities(activities, here)
     else:
         raise MissionError(
-            f"{here} is of the category {category!r}, which tells no places; known are {_KINDS}"
+            f"{here} is of the category {category!r}, which names no places; known are {_KINDS}"
         )
 
 
@@ -168,7 +168,7 @@ def _activities(activities: list[Any], here: str) -> Iterator[tuple[Any, float]]
                 raise MissionError(f"{here}: an action lasts {millis!r} ms; give 0 or more")
             if place is None:
                 raise MissionError(
-                    f"{here} begins with an action, and nothing tells where; put go_to_place first"
+                    f"{here} begins with an action that has no place; put go_to_place first"
                 )
             place = place[0], place[1] + millis / 1e3
             continue

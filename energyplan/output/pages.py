@@ -81,7 +81,7 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
     if len(told.explanations) > 1:
         page.heading("Possible explanations")
         page.table(
-            ("effects", "probability", "not told apart from"),
+            ("effects", "probability", "not separated from"),
             [
                 (
                     _together(one.effects),

@@ -62,7 +62,7 @@ def diagnosis(told: Diagnosis) -> list[str]:
         lines[-1] += f", probability {effect.probability:.2f}"
         if effect.rivals:
             rivals = ", ".join(map(words, effect.rivals))
-            lines.append(f"  these drives cannot tell it from: {rivals}")
+            lines.append(f"  these drives cannot separate it from: {rivals}")
     others = [one for one in told.explanations[1:] if one.probability >= 0.01]
     lines += [
         f"or, with probability {one.probability:.2f}: "
@@ -72,7 +72,7 @@ def diagnosis(told: Diagnosis) -> list[str]:
     if told.explanations and told.explanations[0].alike:
         alike = ((told.explanations[0].effects), *told.explanations[0].alike)
         names = (" and ".join(n.replace("_", " ") for n in one) or "no effect" for one in alike)
-        lines.append(f"these drives cannot tell apart: {'; or '.join(names)}")
+        lines.append(f"these drives cannot separate: {'; or '.join(names)}")
     for name, misfit in (("before", told.before), ("after", told.after)):
         lines.append(
             f"hold-out {name}: rmse {number(misfit.rmse)} W, mae {number(misfit.mae)} W, "
@@ -118,7 +118,7 @@ def hoisted(sides: Sequence[InternalFriction]) -> list[str]:
             for one in side.classes
         ]
         if side.left_out:
-            lines.append(f"  {side.left_out} samples in the sensor's dead band: half of it taken")
+            lines.append(f"  {side.left_out} samples in the sensor's dead band: half of it used")
     return lines
 
 
@@ -175,7 +175,7 @@ def event(told: Event) -> list[str]:
     aside = ", ".join(f"{count} x {reason}" for reason, count in told.set_aside.items())
     return [
         f"the end: {told.samples} samples, {told.changes} changes of ground"
-        + (f"; told: {aside}" if aside else "")
+        + (f"; reported: {aside}" if aside else "")
     ]
 
 

@@ -64,12 +64,12 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Separation:
-    """How well a drive tells two explanations apart.
+    """How well a drive separates two explanations.
 
     Parameters
     ----------
     true, other : str
-        The explanation that is true, and the one that it is told from.
+        The explanation that is true, and the one that it is separated from.
     log_odds : float
         Expected log-likelihood ratio, after the other one was fitted as well as it can be.
     """
@@ -90,7 +90,7 @@ class Design:
     manoeuvres : tuple of str
         What it consists of.
     separates : tuple of Separation
-        What it tells apart, every ordered pair.
+        How well it separates explanations, every ordered pair.
     probabilities_expected : tuple of tuple of str and float
         For every explanation, how probable it will be after the drive if it is true.
     sentence : str
@@ -434,6 +434,6 @@ def _sentence(names: Sequence[str], pairs: Sequence[Separation]) -> str:
     if not pairs:
         return text + " This narrows the parameters most."
     if not open_pairs:
-        return text + " This tells all explanations apart."
+        return text + " This separates all explanations."
     named = "; ".join(" from ".join(sorted(pair)) for pair in sorted(open_pairs, key=sorted))
-    return text + f" It is not expected to tell apart: {named}."
+    return text + f" It is not expected to separate: {named}."

@@ -32,7 +32,7 @@ class Driven:
     run : Run
         What happened.
     told : dict of str to float
-        Energy that the power model tells for the trajectory, by term [J].
+        Energy that the power model predicts for the trajectory, by term [J].
     taken : dict of str to float
         Energy that the battery delivered, by the term that stands for it [J].
     arrived : bool
@@ -65,7 +65,7 @@ class Driven:
 
     @property
     def energy_told(self) -> float:
-        """Energy that the model tells [J]."""
+        """Energy that the model predicts [J]."""
         return sum(self.told.values())
 
     @property
@@ -75,12 +75,12 @@ class Driven:
 
     @property
     def error(self) -> float:
-        """What is told over what was taken, minus one."""
+        """Predicted over taken energy, minus one."""
         return self.energy_told / self.energy_taken - 1.0
 
     @property
     def terms(self) -> list[tuple[str, float, float]]:
-        """Rows of term, energy told [J] and energy taken [J]; the largest first."""
+        """Rows of term, predicted energy [J] and energy taken [J]; the largest first."""
         names = dict.fromkeys([*self.told, *self.taken])
         rows = [(name, self.told.get(name, 0.0), self.taken.get(name, 0.0)) for name in names]
         rows = [row for row in rows if row[1] or row[2]]
@@ -89,9 +89,9 @@ class Driven:
     def _repr_html_(self) -> str:
         """Return the energies as a table, for notebooks."""
         return html.result(
-            f"told {self.energy_told:.0f} J, taken {self.energy_taken:.0f} J "
+            f"predicted {self.energy_told:.0f} J, taken {self.energy_taken:.0f} J "
             f"({100 * self.error:+.1f} %), {'arrived' if self.arrived else 'not arrived'}",
-            ("term", "told [J]", "taken [J]"),
+            ("term", "predicted [J]", "measured [J]"),
             self.terms,
         )
 
@@ -99,7 +99,7 @@ class Driven:
 def energy_told(
     trajectory: Trajectory, model: PowerModel, ground: Ground | None = None
 ) -> dict[str, float]:
-    """Return the energy of a trajectory by term, as a power model tells it [J].
+    """Return the energy of a trajectory by term, as a power model predicts it [J].
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def drive(
     robot : Robot
         What is true of the robot.
     model : PowerModel
-        What is believed of it: it tells the energy, and its tread ICRs serve the controller.
+        The model of it: it predicts the energy, and the controller uses its tread ICRs.
     ground : Ground, optional
         Surfaces and heights, true and believed; level and even where not given.
     tracking : Tracking, optional

@@ -41,20 +41,20 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Round:
-    """One time round the loop.
+    """One round of the loop: plan, drive, diagnose.
 
     Parameters
     ----------
     energy_told : float
-        What the model of this round tells for the drive, before it [J].
+        Energy that the model of this round predicts, before the drive [J].
     energy_interval : tuple of float, optional
         Its 95 % interval [J]; None where the model has no covariance.
     energy_taken : float
-        What was measured [J].
+        Energy that was measured [J].
     plan : Plan
         The route of this round.
     model : PowerModel
-        The model that told.
+        The model that predicted.
     effects : tuple of Found
         What the diagnosis of all drives so far found, this one included.
     log : DriveLog
@@ -98,12 +98,12 @@ class Round:
 
     @property
     def error(self) -> float:
-        """What was told over what was taken, minus one."""
+        """Predicted over measured energy, minus one."""
         return self.energy_told / self.energy_taken - 1.0
 
     @property
     def within(self) -> bool:
-        """Whether what was taken lies in the interval of what was told, and that one says much."""
+        """Whether the measured energy lies in the predicted interval, and that is narrow."""
         if self.energy_interval is None:
             return False
         low, high = self.energy_interval
@@ -112,16 +112,16 @@ class Round:
 
 @dataclass(frozen=True)
 class Loop:
-    """What came of closing the loop.
+    """The rounds of a loop, and the model in the end.
 
     Parameters
     ----------
     rounds : tuple of Round
         The rounds, in their order.
     model : PowerModel
-        What is believed in the end.
+        The model in the end.
     closed : bool
-        Whether the last energy told was right: within its interval, or within the tolerance.
+        Whether the last prediction was right: within its interval, or within the tolerance.
 
     Examples
     --------
@@ -150,7 +150,7 @@ class Loop:
         ]  # fmt: skip
         return html.result(
             "closed" if self.closed else "not closed",
-            ("round", "told [J]", "taken [J]", "error", "length [m]", "found"),
+            ("round", "predicted [J]", "measured [J]", "error", "length [m]", "found"),
             rows,
         )
 
@@ -230,8 +230,8 @@ def close_loop(
 ) -> Loop:
     """Plan, drive, diagnose with all logs so far, and plan again.
 
-    In the engine the first round whose energy was told wrong is followed by a designed drive in the
-    free space of the map: routes alone tell little, since they are short and mostly straight.
+    In the engine, a designed drive in the free space of the map follows the first round whose
+    prediction was wrong. Routes alone show little, because they are short and mostly straight.
 
     Parameters
     ----------
@@ -239,8 +239,8 @@ def close_loop(
         From where to where; its cost holds the model of the first round.
     source : EngineDrives or sequence of DriveLog
         The engine, or logs of a real robot: the first serves the first round, and so on. A log
-        need not follow the route. Its energy is told from its own motion by the model of the
-        round, which has not seen it.
+        need not follow the route. The model of the round predicts its energy from its own
+        motion, before it learns from it.
     rounds : int
         How many times round at most.
     tolerance : float
@@ -264,7 +264,7 @@ def close_loop(
     Returns
     -------
     Loop
-        The rounds. The loop ends when an energy was told right, the rounds or logs are over, or
+        The rounds. The loop ends when a prediction was right, the rounds or logs are over, or
         nothing can be planned with what was learned, which is left out then with a note.
 
     Raises

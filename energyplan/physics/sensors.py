@@ -33,7 +33,7 @@ class Sensors:
     delay : float
         By how much power is logged later than speed [s].
     unsigned : bool
-        Whether the sensors of the sides cannot tell drawing from returning.
+        Whether the sensors of the sides lose the sign of the power.
     measured : {"sides", "total", "battery"}
         Log ``p_left`` and ``p_right``, or ``power``, or ``voltage`` and ``current``.
     voltage : float

@@ -119,7 +119,7 @@ def plan(
     planner : str or Planner
         Name of the planner, see `planners`; or a planner of one's own.
     time_limit : float
-        Time to plan [s]. Planning ends earlier where the planner can tell that nothing is left
+        Time to plan [s]. Planning ends earlier if the planner knows that nothing is left
         to gain. What is made once for a map is no part of it: its first plan takes longer.
     effort : int, optional
         Units of work to plan with, in place of the time limit: the same plan comes of it on any

@@ -56,8 +56,8 @@ def cancellable(unwanted: Callable[[], bool]) -> Iterator[None]:
 class Budget:
     """What planning may spend.
 
-    Everything that searches, refines or builds for long takes one, spends what it does, and stops
-    when it is over. Parts of a budget spend from the whole.
+    Searches and refinements get a budget, spend their work from it, and stop when it is over.
+    Parts of a budget spend from the whole.
 
     Parameters
     ----------

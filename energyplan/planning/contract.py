@@ -33,7 +33,7 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Candidate:
-    """What a planner hands back.
+    """What a planner returns: a path, with a lower bound if it has one.
 
     Parameters
     ----------

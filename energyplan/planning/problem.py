@@ -79,7 +79,7 @@ def objective_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class PlanningProblem:
-    """From where to where, among which obstacles, at what cost.
+    """Start, goal, map and cost of a planning query.
 
     Parameters
     ----------

@@ -178,8 +178,8 @@ def replan(
 ) -> Plan:
     """Plan on from where the robot is, with the rest of the former plan as a start.
 
-    While the rest is free and no cell became free, it is returned at once. Otherwise planning
-    spends what it may. The plan never costs more than the rest of the former one where that is
+    If the rest is free, and no cell became free, the rest is returned at once. Otherwise the
+    planner uses its budget. The plan never costs more than the rest of the former one, if that is
     free.
 
     Parameters
@@ -269,7 +269,7 @@ def _check_answers(former: Plan, problem: PlanningProblem) -> None:
     if not np.abs(off).max() <= ARRIVED:
         raise InvalidInputError(
             f"the former plan leads to ({end.x:.2f}, {end.y:.2f}), the problem to ({goal.x:.2f}, "
-            f"{goal.y:.2f}); give the problem that it answers, or plan anew"
+            f"{goal.y:.2f}); give the problem that it answers, or plan again"
         )
 
 

@@ -406,7 +406,7 @@ class PowerModel:
 
         ``quadriga:<empty|full>:<marble|concrete>`` are those of the paper's Table II, which gives
         no standard errors. The others, such as ``husky_a200:flooring``, have a covariance from the
-        spread between drives; `energyplan.power.presets` tells where each comes from.
+        spread between drives; `energyplan.power.presets` names the source of each.
 
         Parameters
         ----------

@@ -353,7 +353,7 @@ MOBILISATION = Term(
 )  # fmt: skip
 WHEEL_FIGHT = Term(
     "wheel_fight", "mu_f", "1", "force", wheel_fight, bounds=(0.0, 2.0),
-    meaning="sides that push against each other on a straight, which losses make dear",
+    meaning="sides that push against each other on a straight, at a cost if drives lose energy",
 )  # fmt: skip
 WARM_UP = Term(
     "warm_up", "K_0", "N", "force", warm_up, {"time_constant": 60.0}, bounds=_POSITIVE,
@@ -381,7 +381,7 @@ COPPER_LOSS = Term(
 )  # fmt: skip
 UNSIGNED_POWER = Term(
     "unsigned_power", "s", "1", "loss", unsigned_power, bounds=(0.0, 2.0),
-    meaning="a current sensor that does not tell drawing from returning",
+    meaning="a current sensor without the sign of the current",
 )  # fmt: skip
 SIDE_GAIN = Term(
     "side_gain", "g", "1", "loss", side_gain, bounds=(-1.0, 1.0),

@@ -103,7 +103,7 @@ class Effect:
     Raises
     ------
     ModelError
-        If a size cannot be told from the terms, or the range is empty.
+        If a size does not follow from the terms, or the range is empty.
     """
 
     name: str
@@ -399,7 +399,7 @@ def reads_slope(model: PowerModel) -> bool:
 def with_weight(model: PowerModel) -> PowerModel:
     """Return the model with the vehicle's weight as its grade term, for use on slopes.
 
-    A model identified on level ground says nothing about slopes, but the wheel loads tell the mass.
+    A model identified on level ground says nothing about slopes, but the wheel loads give the mass.
 
     Parameters
     ----------

@@ -114,7 +114,7 @@ def error_code(
     codes : type
         `ToPoseError` or `ThroughPosesError`.
     problem : PlanningProblem, optional
-        What was to be planned: it tells whether start or goal lies outside the map.
+        What was to be planned: it shows whether start or goal lies outside the map.
 
     Returns
     -------

@@ -17,7 +17,7 @@ from energyplan.ros.nav2 import Answer
 
 
 def plan_values(answer: Answer) -> dict[str, str]:
-    """Return what diagnostics tell of a plan: energy, bound [J] and the time it took [s].
+    """Return the values of a plan for diagnostics: energy, bound [J] and the time it took [s].
 
     Examples
     --------
@@ -36,7 +36,7 @@ def plan_values(answer: Answer) -> dict[str, str]:
 
 
 def model_values(model: PowerModel) -> dict[str, str]:
-    """Return what diagnostics tell of a model: each coefficient, with its standard error.
+    """Return the values of a model for diagnostics: each coefficient, with its standard error.
 
     Examples
     --------

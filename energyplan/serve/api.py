@@ -274,7 +274,7 @@ def create_app(
 
     @app.post("/api/check")
     async def check_trajectory(asked: CheckRequest, request: Request) -> Response:
-        """Tell whether the motors can drive a trajectory."""
+        """Check whether the motors can drive a trajectory."""
 
         def work(job: Job) -> dict[str, Any]:
             columns = {name: np.asarray(getattr(asked, name), float) for name in _COLUMNS}

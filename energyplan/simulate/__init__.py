@@ -174,7 +174,7 @@ def drive(
 
 
 def identification_drive(model: PowerModel, **options: Any) -> DriveLog:
-    """Simulate the drive that tells the most: spins, straights, a spiral, a figure-8, a survey.
+    """Simulate the most informative drive: spins, straights, a spiral, a figure-8, a survey.
 
     Parameters
     ----------

@@ -17,15 +17,15 @@ from energyplan.planning.scene.compiled import CompiledProblem
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two plans for one problem, and what tells them apart.
+    """Two plans for one problem, and the energy that separates them.
 
     Attributes
     ----------
     energy_optimal : Plan
         The plan of least energy found.
     shortest : Plan
-        The shortest plan found, driven as cheaply as its way allows. Its lower bound and gap are
-        those of its length [m].
+        The shortest plan found, driven with the least energy that its path allows. Its lower bound
+        and gap are those of its length [m].
     saving : float
         Energy saved, as a fraction of the shortest route's; never negative. Where the goal lies
         below the start, a fraction of what the shortest route takes beyond the energy that the

@@ -69,7 +69,7 @@ def upper_prices(query: CompiledProblem, confidence: float, spread: float) -> Up
     Raises
     ------
     InvalidInputError
-        If the numbers are out of range, or nothing tells how uncertain a model is.
+        If the numbers are out of range, or the uncertainty of a model is not known.
     """
     if not 0.5 <= confidence < 1.0:
         raise InvalidInputError(f"the confidence is {confidence}; give a part from 0.5 to below 1")
@@ -111,7 +111,7 @@ def upper_prices(query: CompiledProblem, confidence: float, spread: float) -> Up
 
 
 def energy_of_charge(cost: EnergyCost, battery: Battery, soc: float = 1.0) -> float:
-    """Return what a charge delivers at the power of the dearest motion, at which it is least [J].
+    """Return what a charge delivers at the power of the most expensive motion [J].
 
     Parameters
     ----------

@@ -56,7 +56,7 @@ class Contour(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class EnergyMap:
-    """The energy that each place takes.
+    """The energy that it takes to reach each place of a map.
 
     Attributes
     ----------
@@ -172,7 +172,7 @@ def energy_map(
     coefficient_spread: float = 0.0,
     effort: int = 20_000_000,
 ) -> EnergyMap:
-    """Find the energy that every place of a map takes to get to.
+    """Find the energy that it takes to reach each place of a map.
 
     One search without a goal, on a lattice of half the fineness that planning begins with. The
     energies are those of drivable paths: never below the least, and above it by what the lattice is

@@ -22,7 +22,7 @@ SHARES = (0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 
 @dataclass(frozen=True)
 class ParetoPoint:
-    """A drive than which none that is known takes less energy in no more time, or less time.
+    """A drive that no other known drive beats in both energy and time.
 
     Parameters
     ----------
@@ -55,10 +55,10 @@ class ParetoFront:
     Parameters
     ----------
     points : tuple of ParetoPoint
-        The drives, each faster and dearer than the one before.
+        The drives; each is faster than the one before, and takes more energy.
     bounds : ndarray, shape (n, 2)
-        Values of a second [J/s], and what no drive's energy plus the value of its time is less
-        than [J].
+        Values of a second [J/s], each with a lower bound of any drive's energy plus the value of
+        its time [J].
 
     Examples
     --------
@@ -123,13 +123,13 @@ def pareto(
 ) -> ParetoFront:
     """Plan drives that trade energy against time.
 
-    For each value of a second, the energy plus the value of the time is made least, over routes
-    and speeds alike. So the front holds the drives that are best for some value of a second. Every
-    route found is tried at every value.
+    For each value of a second, the energy plus the value of the time is minimised over routes and
+    speeds. So the front contains the drives that are best for some value of a second. Every route
+    found is tried at every value.
 
-    How much there is to trade depends on the model. Where energy does not depend on speed, every
-    drive is as fast as the limits allow and the routes alone differ; where resistance rises with
-    speed, hurrying costs; a hotel load makes haste pay for itself.
+    How much there is to trade depends on the model. If energy does not depend on speed, every
+    drive is as fast as the limits allow, and only the routes differ. If resistance grows with
+    speed, fast drives take more energy. With a hotel load, slow drives do.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ PIECE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class CostMap:
-    """Costs of cells from 0 (none) to 1 (as dear as it gets).
+    """Costs of cells from 0 (none) to 1 (the highest).
 
     Parameters
     ----------

@@ -200,7 +200,7 @@ def path_price(
 
 @dataclass(frozen=True, eq=False)
 class Terrain:
-    """Obstacles, surfaces and heights of one ground.
+    """Obstacles, surfaces and heights of one place.
 
     Parameters
     ----------

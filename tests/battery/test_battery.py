@@ -177,7 +177,7 @@ def test_cold_takes_capacity_down_to_20_below(chemistry, below_zero, least):
     assert not replace(pack, temperature=-20.0).temperature_note
     note = replace(pack, temperature=-25.0).temperature_note
     assert "known from -20 to" in note
-    assert "at -25 degC that of -20 degC is taken" in note
+    assert "at -25 degC that of -20 degC is used" in note
 
 
 def test_a_battery_without_data_on_temperature_says_so():

@@ -91,12 +91,12 @@ CAUSES: dict[str, Callable[[Path], object]] = {
     "left and right are swapped": columns(
         v_left=COLUMNS["v_right"], v_right=COLUMNS["v_left"]
     ),
-    "which topics and what wheel radius serve is not known": command(
+    "the topics and the wheel radius are not known": command(
         "identify", "bag.mcap", "--vehicle", ROBOT
     ),
     "slip_friction (mu) cannot be identified": straight,
     "no log has a channel yaw or yaw_rate": without_yaw,
-    "is learned from and held out": diagnose("--holdout", "drive.csv"),
+    "is both a training and a hold-out drive": diagnose("--holdout", "drive.csv"),
     "is read, and would be lost": command(
         "identify", "drive.csv", "--vehicle", "halves.yaml", "--out", "halves.yaml"
     ),

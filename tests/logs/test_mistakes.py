@@ -138,7 +138,7 @@ LOGS = {
     "power's sign": (powers(-1.0), r"wrong sign"),
     "one side's power's sign": (scaled(p_right=-1.0), r"p_right has the wrong sign"),
     "a Husky's wheel radius": (speeds(HUSKY / RADIUS), r"wheel radius is not.*0\.6[0-9]* times"),
-    "a wheel's diameter for its radius": (speeds(2.0), r"diameter was taken for its radius"),
+    "a wheel's diameter for its radius": (speeds(2.0), r"diameter is in the place of its radius"),
     "the radius of a small wheel": (speeds(0.5), r"wheel radius is not.*(2|1\.9\d) times"),
     "pose in mm": (scaled(x=1e3, y=1e3), r"x=NAME\[mm\]"),
     "pose in cm": (scaled(x=100.0, y=100.0), r"x=NAME\[cm\]"),

@@ -213,7 +213,7 @@ def test_no_path():
     assert (behind.verdict, behind.reason) == ("unreachable", "no_path")
     assert not behind.reachable_alone
     assert np.isnan(behind.energy)
-    assert behind.remedy.startswith("clear the way or move the task")
+    assert behind.remedy.startswith("clear the route or move the task")
     assert report.task("near").verdict == "reachable"
     assert not report.feasible
     assert report.table["name"].tolist() == ["behind", "near"]

@@ -76,7 +76,7 @@ def test_the_file_holds_what_the_model_and_battery_say() -> None:
 
 
 def test_what_nothing_tells_or_open_rmf_does_not_take_is_refused() -> None:
-    with pytest.raises(InvalidInputError, match="nothing tells the charging current"):
+    with pytest.raises(InvalidInputError, match=r"the charging current of .* is not known"):
         fleet_config(MODEL, replace(BATTERY, max_charge_current=np.inf))
     with pytest.raises(InvalidInputError, match="friction_coefficient is -1; Open-RMF takes"):
         fleet_config(MODEL, BATTERY, charging_current=1.0, friction_coefficient=-1.0)
@@ -145,7 +145,7 @@ def test_requests_become_tasks_in_their_order(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("request_", "message"),
     [
-        (envelope("clean", {"zone": "a"}), "category 'clean', which tells no places"),
+        (envelope("clean", {"zone": "a"}), "category 'clean', which names no places"),
         (envelope("patrol", {"places": ["attic"]}), "no place 'attic'; the mission's places are"),
         (envelope("patrol", {"places": []}), "places is '\\[\\]'; give a list"),
         (envelope("patrol", {"places": ["pantry"], "rounds": 0}), "rounds is 0"),

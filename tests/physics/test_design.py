@@ -65,7 +65,7 @@ def test_what_no_drive_can_tell_is_said() -> None:
     made = design(MODEL, [Explanation(("hotel_load",)), Explanation(("power_offset",))])
     assert all(pair.log_odds < 0.01 for pair in made.separates)
     assert dict(made.probabilities_expected)["hotel load"] == pytest.approx(0.5, abs=0.01)
-    assert "not expected to tell apart" in made.sentence
+    assert "not expected to separate" in made.sentence
 
 
 def test_without_explanations_the_parameters_are_narrowed() -> None:

@@ -146,7 +146,7 @@ def test_a_robot_in_an_obstacle_is_told_so(door):
 
 def test_a_plan_to_elsewhere_is_refused(door):
     problem, former = door
-    with pytest.raises(InvalidInputError, match="plan anew"):
+    with pytest.raises(InvalidInputError, match="plan again"):
         replan(replace(problem, goal=(8.0, 2.0, 0.0)), former, start=(2, 2, 0))
 
 

@@ -213,7 +213,7 @@ class CompiledProblem:
         levels = min(LEVELS, (MOST_CLASSES + 1) // len(self.costs))
         if levels < 2:
             raise ModelError(
-                f"with {len(self.costs)} surfaces no levels of a costmap can be told apart; merge "
+                f"with {len(self.costs)} surfaces no levels of a costmap are left; merge "
                 "surfaces of one model, or leave the costmap out"
             )
         return levels
