@@ -10,14 +10,16 @@ import numpy as np
 from energyplan.diagnosis.columns import columns_of
 from energyplan.diagnosis.fitting import PAPER, Problem, fit
 from energyplan.path import FloatArray
-from energyplan.power import SLIP, Term
+from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TRACTION, Term
 
 _SLIP_SPEEDS = np.geomspace(0.003, 0.15, 12)  # mean slip speeds at which classes end [m/s]
 _SCATTER = 0.4  # misfit of the moment between the sides, over it, from which they do not slide
 _LOST = 0.5  # such misfit at its least, from which the difference tells nothing
-_RETURNED = 0.2  # share of the power that a side should return, below which its sign is unknown
-_ENOUGH = 20  # samples that a class needs
 _CLEAR = 3.0  # noise beyond which a side should return power
+_RISES = 0.3  # rise of what a side shows with what it should return, from which it lacks a sign
+_MORE = 1.5  # share of what sides return that is lost, from which sensors lack a sign
+_LITTLE = 0.4  # of the resistance, with which sides return much
+_ENOUGH = 20  # samples that a class needs
 _LEFT = 0.1  # share of the samples that must slide
 
 
@@ -40,8 +42,8 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
     -------
     Problem
         The same problem where only the total was logged, or nothing scatters. The total alone
-        where the difference of the sides does not follow from the motion, or where sensors do not
-        show what a side returns: then nothing tells the sign.
+        where the difference of the sides does not follow from the motion, or where sensors show
+        what a side returns as if it were drawn: then nothing tells the sign.
     """
     if problem.drives[0].equations == 1:
         return problem
@@ -62,7 +64,7 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
     values = fit(design, sure.reference(design)).values
     scatter = _scatter(problem, terms, values, edges)
     told = np.flatnonzero(np.isfinite(scatter))
-    if not len(told) or scatter[told].min() > _LOST or _unsigned(problem, terms, values):
+    if not len(told) or scatter[told].min() > _LOST or _unsigned(sure, terms, values):
         return problem.of_totals
     # What is misfitted throughout is no matter of holding, but of what the model lacks.
     usual_misfit = float(np.median(scatter[told[len(told) // 2 :]]))
@@ -110,10 +112,14 @@ def _scatter(
 
 
 def _unsigned(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bool:
-    """Tell whether sides that should return power do not show it."""
-    expected = shown = 0.0
-    clear = faint = 0
-    lowest = np.inf
+    """Tell whether sensors show what sides return as if it were drawn.
+
+    A side that should return the more shows the more then. Of a motor that returns nothing, or less
+    than it should, what is shown is flat, or falls. Only where contacts slide is it known which
+    side should. Where none should, what it returns may be taken for resistance.
+    """
+    due, shown = [], []
+    faint, lowest = 0, np.inf
     for drive in problem.drives:
         if drive.between is None:
             continue
@@ -121,11 +127,30 @@ def _unsigned(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bo
         total, more = (table @ values).T
         for sign in (-1.0, 1.0):
             side, measured = 0.5 * (total + sign * more), 0.5 * (drive.power + sign * drive.between)
-            returns = side < -_CLEAR * drive.between_noise
-            clear += int(np.count_nonzero(returns))
+            returns = (side < -_CLEAR * drive.between_noise) & (drive.slides > 0.0)
             faint += int(np.count_nonzero(side < 0.0))
-            expected += float(side[returns].sum())
-            shown += float(np.minimum(measured[returns], 0.0).sum())
             lowest = min(lowest, float(measured.min()))
-    never = lowest >= 0.0 and faint >= _ENOUGH
-    return never or (clear >= _ENOUGH and shown > _RETURNED * expected)
+            due.append(-side[returns])
+            shown.append(measured[returns])
+    expected, seen = np.concatenate(due), np.concatenate(shown)
+    if len(expected) < _ENOUGH:
+        never = lowest >= 0.0 and faint >= _ENOUGH
+        return never or _lost(problem, terms, values) > _MORE
+    return float(np.polyfit(expected, seen, 1)[0]) > _RISES
+
+
+def _lost(problem: Problem, terms: Sequence[Term], values: FloatArray) -> float:
+    """Return the share of what sides return that does not come back, told by the best fit.
+
+    None or a part of it, all of it where motors return nothing, twice as much where sensors lack a
+    sign. From two starts, since resistance enough that no side returns power is a fit too.
+    """
+    wide = [*terms, HOTEL, REGENERATION_LOSS]
+    found = dict(zip([term.name for term in terms], values.tolist(), strict=True))
+    little = {TRACTION.name: _LITTLE * found[TRACTION.name], REGENERATION_LOSS.name: 2.0}
+    errors = problem.reference(problem.design(terms))
+    fits = []
+    for start in (found, {**found, **little}):
+        held = Problem(problem.drives, problem.vehicle)
+        fits.append(fit(held.design(wide, errors, start), errors))
+    return float(min(fits, key=lambda one: one.loss).values[-1])

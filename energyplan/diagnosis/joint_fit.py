@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from energyplan.diagnosis.fitting import PAPER, Part, Problem, RunSpread, fit
+from energyplan.diagnosis.fitting import PAPER, Fit, Part, Problem, RunSpread, fit
 from energyplan.diagnosis.holdout import equations_of
 from energyplan.diagnosis.late import Late
-from energyplan.diagnosis.windows import window_means
+from energyplan.diagnosis.windows import Design, window_means
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Term
 from energyplan.power.effects import Effect
@@ -65,7 +65,7 @@ def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
     terms = [*PAPER, *(term for part in parts for term in part.terms)]
     errors = problem.reference(problem.design(terms))
     design = problem.design(terms, errors)
-    found = fit(design, errors)
+    found = _within(problem, terms, design, errors)
     covariance, searched = found.reported, {}
     moved = _derivatives(
         problem, parts, dict(zip((t.name for t in terms), found.values, strict=True))
@@ -91,6 +91,23 @@ def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
         problem.vehicle, tuple(terms), found.values, 0.5 * (covariance + covariance.T)
     )
     return FinalFit(model, searched, None if spread is None else spread.deviation)
+
+
+def _within(problem: Problem, terms: Sequence[Term], design: Design, errors: FloatArray) -> Fit:
+    """Fit coefficients none of which is beyond its upper end; one that would be stands there.
+
+    The covariance is that of the fit without ends.
+    """
+    found = fit(design, errors)
+    most = np.array([term.bounds[1] for term in terms])
+    values = np.array(found.values)
+    ends = values > most
+    while np.any(values[ends] > most[ends]):
+        values[ends] = most[ends]
+        about = Design.of(problem.drives, *problem.tables(terms, values))
+        values[~ends] = fit(about.fixed(ends, most), errors).values
+        ends |= values > most
+    return replace(found, values=values)
 
 
 def _derivatives(

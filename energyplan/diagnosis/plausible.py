@@ -15,6 +15,7 @@ from energyplan.power import PowerModel, Sides, Term
 from energyplan.vehicle import GRAVITY
 
 _MARGIN = 1.5  # over what the vehicle's description gives
+_OVER = 0.05  # over the upper end of a coefficient, by which noise of the speeds may put it beyond
 _USUAL = 0.99  # quantile over the samples: single ones may be noise of a speed's derivative
 
 
@@ -94,10 +95,13 @@ class Rest:
         terms = [*PAPER, *(term for part in parts for term in part.terms)]
         slack = 3 * np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
         for term, value, wide in zip(terms, found.values, slack, strict=True):
-            margin = float(wide) if term in PAPER else 0.0
-            if not term.bounds[0] - margin <= value <= term.bounds[1] + margin:
+            low, high = term.bounds
+            # What is at its upper end is estimated beyond it as often as not; none is no effect.
+            above = float(wide) + _OVER * abs(high)
+            if not low - (float(wide) if term in PAPER else 0.0) <= value <= high + above:
                 return False
-        model = PowerModel(problem.vehicle, tuple(terms), found.values)
+        most = np.array([term.bounds[1] for term in terms])
+        model = PowerModel(problem.vehicle, tuple(terms), np.minimum(found.values, most))
         for part in parts:
             if not part.terms:
                 continue

@@ -242,12 +242,14 @@ class Proposals:
     def _bounds(self, candidates: Sequence[Candidate]) -> FloatArray:
         """Return the range of each column's coefficient, shape (2, columns); a usual one's is free.
 
-        What nearly every robot has stays in while others are tried, however little it is.
+        What nearly every robot has stays in while others are tried, however little it is. A loss
+        has no upper end here: about forces that are not yet right it seems larger than it is.
         """
         rows = [(-np.inf, np.inf)] * len(PAPER)
         for one in candidates:
             for term in one.part.terms:
-                rows.append((-np.inf, np.inf) if one.part.effect.usual else term.bounds)
+                low, high = term.bounds if not one.part.effect.usual else (-np.inf, np.inf)
+                rows.append((low, np.inf if term.kind == "loss" else high))
         return np.array(rows).T
 
     def _compatible(self, candidates: Sequence[Candidate], chosen: Iterable[int]) -> bool:

@@ -356,6 +356,16 @@ class Design:
         share = np.bincount(self.drives) / len(self.drives)
         return len(share) >= 4 and float(share.max()) <= _MUCH
 
+    def fixed(self, which: NDArray[np.bool_], values: FloatArray) -> Design:
+        """Return the design without some columns, whose coefficients are given."""
+        rows = tuple(
+            np.column_stack(
+                [table[:, :-1][:, ~which], table[:, -1] - table[:, :-1][:, which] @ values[which]]
+            )
+            for table in self.rows
+        )
+        return replace(self, rows=rows)
+
     def with_folds(self, most: int) -> Design:
         """Return the design with blocks joined to `most` at most: whole drives where comparable."""
         number = self.drives if self.comparable else np.arange(len(self.drives))

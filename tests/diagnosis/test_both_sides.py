@@ -14,7 +14,14 @@ from energyplan.diagnosis.fitting import Problem, fit
 from energyplan.diagnosis.linear import linearise_drive
 from energyplan.diagnosis.windows import Drive, prepared
 from energyplan.motion import Motion
-from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS, SLIP, TRACTION, PowerModel
+from energyplan.power import (
+    DRIVE_LOSS,
+    HOTEL,
+    REGENERATION_LOSS,
+    SLIP,
+    TRACTION,
+    PowerModel,
+)
 from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, TURN_ASYMMETRY, WHEEL_FIGHT
 from energyplan.simulate import Setpoint
 from energyplan.vehicle import Vehicle
@@ -183,15 +190,6 @@ def test_the_yaw_rate_up_to_which_contacts_hold_is_fitted() -> None:
     assert free.drives[0].breakaway == 0.0
 
 
-def test_sensors_that_show_no_return_do_not_speak_for_their_sides() -> None:
-    model = PowerModel.preset("quadriga:full:concrete")
-    log = simulate.identification_drive(model, power_noise=3.0, seed=6)
-    blind = {name: np.maximum(log.channel(name), 0.0) for name in ("p_left", "p_right")}
-    mute = DriveLog({**log.channels, **blind}, "blind")
-    found = with_breakaway(Problem(prepared([mute], model.vehicle), model.vehicle), ())
-    assert found.drives[0].equations == 1
-
-
 def test_the_moment_between_the_sides_is_read_off_their_difference() -> None:
     log = _tracked(LOSSY, 7)
     drive = replace(Drive.of(log, LOSSY.vehicle), breakaway=0.02)
@@ -230,3 +228,39 @@ def test_drives_that_never_turn_have_one_equation() -> None:
     log = simulate.drive(model, [("straight", 60.0)], power_noise=3.0, seed=1)
     case = Problem(prepared([log], model.vehicle), model.vehicle)
     assert with_breakaway(case, ()).drives[0].equations == 1
+
+
+@pytest.mark.parametrize("hotel", [0.0, 30.0])
+@pytest.mark.parametrize("returned", [0.0, 0.4, 1.0])
+def test_motors_that_return_little_are_no_sensors_without_a_sign(
+    returned: float, hotel: float
+) -> None:
+    model = PowerModel.preset("quadriga:full:concrete").with_term(HOTEL, hotel)
+    truth = model.with_term(REGENERATION_LOSS, 1.0 - returned)
+    log = simulate.identification_drive(truth, seed=1, **NOISE)
+    assert _equations(log, model.vehicle) == 2
+    if returned == 1.0:
+        shown = {name: np.abs(log.channel(name)) for name in ("p_left", "p_right")}
+        rectified = DriveLog({**log.channels, **shown}, "rectified")
+        assert _equations(rectified, model.vehicle) == 1
+
+
+NOISE: dict[str, Any] = {"power_noise": 5.0, "speed_noise": 0.002, "without": {"accel_x"}}
+
+
+def _equations(log: DriveLog, vehicle: Vehicle) -> int:
+    problem = Problem(prepared([log], vehicle), vehicle)
+    return with_breakaway(problem, ()).drives[0].equations
+
+
+def test_motors_that_return_nothing_are_found_at_the_end_of_what_is_possible() -> None:
+    model = PowerModel.preset("quadriga:full:concrete")
+    truth = model.with_term(REGENERATION_LOSS, 1.0)
+    values = []
+    for seed in range(2):
+        train = simulate.identification_drive(truth, seed=seed, **NOISE)
+        told = diagnose(train, simulate.validation_drive(truth, seed=9, **NOISE), model.vehicle)
+        values += [e.value for e in told.effects if e.name == "regeneration_efficiency"]
+    assert len(values) == 2
+    assert max(values) <= 1.0
+    assert min(values) > 0.95
