@@ -30,10 +30,15 @@ import numpy as np
 from energyplan.cost import EnergyCost
 from energyplan.errors import PlanningError
 from energyplan.io.maps import read_map
+from energyplan.output import plots
+from energyplan.output.report import png
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.lattice.many_goals import energies
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
+
+FIRST = 5000
+"""Units of work in which a first plan is found."""
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 MARKS = "<!-- measured plans -->", "<!-- end of measured plans -->"
@@ -215,22 +220,26 @@ def yard(size: int, seed: int = 0) -> OccupancyGrid:
 
 def sizes(largest: int, plot: str | None) -> None:
     """Print time and memory against the size of the map, and the slope on log-log axes."""
+    print("seconds of CPU time, all threads together")
     print("cells a side   map kept [s]   first plan [s]   plan [s]    gap [%]   peak memory [MB]")
     table = []
     for size in (size for size in (256, 512, 1024, 2048, 4096) if size <= largest):
         grid = yard(size)
         far = 0.05 * size - 1.5
         problem = PlanningProblem(grid, COST, (1.5, 1.5, 0.7), (far, far, 0.7))
-        begun = time.perf_counter()
+        begun = time.process_time()
         grid.footprint_free([problem.start], COST.vehicle)
-        kept = time.perf_counter() - begun
-        begun = time.perf_counter()
-        found = plan(problem, time_limit=10.0, gap=0.03)
-        spent = time.perf_counter() - begun
+        kept = time.process_time() - begun
+        begun = time.process_time()
+        plan(problem, effort=FIRST)
+        first = time.process_time() - begun
+        begun = time.process_time()
+        found = plan(problem, effort=100_000, gap=0.03)
+        spent = time.process_time() - begun
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        table.append((size, kept, found.first_time, spent, memory))
+        table.append((size, kept, first, spent, memory))
         print(
-            f"{size:12d} {kept:14.3f} {found.first_time:16.3f} {spent:10.3f} "
+            f"{size:12d} {kept:14.3f} {first:16.3f} {spent:10.3f} "
             f"{100 * found.gap:10.2f} {memory:18.0f}",
             flush=True,
         )
@@ -239,21 +248,23 @@ def sizes(largest: int, plot: str | None) -> None:
     slope = np.polyfit(np.log(area[1:]), np.log((rows[:, 1] + rows[:, 2])[1:]), 1)[0]
     print(f"map and first plan grow with the power {slope:.2f} of the area")
     if plot:
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(10, 4), layout="constrained")
-        times, memory = figure.subplots(1, 2)
-        for column, label in ((1, "map"), (2, "first plan"), (3, "plan within 3 % of the bound")):
-            times.loglog(area, rows[:, column], "o-", label=label)
+        figure = plots.figure(2, 1, size=(plots.WIDTH, 6.4))
+        times, memory = figure.axes
+        lines = (
+            (1, "map", plots.GREEN, "^-"), (2, "first plan", plots.BLUE, "o-"),
+            (3, "plan within 3 % of the bound", plots.RED, "s--"),
+        )  # fmt: skip
+        for column, label, color, look in lines:
+            times.loglog(area, rows[:, column], look, ms=5, color=color, label=label)
         times.loglog(area, rows[-1, 2] * area / area[-1], "k:", label="linear in the area")
-        times.set_ylabel("time [s]")
-        memory.loglog(area, rows[:, 4], "o-", color="tab:red", label="peak of the process")
+        times.set_ylabel("CPU time [s]")
+        memory.loglog(area, rows[:, 4], "o-", ms=5, color=plots.PURPLE, label="peak of the process")
         memory.loglog(area, rows[-1, 4] * area / area[-1], "k:", label="linear in the area")
         memory.set_ylabel("memory [MB]")
         for axes in (times, memory):
-            axes.set_xlabel("cells of the map")
-            axes.legend()
-        figure.savefig(plot, dpi=120)
+            axes.set_xlabel("cells of the map [1]")
+            plots.legend(axes, above=True)
+        Path(plot).write_bytes(png(figure))
 
 
 def main() -> None:

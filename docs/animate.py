@@ -21,9 +21,10 @@ from matplotlib.transforms import Affine2D
 import energyplan as ep
 from energyplan.io.bundled import bundled
 from energyplan.limits.speed import profile
+from energyplan.output import plots
 from energyplan.physics import Robot, drive
 
-FRAMES, COLOURS = 90, {"least energy": "#0072b2", "shortest": "#d55e00"}
+FRAMES, COLOURS = 90, {"least energy": plots.BLUE, "shortest": plots.RED}
 
 
 def main(file: str) -> None:
@@ -34,13 +35,13 @@ def main(file: str) -> None:
     problem = ep.PlanningProblem(
         grid, ep.EnergyCost(model), ep.Pose(2, 2, 0), ep.Pose(20, 12, math.pi / 2)
     )
-    made = ep.compare(problem, time_limit=5.0)
+    made = ep.compare(problem, effort=100_000)
     slow = replace(vehicle, motor=replace(vehicle.motor, speed=0.7, acceleration=0.5))
     runs = {
         name: drive(profile(plan.path, model, vehicle=slow), Robot.from_model(model), model).run
         for name, plan in (("least energy", made.energy_optimal), ("shortest", made.shortest))
     }
-    figure = Figure(figsize=(7.2, 5.0), dpi=80, layout="constrained")
+    figure = Figure(figsize=(plots.WIDTH, 4.3), dpi=110, layout="constrained")
     ax = figure.subplots()
     rows, columns = grid.shape
     x0, y0 = grid.origin[:2]

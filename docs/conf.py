@@ -24,6 +24,7 @@ html_theme = "furo"
 html_show_copyright = False
 html_static_path = ["static"]
 html_css_files = ["narrow.css"]
+html_js_files = ["narrow.js"]
 html_title = f"energyplan {release}"
 
 myst_enable_extensions = ["colon_fence"]

@@ -11,6 +11,7 @@ from pathlib import Path
 from energyplan.io.mission import read_mission
 from energyplan.mission import evaluate
 from energyplan.output import plots
+from energyplan.output.report import png
 
 HERE = Path(__file__).resolve().parent
 IMAGES, EXAMPLES = HERE / "images", HERE.parent / "examples"
@@ -32,7 +33,7 @@ def main() -> None:
         shutil.copy(folder / "energy.png", IMAGES / "diagnose_simulated.png")
     example("plan_hill.py", IMAGES, "--out")
     orchard = evaluate(read_mission(EXAMPLES / "mission_orchard.yaml"))
-    plots.mission_map(orchard).savefig(IMAGES / "mission_orchard.png", dpi=110)
+    (IMAGES / "mission_orchard.png").write_bytes(png(plots.mission_map(orchard)))
 
 
 if __name__ == "__main__":

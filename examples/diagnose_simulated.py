@@ -18,6 +18,7 @@ import energyplan as ep
 from energyplan import simulate
 from energyplan.diagnosis import Diagnosis
 from energyplan.output import plots
+from energyplan.output.report import png
 from energyplan.power import HOTEL
 from energyplan.power.effects import GRADE
 
@@ -60,12 +61,13 @@ def draw(told: Diagnosis, unseen: ep.DriveLog, folder: Path) -> None:
         "paper's model": told.predictions_before[0],
         "extended model": told.predictions_after[0],
     }
-    plots.prediction(unseen, predicted, "A drive that was held out").savefig(folder / "energy.png")
+    energy = plots.prediction(unseen, predicted, "A drive that was held out")
+    (folder / "energy.png").write_bytes(png(energy))
     residuals = {label: unseen.power - power for label, power in predicted.items()}
     heading = np.degrees(np.angle(np.exp(1j * unseen.channel("yaw"))))
-    made = plots.figure(size=(8.0, 4.5))
+    made = plots.figure()
     plots.residual_against(made.axes[0], heading, residuals, "heading [deg]")
-    made.savefig(folder / "residual.png")
+    (folder / "residual.png").write_bytes(png(made))
     print(f"pictures: {folder / 'energy.png'}, {folder / 'residual.png'}")
 
 

@@ -15,19 +15,18 @@ import sys
 from dataclasses import replace
 from pathlib import Path as FilePath
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from energyplan.limits.feasibility import check, feasible_region
 from energyplan.limits.speed import profile
 from energyplan.motion import Motion
+from energyplan.output import plots
+from energyplan.output.report import png
 from energyplan.path import Path, Pose
 from energyplan.power import PowerModel
 from energyplan.power.effects import term
@@ -43,12 +42,12 @@ DRIVE = MotorLimits(
     regeneration=120.0,
 )
 
-BRIEF = "#f6e3b5"
+BRIEF = plots.YELLOW
 REASONS = {
-    "speed": ("wheel speed", "#9fb8d1"),
-    "peak_power": ("peak power", "#c8553d"),
-    "regeneration": ("regeneration", "#7a9e7e"),
-    "force": ("force", "#6d597a"),
+    "speed": ("wheel speed", plots.SKY),
+    "peak_power": ("peak power", plots.RED),
+    "regeneration": ("regeneration", plots.GREEN),
+    "force": ("force", plots.PURPLE),
 }
 
 
@@ -81,12 +80,12 @@ def draw_region(ax: Axes, model: PowerModel) -> None:
     motion = Motion.from_twist(speed[:, None], curvature * speed[:, None], model.vehicle.icr)
     outer = model.sides(motion).right
     lines = ax.contour(
-        curvature, speed, outer, levels=[100, 200, 300, 400, 600], colors="0.35", linewidths=0.6
+        curvature, speed, outer, levels=[100, 200, 300], colors="0.35", linewidths=0.6
     )
-    ax.clabel(lines, fmt="%g W", fontsize=7)
+    ax.clabel(lines, fmt="%g W", fontsize="small")
     ax.axvline(1 / model.vehicle.icr.half_track, color="0.5", lw=0.8, ls=":")
     _, load, ground = model.name.split(":")
-    ax.set_title(f"{load} on {ground}", fontsize=10)
+    ax.set_title(f"{load} on {ground}", fontsize="medium", loc="left")
     ax.set_xlim(0, 4)
     ax.set_ylim(0, 1.4)
 
@@ -108,32 +107,30 @@ def draw_route(ax: Axes, model: PowerModel) -> None:
     for v in report.violations:
         print(f"  {v.kind}, {v.side}: {v.start:.2f} s to {v.end:.2f} s, {v.peak:.0f} > {v.limit:g}")
     print(f"  {report.reason}")
-    for name, colour, trajectory in (
-        ("as fast as the wheels turn", "#c8553d", wish),
-        ("as fast as the motors can", "#33658a", fast),
-        ("with the least energy", "#4f772d", cheap),
+    for name, colour, dash, trajectory in (
+        ("as fast as the wheels turn", plots.RED, "--", wish),
+        ("as fast as the motors can", plots.BLUE, "-", fast),
+        ("with the least energy", plots.GREEN, "-.", cheap),
     ):
         found = check(trajectory, model)
         print(f"{name}: {trajectory.duration:.1f} s, {found.energy:.0f} J, {found.feasible}")
         sides = model.sides(Motion.from_trajectory(trajectory, icr))
         label = f"{name} ({trajectory.duration:.1f} s, {found.energy:.0f} J)"
-        ax.plot(
-            trajectory.t, np.maximum(sides.left, sides.right), color=colour, lw=1.2, label=label
-        )
+        busier = np.maximum(sides.left, sides.right)
+        ax.plot(trajectory.t, busier, color=colour, ls=dash, lw=1.2, label=label)
     ax.axhline(DRIVE.peak_power, color="k", lw=0.8, ls="--")
     ax.axhline(DRIVE.continuous_power, color="k", lw=0.8)
     ax.set_xlabel("time [s]")
-    ax.set_ylabel("power of the busier motor [W]")
-    ax.legend(fontsize=8, loc="upper right")
-    ax.set_title(
-        "one route, full on concrete, with inertia, viscous loss and hotel load", fontsize=10
-    )
+    ax.set_ylabel("busier motor [W]")
+    ax.grid(alpha=0.3)
+    ax.set_title("one route, full on concrete", loc="left")
+    plots.legend(ax, above=True)
 
 
 def main() -> None:
     """Draw the maps and the route."""
     folder = FilePath(sys.argv[1]) if len(sys.argv) > 1 else FilePath()
-    figure = plt.figure(figsize=(9, 9.5), layout="constrained")
+    figure = Figure(figsize=(plots.WIDTH, 8.6), layout="constrained")
     grid = figure.add_gridspec(3, 2)
     for k, name in enumerate(
         f"{load}:{ground}" for ground in ("marble", "concrete") for load in ("empty", "full")
@@ -148,7 +145,7 @@ def main() -> None:
         Patch(color=BRIEF, label="only for a while"),
         *(Patch(color=colour, label=f"never: {label}") for label, colour in REASONS.values()),
     ]
-    figure.legend(handles=keys, fontsize=8, loc="outside upper center", ncols=4)
+    figure.legend(handles=keys, fontsize="small", loc="outside upper left", ncols=3, frameon=False)
     heavy = quadriga("full:concrete")
     for name, value in (
         ("linear_inertia", heavy.vehicle.mass),
@@ -159,7 +156,7 @@ def main() -> None:
         heavy = heavy.with_term(term(name), value)
     draw_route(figure.add_subplot(grid[2, :]), heavy)
     folder.mkdir(parents=True, exist_ok=True)
-    figure.savefig(folder / "motor_limits.png", dpi=110)
+    (folder / "motor_limits.png").write_bytes(png(figure))
     print(f"wrote {folder / 'motor_limits.png'}")
 
 

@@ -18,6 +18,7 @@ from energyplan.errors import PlanningError
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.maps import read_map
 from energyplan.output import plots
+from energyplan.output.report import png
 from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import VISCOUS_LOSS
@@ -105,17 +106,17 @@ def main() -> None:
         f"{name}: {found.energy:.0f} J": found.path
         for name, found in (("least energy", told.energy_optimal), ("shortest", told.shortest))
     }
-    figure = plots.figure(1, 2, size=(12.0, 4.5))
-    left, right = figure.axes
-    plots.pareto(left, front)
-    plots.occupancy(right, grid)
+    figure = plots.figure(2, 1, size=(plots.WIDTH, 7.6))
+    above, below = figure.axes
+    plots.pareto(above, front)
+    plots.occupancy(below, grid)
     frugal, hasty = front.points[0], front.points[-1]
     for point, color, dash in ((frugal, plots.BLUE, "-"), (hasty, plots.RED, "--")):
         label = f"{point.time_value:.0f} J/s: {point.plan.length:.1f} m"
-        plots.route(right, point.plan.path, label, color, dash)
-    right.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+        plots.route(below, point.plan.path, label, color, dash)
+    plots.legend(below, above=True)
     for name, picture in (("routes", plots.routes(grid, both, surfaces=drawn)), ("pareto", figure)):
-        picture.savefig(given.out / f"{name}.png", dpi=110)
+        (given.out / f"{name}.png").write_bytes(png(picture))
         print(f"wrote {given.out / name}.png")
 
 

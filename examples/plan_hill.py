@@ -17,6 +17,7 @@ import shapely
 
 from energyplan.cost import EnergyCost
 from energyplan.output import plots
+from energyplan.output.report import png
 from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
@@ -89,7 +90,7 @@ def main() -> None:
     picture = plots.routes(problem.map, paths, "Over the heap or round it")
     ground.contours(picture.axes[0], 12)
     given.out.mkdir(parents=True, exist_ok=True)
-    picture.savefig(given.out / "plan_hill.png", dpi=150)
+    (given.out / "plan_hill.png").write_bytes(png(picture))
 
 
 if __name__ == "__main__":
