@@ -172,7 +172,7 @@ def plan(
     _check_capable(name, declared, problem, effort is not None)
     problem.check_poses()
     solve = declared.function
-    compile_kernels(problem.cost)
+    compile_kernels(problem)
     prepare(problem, guided=declared.bound)
     budget = Budget(time_limit, effort=effort)
     given = budget if declared.bound else budget.part(1.0 - _BOUND_SHARE)

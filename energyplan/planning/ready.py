@@ -5,39 +5,75 @@ from __future__ import annotations
 from importlib import import_module
 
 from energyplan.compilation import compile_kernels
+from energyplan.compilation.kernel import KERNELS
 from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
 from energyplan.planning.bound import prepare_bound
+from energyplan.planning.lattice.tight_ends import surely_roomy
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.guide import regions_for
 
 PLANNING = (
-    "energyplan.planning",
-    "energyplan.terrain",
-    "energyplan.cost",
-    "energyplan.steering.kernels",
+    "energyplan.planning.",
+    "energyplan.terrain.",
+    "energyplan.cost.",
+    "energyplan.steering.kernels.",
 )
-"""Where the kernels are that a planner may call, whatever the problem."""
+"""What the names of the kernels begin with that a planner may call."""
+
+EXACT = ("energyplan.steering.polygon",)
+"""Where the kernels are for costs that are not static."""
+
+SURFACES = ("energyplan.planning.bound.surface_excess", "energyplan.terrain.surfaces")
+"""Where the kernels are that only surfaces need."""
+
+TIGHT = ("energyplan.planning.lattice.escape_kernels",)
+"""Where the kernels are that only ends without room need."""
 
 
-def kernels(cost: EnergyCost | None = None) -> tuple[str, ...]:
-    """Return the modules, or packages, whose kernels planning may call, whatever the problem.
+def kernels(
+    cost: EnergyCost | None = None, *, surfaces: bool = False, tight: bool = False
+) -> tuple[str, ...]:
+    """Return the modules whose kernels planning may call.
 
-    Those of exact steering are among them where a `cost` is given that is not static.
+    Parameters
+    ----------
+    cost : EnergyCost, optional
+        What motion costs; where it is not static, the kernels of exact steering are among them.
+    surfaces : bool
+        Whether there are surfaces.
+    tight : bool
+        Whether start or goal may lack room.
     """
     import_module("energyplan.planning.lattice.planner")  # knows all that planning may call
     static = cost is None or isinstance(cost.steering_parameters, StaticSteering)
-    return PLANNING if static else (*PLANNING, "energyplan.steering.polygon")
+    left_out = (() if surfaces else SURFACES) + (() if tight else TIGHT)
+    found = {name.rpartition(".")[0] for name in KERNELS if name.startswith(PLANNING)}
+    return (*sorted(found.difference(left_out)), *(() if static else EXACT))
 
 
-def compiled(cost: EnergyCost | None = None) -> None:
-    """Compile all kernels of planning, or load them from disk, so that no time limit pays for it.
+def compiled(problem: PlanningProblem, *, tight: bool | None = None) -> None:
+    """Compile the kernels of planning, or load them from disk, so that no time limit pays for it.
 
-    Whatever kind of problem comes, its kernels are among them. It is called when the problem has
-    been checked: who starts in an obstacle is told so at once.
+    It is called when the problem has been checked: who starts in an obstacle is told so at once.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        The problem. What only surfaces need is left out where it has none.
+    tight : bool, optional
+        Whether planning is from or to poses that may lack room; where not given, it is found out
+        whether start and goal do.
     """
-    compile_kernels(*kernels(cost))
+    surfaces = problem.surfaces is not None
+    if tight is None:
+        compile_kernels(*kernels(problem.cost, surfaces=surfaces))
+        query = CompiledProblem(problem)
+        tight = not all(surely_roomy(query, end) for end in (problem.start, problem.goal))
+        if not tight:
+            return
+    compile_kernels(*kernels(problem.cost, surfaces=surfaces, tight=tight))
 
 
 def prepare(problem: PlanningProblem, *, guided: bool = True) -> None:

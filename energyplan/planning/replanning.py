@@ -231,7 +231,7 @@ def replan(
     here = as_pose(start, "start")
     now = replace(problem, start=here, map=problem.map if map is None else map)
     now.check_poses()
-    compile_kernels(now.cost)
+    compile_kernels(now, tight=True)
     query = CompiledProblem(now)
     bound = query.least_in_free_space
     rest = remainder(former.path, here, now)

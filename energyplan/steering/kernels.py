@@ -20,14 +20,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from energyplan.compilation import inner, njit
 from energyplan.compilation.arrays import Floats, FloatTable
 from energyplan.cost.steering import StaticSteering
-from energyplan.path import Pose
 from energyplan.steering import static_words as words
-from energyplan.steering.arcs import arc_end
 from energyplan.steering.static_words import Word, best_word
 
 MAX_SEGMENTS = 256
@@ -255,29 +251,3 @@ def steer_path(
         dtheta[i] *= side
         ds[i] = C * ds[i] + cost.lateral * dtheta[i]
     return n
-
-
-@njit
-def steer_paths_end(
-    starts: FloatTable, goals: FloatTable, cost: StaticSteering, out: FloatTable
-) -> None:
-    """Fill `out` (n, 3) with each path's miss of the goal in x, y [m] and yaw [rad]."""
-    ds, dtheta = np.empty(MAX_SEGMENTS), np.empty(MAX_SEGMENTS)
-    lx = cost.longitudinal
-    for i in range(len(out)):
-        yaw = starts[i, 2]
-        here = Pose(starts[i, 0] + lx * math.cos(yaw), starts[i, 1] + lx * math.sin(yaw), yaw)
-        n = steer_path(
-            goals[i, 0] - starts[i, 0],
-            goals[i, 1] - starts[i, 1],
-            yaw,
-            goals[i, 2],
-            cost,
-            ds,
-            dtheta,
-        )
-        for k in range(n):
-            here = arc_end(here, ds[k], dtheta[k])
-        out[i, 0] = here.x - lx * math.cos(here.yaw) - goals[i, 0]
-        out[i, 1] = here.y - lx * math.sin(here.yaw) - goals[i, 1]
-        out[i, 2] = (here.yaw - goals[i, 2] + math.pi) % TWO_PI - math.pi

@@ -20,7 +20,7 @@ from energyplan.planning.bound.ends import MOST, NORMALS, Beyond, Section, to_ga
 from energyplan.planning.bound.gates import gate
 from energyplan.planning.bound.geodesic import Ends, ways_to_goal
 from energyplan.planning.bound.one_line import HEADINGS, Rates
-from energyplan.planning.bound.sight import line_open, no_links
+from energyplan.planning.bound.sight import no_links, sight
 from energyplan.planning.bound.surface_excess import least_excess, least_steps
 from energyplan.planning.contract import ROUNDING
 from energyplan.planning.lattice.search import Search, lattice_for
@@ -76,11 +76,11 @@ def test_lines_through_obstacles_are_closed_and_others_open():
     grid = OccupancyGrid(occupied, 0.05)
     corners = outline(grid, 0.3)
     space = grid.space
-    assert not line_open(space, corners, 1.0, 2.5, 4.0, 2.5)
-    assert line_open(space, corners, 1.0, 1.0, 4.0, 1.0)
+    assert not sight(space, corners, 1.0, 2.5, 4.0, 2.5).free
+    assert sight(space, corners, 1.0, 1.0, 4.0, 1.0).free
     # between two corners of one side, along the outline
     low = corners.point[np.argsort(corners.point[:, 1])]
-    assert line_open(space, corners, *low[0], *low[1])
+    assert sight(space, corners, *low[0], *low[1]).free
 
 
 @pytest.mark.parametrize("seed", range(6))

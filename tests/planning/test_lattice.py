@@ -2,7 +2,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.distance import cdist
 from worlds import cluttered, free_poses
 
 from energyplan import steering
@@ -72,36 +71,6 @@ def test_heap_sorts():
         size = field_kernels.pop(heap_f, heap_node, size)
     assert [f for f, _ in out] == sorted(values)
     assert all(values[k] == f for f, k in out)
-
-
-def test_distance_field_is_euclidean_within_its_error_and_agrees_with_its_twin():
-    grid = room(6, 6, 0.1)
-    given = (grid.space.clearance, 1, 1.0, 30, 30, 2, 2, 100.0, 15.0, 0.0, 1.0, EVEN)
-    given = (*given, np.ones((1, 1)), np.zeros((1, 1)), 1.0)
-    distance, direction = field_kernels.distance_field(*given)
-    twin, _ = field_kernels.distance_field.py_func(*given)
-    np.testing.assert_array_equal(distance, twin)
-    cells = np.argwhere(np.isfinite(distance))
-    exact = cdist(cells, [(30, 30)])[:, 0]
-    got = distance[tuple(cells.T)]
-    assert np.all(got >= exact * (1 - 1e-6))
-    assert np.all(got <= exact * 1.0275 + 1e-6)  # 16 neighbours: 1 / cos(26.57 / 2 deg)
-    far = exact > 5
-    way = np.arctan2(30 - cells[:, 0], 30 - cells[:, 1])
-    off = np.abs(np.angle(np.exp(1j * (way - direction[tuple(cells.T)]))))
-    assert np.quantile(off[far], 0.95) < np.radians(27)
-
-
-def test_distance_field_does_not_pass_walls():
-    occupied = np.zeros((60, 60), bool)
-    occupied[:, 30] = True
-    clearance = OccupancyGrid(occupied, 0.1).space.clearance
-    distance, _ = field_kernels.distance_field(
-        clearance, 1, 1.0, 10, 10, 50, 50, 100.0, 15.0, 0.0, 1.0, EVEN,
-        np.ones((1, 1)), np.zeros((1, 1)), 1.0,
-    )  # fmt: skip
-    assert np.isinf(distance[10, 45])
-    assert np.isfinite(distance[50, 15])
 
 
 # -- search and refinement ------------------------------------------------------------------------

@@ -327,12 +327,6 @@ def sight(space: Space, outline: Outline, ax: float, ay: float, bx: float, by: f
     return Sight(steps, True, -1, 0.0, 0.0)
 
 
-@njit
-def line_open(space: Space, outline: Outline, ax: float, ay: float, bx: float, by: float) -> bool:
-    """Tell whether a line between corners crosses no edge of the outline; touching is none."""
-    return sight(space, outline, ax, ay, bx, by).free
-
-
 @inner
 def _hide(depth: Floats, begin: float, end: float, beyond: float) -> None:
     """Note that nothing is seen beyond a distance in the directions from `begin` to `end` [rad]."""

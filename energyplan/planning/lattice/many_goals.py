@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from energyplan.compilation import njit
 from energyplan.errors import InvalidInputError
 from energyplan.path import FloatArray
 from energyplan.planning.budget import UNLIMITED, Budget
@@ -17,6 +19,7 @@ from energyplan.planning.problem import PlanningProblem, as_pose
 from energyplan.planning.ready import compiled
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.guide import no_distance
+from energyplan.planning.scene.motions import KernelProblem, connection, free_energy
 
 STRIDE = 30_000
 """Expansions of the search between two attempts to reach the goals."""
@@ -79,7 +82,7 @@ def energies(
         settings.append(
             query.setting._replace(goal_x=centre.x, goal_y=centre.y, goal_yaw=centre.yaw)
         )
-    compiled()
+    compiled(problem, tight=False)
     lattice = coarse_lattice(query.setting)
     search = Search(query.setting, no_distance(), lattice, 0.0, aligned=True)
     budget = Budget(time_limit, effort=effort)
@@ -89,7 +92,7 @@ def energies(
         status = search.run(budget, stop_at_first=False, expansions=STRIDE)
         reached = search.frontier
         for k in missing.copy():
-            cost, node = search.attach(settings[k])
+            cost, node = attach(search.tree, settings[k], lattice, 6.0 * lattice.cell)
             # nothing that is still open can better it by more than the lattice is coarse
             if cost <= reached or (np.isfinite(cost) and status != kernels.RUNNING):
                 missing.remove(k)
@@ -101,3 +104,38 @@ def energies(
                     out[k] = refiner.cost
                 out[k] += query.potential(as_pose(rows[k], "a goal"))
     return out
+
+
+@njit
+def attach(
+    tree: kernels.Tree, setting: KernelProblem, lattice: kernels.Lattice, reach: float
+) -> tuple[float, int]:
+    """Join the goal to the tree's nearby nodes; return the least cost and the node, or inf and -1.
+
+    Parameters
+    ----------
+    tree : Tree
+        A tree grown with weight 0.
+    setting : KernelProblem
+        The problem with the goal in question.
+    lattice : Lattice
+        Resolution.
+    reach : float
+        Distance within which nodes are tried [m].
+    """
+    best = inf
+    node = -1
+    for k in range(int(tree.counts[0])):
+        g = tree.g[k]
+        x = tree.x[k]
+        y = tree.y[k]
+        if g == -inf or abs(x - setting.goal_x) > reach or abs(y - setting.goal_y) > reach:
+            continue
+        yaw = setting.start_yaw + int(tree.heading[k]) * lattice.turn
+        if g + free_energy(setting, x, y, yaw) >= best:
+            continue
+        cost = connection(setting, x, y, yaw, best - g)
+        if g + cost < best:
+            best = g + cost
+            node = k
+    return best, node

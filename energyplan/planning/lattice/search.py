@@ -12,15 +12,8 @@ from numpy.typing import NDArray
 from energyplan.planning.budget import Budget
 from energyplan.planning.lattice import search_kernels as kernels
 from energyplan.planning.scene.compiled import Segments
-from energyplan.planning.scene.field import Field, distance_field
-from energyplan.planning.scene.guide import inscribed
 from energyplan.planning.scene.guide_kernels import DistanceToGo
-from energyplan.planning.scene.motions import (
-    DIRECTIONS,
-    KernelProblem,
-    heights_of_points,
-    join,
-)
+from energyplan.planning.scene.motions import KernelProblem, join
 from energyplan.steering.kernels import MAX_SEGMENTS
 from energyplan.terrain.collision import motion_free
 
@@ -28,18 +21,6 @@ Number = TypeVar("Number", bound=np.generic)
 
 HEADINGS, MOST_HEADINGS = 32, 512
 """Headings of the coarsest lattice, and of the finest one."""
-
-AHEAD = 1.5
-"""How far ahead the field looks for the direction of the way [m]."""
-
-MOST_POINTS = 1_000_000
-"""Largest number of points of a field; larger maps get a coarser one."""
-
-TIGHT = 0.5
-"""Clearance below which a place is tight: 0 the inscribed disc's, 1 the circumscribed one's."""
-
-REACH = 1.2
-"""How much further than the start the field reaches."""
 
 EXPANSION = 0.3
 """Units of work that an expansion counts as."""
@@ -60,57 +41,6 @@ def coarse_lattice(setting: KernelProblem) -> kernels.Lattice:
     fine = lattice_for(setting)
     turns = HEADINGS * 3 // 4
     return kernels.Lattice(1.5 * fine.cell, 2 * np.pi / turns, turns, 1.5 * fine.step)
-
-
-def cell_of(setting: KernelProblem, x: float, y: float, stride: int) -> tuple[int, int]:
-    """Return row and column of a place in a grid of every `stride`-th cell."""
-    space = setting.space
-    dx, dy = x - space.x, y - space.y
-    column = (space.cos * dx + space.sin * dy) / space.resolution
-    row = (-space.sin * dx + space.cos * dy) / space.resolution
-    rows, columns = space.clearance.shape
-    return (
-        min(max(int(row), 0), rows - 1) // stride,
-        min(max(int(column), 0), columns - 1) // stride,
-    )
-
-
-def field_for(setting: KernelProblem, penalty: float = 1.0) -> Field:
-    """Return the distance to go to the goal for the inscribed disc, as far as it is needed.
-
-    With a `penalty` above 1 it counts as longer where the disc barely passes: the whole body
-    often does not, and the search had better look elsewhere first.
-    """
-    res = setting.space.resolution
-    stride = max(int(0.1 / res + 0.5), 1)
-    while setting.space.clearance.size > MOST_POINTS * stride * stride:
-        stride += 1
-    # a point stands for all of its square, so the disc shrinks by the square's half diagonal
-    radius = max(inscribed(setting) / res - 0.7072 * stride, 0.5)
-    goal = cell_of(setting, setting.goal_x, setting.goal_y, stride)
-    start = cell_of(setting, setting.start_x, setting.start_y, stride)
-    # where it turns for nothing within this distance, reversing can be cheaper
-    far = 2.0 * setting.least_radian / setting.least_metre
-    hills = setting.hills
-    straight = setting.prices.reshape(-1, hills.bins, DIRECTIONS + 1)
-    # what is uphill forwards is downhill for one who faces the other way
-    cheapest = np.minimum(straight[..., 0], straight[:, ::-1, DIRECTIONS // 2])
-    distance, direction = distance_field(
-        setting.space.clearance,
-        stride,
-        radius,
-        *goal,
-        *start,
-        REACH,
-        AHEAD / res,
-        (inscribed(setting) + TIGHT * (setting.reach - inscribed(setting))) / res,
-        penalty,
-        setting.surface,
-        cheapest / setting.least_metre,
-        heights_of_points(hills, setting.space, stride) / res,
-        hills.steepest,
-    )
-    return Field(distance * np.float32(res), direction, stride * res, far)
 
 
 @dataclass
@@ -168,7 +98,7 @@ class Search:
             counts=np.array([0, 0, 0, -1, 1 << 30], np.int64),
             best=np.array([self.limit]),
         )
-        kernels.plant(self.tree, self.setting, self.to_go, self.lattice, self.weight)
+        self._grow(0, False)
 
     def _enlarge(self) -> None:
         """Double every array, and rebuild the hash table."""
@@ -195,6 +125,17 @@ class Search:
         kernels.rehash(larger, count)
         self.tree = larger
 
+    def _grow(self, expansions: int, stop_at_first: bool) -> int:
+        return kernels.grow(
+            self.tree,
+            self.setting,
+            self.to_go,
+            self.lattice,
+            self.weight,
+            expansions,
+            stop_at_first,
+        )
+
     def run(self, budget: Budget, stop_at_first: bool, expansions: int | None = None) -> int:
         """Search until something is found, nothing is left, or the budget is over.
 
@@ -215,15 +156,8 @@ class Search:
         limit = np.inf if expansions is None else self.tree.counts[2] + expansions
         while True:
             before = int(self.tree.counts[2])
-            status = kernels.grow(
-                self.tree,
-                self.setting,
-                self.to_go,
-                self.lattice,
-                self.weight,
-                int(min(SLICE, max(limit - before, 1), max(budget.left / EXPANSION, 1))),
-                stop_at_first,
-            )
+            most = int(min(SLICE, max(limit - before, 1), max(budget.left / EXPANSION, 1)))
+            status = self._grow(most, stop_at_first)
             budget.spend(EXPANSION * (int(self.tree.counts[2]) - before))
             if status == kernels.FULL:
                 self._enlarge()
@@ -247,11 +181,6 @@ class Search:
         """The place reached from which the goal seems to be nearest, x and y [m]."""
         node = int(np.argmin(self.tree.h[: int(self.tree.counts[0])]))
         return float(self.tree.x[node]), float(self.tree.y[node])
-
-    def attach(self, setting: KernelProblem) -> tuple[float, int]:
-        """Return the cost of reaching another goal from the tree, and the node it is joined to."""
-        cost, node = kernels.attach(self.tree, setting, self.lattice, 6.0 * self.lattice.cell)
-        return float(cost), int(node)
 
     def segments(self, setting: KernelProblem | None = None, node: int | None = None) -> Segments:
         """Return the motions to the goal; by way of `node` to that of `setting`, where given."""

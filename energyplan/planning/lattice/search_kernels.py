@@ -162,24 +162,6 @@ def _key(space_x: float, space_y: float, lattice: Lattice, x: float, y: float, h
 
 
 @njit
-def plant(
-    tree: Tree, setting: KernelProblem, to_go: DistanceToGo, lattice: Lattice, weight: float
-) -> None:
-    """Put the start into an empty tree."""
-    tree.x[0] = setting.start_x
-    tree.y[0] = setting.start_y
-    tree.heading[0] = 0
-    tree.g[0] = 0.0
-    if weight > 0:
-        tree.h[0] = _estimate(setting, to_go, setting.start_x, setting.start_y, setting.start_yaw)
-    tree.parent[0] = -1
-    tree.key[0] = _key(setting.space.x, setting.space.y, lattice, tree.x[0], tree.y[0], 0)
-    tree.table[_find(tree, tree.key[0])] = 0
-    tree.counts[0] = 1
-    tree.counts[1] = push(tree.heap_f, tree.heap_node, 0, weight * tree.h[0], 0)
-
-
-@njit
 def grow(
     tree: Tree,
     setting: KernelProblem,
@@ -194,7 +176,7 @@ def grow(
     Parameters
     ----------
     tree : Tree
-        What is known so far; changed in place.
+        What is known so far; changed in place. An empty one gets the start.
     setting : KernelProblem
         Space, body, costs, start and goal.
     to_go : DistanceToGo
@@ -219,6 +201,20 @@ def grow(
     half = setting.half_track
     even = setting.surface.size == 1
     capacity = len(tree.x)
+    if counts[0] == 0:
+        tree.x[0] = setting.start_x
+        tree.y[0] = setting.start_y
+        tree.heading[0] = 0
+        tree.g[0] = 0.0
+        if weight > 0:
+            tree.h[0] = _estimate(
+                setting, to_go, setting.start_x, setting.start_y, setting.start_yaw
+            )
+        tree.parent[0] = -1
+        tree.key[0] = _key(space.x, space.y, lattice, tree.x[0], tree.y[0], 0)
+        tree.table[_find(tree, tree.key[0])] = 0
+        counts[0] = 1
+        counts[1] = push(tree.heap_f, tree.heap_node, 0, weight * tree.h[0], 0)
     for _ in range(expansions):
         if counts[1] == 0:
             return EXHAUSTED
@@ -320,36 +316,3 @@ def grow(
                 tree.g[other] = -inf
             counts[1] = push(tree.heap_f, tree.heap_node, counts[1], gg + weight * h, new)
     return RUNNING
-
-
-@njit
-def attach(tree: Tree, setting: KernelProblem, lattice: Lattice, reach: float) -> tuple[float, int]:
-    """Join the goal to the tree's nearby nodes; return the least cost and the node, or inf and -1.
-
-    Parameters
-    ----------
-    tree : Tree
-        A tree grown with weight 0.
-    setting : KernelProblem
-        The problem with the goal in question.
-    lattice : Lattice
-        Resolution.
-    reach : float
-        Distance within which nodes are tried [m].
-    """
-    best = inf
-    node = -1
-    for k in range(int(tree.counts[0])):
-        g = tree.g[k]
-        x = tree.x[k]
-        y = tree.y[k]
-        if g == -inf or abs(x - setting.goal_x) > reach or abs(y - setting.goal_y) > reach:
-            continue
-        yaw = setting.start_yaw + int(tree.heading[k]) * lattice.turn
-        if g + free_energy(setting, x, y, yaw) >= best:
-            continue
-        cost = connection(setting, x, y, yaw, best - g)
-        if g + cost < best:
-            best = g + cost
-            node = k
-    return best, node

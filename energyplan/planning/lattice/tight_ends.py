@@ -26,6 +26,7 @@ from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.motions import KernelProblem, motion_cost, steering_cost
 from energyplan.steering.arcs import arc_end
+from energyplan.terrain.collision import motion_free
 
 TURN = 0.2
 """What the body can turn on the spot where there is room, both ways together [rad]."""
@@ -134,9 +135,19 @@ class Ends:
 
 
 def tight(query: CompiledProblem, end: Pose, turn: float = TURN) -> bool:
-    """Tell whether a start or a goal lacks the margin, or room for a turn [rad]."""
+    """Tell whether a start or a goal lacks the margin, or room for a turn up to `TURN` [rad]."""
+    if surely_roomy(query, end):
+        return False
     room = kernels.spin_room(query.grid.space, query.body, *query.centre(end), TURN)
     return not query.roomy(end) or room < turn
+
+
+def surely_roomy(query: CompiledProblem, end: Pose) -> bool:
+    """Tell whether an end has the margin, and room for the whole `TURN` one way or the other."""
+    space, body, pose = query.grid.space, query.body, query.centre(end)
+    return query.roomy(end) and any(
+        motion_free(space, body, *pose, 0.0, way, 0.0) for way in (TURN, -TURN)
+    )
 
 
 class Way(NamedTuple):

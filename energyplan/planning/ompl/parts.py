@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import inf
 from typing import Any
 
 import numpy as np
 from ompl import base
 from typing_extensions import override
 
+from energyplan.compilation import njit
 from energyplan.errors import TimeLimitError, UnknownNameError
 from energyplan.planning.budget import UNLIMITED, Budget
 from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.planning.scene.motions import steering_cost, steering_free
-from energyplan.steering.kernels import steer_energy
+from energyplan.planning.scene.motions import KernelProblem, drive, steering_cost
+from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy, steer_path
 from energyplan.terrain.collision import pose_free
 
 CALL = 0.5
@@ -109,6 +111,17 @@ class EnergyObjective(DirectedObjective):
                 self._setting.steering,
             )
         )
+
+
+@njit
+def steering_free(
+    setting: KernelProblem, x: float, y: float, yaw: float, to_x: float, to_y: float, to_yaw: float
+) -> bool:
+    """Tell whether the body is free along the exact steering motion between two poses."""
+    ds = np.empty(MAX_SEGMENTS)
+    dtheta = np.empty(MAX_SEGMENTS)
+    count = steer_path(to_x - x, to_y - y, yaw, to_yaw, setting.steering, ds, dtheta)
+    return drive(setting, x, y, yaw, ds, dtheta, count, inf) < inf
 
 
 class SteeringValidator(base.MotionValidator):

@@ -19,7 +19,6 @@ from energyplan.path import Path, Pose, wrap_angle
 from energyplan.planning.budget import Budget
 from energyplan.planning.contract import Candidate
 from energyplan.planning.lattice.refine import refine as refine_motions
-from energyplan.planning.lattice.search import cell_of, field_for
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.roadmap.energy_graph import (
     Graph,
@@ -32,6 +31,8 @@ from energyplan.planning.roadmap.energy_graph import (
 from energyplan.planning.roadmap.routes import Roadmap, Route
 from energyplan.planning.roadmap.visibility import traced, visibility_graph
 from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.scene.guide import distance_to_go
+from energyplan.planning.scene.guide_kernels import node_at
 from energyplan.planning.scene.motions import DIRECTIONS
 from energyplan.planning.scene.prices import Prices
 from energyplan.terrain import SurfaceMap
@@ -235,9 +236,9 @@ def _among(
 def _first_reach(query: CompiledProblem) -> float:
     """Return how long a good route may be, in metres of the least price, its turns included."""
     setting = query.setting
-    field = field_for(setting)
-    stride = max(int(field.spacing / setting.space.resolution + 0.5), 1)
-    way = float(field.distance[cell_of(setting, setting.start_x, setting.start_y, stride)])
+    to_go = distance_to_go(setting)
+    start = node_at(to_go, setting.space, setting.start_x, setting.start_y, setting.start_yaw)
+    way = float(to_go.distance[start]) if start >= 0 else np.inf
     radian = float(setting.prices[0, DIRECTIONS // 4]) * setting.half_track
     return 1.02 * way + np.pi * radian / setting.least_metre
 

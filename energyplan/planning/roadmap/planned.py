@@ -142,7 +142,7 @@ def plan_edges(graph: Graph, problem: PlanningProblem, *, effort: int = EFFORT) 
         If a node has no position, or an edge joins two nodes at one place.
     """
     edges = edges_of(graph, reverse=False)
-    compile_kernels(problem.cost)
+    compile_kernels(problem, tight=True)
     paths: dict[State, Path] = {}
     energies: dict[State, float] = {}
     closed = []

@@ -169,26 +169,6 @@ def height_at(hills: Hills, x: float, y: float) -> float:
     return float(low * (1.0 - v) + high * v)
 
 
-@njit
-def heights_of_points(hills: Hills, space: Space, stride: int) -> FloatTable:
-    """Heights at every `stride`-th cell of a map [m]; a single one on level ground."""
-    if hills.bins == 1:
-        level = np.empty((1, 1))
-        level[0, 0] = 0.0
-        return level
-    rows = (space.clearance.shape[0] + stride - 1) // stride
-    columns = (space.clearance.shape[1] + stride - 1) // stride
-    out = np.empty((rows, columns))
-    for row in range(rows):
-        for column in range(columns):
-            along = (column * stride + 0.5) * space.resolution
-            across = (row * stride + 0.5) * space.resolution
-            x = space.x + space.cos * along - space.sin * across
-            y = space.y + space.sin * along + space.cos * across
-            out[row, column] = height_at(hills, x, y)
-    return out
-
-
 @inner
 def sloping_cost(
     setting: KernelProblem, x: float, y: float, yaw: float, ds: float, dtheta: float
@@ -321,7 +301,7 @@ def drive(
     return total
 
 
-@njit
+@inner
 def spin_drive_spin(
     dx: float,
     dy: float,
@@ -418,14 +398,3 @@ def steering_cost(
         total += motion_cost(setting, here.x, here.y, here.yaw, ds[k], dtheta[k])
         here = arc_end(here, ds[k], dtheta[k])
     return total
-
-
-@njit
-def steering_free(
-    setting: KernelProblem, x: float, y: float, yaw: float, to_x: float, to_y: float, to_yaw: float
-) -> bool:
-    """Tell whether the body is free along the exact steering motion between two poses."""
-    ds = np.empty(MAX_SEGMENTS)
-    dtheta = np.empty(MAX_SEGMENTS)
-    count = steer_path(to_x - x, to_y - y, yaw, to_yaw, setting.steering, ds, dtheta)
-    return drive(setting, x, y, yaw, ds, dtheta, count, inf) < inf
