@@ -9,7 +9,7 @@ on. A slope's weight gives back downhill what it took uphill: without losses its
 difference of a potential, ``m g`` times the height, whatever the route. So a search runs on the
 level cost, which stays positive, and adds the potential's difference between start and goal once,
 at the end. Where returned energy is partly lost, a part of it is taken as the potential, and what
-an element costs beyond it is again never negative (docs/planning, "Slopes").
+an element costs beyond it is again never negative (docs/planner, "Slopes").
 """
 
 from __future__ import annotations

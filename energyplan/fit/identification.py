@@ -323,7 +323,7 @@ def _draw_at_rest(
         return []
     return [
         f"at rest the robot draws {mean:.1f} W that no term explains: a constant load, or a "
-        "sensor offset; the other coefficients take it up where they can"
+        "sensor offset; it makes the other coefficients wrong"
     ]
 
 

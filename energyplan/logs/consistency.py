@@ -17,7 +17,7 @@ import numpy as np
 from energyplan.logs.evidence import Evidence
 from energyplan.vehicle import GRAVITY, Vehicle, predict_icr
 
-_WHEEL_RADII = (0.04, 0.45)  # of robots that skid [m]
+_WHEEL_RADII = (0.04, 0.45)  # of skid-steer robots [m]
 _GEAR_RATIOS = (4.0, 250.0)  # between a motor and its wheel
 _NAMED = 4  # mistakes that are named, where several explain the same
 
@@ -94,17 +94,15 @@ class _Range:
 # The slip track of real drives lies at 0.76 to 1.08 of that of equal point loads (Husky on floor,
 # ice, loam; Warthog on grass), with a gyroscope's error on top; treads that dig themselves in turn
 # less than they tell, and are left out for want of correlation.
-_TURNING = _Range("slip track over that of the wheels' places", 0.6, 1.45, 0.93, "moment balance")
-_DISTANCE = _Range("way of the treads over that of the pose", 0.8, 1.35, 1.0, "little slip")
-_ROTATION = _Range("gyroscope over the heading's rate", 0.75, 1.35, 1.0, "one rotation")
-_TOP_SPEED = _Range("speed that is reached [m/s]", 0.02, 8.0, 0.7, "what robots that skid drive")
+_TURNING = _Range("slip track over that of the wheel positions", 0.6, 1.45, 0.93, "moment balance")
+_DISTANCE = _Range("distance by the treads over that by the pose", 0.8, 1.35, 1.0, "little slip")
+_ROTATION = _Range("yaw rate over the rate of the heading", 0.75, 1.35, 1.0, "same turning")
+_TOP_SPEED = _Range("largest speed [m/s]", 0.02, 8.0, 0.7, "skid-steer robots")
 _FORCE = _Range("power over weight times speed", 0.008, 4.0, 0.25, "resistance of wheels")
 _ELECTRIC = _Range("power over voltage times current", 0.8, 1.25, 1.0, "the same power")
 _DENSITY = _Range("mass over wheelbase times track [kg/m^2]", 40.0, 3000.0, 300.0, "built robots")
-_ASPECT = _Range("wheelbase over track", 0.33, 2.5, 0.95, "robots that can skid")
-_INERTIA = _Range(
-    "mass by speeding up over that given", 0.62, 12.0, 1.1, "and more with heavy drives"
-)
+_ASPECT = _Range("wheelbase over track", 0.33, 2.5, 0.95, "skid-steer robots")
+_INERTIA = _Range("mass by acceleration over that given", 0.62, 12.0, 1.1, "more with heavy drives")
 _STEP = _Range("time step [s]", 1e-4, 3.0, 0.05, "logs of drives")
 
 

@@ -3,7 +3,7 @@
 Two bounds hold for every path, and the greater one counts (docs/theory, section 5): the least cost
 without obstacles, which steering knows exactly, and the least cost of a disc inside the footprint
 that pays for metres and radians apart. The second is sought over the corners of the obstacles; why
-it is a bound is derived in docs/planning.md.
+it is a bound is derived in docs/planner.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Kernels of the lower bound: a search over the corners of the obstacles (docs/planning.md).
+"""Kernels of the lower bound: a search over the corners of the obstacles (docs/planner.md).
 
 What is kept for each line between two corners is a function of the heading, at `HEADINGS` nodes
 around the circle: the least cost at which any way of the disc that is drawn taut along this line

@@ -1,7 +1,7 @@
 """Kernels for one line of the lower bound: what a way along it costs, by heading.
 
 The robot is a disc that drives along its heading, forwards or backwards, and pays for metres and
-radians apart (docs/planning.md).
+radians apart (docs/planner.md).
 """
 
 from __future__ import annotations
