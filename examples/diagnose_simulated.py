@@ -37,7 +37,7 @@ def report(told: Diagnosis) -> None:
             f"by chance with probability {effect.evidence.p_value:.1g}"
         )
         if effect.rivals:
-            print(f"    these drives cannot tell it from: {', '.join(effect.rivals)}")
+            print(f"    these drives cannot separate it from: {', '.join(effect.rivals)}")
     for found in told.unexplained:
         print(f"  unexplained: {found.shape} ({found.explained_variance:.0%} of the error)")
     rows = (
@@ -94,7 +94,7 @@ def main(folder: Path | None) -> None:
     for speed in (0.3, 1.0):
         cost = ep.EnergyCost(told.model, speed=speed)
         energy = float(cost.segment_energy(np.array([10.0]), np.array([0.0]))[0])
-        print(f"  at {speed} m/s: {energy:.0f} J; the constant load makes slow driving dear")
+        print(f"  at {speed} m/s: {energy:.0f} J; the constant load makes slow driving expensive")
     if folder is not None:
         draw(told, unseen, folder)
 

@@ -41,7 +41,7 @@ Effects = Annotated[
 ]
 Hidden = Annotated[
     int | None,
-    typer.Option(help="Give the simulated robot one or two effects drawn by this seed, unprinted."),
+    typer.Option(help="Give the simulated robot one or two secret effects, drawn by this seed."),
 ]
 Truth = Annotated[
     Path | None,

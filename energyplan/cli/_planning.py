@@ -238,7 +238,7 @@ def plan(
 ) -> None:
     """Plan the route of least energy.
 
-    Says how far from optimal it can be at most.
+    Prints its energy, and how far from optimal it can be at most.
     """
     from energyplan.output import documents, text
     from energyplan.planning import plan as run

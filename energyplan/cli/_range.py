@@ -67,7 +67,9 @@ def reach(
     ] = False,
     charger: Annotated[
         str | None,
-        typer.Option(metavar="X,Y,YAW", help="Count the way on to here, instead of to the start."),
+        typer.Option(
+            metavar="X,Y,YAW", help="Count the way on to this pose instead of the way back."
+        ),
     ] = None,
     surfaces: Surfaces = None,
     heights: Heights = None,
@@ -95,9 +97,9 @@ def reach(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Find how far a given energy leads.
+    """Find how far a given energy takes the robot.
 
-    Finds the energy that it takes to get to every place of a map, there or there and back.
+    Computes the energy that it takes to reach each place of a map, and to come back if asked.
     """
     from energyplan.battery import Battery
     from energyplan.errors import InvalidInputError

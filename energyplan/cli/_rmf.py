@@ -26,7 +26,7 @@ def rmf(
     tool_power: Annotated[float, typer.Option(min=0.0, help="Power of the tool [W].")] = 0.0,
     inertia: Annotated[
         float | None,
-        typer.Option(help="Moment of inertia about the vertical [kg m^2]. Default: a plate's."),
+        typer.Option(help="Moment of inertia about the vertical [kg m^2]. Default: of a plate."),
     ] = None,
     map_file: Annotated[
         Path | None,

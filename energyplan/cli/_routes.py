@@ -44,7 +44,7 @@ def replan(
     ],
     former_map: Annotated[
         Path | None,
-        typer.Option(help="The map that the path was planned on. Default: nothing was cleared."),
+        typer.Option(help="The map that the path was planned on. Default: no obstacle is gone."),
     ] = None,
     surfaces: Surfaces = None,
     heights: Heights = None,
@@ -60,10 +60,10 @@ def replan(
     json: Json = False,
     strict: Strict = False,
 ) -> None:
-    """Plan on from where the robot is.
+    """Plan again from where the robot is.
 
-    Keeps to the rest of a path where that is free and nothing was cleared, and bypasses what is
-    closed of it otherwise.
+    Keeps the rest of the path if it is free and no obstacle is gone. Otherwise plans around what is
+    closed.
     """
     from energyplan.io.trajectory import read_path
     from energyplan.output import documents, text

@@ -31,7 +31,7 @@ def serve(
 ) -> None:
     """Serve plans and missions over HTTP.
 
-    Checks and diagnoses too, with a page to try them on.
+    Also serves checks and diagnoses, and a page to try them on.
     """
     from energyplan.serve.server import run
 

@@ -64,9 +64,9 @@ def start(
 ) -> None:
     """Write a project from a drive log.
 
-    Tells what the log holds and checks it against the robot. Guesses which columns or topics are
-    what, and in which units; what it cannot know it asks for on a terminal, or takes from the
-    options. Every command then takes --project.
+    Shows what the log contains, and checks it against the robot. Guesses columns, topics and
+    units. What it cannot know it takes from the options, or asks for on a terminal. Other commands
+    read the project with --project.
     """
     from energyplan.io.config import read_vehicle
     from energyplan.io.project import write_project

@@ -17,9 +17,9 @@ def warmup(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Compile everything ahead.
+    """Compile all kernels ahead.
 
-    For an image or a test machine: what follows starts at once.
+    In a container image or on a test machine, later commands then start at once.
     """
     from importlib import import_module
 

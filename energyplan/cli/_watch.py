@@ -85,7 +85,7 @@ def watch(
 ) -> None:
     """Follow a drive while it happens.
 
-    Learns the robot's model, says when the ground changes, and looks at the rest of the mission.
+    Learns the robot's model, says when the ground changes, and evaluates the rest of the mission.
     One line for each event; with --json each is a JSON document. Ctrl-C ends it.
     """
     from energyplan.io.config import read_model, read_vehicle, write_model

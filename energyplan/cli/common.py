@@ -197,7 +197,7 @@ def _project_option() -> Any:
                 callback=_take_project,
                 expose_value=False,
                 is_eager=True,
-                help="File that start wrote; it stands for --vehicle, --columns and --topics.",
+                help="Project written by start, in place of --vehicle, --columns and --topics.",
             ),
         ] = None,
     ) -> None:
