@@ -16,6 +16,7 @@ from energyplan.diagnosis import advice as _advice
 from energyplan.diagnosis.adequacy import adequacy, energies, holds
 from energyplan.diagnosis.averaging import averaged, note_of
 from energyplan.diagnosis.breakaway import with_breakaway
+from energyplan.diagnosis.change_points import change_time
 from energyplan.diagnosis.explanations import Found
 from energyplan.diagnosis.fitting import PAPER, Part, Problem
 from energyplan.diagnosis.holdout import ErrorInterval, Prediction, interval, predict, score
@@ -27,6 +28,7 @@ from energyplan.diagnosis.proposals import terms_of
 from energyplan.diagnosis.residual import Dependence, dependences
 from energyplan.diagnosis.result import (
     Adequacy,
+    Average,
     Diagnosis,
     EnergyPrediction,
     Evidence,
@@ -48,6 +50,7 @@ from energyplan.vehicle import Vehicle
 
 __all__ = [
     "Adequacy",
+    "Average",
     "Dependence",
     "Diagnosis",
     "EnergyPrediction",
@@ -145,8 +148,9 @@ def diagnose(
     case = _Case(learned, held_out, vehicle, entries)
     report(0.1, "choosing effects")
     search = Search(
-        case.problem, entries, lambda share, text: report(0.1 + 0.7 * share, text), max_effects
-    )
+        case.problem, entries, lambda share, text: report(0.1 + 0.7 * share, text), max_effects,
+        case.held,
+    )  # fmt: skip
     found = search.run() if choose else search.take_all()
     report(0.8, "judging on the hold-out drives")
     return case.conclude(found, choose, empirical, report)
@@ -273,8 +277,9 @@ class _Case:
         first = next((one for one in left if one.channel != "drive"), None)
         smooth = _smooth_part(first) if first is not None and first.knots else None
         chosen = parts
-        if empirical and smooth:
-            parts = (*parts, smooth)
+        added = smooth if empirical and smooth is not None and self._carry(smooth) else None
+        if added is not None:
+            parts = (*parts, added)
         fitted = final_fit(best.problem, parts)
         if not parts and self.mass_centre is None and len(self.logs[0]) < 3:
             fitted = replace(fitted, model=self.paper)  # nothing found: the paper's, as it is
@@ -282,7 +287,7 @@ class _Case:
         fight = find_wheel_fight(best.problem, fitted.model) if entry else None
         if fight is not None:
             fitted = replace(fitted, model=fight.model)
-        average = averaged(best.problem, fitted)
+        average = averaged(best.problem, fitted, parts, len(self.entries)) if choose else None
         told = fitted if average is None else average.fitted
         after = [predict(told.model, parts, drive) for drive in self.held]
         if told.model is self.paper:
@@ -297,7 +302,7 @@ class _Case:
         unexplained = tuple(
             Unexplained(
                 one.channel, one.shape, one.explained_variance, one.p_value,
-                empirical and smooth is not None and one is first,
+                added is not None and one is first,
             )
             for one in left
         )  # fmt: skip
@@ -318,7 +323,8 @@ class _Case:
             *([] if held or not found else _advice.unheld_advice(names, quality, errors[1])),
             *_advice.change_advice(undated),
             *_advice.untested_advice(searched.untested, names),
-            *(() if average is None else [note_of(average, names)]),
+            *(() if average is None else [note_of(average.average, names)]),
+            *_advice.few_advice(len(self.logs[0])),
             *self.notes,
         ]
         verdict: Verdict = "no_effect"
@@ -351,7 +357,13 @@ class _Case:
             choosing=self._choosing(),
             set_aside=_set_aside([*self.logs[0], *self.logs[1]]),
             after_undated=undated,
+            average=None if average is None else average.average,
         )
+
+    def _carry(self, part: Part) -> bool:
+        """Tell whether all drives that are to be predicted have the channels of a part."""
+        needed = {name for term in part.terms for name in term.channels}
+        return all(needed <= set(drive.motion.channels) for drive in self.held)
 
     def _without_mimics(
         self, problem: Problem, parts: tuple[Part, ...]
@@ -405,7 +417,7 @@ class _Case:
             }
             if entry.acts == "change":
                 for drive in searched.best.problem.drives:
-                    details |= _change_time(drive)
+                    details |= change_time(drive)
                 for one in after:
                     if one.change is not None:
                         details[f"time in {one.drive.name}"] = one.change
@@ -445,14 +457,6 @@ def _for_planners(
     return PowerModel(
         model.vehicle, tuple(terms), model.coefficients[keep], covariance, residual, name
     )
-
-
-def _change_time(drive: Drive) -> dict[str, float]:
-    if "changed" not in drive.motion.channels:
-        return {}
-    changed = drive.motion.channels["changed"]
-    at = np.flatnonzero(np.diff(changed))
-    return {f"time in {drive.name}": float(drive.t[at[0] + 1])} if len(at) else {}
 
 
 def _smooth_part(found: Dependence) -> Part:

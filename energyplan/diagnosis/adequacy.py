@@ -16,7 +16,7 @@ from energyplan.diagnosis.result import Adequacy, EnergyPrediction
 from energyplan.diagnosis.windows import Drive
 from energyplan.fit.covariance import autocorrelation
 from energyplan.path import FloatArray
-from energyplan.power import PowerModel
+from energyplan.power import USUAL_RUN_SPREAD, PowerModel
 
 _SLOW = 1  # scale at which colour is looked for: two seconds
 _FLOOR = 0.02
@@ -25,6 +25,8 @@ _RESTING = 20  # samples at rest that tell the noise
 _SIGMA = 4.0  # standard deviations that noise does not exceed
 _HOLDS = 1.5  # error on other drives, over that on the training drives, that is no surprise
 _LEVEL = 0.9  # of the intervals of energies
+_WITHIN = 30  # degrees of freedom of what is known from within runs
+_ASSUMED = 2  # of a spread that is assumed: robots and grounds differ much in it
 
 
 def predicted(model: PowerModel, drive: Drive) -> FloatArray:
@@ -112,7 +114,8 @@ def energies(
     """Predict the energy of drives that took no part, with intervals.
 
     Their variance is that of the coefficients, that of what is left within a run, and that of what
-    differs from run to run as a whole, as far as the training drives show it.
+    differs from run to run as a whole. Fewer than three training drives do not show the latter: it
+    is taken to be that of robots elsewhere, by a distribution that says how little is known of it.
 
     Parameters
     ----------
@@ -139,7 +142,9 @@ def energies(
     length = problem.drives[0].windows[-1].length
     density = float(np.mean(left**2)) * length  # of the residual's integral, by time [W^2 s]
     count = len(problem.drives)
-    reach = float(student.ppf(0.5 + _LEVEL / 2, max(count - 1, 1) if spread else 30))
+    told = 0.5 + _LEVEL / 2
+    reach = float(student.ppf(told, count - 1 if spread else _WITHIN))
+    assumed = 0.0 if spread else USUAL_RUN_SPREAD * float(student.ppf(told, _ASSUMED))
     found = []
     for one in predictions:
         weights = one.drive.weights
@@ -151,7 +156,7 @@ def energies(
             variance += float(gradient @ model.covariance @ gradient)
         if spread is not None:
             variance += (spread.deviation * energy) ** 2
-        half = reach * float(np.sqrt(variance))
+        half = float(np.hypot(reach * np.sqrt(variance), assumed * energy))
         found.append(
             EnergyPrediction(
                 one.drive.name, energy, (energy - half, energy + half),

@@ -7,7 +7,7 @@ from math import pi
 
 from energyplan.diagnosis.residual import Dependence
 from energyplan.diagnosis.result import Adequacy, FoundEffect
-from energyplan.power import PowerModel, Residual
+from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Residual
 from energyplan.power.effects import Effect
 
 _MEAN_OF_NORMAL = (2 / pi) ** 0.5
@@ -142,6 +142,16 @@ def untested_advice(untested: Sequence[tuple[str, str]], effects: Sequence[str])
         if name not in effects:
             by_reason.setdefault(reason, []).append(_plain(name))
     return [f"not tested, as {reason}: {', '.join(names)}" for reason, names in by_reason.items()]
+
+
+def few_advice(drives: int) -> list[str]:
+    """Say what the intervals of energies assume where too few drives were compared."""
+    if drives > 2:
+        return []
+    return [
+        "fewer than three training drives do not show how much runs differ as a whole: intervals "
+        f"of energies assume {100 * USUAL_RUN_SPREAD:.0f} %, as of robots elsewhere; record more"
+    ]
 
 
 def log_advice(effects: Sequence[Effect]) -> list[str]:

@@ -1,35 +1,55 @@
 """Predictions of runs to come: the explanation, averaged with a fit that assumes less (private).
 
-Runs of one robot on one ground differ as a whole, and few runs say little about which effects the
-next one will show. An average of models that err differently is then better than the best of them,
-and better than a choice among them (Timmermann 2006, "Forecast combinations"). So each model counts
-by how it predicts whole runs that it was not fitted to: an explanation that foretells them counts
-alone, one that does no better than two terms counts half.
+Runs of one robot on one ground differ as a whole, and few runs, or short ones, say little about
+which effects the next one will show. An average of models that err differently is then better than
+the best of them, and better than a choice among them (Timmermann 2006, "Forecast combinations").
+Each model counts by how it predicts what it was not fitted to: whole runs, and where there are few
+of them, kinds of motion too. Blocks of time would not do there: neighbouring ones are alike, and an
+explanation that fits them may be wrong about the first motion that they do not have.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.diagnosis.fitting import PAPER, Problem, RunSpread, left_out, weighted
+from energyplan.diagnosis.fitting import (
+    FLOOR,
+    PAPER,
+    Part,
+    Problem,
+    RunSpread,
+    left_out,
+    weighted,
+)
 from energyplan.diagnosis.joint_fit import FinalFit
+from energyplan.diagnosis.result import Average
+from energyplan.diagnosis.windows import Design
 from energyplan.path import FloatArray
-from energyplan.power import PowerModel, Term
+from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Term
 from energyplan.power.effect_terms import SLIP_SPEED
 
 FEWEST_RUNS = 4
-"""Runs from which on leaving one out tells how runs to come are predicted."""
+"""Runs from which on leaving one out alone tells how runs to come are predicted."""
 
 _LENIENT = (*PAPER, SLIP_SPEED)
 _SHARE = 0.1  # of the power, that the further term is expected to be of
 _ROUNDS = 40
 _CORE = 0.05  # relative error below which squares count, so that the fit is smooth
 _LEAST = 0.1  # of the usual power, that a run counts as drawing at least
+_PART = 1.0  # of the usual power, that a kind of motion counts as: it is but a part of a run
 _NEGLIGIBLE = 0.02  # weight that is not worth a further term
+_SLOW = 1  # scale at which an explanation is told to leave nothing: two seconds
+_NOTHING = (USUAL_RUN_SPREAD / FLOOR) ** 2  # of the floor, less than which runs differ by anyway
+_MOTIONS = 8  # most kinds of motion
+_MEMBERS = 3  # windows of a kind of motion, in the mean
+_GROUPINGS = 50  # most rounds of grouping
+_EXACT = 1e-6  # relative error that is none
+_DRAWS = 400  # of the Bayesian bootstrap
 
 
 @dataclass(frozen=True)
@@ -40,63 +60,96 @@ class Averaged:
     ----------
     fitted : FinalFit
         The average: terms of both models, coefficients by weight.
-    weight : float
-        Weight of the explanation; the rest is that of the cautious fit.
-    errors : tuple of float
-        Mean relative error of the energy of runs left out: explanation, cautious fit.
+    average : Average
+        Weight of the explanation, and why.
     """
 
     fitted: FinalFit
-    weight: float
-    errors: tuple[float, float]
+    average: Average
 
 
 @dataclass(frozen=True)
-class _Runs:
-    """Means over the longest windows, of plain totals.
+class _Windows:
+    """Means of plain totals over the longest windows.
 
     Parameters
     ----------
-    owner : ndarray of int, shape (w,)
-        Run of each window.
+    run, block : ndarray of int, shape (w,)
+        Run and block of each window.
     time : ndarray, shape (w,)
         Time that a window stands for [s].
-    energies : ndarray, shape (runs,)
-        Measured energy of each run [J]; of one that took next to nothing, what it counts as.
+    power : ndarray, shape (w,)
+        Measured power [W].
     """
 
-    owner: NDArray[np.intp]
+    run: NDArray[np.intp]
+    block: NDArray[np.intp]
     time: FloatArray
-    energies: FloatArray
+    power: FloatArray
 
     @classmethod
-    def of(cls, problem: Problem, owner: NDArray[np.intp]) -> _Runs:
-        time, energies = [], []
+    def of(cls, problem: Problem, design: Design) -> _Windows:
+        time, power = [], []
         for drive in problem.drives:
-            counts = drive.windows[-1].counts
-            time.append(counts * float(drive.weights.sum()) / float(counts.sum()))
-            energies.append(float(drive.weights @ drive.power))
-        seconds = np.array([float(drive.weights.sum()) for drive in problem.drives])
-        least = _LEAST * sum(energies) / float(seconds.sum()) * seconds
-        return cls(owner, np.concatenate(time), np.maximum(energies, least))
+            windows = drive.windows[-1]
+            time.append(windows.counts * drive.weights.sum() / windows.counts.sum())
+            power.append(windows.mean(drive.power))
+        block = design.longest_blocks
+        return cls(design.drives[block], block, np.concatenate(time), np.concatenate(power))
 
-    def misses(self, table: FloatArray, held: Callable[[int], FloatArray]) -> FloatArray:
-        """Relative error of the energy of each run, by coefficients that are not fitted to it."""
-        found = np.zeros(len(self.energies))
-        for run, energy in enumerate(self.energies):
-            own = self.owner == run
-            gap = table[own, :-1] @ held(run) - table[own, -1]
-            found[run] = float(self.time[own] @ gap) / energy
-        return found
+    def energies(self, fold: NDArray[np.intp], least: float = _LEAST) -> FloatArray:
+        """Measured energy of each fold [J]; of one that took less, a share of the usual power."""
+        energy, seconds = (
+            np.bincount(fold, values) for values in (self.time * self.power, self.time)
+        )
+        return np.asarray(np.maximum(energy, least * energy.sum() / seconds.sum() * seconds))
 
 
-def averaged(problem: Problem, fitted: FinalFit) -> Averaged | None:
-    """Average an explanation with a cautious fit, each by how well it predicts whole runs.
+@dataclass(frozen=True)
+class _Comparison:
+    """Two models on what was left out, fold by fold, neither of them fitted to it.
+
+    Parameters
+    ----------
+    what : str
+        What a fold is.
+    explanation, cautious : ndarray, shape (folds,)
+        Relative errors of the energies.
+    refits : ndarray, shape (folds, k)
+        Coefficients of the cautious fit without each fold.
+    """
+
+    what: str
+    explanation: FloatArray
+    cautious: FloatArray
+    refits: FloatArray
+
+    def weight(self, handicap: float) -> float:
+        """Weight of the explanation: pseudo Bayesian model averaging, bootstrapped.
+
+        Errors of folds have Laplace's distribution, so that one run like no other does not decide,
+        and a size that is not known; few folds tell it roughly, which the Bayesian bootstrap allows
+        for (Yao et al. 2018, "Using stacking to average Bayesian predictive distributions"). The
+        handicap is taken from the logarithm of the odds.
+        """
+        count = len(self.explanation)
+        share = np.random.default_rng(0).dirichlet(np.ones(count), _DRAWS)
+        one, other = (share @ np.abs(errors) for errors in (self.explanation, self.cautious))
+        odds = count * np.log(np.maximum(other, _EXACT) / np.maximum(one, _EXACT)) - handicap
+        return float(np.mean(1.0 / (1.0 + np.exp(-np.clip(odds, -50.0, 50.0)))))
+
+
+def averaged(
+    problem: Problem, fitted: FinalFit, parts: Sequence[Part] = (), tried: int = 1
+) -> Averaged | None:
+    """Average an explanation with a cautious fit, each by how well it predicts what it has not met.
 
     The cautious fit has the paper's terms and a friction that may rise or fall with the slip speed,
     shrunk to none as far as the runs do not bear it; least absolute errors of means over eight
-    seconds, each relative to the power of its run. Weights go with the inverse square of the mean
-    error of runs left out (Bates and Granger 1969, "The combination of forecasts").
+    seconds, each relative to the power of its run. Inertia, which nearly every robot has and
+    which comes to nothing over a run, is in both. An effect that was picked out of many is worth
+    less than it seems: each takes the logarithm of their number from the odds (Foster and George
+    1994, "The risk inflation criterion for multiple regression").
 
     Parameters
     ----------
@@ -104,57 +157,144 @@ def averaged(problem: Problem, fitted: FinalFit) -> Averaged | None:
         Training drives, with factors and delays of the explanation.
     fitted : FinalFit
         The explanation, fitted to them.
+    parts : sequence of Part
+        Its effects.
+    tried : int
+        Number of effects that they were picked out of.
 
     Returns
     -------
     Averaged or None
-        None where there are too few runs, or the cautious fit says nothing beside the explanation.
+        None where the cautious fit says nothing beside the explanation, or the drives took no
+        energy. With fewer than `FEWEST_RUNS` runs an explanation is left as it is where it has no
+        effect that only some robots have, or where it foretells the blocks, over two seconds, as
+        well as runs are alike: then little is left that another motion could bring to light.
     """
     count = len(problem.drives)
-    if count < FEWEST_RUNS:
+    picked = sum(bool(part.terms) and not part.effect.usual for part in parts)
+    if count < FEWEST_RUNS and not picked:
         return None
     plain = problem.of_totals.with_factors([1.0] * count)
     values = np.array(fitted.model.coefficients)
     start = {t.name: float(v) for t, v in zip(fitted.terms, values, strict=True)}
-    table, owner = plain.design(fitted.terms, None, start, rounds=1).longest
-    runs = _Runs.of(plain, owner)
-    if not np.all(runs.energies > 0.0):
+    whole = plain.design(fitted.terms, None, start, rounds=1)
+    windows = _Windows.of(plain, whole)
+    if not np.all(windows.energies(windows.run) > 0.0):
         return None
+    usual = [
+        term for part in parts for term in part.terms
+        if part.effect.usual and not part.effect.grid and not part.effect.channels
+        and term.kind != "loss"
+    ]  # fmt: skip
+    own = np.array([start[term.name] for term in usual])
+    table, _ = plain.design([*_LENIENT, *usual]).longest
+    first = len(_LENIENT)
+    lenient = np.column_stack([table[:, :first], table[:, -1] - table[:, first:-1] @ own])
+    cautious = _cautious(lenient, windows, np.ones(len(lenient), bool))
+
     design = problem.design(fitted.terms, None, start, rounds=1)
     errors = problem.reference(design)
-    grams = weighted(design, errors)
-    held = left_out(grams.sum(axis=0), grams, design.drives)
-    first = runs.misses(table, lambda run: held[run])
-
-    lenient, _ = plain.design(_LENIENT).longest
-    without = [_cautious(lenient, runs, np.arange(count) != run) for run in range(count)]
-    second = runs.misses(lenient, lambda run: without[run])
-    sizes = float(np.mean(np.abs(first))), float(np.mean(np.abs(second)))
-    weight = sizes[1] ** 2 / max(sizes[0] ** 2 + sizes[1] ** 2, 1e-300)
-    if not np.isfinite(weight) or 1.0 - weight < _NEGLIGIBLE:
+    if count < FEWEST_RUNS and errors[_SLOW] <= _NOTHING * problem.floor[_SLOW]:
         return None
-    cautious = _cautious(lenient, runs, np.ones(count, bool))
-    centred = np.array(without) - cautious
-    spread = (count - 1) / count * centred.T @ centred
-    model = _mixed(fitted.model, cautious, spread, weight)
+    grams = weighted(design, errors)
+    folds = {"run": windows.run} if count > 1 else {}
+    if count < FEWEST_RUNS:
+        folds["kind of motion"] = _motions(plain, cautious)
+    compared = [
+        _compared(what, fold, windows, whole.longest[0], lenient, grams)
+        for what, fold in folds.items()
+    ]
+    # Both must be foretold: runs that are to come, and motions that are in them.
+    handicap = picked * float(np.log(max(tried, 1)))
+    weight, worst = min(((one.weight(handicap), one) for one in compared), key=lambda pair: pair[0])
+    if 1.0 - weight < _NEGLIGIBLE:
+        return None
+    model = _mixed(fitted.model, [*_LENIENT, *usual], np.append(cautious, own), worst, weight)
     about = {t.name: float(v) for t, v in zip(model.terms, model.coefficients, strict=True)}
-    mixed = plain.design(model.terms, None, about, rounds=1)
-    between = RunSpread.of(mixed, np.array(model.coefficients))
+    between = RunSpread.of(
+        plain.design(model.terms, None, about, rounds=1), np.array(model.coefficients)
+    )
     told = replace(fitted, model=model, run_spread=None if between is None else between.deviation)
-    return Averaged(told, float(weight), sizes)
+    sizes = (float(np.mean(np.abs(errors))) for errors in (worst.explanation, worst.cautious))
+    return Averaged(told, Average(weight, worst.what, *sizes))
 
 
-def _cautious(table: FloatArray, runs: _Runs, kept: NDArray[np.bool_]) -> FloatArray:
-    """Fit the paper's terms and a shrunk further one to some of the runs.
+def _motions(problem: Problem, cautious: FloatArray) -> NDArray[np.intp]:
+    """Group the longest windows by what the robot did in them, as far as it takes power.
+
+    Speed and yaw rate, with and without their signs, each by the power that it takes; Lloyd's
+    grouping, from windows that are far from each other.
+    """
+    driving = 2.0 * abs(float(cautious[1]))
+    turning = abs(float(cautious[0])) * problem.vehicle.slip_moment
+    scale = np.array([driving, driving, turning, turning])
+    points = scale * np.concatenate(
+        [
+            drive.windows[-1].mean(
+                np.column_stack([m.v, np.abs(m.v), m.omega, np.abs(m.omega)])
+            )
+            for drive, m in ((drive, drive.motion) for drive in problem.drives)
+        ]
+    )  # fmt: skip
+    count = int(np.clip(len(points) // _MEMBERS, 2, _MOTIONS))
+
+    def apart(centre: FloatArray) -> FloatArray:
+        return np.asarray(np.sum((points - centre) ** 2, axis=1))
+
+    centres = [points[np.argmin(apart(points.mean(axis=0)))]]
+    gap = apart(centres[0])
+    while len(centres) < count and gap.max() > 0.0:
+        centres.append(points[np.argmax(gap)])
+        gap = np.minimum(gap, apart(centres[-1]))
+    if len(centres) == 1:  # one motion throughout: its first half and its last
+        return np.asarray(np.arange(len(points)) * 2 // len(points))
+    label = np.full(len(points), -1)
+    for _ in range(_GROUPINGS):
+        now = np.argmin([apart(centre) for centre in centres], axis=0)
+        if np.array_equal(now, label):
+            break
+        label = now
+        centres = [
+            points[label == k].mean(axis=0) if np.any(label == k) else centre
+            for k, centre in enumerate(centres)
+        ]
+    return np.asarray(np.unique(label, return_inverse=True)[1])
+
+
+def _compared(
+    what: str,
+    fold: NDArray[np.intp],
+    windows: _Windows,
+    table: FloatArray,
+    lenient: FloatArray,
+    grams: FloatArray,
+) -> _Comparison:
+    """Leave out one fold after the other, and predict its energy by both models."""
+    last = np.searchsorted(windows.block, np.arange(len(grams)), side="right") - 1
+    held = left_out(grams.sum(axis=0), grams, fold[np.maximum(last, 0)])
+    number = range(int(fold.max()) + 1)
+    refits = np.array([_cautious(lenient, windows, fold != k) for k in number])
+    energies = windows.energies(fold, _LEAST if fold is windows.run else _PART)
+
+    def misses(columns: FloatArray, values: Callable[[int], FloatArray]) -> FloatArray:
+        gaps = [columns[fold == k, :-1] @ values(k) - columns[fold == k, -1] for k in number]
+        lost = [windows.time[fold == k] @ gap for k, gap in zip(number, gaps, strict=True)]
+        return np.asarray(np.array(lost) / energies)
+
+    first = misses(table, lambda k: held[min(k, len(held) - 1)])
+    return _Comparison(what, first, misses(lenient, lambda k: refits[k]), refits)
+
+
+def _cautious(table: FloatArray, windows: _Windows, kept: NDArray[np.bool_]) -> FloatArray:
+    """Fit the paper's terms and a shrunk further one to some of the windows.
 
     Laplace's distribution of the relative errors, a normal one of what the further term takes.
     """
-    some = kept[runs.owner]
-    X, y, time = table[some, :-1], table[some, -1], runs.time[some]
-    seconds = np.bincount(runs.owner, runs.time, len(kept))
-    weight = time * (seconds / runs.energies)[runs.owner[some]]
+    X, y, time, run = table[kept, :-1], table[kept, -1], windows.time[kept], windows.run[kept]
+    seconds = np.bincount(windows.run, windows.time)
+    weight = time * (seconds / windows.energies(windows.run))[run]
     weight = weight / weight.sum()
-    level = float(weight @ y)
+    level = float(weight @ np.abs(y)) or 1.0
     size = np.sqrt(weight @ X**2)
     Z = X * np.divide(level, size, out=np.zeros_like(size), where=size > 0)
 
@@ -170,43 +310,51 @@ def _cautious(table: FloatArray, runs: _Runs, kept: NDArray[np.bool_]) -> FloatA
 
     plain = solve(len(PAPER), 0.0)
     scatter = float(weight @ np.abs(y - Z[:, : len(PAPER)] @ plain)) / level
-    found = solve(Z.shape[1], scatter / (np.count_nonzero(kept) * _SHARE**2))
+    found = solve(Z.shape[1], scatter / (len(np.unique(run)) * _SHARE**2))
     return np.asarray(found * np.divide(level, size, out=np.zeros_like(size), where=size > 0))
 
 
 def _mixed(
-    model: PowerModel, cautious: FloatArray, spread: FloatArray, weight: float
+    model: PowerModel,
+    terms: Sequence[Term],
+    cautious: FloatArray,
+    compared: _Comparison,
+    weight: float,
 ) -> PowerModel:
     """Average coefficients; their covariance counts by how much the models differ too."""
-    terms: list[Term] = list(model.terms)
-    names = [term.name for term in terms]
-    for term in _LENIENT:
-        if term.name not in names:
-            terms.append(term)
-            names.append(term.name)
-    size, first = len(terms), len(model.terms)
-    one, other = np.zeros(size), np.zeros(size)
+    every = {term.name: term for term in chain(model.terms, terms)}
+    names, first = list(every), len(model.terms)
+    one, other = np.zeros(len(names)), np.zeros(len(names))
     one[:first] = model.coefficients
-    at = [names.index(term.name) for term in _LENIENT]
+    at = [names.index(term.name) for term in terms]
     other[at] = cautious
     mean = weight * one + (1.0 - weight) * other
-    covariance = np.zeros((size, size))
+    covariance = np.zeros((len(names), len(names)))
     if model.covariance is not None:
         covariance[:first, :first] += weight * model.covariance
-    covariance[np.ix_(at, at)] += (1.0 - weight) * spread
+    number, width = compared.refits.shape
+    centred = compared.refits - cautious[:width]
+    covariance[np.ix_(at[:width], at[:width])] += (
+        (1.0 - weight) * (number - 1) / number * centred.T @ centred
+    )
     for values, share in ((one, weight), (other, 1.0 - weight)):
         covariance += share * np.outer(values - mean, values - mean)
     return PowerModel(
-        model.vehicle, tuple(terms), mean, 0.5 * (covariance + covariance.T), None, model.name
-    )
+        model.vehicle, tuple(every.values()), mean, 0.5 * (covariance + covariance.T), None,
+        model.name,
+    )  # fmt: skip
 
 
-def note_of(told: Averaged, names: Sequence[str]) -> str:
+def note_of(told: Average, names: Sequence[str]) -> str:
     """Say what the model for runs to come is made of."""
     what = f"the explanation ({', '.join(names)})" if names else "the paper's terms"
+    why = (
+        "runs differ as a whole" if told.left_out == "run"
+        else "these drives do not show how the effects act on other motions"
+    )  # fmt: skip
     return (
-        f"runs differ as a whole: the model averages {what}, weight {told.weight:.2f}, with a "
-        "cautious fit of two terms and a slight dependence on slip speed; leaving out one run "
-        f"after the other, they miss energies by {100 * told.errors[0]:.1f} % and "
-        f"{100 * told.errors[1]:.1f} %"
+        f"{why}: the model averages {what}, weight {told.weight:.2f}, with a cautious fit of two "
+        "terms and a slight dependence on slip speed; leaving out one "
+        f"{told.left_out} after the other, they miss its energy by "
+        f"{100 * told.explanation_error:.1f} % and {100 * told.cautious_error:.1f} %"
     )

@@ -173,3 +173,12 @@ def settle_change(
     if rising[k_up] <= falling[k_down]:
         return _marked(drive, k_up, True)
     return _marked(drive, k_down, False)
+
+
+def change_time(drive: Drive) -> dict[str, float]:
+    """Return when a drive changed state [s], by the words of a report; nothing where it did not."""
+    if "changed" not in drive.motion.channels:
+        return {}
+    changed = drive.motion.channels["changed"]
+    at = np.flatnonzero(np.diff(changed))
+    return {f"time in {drive.name}": float(drive.t[at[0] + 1])} if len(at) else {}

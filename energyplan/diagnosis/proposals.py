@@ -17,7 +17,7 @@ import numpy as np
 from energyplan.diagnosis.change_points import lines, mark_changes
 from energyplan.diagnosis.fitting import PAPER, Part, Problem, fit, solve
 from energyplan.diagnosis.late import Late
-from energyplan.diagnosis.windows import Design, channels_of
+from energyplan.diagnosis.windows import Design, Drive, channels_of
 from energyplan.path import FloatArray
 from energyplan.power import Term
 from energyplan.power.effects import Effect
@@ -113,6 +113,8 @@ class Proposals:
         The catalogue.
     limit : int
         Largest number of effects.
+    judged : sequence of Drive
+        Drives that are to be predicted: of them counts only which channels they carry.
     """
 
     def __init__(
@@ -120,8 +122,9 @@ class Proposals:
         problem: Problem,
         effects: Sequence[Effect],
         limit: int,
+        judged: Sequence[Drive] = (),
     ) -> None:
-        self.problem, self.limit = problem, limit
+        self.problem, self.limit, self.judged = problem, limit, tuple(judged)
         self.untested: list[tuple[str, str]] = []
         testable = [effect for effect in effects if self._testable(effect)]
         self.delay = next((e for e in testable if e.name == "time_offset"), None)
@@ -138,6 +141,12 @@ class Proposals:
                 return False
             if all(np.ptp(d.motion.channels[name]) < 1e-9 for d in self.problem.drives):
                 self.untested.append((effect.name, f"the channel {name!r} never changes"))
+                return False
+            blind = [d.name for d in self.judged if name not in d.motion.channels]
+            if blind:
+                self.untested.append(
+                    (effect.name, f"{', '.join(blind)} of the hold-out has no channel {name!r}")
+                )
                 return False
         return True
 

@@ -191,6 +191,37 @@ class EnergyPrediction:
 
 
 @dataclass(frozen=True)
+class Average:
+    """What the model for runs to come is made of: an explanation and a cautious fit.
+
+    Each counts by how it predicts energies of what it was not fitted to.
+
+    Parameters
+    ----------
+    weight : float
+        Weight of the explanation, in [0, 1]; the rest is that of the cautious fit.
+    left_out : {"run", "kind of motion"}
+        What was left out, one after the other: whole runs, or with fewer than four of them kinds of
+        motion, whichever the explanation foretells worse.
+    explanation_error, cautious_error : float
+        Mean size of the relative error of its energy, by each alone.
+
+    Examples
+    --------
+    A drag that was seen in left turns alone is no guide to right turns:
+
+    >>> told = Average(0.02, "kind of motion", explanation_error=0.19, cautious_error=0.09)
+    >>> told.weight < 0.5
+    True
+    """
+
+    weight: float
+    left_out: str
+    explanation_error: float
+    cautious_error: float
+
+
+@dataclass(frozen=True)
 class Unexplained:
     """A channel that still explains part of the residual.
 
@@ -268,6 +299,8 @@ class Diagnosis:
     after_undated : Residual or None
         Error of the extended model where the time of a change within a hold-out drive is not taken
         from that drive: the prediction in the narrow sense. None where there is no such time.
+    average : Average or None
+        What `model` averages, beside the explanation; None where it is the explanation alone.
 
     Examples
     --------
@@ -305,6 +338,7 @@ class Diagnosis:
     choosing: tuple[str, ...]
     set_aside: Mapping[str, Mapping[str, int]]
     after_undated: Residual | None = None
+    average: Average | None = None
 
     def _repr_html_(self) -> str:
         """Return the effects and both errors as tables, for notebooks."""

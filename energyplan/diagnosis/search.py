@@ -27,7 +27,7 @@ from energyplan.diagnosis.proposals import (
     terms_of,
     with_changes,
 )
-from energyplan.diagnosis.windows import SCALES
+from energyplan.diagnosis.windows import SCALES, Drive
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL
 from energyplan.power.effects import Effect
@@ -69,6 +69,8 @@ class Search(Proposals):
         Called with a fraction in [0, 1] and what is being done.
     limit : int
         Largest number of effects.
+    judged : sequence of Drive
+        Drives that are to be predicted: of them counts only which channels they carry.
     """
 
     def __init__(
@@ -77,8 +79,9 @@ class Search(Proposals):
         effects: Sequence[Effect],
         progress: Callable[[float, str], object],
         limit: int,
+        judged: Sequence[Drive] = (),
     ) -> None:
-        super().__init__(problem, effects, limit)
+        super().__init__(problem, effects, limit, judged)
         self.progress = progress
         self.rest = Rest(problem)
         self.evaluated: dict[tuple[Set, Late], Evaluated] = {}

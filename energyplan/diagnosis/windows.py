@@ -334,8 +334,12 @@ class Design:
     @property
     def longest(self) -> tuple[FloatArray, np.ndarray[tuple[int], np.dtype[np.intp]]]:
         """Means of the total over the longest windows, and the drive of each window."""
-        k = len(SCALES) - 1
-        return self.rows[k], self.drives[self.blocks[k]]
+        return self.rows[len(SCALES) - 1], self.drives[self.longest_blocks]
+
+    @property
+    def longest_blocks(self) -> NDArray[np.intp]:
+        """Block of each of the longest windows."""
+        return self.blocks[len(SCALES) - 1]
 
     def joined(self, extra: Sequence[FloatArray]) -> Design:
         """Return the design with further columns, window means at each scale, before the power."""

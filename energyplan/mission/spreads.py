@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from energyplan.mission.checks import require
+from energyplan.power import USUAL_RUN_SPREAD
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class Spreads:
     temperature: float = 3.0
     power: float = 0.1
     dwell: float = 0.1
-    run: float = 0.05
+    run: float = USUAL_RUN_SPREAD
     speed: float = 0.05
     waiting: float = 1.0
 

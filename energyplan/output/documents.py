@@ -129,6 +129,7 @@ def diagnosis(told: Diagnosis) -> Document:
         "judging": list(told.judging),
         "adequacy": {**plain(told.adequacy), "adequate": told.adequacy.adequate},
         "predictions": [plain(one) for one in told.predictions],
+        "average": None if told.average is None else plain(told.average),
         "set_aside": plain(told.set_aside),
         "unexplained": [plain(found) for found in told.unexplained],
         "advice": list(told.advice),

@@ -54,6 +54,11 @@ __all__ = [
 ]
 
 
+USUAL_RUN_SPREAD = 0.05
+"""Relative standard deviation of a robot's power from run to run where nobody compared any: that of
+a Husky was 2 to 6 % on five grounds, and 24 % on snow (docs/model_card)."""
+
+
 @dataclass(frozen=True)
 class Residual:
     """Measured minus predicted power on a set of drives.
