@@ -156,32 +156,35 @@ def read_lattice(path: str | Path) -> ControlSet:
             f"there are {len(found.primitives)} primitives"
         )
     primitives = tuple(
-        _primitive(told, meta, f"{file}: primitives.{k}") for k, told in enumerate(found.primitives)
+        _primitive(primitive, meta, f"{file}: primitives.{k}")
+        for k, primitive in enumerate(found.primitives)
     )
     return ControlSet(
         meta.grid_resolution, meta.turning_radius, tuple(meta.heading_angles), primitives
     )
 
 
-def _primitive(told: _Trajectory, meta: _Metadata, place: str) -> Primitive:
+def _primitive(primitive: _Trajectory, meta: _Metadata, place: str) -> Primitive:
     """Return a primitive of the file."""
     count = meta.num_of_headings
-    if max(told.start_angle_index, told.end_angle_index) >= count:
+    if max(primitive.start_angle_index, primitive.end_angle_index) >= count:
         raise MapError(f"{place}: a heading beyond the {count} that there are")
-    start, end = (meta.heading_angles[k] for k in (told.start_angle_index, told.end_angle_index))
+    start, end = (
+        meta.heading_angles[k] for k in (primitive.start_angle_index, primitive.end_angle_index)
+    )
     turn = float(wrap_angle(end - start))
-    x, y, _ = told.poses[-1]
+    x, y, _ = primitive.poses[-1]
     cells = np.array([x, y]) / meta.grid_resolution
     column, row = (int(v) for v in np.round(cells))
     if np.abs(cells - (column, row)).max() > 0.05:
         raise MapError(f"{place}: it ends at ({x}, {y}), in the middle of no cell")
-    before, after = told.straight_length, 0.0
-    if told.arc_length > 0 and told.straight_length > 0:
-        before = _first_straight(told, (x, y), start, end, turn)
-        after = told.straight_length - before
+    before, after = primitive.straight_length, 0.0
+    if primitive.arc_length > 0 and primitive.straight_length > 0:
+        before = _first_straight(primitive, (x, y), start, end, turn)
+        after = primitive.straight_length - before
     found = Primitive(
-        told.start_angle_index, told.end_angle_index, before, told.arc_length, after, turn,
-        column, row,
+        primitive.start_angle_index, primitive.end_angle_index, before, primitive.arc_length,
+        after, turn, column, row,
     )  # fmt: skip
     ds, dtheta = found.motions.T
     reached = Motion(Pose(0.0, 0.0, start), ds, dtheta).end
@@ -194,7 +197,7 @@ def _primitive(told: _Trajectory, meta: _Metadata, place: str) -> Primitive:
 
 
 def _first_straight(
-    told: _Trajectory, at: tuple[float, float], start: float, end: float, turn: float
+    primitive: _Trajectory, at: tuple[float, float], start: float, end: float, turn: float
 ) -> float:
     """Return how much of the straight length lies before the arc [m]."""
     # from the end of the first tangent: the whole is what leads ahead along both headings
@@ -202,15 +205,15 @@ def _first_straight(
     x, y = at
     first = (x * np.sin(end) - y * np.cos(end)) / det
     then = (y * np.cos(start) - x * np.sin(start)) / det
-    return told.straight_length if first > then else 0.0
+    return primitive.straight_length if first > then else 0.0
 
 
-def write_penalties(told: Penalties, path: str | Path, lattice: str | Path) -> None:
+def write_penalties(penalties: Penalties, path: str | Path, lattice: str | Path) -> None:
     """Write the penalties as parameters of SmacPlannerLattice (YAML).
 
     Parameters
     ----------
-    told : Penalties
+    penalties : Penalties
         The penalties.
     path : str or Path
         The file. It is replaced as a whole.
@@ -221,10 +224,10 @@ def write_penalties(told: Penalties, path: str | Path, lattice: str | Path) -> N
         "plugin": "nav2_smac_planner::SmacPlannerLattice",
         "lattice_filepath": str(lattice),
         "allow_reverse_expansion": True,
-        "non_straight_penalty": round(told.non_straight, 4),
-        "change_penalty": round(told.change, 4),
-        "reverse_penalty": round(told.reverse, 4),
-        "rotation_penalty": round(told.rotation, 4),
+        "non_straight_penalty": round(penalties.non_straight, 4),
+        "change_penalty": round(penalties.change, 4),
+        "reverse_penalty": round(penalties.reverse, 4),
+        "rotation_penalty": round(penalties.rotation, 4),
         "retrospective_penalty": 0.0,
     }
     atomic_write(Path(path), yaml.safe_dump({"GridBased": parameters}, sort_keys=False))

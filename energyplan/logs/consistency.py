@@ -106,27 +106,27 @@ _INERTIA = _Range("mass by acceleration over that given", 0.62, 12.0, 1.1, "more
 _STEP = _Range("time step [s]", 1e-4, 3.0, 0.05, "logs of drives")
 
 
-def _ratios(told: Evidence, known: Measures) -> list[tuple[_Range, float]]:
+def _ratios(evidence: Evidence, known: Measures) -> list[tuple[_Range, float]]:
     """Return the ratios that evidence and measures make."""
     track, wheelbase = known.track, known.wheelbase
     geometric = 2 * predict_icr(wheelbase, track) if track and wheelbase else np.nan
     return [
-        (_STEP, told.step),
-        (_TOP_SPEED, told.top_speed),
-        (_DISTANCE, told.distance),
-        (_ROTATION, told.rotation),
-        (_TURNING, told.slip_track / geometric),
+        (_STEP, evidence.step),
+        (_TOP_SPEED, evidence.top_speed),
+        (_DISTANCE, evidence.distance),
+        (_ROTATION, evidence.rotation),
+        (_TURNING, evidence.slip_track / geometric),
         (_ASPECT, wheelbase / track),
         (_DENSITY, known.mass / (wheelbase * track)),
-        (_FORCE, told.force / (known.mass * GRAVITY)),
-        (_ELECTRIC, told.electric),
-        (_INERTIA, told.inertia / known.mass),
+        (_FORCE, evidence.force / (known.mass * GRAVITY)),
+        (_ELECTRIC, evidence.electric),
+        (_INERTIA, evidence.inertia / known.mass),
     ]
 
 
 @dataclass(frozen=True)
 class _State:
-    told: Evidence
+    evidence: Evidence
     known: Measures
 
 
@@ -144,16 +144,16 @@ def _speeds(factor: float) -> Callable[[_State], _State]:
     """Undo tread speeds that are too large by the inverse of a factor."""
 
     def undo(state: _State) -> _State:
-        told = state.told
+        evidence = state.evidence
         return replace(
             state,
-            told=replace(
-                told,
-                slip_track=told.slip_track * factor,
-                distance=told.distance * factor,
-                top_speed=told.top_speed * factor,
-                force=told.force / factor,
-                inertia=told.inertia / factor**2,
+            evidence=replace(
+                evidence,
+                slip_track=evidence.slip_track * factor,
+                distance=evidence.distance * factor,
+                top_speed=evidence.top_speed * factor,
+                force=evidence.force / factor,
+                inertia=evidence.inertia / factor**2,
             ),
         )
 
@@ -162,10 +162,11 @@ def _speeds(factor: float) -> Callable[[_State], _State]:
 
 def _gyro(factor: float) -> Callable[[_State], _State]:
     def undo(state: _State) -> _State:
-        told = state.told
-        turned = told.slip_track if told.from_pose else told.slip_track / factor
+        evidence = state.evidence
+        turned = evidence.slip_track if evidence.from_pose else evidence.slip_track / factor
         return replace(
-            state, told=replace(told, slip_track=turned, rotation=told.rotation * factor)
+            state,
+            evidence=replace(evidence, slip_track=turned, rotation=evidence.rotation * factor),
         )
 
     return undo
@@ -173,10 +174,11 @@ def _gyro(factor: float) -> Callable[[_State], _State]:
 
 def _heading(factor: float) -> Callable[[_State], _State]:
     def undo(state: _State) -> _State:
-        told = state.told
-        turned = told.slip_track / factor if told.from_pose else told.slip_track
+        evidence = state.evidence
+        turned = evidence.slip_track / factor if evidence.from_pose else evidence.slip_track
         return replace(
-            state, told=replace(told, slip_track=turned, rotation=told.rotation / factor)
+            state,
+            evidence=replace(evidence, slip_track=turned, rotation=evidence.rotation / factor),
         )
 
     return undo
@@ -184,24 +186,26 @@ def _heading(factor: float) -> Callable[[_State], _State]:
 
 def _pose(factor: float) -> Callable[[_State], _State]:
     def undo(state: _State) -> _State:
-        return replace(state, told=replace(state.told, distance=state.told.distance / factor))
+        return replace(
+            state, evidence=replace(state.evidence, distance=state.evidence.distance / factor)
+        )
 
     return undo
 
 
 def _time(factor: float) -> Callable[[_State], _State]:
     def undo(state: _State) -> _State:
-        told = state.told
-        turned = told.slip_track * factor if told.from_pose else told.slip_track
+        evidence = state.evidence
+        turned = evidence.slip_track * factor if evidence.from_pose else evidence.slip_track
         return replace(
             state,
-            told=replace(
-                told,
-                step=told.step * factor,
-                distance=told.distance * factor,
-                rotation=told.rotation * factor,
+            evidence=replace(
+                evidence,
+                step=evidence.step * factor,
+                distance=evidence.distance * factor,
+                rotation=evidence.rotation * factor,
                 slip_track=turned,
-                inertia=told.inertia * factor,
+                inertia=evidence.inertia * factor,
             ),
         )
 
@@ -210,14 +214,14 @@ def _time(factor: float) -> Callable[[_State], _State]:
 
 def _power(factor: float) -> Callable[[_State], _State]:
     def undo(state: _State) -> _State:
-        told = state.told
+        evidence = state.evidence
         return replace(
             state,
-            told=replace(
-                told,
-                force=told.force * factor,
-                electric=told.electric * factor,
-                inertia=told.inertia * factor,
+            evidence=replace(
+                evidence,
+                force=evidence.force * factor,
+                electric=evidence.electric * factor,
+                inertia=evidence.inertia * factor,
             ),
         )
 
@@ -228,9 +232,9 @@ def _electricity(factor: float) -> Callable[[_State], _State]:
     """Undo a voltage or a current that is too large by the inverse of a factor."""
 
     def undo(state: _State) -> _State:
-        told = state.told
-        if isfinite(told.electric):  # the power was measured beside them
-            return replace(state, told=replace(told, electric=told.electric / factor))
+        evidence = state.evidence
+        if isfinite(evidence.electric):  # the power was measured beside them
+            return replace(state, evidence=replace(evidence, electric=evidence.electric / factor))
         return _power(factor)(state)
 
     return undo
@@ -251,7 +255,7 @@ def _measures(
 
 def _mistakes(state: _State) -> list[_Mistake]:
     """Return what may have gone wrong, in the order of how often it does."""
-    told = state.told
+    evidence = state.evidence
     both = "v_left=NAME[{0}],v_right=NAME[{0}]".format
     found = [
         _Mistake("the tread speeds are in km/h", f"map {both('km/h')}", _speeds(1 / 3.6)),
@@ -296,9 +300,9 @@ def _mistakes(state: _State) -> list[_Mistake]:
     # The factor that the pose asks for, or else the turning: what a wheel radius would have to be.
     geometric = 2 * predict_icr(state.known.wheelbase, state.known.track)
     wanted = (
-        1 / told.distance
-        if isfinite(told.distance)
-        else (_TURNING.usual * geometric / told.slip_track)
+        1 / evidence.distance
+        if isfinite(evidence.distance)
+        else (_TURNING.usual * geometric / evidence.slip_track)
     )
     if isfinite(wanted) and wanted > 0:
         for unit, rate in (("rad/s", 1.0), ("rpm", pi / 30), ("deg/s", pi / 180)):
@@ -336,12 +340,12 @@ def _mistakes(state: _State) -> list[_Mistake]:
     return found
 
 
-def check_consistency(told: Evidence, known: Measures) -> list[Check]:
+def check_consistency(evidence: Evidence, known: Measures) -> list[Check]:
     """Compare the quantities of a log with each other and with the robot's measures.
 
     Parameters
     ----------
-    told : Evidence
+    evidence : Evidence
         What the log shows.
     known : Measures
         What is known of the robot.
@@ -352,8 +356,8 @@ def check_consistency(told: Evidence, known: Measures) -> list[Check]:
         One for each ratio that could be made. The remedies of those that fail name the mistakes
         that would explain all of them, the likeliest first.
     """
-    state = _State(told, known)
-    ratios = [(span, value) for span, value in _ratios(told, known) if isfinite(value)]
+    state = _State(evidence, known)
+    ratios = [(span, value) for span, value in _ratios(evidence, known) if isfinite(value)]
     wrong = [span for span, value in ratios if not span.holds(value)]
     remedy = _explain(state) if wrong else ""
     if wrong and not remedy:
@@ -367,12 +371,12 @@ def check_consistency(told: Evidence, known: Measures) -> list[Check]:
     ]
 
 
-def strain(told: Evidence, known: Measures) -> float:
+def strain(evidence: Evidence, known: Measures) -> float:
     """How far evidence and measures are from what is usual: the sum of squares over the ratios.
 
     Parameters
     ----------
-    told : Evidence
+    evidence : Evidence
         What the log shows.
     known : Measures
         What is known of the robot.
@@ -382,7 +386,7 @@ def strain(told: Evidence, known: Measures) -> float:
     float
         The sum, each ratio's distance in widths of its range; less is more usual.
     """
-    ratios = [(span, value) for span, value in _ratios(told, known) if isfinite(value)]
+    ratios = [(span, value) for span, value in _ratios(evidence, known) if isfinite(value)]
     return sum(span.strain(value) for span, value in ratios)
 
 
@@ -391,7 +395,7 @@ def _explain(state: _State) -> str:
     fitting = []
     for mistake in _mistakes(state):
         undone = mistake.undo(state)
-        ratios = [pair for pair in _ratios(undone.told, undone.known) if isfinite(pair[1])]
+        ratios = [pair for pair in _ratios(undone.evidence, undone.known) if isfinite(pair[1])]
         if all(span.holds(value) for span, value in ratios):
             strain = sum(span.strain(value) for span, value in ratios) + mistake.rarity
             fitting.append((strain, mistake))

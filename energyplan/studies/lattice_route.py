@@ -113,15 +113,15 @@ class Lattice:
 
         return _Motions(primitive, gear, states(row, column, start), states(to_row, to_column, end))
 
-    def _graph(self, told: Penalties) -> Any:
+    def _graph(self, penalties: Penalties) -> Any:
         """Return what each motion between states costs, in cells of straight driving."""
         costs = []
         for primitive, gear, source, _ in self._motions:
-            cost = told.rotation
+            cost = penalties.rotation
             if primitive.length > 0:
                 cost = primitive.length / self.controls.resolution
-                cost *= told.non_straight if primitive.arc > 0 else 1.0
-                cost *= 1.0 if gear > 0 else told.reverse
+                cost *= penalties.non_straight if primitive.arc > 0 else 1.0
+                cost *= 1.0 if gear > 0 else penalties.reverse
             costs.append(np.full(len(source), cost))
         ends = [np.concatenate([m[k] for m in self._motions]) for k in (2, 3)]
         count = int(np.prod(self.shape))
@@ -149,7 +149,7 @@ class Lattice:
         yaw = float(self._yaw[heading])
         return Pose(*self._poses(self._middle[row, column][None], yaw)[0].tolist())
 
-    def routes(self, start: ArrayLike, goals: ArrayLike, told: Penalties) -> list[Path]:
+    def routes(self, start: ArrayLike, goals: ArrayLike, penalties: Penalties) -> list[Path]:
         """Return the routes of least cost from a pose to others, all taken to the lattice's own.
 
         Parameters
@@ -158,7 +158,7 @@ class Lattice:
             Where from: x, y [m], yaw [rad].
         goals : array_like, shape (n, 3)
             Where to.
-        told : Penalties
+        penalties : Penalties
             What motions cost.
 
         Returns
@@ -171,7 +171,7 @@ class Lattice:
         NoPathError
             If no route of primitives leads to a goal.
         """
-        graph = self._graph(told)
+        graph = self._graph(penalties)
         first = self._state(as_pose(start, "the start"))
         _, all_before = csgraph.dijkstra(graph, indices=[first], return_predecessors=True)
         before = all_before[0]
