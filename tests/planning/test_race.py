@@ -89,7 +89,7 @@ def test_portfolio_keeps_the_best_and_never_makes_it_worse():
         leg = 4.0 / np.cos(angle)
         detours.append(Segments(np.array([0, leg, 0, leg, 0]), angle * np.array([1, 0, -2, 0, 1])))
     costs = [COST.energy(Path((2, 4, 0), *motions)) for motions in detours]
-    portfolio = Portfolio(asked.setting, seed=1, budget=Budget())
+    portfolio = Portfolio(asked.setting, seed=1)
     seen = []
     for motions, cost in zip(detours, costs, strict=True):
         portfolio.enter(motions)

@@ -93,3 +93,19 @@ def test_too_little_effort_says_what_was_searched():
     problem = PlanningProblem(rooms(0.7), COST, (1, 4, 0), (11, 1, 2))
     with pytest.raises(TimeLimitError, match="effort"):
         plan(problem, effort=120)
+
+
+def test_works_that_ask_for_much_share_what_the_others_leave():
+    budget = Budget(effort=100)
+    taken = []
+
+    def work(units):
+        def run(own):
+            own.spend(own.left)
+            return own.spent
+
+        return parallel.Work(run, units, taken.append)
+
+    parallel.do_together(budget, [work(1000), work(10), work(500), work(0)])
+    assert taken == [45, 10, 45, 0]
+    assert budget.over

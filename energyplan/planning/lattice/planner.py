@@ -11,8 +11,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
-from functools import partial
+from collections.abc import Iterable
+from functools import cached_property, partial
+from math import log
 from typing import NamedTuple
 
 import numpy as np
@@ -25,17 +26,14 @@ from energyplan.planning.contract import Candidate
 from energyplan.planning.lattice import search_kernels as kernels
 from energyplan.planning.lattice.fewer_motions import with_fewer_motions
 from energyplan.planning.lattice.portfolio import Portfolio
-from energyplan.planning.lattice.refine import Refiner
-from energyplan.planning.lattice.rounds import ROUNDS, Guide
-from energyplan.planning.lattice.search import (
-    Search,
-    lattice_for,
-)
+from energyplan.planning.lattice.rounds import ROUNDS, Sought
+from energyplan.planning.lattice.search import EXPANSION, Search, lattice_for
+from energyplan.planning.lattice.shortest import shortest_way
 from energyplan.planning.lattice.stops import SHARE, least_driven, stops_count
 from energyplan.planning.lattice.tight_ends import Ends, ways_out
 from energyplan.planning.lattice.way_along import way_along
 from energyplan.planning.lattice.wide_arcs import with_wide_arcs
-from energyplan.planning.parallel import side_by_side
+from energyplan.planning.parallel import Work, do_together, side_by_side
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.guide import distance_to_go, reached, regions_for
@@ -52,6 +50,14 @@ PENALTY = 8.0
 """How much longer a tight place counts for that search."""
 
 
+class Guide(NamedTuple):
+    """A distance to go with tight places counted longer, and the way along it, if it is one."""
+
+    penalty: float
+    to_go: DistanceToGo
+    way: Segments | None
+
+
 class Attempt(NamedTuple):
     """A search for a first path: between which ends, and on how fine a lattice."""
 
@@ -63,8 +69,11 @@ class Attempt(NamedTuple):
 WAYS = (PENALTY, 2.0, 1.0)
 """And for the ways along guides."""
 
-HASTE = 0.25
-"""Time below which the first round is left out [s]."""
+HOPE = 1.08
+"""Estimate, in units of the best cost, at which searches turn away: refinement gains less."""
+
+WAY_UNITS = 1000
+"""Units of work that the way along a guide may take."""
 
 MOST = 2000
 """Expansions of each search in the first round; twice as many in each round that follows."""
@@ -76,7 +85,16 @@ SEARCH_SHARE = 0.6
 """Part of the time left after the first plan that the searches may take."""
 
 BOUND_SHARE = 0.15
-"""Part of that time for the bound, and once more where that did not bring it to its end."""
+"""Part of that time that the bound may take at most at a time."""
+
+FIRST_BOUND = 250
+"""Units of work for the bound in the first round; four times as many in every other one since."""
+
+WORTH = 1e-3
+"""Part by which that must raise the bound for more of it to be worth its work."""
+
+FAIR_BOUND = 1000
+"""Units of work below which it is not judged by that."""
 
 MOST_LEFT = 60.0
 """Time of which that part is taken at most [s]."""
@@ -98,9 +116,6 @@ ESCAPE_SHARE = 0.25
 
 SHORTEST_SHARE = 0.25
 """Part of what is left after the first plan that finding a shortest way may take."""
-
-SHORTEST_POLISH = 800
-"""Attempts to make it shorter."""
 
 FIRST_TURN = 4000
 """Expansions of the search for a first path before a finer one joins it; then twice as many."""
@@ -189,13 +204,15 @@ class _Improvement:
         self.setting = query.setting
         self.budget = budget
         self.gap = gap
-        self.portfolio = Portfolio(self.setting, seed, budget)
+        self.portfolio = Portfolio(self.setting, seed)
         self.ends = Ends(query)
         self.fields: dict[float, DistanceToGo] = {}
-        self.searches: list[tuple[Search, float]] = []
-        self.entered: set[float] = set()
-        self._bound = Bound(0.0, False)
+        self.searches: list[Search] = []
+        self.begun: set[Sought] = set()
+        free = query.least_in_free_space - query.potential(query.problem.goal)
+        self._bound = Bound(free, False)
         self._spent: Spent = {}
+        self._raised = True
 
     @property
     def bound(self) -> float:
@@ -293,26 +310,8 @@ class _Improvement:
         """Have searches begin and end elsewhere."""
         self.ends = ends
         self.fields.clear()
-        self.entered.clear()
 
-    def _shortest_way(self, budget: Budget) -> Segments | None:
-        """Return the way that a search for the shortest one finds first, made shorter a little.
-
-        Of two ways that are refined for their energy the shorter one may stay the dearer, though it
-        is cheaper once it is short: so it is made short before it competes.
-        """
-        setting = self._shortest
-        field = self.field(PENALTY)
-        search = Search(self.ends.between(setting), field, lattice_for(setting), FIRST_WEIGHT)
-        search.run(budget, stop_at_first=True)
-        if not search.found:
-            return None
-        refiner = Refiner(setting, self.ends.whole(search.segments()))
-        refiner.shortcut(budget)
-        refiner.polish(budget, most=SHORTEST_POLISH)
-        return refiner.segments
-
-    @property
+    @cached_property
     def _shortest(self) -> KernelProblem:
         """The problem with the shortest way as the objective, for the same body."""
         return CompiledProblem(self.query.problem.shortest).setting
@@ -323,42 +322,105 @@ class _Improvement:
         # what is found must be refined before the end
         searching = self.budget.part(SEARCH_SHARE)
         kept = BOUND_SHARE * min(left, MOST_LEFT * PACE)
-        self.field(PENALTY)
+        works = self._shortest_way(SHORTEST_SHARE * left)
+        self._together(searching, works + self._guiding(ROUNDS[0], searching))
+        for number, begun in enumerate(ROUNDS):
+            if searching.over or self.done:
+                break
+            works = self._bounding(min(FIRST_BOUND << number, kept)) if number % 2 == 0 else []
+            for following in ROUNDS[number + 1 : number + 2]:
+                works += self._guiding(following, searching)
+            works += self._searching(begun, MOST << number)
+            self._together(searching, works)
+        self.portfolio.run(searching, self.enough)
+        if not self.done:
+            self.portfolio.finish(self.budget, self.enough, *self._bounding(kept))
+        gains = True
+        while gains and not self.done:
+            before = self.cost
+            self.portfolio.again(self.budget, self.enough)
+            gains = self.portfolio.rounds <= PATIENCE or self.cost <= before * (1 - 1e-5)
 
-        def bound(own: Budget) -> None:
-            self.raise_bound(min(kept, own.left), own)
+    def _together(self, budget: Budget, works: list[Work]) -> None:
+        """Do some work beside the next turns of the paths known.
 
-        # neither needs what the other one finds
-        tasks: list[Callable[[Budget], Segments | None]] = [bound]
-        if self.query.problem.objective != "length":
-            tasks.append(self._shortest_way)
-        for found in side_by_side(self.budget, tasks, max(kept, SHORTEST_SHARE * left)):
+        None may spend more than half of what those before it leave: where little is left the first
+        ones get it, and where one is hopeless the others still have their part.
+        """
+        every = [*self.portfolio.turns(self.enough), *works]
+        left = budget.left
+        for k, work in enumerate(every):
+            every[k] = work._replace(units=min(work.units, 0.5 * left))
+            left -= every[k].units
+        do_together(budget, every)
+
+    def _bounding(self, units: float) -> list[Work]:
+        """Return the search for a better bound, where it may bring one."""
+
+        def run(own: Budget) -> float:
+            before = self.bound
+            self.raise_bound(min(units, own.left), own)
+            return before
+
+        def take(before: float) -> None:
+            self._raised = units < FAIR_BOUND or self.bound > before * (1.0 + WORTH)
+
+        return [Work(run, units, take)] if self._raised and not self._bound.final else []
+
+    def _shortest_way(self, units: float) -> list[Work]:
+        """Return the search for the shortest way, where that is not what is sought."""
+        if self.query.problem.objective == "length":
+            return []
+        run = partial(shortest_way, self._shortest, self.ends, self.field(PENALTY))
+
+        def take(found: Segments | None) -> None:
             if found is not None:
                 self.portfolio.enter(found)
-        budget = self.budget if self._bound.final else self.budget.less(kept)
-        for number, (scale, weight, guides) in enumerate(ROUNDS):
-            if number == 0 and left < HASTE * PACE:
-                continue
-            most = MOST << number
-            self.portfolio.run(searching, self.enough)
-            penalties = {guide.penalty for guide in guides}
-            if self._work_for(penalties) > GUIDE_SHARE * searching.left:
-                continue  # refining what is known gains more
-            if not searching.over and not self.done:
-                self._distances(penalties, searching)
-                for penalty in sorted(penalties - self.entered):
-                    self._enter_way(penalty)
-                fresh = [self._search(scale, weight, guide) for guide in guides]
-                self._advance(fresh, searching, most)
-        self.portfolio.run(budget, self.enough)
-        self.portfolio.finish(budget, self.enough)
-        gains = True
-        while gains and not budget.over and self.cost > self.enough:
-            before = self.cost
-            self.portfolio.again(budget, self.enough)
-            gains = self.portfolio.rounds <= PATIENCE or self.cost <= before * (1 - 1e-5)
-        if not self._bound.final and self.cost > self.enough:
-            self.raise_bound(kept, self.budget)
+
+        return [Work(run, units, take)]
+
+    def _guiding(self, begun: Iterable[Sought], budget: Budget) -> list[Work]:
+        """Return the search for guides of a round that are not known, and for ways along them."""
+        missing = sorted({sought.penalty for sought in begun} - set(self.fields))
+        most = max((found.work for found in self.fields.values()), default=0) / TURNS
+        if len(missing) * most > GUIDE_SHARE * budget.left:
+            return []  # refining what is known gains more
+        setting = self.ends.between(self.setting)
+
+        def run(penalty: float, own: Budget) -> Guide:
+            found = distance_to_go(setting, penalty)
+            own.spend(found.work / TURNS)
+            return Guide(penalty, found, way_along(setting, found, own))
+
+        def take(guide: Guide) -> None:
+            self.fields[guide.penalty] = guide.to_go
+            if guide.way is not None:
+                self.portfolio.enter(self.ends.whole(guide.way))
+
+        return [Work(partial(run, penalty), most + WAY_UNITS, take) for penalty in missing]
+
+    def _searching(self, begun: Iterable[Sought], most: int) -> list[Work]:
+        """Return what goes on with all searches, and begins some."""
+        searches = [*self._new_searches(begun), *self.searches]
+        self.searches = []
+
+        def take(search: Search, before: float, state: int) -> None:
+            if search.best < before:
+                self.portfolio.enter(self.ends.whole(search.segments()))
+            if state == kernels.RUNNING:
+                self.searches.append(search)
+
+        works = []
+        for search in searches:
+            # a guide that counts tight places longer says nothing about what motions cost
+            plain = search.to_go is self.fields.get(1.0)
+            of_energy = search.setting.prices is self.setting.prices
+            run = partial(
+                search.run, stop_at_first=search.weight >= FIRST_WEIGHT, expansions=most,
+                limit=HOPE * self.cost if plain and of_energy else np.inf,
+            )  # fmt: skip
+            works.append(Work(run, EXPANSION * most, partial(take, search, search.best)))
+        return works
 
     def raise_bound(self, units: float, budget: Budget) -> None:
         """Search for a better lower bound; what is known of the best cost makes that easier."""
@@ -371,7 +433,6 @@ class _Improvement:
 
     def _enter_way(self, penalty: float) -> bool:
         """Enter the way that a guide knows, if it is one; tell whether it is."""
-        self.entered.add(penalty)
         way = way_along(self.ends.between(self.setting), self.field(penalty), self.budget)
         if way is not None:
             self.portfolio.enter(self.ends.whole(way))
@@ -379,47 +440,30 @@ class _Improvement:
 
     def field(self, penalty: float) -> DistanceToGo:
         """Return the distance to go, with tight places counted longer."""
-        self._distances({penalty}, self.budget)
+        if penalty not in self.fields:
+            found = distance_to_go(self.ends.between(self.setting), penalty)
+            self.budget.spend(found.work / TURNS)
+            self.fields[penalty] = found
         return self.fields[penalty]
 
-    def _distances(self, penalties: set[float], budget: Budget) -> None:
-        """Find the distances to go with tight places counted so many times longer."""
-
-        def find(penalty: float, own: Budget) -> DistanceToGo:
-            found = distance_to_go(self.ends.between(self.setting), penalty)
-            own.spend(found.work / TURNS)
-            return found
-
-        missing = sorted(penalties - set(self.fields))
-        tasks = [partial(find, penalty) for penalty in missing]
-        self.fields.update(zip(missing, side_by_side(budget, tasks, budget.left), strict=True))
-
-    def _work_for(self, penalties: set[float]) -> float:
-        """Return about what the distances to go will take, as far as they are not known."""
-        known = [found.work for found in self.fields.values()]
-        return len(penalties - set(self.fields)) * max(known, default=0) / TURNS
-
-    def _search(self, scale: float, weight: float, guide: Guide) -> Search:
-        """Return a search that has yet to begin."""
-        field = self.field(guide.penalty)
-        setting = self.setting
-        if guide.shortest:
-            setting = self._shortest
-        lattice = lattice_for(setting, scale)
-        return Search(self.ends.between(setting), field, lattice, weight, aligned=guide.aligned)
-
-    def _advance(self, fresh: list[Search], budget: Budget, most: int) -> None:
-        """Run all searches for a while; take what they find into the portfolio."""
-        known = [*self.searches, *((search, np.inf) for search in fresh)]
-
-        def run(search: Search, own: Budget) -> int:
-            return search.run(own, search.weight >= FIRST_WEIGHT, most)
-
-        states = side_by_side(budget, [partial(run, search) for search, _ in known], most)
-        self.searches = []
-        for (search, before), state in zip(known, states, strict=True):
-            found = float(search.tree.best[0])
-            if found < before:
-                self.portfolio.enter(self.ends.whole(search.segments()))
-            if state == kernels.RUNNING:
-                self.searches.append((search, found))
+    def _new_searches(self, begun: Iterable[Sought]) -> list[Search]:
+        """Return searches that have yet to begin, led by the guides known that are most like."""
+        searches = []
+        for sought in begun:
+            if sought.shortest and self.query.problem.objective == "length":
+                continue
+            setting = self._shortest if sought.shortest else self.setting
+            penalty = min(self.fields, key=lambda known: abs(log(known / sought.penalty)))
+            search = Search(
+                self.ends.between(setting),
+                self.fields[penalty],
+                lattice_for(setting, sought.scale),
+                sought.weight,
+                aligned=sought.aligned,
+            )
+            # headings along the axes are those counted from the start's where it lies along them
+            alike = sought._replace(penalty=penalty, aligned=search.spin != 0.0)
+            if alike not in self.begun:
+                self.begun.add(alike)
+                searches.append(search)
+        return searches

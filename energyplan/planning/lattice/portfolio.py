@@ -6,18 +6,25 @@ dearer. So all of them are refined a little, the better ones more, and the best 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 
 from energyplan.planning.budget import Budget
 from energyplan.planning.lattice.refine import Refiner
-from energyplan.planning.parallel import side_by_side
+from energyplan.planning.parallel import Work, do_together
 from energyplan.planning.scene.compiled import Segments
 from energyplan.planning.scene.motions import KernelProblem
 
 TURN = 400
 """Attempts at a path before the next one gets its turn."""
+
+FIRST_UNITS, TURN_UNITS = 500, 200
+"""Units of work of a path's first turn, with its shortcuts, and of each that follows."""
+
+SAME = 1e-9
+"""Part of the cost by which two paths that are entered differ, or are one: rounding."""
 
 KEPT = 4
 """Paths that stay in the portfolio."""
@@ -41,34 +48,70 @@ class Portfolio:
         The problem.
     seed : int
         Seed of the random numbers of the refinement.
-    budget : Budget
-        What taking paths in may spend.
     """
 
-    def __init__(self, setting: KernelProblem, seed: int, budget: Budget) -> None:
+    def __init__(self, setting: KernelProblem, seed: int) -> None:
         self.setting = setting
-        self._budget = budget
         self.best = Segments(np.empty(0), np.empty(0))
         self.cost = np.inf
         self.others: list[Segments] = []
         """What has become of those that stayed to the end."""
         self.rounds = 0
         self._seed = seed
+        self._entered: list[float] = []
         self._fresh: list[Refiner] = []
+        self._grown = False
         self._kept: list[Refiner] = []
 
     def enter(self, motions: Segments) -> None:
         """Take in motions from the start to the goal, free of collisions."""
         entrant = Refiner(self.setting, motions, self._seed)
+        if any(abs(entrant.cost - cost) <= SAME * cost for cost in self._entered):
+            return
+        self._entered.append(entrant.cost)
         if entrant.cost < self.cost:
             self.cost, self.best = entrant.cost, motions
-        entrant.shortcut(self._budget)
-        self._offer(entrant)
         self._fresh.append(entrant)
 
     def _offer(self, entrant: Refiner) -> None:
         if entrant.cost < self.cost:
             self.cost, self.best = entrant.cost, entrant.segments
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a path waits for its turn."""
+        return bool(self._fresh) or self._grown
+
+    def turns(self, enough: float) -> list[Work]:
+        """Return what refines, a little, every path entered since, and the best of those kept.
+
+        Parameters
+        ----------
+        enough : float
+            Cost at which to stop.
+        """
+
+        def shorten(entrant: Refiner, own: Budget) -> None:
+            entrant.shortcut(own)
+            entrant.polish(own, enough=enough, most=TURN)
+
+        def polish(entrant: Refiner, own: Budget) -> None:
+            entrant.polish(own, enough=enough, most=TURN)
+
+        fresh, self._fresh = self._fresh, []
+        leading = self._kept[:LEADING] if self._grown else []
+        self._grown = bool(fresh)
+        self._kept = self._kept + fresh
+        return [
+            *(Work(partial(shorten, one), FIRST_UNITS, self._settle) for one in fresh),
+            *(Work(partial(polish, one), TURN_UNITS, self._settle) for one in leading),
+        ]
+
+    def _settle(self, _: None) -> None:
+        """Keep the best few."""
+        self._kept = sorted(self._kept, key=lambda entrant: entrant.cost)[:KEPT]
+        for entrant in self._kept:
+            self._offer(entrant)
 
     def run(self, budget: Budget, enough: float) -> None:
         """Refine every path entered a little, the better ones more, and keep the best few.
@@ -80,50 +123,53 @@ class Portfolio:
         enough : float
             Cost at which to stop.
         """
-        fresh, self._fresh = self._fresh, []
-        self._turn(fresh, budget, enough)
-        self._kept = sorted(self._kept + fresh, key=lambda entrant: entrant.cost)[:KEPT]
-        if fresh:
-            self._turn(self._kept[:LEADING], budget, enough)
-        for entrant in self._kept:
-            self._offer(entrant)
+        while self.waiting and not budget.over:
+            do_together(budget, self.turns(enough))
 
-    def _turn(self, entrants: list[Refiner], budget: Budget, enough: float) -> None:
-        """Refine some paths a little, side by side."""
+    def finish(self, budget: Budget, enough: float, *beside: Work) -> None:
+        """Refine those kept until little is gained, side by side; see `run`.
 
-        def polish(entrant: Refiner, own: Budget) -> None:
-            entrant.polish(own, enough=enough, most=TURN)
-
-        side_by_side(budget, [partial(polish, entrant) for entrant in entrants], TURN)
-
-    def finish(self, budget: Budget, enough: float) -> None:
-        """Refine those kept until little is gained; see `run`."""
+        Parameters
+        ----------
+        budget : Budget
+            What may be spent.
+        enough : float
+            Cost at which to stop.
+        *beside : Work
+            What else to do at once.
+        """
         hopeful = [entrant for entrant in self._kept if entrant.cost <= HOPE * self.cost]
-        self._finish(hopeful, budget, enough)
+        self._finish(hopeful, budget, enough, beside)
         self.others = [entrant.segments for entrant in self._kept]
         self._kept = []
 
-    def again(self, budget: Budget, enough: float) -> None:
-        """Refine the best motions once more, with other random numbers."""
+    def again(self, budget: Budget, enough: float, *beside: Work) -> None:
+        """Refine the best motions once more, with other random numbers; see `finish`."""
         entrants = []
         for _ in range(AGAIN):
             self.rounds += 1
             entrants.append(Refiner(self.setting, self.best, self._seed + self.rounds))
-        self._finish(entrants, budget, enough, cut=True)
+        self._finish(entrants, budget, enough, beside)
 
     def _finish(
-        self, entrants: list[Refiner], budget: Budget, enough: float, cut: bool = False
+        self,
+        entrants: list[Refiner],
+        budget: Budget,
+        enough: float,
+        beside: Sequence[Work],
     ) -> None:
-        """Refine some paths until little is gained, side by side."""
+        """Refine some paths until little is gained."""
 
         def run(entrant: Refiner, own: Budget) -> None:
-            if cut:
-                entrant.shortcut(own)
+            entrant.shortcut(own)
             entrant.polish(own, enough=enough)
             if not own.over:
                 entrant.again(own)
             entrant.polish(own, enough=enough)
 
-        side_by_side(budget, [partial(run, entrant) for entrant in entrants], budget.left)
+        refining = [
+            Work(partial(run, entrant), budget.left, lambda _: None) for entrant in entrants
+        ]
+        do_together(budget, [*beside, *refining])
         for entrant in entrants:
             self._offer(entrant)

@@ -57,8 +57,6 @@ class Search:
         Resolution.
     weight : float
         Factor on the estimated cost to go.
-    limit : float
-        Motions at this cost or above are of no interest.
     aligned : bool
         Whether to turn to the nearest heading of the lattice that is counted from the map's axes
         first, where there is room to: gaps that the body barely passes mostly lie along these.
@@ -68,7 +66,6 @@ class Search:
     to_go: DistanceToGo
     lattice: kernels.Lattice
     weight: float
-    limit: float = np.inf
     aligned: bool = False
 
     def __post_init__(self) -> None:
@@ -96,9 +93,9 @@ class Search:
             heap_f=np.zeros(nodes),
             heap_node=np.zeros(nodes, np.int32),
             counts=np.array([0, 0, 0, -1, 1 << 30], np.int64),
-            best=np.array([self.limit]),
+            best=np.array([np.inf]),
         )
-        self._grow(0, False)
+        self._grow(0, False, np.inf)
 
     def _enlarge(self) -> None:
         """Double every array, and rebuild the hash table."""
@@ -125,7 +122,7 @@ class Search:
         kernels.rehash(larger, count)
         self.tree = larger
 
-    def _grow(self, expansions: int, stop_at_first: bool) -> int:
+    def _grow(self, expansions: int, stop_at_first: bool, limit: float) -> int:
         return kernels.grow(
             self.tree,
             self.setting,
@@ -134,9 +131,16 @@ class Search:
             self.weight,
             expansions,
             stop_at_first,
+            limit,
         )
 
-    def run(self, budget: Budget, stop_at_first: bool, expansions: int | None = None) -> int:
+    def run(
+        self,
+        budget: Budget,
+        stop_at_first: bool,
+        expansions: int | None = None,
+        limit: float = np.inf,
+    ) -> int:
         """Search until something is found, nothing is left, or the budget is over.
 
         Parameters
@@ -147,24 +151,31 @@ class Search:
             Whether any motion to the goal will do.
         expansions : int, optional
             Largest number of expansions.
+        limit : float
+            Motions at this cost or above are of no interest; it may fall from call to call.
 
         Returns
         -------
         int
             `FOUND`, `EXHAUSTED`, or `RUNNING` where budget or expansions ran out.
         """
-        limit = np.inf if expansions is None else self.tree.counts[2] + expansions
+        most = np.inf if expansions is None else self.tree.counts[2] + expansions
         while True:
             before = int(self.tree.counts[2])
-            most = int(min(SLICE, max(limit - before, 1), max(budget.left / EXPANSION, 1)))
-            status = self._grow(most, stop_at_first)
+            slice_ = int(min(SLICE, max(most - before, 1), max(budget.left / EXPANSION, 1)))
+            status = self._grow(slice_, stop_at_first, limit)
             budget.spend(EXPANSION * (int(self.tree.counts[2]) - before))
             if status == kernels.FULL:
                 self._enlarge()
             elif status != kernels.RUNNING:
                 return status
-            if budget.over or self.tree.counts[2] >= limit:
+            if budget.over or self.tree.counts[2] >= most:
                 return kernels.RUNNING
+
+    @property
+    def best(self) -> float:
+        """Cost of the best motion to the goal so far; infinite where none is known."""
+        return float(self.tree.best[0])
 
     @property
     def found(self) -> bool:

@@ -170,6 +170,7 @@ def grow(
     weight: float,
     expansions: int,
     stop_at_first: bool,
+    limit: float,
 ) -> int:
     """Expand nodes until a motion to the goal is found, or so many were expanded.
 
@@ -190,6 +191,8 @@ def grow(
         Largest number of expansions in this call.
     stop_at_first : bool
         Whether any motion to the goal will do.
+    limit : float
+        What leads to motions of this cost or above, by the estimate, is of no interest.
 
     Returns
     -------
@@ -233,6 +236,8 @@ def grow(
         if f >= tree.best[0]:
             # what is left costs more, or at least more than best / weight
             return EXHAUSTED
+        if g + tree.h[node] >= limit:
+            continue
         counts[2] += 1
         counts[4] += 1
         x = tree.x[node]
@@ -294,7 +299,7 @@ def grow(
                     h = _estimate(setting, to_go, xx, yy, yaw + dtheta)
             else:
                 h = _estimate(setting, to_go, xx, yy, yaw + dtheta) if weight > 0 else 0.0
-            if gg + h >= tree.best[0]:
+            if gg + h >= min(tree.best[0], limit):
                 continue
             if not motion_free(space, setting.body, x, y, yaw, ds, dtheta, 0.0):
                 continue
