@@ -13,7 +13,9 @@ OUT ?= demo
 demo: $(READY)
 	$(BIN)/energyplan demo --out $(OUT)
 
+# Kernels are compiled ahead, by both processors: else both processes of the tests compile each.
 test: $(READY) lint
+	$(BIN)/energyplan warmup
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 # Nightly: the larger cases of what the suite tries with smaller ones.

@@ -410,12 +410,12 @@ class Listener(event.Listener):
         pass
 
 
-def problem(cost=COST, size=100, resolution=0.1, **more):
+def problem(cost=COST, size=100, resolution=0.1, start=(1.5, 1.5, 0.0), **more):
     blocked = np.zeros((size, size), bool)
     blocked[size // 3 : size // 3 + 3, : 2 * size // 3] = True
     far = size * resolution - 1.5
     grid = ep.OccupancyGrid(blocked, resolution)
-    return ep.PlanningProblem(grid, cost, (1.5, 1.5, 0.0), (1.5, far, 2.0), **more)
+    return ep.PlanningProblem(grid, cost, start, (1.5, far, 2.0), **more)
 
 
 rough = ep.PowerModel.preset("quadriga:full:concrete")
@@ -428,6 +428,7 @@ KINDS = {
     "speed": lambda: problem(HOTEL_COST),
     "length": lambda: problem(objective="length"),
     "time": lambda: problem(objective={"energy": 1.0, "time": 20.0}),
+    "tight": lambda: problem(start=(1.5, 3.297 - MODEL.vehicle.footprint[:, 1].max(), 0.0)),
     "big": lambda: problem(size=500, resolution=0.2),
 }
 late = []
@@ -460,7 +461,8 @@ for planner, name in WAYS:
 
 WAYS = {
     "static": [
-        *(("lattice", kind) for kind in ("plain", "surfaces", "heights", "length", "time")),
+        *(("lattice", kind) for kind in ("plain", "tight", "surfaces", "heights", "length")),
+        ("lattice", "time"),
         ("energies", "big"), ("compare", "surfaces"), ("roadmap", "plain"), ("bitstar", "surfaces"),
     ],
     "with exact steering": [("lattice", "speed"), ("control_rrt", "speed")],

@@ -126,34 +126,6 @@ def material(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-class Demo(NamedTuple):
-    folder: Path
-    printed: str
-
-
-@pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> Demo:
-    """What ``energyplan demo`` makes and prints; README's commands go on from there."""
-    place = tmp_path_factory.mktemp("made") / "demo"
-    printed = io.StringIO()
-    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
-        patch.setattr(sys, "argv", ["energyplan", "demo", "--out", str(place), "--json"])
-        with pytest.raises(SystemExit) as left:
-            cli.main()
-    assert not left.value.code
-    return Demo(place, printed.getvalue())
-
-
-def test_demo_makes_every_file_it_lists(demo: Demo) -> None:
-    files = [Path(name) for name in json.loads(demo.printed)["files"]]
-    made = {file for file in demo.folder.rglob("*") if file.is_file()}
-    assert set(files) == made
-    page = files[-1].read_text()
-    assert files[-1].name == "index.html"
-    assert page.count("<figure>") == len([f for f in files if f.suffix == ".png"])
-    assert "http" not in re.sub(r"base64,[^\"]+", "", page)
-
-
 def namespace() -> dict[str, Any]:
     """Names that pages speak of without making them."""
     model = ep.PowerModel.preset("quadriga:full:concrete")
@@ -222,24 +194,19 @@ def write_files(page: Path, folder: Path) -> None:
             (folder / name[1]).write_text(block.text)
 
 
-@pytest.mark.parametrize("page", pages("sh"))
-def test_command_lines_run(
+def run_commands(
     page: Path,
-    material: Path,
-    request: pytest.FixtureRequest,
+    work: Path,
     monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    work = shutil.copytree(material, tmp_path / "work")
+    """Run the command lines of a page in a folder, but for those that a page before it has."""
     write_files(page, work)
-    if "demo/" in page.read_text():
-        shutil.copytree(request.getfixturevalue("demo").folder, work / "demo")
     monkeypatch.chdir(work)
     before = PAGES[: PAGES.index(page)]
     done = {tuple(words) for other in before for words in command_lines(other)}
     for arguments in command_lines(page):
-        if arguments[0] == "demo":  # run once, by its fixture
+        if arguments[0] == "demo":  # run once, by its test
             arguments = ["demo", "--help"]
         if tuple(arguments) in done and "--out" not in arguments:  # run on that page
             continue
@@ -247,6 +214,47 @@ def test_command_lines_run(
         with pytest.raises(SystemExit) as left:
             cli.main()
         assert not left.value.code, f"{page.name}: {arguments}: {capsys.readouterr().err}"
+
+
+def after_demo(page: Path) -> bool:
+    """Tell whether a page goes on from what the demo makes."""
+    return "demo/" in page.read_text()
+
+
+@pytest.mark.parametrize("page", [p for p in pages("sh") if not after_demo(p.values[0])])
+def test_command_lines_run(
+    page: Path,
+    material: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    run_commands(page, shutil.copytree(material, tmp_path / "work"), monkeypatch, capsys)
+
+
+def test_demo_makes_every_file_it_lists_and_pages_go_on_from_there(
+    material: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """In one test, so that the demo is run once, however many processes share the tests."""
+    folder = tmp_path / "made" / "demo"
+    monkeypatch.setattr(sys, "argv", ["energyplan", "demo", "--out", str(folder), "--json"])
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    assert not left.value.code
+    files = [Path(name) for name in json.loads(capsys.readouterr().out)["files"]]
+    assert set(files) == {file for file in folder.rglob("*") if file.is_file()}
+    page = files[-1].read_text()
+    assert files[-1].name == "index.html"
+    assert page.count("<figure>") == len([f for f in files if f.suffix == ".png"])
+    assert "http" not in re.sub(r"base64,[^\"]+", "", page)
+    going_on = [parameter.values[0] for parameter in pages("sh")]
+    for other in filter(after_demo, going_on):
+        work = shutil.copytree(material, tmp_path / other.stem)
+        shutil.copytree(folder, work / "demo")
+        run_commands(other, work, monkeypatch, capsys)
 
 
 ON_PAGES = {tuple(words) for page in PAGES for words in command_lines(page)}
