@@ -38,6 +38,9 @@ function table(header, rows) {
   return made;
 }
 
+const hours = (value) => `${(value / 3600).toPrecision(3)} Wh`;
+const raised = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴" };
+const unit = (text) => text === "1" ? "" : ` ${text.replace(/\^([-\d]+)/g, (_, n) => [...n].map((c) => raised[c] ?? c).join(""))}`;
 const joules = (value) => value == null ? "–" : `${Math.round(value).toLocaleString("en")} J`;
 const percent = (value) => `${(100 * value).toFixed(1)} %`;
 
@@ -155,7 +158,7 @@ async function range() {
     const all = told.contours.at(-1);
     say(`${Math.round(all.area).toLocaleString("en")} m² are in reach${$("back").checked ? ", and back" : ""}${spread > 0 ? ", with 95 % confidence" : ""}.`);
     $("answer").replaceChildren(table(["with", "area in reach"],
-      told.contours.map((line) => [joules(line.energy), `${Math.round(line.area).toLocaleString("en")} m²`])));
+      told.contours.map((line) => [hours(line.energy), `${Math.round(line.area).toLocaleString("en")} m²`])));
   } catch (error) { say(error.message, true); }
 }
 
@@ -183,7 +186,7 @@ async function evaluate(event) {
 }
 
 function verdicts(told) {
-  say(`${told.headline}.`, told.tasks.some((task) => task.verdict !== "reachable"));
+  say(`${told.headline[0].toUpperCase()}${told.headline.slice(1)}.`, told.tasks.some((task) => task.verdict !== "reachable"));
   told.tasks.forEach((task, k) => tasks[k].mark(task.verdict === "reachable" ? "done" : "out"));
   $("verdicts").replaceChildren(table(["task", "verdict", "energy", "charge after"], told.tasks.map((task) => [
     task.name,
@@ -197,9 +200,9 @@ function verdicts(told) {
   plot?.destroy();
   plot = new window.uPlot({
     width: $("charge").clientWidth || 340, height: 220, scales: { x: { time: false }, y: { range: [0, 100] } },
-    series: [{ label: "min" }, { label: "charge %", stroke: "#0072b2", width: 2 },
+    series: [{ label: "time [min]" }, { label: "expected", stroke: "#0072b2", width: 2 },
       { label: "at the asked confidence", stroke: "#d55e00", dash: [6, 4] }],
-    axes: [axis, { ...axis, size: 44 }],
+    axes: [{ ...axis, label: "time [min]", labelSize: 20 }, { ...axis, size: 44, label: "charge [%]", labelSize: 20 }],
   }, [line.t.map((t) => t / 60), line.soc.map((s) => 100 * s), line.soc_lower.map((s) => 100 * s)], $("charge"));
 }
 
@@ -217,14 +220,14 @@ async function drives(files) {
     const vehicle = $("drives").vehicle.value;
     say("Looking for the robot's parameters…");
     const found = await post("identify", { logs: names, vehicle });
-    const rows = (terms) => terms.map((t) => [t.name.replaceAll("_", " "), `${t.symbol} = ${t.value.toPrecision(4)}${t.std_error == null ? "" : ` ± ${t.std_error.toPrecision(2)}`} ${t.unit}`]);
+    const rows = (terms) => terms.map((t) => [t.name.replaceAll("_", " "), `${t.symbol} = ${t.value.toPrecision(4)}${t.std_error == null ? "" : ` ± ${t.std_error.toPrecision(2)}`}${unit(t.unit)}`]);
     const parts = [element("h2", "Identified"), table(["term", "value"], rows(found.terms)),
       ...found.warnings.map((text) => element("p", text, "hint"))];
     if (names.length > 1) {
       say("Tracing what the model does not explain…");
       const told = await post("diagnose", { logs: names.slice(0, -1), holdout: names.slice(-1), vehicle });
       parts.push(element("h2", "Diagnosis"), element("p", told.verdict.replaceAll("_", " ")),
-        table(["effect", "size"], told.effects.map((e) => [e.name.replaceAll("_", " "), `${e.value.toPrecision(4)} ${e.unit}`])),
+        table(["effect", "size"], told.effects.map((e) => [e.name.replaceAll("_", " "), `${e.value.toPrecision(4)}${unit(e.unit)}`])),
         element("p", `Error of the energy on the last log: ${percent(told.before.energy_error)} before, ${percent(told.after.energy_error)} after.`),
         ...told.advice.map((text) => element("p", text, "hint")));
     }
