@@ -25,7 +25,7 @@ from cosmic_ray.work_item import TestOutcome, WorkerOutcome
 
 ROOT = Path(__file__).resolve().parents[1]
 TESTS = {
-    "power": "tests/power", "vehicle.py": "tests/test_vehicle.py",
+    "power": "tests/power", "vehicle": "tests/test_vehicle.py",
     "cost": "tests/cost tests/limits/test_chain.py",
     "steering": "tests/steering", "planning/bound": "tests/planning/test_bound.py",
     "fit": "tests/fit", "mission": "tests/mission", "limits": "tests/limits",
@@ -79,7 +79,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         os.environ["PYTHONPATH"] = str(copy)
         for part, tests in TESTS.items():
             place = Path("energyplan") / part
-            files = sorted((ROOT / place).rglob("*.py")) if place.suffix == "" else [ROOT / place]
+            files = sorted((ROOT / place).rglob("*.py"))
+            if not files:
+                parser.error(f"{place} has no modules; correct TESTS")
             for file in files:
                 module = file.relative_to(ROOT)
                 name = str(module.relative_to("energyplan"))
