@@ -7,6 +7,7 @@ import pytest
 
 from energyplan.errors import UnknownNameError, VehicleError
 from energyplan.vehicle import GRAVITY, MotorLimits, TreadICR, Vehicle, predict_icr, wheel_loads
+from energyplan.vehicle.presets import VEHICLE_PRESETS
 
 
 @pytest.mark.parametrize(
@@ -150,3 +151,13 @@ def test_yaw_inertia_is_that_of_a_uniform_box(name: str) -> None:
     y = np.linspace(y_min, y_max, cells, endpoint=False) + 0.5 * (y_max - y_min) / cells
     squares = (x[:, None] - x.mean()) ** 2 + (y[None, :] - y.mean()) ** 2
     assert vehicle.yaw_inertia == pytest.approx(vehicle.mass * squares.mean(), rel=1e-4)
+
+
+@pytest.mark.parametrize("name", sorted(VEHICLE_PRESETS))
+def test_a_preset_stands_on_wheels_within_its_body(name: str) -> None:
+    vehicle = Vehicle.preset(name)
+    body, wheels = np.ptp(vehicle.footprint, axis=0), np.ptp(vehicle.contacts, axis=0)
+    assert np.all(wheels < body)
+    assert wheels[0] > 0.4 * body[0]
+    assert wheels[1] > 0.6 * body[1]
+    assert 20.0 < vehicle.mass / np.prod(body) < 400.0
