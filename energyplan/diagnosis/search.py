@@ -241,11 +241,43 @@ class Search(Proposals):
             sets = [some for some in sets if self._compatible(candidates, some)]
             scores = self._scores(design, candidates, sets, one.errors)
             before = set(weighed)
-            for k in np.argsort(-scores, kind="stable")[:_TRIED]:
-                reduced = self._reduced(sets[k], candidates, late)
+            tried = [sets[k] for k in np.argsort(-scores, kind="stable")[:_TRIED]]
+            for some in [*tried, *self._settled_lines(sets, scores, candidates, one)]:
+                reduced = self._reduced(some, candidates, late)
                 weighed[(frozenset(reduced), late)] = self._posterior(reduced, candidates, late)
             if max(weighed, key=lambda key: weighed[key]) in before:
                 return
+
+    def _settled_lines(
+        self, sets: Sequence[Set], scores: FloatArray, candidates: list[Candidate], now: Evaluated
+    ) -> list[Set]:
+        """Return the best set with each effect of a place, its line moved to where it fits best.
+
+        Lines of a grid lie up to half a step beside the border, and tell only part of it. The line
+        becomes a further candidate, as probable before the data as each of the grid.
+        """
+        found: list[Set] = []
+        names = {part.effect.name for part in now.parts}
+        order = np.argsort(-scores, kind="stable")
+        for effect in self.effects:
+            if effect.acts != "place" or effect.name in names:
+                continue
+            own = {k for k, one in enumerate(candidates) if one.part.effect is effect}
+            chosen = next((sets[k] for k in order if own & set(sets[k])), None)
+            if chosen is None or any(candidates[k].marked for k in chosen):
+                continue
+            (line,) = own & set(chosen)
+            parts = [candidates[k].part for k in chosen]
+            made = self._moved(parts, chosen.index(line), now.problem)
+            better = self._settled(candidates[line].part, made, now.errors)
+            if better is None:
+                continue
+            moved = made(better)[0][chosen.index(line)]
+            last = max(one.columns[-1] for one in candidates if one.columns)
+            columns = tuple(range(last + 1, last + 1 + len(moved.terms)))
+            candidates.append(Candidate(moved, columns, candidates[line].prior))
+            found.append(tuple(sorted({*chosen, len(candidates) - 1} - {line})))
+        return found
 
     def _levelled(self, nuisance: Sequence[Part]) -> Problem:
         """Give each run the factor by which it differs as a whole: else long runs decide."""
