@@ -130,7 +130,7 @@ def closed(effects: tuple[Effect, ...], case: Pair, rounds: int = 2) -> Loop:
 
 def hidden(count: int, single: bool, begin: int = 0) -> None:
     """Hidden effects: error before and after one round, what was found, which takes less."""
-    grids, rows = maps(), list[tuple[str, str, float, float, float]]()
+    grids, rows, inside = maps(), list[tuple[str, str, float, float, float]](), list[bool]()
     kinds = list(EFFECTS)
     for k in range(begin, begin + count):
         case = pair(grids, k)
@@ -147,8 +147,11 @@ def hidden(count: int, single: bool, begin: int = 0) -> None:
         found = ", ".join(e.name for e in first.effects) or first.note or "-"
         saved = 1 - last.energy_taken / first.energy_taken
         rows.append((label, found, first.error, last.error, saved))
-        print(f"{k}: {label}: {100 * first.error:+.1f} % -> {100 * last.error:+.1f} %, found "
-              f"{found}; second route takes {100 * saved:+.1f} % less", flush=True)  # fmt: skip
+        low, high = last.energy_interval or (-np.inf, np.inf)
+        inside.append(low <= last.energy_taken <= high)
+        print(f"{k}: {label}: {100 * first.error:+.1f} % -> {100 * last.error:+.1f} % "
+              f"(+- {50 * (high - low) / last.energy_told:.1f} %), found {found}; "
+              f"second route takes {100 * saved:+.1f} % less", flush=True)  # fmt: skip
     print("\n| hidden | found | error before | after | second route saves |\n|---|---|---|---|---|")
     for label, found, before, after, saved in rows:
         print(f"| {label} | {found} | {100 * before:+.1f} % | {100 * after:+.1f} % | "
@@ -156,7 +159,8 @@ def hidden(count: int, single: bool, begin: int = 0) -> None:
     after = np.abs([row[3] for row in rows])
     print(f"\n{len(rows)} runs: after one round within 3 % in {100 * np.mean(after <= 0.03):.0f} %,"
           f" within 6 % in {100 * np.mean(after <= 0.06):.0f} %, median "
-          f"{100 * np.median(after):.1f} %")  # fmt: skip
+          f"{100 * np.median(after):.1f} %; taken within the 95 % interval in "
+          f"{100 * np.mean(inside):.0f} %")  # fmt: skip
 
 
 def routes(count: int, begin: int = 0) -> None:

@@ -23,6 +23,10 @@ SETTLED = 3.0
 SHARE = 0.15
 """Share of the power that an effect of unknown size is taken to have."""
 
+_HINT = 0.02  # share of every manoeuvre that is taken to be driven while the first are chosen
+_EXCHANGES = 20  # most exchanges of one manoeuvre for another
+_EXCHANGED = 1e-3  # gain of the criterion that is worth one
+
 
 @dataclass(frozen=True)
 class Explanation:
@@ -207,9 +211,11 @@ def design(
     question.scale_by(np.sum(early, axis=0))
     probe = question.gram(options[-1].trajectory, 100.0)
     timeless = bool(np.allclose(probe, early[-1], rtol=1e-9))
+    # Some explanations are told apart by no manoeuvre alone: a hint of all others shows its worth.
+    hint = _HINT * np.sum(early, axis=0)
     while True:
         worth = [
-            (question.gain(gram, found) / option.trajectory.duration, k, found)
+            (question.gain(gram + hint, found + hint) / option.trajectory.duration, k, found)
             for k, option in enumerate(options)
             if clock + option.trajectory.duration <= duration
             for more in [early[k] if timeless else question.gram(option.trajectory, clock)]
@@ -226,12 +232,45 @@ def design(
     if not chosen:
         chosen = [options[0]]
         gram = question.gram(options[0].trajectory, 0.0)
+    if timeless:
+        chosen = [
+            options[k]
+            for k in _exchanged(
+                question, early, options, list(map(options.index, chosen)), duration
+            )
+        ]
+        gram = np.sum([early[options.index(option)] for option in chosen], axis=0)
     trajectory = joined([option.trajectory for option in chosen])
     pairs = question.separations(gram)
     names = tuple(option.manoeuvre.name for option in chosen)
     return Design(
         trajectory, names, pairs, question.probabilities(pairs), _sentence(names, pairs)
     )  # fmt: skip
+
+
+def _exchanged(
+    question: _Question,
+    grams: Sequence[FloatArray],
+    options: Sequence[Option],
+    chosen: list[int],
+    duration: float,
+) -> list[int]:
+    """Exchange manoeuvres, one at a time, for what improves the whole drive most (Fedorov 1972)."""
+    times = np.array([option.trajectory.duration for option in options])
+    for _ in range(_EXCHANGES):
+        gram = np.sum([grams[k] for k in chosen], axis=0)
+        left = duration - float(times[chosen].sum())
+        best, swap = 0.0, (0, 0)
+        for place, old in enumerate(chosen):
+            rest = gram - grams[old]
+            for new in np.flatnonzero(times <= left + times[old]).tolist():
+                gain = question.gain(gram, rest + grams[new]) if new != old else 0.0
+                if gain > best:
+                    best, swap = gain, (place, new)
+        if not best > _EXCHANGED:
+            break
+        chosen[swap[0]] = swap[1]
+    return chosen
 
 
 def explanations_of(report: Mapping[str, Any]) -> tuple[Explanation, ...]:
@@ -409,7 +448,7 @@ class _Question:
         if len(self.explanations) > 1:
             odds = np.array([pair.log_odds for pair in self.separations(gram)])
             # Concave, so that a pair which is told apart makes room for the others.
-            return float(np.sum(np.log1p(odds)))
+            return -float(np.sum(np.exp(-odds / (2.0 * SETTLED))))
         scale = self._scale[self._narrowed]
         part = gram[np.ix_(self._narrowed, self._narrowed)] * np.outer(scale, scale)
         return float(np.linalg.slogdet(np.eye(len(part)) + part)[1])

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import t as student
 
 from energyplan import html
 from energyplan.errors import (
@@ -36,6 +38,11 @@ SHARP = 0.1
 NORMAL = 1.96
 """Half width of a 95 % interval in standard deviations."""
 
+USUAL = 0.005
+"""Relative error of energies told by a model that lacks nothing: that of the engine's drives."""
+PRIOR = 4
+"""Drives that count for it beside those made."""
+
 Progress = Callable[[float, str], None]
 
 
@@ -65,6 +72,9 @@ class Round:
         The designed drive that was made after it, to learn from; None where there was none.
     note : str
         Why nothing was learned, if so.
+    overhead : float
+        Share of the prediction that the model's terms do not give: what the drives so far took
+        beyond what the model says of the routes that were asked.
 
     Examples
     --------
@@ -90,6 +100,7 @@ class Round:
     driven: Driven | None = None
     survey: Driven | None = None
     note: str = ""
+    overhead: float = 0.0
 
     @property
     def length(self) -> float:
@@ -297,6 +308,7 @@ def close_loop(
     model, base = problem.cost.model, problem.robot
     limit = speed or _usual_speed(problem)
     logs, done = list(before), list[Round]()
+    driven_before = list[tuple[Trajectory, DriveLog]]()
     for k in range(count):
         report(k / count, f"round {k + 1}: planning")
         driven = None
@@ -319,13 +331,24 @@ def close_loop(
             energy = sum(energy_told(trajectory, belief.model, belief.ground).values())
             motion = _followed(trajectory, belief)
             weights = np.diff(trajectory.t)
+            known = [
+                one.energy / sum(energy_told(asked, belief.model, belief.ground).values())
+                for asked, one in driven_before
+            ]
+            driven_before.append((trajectory, log))
         else:
             log = source[k]
             motion, weights = log.motion(model.vehicle.icr), log.weights
-            energy = float(weights @ model.battery_side().power(motion))
-        interval = _interval(energy, model, motion, weights)
+            energy = _retold(model, log)
+            known = [one.energy / _retold(model, one) for one in logs]
+        # Only of a model that has learned from them do drives say how it fares with the next.
+        beyond = overhead(known if model is not problem.cost.model else ())
+        energy *= 1.0 + beyond.share
+        interval = _interval(energy, model, motion, weights, beyond.deviation)
         logs.append(log)
-        now = Round(energy, interval, log.energy, made, model, (), log, driven)
+        now = Round(
+            energy, interval, log.energy, made, model, (), log, driven, overhead=beyond.share
+        )
         right = now.within or abs(now.error) <= tolerance
         if right:
             done.append(now)
@@ -338,6 +361,7 @@ def close_loop(
             if wanted is not None:
                 made_next = source(wanted, belief.model, k + 1)
                 logs.append(source.log(made_next, count + 1))
+                driven_before.append((wanted, logs[-1]))
                 now = replace(now, survey=made_next)
                 report((k + 0.85) / count, f"round {k + 1}: diagnosing")
                 learned = learn(logs, base)
@@ -426,10 +450,59 @@ def _followed(trajectory: Trajectory, belief: Belief) -> Motion:
     return Motion.from_twist(middle(trajectory.v), middle(trajectory.omega), icr, **channels)
 
 
+def _retold(model: PowerModel, log: DriveLog) -> float:
+    """Return what a model tells of a log's own motion [J]."""
+    return float(log.weights @ model.battery_side().power(log.motion(model.vehicle.icr)))
+
+
+class Overhead(NamedTuple):
+    """What drives take beyond what a model says of the routes that were asked.
+
+    Parameters
+    ----------
+    share : float
+        What they took more, over what the model says.
+    deviation : float
+        How much that differs from drive to drive, relative; its normal 95 % interval is that of
+        Student's distribution.
+    """
+
+    share: float
+    deviation: float
+
+
+def overhead(ratios: Sequence[float]) -> Overhead:
+    """Learn from drives made what the next one takes beyond what a model says of its route.
+
+    A controller turns more than it is asked to, treads slip, and no sum of terms is all of a robot.
+
+    Parameters
+    ----------
+    ratios : sequence of float
+        For each drive so far, the energy that it took over what the model says of its route.
+
+    Returns
+    -------
+    Overhead
+        The mean, and the scatter: `USUAL` counts as `PRIOR` drives.
+
+    Examples
+    --------
+    >>> found = overhead([1.02, 1.03])
+    >>> round(found.share, 3), found.deviation < 0.02
+    (0.025, True)
+    """
+    share = float(np.mean(ratios)) - 1.0 if len(ratios) else 0.0
+    freedom = PRIOR + max(len(ratios) - 1, 0)
+    scatter = float(np.sum(np.square(np.array(ratios) - 1.0 - share)))
+    variance = (PRIOR * USUAL**2 + scatter) / freedom * (1.0 + 1.0 / max(len(ratios), 1))
+    return Overhead(share, float(np.sqrt(variance) * student.ppf(0.975, freedom) / NORMAL))
+
+
 def _interval(
-    energy: float, model: PowerModel, motion: Motion, weights: FloatArray
+    energy: float, model: PowerModel, motion: Motion, weights: FloatArray, share: float
 ) -> tuple[float, float] | None:
-    """Interval of an energy from the covariance of the model and from its residual."""
+    """Interval of an energy from the covariance of the model, its residual, and its own error."""
     if model.covariance is None:
         return None
 
@@ -446,5 +519,5 @@ def _interval(
         misfit, duration = model.residual, float(weights.sum())
         correlated = 2.0 * max(misfit.correlation_time, 0.05) * duration
         variance += misfit.rmse**2 * correlated + (misfit.bias * duration) ** 2
-    half = NORMAL * float(np.sqrt(variance))
+    half = NORMAL * float(np.sqrt(variance + (share * energy) ** 2))
     return energy - half, energy + half
