@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import minimize
 
 from energyplan.diagnosis.change_points import mark_changes
 from energyplan.diagnosis.evidence import Account, classes, innovations, residuals
@@ -27,6 +26,7 @@ from energyplan.diagnosis.proposals import (
     terms_of,
     with_changes,
 )
+from energyplan.diagnosis.settling import Make, settled
 from energyplan.diagnosis.windows import SCALES, Drive
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL
@@ -50,10 +50,6 @@ _TRIED = 6  # neighbours of the best set that are fitted as they are
 _COMPARED = 1e-3  # probability from which on explanations are held against each other
 _APART = 0.05  # delays that are worth sets of their own [s]
 _LATE = -float(np.log(len(DELAYS)))  # most logs' power is late: only the search for it counts
-
-
-Make = Callable[[FloatArray], tuple[list[Part], Problem]]
-"""From a part's parameters to the parts and drives with them."""
 
 
 class Search(Proposals):
@@ -269,7 +265,7 @@ class Search(Proposals):
             (line,) = own & set(chosen)
             parts = [candidates[k].part for k in chosen]
             made = self._moved(parts, chosen.index(line), now.problem)
-            better = self._settled(candidates[line].part, made, now.errors)
+            better = settled(candidates[line].part, made, now.errors)
             if better is None:
                 continue
             moved = made(better)[0][chosen.index(line)]
@@ -403,37 +399,10 @@ class Search(Proposals):
                 continue
 
             made = self._moved(parts, k, problem)
-            better = self._settled(part, made, errors)
+            better = settled(part, made, errors)
             if better is not None:
                 parts, problem = made(better)
         return replace(best, parts=tuple(parts), problem=problem)
-
-    def _settled(self, part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
-        """Return the parameters of least loss; None where those of the grid are as good."""
-
-        def loss(values: FloatArray) -> float:
-            trial, case = made(values)
-            return fit(case.design(terms_of(trial), errors), errors).loss
-
-        start, span = np.array([value for _, value in part.params]), self._span(part)
-        inside = (
-            [(0.3 * x, 3.0 * x) for x in start]
-            if part.effect.grid and part.effect is not self.delay
-            else [(x - 2 * s, x + 2 * s) for x, s in zip(start, span, strict=True)]
-        )
-        found = minimize(
-            loss,
-            start,
-            method="Nelder-Mead",
-            bounds=inside,
-            options={
-                "initial_simplex": start + np.vstack([np.zeros(len(start)), np.diag(span)]),
-                "maxfev": 30 * len(start),
-                "xatol": 1e-3,
-                "fatol": 1e-4,
-            },
-        )
-        return np.asarray(found.x) if found.fun < loss(start) else None
 
     def _moved(self, parts: Sequence[Part], k: int, problem: Problem) -> Make:
         """Return a function from a part's parameters to the parts and drives with them."""
@@ -446,14 +415,6 @@ class Search(Proposals):
             return trial, problem.delayed(Late.of(trial[k].params)) if late else problem
 
         return made
-
-    def _span(self, part: Part) -> FloatArray:
-        """First step of each searched parameter: a good part of the grid's."""
-        if part.effect.acts == "place":
-            return np.array([np.pi / 16, 0.3])
-        if part.effect is self.delay:
-            return np.array([0.03, 0.05])[: len(part.params)]
-        return np.array([0.2 * abs(value) for _, value in part.params])
 
     def take_all(self) -> Found:
         """Take every effect whether it helps or not, in the order given."""

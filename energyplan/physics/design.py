@@ -11,6 +11,7 @@ import numpy as np
 from energyplan.errors import InvalidInputError, MissingChannelError
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Pose, Trajectory
+from energyplan.physics.exchange import exchanged
 from energyplan.physics.manoeuvres import STEP, Option, fits, joined, manoeuvres, roomiest
 from energyplan.power import PowerModel, Sides, Term
 from energyplan.power.effects import catalogue
@@ -24,8 +25,6 @@ SHARE = 0.15
 """Share of the power that an effect of unknown size is taken to have."""
 
 _HINT = 0.02  # share of every manoeuvre that is taken to be driven while the first are chosen
-_EXCHANGES = 20  # most exchanges of one manoeuvre for another
-_EXCHANGED = 1e-3  # gain of the criterion that is worth one
 
 
 @dataclass(frozen=True)
@@ -233,44 +232,17 @@ def design(
         chosen = [options[0]]
         gram = question.gram(options[0].trajectory, 0.0)
     if timeless:
-        chosen = [
-            options[k]
-            for k in _exchanged(
-                question, early, options, list(map(options.index, chosen)), duration
-            )
-        ]
-        gram = np.sum([early[options.index(option)] for option in chosen], axis=0)
+        times = np.array([option.trajectory.duration for option in options])
+        first = [options.index(option) for option in chosen]
+        places = exchanged(question.gain, early, times, first, duration)
+        chosen = [options[k] for k in places]
+        gram = np.sum([early[k] for k in places], axis=0)
     trajectory = joined([option.trajectory for option in chosen])
     pairs = question.separations(gram)
     names = tuple(option.manoeuvre.name for option in chosen)
     return Design(
         trajectory, names, pairs, question.probabilities(pairs), _sentence(names, pairs)
     )  # fmt: skip
-
-
-def _exchanged(
-    question: _Question,
-    grams: Sequence[FloatArray],
-    options: Sequence[Option],
-    chosen: list[int],
-    duration: float,
-) -> list[int]:
-    """Exchange manoeuvres, one at a time, for what improves the whole drive most (Fedorov 1972)."""
-    times = np.array([option.trajectory.duration for option in options])
-    for _ in range(_EXCHANGES):
-        gram = np.sum([grams[k] for k in chosen], axis=0)
-        left = duration - float(times[chosen].sum())
-        best, swap = 0.0, (0, 0)
-        for place, old in enumerate(chosen):
-            rest = gram - grams[old]
-            for new in np.flatnonzero(times <= left + times[old]).tolist():
-                gain = question.gain(gram, rest + grams[new]) if new != old else 0.0
-                if gain > best:
-                    best, swap = gain, (place, new)
-        if not best > _EXCHANGED:
-            break
-        chosen[swap[0]] = swap[1]
-    return chosen
 
 
 def explanations_of(report: Mapping[str, Any]) -> tuple[Explanation, ...]:

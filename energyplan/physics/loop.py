@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import t as student
 
 from energyplan import html
 from energyplan.errors import (
     InfeasibleMotionError,
     InvalidInputError,
-    MissingChannelError,
     ModelError,
 )
 from energyplan.limits.speed import profile
@@ -24,25 +21,18 @@ from energyplan.physics.belief import Belief, believed
 from energyplan.physics.design import Explanation, design
 from energyplan.physics.driving import Driven, drive, energy_told
 from energyplan.physics.engine import require_mujoco
+from energyplan.physics.interval import interval, overhead, retold
 from energyplan.physics.learning import Found, learn
 from energyplan.physics.robot import Ground, Robot
 from energyplan.physics.sensors import Sensors
 from energyplan.planning import Plan, PlanningProblem, plan
-from energyplan.power import PowerModel, Sides
+from energyplan.power import PowerModel
 from energyplan.power.effects import reads_slope
 
 SPEED_SHARE = 0.6
 """Share of the largest tread speed that is driven where none is usual: the controller has room."""
 SHARP = 0.1
 """Width of an interval over its energy beyond which being within it proves nothing."""
-NORMAL = 1.96
-"""Half width of a 95 % interval in standard deviations."""
-
-USUAL = 0.005
-"""Relative error of energies told by a model that lacks nothing: that of the engine's drives."""
-PRIOR = 4
-"""Drives that count for it beside those made."""
-
 Progress = Callable[[float, str], None]
 
 
@@ -339,16 +329,14 @@ def close_loop(
         else:
             log = source[k]
             motion, weights = log.motion(model.vehicle.icr), log.weights
-            energy = _retold(model, log)
-            known = [one.energy / _retold(model, one) for one in logs]
+            energy = retold(model, log)
+            known = [one.energy / retold(model, one) for one in logs]
         # Only of a model that has learned from them do drives say how it fares with the next.
         beyond = overhead(known if model is not problem.cost.model else ())
         energy *= 1.0 + beyond.share
-        interval = _interval(energy, model, motion, weights, beyond.deviation)
+        within = interval(energy, model, motion, weights, beyond.deviation)
         logs.append(log)
-        now = Round(
-            energy, interval, log.energy, made, model, (), log, driven, overhead=beyond.share
-        )
+        now = Round(energy, within, log.energy, made, model, (), log, driven, overhead=beyond.share)
         right = now.within or abs(now.error) <= tolerance
         if right:
             done.append(now)
@@ -448,76 +436,3 @@ def _followed(trajectory: Trajectory, belief: Belief) -> Motion:
         channels["slope"] = np.zeros(len(x))
     icr = belief.model.vehicle.icr
     return Motion.from_twist(middle(trajectory.v), middle(trajectory.omega), icr, **channels)
-
-
-def _retold(model: PowerModel, log: DriveLog) -> float:
-    """Return what a model tells of a log's own motion [J]."""
-    return float(log.weights @ model.battery_side().power(log.motion(model.vehicle.icr)))
-
-
-class Overhead(NamedTuple):
-    """What drives take beyond what a model says of the routes that were asked.
-
-    Parameters
-    ----------
-    share : float
-        What they took more, over what the model says.
-    deviation : float
-        How much that differs from drive to drive, relative; its normal 95 % interval is that of
-        Student's distribution.
-    """
-
-    share: float
-    deviation: float
-
-
-def overhead(ratios: Sequence[float]) -> Overhead:
-    """Learn from drives made what the next one takes beyond what a model says of its route.
-
-    A controller turns more than it is asked to, treads slip, and no sum of terms is all of a robot.
-
-    Parameters
-    ----------
-    ratios : sequence of float
-        For each drive so far, the energy that it took over what the model says of its route.
-
-    Returns
-    -------
-    Overhead
-        The mean, and the scatter: `USUAL` counts as `PRIOR` drives.
-
-    Examples
-    --------
-    >>> found = overhead([1.02, 1.03])
-    >>> round(found.share, 3), found.deviation < 0.02
-    (0.025, True)
-    """
-    share = float(np.mean(ratios)) - 1.0 if len(ratios) else 0.0
-    freedom = PRIOR + max(len(ratios) - 1, 0)
-    scatter = float(np.sum(np.square(np.array(ratios) - 1.0 - share)))
-    variance = (PRIOR * USUAL**2 + scatter) / freedom * (1.0 + 1.0 / max(len(ratios), 1))
-    return Overhead(share, float(np.sqrt(variance) * student.ppf(0.975, freedom) / NORMAL))
-
-
-def _interval(
-    energy: float, model: PowerModel, motion: Motion, weights: FloatArray, share: float
-) -> tuple[float, float] | None:
-    """Interval of an energy from the covariance of the model, its residual, and its own error."""
-    if model.covariance is None:
-        return None
-
-    def total(column: Sides | FloatArray) -> float:
-        power = column.total if isinstance(column, Sides) else column
-        return float(weights @ np.broadcast_to(power, weights.shape))
-
-    try:
-        gradient = np.array([total(column) for column in model.regressors(motion)])
-    except MissingChannelError:
-        return None
-    variance = float(gradient @ model.covariance @ gradient)
-    if model.residual is not None:
-        misfit, duration = model.residual, float(weights.sum())
-        correlated = 2.0 * max(misfit.correlation_time, 0.05) * duration
-        variance += misfit.rmse**2 * correlated + (misfit.bias * duration) ** 2
-    half = NORMAL * float(np.sqrt(variance + (share * energy) ** 2))
-    return energy - half, energy + half

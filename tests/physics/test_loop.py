@@ -19,8 +19,9 @@ from energyplan.output.pages import loop_page
 from energyplan.physics import Effect, EngineDrives, Loop, Robot, close_loop, switch_on
 from energyplan.physics.belief import believed
 from energyplan.physics.driving import energy_told
+from energyplan.physics.interval import NORMAL, overhead
 from energyplan.physics.learning import Learned, learn
-from energyplan.physics.loop import NORMAL, SPEED_SHARE, Round, overhead, timed
+from energyplan.physics.loop import SPEED_SHARE, Round, timed
 from energyplan.power.effects import term
 from energyplan.vehicle import predict_icr
 

@@ -1,0 +1,71 @@
+"""Parameters that are searched on a grid, moved to where a model fits best (private)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.optimize import minimize
+
+from energyplan.diagnosis.fitting import Part, Problem, fit
+from energyplan.diagnosis.proposals import terms_of
+from energyplan.path import FloatArray
+
+Make = Callable[[FloatArray], tuple[list[Part], Problem]]
+"""From a part's parameters to the parts and drives with them."""
+
+
+def settled(part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
+    """Move the parameters of a part to where the loss is least.
+
+    Parameters
+    ----------
+    part : Part
+        The part, its parameters as a grid has them.
+    made : callable
+        From parameters to the parts and drives with them.
+    errors : ndarray, shape (scales,)
+        Reference mean square errors [W^2].
+
+    Returns
+    -------
+    ndarray or None
+        The parameters; None where those of the grid are as good.
+    """
+
+    def loss(values: FloatArray) -> float:
+        trial, case = made(values)
+        return fit(case.design(terms_of(trial), errors), errors).loss
+
+    start, span = np.array([value for _, value in part.params]), _span(part)
+    inside = (
+        [(0.3 * x, 3.0 * x) for x in start]
+        if part.effect.grid and not _is_delay(part)
+        else [(x - 2 * s, x + 2 * s) for x, s in zip(start, span, strict=True)]
+    )
+    found = minimize(
+        loss,
+        start,
+        method="Nelder-Mead",
+        bounds=inside,
+        options={
+            "initial_simplex": start + np.vstack([np.zeros(len(start)), np.diag(span)]),
+            "maxfev": 30 * len(start),
+            "xatol": 1e-3,
+            "fatol": 1e-4,
+        },
+    )
+    return np.asarray(found.x) if found.fun < loss(start) else None
+
+
+def _is_delay(part: Part) -> bool:
+    return part.effect.name == "time_offset"
+
+
+def _span(part: Part) -> FloatArray:
+    """First step of each searched parameter: a good part of the grid's."""
+    if part.effect.acts == "place":
+        return np.array([np.pi / 16, 0.3])
+    if _is_delay(part):
+        return np.array([0.03, 0.05])[: len(part.params)]
+    return np.array([0.2 * abs(value) for _, value in part.params])

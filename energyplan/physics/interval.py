@@ -1,0 +1,115 @@
+"""What drives take beyond a model, and the interval of an energy that it predicts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import t as student
+
+from energyplan.errors import MissingChannelError
+from energyplan.logs import DriveLog
+from energyplan.motion import Motion
+from energyplan.path import FloatArray
+from energyplan.power import PowerModel, Sides
+
+NORMAL = 1.96
+"""Half width of a 95 % interval in standard deviations."""
+
+USUAL = 0.005
+"""Relative error of energies told by a model that lacks nothing: that of the engine's drives."""
+PRIOR = 4
+"""Drives that count for it beside those made."""
+
+
+class Overhead(NamedTuple):
+    """What drives take beyond what a model says of the routes that were asked.
+
+    Parameters
+    ----------
+    share : float
+        What they took more, over what the model says.
+    deviation : float
+        How much that differs from drive to drive, relative; its normal 95 % interval is that of
+        Student's distribution.
+    """
+
+    share: float
+    deviation: float
+
+
+def overhead(ratios: Sequence[float]) -> Overhead:
+    """Learn from drives made what the next one takes beyond what a model says of its route.
+
+    A controller turns more than it is asked to, treads slip, and no sum of terms is all of a robot.
+
+    Parameters
+    ----------
+    ratios : sequence of float
+        For each drive so far, the energy that it took over what the model says of its route.
+
+    Returns
+    -------
+    Overhead
+        The mean, and the scatter: `USUAL` counts as `PRIOR` drives.
+
+    Examples
+    --------
+    >>> found = overhead([1.02, 1.03])
+    >>> round(found.share, 3), found.deviation < 0.02
+    (0.025, True)
+    """
+    share = float(np.mean(ratios)) - 1.0 if len(ratios) else 0.0
+    freedom = PRIOR + max(len(ratios) - 1, 0)
+    scatter = float(np.sum(np.square(np.array(ratios) - 1.0 - share)))
+    variance = (PRIOR * USUAL**2 + scatter) / freedom * (1.0 + 1.0 / max(len(ratios), 1))
+    return Overhead(share, float(np.sqrt(variance) * student.ppf(0.975, freedom) / NORMAL))
+
+
+def retold(model: PowerModel, log: DriveLog) -> float:
+    """Return the energy that a model predicts for the motion of a log [J]."""
+    return float(log.weights @ model.battery_side().power(log.motion(model.vehicle.icr)))
+
+
+def interval(
+    energy: float, model: PowerModel, motion: Motion, weights: FloatArray, share: float
+) -> tuple[float, float] | None:
+    """Return the 95 % interval of an energy.
+
+    Parameters
+    ----------
+    energy : float
+        The energy [J].
+    model : PowerModel
+        The model that predicts it; its covariance and its residual count.
+    motion : Motion, shape (n,)
+        The motion.
+    weights : ndarray, shape (n,)
+        Time that each sample stands for [s].
+    share : float
+        Relative error of drives that the model does not say; `Overhead.deviation`.
+
+    Returns
+    -------
+    tuple of float or None
+        The interval [J]; None where the model has no covariance.
+    """
+    if model.covariance is None:
+        return None
+
+    def total(column: Sides | FloatArray) -> float:
+        power = column.total if isinstance(column, Sides) else column
+        return float(weights @ np.broadcast_to(power, weights.shape))
+
+    try:
+        gradient = np.array([total(column) for column in model.regressors(motion)])
+    except MissingChannelError:
+        return None
+    variance = float(gradient @ model.covariance @ gradient)
+    if model.residual is not None:
+        misfit, duration = model.residual, float(weights.sum())
+        correlated = 2.0 * max(misfit.correlation_time, 0.05) * duration
+        variance += misfit.rmse**2 * correlated + (misfit.bias * duration) ** 2
+    half = NORMAL * float(np.sqrt(variance + (share * energy) ** 2))
+    return energy - half, energy + half
