@@ -10,7 +10,13 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def bundle() -> dict[str, Path]:
-    """Return the files that come with the library by name."""
+    """Return the files that come with the library by name.
+
+    Examples
+    --------
+    >>> sorted(name for name in bundle() if name.startswith("office"))
+    ['office.png', 'office.yaml', 'office_surfaces.geojson']
+    """
     folders = (_PACKAGE / "bundle", _PACKAGE.parent / "maps", _PACKAGE.parent / "examples")
     return {file.name: file for folder in folders if folder.is_dir() for file in folder.iterdir()}
 
@@ -32,6 +38,11 @@ def bundled(name: str) -> Path:
     ------
     UnknownNameError
         If the library has no such file.
+
+    Examples
+    --------
+    >>> bundled("warehouse.yaml").suffix
+    '.yaml'
     """
     files = bundle()
     if name not in files:

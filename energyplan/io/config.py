@@ -247,6 +247,16 @@ def write_vehicle(vehicle: Vehicle, path: str | Path) -> Path:
     ------
     InvalidInputError
         If it cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = write_vehicle(Vehicle.preset("quadriga:empty"), Path(folder) / "robot.yaml")
+    ...     robot = read_vehicle(file)
+    ...
+    >>> round(robot.mass, 1)
+    83.1
     """
     return _dump({"kind": "vehicle", **plain_vehicle(vehicle)}, path)
 
@@ -429,7 +439,13 @@ def _plain(value: Any) -> Any:
 
 
 def plain_vehicle(vehicle: Vehicle) -> dict[str, Any]:
-    """Return a vehicle as a YAML file holds it."""
+    """Return a vehicle as a YAML file holds it.
+
+    Examples
+    --------
+    >>> plain_vehicle(Vehicle.preset("quadriga:empty"))["name"]
+    'quadriga:empty'
+    """
     found = _vehicle_fields(vehicle)
     for key in ("icr", "motor"):
         found[key] = {k: float(v) for k, v in vars(found[key]).items()}

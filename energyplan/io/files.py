@@ -40,6 +40,16 @@ def atomic_write(path: str | Path, content: bytes | str) -> Path:
     ------
     InvalidInputError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = atomic_write(Path(folder) / "new" / "note.txt", "42 J")
+    ...     text = file.read_text()
+    ...
+    >>> text
+    '42 J'
     """
     file = Path(path)
     data = content.encode() if isinstance(content, str) else content
@@ -89,6 +99,17 @@ def check_output(path: str | Path, suffixes: Sequence[str] = ()) -> None:
     ------
     InvalidInputError
         If the suffix is another one, the folder is absent or takes no files, or the disk is full.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     try:
+    ...         check_output(Path(folder) / "path.yaml", (".csv",))
+    ...     except InvalidInputError as error:
+    ...         print(".csv" in str(error))
+    ...
+    True
     """
     file = Path(path)
     if suffixes and file.suffix.lower() not in suffixes:
@@ -121,6 +142,13 @@ def check_output_folder(path: str | Path) -> None:
     ------
     InvalidInputError
         If it is a file, or it or the folder to make it in takes no files.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     check_output_folder(Path(folder) / "new")  # it could be made
+    ...
     """
     folder = Path(path)
     try:
@@ -162,6 +190,17 @@ def refuse_overwriting(outputs: Sequence[str | Path], inputs: Iterable[str | Pat
     ------
     InvalidInputError
         If a file would be lost.
+
+    Examples
+    --------
+    >>> from energyplan.io.bundled import bundled
+    >>> map_file = bundled("office.yaml")
+    >>> try:
+    ...     refuse_overwriting([map_file.with_suffix(".png")], [map_file])
+    ... except InvalidInputError as error:
+    ...     print("office.png" in str(error))
+    ...
+    True
     """
     written = [Path(output) for output in outputs]
     for k, output in enumerate(written):
@@ -205,6 +244,12 @@ def files_behind(source: str | Path) -> list[Path]:
         The files. A configuration file's strings that name files, beside it or of the library, are
         followed, as are the folders of bags, and the file of inertial readings beside a Husky's
         wheel file.
+
+    Examples
+    --------
+    >>> from energyplan.io.bundled import bundled
+    >>> [file.name for file in files_behind(bundled("office.yaml"))]
+    ['office.yaml', 'office.png']
     """
     found: dict[Path, None] = {}
     try:
@@ -229,6 +274,12 @@ def strings_behind(source: str | Path) -> set[str]:
     -------
     set of str
         The strings.
+
+    Examples
+    --------
+    >>> from energyplan.io.bundled import bundled
+    >>> "office.png" in strings_behind(bundled("office.yaml"))
+    True
     """
     return {text for file in files_behind(source) for text in _strings(_content(file))}
 
@@ -271,7 +322,7 @@ def _strings(content: Any) -> Iterator[str]:
 
 
 def is_file(path: str | Path) -> bool:
-    """Tell whether there is a file of that name; one that no file can bear is none.
+    r"""Tell whether there is a file of that name; one that no file can bear is none.
 
     Parameters
     ----------
@@ -282,6 +333,11 @@ def is_file(path: str | Path) -> bool:
     -------
     bool
         Whether there is.
+
+    Examples
+    --------
+    >>> is_file("no such file"), is_file("\0")
+    (False, False)
     """
     try:
         return Path(path).is_file()

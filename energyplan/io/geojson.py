@@ -114,6 +114,19 @@ def read_obstacles(path: str | Path, resolution: float = 0.05) -> OccupancyGrid:
     MapError
         If the file is missing or malformed, or asks for too many cells; the message names the
         feature.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> shape = {"type": "Polygon", "coordinates": [[[0, 0], [4, 0], [4, 1], [0, 1], [0, 0]]]}
+    >>> feature = {"type": "Feature", "properties": {}, "geometry": shape}
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "wall.geojson"
+    ...     _ = file.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    ...     grid = read_obstacles(file, resolution=0.1)
+    ...
+    >>> bool(grid.occupied.any())
+    True
     """
     file = Path(path)
     _, features = read_features(file)
@@ -179,6 +192,19 @@ def write_surfaces(surfaces: SurfaceMap, path: str | Path) -> None:
         `read_surfaces` to find them again.
     path : str or Path
         The file. It is replaced as a whole.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from energyplan.io.bundled import bundled
+    >>> ground = read_surfaces(bundled("warehouse_surfaces.geojson"))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "ground.geojson"
+    ...     write_surfaces(ground, file)
+    ...     again = read_surfaces(file)
+    ...
+    >>> len(again.surfaces) == len(ground.surfaces)
+    True
     """
     features = [
         _feature(s.area, {"model": s.model.name, "surface": s.name}) for s in surfaces.surfaces

@@ -32,6 +32,11 @@ class LogEntry:
         Readings per second [Hz]; 0 where the time is not known.
     serves : str
         Channels that it serves for or could serve for; empty where none is known.
+
+    Examples
+    --------
+    >>> LogEntry("power", "float64", 1200, rate=20.0, serves="power").serves
+    'power'
     """
 
     name: str
@@ -43,7 +48,7 @@ class LogEntry:
 
 @dataclass(frozen=True)
 class LogInfo:
-    """What a file of a drive holds, and what it could serve for.
+    r"""What a file of a drive holds, and what it could serve for.
 
     Parameters
     ----------
@@ -59,6 +64,17 @@ class LogInfo:
         Channels found by the ready-made topic maps, by map; of a table under ``"columns"``.
     notes : tuple of str
         What is missing for a drive log, and what is doubtful about it.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "drive.csv"
+    ...     _ = file.write_text("t,v_left,v_right,power\n0,0.5,0.5,120\n0.1,0.5,0.5,121\n")
+    ...     told = describe_log(file)
+    ...
+    >>> round(told.duration, 3)
+    0.1
     """
 
     name: str
@@ -76,7 +92,7 @@ def read_log(
     topics: TopicMap | str | Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> DriveLog:
-    """Read a drive log of any known kind.
+    r"""Read a drive log of any known kind.
 
     Parameters
     ----------
@@ -103,6 +119,17 @@ def read_log(
         If the file is malformed or of an unknown kind; the message names file, line and channel.
     MissingDependencyError
         If reading such a file takes a package that is not installed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "drive.csv"
+    ...     _ = file.write_text("t,v_left,v_right,power\n0,0.5,0.5,120\n0.1,0.5,0.5,121\n")
+    ...     log = read_log(file)
+    ...
+    >>> len(log), log.power.tolist()
+    (2, [120.0, 121.0])
     """
     if is_bag(path):
         return read_bag(path, topics, progress=progress)
@@ -123,7 +150,7 @@ def _of_husky(topics: TopicMap | str | Path | None) -> bool:
 
 
 def describe_log(path: str | Path) -> LogInfo:
-    """Tell what a file of a drive holds, and what it could serve for.
+    r"""Tell what a file of a drive holds, and what it could serve for.
 
     Nothing needs to be complete: a file without power or of foreign column names is described too.
 
@@ -143,6 +170,17 @@ def describe_log(path: str | Path) -> LogInfo:
         If the file is malformed or of an unknown kind.
     MissingDependencyError
         If reading such a file takes a package that is not installed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "drive.csv"
+    ...     _ = file.write_text("t,v_left,v_right,power\n0,0.5,0.5,120\n0.1,0.5,0.5,121\n")
+    ...     told = describe_log(file)
+    ...
+    >>> told.kind, [entry.name for entry in told.entries]
+    ('table', ['t', 'v_left', 'v_right', 'power'])
     """
     return _describe_bag(Path(path)) if is_bag(path) else _describe_table(Path(path))
 

@@ -130,6 +130,13 @@ def read_costmap(path: str | Path) -> CostMap:
     ------
     MapError
         As for `read_map`.
+
+    Examples
+    --------
+    >>> from energyplan.io.bundled import bundled
+    >>> costs = read_costmap(bundled("office.yaml"))
+    >>> costs.costs.shape == read_map(bundled("office.yaml")).shape
+    True
     """
     file = Path(path)
     header = load(file, MapError).check(_MapHeader)
@@ -259,6 +266,17 @@ def write_map(grid: OccupancyGrid, path: str | Path) -> None:
     ------
     MapError
         If the file's name does not end in ``.yaml`` or ``.yml``.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "hall.yaml"
+    ...     write_map(OccupancyGrid(np.eye(4, dtype=bool), 0.1), file)
+    ...     hall = read_map(file)
+    ...
+    >>> int(hall.occupied.sum())
+    4
     """
     file = Path(path)
     if file.suffix not in {".yaml", ".yml"}:

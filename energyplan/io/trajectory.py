@@ -21,7 +21,7 @@ _FIRST = ("t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "cu
 
 
 def read_path(file: str | File, longitudinal: float = 0.0) -> Path:
-    """Read a path from a table with the columns ``x``, ``y``, ``yaw``.
+    r"""Read a path from a table with the columns ``x``, ``y``, ``yaw``.
 
     Parameters
     ----------
@@ -39,6 +39,17 @@ def read_path(file: str | File, longitudinal: float = 0.0) -> Path:
     ------
     PathError
         If the file is malformed, or two poses ask for sideways motion.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = File(folder) / "path.csv"
+    ...     _ = file.write_text("x,y,yaw\n0,0,0\n1,0,0\n")
+    ...     path = read_path(file)
+    ...
+    >>> round(path.length, 6)
+    1.0
     """
     table = read_table(file, PathError)
     poses = np.column_stack([_complete(table, name) for name in ("x", "y", "yaw")])
@@ -78,13 +89,25 @@ def write_path(
     ------
     InvalidInputError
         If the file's type is unknown or it cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from energyplan.path import Pose
+    >>> straight = Path(Pose(0, 0, 0), ds=[2.0], dtheta=[0.0])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = write_path(straight, File(folder) / "path.csv")
+    ...     path = read_path(file)
+    ...
+    >>> round(path.length, 6)
+    2.0
     """
     poses = path.poses(max_ds, max_dtheta)
     return _write(file, dict(zip(("x", "y", "yaw"), poses.T, strict=True)))
 
 
 def read_trajectory(file: str | File) -> Trajectory:
-    """Read a trajectory: a table with the columns ``t``, ``x``, ``y``, ``yaw``, ``v``, ``omega``.
+    r"""Read a trajectory: a table with the columns ``t``, ``x``, ``y``, ``yaw``, ``v``, ``omega``.
 
     Parameters
     ----------
@@ -101,6 +124,17 @@ def read_trajectory(file: str | File) -> Trajectory:
     PathError
         If the file is malformed, time does not increase, or poses and speeds contradict each other;
         the message names the line.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = File(folder) / "slow.csv"
+    ...     _ = file.write_text("t,x,y,yaw,v,omega\n0,0,0,0,0.5,0\n2,1,0,0,0.5,0\n")
+    ...     slow = read_trajectory(file)
+    ...
+    >>> float(slow.duration)
+    2.0
     """
     table = read_table(file, PathError)
     t, x, y, yaw, v, omega = (
@@ -124,7 +158,7 @@ def read_trajectory(file: str | File) -> Trajectory:
 
 
 def read_drive(file: str | File, longitudinal: float = 0.0) -> Trajectory | Path:
-    """Read a trajectory, or a path where the table has no times.
+    r"""Read a trajectory, or a path where the table has no times.
 
     Parameters
     ----------
@@ -142,6 +176,17 @@ def read_drive(file: str | File, longitudinal: float = 0.0) -> Trajectory | Path
     ------
     PathError
         As the two.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = File(folder) / "path.csv"
+    ...     _ = file.write_text("x,y,yaw\n0,0,0\n1,0,0\n")
+    ...     found = read_drive(file)
+    ...
+    >>> type(found).__name__  # a path, since there are no times
+    'Path'
     """
     table = read_table(file, PathError)
     if {"t", "v", "omega"} & (set(table.columns) | set(table.text)):
@@ -201,6 +246,16 @@ def write_trajectory(trajectory: Trajectory, file: str | File) -> File:
     ------
     InvalidInputError
         If the file's type is unknown or it cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> slow = Trajectory([0, 2], x=[0, 1], y=[0, 0], yaw=[0, 0], v=[0.5, 0.5], omega=[0, 0])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     again = read_trajectory(write_trajectory(slow, File(folder) / "slow.csv"))
+    ...
+    >>> float(again.duration)
+    2.0
     """
     names = ("t", "x", "y", "yaw", "v", "omega")
     return _write(file, {name: getattr(trajectory, name) for name in names})
@@ -225,6 +280,19 @@ def write_log(log: DriveLog, file: str | File) -> File:
     ------
     InvalidInputError
         If the file's type is unknown or it cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from energyplan import simulate
+    >>> from energyplan.power import PowerModel
+    >>> model = PowerModel.preset("quadriga:empty:marble")
+    >>> log = simulate.drive(model, [simulate.Setpoint(0.4, 0.5, hold=5.0)])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     first = write_log(log, File(folder) / "drive.csv").read_text().splitlines()[0]
+    ...
+    >>> first.split(",")[:3]
+    ['t', 'v_left', 'v_right']
     """
     first = [name for name in _FIRST if log.has(name)]
     rest = sorted(set(log.channels) - set(first))

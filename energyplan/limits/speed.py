@@ -61,7 +61,13 @@ DEAREST = 1e6
 
 
 class Rounding(NamedTuple):
-    """How corners are driven through; the arguments of that name of `profile`."""
+    """How corners are driven through; the arguments of that name of `profile`.
+
+    Examples
+    --------
+    >>> corner_rounding(0.05)._fields
+    ('smooth', 'tolerance')
+    """
 
     smooth: float
     tolerance: float
@@ -72,6 +78,11 @@ def corner_rounding(tolerance: float) -> Rounding:
 
     Without a tolerance it stops at corners, and drives through the small bends between poses that
     stand for a curve, within 5 mm.
+
+    Examples
+    --------
+    >>> corner_rounding(0.05).tolerance
+    0.05
     """
     return Rounding(1.0, tolerance) if tolerance > 0 else Rounding(FITTED, 0.005)
 

@@ -104,6 +104,12 @@ class Effect:
     ------
     ModelError
         If a size does not follow from the terms, or the range is empty.
+
+    Examples
+    --------
+    >>> entry = catalogue()["hotel_load"]
+    >>> entry.unit, [term.name for term in entry.terms]
+    ('W', ['hotel_load'])
     """
 
     name: str
@@ -336,6 +342,11 @@ def catalogue() -> dict[str, Effect]:
     ------
     ModelError
         If a plugin's entry is no effect or takes a name that is already there.
+
+    Examples
+    --------
+    >>> {"grade", "viscous_loss", "hotel_load"} <= set(catalogue())
+    True
     """
     return dict(_every(entry_points, tuple(sys.path)))
 
@@ -375,6 +386,11 @@ def term(name: str) -> Term:
     ------
     UnknownNameError
         If neither the library nor a plugin has it.
+
+    Examples
+    --------
+    >>> term("viscous_loss").unit
+    'N s/m'
     """
     known = {term.name: term for term in _PAPER}
     known |= {term.name: term for entry in catalogue().values() for term in entry.terms}
@@ -386,7 +402,14 @@ def term(name: str) -> Term:
 
 
 def reads_slope(model: PowerModel) -> bool:
-    """Tell whether the power of steady motion depends on the slope of the ground."""
+    """Tell whether the power of steady motion depends on the slope of the ground.
+
+    Examples
+    --------
+    >>> model = PowerModel.preset("quadriga:empty:concrete")
+    >>> reads_slope(model), reads_slope(with_weight(model))
+    (False, True)
+    """
     steady = dict.fromkeys((name for term in model.terms for name in term.channels), 0.0)
     ahead = np.array([0.5, -0.5])
     level, tilted = (
@@ -410,5 +433,11 @@ def with_weight(model: PowerModel) -> PowerModel:
     -------
     PowerModel
         The model itself where a term of it reads the slope already.
+
+    Examples
+    --------
+    >>> model = with_weight(PowerModel.preset("quadriga:empty:concrete"))
+    >>> round(model.coefficient("grade"), 1)
+    83.1
     """
     return model if reads_slope(model) else model.with_term(GRADE, model.vehicle.mass)

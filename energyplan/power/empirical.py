@@ -140,6 +140,12 @@ def empirical_term(name: str, knots: Sequence[float] = (), values: Sequence[floa
     ------
     UnknownNameError
         If the name has no such form.
+
+    Examples
+    --------
+    >>> made = empirical_term("empirical_traction_v", knots=[0.0, 1.0], values=[0.0, 30.0])
+    >>> made.name, made.params["y1"]
+    ('empirical_traction_v', 30.0)
     """
     head, _, rest = name.partition("_")
     carrier, _, channel = rest.partition("_")

@@ -34,6 +34,12 @@ def field(message: Any, name: str) -> Any:
     ------
     MessageError
         If the message has no such field.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace as Message
+    >>> field(Message(header=Message(frame_id="map")), "header.frame_id")
+    'map'
     """
     value = message
     for part in name.split("."):

@@ -98,7 +98,14 @@ _NAMES: tuple[tuple[type[EnergyPlanError], str], ...] = (
 
 
 def codes_of(request: Any) -> Codes:
-    """Return the error codes of the action that a goal belongs to."""
+    """Return the error codes of the action that a goal belongs to.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace as Message
+    >>> codes_of(Message(goals=[])).__name__
+    'ThroughPosesError'
+    """
     return ThroughPosesError if hasattr(request, "goals") else ToPoseError
 
 
@@ -251,6 +258,11 @@ def planner_of(planner_id: str, default: str = "lattice") -> str:
     ------
     UnsupportedPlannerError
         If there is no such planner.
+
+    Examples
+    --------
+    >>> planner_of("GridBased"), planner_of("roadmap")
+    ('lattice', 'roadmap')
     """
     name = default if planner_id in ("", "GridBased") else planner_id
     if name not in planners():

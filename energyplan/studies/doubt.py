@@ -126,6 +126,14 @@ def energy_of_charge(cost: EnergyCost, battery: Battery, soc: float = 1.0) -> fl
     ------
     InvalidInputError
         If nothing limits the speed.
+
+    Examples
+    --------
+    >>> from energyplan.power import PowerModel
+    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+    >>> battery = Battery.preset("quadriga")
+    >>> energy_of_charge(cost, battery, 0.5) < energy_of_charge(cost, battery)
+    True
     """
     return float(battery.usable_energy(most_power(cost), soc))
 
@@ -137,6 +145,12 @@ def most_power(cost: EnergyCost) -> float:
     ------
     InvalidInputError
         If nothing limits the speed.
+
+    Examples
+    --------
+    >>> from energyplan.power import PowerModel
+    >>> round(most_power(EnergyCost(PowerModel.preset("quadriga:empty:concrete"))))
+    694
     """
     angle = np.linspace(0.0, 2.0 * np.pi, 65)
     ds, dtheta = np.cos(angle), np.sin(angle) / cost.half_track

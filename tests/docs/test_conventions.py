@@ -66,10 +66,11 @@ def test_docstrings_document_exactly_the_parameters(name: str) -> None:
 
 
 LIBRARY = (
-    "batch", "battery", "cost", "diagnosis", "fit", "fleet", "limits", "live", "logs", "mission",
-    "openrmf", "output.plots", "output.report", "path", "physics", "planning", "planning.ompl",
-    "planning.roadmap", "power", "ros", "serve", "simulate", "steering", "studies", "terrain",
-    "vehicle",
+    "batch", "battery", "cost", "diagnosis", "fit", "fleet", "io.bundled", "io.files",
+    "io.geojson", "io.logs", "io.maps", "io.trajectory", "limits", "limits.feasibility",
+    "limits.speed", "live", "logs", "mission", "openrmf", "output.plots", "output.report",
+    "path", "physics", "planning", "planning.ompl", "planning.roadmap", "power",
+    "power.effects", "ros", "serve", "simulate", "steering", "studies", "terrain", "vehicle",
 )  # fmt: skip
 """Packages whose functions and classes have an example each, as all names of ``energyplan`` have.
 """
