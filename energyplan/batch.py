@@ -111,7 +111,7 @@ def run(
         Called as ``function(item)``, or ``function(item, shared)`` where something is shared. It
         must be importable by the workers.
     items : iterable
-        The items; taken as they are needed, so that there may be any number.
+        The items; read as they are needed, so there may be any number.
     shared : object, optional
         What all items have in common, such as a map. It travels once to each worker of a pool or
         a cluster; to a foreign executor with each item.

@@ -288,7 +288,7 @@ class Battery:
     def usable_energy(self, power: ArrayLike, soc: ArrayLike = 1.0) -> FloatArray:
         """Energy that the battery can deliver at constant power until it gives up.
 
-        The RC pair is taken as settled: the discharge lasts long against its time constant.
+        The RC pair is assumed to be settled: the discharge lasts long against its time constant.
 
         Parameters
         ----------

@@ -348,7 +348,7 @@ def warn(text: str) -> None:
 
 
 def answer(document: dict[str, Any], lines: list[str], *, json: bool) -> None:
-    """Print the answer, as JSON or as lines of text; JSON tells of ready-made models."""
+    """Print the answer, as JSON or as lines of text; JSON names ready-made models."""
     presets = [
         {"name": name, "measured": False, "source": source}
         for name, source in _presets.get().items()

@@ -279,7 +279,7 @@ class EnergyCost:
             where not given. A slope is evaluated through the model, which is slower than the
             table that serves level ground, and at the speeds of level ground.
         exact : bool
-            Whether the speeds on slopes are sought anew; else they come from a table, which is
+            Whether the speeds on slopes are searched again; else they come from a table, which is
             quicker where energy depends on speed.
 
         Returns

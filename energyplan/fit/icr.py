@@ -191,8 +191,8 @@ def fit_icr(
     -----
     Between samples, ``int (V_r - V_l) dt = B dyaw`` (Eq. 1), the body's origin moves forward by
     ``int (V_l + V_r)/2 dt + (C_l - C_r)/2 dyaw`` and sideways by ``-c_y dyaw``. A bias of the yaw
-    rate, an error of the wheel radius and a pose that looks askew are nuisances of the fit where
-    the log can tell them.
+    rate, an error of the wheel radius and a pose that looks askew are nuisances of the fit if
+    the log determines them.
 
     References
     ----------

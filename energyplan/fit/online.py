@@ -94,7 +94,7 @@ class OnlineIdentifier:
     battery : bool
         Whether the power that will be given was measured at the battery.
     period : float, optional
-        Time between samples [s]; where not given, the first two samples or the first log tell it.
+        Time between samples [s]; if not given, that of the first two samples or of the first log.
 
     Raises
     ------
@@ -223,7 +223,7 @@ class OnlineIdentifier:
         Returns
         -------
         bool
-            Whether the sample reveals a change of surface; `changes` tells more.
+            Whether the sample reveals a change of surface; `changes` has details.
 
         Raises
         ------
@@ -305,7 +305,8 @@ class OnlineIdentifier:
     def run(self, log: DriveLog) -> tuple[SurfaceChange, ...]:
         """Take in a log, sample by sample, as it would have come in while driving.
 
-        Speeds are taken as they are: unlike `identify`, it cannot tell noise at rest from creeping.
+        Speeds are used as they are: unlike `identify`, it cannot separate noise at rest from
+        creeping.
 
         Parameters
         ----------

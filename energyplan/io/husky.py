@@ -48,7 +48,7 @@ class HuskyDrive:
     wheel_radius : float
         Wheel radius [m].
     dead_band : float
-        Smallest current that the sensor tells from nothing [A]; of a motor that generates it reads
+        Smallest current that the sensor shows [A]; of a motor that generates it reads
         no more than this.
     quantum : float
         Step of the speed readings [m/s].
@@ -81,7 +81,7 @@ def read_husky(
     follows the tread speeds best; its readings are then averaged around each wheel sample.
 
     The sensors read nothing while a motor generates, as the inner one may in an arc. Such samples
-    tell no more than that a side draws less than the dead band; `set_aside` counts them.
+    show only that a side draws less than the dead band; `set_aside` counts them.
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ PoseText = str | list[float | str]
 
 
 class Uncertain(NamedTuple):
-    """A number of a file, and its standard deviation where it tells one."""
+    """A number of a file, and its standard deviation if it has one."""
 
     value: float
     spread: float | None = None

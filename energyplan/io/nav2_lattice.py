@@ -69,7 +69,7 @@ def write_lattice(controls: ControlSet, path: str | Path, *, made: date | None =
     path : str or Path
         The file. It is replaced as a whole.
     made : date, optional
-        The day that the file tells it was made on; today if left out.
+        The date in the file; today if left out.
     """
     document = {
         "version": 1.0,

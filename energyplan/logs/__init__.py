@@ -150,7 +150,7 @@ class DriveLog:
             DataFrame, whose dates count as seconds since 1970.
         columns : str or mapping of str to str or Column, optional
             Which column serves as which channel, and its unit where it is not the library's:
-            ``"v_left=velL,yaw=heading[deg]"``, or the same as a mapping; `parse_columns` tells all
+            ``"v_left=velL,yaw=heading[deg]"``, or the same as a mapping; `parse_columns` lists all
             that can be written. Columns that bear a channel's name need no mention.
         others : bool
             Whether to take columns of numbers that are not mentioned, as channels of their own.
@@ -423,7 +423,7 @@ class DriveLog:
         ----------
         **seconds : float
             By how much to move each channel [s]: negative for one that lags behind. ``power``
-            moves whatever channels tell the power.
+            moves all channels of the power.
 
         Returns
         -------

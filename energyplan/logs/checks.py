@@ -131,7 +131,7 @@ def needed_channels(names: Collection[str], label: str) -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        ``t``, ``v_left``, ``v_right`` and those that tell the power.
+        ``t``, ``v_left``, ``v_right`` and those of the power.
 
     Raises
     ------

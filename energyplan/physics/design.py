@@ -125,7 +125,7 @@ def design(
 
     Manoeuvres are added one after the other, each the one that gains the most per second
     (T-optimality; D-optimality of the model's own terms where fewer than two explanations are
-    given). What another explanation can absorb by being fitted anew does not count.
+    given). What another explanation can absorb by being fitted again does not count.
 
     With fewer than two explanations and `screen`, every effect of the catalogue that a drive on
     level ground can show counts as a parameter too, so that whatever is there shows.

@@ -49,9 +49,9 @@ class Learned(NamedTuple):
 def learn(logs: Sequence[DriveLog], vehicle: Vehicle) -> Learned:
     """Diagnose all drives so far, all of each of them.
 
-    None is held out: the next round is the test, whose energy is told before it is driven. Drives
-    under `SHORTEST` tell no effects. Where there is less than `DIAGNOSED` of longer ones, only the
-    paper's parameters are identified, from all.
+    None is held out: the next round is the test, whose energy is predicted before it is driven.
+    Drives under `SHORTEST` show no effects. With less than `DIAGNOSED` of longer ones,
+    only the paper's parameters are identified, from all.
 
     Parameters
     ----------

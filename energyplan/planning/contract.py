@@ -165,7 +165,7 @@ def check_path(problem: PlanningProblem, path: Path, planner: str) -> None:
     Raises
     ------
     InvalidPathError
-        If it is no `Path`, begins or ends elsewhere, is told for another reference point, leaves
+        If it is no `Path`, begins or ends elsewhere, has another reference point, leaves
         the map or touches an obstacle.
     """
 

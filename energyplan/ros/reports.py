@@ -61,7 +61,7 @@ def diagnostics_message(
     Parameters
     ----------
     name : str
-        Of what it tells, such as ``"energyplan: plan"``.
+        Name, such as ``"energyplan: plan"``.
     message : str
         The sum of it in a few words.
     values : mapping of str to str

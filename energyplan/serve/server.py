@@ -42,7 +42,7 @@ def run(
     host : str
         Address to listen on; another than the loopback address needs a token.
     port : int
-        Port; 0 takes a free one, which is told.
+        Port; 0 takes a free one, which is printed.
     token : str, optional
         What requests must carry as ``Authorization: Bearer``.
     workers, waiting : int

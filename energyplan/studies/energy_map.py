@@ -174,24 +174,24 @@ def energy_map(
 ) -> EnergyMap:
     """Find the energy that it takes to reach each place of a map.
 
-    One search without a goal, on a lattice of half the fineness that planning begins with. The
-    energies are those of drivable paths: never below the least, and above it by what the lattice is
-    coarse, a few per cent in general.
+    This is one search without a goal, on a lattice half as fine as the one that planning begins
+    with. The energies are those of drivable paths. They are never below the least, and usually a
+    few per cent above it.
 
     Parameters
     ----------
     problem : PlanningProblem
-        The problem; its goal does not matter, and a costmap, which is no energy, is left out.
+        The problem; its goal and its costmap are not used.
     energy : float
         Energy beyond which places are of no interest [J].
     back : array_like, shape (3,), optional
-        Pose that the robot has to get back to, such as a charger's: then a place takes the energy
-        to it and from there on, at the heading at which both together are least.
+        Pose that the robot has to reach afterwards, such as a charger's. Then the energy of a
+        place is that to the place and on to this pose, at the heading with the least sum.
     confidence : float, optional
-        Probability, for each place by itself, that getting there takes no more than is told: so
-        what is left in a battery leads that far with 95 %, for one. It comes from the model's
-        covariance and what the model missed on drives held out. What is told is never below that
-        quantile of the energy, and a little above it, since motions are priced one by one.
+        Probability, for each place, that getting there takes no more than the energy given, such
+        as 0.95. It follows from the model's covariance and its error on hold-out drives. The
+        energy given is never below this quantile, and a little above it, because motions are
+        priced one by one.
     coefficient_spread : float
         Relative standard deviation of each coefficient from day to day, on top of that.
     effort : int
@@ -208,7 +208,7 @@ def energy_map(
         If the start, or the pose to get back to, cannot be; the message names the pose.
     InvalidInputError
         If the objective is another than energy, the energy is not positive, or a confidence is
-        asked of a model of whose uncertainty nothing is known.
+        asked of a model without a known uncertainty.
 
     Examples
     --------

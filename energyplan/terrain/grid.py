@@ -160,8 +160,8 @@ class OccupancyGrid:
     ) -> OccupancyGrid:
         """Return this map with a patch of its cells replaced.
 
-        What was made of this map is kept where nothing changes and made anew near what does, so
-        that a small patch costs little. The result is the same as that of a new map.
+        Tables of this map are kept where nothing changes, and computed again near changes, so that
+        a small patch costs little. The result is the same as that of a new map.
 
         Parameters
         ----------

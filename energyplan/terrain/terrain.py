@@ -214,7 +214,7 @@ class Terrain:
     Raises
     ------
     MapError
-        If there are more surfaces than a raster can tell apart.
+        If there are more surfaces than a raster can hold.
 
     Examples
     --------

@@ -73,8 +73,8 @@ def price_edges(graph: Graph, cost: EnergyCost, surfaces: SurfaceMap | None = No
     Returns
     -------
     networkx graph
-        The copy, of the same kind. Of an undirected edge the dearer way counts. Loops, which lead
-        nowhere, are left as they are.
+        The copy, of the same kind. Of an undirected edge the more expensive direction counts.
+        Loops are left as they are.
 
     Examples
     --------
