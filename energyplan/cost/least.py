@@ -1,4 +1,4 @@
-"""What no way of driving a path takes less than."""
+"""The least energy of driving a path, at any speeds."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """A robot in a physics engine (MuJoCo) that knows nothing of the power model.
 
-`drive` follows a trajectory with a tracking controller and tells the energy that was taken beside
-the one that a model tells. `Effect` switches on what the model does not know. `Sensors` makes a
-drive log of it. `close_loop` plans, drives, diagnoses and plans again. The extra ``physics``
+`drive` follows a trajectory with a tracking controller, and returns the energy that was taken and
+the energy that a model predicts. `Effect` switches on what the model does not know. `Sensors` makes
+a drive log. `close_loop` plans, drives, diagnoses and plans again. The extra ``physics``
 installs the engine.
 """
 

@@ -1,4 +1,4 @@
-"""What a model found of the ground, put on the map for planners."""
+"""Ground that a model contains, put on the map for planners."""
 
 from __future__ import annotations
 

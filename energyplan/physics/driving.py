@@ -1,4 +1,4 @@
-"""A trajectory driven in the engine, and its energy beside what a power model tells."""
+"""A trajectory driven in the engine, and its energy beside the prediction of a power model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Effects that the engine can switch on: what a power model may not know of."""
+"""Effects that the engine can switch on, and a power model may lack."""
 
 from __future__ import annotations
 

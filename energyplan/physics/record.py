@@ -1,4 +1,4 @@
-"""What the engine tells of a drive."""
+"""What the engine records of a drive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is true of the robot and of the ground in the physics engine."""
+"""The true robot and the true ground in the physics engine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the robot's own sensors make of a drive in the engine: a `DriveLog`."""
+"""The robot's sensors: they turn a drive in the engine into a `DriveLog`."""
 
 from __future__ import annotations
 

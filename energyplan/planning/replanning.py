@@ -1,11 +1,12 @@
 """Plans for a robot that is under way, on a map that may have changed.
 
-The rest of the former plan is where to start from. While it is free, and no cell has become free
-since, nothing can have become cheaper, and it is the answer: that takes milliseconds. Otherwise
-what is closed of it is bypassed, and planning goes on from there. No lower bound is sought among
-the obstacles, since its outlines would have to be made anew: the one of the former plan, less what
-was driven, is one still as long as obstacles only were added; the least cost in free space is one
-always.
+Planning starts from the rest of the former plan. If it is free, and no cell has become free since,
+no route can have become cheaper. Then the rest is the answer, within milliseconds. Otherwise the
+planner goes around what is closed, and continues from there.
+
+No new lower bound is computed among the obstacles, because it would need new outlines. If obstacles
+were only added, the former plan's bound less the cost driven so far is still a bound. The least
+cost in free space always is one.
 """
 
 from __future__ import annotations

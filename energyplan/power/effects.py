@@ -1,9 +1,10 @@
 """The catalogue of effects: what a robot may do that the paper's model leaves out.
 
 An effect is one or more terms of the power model with what a person needs to know about them: unit,
-plausible range, channels needed, the manoeuvre that tells it from its rivals, and whether a planner
-can use it. A plugin adds its own through the entry-point group ``energyplan.power.effects``, whose
-objects are `Effect` or `Term` instances; `effect` makes one out of one function.
+plausible range, channels needed, the manoeuvre that separates it from its rivals, and whether a
+planner can use it. A plugin adds its own through the entry-point group
+``energyplan.power.effects``, whose objects are `Effect` or `Term` instances;
+`effect` makes one out of one function.
 """
 
 from __future__ import annotations

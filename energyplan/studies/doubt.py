@@ -1,4 +1,4 @@
-"""What motions take at most, with a given probability, as the uncertainty of a model has it.
+"""Upper bounds of the energy of motions, with a given probability, for an uncertain model.
 
 A model's coefficients are uncertain together: with `w` the change of a path's energy per standard
 deviation of each independent unknown, its energy has the standard deviation ``|w|``. A norm of a

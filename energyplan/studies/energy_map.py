@@ -1,4 +1,4 @@
-"""How much energy every place of a map takes to get to, and how far a given energy leads."""
+"""The energy that it takes to reach each place of a map, and how far a given energy is enough."""
 
 from __future__ import annotations
 

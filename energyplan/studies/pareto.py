@@ -1,4 +1,4 @@
-"""Energy against time: what a faster drive costs, and which drives are worth a thought at all."""
+"""Energy against time: what a faster drive costs, for each value of time."""
 
 from __future__ import annotations
 

@@ -1,10 +1,9 @@
 """Graphs of places whose edges are planned among obstacles, with the turns between them.
 
-Nav2's route server and most roadmaps take an edge for the straight line between its places. Among
-obstacles it is what a planner drives: from the one place to the other, at both of them in the
-direction of the edge. What a turn at a place costs depends on where the robot comes from and goes
-to; a route pays for each of them, and its place in the cost of an edge is the mean of those that
-may follow.
+For Nav2's route server and most roadmaps, an edge is the straight line between its places. Among
+obstacles it is the path of a planner from one place to the other, at both in the direction of the
+edge. The cost of a turn at a place depends on where the robot comes from and goes to. A route
+includes each turn. The cost of an edge includes the mean of the turns that may follow it.
 """
 
 from __future__ import annotations
