@@ -11,7 +11,8 @@ from energyplan.diagnosis.columns import field_of
 from energyplan.diagnosis.fitting import PAPER, Fit, Part, Problem
 from energyplan.diagnosis.linear import held_loss
 from energyplan.path import FloatArray
-from energyplan.power import PowerModel, Sides, Term
+from energyplan.power import SLIP, TRACTION, PowerModel, Sides, Term
+from energyplan.power.effect_terms import SLIP_CHANGE, TRACTION_CHANGE
 from energyplan.vehicle import GRAVITY
 
 _MARGIN = 1.5  # over what the vehicle's description gives
@@ -63,6 +64,29 @@ def most_held(problem: Problem, terms: Sequence[Term], values: FloatArray) -> fl
     return max(held_loss(problem.vehicle, terms, values, drive) for drive in problem.drives)
 
 
+def drags(terms: Sequence[Term], values: FloatArray) -> bool:
+    """Tell whether friction and resistance still drag after a change, as plans take them then.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        Terms of the model.
+    values : ndarray, shape (k,)
+        Their coefficients.
+
+    Returns
+    -------
+    bool
+        True also where nothing changes.
+    """
+    now = {term.name: float(value) for term, value in zip(terms, values, strict=True)}
+    return all(
+        now.get(usual.name, 0.0) + now[change.name] >= 0.0
+        for usual, change in ((SLIP, SLIP_CHANGE), (TRACTION, TRACTION_CHANGE))
+        if change.name in now
+    )
+
+
 class Rest:
     """What the robot draws at rest, where the drives show it."""
 
@@ -109,6 +133,8 @@ class Rest:
             if not low <= part.effect.value(model) <= high:
                 return False
         if not all(drivable(problem, part.terms, model) for part in parts):
+            return False
+        if not drags(terms, found.values):
             return False
         constant = {term.name for part in parts for term in part.terms if term.kind == "power"}
         resting = sum(

@@ -9,10 +9,15 @@ import pytest
 
 from energyplan import simulate
 from energyplan.diagnosis.fitting import Problem
-from energyplan.diagnosis.plausible import drivable
+from energyplan.diagnosis.plausible import drags, drivable
 from energyplan.diagnosis.windows import prepared
-from energyplan.power import HOTEL, PowerModel
-from energyplan.power.effect_terms import TOWED_DRAG, VISCOUS_LOSS
+from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel
+from energyplan.power.effect_terms import (
+    SLIP_CHANGE,
+    TOWED_DRAG,
+    TRACTION_CHANGE,
+    VISCOUS_LOSS,
+)
 from energyplan.vehicle import GRAVITY, MotorLimits, Vehicle
 
 
@@ -52,3 +57,14 @@ def test_a_peak_power_bounds_what_a_tread_gives_at_its_speed() -> None:
     assert not drivable(problem, (TOWED_DRAG,), force)
     strong = replace(model.vehicle, motor=MotorLimits(peak_power=5000.0))
     assert drivable(Problem(problem.drives, strong), (TOWED_DRAG,), force)
+
+
+@pytest.mark.parametrize(
+    ("slip", "traction", "possible"),
+    [(-0.4, -40.0, True), (0.4, 40.0, True), (-0.8, -10.0, False), (-0.1, -150.0, False)],
+)
+def test_friction_after_a_change_still_drags(slip: float, traction: float, possible: bool) -> None:
+    """Another surface or a lighter robot: never one that is paid for turning or for driving."""
+    terms = (SLIP, TRACTION, SLIP_CHANGE, TRACTION_CHANGE)
+    assert drags(terms, np.array([0.7, 110.0, slip, traction])) is possible
+    assert drags(terms[:2], np.array([0.7, 110.0]))
