@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from energyplan.errors import MissingDependencyError
 from energyplan.fleet.exact import Solution, best_tour
 from energyplan.fleet.problem import RobotProblem
 from energyplan.fleet.schedule import run
+from energyplan.mission.routing import constraint_solver
 from energyplan.path import FloatArray
 
 _FAR = 10**10
@@ -61,13 +61,8 @@ def solve_by_search(
     MissingDependencyError
         If OR-Tools is not installed.
     """
-    try:
-        from ortools.constraint_solver import pywrapcp, routing_enums_pb2
-    except ImportError as error:
-        raise MissingDependencyError(
-            "a fleet of many robots or tasks needs OR-Tools; install energyplan[orienteering]"
-        ) from error
-    rough = _Search(problems, worth, pywrapcp, routing_enums_pb2).run(time_limit, effort)
+    solver = constraint_solver("a fleet of many robots or tasks")
+    rough = _Search(problems, worth, *solver).run(time_limit, effort)
     sequences = _polished(problems, worth, rough)
     n = len(worth)
     done = [stop - 1 for stops in sequences for stop in stops if stop <= n]

@@ -51,13 +51,30 @@ def solve_by_search(
     MissingDependencyError
         If OR-Tools is not installed.
     """
+    solver = constraint_solver("a free order of many tasks")
+    return _Search(problem, *solver).run(time_limit, effort, progress)
+
+
+def constraint_solver(what: str) -> tuple[Any, Any]:
+    """Return OR-Tools' routing solver and its enumerations.
+
+    Parameters
+    ----------
+    what : str
+        What needs it, for the message.
+
+    Raises
+    ------
+    MissingDependencyError
+        If OR-Tools is not installed.
+    """
     try:
         from ortools.constraint_solver import pywrapcp, routing_enums_pb2
     except ImportError as error:
         raise MissingDependencyError(
-            "a free order of many tasks needs OR-Tools; install energyplan[orienteering]"
+            f"{what} needs OR-Tools; install energyplan[orienteering]"
         ) from error
-    return _Search(problem, pywrapcp, routing_enums_pb2).run(time_limit, effort, progress)
+    return pywrapcp, routing_enums_pb2
 
 
 class _Search:

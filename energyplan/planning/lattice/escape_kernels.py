@@ -16,7 +16,7 @@ import numpy as np
 from energyplan.compilation import inner, njit
 from energyplan.compilation.arrays import Floats, Ints, ShortInts
 from energyplan.path import Pose
-from energyplan.planning.scene.field import pop, push
+from energyplan.planning.scene.field import pop, push, slot_of
 from energyplan.steering.arcs import arc_end
 from energyplan.terrain.collision import Body, Space, motion_free, pose_free
 
@@ -162,16 +162,6 @@ def _key(pose: Pose, room: float, reach: float, turn: float) -> int:
 
 
 @inner
-def _slot(tree: Escape, key: int) -> int:
-    """Return the slot of a key in the hash table: its own, or the empty one where it belongs."""
-    mask = len(tree.table) - 1
-    slot = (key * 0x9E3779B97F4A7C1) >> 17 & mask
-    while tree.table[slot] >= 0 and tree.key[tree.table[slot]] != key:
-        slot = (slot + 1) & mask
-    return int(slot)
-
-
-@inner
 def _promise(g: float, room: float, reach: float, turn: float) -> float:
     """Rank of an open node, the least first: a short way, and more room."""
     return g / (WORTH * reach) - log2(max(min(room, turn), 1e-6 * turn) / turn)
@@ -198,7 +188,7 @@ def plant_escape(
     tree.room[0] = room
     tree.parent[0] = -1
     tree.key[0] = _key(pose, room, reach, turn)
-    tree.table[_slot(tree, tree.key[0])] = 0
+    tree.table[slot_of(tree.table, tree.key, tree.key[0])] = 0
     tree.counts[0] = 1
     tree.counts[1] = push(tree.heap_f, tree.heap_node, 0, _promise(0.0, room, reach, turn), 0)
 
@@ -283,7 +273,7 @@ def grow_escape(
                     continue
                 room = _spin_room(space, body, there, turn, counts)
                 key = _key(there, room, reach, turn)
-                slot = _slot(tree, key)
+                slot = slot_of(tree.table, tree.key, key)
                 if tree.table[slot] >= 0:
                     continue
                 new = int(counts[0])

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from energyplan.compilation import inner, njit
 from energyplan.compilation.arrays import Floats, Ints, ShortInts
 from energyplan.path import Pose
-from energyplan.planning.scene.field import angle_between, pop, push
+from energyplan.planning.scene.field import angle_between, pop, push, slot_of
 from energyplan.planning.scene.guide_kernels import DistanceToGo, node_at
 from energyplan.planning.scene.motions import (
     KernelProblem,
@@ -137,21 +137,11 @@ def _estimate(setting: KernelProblem, to_go: DistanceToGo, x: float, y: float, y
     return max(round_obstacles, free_energy(setting, x, y, yaw))
 
 
-@inner
-def _find(tree: Tree, key: int) -> int:
-    """Return the slot of a key in the hash table: its own, or the empty one where it belongs."""
-    mask = len(tree.table) - 1
-    slot = (key * 0x9E3779B97F4A7C1) >> 17 & mask
-    while tree.table[slot] >= 0 and tree.key[tree.table[slot]] != key:
-        slot = (slot + 1) & mask
-    return slot
-
-
 @njit
 def rehash(tree: Tree, count: int) -> None:
     """Fill an empty hash table; of several nodes with one key the last one counts."""
     for node in range(count):
-        tree.table[_find(tree, tree.key[node])] = node
+        tree.table[slot_of(tree.table, tree.key, tree.key[node])] = node
 
 
 @inner
@@ -215,7 +205,7 @@ def grow(
             )
         tree.parent[0] = -1
         tree.key[0] = _key(space.x, space.y, lattice, tree.x[0], tree.y[0], 0)
-        tree.table[_find(tree, tree.key[0])] = 0
+        tree.table[slot_of(tree.table, tree.key, tree.key[0])] = 0
         counts[0] = 1
         counts[1] = push(tree.heap_f, tree.heap_node, 0, weight * tree.h[0], 0)
     for _ in range(expansions):
@@ -288,7 +278,7 @@ def grow(
             else:
                 gg = g + motion_cost(setting, x, y, yaw, ds, dtheta)
             key = _key(space.x, space.y, lattice, xx, yy, heading)
-            slot = _find(tree, key)
+            slot = slot_of(tree.table, tree.key, key)
             other = int(tree.table[slot])
             if other >= 0:
                 # a gain smaller than what lies within a cell is no reason to go through it again

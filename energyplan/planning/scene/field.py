@@ -1,4 +1,4 @@
-"""Kernels that searches among obstacles share: steps, a binary heap, arrays that grow."""
+"""Kernels that searches among obstacles share: steps, a heap, a hash table, arrays that grow."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from math import pi
 import numpy as np
 
 from energyplan.compilation import inner
-from energyplan.compilation.arrays import Floats, ShortInts
+from energyplan.compilation.arrays import Floats, Ints, ShortInts
 
 STEP_ROWS = np.array([0, 1, 0, -1, 1, 1, -1, -1, 1, 2, 2, 1, -1, -2, -2, -1])
 STEP_COLUMNS = np.array([1, 0, -1, 0, 1, -1, 1, -1, 2, 1, -1, -2, -2, -1, 1, 2])
@@ -69,6 +69,20 @@ def pop(heap_f: Floats, heap_node: ShortInts, size: int) -> int:
     heap_f[k] = f
     heap_node[k] = node
     return size
+
+
+@inner
+def slot_of(table: ShortInts, keys: Ints, key: int) -> int:
+    """Return the slot of a key in a hash table: its own, or the empty one where it belongs.
+
+    The table holds nodes, -1 where it is empty, and its size is a power of two; `keys` holds the
+    nodes' keys.
+    """
+    mask = len(table) - 1
+    slot = (key * 0x9E3779B97F4A7C1) >> 17 & mask
+    while table[slot] >= 0 and keys[table[slot]] != key:
+        slot = (slot + 1) & mask
+    return int(slot)
 
 
 @inner
