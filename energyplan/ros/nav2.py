@@ -31,6 +31,7 @@ from energyplan.errors import (
 )
 from energyplan.path import Pose
 from energyplan.planning import Plan, PlanningProblem, cancellable, plan, planners
+from energyplan.planning.replanning import replan
 from energyplan.ros.messages import (
     Factory,
     field,
@@ -286,6 +287,8 @@ class Answer:
         What went wrong, and what helps; empty if nothing did.
     planning_time : float
         Time spent [s].
+    problems : tuple of PlanningProblem
+        What each leg asked for; none after an error.
 
     Examples
     --------
@@ -310,6 +313,7 @@ class Answer:
     code: ToPoseError | ThroughPosesError
     message: str
     planning_time: float
+    problems: tuple[PlanningProblem, ...] = ()
 
     @property
     def energy(self) -> float:
@@ -331,6 +335,7 @@ def answer(
     time_limit: float = 1.0,
     effort: int | None = None,
     unwanted: Callable[[], bool] = lambda: False,
+    former: Answer | None = None,
     **options: Any,
 ) -> Answer:
     """Plan what a request asks for; every error of the library becomes a code and a message.
@@ -351,6 +356,9 @@ def answer(
         Units of work for all legs together, in place of the time limit.
     unwanted : callable
         Tells whether the goal was cancelled; asked often.
+    former : Answer, optional
+        The answer before. Where it led to the same goals, what is left of its plans is where to
+        start from: while that is free it is returned at once, see `replan`.
     **options : object
         What `request_to_problems` takes besides.
 
@@ -396,14 +404,40 @@ def answer(
             problem.check_poses()
         share = None if effort is None else max(effort // len(problems), 1)
         with cancellable(unwanted):
-            for problem in problems:
-                plans.append(plan(problem, name, time_limit / len(problems), effort=share))
+            for leg, problem in enumerate(problems):
+                known = _known(problem, len(problems) - leg, former) if name == "lattice" else None
+                limit = time_limit / len(problems)
+                if known is None:
+                    plans.append(plan(problem, name, limit, effort=share))
+                else:
+                    plans.append(
+                        replan(
+                            *known, start=problem.start, map=grid, time_limit=limit, effort=share
+                        )
+                    )
     except CancelledError:
         raise
     except EnergyPlanError as error:
         spent = time.perf_counter() - began
         return Answer((), error_code(error, codes, problem), str(error), spent)
-    return Answer(tuple(plans), codes["NONE"], "", time.perf_counter() - began)
+    return Answer(tuple(plans), codes["NONE"], "", time.perf_counter() - began, problems)
+
+
+def _known(
+    problem: PlanningProblem, left: int, former: Answer | None
+) -> tuple[PlanningProblem, Plan] | None:
+    """Return the leg of an answer before that has as many left, if it asked for the same."""
+    if former is None or left > len(former.plans):
+        return None
+    before, found = former.problems[-left], former.plans[-left]
+    same = all(
+        getattr(before, name) is getattr(problem, name)
+        for name in ("cost", "surfaces", "vehicle", "heights", "costmap")
+    ) and all(
+        getattr(before, name) == getattr(problem, name)
+        for name in ("goal", "objective", "clearance", "costmap_weight")
+    )
+    return (before, found) if same else None
 
 
 def fill_result(result: Any, answer: Answer, frame: str, stamp: Any, factory: Factory) -> Any:

@@ -397,6 +397,52 @@ def test_a_cancelled_goal_ends(jazzy: Wire) -> None:
         ros.answer(request, grid, COST, effort=50_000, unwanted=lambda: True)
 
 
+@pytest.mark.parametrize("through", [False, True])
+def test_the_same_goal_again_is_planned_on_from_the_answer_before(
+    wire: Wire, through: bool
+) -> None:
+    grid = ros.grid_from_message(wire.map(HALL))
+    goal = wire.stamped(5, 4, 0.5)
+
+    def ask(start: Any, over: ep.OccupancyGrid, **before: Any) -> ros.Answer:
+        there = wire.stamped(*start)
+        request = wire.through([goal], there) if through else wire.to_pose(goal, there)
+        return ros.answer(wire.sent(request), over, COST, effort=5000, **before)
+
+    first = ask((2, 2, 0), grid)
+    here = first.plans[0].path.subdivide(0.1, 0.1).vertices[6]
+    # the map comes again, unchanged: nothing is searched
+    rest = ask(here, ros.grid_from_message(wire.map(HALL)), former=first)
+    assert rest.code.name == "NONE" and rest.plans[0].effort == 0
+    assert rest.energy < first.energy
+    # and a chain of answers
+    assert ask(here, grid, former=rest).energy == pytest.approx(rest.energy, rel=1e-6)
+    # a box on the way
+    x, y = grid.to_cells(rest.plans[0].path.subdivide(0.1, 0.1).vertices[-12][:2]).astype(int)
+    shut = grid.updated(np.ones((2, 2), bool), row=int(y), column=int(x))
+    round_it = ask(here, shut, former=rest)
+    assert round_it.code.name == "NONE"
+    assert round_it.energy > rest.energy
+    assert shut.path_free(round_it.plans[0].path, COST.vehicle)
+
+
+def test_another_goal_or_cost_is_planned_anew(jazzy: Wire) -> None:
+    grid = ros.grid_from_message(jazzy.map(HALL))
+    start = jazzy.stamped(2, 2, 0)
+    request = jazzy.to_pose(jazzy.stamped(5, 4, 0.5), start)
+    first = ros.answer(request, grid, COST, effort=2000)
+    other = jazzy.to_pose(jazzy.stamped(5, 3, 0.5), start)
+    assert ros.answer(other, grid, COST, effort=2000, former=first).plans[0].path.end.y == (
+        pytest.approx(3.0)
+    )
+    dear = ep.EnergyCost(ep.PowerModel.preset("quadriga:full:concrete"))
+    changed = ros.answer(request, grid, dear, effort=2000, former=first)
+    assert changed.energy > first.energy and changed.plans[0].effort > 0
+    failed = ros.answer(request, None, COST, former=first)
+    assert failed.plans == () == failed.problems
+    assert ros.answer(request, grid, COST, effort=2000, former=failed).code.name == "NONE"
+
+
 def test_a_plan_is_told_as_diagnostics(wire: Wire) -> None:
     grid = ros.grid_from_message(wire.map(HALL))
     request = wire.to_pose(wire.stamped(5, 4, 0.5), wire.stamped(2, 2, 0))

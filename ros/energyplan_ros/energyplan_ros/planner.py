@@ -54,6 +54,7 @@ class PlannerNode(Node):
         self.planning = Lock()  # one plan at a time
         self.map: tuple[str, ep.OccupancyGrid | None] = ("map", None)
         self.mask: ep.OccupancyGrid | None = None
+        self.answered: ros.Answer | None = None  # Nav2 asks for the same goal again and again
         self.buffer = Buffer()
         self.listener = TransformListener(self.buffer, self)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -147,10 +148,12 @@ class PlannerNode(Node):
                     time_limit=settings["time_limit"],
                     clearance=settings["clearance"],
                     unwanted=lambda: handle.is_cancel_requested,
+                    former=self.answered,
                 )
             except CancelledError:
                 handle.canceled()
                 return kind.Result()
+            self.answered = found if found.plans else None
         stamp = self.get_clock().now().to_msg()
         result = ros.fill_result(kind.Result(), found, frame, stamp, get_message)
         self.diagnostics.publish(
