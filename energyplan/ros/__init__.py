@@ -7,6 +7,7 @@ or an object of one's own. `energyplan.ros.messages` converts maps, poses, footp
 while driving.
 """
 
+from energyplan.ros.codes import ThroughPosesError, ToPoseError, error_code
 from energyplan.ros.messages import (
     costs_from_message,
     footprint_from_message,
@@ -16,15 +17,7 @@ from energyplan.ros.messages import (
     pose_from_transform,
     updated_grid,
 )
-from energyplan.ros.nav2 import (
-    Answer,
-    ThroughPosesError,
-    ToPoseError,
-    answer,
-    error_code,
-    fill_result,
-    request_to_problems,
-)
+from energyplan.ros.nav2 import Answer, answer, fill_result, request_to_problems
 from energyplan.ros.online import DriveFeed
 from energyplan.ros.recording import write_recording
 from energyplan.ros.reports import (

@@ -1,7 +1,6 @@
-"""Nav2's actions ComputePathToPose and ComputePathThroughPoses: requests, answers, error codes.
+"""Nav2's actions ComputePathToPose and ComputePathThroughPoses: requests and answers.
 
-The codes are those of nav2_msgs since Iron; Humble's results have no code, and what a result does
-not have is not filled in.
+Humble's results have no error code; what a result does not have is not filled in.
 """
 
 from __future__ import annotations
@@ -9,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -20,18 +19,14 @@ from energyplan.errors import (
     CancelledError,
     EnergyPlanError,
     FrameError,
-    GoalInCollisionError,
     MessageError,
-    NoPathError,
     NoViapointsError,
-    OutsideMapError,
-    StartInCollisionError,
-    TimeLimitError,
     UnsupportedPlannerError,
 )
 from energyplan.path import Pose
 from energyplan.planning import Plan, PlanningProblem, cancellable, plan, planners
 from energyplan.planning.replanning import replan
+from energyplan.ros.codes import ThroughPosesError, ToPoseError, codes_of, error_code
 from energyplan.ros.messages import (
     Factory,
     field,
@@ -41,107 +36,8 @@ from energyplan.ros.messages import (
 )
 from energyplan.terrain import OccupancyGrid
 
-
-class ToPoseError(IntEnum):
-    """Error codes of nav2_msgs/action/ComputePathToPose.
-
-    Examples
-    --------
-    >>> ToPoseError.NO_VALID_PATH.value
-    208
-    """
-
-    NONE = 0
-    UNKNOWN = 200
-    INVALID_PLANNER = 201
-    TF_ERROR = 202
-    START_OUTSIDE_MAP = 203
-    GOAL_OUTSIDE_MAP = 204
-    START_OCCUPIED = 205
-    GOAL_OCCUPIED = 206
-    TIMEOUT = 207
-    NO_VALID_PATH = 208
-
-
-class ThroughPosesError(IntEnum):
-    """Error codes of nav2_msgs/action/ComputePathThroughPoses.
-
-    Examples
-    --------
-    >>> ThroughPosesError.NO_VIAPOINTS_GIVEN.value
-    309
-    """
-
-    NONE = 0
-    UNKNOWN = 300
-    INVALID_PLANNER = 301
-    TF_ERROR = 302
-    START_OUTSIDE_MAP = 303
-    GOAL_OUTSIDE_MAP = 304
-    START_OCCUPIED = 305
-    GOAL_OCCUPIED = 306
-    TIMEOUT = 307
-    NO_VALID_PATH = 308
-    NO_VIAPOINTS_GIVEN = 309
-
-
-Codes = type[ToPoseError] | type[ThroughPosesError]
-
-_NAMES: tuple[tuple[type[EnergyPlanError], str], ...] = (
-    (NoViapointsError, "NO_VIAPOINTS_GIVEN"),
-    (UnsupportedPlannerError, "INVALID_PLANNER"),
-    (FrameError, "TF_ERROR"),
-    (StartInCollisionError, "START_OCCUPIED"),
-    (GoalInCollisionError, "GOAL_OCCUPIED"),
-    (TimeLimitError, "TIMEOUT"),
-    (NoPathError, "NO_VALID_PATH"),
-)
-
-
-def codes_of(request: Any) -> Codes:
-    """Return the error codes of the action that a goal belongs to.
-
-    Examples
-    --------
-    >>> from types import SimpleNamespace as Message
-    >>> codes_of(Message(goals=[])).__name__
-    'ThroughPosesError'
-    """
-    return ThroughPosesError if hasattr(request, "goals") else ToPoseError
-
-
-def error_code(
-    error: EnergyPlanError, codes: Codes, problem: PlanningProblem | None = None
-) -> ToPoseError | ThroughPosesError:
-    """Return the code of Nav2's planner server for an error of the library.
-
-    Parameters
-    ----------
-    error : EnergyPlanError
-        The error.
-    codes : type
-        `ToPoseError` or `ThroughPosesError`.
-    problem : PlanningProblem, optional
-        What was to be planned: it shows whether start or goal lies outside the map.
-
-    Returns
-    -------
-    ToPoseError or ThroughPosesError
-        The code; ``UNKNOWN`` for what Nav2 has no name for, such as a malformed message.
-
-    Examples
-    --------
-    >>> from energyplan.errors import TimeLimitError
-    >>> error_code(TimeLimitError("no path was found in time"), ToPoseError).name
-    'TIMEOUT'
-    """
-    if isinstance(error, OutsideMapError) and problem is not None:
-        on_map = problem.terrain.obstacles.inside(problem.start[:2])
-        return codes["GOAL_OUTSIDE_MAP" if bool(on_map) else "START_OUTSIDE_MAP"]
-    for kind, name in _NAMES:
-        if isinstance(error, kind):
-            return codes[name]
-    return codes["UNKNOWN"]
+_SHARED = ("cost", "surfaces", "vehicle", "heights", "costmap")
+_EQUAL = ("goal", "objective", "clearance", "costmap_weight")
 
 
 def request_to_problems(
@@ -406,15 +302,10 @@ def answer(
         with cancellable(unwanted):
             for leg, problem in enumerate(problems):
                 known = _known(problem, len(problems) - leg, former) if name == "lattice" else None
-                limit = time_limit / len(problems)
-                if known is None:
-                    plans.append(plan(problem, name, limit, effort=share))
-                else:
-                    plans.append(
-                        replan(
-                            *known, start=problem.start, map=grid, time_limit=limit, effort=share
-                        )
-                    )
+                make: Callable[..., Plan] = partial(plan, problem, name)
+                if known is not None:
+                    make = partial(replan, *known, start=problem.start, map=grid)
+                plans.append(make(time_limit=time_limit / len(problems), effort=share))
     except CancelledError:
         raise
     except EnergyPlanError as error:
@@ -430,14 +321,9 @@ def _known(
     if former is None or left > len(former.plans):
         return None
     before, found = former.problems[-left], former.plans[-left]
-    same = all(
-        getattr(before, name) is getattr(problem, name)
-        for name in ("cost", "surfaces", "vehicle", "heights", "costmap")
-    ) and all(
-        getattr(before, name) == getattr(problem, name)
-        for name in ("goal", "objective", "clearance", "costmap_weight")
-    )
-    return (before, found) if same else None
+    same = [getattr(before, name) is getattr(problem, name) for name in _SHARED]
+    same += [getattr(before, name) == getattr(problem, name) for name in _EQUAL]
+    return (before, found) if all(same) else None
 
 
 def fill_result(result: Any, answer: Answer, frame: str, stamp: Any, factory: Factory) -> Any:

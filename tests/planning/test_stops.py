@@ -7,9 +7,11 @@ import pytest
 
 from energyplan import plan
 from energyplan.cost import EnergyCost
-from energyplan.planning import PlanningProblem
+from energyplan.planning import Budget, PlanningProblem
 from energyplan.planning.driven import drive_plan
 from energyplan.planning.lattice import planner
+from energyplan.planning.lattice.stops import Stops, stops_count, stops_of
+from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.power import PowerModel
 from energyplan.power.effects import term
 from energyplan.terrain import OccupancyGrid
@@ -58,6 +60,29 @@ def test_where_stops_take_nothing_the_path_stays_what_it_is(monkeypatch):
     monkeypatch.setattr(planner, "stops_count", lambda query: False)
     other = plan(asked, effort=20_000)
     assert made.energy == other.energy
+
+
+def test_what_stops_cannot_bring_is_spent_on_the_path(monkeypatch):
+    # stops that take a ten-thousandth: below what is looked at
+    model = PowerModel.paper(PAPER.vehicle, K=10.0, mu=0.1)
+    model = model.with_term(term("linear_inertia"), 1e-4 * PAPER.vehicle.mass)
+    asked = problem(model, 1.2)
+    query = CompiledProblem(asked)
+    assert stops_count(query)
+    spent = []
+    monkeypatch.setattr(planner, "least_driven", lambda *given: spent.append(given) or given[1])
+    made = plan(asked, effort=8_000)
+    taken = stops_of(query, made.path, Budget())
+    assert taken.share == 0.0 < taken.extra
+    assert not spent
+    monkeypatch.setattr(planner, "stops_count", lambda query: False)
+    assert made.energy <= 1.005 * plan(asked, effort=8_000).energy
+
+
+def test_the_more_stops_take_the_more_is_kept_for_them():
+    shares = [Stops(100.0, extra, 1.0).share for extra in (-1.0, 0.0, 0.05, 1.0, 2.0, 3.0, 50.0)]
+    assert shares[:3] == [0.0] * 3 and shares[-2:] == [1.0] * 2
+    assert np.all(np.diff(shares[2:6]) > 0)
 
 
 def test_the_same_effort_makes_the_same_path():

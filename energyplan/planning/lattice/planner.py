@@ -20,16 +20,16 @@ import numpy as np
 
 from energyplan.errors import PlanningError, TimeLimitError
 from energyplan.path import Path
-from energyplan.planning.bound import Bound, Spent, lower_bound
 from energyplan.planning.budget import PACE, Budget
 from energyplan.planning.contract import Candidate
 from energyplan.planning.lattice import search_kernels as kernels
+from energyplan.planning.lattice.bounding import Bounding
 from energyplan.planning.lattice.fewer_motions import with_fewer_motions
 from energyplan.planning.lattice.portfolio import Portfolio
 from energyplan.planning.lattice.rounds import ROUNDS, Sought
 from energyplan.planning.lattice.search import EXPANSION, Search, lattice_for
 from energyplan.planning.lattice.shortest import shortest_way
-from energyplan.planning.lattice.stops import SHARE, least_driven, stops_count
+from energyplan.planning.lattice.stops import SHARE, least_driven, stops_count, stops_of
 from energyplan.planning.lattice.tight_ends import Ends, ways_out
 from energyplan.planning.lattice.way_along import way_along
 from energyplan.planning.lattice.wide_arcs import with_wide_arcs
@@ -87,23 +87,11 @@ SEARCH_SHARE = 0.6
 BOUND_SHARE = 0.15
 """Part of that time that the bound may take at most at a time."""
 
-FIRST_BOUND = 250
-"""Units of work for the bound in the first round; four times as many in every other one since."""
-
-WORTH = 1e-3
-"""Part by which that must raise the bound for more of it to be worth its work."""
-
-FAIR_BOUND = 1000
-"""Units of work below which it is not judged by that."""
-
 MOST_LEFT = 60.0
 """Time of which that part is taken at most [s]."""
 
 GUIDE_SHARE = 0.3
 """Part of what the searches may take up to which new distances to go are worth their work."""
-
-STEPS = 12_000
-"""Steps of that search that count as a unit of work."""
 
 TURNS = 120
 """Turns of nodes, where distances to go are found, that count as a unit of work."""
@@ -173,7 +161,7 @@ def plan(
     budget = budget.part(1.0 - SHARE) if stops else budget
     work = _Improvement(query, budget if query.ends_roomy else budget.part(0.5), gap, seed)
     if bound is not None:
-        work.know_bound(bound - query.potential(problem.goal))
+        work.bounding.know(bound - query.potential(problem.goal))
     for path in known:
         work.offer_path(path)
     work.first_plan(finest)
@@ -188,12 +176,23 @@ def plan(
         between = budget.part(0.5)
         inner = plan(ends.problem, between, gap=gap, seed=seed, finest=finest)
         path = ends.refined(inner.path, budget)
-    # what the tables made of the cost of a known path is not what the models make of it
-    path = with_wide_arcs(query, min([path, *known], key=query.value))
-    path = with_fewer_motions(query, path)
-    if stops:
-        path = least_driven(query, path, work.portfolio.others, work.field(1.0), whole)
+    path = _finished(query, [path, *known])
+    found = stops_of(query, path, whole) if stops else None
+    if stops and (found is None or found.share < 1.0) and query.ends_roomy:
+        # what other stops cannot bring is spent as if there were none
+        share = 0.0 if found is None else found.share
+        if work.go_on(whole.part(1.0 - share)):
+            path = _finished(query, [path, query.path(work.portfolio.best)])
+            found = stops_of(query, path, whole) if share > 0.0 else None
+    if found is not None and found.share > 0.0:
+        path = least_driven(query, path, found, work.portfolio.others, work.field(1.0), whole)
     return Candidate(path, query.potential(problem.goal) + work.bound, first)
+
+
+def _finished(query: CompiledProblem, paths: list[Path]) -> Path:
+    """Return the best of some paths with arcs and spins where these are better."""
+    # what the tables made of the cost of a known path is not what the models make of it
+    return with_fewer_motions(query, with_wide_arcs(query, min(paths, key=query.value)))
 
 
 class _Improvement:
@@ -209,15 +208,12 @@ class _Improvement:
         self.fields: dict[float, DistanceToGo] = {}
         self.searches: list[Search] = []
         self.begun: set[Sought] = set()
-        free = query.least_in_free_space - query.potential(query.problem.goal)
-        self._bound = Bound(free, False)
-        self._spent: Spent = {}
-        self._raised = True
+        self.bounding = Bounding(query)
 
     @property
     def bound(self) -> float:
         """Lower bound on the cost of every path."""
-        return self._bound.value
+        return self.bounding.value
 
     @property
     def cost(self) -> float:
@@ -237,10 +233,6 @@ class _Improvement:
     def offer_path(self, path: Path) -> None:
         """Take a path that somebody else made, and that can be driven from start to goal."""
         self.portfolio.enter(self.query.of_centre(path))
-
-    def know_bound(self, value: float) -> None:
-        """Take a lower bound that somebody else found, less the potential; none is sought then."""
-        self._bound = Bound(value, True)
 
     def first_plan(self, finest: float = 1.0) -> None:
         """Find a first path; lattices twice as fine join one by one while none is found."""
@@ -327,14 +319,24 @@ class _Improvement:
         for number, begun in enumerate(ROUNDS):
             if searching.over or self.done:
                 break
-            works = self._bounding(min(FIRST_BOUND << number, kept)) if number % 2 == 0 else []
+            works = self.bounding.in_round(number, self.cost, kept)
             for following in ROUNDS[number + 1 : number + 2]:
                 works += self._guiding(following, searching)
             works += self._searching(begun, MOST << number)
             self._together(searching, works)
         self.portfolio.run(searching, self.enough)
         if not self.done:
-            self.portfolio.finish(self.budget, self.enough, *self._bounding(kept))
+            self.portfolio.finish(self.budget, self.enough, *self.bounding.work(self.cost, kept))
+        self._refine()
+
+    def go_on(self, budget: Budget) -> bool:
+        """Refine the best path with what another budget gives; tell whether that gained."""
+        before, self.budget = self.cost, budget
+        self._refine()
+        return self.cost < before
+
+    def _refine(self) -> None:
+        """Refine the best path until that gains nothing any more."""
         gains = True
         while gains and not self.done:
             before = self.cost
@@ -353,19 +355,6 @@ class _Improvement:
             every[k] = work._replace(units=min(work.units, 0.5 * left))
             left -= every[k].units
         do_together(budget, every)
-
-    def _bounding(self, units: float) -> list[Work]:
-        """Return the search for a better bound, where it may bring one."""
-
-        def run(own: Budget) -> float:
-            before = self.bound
-            self.raise_bound(min(units, own.left), own)
-            return before
-
-        def take(before: float) -> None:
-            self._raised = units < FAIR_BOUND or self.bound > before * (1.0 + WORTH)
-
-        return [Work(run, units, take)] if self._raised and not self._bound.final else []
 
     def _shortest_way(self, units: float) -> list[Work]:
         """Return the search for the shortest way, where that is not what is sought."""
@@ -421,15 +410,6 @@ class _Improvement:
             )  # fmt: skip
             works.append(Work(run, EXPANSION * most, partial(take, search, search.best)))
         return works
-
-    def raise_bound(self, units: float, budget: Budget) -> None:
-        """Search for a better lower bound; what is known of the best cost makes that easier."""
-        if self._bound.final:
-            return
-        value, final = lower_bound(self.query, self.cost, STEPS * units, self._spent)
-        if not final:
-            budget.spend(units)
-        self._bound = Bound(max(value, self.bound), final)
 
     def _enter_way(self, penalty: float) -> bool:
         """Enter the way that a guide knows, if it is one; tell whether it is."""

@@ -14,7 +14,7 @@ from energyplan.planning.scene.compiled import Segments
 from energyplan.planning.scene.guide_kernels import DistanceToGo
 from energyplan.planning.scene.motions import KernelProblem
 
-TRIES = ((2.0, 2000), (1.0, 4000))
+TRIES = ((2.0, 400), (1.0, 4000))
 """Scales of the lattices on which it is sought, and expansions of each search at most."""
 
 WEIGHT = 2.0

@@ -9,6 +9,7 @@ shortcuts are sought at the price, and all that come of it are driven.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,7 +35,7 @@ DRIVE = 1500
 """Units of work that driving a path counts as."""
 
 SHARE = 0.25
-"""Part of the budget that is kept for it."""
+"""Part of the budget that is kept for it; what can come of it decides how much of that it has."""
 
 DEAR = 0.03
 """Part of the energy that stops must take for another way to be searched for."""
@@ -74,9 +75,52 @@ def _feels_stops(model: PowerModel, speed: float) -> bool:
     return bool(abs(faster - steady) > 1e-9 * abs(steady) or still > 0)
 
 
+class Stops(NamedTuple):
+    """What stops take of a path that is driven.
+
+    Attributes
+    ----------
+    energy : float
+        Energy of the drive [J].
+    extra : float
+        What that is above driving steadily [J].
+    each : float
+        That for each stop [J].
+    """
+
+    energy: float
+    extra: float
+    each: float
+
+    @property
+    def share(self) -> float:
+        """Part of what is kept for other paths that is worth it: stops cannot give more back."""
+        part = self.extra / abs(self.energy)
+        return min(max((part - WORTH) / (DEAR - WORTH), 0.0), 1.0)
+
+
+def stops_of(query: CompiledProblem, path: Path, budget: Budget) -> Stops | None:
+    """Return what stops take of a path; None where it cannot be driven."""
+    told = _driven(query, path, budget)
+    if told is None:
+        return None
+    still = (told.trajectory.v == 0.0) & (told.trajectory.omega == 0.0)
+    extra = told.energy - query.problem.terrain.price(path, query.problem.cost).energy
+    return Stops(told.energy, extra, extra / max(int(np.count_nonzero(still)) - 1, 1))
+
+
+def _driven(query: CompiledProblem, path: Path, budget: Budget) -> DrivenPath | None:
+    budget.spend(DRIVE)
+    try:
+        return drive_plan(query.problem, path)
+    except (InfeasibleMotionError, InvalidInputError):
+        return None
+
+
 def least_driven(
     query: CompiledProblem,
     path: Path,
+    stops: Stops,
     others: Iterable[Segments],
     to_go: DistanceToGo,
     budget: Budget,
@@ -89,6 +133,8 @@ def least_driven(
         The problem.
     path : Path
         The path of least energy at a steady speed.
+    stops : Stops
+        What stops take of it.
     others : iterable of Segments
         Motions from the start to the goal about which to look, besides those of the path.
     to_go : DistanceToGo
@@ -99,35 +145,19 @@ def least_driven(
     Returns
     -------
     Path
-        The path, or one that takes less; the path too where it cannot be driven.
+        The path, or one that takes less.
     """
-
-    def driven(candidate: Path) -> DrivenPath | None:
-        budget.spend(DRIVE)
-        try:
-            return drive_plan(query.problem, candidate)
-        except (InfeasibleMotionError, InvalidInputError):
-            return None
-
-    best, told = path, driven(path)
-    if told is None:
-        return path
-    still = (told.trajectory.v == 0.0) & (told.trajectory.omega == 0.0)
-    extra = told.energy - query.problem.terrain.price(path, query.problem.cost).energy
-    if extra <= WORTH * abs(told.energy):
-        return path
-    price = extra / max(int(np.count_nonzero(still)) - 1, 1)
-    least = told.energy
+    best, least, extra = path, stops.energy, stops.extra
     known = {_key(path)}
     looked = [query.of_centre(path), *others]
-    if extra > DEAR * abs(told.energy) and path.turning > 0:
+    if extra > DEAR * abs(least) and path.turning > 0:
         dear = _with_dear_turns(query.setting, extra / path.turning)
         looked[1:1] = _searched(dear, to_go, budget)
     for motions in looked:
         for factor in PRICES:
             if budget.over:
                 return best
-            fewer = Refiner(query.setting, motions).with_fewer_stops(factor * price, budget)
+            fewer = Refiner(query.setting, motions).with_fewer_stops(factor * stops.each, budget)
             try:
                 candidate = query.path(fewer)
             except PlanningError:
@@ -135,7 +165,7 @@ def least_driven(
             if _key(candidate) in known:
                 continue
             known.add(_key(candidate))
-            found = driven(candidate)
+            found = _driven(query, candidate, budget)
             if found is not None and found.energy < least:
                 best, least = candidate, found.energy
     return best
