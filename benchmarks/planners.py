@@ -42,9 +42,6 @@ from energyplan.planning.lattice.many_goals import energies
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 
-FIRST = 5000
-"""Units of work in which a first plan is found."""
-
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 MARKS = "<!-- measured plans -->", "<!-- end of measured plans -->"
 RIVALS = ("rrtstar", "informed_rrtstar", "bitstar")
@@ -251,7 +248,7 @@ def yard(size: int, seed: int = 0) -> OccupancyGrid:
 def sizes(largest: int, plot: str | None) -> None:
     """Print time and memory against the size of the map, and the slope on log-log axes."""
     print("seconds of CPU time, all threads together")
-    print("cells a side   map kept [s]   first plan [s]   plan [s]    gap [%]   peak memory [MB]")
+    print("cells a side   map kept [s]   first plan [s]   then [s]    gap [%]   peak memory [MB]")
     table = []
     for size in (size for size in (256, 512, 1024, 2048, 4096) if size <= largest):
         grid = yard(size)
@@ -261,7 +258,7 @@ def sizes(largest: int, plot: str | None) -> None:
         grid.footprint_free([problem.start], COST.vehicle)
         kept = time.process_time() - begun
         begun = time.process_time()
-        plan(problem, effort=FIRST)
+        plan(problem, effort=100_000, gap=100.0)  # any plan will do
         first = time.process_time() - begun
         begun = time.process_time()
         found = plan(problem, effort=100_000, gap=0.03)
@@ -282,7 +279,7 @@ def sizes(largest: int, plot: str | None) -> None:
         times, memory = figure.axes
         lines = (
             (1, "map", plots.GREEN, "^-"), (2, "first plan", plots.BLUE, "o-"),
-            (3, "plan within 3 % of the bound", plots.RED, "s--"),
+            (3, "then within 3 % of the bound", plots.RED, "s--"),
         )  # fmt: skip
         for column, label, color, look in lines:
             times.loglog(area, rows[:, column], look, ms=5, color=color, label=label)
@@ -290,6 +287,7 @@ def sizes(largest: int, plot: str | None) -> None:
         times.set_ylabel("CPU time [s]")
         memory.loglog(area, rows[:, 4], "o-", ms=5, color=plots.PURPLE, label="peak of the process")
         memory.loglog(area, rows[-1, 4] * area / area[-1], "k:", label="linear in the area")
+        memory.set_ylim(bottom=100.0)
         memory.set_ylabel("memory [MB]")
         for axes in (times, memory):
             axes.set_xlabel("cells of the map [1]")

@@ -47,7 +47,8 @@ def main(file: str) -> None:
     x0, y0 = grid.origin[:2]
     extent = (x0, x0 + columns * grid.resolution, y0, y0 + rows * grid.resolution)
     ax.imshow(grid.blocked, origin="lower", extent=extent, cmap="Greys", vmax=1.6)
-    ax.set(aspect="equal", xticks=[], yticks=[])
+    ax.set(aspect="equal", xticks=[], yticks=[], xlim=extent[:2], ylim=extent[2:])
+    ax.set_autoscale_on(False)
     (low_x, low_y), (high_x, high_y) = vehicle.footprint
     boxes, lines, labels = {}, {}, {}
     for k, (name, colour) in enumerate(COLOURS.items()):
