@@ -29,6 +29,7 @@ from energyplan.planning.lattice.portfolio import Portfolio
 from energyplan.planning.lattice.rounds import ROUNDS, Sought
 from energyplan.planning.lattice.search import EXPANSION, Search, lattice_for
 from energyplan.planning.lattice.shortest import shortest_way
+from energyplan.planning.lattice.slots import way_through_slots
 from energyplan.planning.lattice.stops import SHARE, least_driven, stops_count, stops_of
 from energyplan.planning.lattice.tight_ends import Ends, ways_out
 from energyplan.planning.lattice.way_along import way_along
@@ -36,7 +37,7 @@ from energyplan.planning.lattice.wide_arcs import with_wide_arcs
 from energyplan.planning.parallel import Work, do_together, side_by_side
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
-from energyplan.planning.scene.guide import distance_to_go, reached, regions_for
+from energyplan.planning.scene.guide import TURNS, distance_to_go, places_for, reached, regions_for
 from energyplan.planning.scene.guide_kernels import DistanceToGo
 from energyplan.planning.scene.motions import KernelProblem
 from energyplan.planning.scene.reachability import check_configurations, none_found
@@ -93,14 +94,23 @@ MOST_LEFT = 60.0
 GUIDE_SHARE = 0.3
 """Part of what the searches may take up to which new distances to go are worth their work."""
 
-TURNS = 120
-"""Turns of nodes, where distances to go are found, that count as a unit of work."""
-
 MOST_LATTICES = 16
 """Lattices on which a first path is sought, each half as coarse as the one before."""
 
 ESCAPE_SHARE = 0.25
 """Part of the budget that ways out of tight ends may take."""
+
+SLOT_SHARE = 0.25
+"""Part of what searches may take that a way through slots may."""
+
+SLOT_ROUND = 1
+"""Round in which it is sought."""
+
+LEAST_FOR_SLOTS = 800.0
+"""Units of work below which it is not."""
+
+SLOT_GUIDES = 6.0
+"""And below which it is not, in units of what a distance to go takes."""
 
 SHORTEST_SHARE = 0.25
 """Part of what is left after the first plan that finding a shortest way may take."""
@@ -209,6 +219,7 @@ class _Improvement:
         self.searches: list[Search] = []
         self.begun: set[Sought] = set()
         self.bounding = Bounding(query)
+        self._through_slots = False
 
     @property
     def bound(self) -> float:
@@ -250,6 +261,10 @@ class _Improvement:
         for penalty in WAYS:
             if self._enter_way(penalty):
                 return
+        # where the poses tested do not join start and goal, a search among them is in vain
+        tested = self.field(PENALTY).places is places_for(self.ends.between(self.setting))
+        if not tested and self._enter_slots():
+            return
         turn = FIRST_TURN
         waiting = [(self.ends, 2.0**-k) for k in range(MOST_LATTICES) if 2.0**-k >= finest]
         if self.ends.eased:
@@ -286,6 +301,8 @@ class _Improvement:
                 if not any(one.ends is self.ends for one in found):
                     self._move_ends(plain)
                 return
+            if tested and turn == FIRST_TURN and self._enter_slots():
+                return
             pairs = zip(open_ones, states, strict=True)
             open_ones = [one for one, state in pairs if state != kernels.EXHAUSTED]
             turn *= 2
@@ -320,6 +337,7 @@ class _Improvement:
             if searching.over or self.done:
                 break
             works = self.bounding.in_round(number, self.cost, kept)
+            works += self._slots(searching) if number == SLOT_ROUND else []
             for following in ROUNDS[number + 1 : number + 2]:
                 works += self._guiding(following, searching)
             works += self._searching(begun, MOST << number)
@@ -342,6 +360,38 @@ class _Improvement:
             before = self.cost
             self.portfolio.again(self.budget, self.enough)
             gains = self.portfolio.rounds <= PATIENCE or self.cost <= before * (1 - 1e-5)
+
+    def _enter_slots(self) -> bool:
+        """Enter a way through slots that no pose tested shows; tell whether one is found."""
+        setting = self.ends.between(self.setting)
+        self.budget.beside(lambda: regions_for(setting, enlarged=True))
+        way = way_through_slots(setting, None, np.inf, self.budget.part(ESCAPE_SHARE))
+        if way is not None:
+            self.portfolio.enter(self.ends.whole(way))
+            self._through_slots = True
+        return way is not None
+
+    def _slots(self, budget: Budget) -> list[Work]:
+        """Return the search for a way through slots shorter than those known, where it may pay."""
+        units = SLOT_SHARE * budget.left
+        guide = max((found.work for found in self.fields.values()), default=0) / TURNS
+        if self._through_slots or units < max(LEAST_FOR_SLOTS, SLOT_GUIDES * guide):
+            return []
+        setting, fields, cost = self.ends.between(self.setting), dict(self.fields), self.cost
+        self.budget.beside(lambda: regions_for(setting, enlarged=True))
+
+        def run(own: Budget) -> Segments | None:
+            known = fields.get(1.0)
+            if known is None:
+                known = distance_to_go(setting, 1.0)
+                own.spend(known.work / TURNS)
+            return way_through_slots(setting, known, cost, own)
+
+        def take(way: Segments | None) -> None:
+            if way is not None:
+                self.portfolio.enter(self.ends.whole(way))
+
+        return [Work(run, units, take)]
 
     def _together(self, budget: Budget, works: list[Work]) -> None:
         """Do some work beside the next turns of the paths known.

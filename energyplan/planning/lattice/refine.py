@@ -8,8 +8,9 @@ step, so it can stop at any time.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from energyplan.path import Path, Pose
+from energyplan.path import FloatArray, Path, Pose
 from energyplan.planning.budget import Budget
 from energyplan.planning.lattice import refine_kernels as kernels
 from energyplan.planning.scene.compiled import CompiledProblem, Segments, merged
@@ -25,6 +26,9 @@ ATTEMPT, PAIR = 0.35, 0.08
 TRIALS = 400
 """Attempts between two looks at the budget."""
 
+REPAIRS, REPAIR = 100, 0.35
+"""Attempts to make blocked motions free, and units of work that each counts as."""
+
 
 class Refiner:
     """A path that becomes cheaper.
@@ -37,10 +41,15 @@ class Refiner:
         Motions from the start to the goal, free of collisions.
     seed : int
         Seed of the random numbers.
+    poses : int
+        Largest number of poses among which shortcuts are sought, unless there are many motions.
     """
 
-    def __init__(self, setting: KernelProblem, segments: Segments, seed: int = 1) -> None:
+    def __init__(
+        self, setting: KernelProblem, segments: Segments, seed: int = 1, poses: int = POSES
+    ) -> None:
         self.setting = setting
+        self._poses = poses
         self._state = np.array([0x9E3779B97F4A7C15 ^ (seed * 0x2545F4914F6CDD1D % 2**63)], "u8")
         self._load(segments)
 
@@ -52,7 +61,7 @@ class Refiner:
             Pose(setting.start_x, setting.start_y, setting.start_yaw), whole.ds, whole.dtheta
         )
         extent = path.length + setting.half_track * path.turning
-        spare = max(POSES - len(path), 20)
+        spare = max(self._poses - len(path), 20)
         piece = max(extent / spare, 0.2)
         fine = path.subdivide(max_ds=piece, max_dtheta=max(piece / setting.half_track, 0.3))
         count = len(fine) + 1
@@ -79,6 +88,11 @@ class Refiner:
         return float(self.chain.cost[: self.count - 1].sum())
 
     @property
+    def poses(self) -> FloatArray:
+        """The poses as they are, shape (n, 3)."""
+        return self.chain.poses[: self.count].copy()
+
+    @property
     def segments(self) -> Segments:
         """The motions as they are."""
         room = self.count * MAX_SEGMENTS
@@ -96,6 +110,41 @@ class Refiner:
         budget.spend(PAIR * self.count * self.count)
         self.count = int(kernels.shortcut(self.chain, self.setting, self.count, self.count, price))
         return self.segments
+
+    def move_to(self, setting: KernelProblem, reach: float, budget: Budget) -> NDArray[np.bool_]:
+        """Make the path free for another body; leave it as it is where that fails.
+
+        Parameters
+        ----------
+        setting : KernelProblem
+            The problem with the other body.
+        reach : float
+            How far poses are moved at most in one attempt [m].
+        budget : Budget
+            What may be spent.
+
+        Returns
+        -------
+        ndarray of bool
+            The motions that are blocked still.
+        """
+        chain = self.chain
+        before = chain._replace(
+            poses=chain.poses.copy(), cost=chain.cost.copy(), kept=chain.kept.copy()
+        )
+        if kernels.reopen(self.chain, setting, self.count):
+            budget.spend(REPAIR * REPAIRS)
+            kernels.unblock(self.chain, setting, self.count, REPAIRS, reach, self._state)
+        blocked = np.isinf(self.chain.cost[: self.count - 1])
+        if blocked.any():
+            self.chain = before
+        else:
+            self.setting = setting
+        return blocked
+
+    def halve(self, motions: NDArray[np.bool_]) -> None:
+        """Put one more pose onto each of some motions, as far as there is room for more."""
+        self.count = int(kernels.halve(self.chain, self.setting, self.count, motions))
 
     def again(self, budget: Budget) -> None:
         """Cut the path to pieces once more, and seek shortcuts between them."""

@@ -17,9 +17,13 @@ from energyplan.path import Pose
 from energyplan.planning.scene.motions import KernelProblem, join, motion_cost
 from energyplan.steering.arcs import arc_end
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy
+from energyplan.terrain.collision import pose_free
 
 HOPELESS = 8
 """Poses in a row from which no shortcut is free, after which those before are not tried."""
+
+FURTHER = 0.4
+"""Probability with which one more pose is moved with others."""
 
 SMALLEST, LARGEST = 1e-4, 1.0
 """Range of the distance by which poses are moved [m]."""
@@ -311,6 +315,130 @@ def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state:
             chain.step[k] = max(step * 0.96, SMALLEST)
             if chain.step[k] == SMALLEST:
                 chain.step[k] = 0.2
+    return count
+
+
+@njit
+def reopen(chain: Chain, setting: KernelProblem, count: int) -> int:
+    """Join the poses of a chain anew, at an infinite cost where no motion is free.
+
+    Returns how many motions are not.
+    """
+    ds = np.empty(MAX_SEGMENTS)
+    dtheta = np.empty(MAX_SEGMENTS)
+    blocked = 0
+    for k in range(count - 1):
+        blocked += not _rejoin(chain, setting, k, ds, dtheta)
+    return blocked
+
+
+@inner
+def _rejoin(chain: Chain, setting: KernelProblem, k: int, ds: Floats, dtheta: Floats) -> bool:
+    """Join pose `k` to the next one, and tell whether that is free."""
+    a = _pose(chain, k)
+    b = _pose(chain, k + 1)
+    cost, _ = join(setting, a.x, a.y, a.yaw, b.x, b.y, b.yaw, inf, ds, dtheta)
+    chain.cost[k] = cost
+    chain.kept[k] = False
+    return cost < inf
+
+
+@njit
+def unblock(
+    chain: Chain, setting: KernelProblem, count: int, trials: int, reach: float, state: Words
+) -> int:
+    """Move poses at random until all motions between them are free; return how many are not.
+
+    Parameters
+    ----------
+    chain : Chain
+        The path, whose blocked motions have an infinite cost; changed in place.
+    setting : KernelProblem
+        The problem.
+    count : int
+        Number of poses.
+    trials : int
+        Number of attempts.
+    reach : float
+        How far poses are moved at most in one attempt [m].
+    state : ndarray of uint64, shape (1,)
+        State of the random numbers.
+    """
+    ds = np.empty(MAX_SEGMENTS)
+    dtheta = np.empty(MAX_SEGMENTS)
+    blocked = np.empty(count, np.int64)
+    poses = chain.poses.copy()
+    cost = chain.cost.copy()
+    left = -1
+    for _ in range(trials):
+        if left < 0:
+            left = 0
+            for i in range(count - 1):
+                if chain.cost[i] == inf:
+                    blocked[left] = i
+                    left += 1
+        if left == 0:
+            break
+        k = int(blocked[int(_random(state) * left)])
+        # one of its two poses, or both at once and maybe some of those before and after
+        what = int(_random(state) * 3.0)
+        first = k if what != 1 else k + 1
+        last = k if what == 0 else k + 1
+        while what == 2 and first > 1 and _random(state) < FURTHER:
+            first -= 1
+        while what == 2 and last < count - 2 and _random(state) < FURTHER:
+            last += 1
+        first = max(first, 1)
+        last = min(last, count - 2)
+        if last < first:
+            continue
+        step = reach * 10.0 ** (-2.0 * _random(state))
+        dx = step * (2.0 * _random(state) - 1.0)
+        dy = step * (2.0 * _random(state) - 1.0)
+        turn = step / setting.reach * (2.0 * _random(state) - 1.0)
+        x = 0.5 * (poses[first, 0] + poses[last, 0])
+        y = 0.5 * (poses[first, 1] + poses[last, 1])
+        for i in range(first, last + 1):
+            chain.poses[i, 0] += dx - turn * (poses[i, 1] - y)
+            chain.poses[i, 1] += dy + turn * (poses[i, 0] - x)
+            chain.poses[i, 2] += turn
+        before = 0
+        for i in range(first - 1, last + 1):
+            before += cost[i] == inf
+        after = 0
+        for i in range(first, last + 1):
+            here = _pose(chain, i)
+            if not pose_free(setting.space, setting.body, here.x, here.y, here.yaw):
+                after = before
+        for i in range(first - 1, last + 1):
+            if after == before:
+                break
+            after += not _rejoin(chain, setting, i, ds, dtheta)
+        source_poses = chain.poses if after < before else poses
+        source_cost = chain.cost if after < before else cost
+        into_poses = poses if after < before else chain.poses
+        into_cost = cost if after < before else chain.cost
+        for i in range(first, last + 1):
+            for c in range(3):
+                into_poses[i, c] = source_poses[i, c]
+        for i in range(first - 1, last + 1):
+            into_cost[i] = source_cost[i]
+        if after < before:
+            left = -1
+    still = 0
+    for i in range(count - 1):
+        still += chain.cost[i] == inf
+    return still
+
+
+@njit
+def halve(chain: Chain, setting: KernelProblem, count: int, marked: Flags) -> int:
+    """Put one more pose onto the middle of each motion that is marked; return their number."""
+    ds = np.empty(MAX_SEGMENTS)
+    dtheta = np.empty(MAX_SEGMENTS)
+    for k in range(count - 2, -1, -1):
+        if marked[k] and count < len(chain.cost) - 1:
+            count = _insert(chain, setting, count, k, 0.5, ds, dtheta)
     return count
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from energyplan.path import Pose
 from energyplan.planning.scene.compiled import MARGIN
 from energyplan.planning.scene.free_space import FreeSpace, free_space, updated_free_space
 from energyplan.planning.scene.guide_kernels import (
@@ -16,6 +18,7 @@ from energyplan.planning.scene.guide_kernels import (
     connect_places,
     heights_of_places,
     node_at,
+    place_of,
     way_to_go,
 )
 from energyplan.planning.scene.motions import DIRECTIONS, KernelProblem
@@ -37,8 +40,15 @@ TIGHT = 0.5
 REACH = 1.05
 """How much further than the start the guide reaches."""
 
+TURNS = 120
+"""Turns of nodes, where distances to go are found, that count as a unit of work."""
+
 SLACK = 1.0
 """And how much beyond that, in lengths of the body."""
+
+
+CLOSED = 1
+"""How far about a place where the body does not pass others count as closed [places]."""
 
 
 def places_for(kernel: KernelProblem, enlarged: bool = False) -> Places:
@@ -128,12 +138,67 @@ def no_distance() -> DistanceToGo:
 
 def reached(to_go: DistanceToGo, kernel: KernelProblem) -> bool:
     """Tell whether the start leads to the goal."""
+    return bool(np.isfinite(distance_at_start(to_go, kernel)))
+
+
+def distance_at_start(to_go: DistanceToGo, kernel: KernelProblem) -> float:
+    """Return the distance to go at the start [m]; infinite where it does not lead to the goal."""
     node = node_at(to_go, kernel.space, kernel.start_x, kernel.start_y, kernel.start_yaw)
-    return node >= 0 and bool(np.isfinite(to_go.distance[node]))
+    return float(to_go.distance[node]) if node >= 0 else np.inf
 
 
-def _guide(kernel: KernelProblem, penalty: float, enlarged: bool) -> DistanceToGo:
-    places = places_for(kernel, enlarged)
+def distance_through_slots(
+    kernel: KernelProblem, known: float, closed: Sequence[Pose] = (), penalty: float = 1.0
+) -> DistanceToGo:
+    """Return the distance to go where the body may be free, between the poses tested as well.
+
+    Parameters
+    ----------
+    kernel : KernelProblem
+        The problem.
+    known : float
+        Distance to go at the start beyond which ways are of no interest [m]; infinite if unknown.
+    closed : sequence of Pose
+        Poses about which it is free nowhere but at the poses tested.
+    penalty : float
+        Factor by which distances count in tight places.
+    """
+    places = places_for(kernel, enlarged=True)
+    if closed:
+        places = _without(places, places_for(kernel), kernel, closed)
+    if not closed and not np.isfinite(known):
+        known = 0.0
+    return _guide(kernel, penalty, enlarged=True, places=places, known=known)
+
+
+def _without(
+    places: Places, tested: Places, kernel: KernelProblem, closed: Sequence[Pose]
+) -> Places:
+    """Return places that are free about some poses only where poses were tested."""
+    across = places.columns + 2 * RIM
+    masks, arcs = places.masks.copy(), places.arcs.copy()
+    for pose in closed:
+        middle = place_of(places, kernel.space, pose.x, pose.y)
+        for row in range(-CLOSED, CLOSED + 1):
+            for place in range(middle + row * across - CLOSED, middle + row * across + CLOSED + 1):
+                if 0 <= place < len(masks):
+                    masks[place] &= tested.masks[place]
+                    arcs[places.first[place] : places.first[place + 1]] &= tested.masks[place]
+    return places._replace(masks=masks, arcs=arcs)
+
+
+def _guide(
+    kernel: KernelProblem,
+    penalty: float,
+    enlarged: bool,
+    places: Places | None = None,
+    known: float = 0.0,
+) -> DistanceToGo:
+    """Return the distance to go near the shortest way, and on all that are not longer than known.
+
+    The places are those of the problem unless given.
+    """
+    places = places_for(kernel, enlarged) if places is None else places
     hills, space = kernel.hills, kernel.space
     # where it turns for nothing within this distance, reversing can be cheaper
     far = 2.0 * kernel.least_radian / kernel.least_metre
@@ -164,7 +229,7 @@ def _guide(kernel: KernelProblem, penalty: float, enlarged: bool) -> DistanceToG
         work += between(start=ends[0], stop=ends[1], leaving=False, distance=back)
         if np.isfinite(back[ends[1]]):
             work += between(start=ends[1], stop=ends[0], leaving=True, distance=out)
-            near = back + out <= REACH * back[ends[1]] + slack
+            near = back + out <= max(REACH * back[ends[1]] + slack, known)
             distance[:] = np.inf
     work += way_to_go(
         places,

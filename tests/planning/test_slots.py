@@ -1,0 +1,147 @@
+"""Slots: walls with an opening a centimetre or two wider than the robot, at any angle."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from energyplan.cost import EnergyCost
+from energyplan.path import Pose
+from energyplan.planning import Budget, PlanningProblem, plan
+from energyplan.planning.lattice.slots import grow, slack, slimmer
+from energyplan.planning.scene.compiled import CompiledProblem, Segments
+from energyplan.planning.scene.guide import (
+    distance_at_start,
+    distance_through_slots,
+    distance_to_go,
+)
+from energyplan.planning.scene.motions import KernelProblem, drive
+from energyplan.steering.arcs import arc_end
+from energyplan.terrain import OccupancyGrid
+from energyplan.vehicle import Vehicle
+
+SIZES = {"small": (0.35, 0.28), "quadriga": (0.82, 0.64), "long": (1.8, 1.2), "wide": (0.6, 0.8)}
+"""Length and width [m]."""
+
+
+def wall(
+    size: tuple[float, float], resolution: float, angle: float, spare: float
+) -> PlanningProblem:
+    """Return a problem on either side of a wall with a slot along `angle`, and a way round it.
+
+    A robot that drives straight along the slot has half of `spare` on either side, beside what
+    cells leave free that it does not touch [m].
+    """
+    length, width = size
+    reach = max(size)
+    half = 6.0 * reach
+    c, s = np.cos(angle), np.sin(angle)
+    x = (np.arange(int(2.0 * half / resolution)) + 0.5) * resolution - half
+    y = x[:, None]
+    along, across = c * x + s * y, c * y - s * x
+    # the wall leans, and ends four lengths to the left of the slot
+    blocked = (np.abs(along - 0.3 * across) < 0.25 * length) & (across < 4.0 * reach)
+    touched = 0.5 * (width + spare) + 0.5 * resolution * (abs(c) + abs(s))
+    blocked &= np.abs(across) > touched
+    robot = Vehicle.from_geometry(
+        "robot", mass=40.0, wheelbase=0.6 * length, track=0.8 * width, length=length, width=width
+    )
+    cost = EnergyCost.from_coefficients(150.0, 60.0, robot.icr)
+    grid = OccupancyGrid(blocked, resolution, Pose(-half, -half, 0.0))
+    ends = np.array([[-2.0, 1.0], [2.0, 0.0]]) * reach @ np.array([[c, s], [-s, c]])
+    start, goal = (Pose(*end, angle + turn) for end, turn in zip(ends, (0.7, -1.9), strict=True))
+    return PlanningProblem(grid, cost, start, goal, vehicle=robot)
+
+
+def to_the_left(angle: float, poses: np.ndarray) -> float:
+    """Return how far to the left of the slot poses are at most [m]."""
+    return float((np.cos(angle) * poses[:, 1] - np.sin(angle) * poses[:, 0]).max())
+
+
+def is_driven(setting: KernelProblem, way: Segments) -> bool:
+    """Tell whether motions are free and lead from start to goal."""
+    pose = Pose(setting.start_x, setting.start_y, setting.start_yaw)
+    cost = drive(setting, *pose, way.ds, way.dtheta, len(way.ds), np.inf)
+    return bool(np.isfinite(cost))
+
+
+@pytest.mark.parametrize(("angle", "resolution"), [(0.3, 0.05), (1.9, 0.03)])
+@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
+def test_a_slot_is_driven_through(size, resolution, angle):
+    problem = wall(size, resolution, angle, spare=0.01 + 0.01 * size[1])
+    found = plan(problem, effort=10_000)
+    assert problem.map.path_free(found.path, problem.robot)
+    assert to_the_left(angle, found.path.vertices) < 2.0 * max(size)
+
+
+@pytest.mark.parametrize("size", [SIZES["small"], SIZES["quadriga"]])
+def test_what_is_too_narrow_is_not_driven_through(size):
+    problem = wall(size, 0.02, 0.3, spare=-0.08)
+    found = plan(problem, effort=5_000)
+    assert to_the_left(0.3, found.path.vertices) > 4.0 * max(size)
+
+
+def straight_through(spare: float) -> tuple[KernelProblem, Segments, float]:
+    """Return a problem, a slim body's way straight through its slot, and how much slimmer it is."""
+    angle = 0.3
+    problem = wall(SIZES["quadriga"], 0.02, angle, spare)
+    c, s = np.cos(angle), np.sin(angle)
+    # two centimetres beside the middle and two degrees askew
+    askew, aside = np.deg2rad(2.0), 0.02
+    start = Pose(-1.2 * c - aside * s, -1.2 * s + aside * c, angle + askew)
+    way = Segments(np.array([2.4]), np.array([0.0]))
+    goal = arc_end(start, 2.4, 0.0)
+    setting = CompiledProblem(problem).setting._replace(
+        start_x=start.x, start_y=start.y, start_yaw=start.yaw,
+        goal_x=goal.x, goal_y=goal.y, goal_yaw=goal.yaw,
+    )  # fmt: skip
+    return setting, way, 0.1
+
+
+def test_a_slim_bodys_way_grows_to_the_whole_bodys():
+    setting, way, by = straight_through(spare=0.01)
+    assert is_driven(slimmer(setting, by), way)
+    assert not is_driven(setting, way)
+    grown = grow(setting, way, by, Budget())
+    assert grown.motions is not None and is_driven(setting, grown.motions)
+    assert not grown.closed
+
+
+def test_where_it_does_not_grow_is_told():
+    setting, way, by = straight_through(spare=-0.06)
+    grown = grow(setting, way, by, Budget())
+    assert grown.motions is None
+    assert 0.0 < grown.lacking < 1.0
+    assert grown.closed
+    # the wall is 0.4 m thick along the slot's middle, and the robot reaches 0.52 m further
+    assert np.hypot(*np.array(grown.closed)[:, :2].T).max() < 0.8
+
+
+def test_closed_places_are_left_out_of_the_distance_to_go():
+    angle = 0.9
+    setting = CompiledProblem(wall(SIZES["quadriga"], 0.05, angle, spare=0.01)).setting
+    tested = distance_at_start(distance_to_go(setting), setting)
+    through = distance_at_start(distance_through_slots(setting, np.inf), setting)
+    c, s = np.cos(angle), np.sin(angle)
+    closed = [Pose(-aside * s, aside * c, angle) for aside in (-0.1, 0.0, 0.1)]
+    round_it = distance_at_start(distance_through_slots(setting, np.inf, closed), setting)
+    assert through < 0.5 * tested
+    # what is not tested makes corners a little shorter
+    assert 0.9 * tested < round_it <= tested
+
+
+def test_a_slimmer_body_passes_wherever_the_whole_one_may():
+    setting = CompiledProblem(wall(SIZES["long"], 0.05, 0.3, 0.02)).setting
+    body, slim = setting.body, slimmer(setting, slack(setting)).body
+    rng = np.random.default_rng(0)
+    turn, shift = np.pi / 64, np.sqrt(0.5) * 0.05
+    for _ in range(100):
+        yaw = rng.uniform(-turn, turn)
+        offset = shift * rng.uniform(0, 1) * np.array([np.cos(a := rng.uniform(0, 7)), np.sin(a)])
+        corner = np.array(
+            [rng.choice([slim.x_min, slim.x_max]), rng.choice([slim.y_min, slim.y_max])]
+        )
+        moved = (
+            np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]) @ corner + offset
+        )
+        assert body.x_min <= moved[0] <= body.x_max and body.y_min <= moved[1] <= body.y_max
