@@ -29,7 +29,7 @@ from energyplan.planning.lattice.portfolio import Portfolio
 from energyplan.planning.lattice.rounds import ROUNDS, Sought
 from energyplan.planning.lattice.search import EXPANSION, Search, lattice_for
 from energyplan.planning.lattice.shortest import shortest_way
-from energyplan.planning.lattice.slots import way_through_slots
+from energyplan.planning.lattice.slots import slot_work, way_through_slots
 from energyplan.planning.lattice.stops import SHARE, least_driven, stops_count, stops_of
 from energyplan.planning.lattice.tight_ends import Ends, ways_out
 from energyplan.planning.lattice.way_along import way_along
@@ -99,18 +99,6 @@ MOST_LATTICES = 16
 
 ESCAPE_SHARE = 0.25
 """Part of the budget that ways out of tight ends may take."""
-
-SLOT_SHARE = 0.25
-"""Part of what searches may take that a way through slots may."""
-
-SLOT_ROUND = 1
-"""Round in which it is sought."""
-
-LEAST_FOR_SLOTS = 800.0
-"""Units of work below which it is not."""
-
-SLOT_GUIDES = 6.0
-"""And below which it is not, in units of what a distance to go takes."""
 
 SHORTEST_SHARE = 0.25
 """Part of what is left after the first plan that finding a shortest way may take."""
@@ -337,7 +325,9 @@ class _Improvement:
             if searching.over or self.done:
                 break
             works = self.bounding.in_round(number, self.cost, kept)
-            works += self._slots(searching) if number == SLOT_ROUND else []
+            if number == 1 and not self._through_slots:
+                setting = self.ends.between(self.setting)
+                works += slot_work(setting, self.fields, self.cost, searching, self._enter)
             for following in ROUNDS[number + 1 : number + 2]:
                 works += self._guiding(following, searching)
             works += self._searching(begun, MOST << number)
@@ -366,32 +356,14 @@ class _Improvement:
         setting = self.ends.between(self.setting)
         self.budget.beside(lambda: regions_for(setting, enlarged=True))
         way = way_through_slots(setting, None, np.inf, self.budget.part(ESCAPE_SHARE))
+        self._through_slots = way is not None
+        self._enter(way)
+        return self._through_slots
+
+    def _enter(self, way: Segments | None) -> None:
+        """Enter a way between the ends, if there is one."""
         if way is not None:
             self.portfolio.enter(self.ends.whole(way))
-            self._through_slots = True
-        return way is not None
-
-    def _slots(self, budget: Budget) -> list[Work]:
-        """Return the search for a way through slots shorter than those known, where it may pay."""
-        units = SLOT_SHARE * budget.left
-        guide = max((found.work for found in self.fields.values()), default=0) / TURNS
-        if self._through_slots or units < max(LEAST_FOR_SLOTS, SLOT_GUIDES * guide):
-            return []
-        setting, fields, cost = self.ends.between(self.setting), dict(self.fields), self.cost
-        self.budget.beside(lambda: regions_for(setting, enlarged=True))
-
-        def run(own: Budget) -> Segments | None:
-            known = fields.get(1.0)
-            if known is None:
-                known = distance_to_go(setting, 1.0)
-                own.spend(known.work / TURNS)
-            return way_through_slots(setting, known, cost, own)
-
-        def take(way: Segments | None) -> None:
-            if way is not None:
-                self.portfolio.enter(self.ends.whole(way))
-
-        return [Work(run, units, take)]
 
     def _together(self, budget: Budget, works: list[Work]) -> None:
         """Do some work beside the next turns of the paths known.
@@ -433,8 +405,7 @@ class _Improvement:
 
         def take(guide: Guide) -> None:
             self.fields[guide.penalty] = guide.to_go
-            if guide.way is not None:
-                self.portfolio.enter(self.ends.whole(guide.way))
+            self._enter(guide.way)
 
         return [Work(partial(run, penalty), most + WAY_UNITS, take) for penalty in missing]
 
@@ -464,8 +435,7 @@ class _Improvement:
     def _enter_way(self, penalty: float) -> bool:
         """Enter the way that a guide knows, if it is one; tell whether it is."""
         way = way_along(self.ends.between(self.setting), self.field(penalty), self.budget)
-        if way is not None:
-            self.portfolio.enter(self.ends.whole(way))
+        self._enter(way)
         return way is not None
 
     def field(self, penalty: float) -> DistanceToGo:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.planning.budget import Budget
 from energyplan.planning.lattice import refine_kernels as kernels
+from energyplan.planning.lattice import slot_kernels
 from energyplan.planning.scene.compiled import CompiledProblem, Segments, merged
 from energyplan.planning.scene.motions import KernelProblem
 from energyplan.steering.kernels import MAX_SEGMENTS
@@ -132,9 +133,9 @@ class Refiner:
         before = chain._replace(
             poses=chain.poses.copy(), cost=chain.cost.copy(), kept=chain.kept.copy()
         )
-        if kernels.reopen(self.chain, setting, self.count):
+        if slot_kernels.reopen(self.chain, setting, self.count):
             budget.spend(REPAIR * REPAIRS)
-            kernels.unblock(self.chain, setting, self.count, REPAIRS, reach, self._state)
+            slot_kernels.unblock(self.chain, setting, self.count, REPAIRS, reach, self._state)
         blocked = np.isinf(self.chain.cost[: self.count - 1])
         if blocked.any():
             self.chain = before
@@ -144,7 +145,7 @@ class Refiner:
 
     def halve(self, motions: NDArray[np.bool_]) -> None:
         """Put one more pose onto each of some motions, as far as there is room for more."""
-        self.count = int(kernels.halve(self.chain, self.setting, self.count, motions))
+        self.count = int(slot_kernels.halve(self.chain, self.setting, self.count, motions))
 
     def again(self, budget: Budget) -> None:
         """Cut the path to pieces once more, and seek shortcuts between them."""

@@ -17,13 +17,9 @@ from energyplan.path import Pose
 from energyplan.planning.scene.motions import KernelProblem, join, motion_cost
 from energyplan.steering.arcs import arc_end
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy
-from energyplan.terrain.collision import pose_free
 
 HOPELESS = 8
 """Poses in a row from which no shortcut is free, after which those before are not tried."""
-
-FURTHER = 0.4
-"""Probability with which one more pose is moved with others."""
 
 SMALLEST, LARGEST = 1e-4, 1.0
 """Range of the distance by which poses are moved [m]."""
@@ -84,8 +80,8 @@ def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int, stop:
             limit = best[j] - best[i] - 1e-9 - stop
             if limit <= 0:
                 continue
-            a = _pose(chain, i)
-            b = _pose(chain, j)
+            a = pose_of(chain, i)
+            b = pose_of(chain, j)
             dx = b.x - a.x
             dy = b.y - a.y
             if setting.least_metre * hypot(dx, dy) >= limit:
@@ -108,7 +104,7 @@ def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int, stop:
         j = before[j]
     for k in range(n):
         j = order[n - 1 - k]
-        _set_pose(chain, k, _pose(chain, j))
+        _set_pose(chain, k, pose_of(chain, j))
         chain.step[k] = 0.3
         if k > 0:
             chain.cost[k - 1] = edge[j]
@@ -130,7 +126,7 @@ def _goes_on(chain: Chain, k: int) -> bool:
 
 
 @inner
-def _random(state: Words) -> float:
+def random_number(state: Words) -> float:
     """Return a random number in [0, 1) (xorshift)."""
     word = state[0]
     word ^= (word << np.uint64(13)) & np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -141,7 +137,8 @@ def _random(state: Words) -> float:
 
 
 @inner
-def _pose(chain: Chain, k: int) -> Pose:
+def pose_of(chain: Chain, k: int) -> Pose:
+    """Return a pose of the chain."""
     return Pose(chain.poses[k, 0], chain.poses[k, 1], chain.poses[k, 2])
 
 
@@ -155,7 +152,7 @@ def _set_pose(chain: Chain, k: int, pose: Pose) -> None:
 @inner
 def _copy(chain: Chain, k: int, other: int) -> None:
     """Set a place of the chain to what stands at another one."""
-    _set_pose(chain, k, _pose(chain, other))
+    _set_pose(chain, k, pose_of(chain, other))
     chain.cost[k] = chain.cost[other]
     chain.kept[k] = chain.kept[other]
     chain.ds[k] = chain.ds[other]
@@ -169,8 +166,8 @@ def _try_move(
 ) -> bool:
     """Move pose `k` of the chain if that is cheaper and free."""
     old = chain.cost[k - 1] + chain.cost[k]
-    a = _pose(chain, k - 1)
-    b = _pose(chain, k + 1)
+    a = pose_of(chain, k - 1)
+    b = pose_of(chain, k + 1)
     steering = setting.steering
     before = steer_energy(pose.x - a.x, pose.y - a.y, a.yaw, pose.yaw, steering)
     rest = steer_energy(b.x - pose.x, b.y - pose.y, pose.yaw, b.yaw, steering)
@@ -198,7 +195,7 @@ def _try_move(
 
 
 @inner
-def _insert(
+def insert_pose(
     chain: Chain,
     setting: KernelProblem,
     count: int,
@@ -208,8 +205,8 @@ def _insert(
     dtheta: Floats,
 ) -> int:
     """Put one more pose onto the motion from pose `k` to the next one; return the new number."""
-    a = _pose(chain, k)
-    b = _pose(chain, k + 1)
+    a = pose_of(chain, k)
+    b = pose_of(chain, k + 1)
     pose = a
     costs = (inf, inf)
     # the whole motion, on which the pose is chosen; then the way there, and the way on
@@ -277,19 +274,19 @@ def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state:
     dtheta = np.empty(MAX_SEGMENTS)
     most = min(len(chain.cost) - 1, count + 4)
     for _ in range(trials):
-        what = _random(state)
+        what = random_number(state)
         if count < 3 or (what < 0.02 and count < most):
-            k = int(_random(state) * (count - 1))
+            k = int(random_number(state) * (count - 1))
             if not chain.kept[k]:
-                count = _insert(chain, setting, count, k, _random(state), ds, dtheta)
+                count = insert_pose(chain, setting, count, k, random_number(state), ds, dtheta)
             if count < 3:
                 return count
             continue
-        k = 1 + int(_random(state) * (count - 2))
+        k = 1 + int(random_number(state) * (count - 2))
         if what < 0.08:
             old = chain.cost[k - 1] + chain.cost[k]
-            a = _pose(chain, k - 1)
-            b = _pose(chain, k + 1)
+            a = pose_of(chain, k - 1)
+            b = pose_of(chain, k + 1)
             limit = old * (1 + 1e-12)
             cost, _ = join(setting, a.x, a.y, a.yaw, b.x, b.y, b.yaw, limit, ds, dtheta)
             if cost < inf:
@@ -303,142 +300,18 @@ def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state:
         x = chain.poses[k, 0]
         y = chain.poses[k, 1]
         yaw = chain.poses[k, 2]
-        kind = _random(state)
+        kind = random_number(state)
         if kind < 0.7:
-            x += step * (2.0 * _random(state) - 1.0)
-            y += step * (2.0 * _random(state) - 1.0)
+            x += step * (2.0 * random_number(state) - 1.0)
+            y += step * (2.0 * random_number(state) - 1.0)
         if kind > 0.3:
-            yaw += step / setting.half_track * (2.0 * _random(state) - 1.0)
+            yaw += step / setting.half_track * (2.0 * random_number(state) - 1.0)
         if _try_move(chain, setting, k, Pose(x, y, yaw), ds, dtheta):
             chain.step[k] = min(step * 1.6, LARGEST)
         else:
             chain.step[k] = max(step * 0.96, SMALLEST)
             if chain.step[k] == SMALLEST:
                 chain.step[k] = 0.2
-    return count
-
-
-@njit
-def reopen(chain: Chain, setting: KernelProblem, count: int) -> int:
-    """Join the poses of a chain anew, at an infinite cost where no motion is free.
-
-    Returns how many motions are not.
-    """
-    ds = np.empty(MAX_SEGMENTS)
-    dtheta = np.empty(MAX_SEGMENTS)
-    blocked = 0
-    for k in range(count - 1):
-        blocked += not _rejoin(chain, setting, k, ds, dtheta)
-    return blocked
-
-
-@inner
-def _rejoin(chain: Chain, setting: KernelProblem, k: int, ds: Floats, dtheta: Floats) -> bool:
-    """Join pose `k` to the next one, and tell whether that is free."""
-    a = _pose(chain, k)
-    b = _pose(chain, k + 1)
-    cost, _ = join(setting, a.x, a.y, a.yaw, b.x, b.y, b.yaw, inf, ds, dtheta)
-    chain.cost[k] = cost
-    chain.kept[k] = False
-    return cost < inf
-
-
-@njit
-def unblock(
-    chain: Chain, setting: KernelProblem, count: int, trials: int, reach: float, state: Words
-) -> int:
-    """Move poses at random until all motions between them are free; return how many are not.
-
-    Parameters
-    ----------
-    chain : Chain
-        The path, whose blocked motions have an infinite cost; changed in place.
-    setting : KernelProblem
-        The problem.
-    count : int
-        Number of poses.
-    trials : int
-        Number of attempts.
-    reach : float
-        How far poses are moved at most in one attempt [m].
-    state : ndarray of uint64, shape (1,)
-        State of the random numbers.
-    """
-    ds = np.empty(MAX_SEGMENTS)
-    dtheta = np.empty(MAX_SEGMENTS)
-    blocked = np.empty(count, np.int64)
-    poses = chain.poses.copy()
-    cost = chain.cost.copy()
-    left = -1
-    for _ in range(trials):
-        if left < 0:
-            left = 0
-            for i in range(count - 1):
-                if chain.cost[i] == inf:
-                    blocked[left] = i
-                    left += 1
-        if left == 0:
-            break
-        k = int(blocked[int(_random(state) * left)])
-        # one of its two poses, or both at once and maybe some of those before and after
-        what = int(_random(state) * 3.0)
-        first = k if what != 1 else k + 1
-        last = k if what == 0 else k + 1
-        while what == 2 and first > 1 and _random(state) < FURTHER:
-            first -= 1
-        while what == 2 and last < count - 2 and _random(state) < FURTHER:
-            last += 1
-        first = max(first, 1)
-        last = min(last, count - 2)
-        if last < first:
-            continue
-        step = reach * 10.0 ** (-2.0 * _random(state))
-        dx = step * (2.0 * _random(state) - 1.0)
-        dy = step * (2.0 * _random(state) - 1.0)
-        turn = step / setting.reach * (2.0 * _random(state) - 1.0)
-        x = 0.5 * (poses[first, 0] + poses[last, 0])
-        y = 0.5 * (poses[first, 1] + poses[last, 1])
-        for i in range(first, last + 1):
-            chain.poses[i, 0] += dx - turn * (poses[i, 1] - y)
-            chain.poses[i, 1] += dy + turn * (poses[i, 0] - x)
-            chain.poses[i, 2] += turn
-        before = 0
-        for i in range(first - 1, last + 1):
-            before += cost[i] == inf
-        after = 0
-        for i in range(first, last + 1):
-            here = _pose(chain, i)
-            if not pose_free(setting.space, setting.body, here.x, here.y, here.yaw):
-                after = before
-        for i in range(first - 1, last + 1):
-            if after == before:
-                break
-            after += not _rejoin(chain, setting, i, ds, dtheta)
-        source_poses = chain.poses if after < before else poses
-        source_cost = chain.cost if after < before else cost
-        into_poses = poses if after < before else chain.poses
-        into_cost = cost if after < before else chain.cost
-        for i in range(first, last + 1):
-            for c in range(3):
-                into_poses[i, c] = source_poses[i, c]
-        for i in range(first - 1, last + 1):
-            into_cost[i] = source_cost[i]
-        if after < before:
-            left = -1
-    still = 0
-    for i in range(count - 1):
-        still += chain.cost[i] == inf
-    return still
-
-
-@njit
-def halve(chain: Chain, setting: KernelProblem, count: int, marked: Flags) -> int:
-    """Put one more pose onto the middle of each motion that is marked; return their number."""
-    ds = np.empty(MAX_SEGMENTS)
-    dtheta = np.empty(MAX_SEGMENTS)
-    for k in range(count - 2, -1, -1):
-        if marked[k] and count < len(chain.cost) - 1:
-            count = _insert(chain, setting, count, k, 0.5, ds, dtheta)
     return count
 
 
@@ -474,8 +347,8 @@ def unfold(
             dtheta[n] = chain.dtheta[k]
             n += 1
             continue
-        a = _pose(chain, k)
-        b = _pose(chain, k + 1)
+        a = pose_of(chain, k)
+        b = pose_of(chain, k + 1)
         _, m = join(setting, a.x, a.y, a.yaw, b.x, b.y, b.yaw, inf, part_ds, part_dtheta)
         for i in range(m):
             ds[n + i] = part_ds[i]

@@ -8,6 +8,7 @@ Where they cannot the slot is closed, and the next way is sought.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -18,8 +19,15 @@ from energyplan.planning.budget import Budget
 from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.lattice.search import Search, lattice_for
 from energyplan.planning.lattice.way_along import way_along
+from energyplan.planning.parallel import Work
 from energyplan.planning.scene.compiled import Segments
-from energyplan.planning.scene.guide import TURNS, distance_at_start, distance_through_slots
+from energyplan.planning.scene.guide import (
+    TURNS,
+    distance_at_start,
+    distance_through_slots,
+    distance_to_go,
+    regions_for,
+)
 from energyplan.planning.scene.guide_kernels import HEADINGS, DistanceToGo
 from energyplan.planning.scene.motions import KernelProblem
 from energyplan.terrain.collision import Body, motions_free, poses_free
@@ -27,6 +35,12 @@ from energyplan.terrain.collision import Body, motions_free, poses_free
 AGAIN = 0.5
 """How much slimmer it is where a first way through a slot does not grow and another one is tried,
 in units of how much slimmer it was."""
+
+SHARE = 0.25
+"""Part of what searches may take that a way through slots may."""
+
+LEAST, GUIDES = 800.0, 6.0
+"""Units of work below which none is sought: as they are, and in those of a distance to go."""
 
 LEAST_LEFT = 0.5
 """What is left of half the body's smaller side, at least."""
@@ -72,6 +86,43 @@ SIZES = 8
 
 WAYS = 6
 """Ways that are tried, at most."""
+
+
+def slot_work(
+    setting: KernelProblem,
+    fields: Mapping[float, DistanceToGo],
+    cost: float,
+    budget: Budget,
+    enter: Callable[[Segments | None], None],
+) -> list[Work]:
+    """Return the search for a way through slots shorter than those known, where it may pay.
+
+    Parameters
+    ----------
+    setting : KernelProblem
+        The problem.
+    fields : mapping
+        Distances to go that are known, by how much longer tight places count.
+    cost : float
+        Cost above which ways are of no interest.
+    budget : Budget
+        What searches may spend.
+    enter : callable
+        Takes the way that is found, or None.
+    """
+    units = SHARE * budget.left
+    guide = max((found.work for found in fields.values()), default=0) / TURNS
+    if units < max(LEAST, GUIDES * guide):
+        return []
+    plain = fields.get(1.0)
+
+    def run(own: Budget) -> Segments | None:
+        own.beside(lambda: regions_for(setting, enlarged=True))
+        known = distance_to_go(setting, 1.0) if plain is None else plain
+        own.spend(known.work / TURNS if plain is None else 0.0)
+        return way_through_slots(setting, known, cost, own)
+
+    return [Work(run, units, enter)]
 
 
 def way_through_slots(
