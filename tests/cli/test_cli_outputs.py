@@ -245,7 +245,7 @@ def test_a_drive_by_another_name_is_not_held_out(
     (folder / "same.csv").symlink_to("a.csv")
     error = refused(folder, capsys, "diagnose", "a.csv", "--vehicle", "robot.yaml", "--holdout",
                     "same.csv")  # fmt: skip
-    assert "held out" in error
+    assert "hold-out" in error
 
 
 def test_without_a_command_the_help_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
