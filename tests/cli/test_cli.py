@@ -84,7 +84,7 @@ def test_diagnose_writes_a_model_that_the_planner_takes(run: Run, tmp_path: Path
 
 def test_a_drive_is_not_both_learned_from_and_held_out(run: Run, spiral: Path) -> None:
     result = run("diagnose", spiral, "--holdout", spiral, "--vehicle", "quadriga:full")
-    assert_refused(result, spiral.name, "held out")
+    assert_refused(result, spiral.name, "hold-out")
 
 
 def test_mission_flags_what_is_out_of_reach(run: Run, tmp_path: Path) -> None:
@@ -318,7 +318,7 @@ def test_range_tells_what_is_in_reach_with_a_probability(run: Run, tmp_path: Pat
     assert_refused(run(*options, "--confidence", 0.95), "coefficient spread")
     assert_refused(run(*options, "--soc", 0.5), "--pack")
     assert_refused(run(*options, "--coefficient-spread", 0.1), "--confidence")
-    assert_refused(run(*options, "--pack", "quadriga", "--energy", 5), "one of them")
+    assert_refused(run(*options, "--pack", "quadriga", "--energy", 5), "give one")
 
 
 def test_plan_counts_a_costmap_beside_the_energy(run: Run, tmp_path: Path) -> None:

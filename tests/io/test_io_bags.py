@@ -267,7 +267,7 @@ def test_unknown_topic_maps_and_missing_topics_are_named(tmp_path, drive, bags):
 def test_no_wheel_radius_is_assumed(bags):
     for read in (read_bag, read_log):
         with pytest.raises(
-            DriveLogError, match=r"radius of the wheels.*topics='husky' or 'jackal'"
+            DriveLogError, match=r"radius of its wheels.*topics='husky' or 'jackal'"
         ):
             read(bags["ros2"])
 
