@@ -158,7 +158,6 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=5)
     parser.add_argument("--sizes", type=int, default=1024, metavar="CELLS")
     given = parser.parse_args()
-    compiled(COST)
     own = Path(__file__).parents[1] / "maps" / "office.yaml"
     grid, name = read_map(given.map or own), (given.map or own).stem
     if given.pairs_file:
@@ -166,6 +165,7 @@ def main() -> None:
         pairs = [(Pose(*pair["start"]), Pose(*pair["goal"])) for pair in known]
     else:
         pairs = [(Pose(1, 4.4, 0), Pose(19, 4, -np.pi / 2)), (Pose(19, 4, 0), Pose(1, 4.4, 0))]
+    compiled(PlanningProblem(grid, COST, *pairs[0]), tight=True)
     tables(name, grid, *pairs[0])
     far = 0.05 * given.sizes - 2.0
     tables("boxes", boxes(given.sizes), Pose(2, 2, 0), Pose(far, far, 0))
