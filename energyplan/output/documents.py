@@ -287,7 +287,10 @@ def driven(made: Driven, secret: bool = False) -> Document:
 
 def loop(made: Loop) -> Document:
     """Return what ``energyplan close-the-loop --json`` prints."""
-    keys = ("energy_told", "energy_interval", "energy_taken", "error", "effects", "length", "note")
+    keys = (
+        "energy_told", "energy_interval", "energy_taken", "error", "overhead", "effects", "length",
+        "note",
+    )  # fmt: skip
     return {
         "rounds": [
             {key: plain(getattr(now, key)) for key in keys}
