@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from energyplan.physics.robot import Ground
 from energyplan.planning import PlanningProblem
 from energyplan.power import PowerModel
+from energyplan.power.effects import with_weight
 from energyplan.terrain import laid_out
 
 
@@ -41,6 +42,8 @@ class Belief:
 def believed(model: PowerModel, problem: PlanningProblem) -> Belief:
     """Put what a model found of the ground on the map: a tilted plane, another surface.
 
+    Where the map has heights, a model that was learned on level ground gets the vehicle's weight.
+
     Parameters
     ----------
     model : PowerModel
@@ -53,5 +56,7 @@ def believed(model: PowerModel, problem: PlanningProblem) -> Belief:
     Belief
         Model and ground.
     """
+    if problem.heights is not None:
+        model = with_weight(model)
     ground = laid_out(model, problem.map.corners, problem.surfaces, problem.heights)
     return Belief(ground.model, Ground(ground.surfaces, ground.heights), problem)

@@ -214,3 +214,8 @@ def test_what_drives_take_beyond_the_model_is_learned_with_its_scatter() -> None
         hits += abs(following - 1.0 - told.share) <= NORMAL * told.deviation
     assert 0.92 < hits / 2000 < 0.99
     assert overhead(()).share == 0.0
+
+
+def test_on_a_map_with_heights_a_model_of_level_ground_gets_the_weight() -> None:
+    assert believed(MODEL, forks.ridge(0.5).problem(MODEL)).model.has("grade")
+    assert not believed(MODEL, PROBLEM).model.has("grade")
