@@ -11,7 +11,7 @@ FIRST = 250
 """Units of work for it in the first round; four times as many in every other one since."""
 
 WORTH = 1e-3
-"""Part by which a step must raise the bound for the next one to be worth its work."""
+"""Part by which a step must raise the bound for one in the next rounds to be worth its work."""
 
 FAIR = 1000
 """Units of work below which a step is not judged by that."""
@@ -47,10 +47,11 @@ class Bounding:
 
     def in_round(self, number: int, cost: float, most: float) -> list[Work]:
         """Return the step of a round of searches, if it has one; see `work`."""
-        return self.work(cost, min(FIRST << number, most)) if number % 2 == 0 else []
+        wanted = self._hopeful and number % 2 == 0
+        return self.work(cost, min(FIRST << number, most)) if wanted else []
 
     def work(self, cost: float, units: float) -> list[Work]:
-        """Return the search for a better bound, where it may bring one.
+        """Return the search for a better bound, where there can be one.
 
         Parameters
         ----------
@@ -72,4 +73,4 @@ class Bounding:
             self._bound = Bound(max(found.value, before), found.final)
             self._hopeful = units < FAIR or self.value > before * (1.0 + WORTH)
 
-        return [Work(run, units, take)] if self._hopeful and not self._bound.final else []
+        return [] if self._bound.final else [Work(run, units, take)]
