@@ -43,6 +43,7 @@ from energyplan.diagnosis.windows import Drive, prepared
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
 from energyplan.logs import DriveLog
+from energyplan.logs.checks import set_aside_by_drive
 from energyplan.logs.plausible import yaw_rate_offset
 from energyplan.power import PowerModel, Residual
 from energyplan.power.effects import Effect, catalogue, empirical_term
@@ -355,7 +356,7 @@ class _Case:
             training=tuple(log.name for log in self.logs[0]),
             judging=tuple(log.name for log in self.logs[1]),
             choosing=self._choosing(),
-            set_aside=_set_aside([*self.logs[0], *self.logs[1]]),
+            set_aside=set_aside_by_drive([*self.logs[0], *self.logs[1]]),
             after_undated=undated,
             average=None if average is None else average.average,
         )
@@ -433,16 +434,6 @@ class _Case:
                 )
             )  # fmt: skip
         return tuple(found)
-
-
-def _set_aside(logs: Sequence[DriveLog]) -> dict[str, dict[str, int]]:
-    """Count what was left out or mended, by drive and reason."""
-    told: dict[str, dict[str, int]] = {}
-    for log in logs:
-        for item in log.set_aside:
-            reasons = told.setdefault(log.name, {})
-            reasons[item.reason] = reasons.get(item.reason, 0) + item.count
-    return told
 
 
 def _for_planners(

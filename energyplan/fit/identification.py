@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Literal, cast
 
@@ -18,6 +18,7 @@ from energyplan.fit.identifiability import check_identifiable, linearise, signal
 from energyplan.fit.regression import Method, PowerRegression, pieces_of
 from energyplan.fit.solvers import Bounds
 from energyplan.logs import DriveLog
+from energyplan.logs.checks import set_aside_by_drive
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Term
@@ -54,6 +55,8 @@ class Identification:
         How many independent samples the autocorrelated residual is worth.
     warnings : tuple of str
         What the logs do not determine, or hardly.
+    set_aside : mapping of str to mapping of str to int
+        How many samples were left out or mended, by drive and reason.
 
     Examples
     --------
@@ -69,6 +72,7 @@ class Identification:
     icr_covariance: FloatArray | None
     effective_samples: float
     warnings: tuple[str, ...]
+    set_aside: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.model.covariance is None or self.model.residual is None:
@@ -243,7 +247,8 @@ def identify(
     icr_covariance = None if estimate is None else estimate.covariance
     warnings += _doubts(model, bounds, independent)
     warnings += _draw_at_rest(model, clean, drives)
-    return Identification(model, method, icr_covariance, independent, tuple(warnings))
+    aside = set_aside_by_drive(drives)
+    return Identification(model, method, icr_covariance, independent, tuple(warnings), aside)
 
 
 def fit_residual(model: PowerModel, logs: DriveLog | Sequence[DriveLog]) -> Residual:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -92,6 +93,33 @@ class SetAside:
 
     def __str__(self) -> str:
         return f"{self.count} samples: {self.reason} ({self.where})"
+
+
+class _Cleaned(Protocol):
+    """What has a name and says what was set aside, such as a drive log."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def set_aside(self) -> tuple[SetAside, ...]: ...
+
+
+def set_aside_by_drive(logs: Iterable[_Cleaned]) -> dict[str, dict[str, int]]:
+    """Count samples that were left out or mended, by drive and reason.
+
+    Examples
+    --------
+    >>> from energyplan.logs import DriveLog
+    >>> log = DriveLog({"t": [0, 1], "v_left": [0, 1], "v_right": [0, 1], "power": [0, 9]})
+    >>> set_aside_by_drive([log])
+    {}
+    """
+    counts: dict[str, dict[str, int]] = {}
+    for log in logs:
+        for item in log.set_aside:
+            reasons = counts.setdefault(log.name, {})
+            reasons[item.reason] = reasons.get(item.reason, 0) + item.count
+    return counts
 
 
 @dataclass(frozen=True)

@@ -76,6 +76,7 @@ def identification(found: Identification) -> Document:
         "terms": terms(found.model),
         "icr": {**icr, "std_error": plain(found.icr_std_error)},
         "residual": residual(found.residual),
+        "set_aside": plain(found.set_aside),
         "warnings": list(found.warnings),
     }
 

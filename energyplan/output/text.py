@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from energyplan.html import number, words
@@ -36,7 +36,7 @@ def identification(found: Identification) -> list[str]:
         low, high = found.interval(row["name"])
         lines.append(
             f"{row['name'].replace('_', ' ')}: {row['symbol']} = {number(row['value'])} "
-            f"+- {number(row['std_error'], 2)} {row['unit'].replace('1', '')}".rstrip()
+            f"+- {number(row['std_error'], 2)} {_unit(row['unit'])}".rstrip()
             + f" (95 %: {number(low)} to {number(high)})"
         )
     icr, spread = found.icr, found.icr_std_error
@@ -47,8 +47,21 @@ def identification(found: Identification) -> list[str]:
         f"residual: rmse {number(misfit.rmse)} W, mae {number(misfit.mae)} W, bias "
         f"{number(misfit.bias)} W, energy {100 * misfit.energy_error:+.2f} %"
     )
+    lines += _set_aside(found.set_aside)
     lines += [f"note: {warning}" for warning in found.warnings]
     return lines
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else unit
+
+
+def _set_aside(counts: Mapping[str, Mapping[str, int]]) -> list[str]:
+    return [
+        f"set aside in {drive}: {count} samples: {reason}"
+        for drive, reasons in counts.items()
+        for reason, count in reasons.items()
+    ]
 
 
 def diagnosis(told: Diagnosis) -> list[str]:
@@ -90,11 +103,7 @@ def diagnosis(told: Diagnosis) -> list[str]:
         f"{number(quality.noise)} W"
         + ("; the residual lasts longer than noise does" if quality.coloured else "")
     )
-    lines += [
-        f"set aside in {drive}: {count} samples: {reason}"
-        for drive, reasons in told.set_aside.items()
-        for reason, count in reasons.items()
-    ]
+    lines += _set_aside(told.set_aside)
     lines += [
         f"unexplained: {found.channel} ({found.shape}), "
         f"{100 * found.explained_variance:.0f} % of the residual's variance"
@@ -182,7 +191,7 @@ def event(told: Event) -> list[str]:
 def _coefficients(model: PowerModel) -> str:
     return ", ".join(
         f"{row['symbol']} = {number(row['value'])} +- {number(row['std_error'], 2)} "
-        f"{row['unit'].replace('1', '')}".rstrip()
+        f"{_unit(row['unit'])}".rstrip()
         for row in terms(model)
     )
 

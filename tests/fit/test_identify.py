@@ -22,6 +22,7 @@ from energyplan.fit import ICREstimate, fit_icr, fit_residual, icr_from_spin, id
 from energyplan.fit import covariance as _covariance
 from energyplan.fit.regression import PowerRegression
 from energyplan.logs import DriveLog
+from energyplan.output import documents, text
 from energyplan.power import (
     DRIVE_LOSS,
     HOTEL,
@@ -576,3 +577,16 @@ def test_real_husky_logs_that_tell_less(shared_data) -> None:
         identify(_husky(ice, 5, True), vehicle)  # one straight line
     together = identify([_husky(ice, 0, True), _husky(ice, 1, False)], vehicle)
     assert together.icr_std_error is not None
+
+
+def test_samples_that_were_left_out_are_counted():
+    truth = PowerModel.preset("quadriga:empty:marble")
+    log = simulate.identification_drive(truth, power_noise=2.0, seed=3)
+    channels = {name: np.array(log.channel(name)) for name in ("t", "v_left", "v_right", "yaw")}
+    channels["power"] = np.array(log.power)
+    channels["power"][[30, 31, 70]] = np.nan
+    found = identify(DriveLog.from_columns(channels, name="holes"), truth.vehicle)
+    [(drive, reasons)] = found.set_aside.items()
+    assert (drive, sum(reasons.values())) == ("holes", 3)
+    assert documents.identification(found)["set_aside"] == {"holes": dict(reasons)}
+    assert any("3 samples" in line for line in text.identification(found))
