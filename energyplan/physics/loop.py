@@ -283,8 +283,8 @@ def close_loop(
     >>> truth = ep.PowerModel.preset("quadriga:empty:concrete")
     >>> log = ep.simulate.drive(truth, "figure8", duration=30.0)
     >>> made = close_loop(problem, [log, log], rounds=2, effort=1000)
-    >>> [f"{100 * now.error:+.0f} %" for now in made.rounds]
-    ['-25 %', '-0 %']
+    >>> [round(100 * now.error) for now in made.rounds]
+    [-25, 0]
     """
     if rounds < 1 or not tolerance >= 0 or not survey >= 0:
         raise InvalidInputError(

@@ -161,7 +161,7 @@ def test_only_a_resolution_is_named_where_a_finer_search_might_find_one():
     angle, size = 0.37, 0.02
     y, x = (np.mgrid[:300, :400] + 0.5) * size - np.array([3.0, 4.0])[:, None, None]
     along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
-    grid = OccupancyGrid((np.abs(along) < 0.5) & (np.abs(across) > 0.315), size)
+    grid = OccupancyGrid((np.abs(along) < 0.5) & (np.abs(across) > 0.31), size)
     robot = Vehicle.from_geometry("thin", mass=40, wheelbase=0.6, track=0.5, length=1.0, width=0.6)
     cost = EnergyCost.from_coefficients(150.0, 60.0, robot.icr)
     problem = PlanningProblem(grid, cost, (1.5, 3, 0), (6.5, 3, 0), vehicle=robot)

@@ -69,7 +69,7 @@ def is_driven(setting: KernelProblem, way: Segments) -> bool:
 @pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
 def test_a_slot_is_driven_through(size, resolution, angle):
     problem = wall(size, resolution, angle, spare=0.01 + 0.01 * size[1])
-    found = plan(problem, effort=10_000)
+    found = plan(problem, effort=20_000)
     assert problem.map.path_free(found.path, problem.robot)
     assert to_the_left(angle, found.path.vertices) < 2.0 * max(size)
 
