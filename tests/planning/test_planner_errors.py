@@ -157,7 +157,7 @@ def test_what_is_proven_has_no_path_at_any_width_that_is_driven(yaw):
 
 
 def test_only_a_resolution_is_named_where_a_finer_search_might_find_one():
-    """A lattice of one size only, too coarse for a gap that the body barely passes aslant."""
+    """A gap aslant that the body passes by a hair, if at all: no disc tells."""
     angle, size = 0.37, 0.02
     y, x = (np.mgrid[:300, :400] + 0.5) * size - np.array([3.0, 4.0])[:, None, None]
     along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)

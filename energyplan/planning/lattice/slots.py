@@ -39,7 +39,7 @@ in units of how much slimmer it was."""
 SHARE = 0.25
 """Part of what searches may take that a way through slots may."""
 
-LEAST, GUIDES = 1500.0, 6.0
+LEAST, GUIDES = 800.0, 6.0
 """Units of work below which none is sought: as they are, and in those of a distance to go."""
 
 LEAST_LEFT = 0.5
