@@ -10,6 +10,7 @@ from energyplan.planning.budget import Budget
 from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.lattice.search import Search, lattice_for
 from energyplan.planning.lattice.tight_ends import Ends
+from energyplan.planning.lattice.way_along import way_along
 from energyplan.planning.scene.compiled import Segments
 from energyplan.planning.scene.guide_kernels import DistanceToGo
 from energyplan.planning.scene.motions import KernelProblem
@@ -19,6 +20,9 @@ TRIES = ((2.0, 400), (1.0, 4000))
 
 WEIGHT = 2.0
 """Weight of these searches."""
+
+SEARCHING = 0.5
+"""Part of the budget that they may take; the way along the guide may have the rest."""
 
 POLISH = 800
 """Attempts to make it shorter."""
@@ -45,12 +49,22 @@ def shortest_way(
     Segments or None
         The motions, free of collisions; None where none were found.
     """
+    way = _searched(ends.between(setting), to_go, budget.part(SEARCHING))
+    if way is None:
+        way = way_along(ends.between(setting), to_go, budget)
+    if way is None:
+        return None
+    refiner = Refiner(setting, ends.whole(way))
+    refiner.shortcut(budget)
+    refiner.polish(budget, most=POLISH)
+    return refiner.segments
+
+
+def _searched(setting: KernelProblem, to_go: DistanceToGo, budget: Budget) -> Segments | None:
+    """Return the first way that a search finds."""
     for scale, most in TRIES:
-        search = Search(ends.between(setting), to_go, lattice_for(setting, scale), WEIGHT)
+        search = Search(setting, to_go, lattice_for(setting, scale), WEIGHT)
         search.run(budget, stop_at_first=True, expansions=most)
         if search.found:
-            refiner = Refiner(setting, ends.whole(search.segments()))
-            refiner.shortcut(budget)
-            refiner.polish(budget, most=POLISH)
-            return refiner.segments
+            return search.segments()
     return None
