@@ -23,6 +23,16 @@ class Belief:
         Surfaces and heights.
     asked : PlanningProblem
         The problem.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> Belief(model, Ground(), problem).planned(0.5).cost.speed
+    0.5
     """
 
     model: PowerModel
@@ -55,6 +65,18 @@ def believed(model: PowerModel, problem: PlanningProblem) -> Belief:
     -------
     Belief
         Model and ground.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> from energyplan.power.effects import term
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> found = believed(model.with_term(term("tilt_x"), 20.0), problem)
+    >>> found.ground.heights is not None, [t.name for t in found.model.terms]
+    (True, ['slip_friction', 'traction_resistance', 'grade'])
     """
     if problem.heights is not None:
         model = with_weight(model)

@@ -33,6 +33,12 @@ class Overhead(NamedTuple):
     deviation : float
         How much that differs from drive to drive, relative; its normal 95 % interval is that of
         Student's distribution.
+
+    Examples
+    --------
+    >>> told = 1000.0
+    >>> told * (1.0 + Overhead(share=0.02, deviation=0.01).share)
+    1020.0
     """
 
     share: float
@@ -68,7 +74,16 @@ def overhead(ratios: Sequence[float]) -> Overhead:
 
 
 def retold(model: PowerModel, log: DriveLog) -> float:
-    """Return the energy that a model predicts for the motion of a log [J]."""
+    """Return the energy that a model predicts for the motion of a log [J].
+
+    Examples
+    --------
+    >>> from energyplan import simulate
+    >>> truth = PowerModel.preset("quadriga:empty:marble")
+    >>> log = simulate.drive(truth, "figure8", duration=30.0)
+    >>> round(retold(truth, log))
+    4036
+    """
     return float(log.weights @ model.battery_side().power(log.motion(model.vehicle.icr)))
 
 
@@ -94,6 +109,17 @@ def interval(
     -------
     tuple of float or None
         The interval [J]; None where the model has no covariance.
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> truth = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> log = ep.simulate.drive(truth, "figure8", duration=30.0, power_noise=5.0, seed=1)
+    >>> model = ep.identify(log, truth.vehicle).model
+    >>> motion = log.motion(model.vehicle.icr)
+    >>> low, high = interval(retold(model, log), model, motion, log.weights, share=0.005)
+    >>> low < retold(truth, log) < high
+    True
     """
     if model.covariance is None:
         return None

@@ -70,6 +70,16 @@ def remainder(path: Path, pose: ArrayLike, problem: PlanningProblem) -> Path | N
     -------
     Path or None
         The rest, free of collisions; None if no such way is free.
+
+    Examples
+    --------
+    >>> from energyplan.cost import EnergyCost
+    >>> hall = OccupancyGrid(np.zeros((100, 100), bool), resolution=0.1)
+    >>> cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
+    >>> problem = PlanningProblem(hall, cost, start=(2, 5, 0), goal=(8, 5, 0))
+    >>> path = Path(problem.start, ds=[6.0], dtheta=[0.0])
+    >>> round(remainder(path, (4, 5, 0), problem).length, 6)
+    4.0
     """
     here = as_pose(pose, "the robot's pose")
     fine = path.subdivide(STEP, STEP)

@@ -39,6 +39,12 @@ class Primitive(NamedTuple):
         Turn, positive to the left [rad].
     column, row : int
         The cell that it ends in.
+
+    Examples
+    --------
+    >>> arc = Primitive(0, 4, 0.1, np.pi / 4, 0.0, np.pi / 2, 6, 5)
+    >>> arc.radius, arc.motions.round(2).tolist()
+    (0.5, [[0.1, 0.0], [0.79, 1.57]])
     """
 
     start: int
@@ -81,6 +87,14 @@ class ControlSet:
         The headings, ascending from 0 [rad].
     primitives : tuple of Primitive
         The primitives, by their first heading.
+
+    Examples
+    --------
+    >>> from energyplan.power import PowerModel
+    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+    >>> controls = control_set(cost, resolution=0.1, headings=8)
+    >>> controls.radius, len(controls.headings), controls.primitives[0].length
+    (0.47, 8, 0.1)
     """
 
     resolution: float
@@ -104,6 +118,12 @@ class Penalties(NamedTuple):
         Cost of turning on the spot by one heading [cells].
     error : float
         Root mean square by which the cost of a primitive misses its energy, over the energy.
+
+    Examples
+    --------
+    >>> dear = USUAL._replace(non_straight=2.0)
+    >>> dear.non_straight, dear.reverse
+    (2.0, 2.0)
     """
 
     non_straight: float
@@ -124,6 +144,12 @@ def headings_of(count: int) -> tuple[FloatArray, tuple[tuple[int, int], ...]]:
     ------
     InvalidInputError
         If the number is no multiple of 8.
+
+    Examples
+    --------
+    >>> angles, cells = headings_of(16)
+    >>> angles[:3].round(3).tolist(), cells[:3]
+    ([0.0, 0.464, 0.785], ((1, 0), (2, 1), (1, 1)))
     """
     if count < 8 or count % 8:
         raise InvalidInputError(f"a lattice of {count} headings; give a multiple of 8")
@@ -163,6 +189,14 @@ def control_set(
     ------
     InvalidInputError
         If a number is out of range, or cells are so large that no arc fits between headings.
+
+    Examples
+    --------
+    >>> from energyplan.power import PowerModel
+    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+    >>> controls = control_set(cost, resolution=0.1)
+    >>> min(p.radius for p in controls.primitives if p.arc > 0) >= controls.radius - 1e-9
+    True
 
     References
     ----------
@@ -234,7 +268,15 @@ def _least_arc(
 
 
 def primitive_energy(cost: EnergyCost, primitive: Primitive, gear: int = 1) -> float:
-    """Return what a primitive takes [J], driven forwards (1) or backwards (-1)."""
+    """Return what a primitive takes [J], driven forwards (1) or backwards (-1).
+
+    Examples
+    --------
+    >>> cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
+    >>> cell = Primitive(0, 0, 0.1, 0.0, 0.0, 0.0, 1, 0)
+    >>> round(primitive_energy(cost, cell), 6)
+    20.0
+    """
     ds, turn = primitive.motions.T
     return float(np.sum(cost.segment_energy(gear * ds, turn)))
 
@@ -244,6 +286,14 @@ def penalties(controls: ControlSet, cost: EnergyCost) -> Penalties:
 
     A cell straight ahead is the unit. The factors fit the energies of the primitives by least
     squares, and none is below what SmacPlannerLattice takes: 1 for factors.
+
+    Examples
+    --------
+    >>> from energyplan.power import PowerModel
+    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+    >>> found = penalties(control_set(cost, resolution=0.1), cost)
+    >>> round(found.reverse, 6), found.non_straight > USUAL.non_straight
+    (1.0, True)
     """
     unit = float(cost.segment_energy(1.0, 0.0)) * controls.resolution
     cells = np.array([p.length for p in controls.primitives]) / controls.resolution

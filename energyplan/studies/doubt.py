@@ -36,6 +36,12 @@ class UpperPrices:
         Variance that each joule of price brings along on top, independent of all else [J].
     quantile : float
         Standard deviations that are added.
+
+    Examples
+    --------
+    >>> prices = UpperPrices(np.zeros((1, 4)), noise=4.0, quantile=2.0)
+    >>> prices.whole(np.array([100.0])).tolist()  # two deviations, of 20 J each, more
+    [140.0]
     """
 
     extra: FloatArray
@@ -70,6 +76,16 @@ def upper_prices(query: CompiledProblem, confidence: float, spread: float) -> Up
     ------
     InvalidInputError
         If the numbers are out of range, or the uncertainty of a model is not known.
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> cost = EnergyCost(ep.PowerModel.preset("quadriga:empty:concrete"))
+    >>> problem = ep.PlanningProblem(hall, cost, start=(1, 2, 0), goal=(4, 2, 0))
+    >>> prices = upper_prices(CompiledProblem(problem), confidence=0.95, spread=0.1)
+    >>> round(prices.quantile, 3), bool(np.all(prices.extra > 0.0))
+    (1.645, True)
     """
     if not 0.5 <= confidence < 1.0:
         raise InvalidInputError(f"the confidence is {confidence}; give a part from 0.5 to below 1")

@@ -71,6 +71,9 @@ LIBRARY = (
     "limits.speed", "live", "logs", "mission", "openrmf", "output.plots", "output.report",
     "path", "physics", "planning", "planning.ompl", "planning.roadmap", "power",
     "power.effects", "ros", "serve", "simulate", "steering", "studies", "terrain", "vehicle",
+    "physics.belief", "physics.design", "physics.interval", "physics.manoeuvres",
+    "planning.replanning", "planning.roadmap.planned",
+    "studies.comparison", "studies.control_set", "studies.doubt",
 )  # fmt: skip
 """Packages whose functions and classes have an example each, as all names of ``energyplan`` have.
 """

@@ -36,7 +36,13 @@ EFFORT = 4000
 
 
 class ClosedEdge(NamedTuple):
-    """An edge that no path was found for, and why."""
+    """An edge that no path was found for, and why.
+
+    Examples
+    --------
+    >>> ClosedEdge("dock", "gate", "no path leads there").target
+    'gate'
+    """
 
     source: Hashable
     target: Hashable
@@ -60,6 +66,18 @@ class PlannedGraph:
         What the turn on the spot from one edge to the next takes [J], where it is free.
     closed : tuple of ClosedEdge
         The edges that no path was found for.
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((100, 100), bool), resolution=0.1)
+    >>> cost = ep.EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
+    >>> problem = PlanningProblem(hall, cost, start=(2, 2, 0), goal=(5, 5, 0))
+    >>> graph = nx.DiGraph([("a", "b"), ("b", "c")])
+    >>> nx.set_node_attributes(graph, {"a": (2, 2), "b": (5, 2), "c": (5, 5)}, "pos")
+    >>> planned = plan_edges(graph, problem, effort=300)
+    >>> round(planned.route("a", "c").length, 3), [round(j) for j in planned.turns.values()]
+    (6.0, [314])
     """
 
     graph: Graph
@@ -139,6 +157,18 @@ def plan_edges(graph: Graph, problem: PlanningProblem, *, effort: int = EFFORT) 
     ------
     InvalidInputError
         If a node has no position, or an edge joins two nodes at one place.
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> cost = ep.EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
+    >>> hall = ep.OccupancyGrid(np.zeros((100, 100), bool), resolution=0.1)
+    >>> problem = PlanningProblem(hall, cost, start=(2, 2, 0), goal=(5, 2, 0))
+    >>> graph = nx.DiGraph([("a", "b"), ("b", "c")])
+    >>> nx.set_node_attributes(graph, {"a": (2, 2), "b": (5, 2), "c": (12, 2)}, "pos")
+    >>> planned = plan_edges(graph, problem, effort=300)
+    >>> round(planned.graph["a"]["b"]["cost"]), planned.closed[0].target  # which is off the map
+    (600, 'c')
     """
     edges = edges_of(graph, reverse=False)
     compile_kernels(problem, tight=True)
