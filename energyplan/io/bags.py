@@ -57,6 +57,11 @@ class BagTopic:
         Messages per second over the bag's length [Hz].
     serves : str
         Channels that it could serve for; empty where none is known.
+
+    Examples
+    --------
+    >>> BagTopic("/imu/data", "sensor_msgs/msg/Imu", 6000, 100.0, "yaw_rate, accel_x").serves
+    'yaw_rate, accel_x'
     """
 
     name: str
@@ -78,6 +83,12 @@ class BagInfo:
         Time from the first to the last message [s].
     topics : tuple of BagTopic
         The topics.
+
+    Examples
+    --------
+    >>> imu = BagTopic("/imu/data", "sensor_msgs/msg/Imu", 6000, 100.0, "yaw_rate, accel_x")
+    >>> [topic.name for topic in BagInfo("drive.bag", 60.0, (imu,)).topics]
+    ['/imu/data']
     """
 
     name: str
@@ -86,7 +97,13 @@ class BagInfo:
 
 
 def is_bag(path: str | Path) -> bool:
-    """Tell whether a path is a bag, by its suffix or its metadata."""
+    """Tell whether a path is a bag, by its suffix or its metadata.
+
+    Examples
+    --------
+    >>> is_bag("drive.mcap"), is_bag("drive.csv")
+    (True, False)
+    """
     file = Path(path)
     return file.suffix.lower() in BAG_SUFFIXES or is_file(file / "metadata.yaml")
 
@@ -110,6 +127,22 @@ def bag_info(path: str | Path) -> BagInfo:
         If it is no sound bag.
     MissingDependencyError
         If the package rosbags is missing.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from rosbags.rosbag1 import Writer
+    >>> from rosbags.typesys import Stores, get_typestore
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "drive.bag"
+    ...     with Writer(file) as bag:
+    ...         kinds = get_typestore(Stores.ROS1_NOETIC)
+    ...         imu = bag.add_connection("/imu/data", "sensor_msgs/msg/Imu", typestore=kinds)
+    ...         bag.write(imu, 10**9, b"")
+    ...     told = bag_info(file)
+    ...
+    >>> [(topic.name, topic.count, topic.serves) for topic in told.topics]
+    [('/imu/data', 1, 'yaw_rate, accel_x')]
     """
     with opened_bag(Path(path)) as reader:
         duration = max(reader.duration, 1) * 1e-9
@@ -163,6 +196,13 @@ def read_bag(
         If the topic map is malformed.
     MissingDependencyError
         If the package rosbags is missing.
+
+    Examples
+    --------
+    >>> read_bag("drive.bag")
+    Traceback (most recent call last):
+    ...
+    energyplan.errors.DriveLogError: drive.bag: ... give topics='husky' or 'jackal' or ...
     """
     file = Path(path)
     if topics is None:
@@ -235,6 +275,11 @@ def channels_served(mapping: TopicMap, names: list[str]) -> tuple[str, ...]:
     -------
     tuple of str
         The channels.
+
+    Examples
+    --------
+    >>> channels_served(TopicMap.read("jackal"), ["/joint_states", "/imu/data"])
+    ('t', 'v_left', 'v_right', 'yaw_rate', 'accel_x')
     """
     chosen = _choose(mapping, sorted(names))
     return ("t", *chosen) if chosen else ()
@@ -317,6 +362,18 @@ def opened_bag(file: Path) -> Iterator[Any]:
         If it is no sound bag.
     MissingDependencyError
         If the package rosbags is missing.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from rosbags.rosbag1 import Writer
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with Writer(Path(folder) / "drive.bag") as bag:
+    ...         pass
+    ...     with opened_bag(Path(folder) / "drive.bag") as reader:
+    ...         print(reader.message_count)
+    ...
+    0
     """
     try:
         from rosbags import rosbag1, rosbag2

@@ -93,7 +93,13 @@ class _Column(_Strict):
 
 
 class ProjectFile(_Strict):
-    """What a project's file holds; `energyplan.io.project` reads it."""
+    """What a project's file holds; `energyplan.io.project` reads it.
+
+    Examples
+    --------
+    >>> ProjectFile(kind="project", vehicle={"preset": "husky_a200"}).vehicle.preset
+    'husky_a200'
+    """
 
     kind: Literal["project"]
     name: str = "project"

@@ -32,6 +32,18 @@ def write_energies(found: EnergyMap, path: str | Path) -> None:
     ------
     MapError
         If the map is turned in the world, which such a file cannot say.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from energyplan.path import Pose
+    >>> start, energy = Pose(0.5, 0.5, 0.0), np.array([[0.0, 80.0, np.inf]])
+    >>> found = EnergyMap(energy, 1.0, Pose(0.0, 0.0, 0.0), start, back=None, complete_to=np.inf)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_energies(found, Path(folder) / "reach.asc")
+    ...     print((Path(folder) / "reach.asc").read_text().splitlines()[-1])
+    ...
+    0 80 -9999
     """
     if found.origin.yaw != 0.0:
         raise MapError(
@@ -62,6 +74,12 @@ def contours_document(areas: Sequence[Contour]) -> dict[str, Any]:
     -------
     dict
         A FeatureCollection.
+
+    Examples
+    --------
+    >>> area = Contour(5000.0, shapely.MultiPolygon([shapely.box(0, 0, 4, 3)]))
+    >>> contours_document([area])["features"][0]["properties"]
+    {'energy': 5000.0, 'area': 12.0}
     """
     features = [
         {
@@ -83,5 +101,16 @@ def write_contours(areas: Sequence[Contour], path: str | Path) -> None:
         The areas.
     path : str or Path
         The file. It is replaced as a whole.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> area = Contour(5000.0, shapely.MultiPolygon([shapely.box(0, 0, 4, 3)]))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_contours([area], Path(folder) / "reach.geojson")
+    ...     document = json.loads((Path(folder) / "reach.geojson").read_text())
+    ...
+    >>> document["features"][0]["geometry"]["type"]
+    'MultiPolygon'
     """
     atomic_write(Path(path), json.dumps(contours_document(areas), indent=1) + "\n")

@@ -52,6 +52,13 @@ class HuskyDrive:
         no more than this.
     quantum : float
         Step of the speed readings [m/s].
+
+    Examples
+    --------
+    >>> round(HuskyDrive().power_per_current, 1)
+    21.4
+    >>> round(HuskyDrive(wheel_radius=0.33).power_per_current, 1)
+    10.7
     """
 
     back_emf: float = 0.141 / pi
@@ -74,7 +81,7 @@ def read_husky(
     blind: Literal["keep", "drop"] = "keep",
     largest_offset: float = 2.0,
 ) -> DriveLog:
-    """Read a drive of a Husky.
+    r"""Read a drive of a Husky.
 
     The mechanical power of a side is motor constant times current times tread speed. Currents in
     the dead band count as half of it. The clock offset of the IMU is the one at which its yaw rate
@@ -113,6 +120,17 @@ def read_husky(
     References
     ----------
     LaRocque et al. (2024), arXiv 2403.16877.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "pro_01.csv"
+    ...     _ = file.write_text("time,curL,curR,velL,velR\n0,2,2,0.5,0.5\n0.1,3,2,0.5,0.5\n")
+    ...     log = read_husky(file)
+    ...
+    >>> log.channels["p_left"].round(1).tolist()  # [W]
+    [21.4, 32.1]
     """
     train = drive or HuskyDrive()
     table = read_table(wheels, DriveLogError)
@@ -270,7 +288,18 @@ def _clock_offset(
 
 
 def is_husky(path: str | Path) -> bool:
-    """Tell whether a CSV file is a wheel file of a Husky, by its line of column names."""
+    r"""Tell whether a CSV file is a wheel file of a Husky, by its line of column names.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "pro_01.csv"
+    ...     _ = file.write_text("time,curL,curR,velL,velR\n0,2,2,0.5,0.5\n")
+    ...     is_husky(file)
+    ...
+    True
+    """
     try:
         return set(WHEEL_COLUMNS) <= set(column_names(path, DriveLogError))
     except DriveLogError:

@@ -27,7 +27,7 @@ from energyplan.mission import Charger, Mission, Spreads, Task
 from energyplan.path import Pose
 from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
-from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap, with_weights
+from energyplan.terrain import with_weights
 from energyplan.vehicle import Vehicle
 
 T = TypeVar("T")
@@ -45,7 +45,13 @@ PoseText = str | list[float | str]
 
 
 class Uncertain(NamedTuple):
-    """A number of a file, and its standard deviation if it has one."""
+    """A number of a file, and its standard deviation if it has one.
+
+    Examples
+    --------
+    >>> Uncertain(0.8, 0.05).spread
+    0.05
+    """
 
     value: float
     spread: float | None = None
@@ -232,6 +238,11 @@ def mission_from(values: Mapping[str, Any] | str, folder: str | Path | None = No
     ------
     MissionError
         If a key is missing or makes no sense.
+
+    Examples
+    --------
+    >>> mission_from(bundled("mission_warehouse.yaml").read_text()).name
+    'warehouse cleaning'
     """
     if isinstance(values, str):
         given = parse(values.encode(), "mission", MissionError)
@@ -241,7 +252,14 @@ def mission_from(values: Mapping[str, Any] | str, folder: str | Path | None = No
 
 
 class MissionReader:
-    """Builds a mission from a document; whatever goes wrong gets its place in the file."""
+    """Builds a mission from a document; whatever goes wrong gets its place in the file.
+
+    Examples
+    --------
+    >>> file = bundled("mission_warehouse.yaml")
+    >>> len(MissionReader(load(file, MissionError), file.parent).mission().tasks)
+    5
+    """
 
     def __init__(self, document: Document, folder: Path, anywhere: bool = False) -> None:
         self._document = document
@@ -273,10 +291,10 @@ class MissionReader:
         ]
         surfaces = None
         if spec.surfaces is not None:
-            surfaces = self._placed(("surfaces",), self._surfaces, spec.surfaces)
+            surfaces = self._placed(("surfaces",), self._read, read_surfaces, spec.surfaces)
         heights = None
         if spec.heights is not None:
-            heights = self._placed(("heights",), self._heights, spec.heights)
+            heights = self._placed(("heights",), self._read, read_heights, spec.heights)
             # models from level ground say nothing about slopes; the wheel loads tell the weight
             model = with_weight(model)
             surfaces = None if surfaces is None else with_weights(surfaces)
@@ -293,31 +311,19 @@ class MissionReader:
                 )
         return self._placed(
             (), Mission,
-            model=model,
-            map=self._placed(("map",), self._map, spec.map),
-            battery=battery,
+            model=model, battery=battery, tasks=tuple(tasks), chargers=tuple(chargers),
+            surfaces=surfaces, heights=heights, payload_models=loaded, payload=spec.payload,
+            map=self._placed(("map",), self._read, read_map, spec.map),
             start=self._pose(spec.start, ("start",)),
-            tasks=tuple(tasks),
-            chargers=tuple(chargers),
-            surfaces=surfaces,
-            payload=spec.payload,
-            payload_models=loaded,
-            soc=spec.soc.value,
+            soc=spec.soc.value, waiting=spec.waiting.value,
             spreads=self._placed((), self._spreads),
-            waiting=spec.waiting.value,
             reserve=self._reserve(battery),
-            confidence=spec.confidence,
-            coefficient_spread=spec.coefficient_spread,
-            order=spec.order,
-            return_to=spec.return_to,
+            confidence=spec.confidence, coefficient_spread=spec.coefficient_spread,
+            order=spec.order, return_to=spec.return_to,
             home=None if spec.home is None else self._pose(spec.home, ("home",)),
-            time=spec.time,
-            speed=spec.speed,
-            planner=spec.planner,
-            planning_time=spec.planning_time,
-            planning_effort=spec.planning_effort,
+            time=spec.time, speed=spec.speed, planner=spec.planner,
+            planning_time=spec.planning_time, planning_effort=spec.planning_effort,
             name=spec.name,
-            heights=heights,
         )  # fmt: skip
 
     def _placed(self, loc: Loc, build: Callable[..., T], *args: Any, **values: Any) -> T:
@@ -349,14 +355,8 @@ class MissionReader:
     def _vehicle(self, name: str) -> Vehicle:
         return read_vehicle(self._file(name)) if _is_yaml(name) else Vehicle.preset(name)
 
-    def _map(self, name: str) -> OccupancyGrid:
-        return read_map(self._file(name))
-
-    def _surfaces(self, name: str) -> SurfaceMap:
-        return read_surfaces(self._file(name))
-
-    def _heights(self, name: str) -> HeightMap:
-        return read_heights(self._file(name))
+    def _read(self, read: Callable[[Path], T], name: str) -> T:
+        return read(self._file(name))
 
     def _model(self, name: str) -> PowerModel:
         return read_model(self._file(name)) if _is_yaml(name) else PowerModel.preset(name)

@@ -70,6 +70,17 @@ def write_lattice(controls: ControlSet, path: str | Path, *, made: date | None =
         The file. It is replaced as a whole.
     made : date, optional
         The date in the file; today if left out.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> straight = Primitive(0, 0, 0.1, 0.0, 0.0, 0.0, 1, 0)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "lattice.json"
+    ...     write_lattice(ControlSet(0.1, 0.5, (0.0,), (straight,)), file)
+    ...     json.loads(file.read_text())["primitives"][0]["trajectory_length"]
+    ...
+    0.1
     """
     document = {
         "version": 1.0,
@@ -136,6 +147,16 @@ def read_lattice(path: str | Path) -> ControlSet:
     ------
     MapError
         If the file is missing or malformed; the message names the primitive.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> controls = ControlSet(0.1, 0.5, (0.0,), (Primitive(0, 0, 0.1, 0.0, 0.0, 0.0, 1, 0),))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_lattice(controls, Path(folder) / "lattice.json")
+    ...     read_lattice(Path(folder) / "lattice.json") == controls
+    ...
+    True
     """
     file = Path(path)
     try:
@@ -219,6 +240,16 @@ def write_penalties(penalties: Penalties, path: str | Path, lattice: str | Path)
         The file. It is replaced as a whole.
     lattice : str or Path
         The file of primitives that goes with them.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "penalties.yaml"
+    ...     write_penalties(Penalties(1.2, 0.0, 1.1, 4.0, 0.05), file, "lattice.json")
+    ...     yaml.safe_load(file.read_text())["GridBased"]["rotation_penalty"]
+    ...
+    4.0
     """
     parameters = {
         "plugin": "nav2_smac_planner::SmacPlannerLattice",

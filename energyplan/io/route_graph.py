@@ -49,6 +49,18 @@ def read_route_graph(path: str | Path) -> RouteGraph:
     References
     ----------
     Nav2 documentation, "Route Graph Generation"; GeoJSON (RFC 7946).
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> graph = nx.MultiDiGraph([(0, 1, {"cost": 250.0})])
+    >>> nx.set_node_attributes(graph, {0: (0.0, 0.0), 1: (4.0, 3.0)}, "pos")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_route_graph(graph, Path(folder) / "depot.geojson")
+    ...     again = read_route_graph(Path(folder) / "depot.geojson")
+    ...
+    >>> again.nodes[1]["pos"], again.edges[0, 1, 0]["cost"]
+    ((4.0, 3.0), 250.0)
     """
     file = Path(path)
     document, features = read_features(file)
@@ -128,6 +140,19 @@ def write_route_graph(graph: RouteGraph, path: str | Path) -> None:
     ------
     MapError
         If a node or a cost is not what the route server takes: its costs must be positive.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> graph = nx.MultiDiGraph([(0, 1, {"cost": 250.0})])
+    >>> nx.set_node_attributes(graph, {0: (0.0, 0.0), 1: (4.0, 3.0)}, "pos")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "depot.geojson"
+    ...     write_route_graph(graph, file)
+    ...     edge = json.loads(file.read_text())["features"][2]
+    ...
+    >>> edge["properties"]["cost"], edge["properties"]["overridable"]
+    (250.0, False)
     """
     document = graph.graph.get("document")
     read = document is not None

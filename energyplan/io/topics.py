@@ -72,6 +72,13 @@ class TopicSource(BaseModel):
         Factor to the library's unit and sign.
     times : str, optional
         A further field of the same message to multiply by.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace as Message
+    >>> source = TopicSource(topic="battery_state", field="current", scale=-1.0)
+    >>> source.matches("/robot/battery_state"), source.value(Message(current=-3.5))
+    (True, 3.5)
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -110,6 +117,14 @@ class TopicMap(BaseModel):
         What to call it.
     channels : mapping of str to list of TopicSource
         The sources by channel; ``t`` comes from the messages' stamps.
+
+    Examples
+    --------
+    >>> TopicMap.read("jackal").channels["power"][0].topic
+    'platform/mcu/status/power'
+    >>> own = TopicMap(channels={"voltage": {"topic": "bms", "field": "voltage"}})
+    >>> own.channels["voltage"][0].matches("/robot/bms")
+    True
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -239,5 +254,11 @@ _PRESETS = {"husky_a200": "husky", "jackal": "jackal", "warthog": "warthog"}
 
 
 def topic_map_of(vehicle: str) -> str | None:
-    """Return the name of the ready-made topic map of a vehicle preset, if it has one."""
+    """Return the name of the ready-made topic map of a vehicle preset, if it has one.
+
+    Examples
+    --------
+    >>> topic_map_of("husky_a200"), topic_map_of("quadriga:full")
+    ('husky', None)
+    """
     return _PRESETS.get(vehicle.partition(":")[0])

@@ -66,10 +66,11 @@ def test_docstrings_document_exactly_the_parameters(name: str) -> None:
 
 
 LIBRARY = (
-    "batch", "battery", "cost", "diagnosis", "fit", "fleet", "io.bundled", "io.files",
-    "io.geojson", "io.logs", "io.maps", "io.trajectory", "limits", "limits.feasibility",
-    "limits.speed", "live", "logs", "mission", "openrmf", "output.plots", "output.report",
-    "path", "physics", "planning", "planning.ompl", "planning.roadmap", "power",
+    "batch", "battery", "cost", "diagnosis", "fit", "fleet", "io.bags", "io.bundled", "io.config",
+    "io.cost_table", "io.energy_map", "io.files", "io.geojson", "io.husky", "io.logs", "io.maps",
+    "io.mission", "io.nav2_lattice", "io.route_graph", "io.topics", "io.trajectory", "limits",
+    "limits.feasibility", "limits.speed", "live", "logs", "mission", "openrmf", "output.plots",
+    "output.report", "path", "physics", "planning", "planning.ompl", "planning.roadmap", "power",
     "power.effects", "ros", "serve", "simulate", "steering", "studies", "terrain", "vehicle",
     "physics.belief", "physics.design", "physics.interval", "physics.manoeuvres",
     "planning.replanning", "planning.roadmap.planned",
