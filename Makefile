@@ -20,7 +20,8 @@ test: $(READY) lint
 
 # Nightly: the larger cases of what the suite tries with smaller ones.
 nightly: $(NIGHTLY_READY)
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m nightly
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "nightly or hypothesis" \
+		--hypothesis-profile=varied
 
 # The suite ROUNDS times, each in another order, with two busy processes beside it.
 ROUNDS ?= 10

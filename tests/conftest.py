@@ -6,9 +6,15 @@ from math import isfinite
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from energyplan.planning import Budget
 from energyplan.planning.budget import PACE
+
+# The same cases in every run; at night `--hypothesis-profile=varied` draws others.
+settings.register_profile("repeatable", derandomize=True)
+settings.register_profile("varied")
+settings.load_profile("repeatable")
 
 collect_ignore = ["fuzz", "mutation.py"]  # scripts for the night
 

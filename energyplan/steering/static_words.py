@@ -89,7 +89,8 @@ def free(x: float, y: float, eta: float) -> bool:
     """Tell whether pivots within the sweep reach ``(x, y)`` without any straight driving."""
     ax, ay = abs(x), abs(y)
     if eta < HALF_PI:
-        return ax * ax + (ay + 2.0 * math.cos(eta)) ** 2 <= 4.0
+        # a disc about (0, -2 cos(eta)), written so that near the origin nothing cancels
+        return ax * ax + ay * (ay + 4.0 * math.cos(eta)) <= 4.0 * math.sin(eta) ** 2
     rest = eta - HALF_PI  # a half turn reaches a disc of radius 2, the rest adds a lens
     # The lens of the rest lies along the y axis: its headings surround +-90 degrees.
     k, g = 2.0 * math.cos(rest), 2.0 * math.sin(rest)
@@ -125,6 +126,8 @@ def best_word(x: float, y: float, eta: float, c: float, bound: float) -> Word:
     if free(x, y, eta):
         return Word(base, FREE, bx, by, q1, q2, q3)
     turn = 1.0 + c
+    # no word costs less than the distance: what seems to is a difference lost to rounding
+    least = math.hypot(x, y) * (1.0 - 1e-9)
     k, g = math.cos(eta), math.sin(eta)
     for flip in range(4):
         sx = 1.0 if flip < 2 else -1.0
@@ -176,7 +179,7 @@ def best_word(x: float, y: float, eta: float, c: float, bound: float) -> Word:
             if h < eta - TINY:
                 h += 2.0 * math.pi
             cost = 2.0 * turn * max(h, eta) + L
-            if h >= eta - TINY and cost < best:
+            if h >= eta - TINY and least <= cost < best:
                 best, code, bx, by, q1, q2 = cost, E_PLAIN, sx, sy, h, L
         ax, ay = X + 2.0 * g, Y
         A = math.hypot(ax, ay)
@@ -186,7 +189,7 @@ def best_word(x: float, y: float, eta: float, c: float, bound: float) -> Word:
         if base + L < best:
             h = math.atan2(ay, ax) - math.atan2(2.0 / w - 2.0, 2.0 * t / w + L)
             cost = 2.0 * turn * max(h, eta) + L
-            if h >= eta - TINY and cost < best:
+            if h >= eta - TINY and least <= cost < best:
                 z = h - math.atan(t)
                 if abs(z) <= eta + TINY:
                     best, code, bx, by, q1, q2, q3 = cost, E_ZERO, sx, sy, h, L, z
@@ -199,7 +202,7 @@ def best_word(x: float, y: float, eta: float, c: float, bound: float) -> Word:
                 h = math.atan2(wy, wx) - math.atan2(4.0 / w - 2.0, 4.0 * t / w + L)
                 cost = 2.0 * turn * max(h, eta) + L
                 z = h - math.atan(t)
-                if z >= eta - TINY and cost < best:
+                if z >= eta - TINY and least <= cost < best:
                     best, code, bx, by, q1, q2, q3 = cost, E_ZERO_OUT, sx, sy, h, L, z
         for out in range(2):
             e = 2.0 if out == 0 else 4.0
@@ -221,7 +224,7 @@ def best_word(x: float, y: float, eta: float, c: float, bound: float) -> Word:
                 tau = math.acos(q)
                 h = 2.0 * tau - eta
                 cost = 2.0 * turn * max(h, eta) + L + L0
-                if h < eta - TINY or cost >= best:
+                if h < eta - TINY or not least <= cost < best:
                     continue
                 if (tau <= 2.0 * eta) == (out == 0):
                     best, code, bx, by = cost, E_ENDS if out == 0 else E_ENDS_OUT, sx, sy
@@ -241,7 +244,7 @@ def best_word(x: float, y: float, eta: float, c: float, bound: float) -> Word:
                 q = min(q, 1.0)
                 tau, L = math.acos(q), 2.0 * c * math.sqrt(1.0 - q * q) / q
                 cost = turn * max(4.0 * tau - 2.0 * eta, 2.0 * eta) + 2.0 * L
-                if cost < best:
+                if least <= cost < best:
                     z = math.atan2(vx, -vy) if j == 0 else math.atan2(-vx, vy)
                     if abs(z) <= eta + TINY and tau >= eta + abs(z) - TINY:
                         best, code, bx, by, q1, q2, q3 = cost, B_ZERO, sx, sy, z + tau, L, z
@@ -252,7 +255,7 @@ def best_word(x: float, y: float, eta: float, c: float, bound: float) -> Word:
         q = min(q, 1.0)
         tau, L = math.acos(q), 2.0 * c * math.sqrt(1.0 - q * q) / q
         cost = turn * max(4.0 * tau - 2.0 * eta, 2.0 * eta) + 2.0 * L
-        if cost < best:
+        if least <= cost < best:
             z = math.atan2(-ox, oy)
             if z >= eta - TINY and tau >= eta + z - TINY:
                 best, code, bx, by, q1, q2, q3 = cost, B_ZERO_OUT, sx, sy, z + tau, L, z

@@ -286,6 +286,14 @@ def test_never_below_distance_or_turn(goal: tuple[float, float, float], c: float
     assert energy >= (1 + c) * turn * (1 - 1e-12) - 1e-12
 
 
+@pytest.mark.parametrize("size", [1e-4, 1e-6, 1e-8, 1e-10, 1e-12])
+@pytest.mark.parametrize("towards", [0.0, 0.4, math.pi / 2, 3.0])
+@pytest.mark.parametrize("c", [0.0, 0.5, 3.0])
+def test_the_least_displacement_is_not_free(size: float, towards: float, c: float) -> None:
+    goal = (size * math.cos(towards), size * math.sin(towards), 0.0)
+    assert one((0, 0, 0), goal, unit_cost(c)) >= size * (1 - 1e-9)
+
+
 # -- limits -------------------------------------------------------------------------------------
 
 
