@@ -33,7 +33,7 @@ def sloping() -> HeightMap:
 @pytest.mark.parametrize("also_grade", [False, True])
 def test_a_tilted_plane_is_planned_timed_and_checked_like_the_same_heights(also_grade):
     model = with_weight(TILTED) if also_grade else TILTED
-    known = replace(with_weight(LEVEL))
+    known = with_weight(LEVEL)
     one = plan(PlanningProblem(HALL, EnergyCost(model), START, GOAL), effort=1500)
     other = plan(
         PlanningProblem(HALL, EnergyCost(known), START, GOAL, heights=sloping()), effort=1500
