@@ -36,8 +36,9 @@ STRIDE = 0.5
 BEYOND = (8, 20)
 """How many poses further a search leads that is made where no pose further on is reached."""
 
-ACROSS = 1500
-"""Expansions of that search, at most."""
+ACROSS = ((1.0, 600), (0.25, 1500))
+"""Scales of the lattices on which it is made, and expansions at most: a coarse one is soon through
+where there is room, a fine one follows bends that a coarse one has no motion for."""
 
 WEIGHT = 2.0
 """And its weight."""
@@ -106,15 +107,18 @@ def way_along(setting: KernelProblem, to_go: DistanceToGo, budget: Budget) -> Se
 def _across(
     setting: KernelProblem, to_go: DistanceToGo, begin: FloatArray, end: FloatArray, budget: Budget
 ) -> Segments | None:
-    """Return the motions that a short search finds from one pose to another, if it finds any."""
+    """Return the motions that short searches find from one pose to another, if they find any."""
     x, y, yaw = begin.tolist()
     goal_x, goal_y, goal_yaw = end.tolist()
     part = setting._replace(
         start_x=x, start_y=y, start_yaw=yaw, goal_x=goal_x, goal_y=goal_y, goal_yaw=goal_yaw
     )
-    search = Search(part, to_go, lattice_for(setting), WEIGHT)
-    search.run(budget, stop_at_first=True, expansions=ACROSS)
-    return search.segments() if search.found else None
+    for scale, most in ACROSS:
+        search = Search(part, to_go, lattice_for(setting, scale), WEIGHT)
+        search.run(budget, stop_at_first=True, expansions=most)
+        if search.found:
+            return search.segments()
+    return None
 
 
 @njit
