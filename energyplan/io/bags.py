@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from energyplan.errors import DriveLogError, EnergyPlanError, MissingDependencyError
-from energyplan.io._align import AS_LOGGED, Series, align
 from energyplan.io._unpack import bound_unpacking
 from energyplan.io.files import is_file
 from energyplan.io.topics import TOPIC_MAPS, TopicMap, TopicSource
 from energyplan.logs import DriveLog
+from energyplan.logs.align import AS_LOGGED, Series, align
 from energyplan.logs.checks import SetAside
 
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")

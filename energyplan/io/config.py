@@ -90,6 +90,7 @@ class _Column(_Strict):
     column: str
     unit: str | None = None
     times: str | None = None
+    plus: list[str] = []
 
 
 class ProjectFile(_Strict):

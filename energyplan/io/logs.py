@@ -14,8 +14,9 @@ from energyplan.io.husky import NOT_TOLD, WHEEL_COLUMNS, is_husky, read_husky
 from energyplan.io.project import read_columns
 from energyplan.io.topics import TOPIC_MAPS, TopicMap
 from energyplan.logs import DriveLog
-from energyplan.logs.columns import UNITS, Column
+from energyplan.logs.columns import Column
 from energyplan.logs.tables import read_table
+from energyplan.logs.units import UNITS
 
 
 @dataclass(frozen=True)

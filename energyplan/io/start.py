@@ -20,24 +20,21 @@ from energyplan.io.project import Project
 from energyplan.io.robot import Given, build_vehicle, known_measures
 from energyplan.io.topics import TOPIC_MAPS, TopicMap, topic_map_of
 from energyplan.logs import DriveLog
-from energyplan.logs.checks import find_runs
-from energyplan.logs.columns import (
-    Column,
-    column_from,
-    is_wheel_rate,
-    parse_columns,
-    scale_of,
-)
+from energyplan.logs.checks import find_runs, join_rows
+from energyplan.logs.columns import Column, column_from, parse_columns
 from energyplan.logs.consistency import Check, Measures, check_consistency, strain
 from energyplan.logs.contradictions import find_contradictions
 from energyplan.logs.evidence import gather
-from energyplan.logs.guess import guess
+from energyplan.logs.guess import guess, words
 from energyplan.logs.tables import Table, read_table
+from energyplan.logs.units import is_wheel_rate, scale_of
 from energyplan.path import FloatArray
 
 _SOME = 20_000  # readings that suffice to tell a unit
 _FASTEST_TURN = 3.0  # yaw rate that hardly a robot reaches that skids [rad/s]
 _FULL_TURN = 6.5  # [rad]; headings beyond are unwrapped, or degrees
+_ENCODER = {"enc", "encoder", "tick", "ticks", "count", "counts", "tps", "qpps"}
+_NEEDED = {"t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current"}
 _RATES = {"rad/s": 1.0, "rpm": pi / 30, "deg/s": pi / 180}
 
 
@@ -115,12 +112,12 @@ def _start_table(file: Path, known: Given) -> Start:
     table = read_table(file, DriveLogError)
     names = (*table.columns, *table.text)
     columns = parse_columns(known.columns, names)
-    taken = {name for one in columns.values() for name in (one.source, one.times) if name}
+    taken = {name for one in columns.values() for name in one.names}
     guesses = guess([name for name in table.columns if name not in taken])
     _powers(columns, guesses)
     found = {channel: one for channel, one in guesses.items() if channel not in columns}
     if "t" not in columns and "t" not in found:
-        clock = _clock(table, taken | {one.name for one in found.values()})
+        clock = _clock(table, taken.union(*((one.name, *one.fellows) for one in found.values())))
         if clock is not None:
             columns["t"] = Column(clock)
     needed = [name for name in ("t", "v_left", "v_right") if name not in {*columns, *found}]
@@ -129,25 +126,66 @@ def _start_table(file: Path, known: Given) -> Start:
     if not any(way <= powers for way in ways):
         needed.append("power")
     if needed:
-        raise DriveLogError(
-            f"{file.name}: nothing seems to be {' or '.join(needed)}; the columns are "
-            f"{', '.join(names[:30])}; say which it is with --columns {needed[0]}=NAME"
-        )
+        _refuse(table, needed)
     for channel, one in found.items():
         unit = one.unit
         if is_wheel_rate(unit) and channel.startswith("v_"):
             unit = ""  # takes a radius, below
-        columns[channel] = column_from(channel, one.name, unit or None)
+        columns[channel] = _column(channel, one.name, unit, one.fellows)
     for channel in ("slope", "temperature", "payload"):
         if channel in table.columns and channel not in columns:
             columns[channel] = Column(channel)
     columns = _with_units(table, columns, found, known)
     log = _read_signed(file, columns)
-    used = {name for one in log.columns.values() for name in (one.source, one.times) if name}
+    used = {name for one in log.columns.values() for name in one.names}
     idle = [name for name in table.columns if name not in used]
     notes = (f"columns that serve for nothing: {', '.join(idle[:20])}",) if idle else ()
     told = _finish(file, log.log, known, log.columns, None, {})
     return replace(told, notes=(*notes, *log.notes, *told.notes))
+
+
+def _column(
+    channel: str, name: str, unit: str, fellows: tuple[str, ...], times: str | None = None
+) -> Column:
+    """Return a column; of a side's wheels the mean speed, and all that their motors draw."""
+    if fellows and channel.startswith("v_"):
+        bare, _, factor = unit.rpartition("*") if "*" in unit else (unit, "", "1")
+        unit = f"{bare}*{float(factor) / (1 + len(fellows)):.6g}"
+    return column_from(channel, name, unit or None, times, fellows)
+
+
+def _refuse(table: Table, needed: list[str]) -> None:
+    """Say what is missing, and why what could be it is not.
+
+    Raises
+    ------
+    DriveLogError
+        Always.
+    """
+    text = guess(table.text)
+    for channel in needed:
+        ways = (channel,) if channel != "power" else ("power", "p_left", "current", "voltage")
+        for one in (text[way] for way in ways if way in text):
+            table.column(one.name)  # says which cell is no number
+    names = (*table.columns, *table.text)
+    hint = ""
+    if {"v_left", "v_right"} & set(needed):
+        hint = "; v_left and v_right are the speeds of the left and right wheels"
+        counted = [
+            name
+            for name in names
+            if {"enc", "encoder", "tick", "ticks", "count", "counts"} & set(words(name))
+        ]
+        if counted:
+            hint += (
+                f"; {counted[0]!r} seems to be an encoder's: if it holds ticks per second, give "
+                f"the metres per tick, as in v_left={counted[0]}[*0.0001]; if it counts on, log "
+                "its rate"
+            )
+    raise DriveLogError(
+        f"{table.source}: nothing seems to be {' or '.join(needed)}{hint}; the columns are "
+        f"{', '.join(names[:30])}; say which it is with --columns {needed[0]}=NAME"
+    )
 
 
 def _powers(columns: dict[str, Column], guesses: dict[str, Any]) -> None:
@@ -164,7 +202,7 @@ def _powers(columns: dict[str, Column], guesses: dict[str, Any]) -> None:
         factor = scale_of("current", current.unit).factor if current.unit else 1.0
         factor *= scale_of("voltage", volts.unit).factor if volts.unit else 1.0
         unit = "" if factor == 1.0 else f"*{factor:g}"
-        columns[power] = column_from(power, current.name, unit or None, volts.name)
+        columns[power] = _column(power, current.name, unit, current.fellows, volts.name)
     sides = {"p_left", "p_right"} <= {*columns, *guesses}
     if not sides:
         for side in ("p_left", "p_right"):
@@ -218,6 +256,8 @@ def _with_units(
     if "t" not in told and clock.scale.factor == 1.0:
         columns = {**columns, "t": _timed(table, clock)}
     raw = {channel: _some(table, column) for channel, column in columns.items()}
+    joined = join_rows(raw, [name for name in raw if name in _NEEDED])
+    raw = raw if joined is None else joined.channels
     sound = np.all([np.isfinite(values) for values in raw.values()], axis=0)
     sound &= np.append(True, np.diff(np.maximum.accumulate(raw["t"])) > 0)
     if np.count_nonzero(sound) < 20:
@@ -255,12 +295,11 @@ def _with_units(
     for channel, unit in chosen.items():
         if channel not in made:
             continue
+        one = made[channel]
         written = f"{unit}{radius:.6g}" if unit.endswith("*") else unit
         plain = written in ("m/s", "rad", "rad/s", "m") and channel not in ("v_left", "v_right")
         plain = plain or written == "m/s"
-        made[channel] = column_from(
-            channel, made[channel].source, None if plain else written, made[channel].times
-        )
+        made[channel] = _column(channel, one.source, "" if plain else written, one.plus, one.times)
     return made
 
 
@@ -273,10 +312,7 @@ def _size(table: Table, column: Column) -> float:
 
 def _some(table: Table, column: Column) -> FloatArray:
     """Return the first readings of a column, in the library's unit as far as it is known."""
-    values = table.column(column.source)[:_SOME]
-    if column.times is not None:
-        values = values * table.column(column.times)[:_SOME]
-    return values * column.scale.factor + column.scale.offset
+    return np.asarray(column.value(lambda name: table.column(name)[:_SOME]))
 
 
 def _timed(table: Table, clock: Column) -> Column:
@@ -352,7 +388,8 @@ def _read_signed(file: Path, columns: dict[str, Column]) -> _Read:
                 raise
             for name in turned:
                 one = made[name]
-                made[name] = column_from(name, one.source, _negative(one.unit), one.times)
+                unit = _negative(one.unit)
+                made[name] = column_from(name, one.source, unit, one.times, one.plus)
             notes.append(f"{' and '.join(turned)} had the opposite sign, which was corrected")
     return _Read(DriveLog.read(file, made, others=False), made, tuple(notes))
 

@@ -12,7 +12,7 @@ from energyplan.errors import DriveLogError
 from energyplan.live.events import Trouble
 from energyplan.live.lines import Line, Restart
 from energyplan.logs.checks import LIMITS, needed_channels
-from energyplan.logs.columns import Column, parse_columns
+from energyplan.logs.columns import Column, own_columns, parse_columns
 
 
 @dataclass(frozen=True)
@@ -135,15 +135,13 @@ def _table(
         raise DriveLogError(f"{label}, line {line.number} names the column {twice!r} twice")
     chosen = parse_columns(columns, names)
     for channel, column in chosen.items():
-        for source in (column.source, column.times):
-            if source is not None and source not in names:
+        for source in column.names:
+            if source not in names:
                 raise DriveLogError(
                     f"{label}: {channel} is to come from {source!r}, which is no column; the "
                     f"columns are {', '.join(names)}"
                 )
-    taken = {one for column in chosen.values() for one in (column.source, column.times)}
-    own = {one: Column(one) for one in names if one and one not in chosen and one not in taken}
-    chosen = {**chosen, **own}
+    chosen = {**chosen, **own_columns(names, chosen)}
     basic = needed_channels(chosen, label)
     missing = [channel for channel in needed if channel not in chosen]
     if missing:
@@ -224,8 +222,8 @@ def _possible(channel: str, value: float) -> bool:
 
 
 def _reading(column: Column, raw: Mapping[str, float | None]) -> float:
-    value = raw[column.source]
-    other = 1.0 if column.times is None else raw[column.times]
-    if value is None or other is None:
-        return nan
-    return value * other * column.scale.factor + column.scale.offset
+    def reading(name: str) -> float:
+        value = raw[name]
+        return nan if value is None else value
+
+    return float(column.value(reading))

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from energyplan.errors import DriveLogError
+from energyplan.logs.align import Series, align, gap_limit
 from energyplan.path import FloatArray
 
 Place = Callable[[int], str]
@@ -54,6 +55,10 @@ _SPEED_UNITS = {
 _USUAL_SPEED = 0.7  # of robots that skid, as they are driven [m/s]
 _STRAY = 0.01  # share of readings out of range that is taken for glitches, not for a wrong unit
 _BRIDGE = 1.0  # longest hole in a further channel that is bridged by interpolation [s]
+_RECORDING = 20  # rows from which a stretch counts as a recording of its own
+_PAUSE = 10.0  # time between recordings whose clocks begin anew [s]
+_LATE = 0.01  # share of the rows that may come late
+_LATEST = 5.0  # how late they may come [s]
 _SPARSE = 0.1  # share of rows that may be set aside for want of a further channel
 
 
@@ -132,13 +137,6 @@ class Cleaned:
     warnings: list[str]
 
 
-def gap_limit(t: FloatArray) -> float:
-    """Longest time step that still counts as continuous [s]."""
-    steps = np.diff(t)
-    # The lower median: of two steps, one may be the gap.
-    return max(4.0 * float(np.quantile(steps, 0.5, method="lower")), 0.2)
-
-
 def find_runs(t: FloatArray) -> list[slice]:
     """Stretches of samples without a gap."""
     cuts = np.flatnonzero(np.diff(t) > gap_limit(t)) + 1
@@ -171,7 +169,7 @@ def needed_channels(names: Collection[str], label: str) -> tuple[str, ...]:
         if channel not in names:
             raise DriveLogError(
                 f"{label}: the channel {channel!r} is missing; the log has {there}; map a column to"
-                f" it, such as {channel}=NAME"
+                f" it, such as {channel}=NAME, or let energyplan start find the columns"
             )
     for way in (("p_left", "p_right"), ("power",), ("voltage", "current")):
         if all(channel in names for channel in way):
@@ -180,6 +178,63 @@ def needed_channels(names: Collection[str], label: str) -> tuple[str, ...]:
         f"{label}: power is missing; give p_left and p_right, or power, or voltage and current; "
         f"the log has {there}"
     )
+
+
+class Joined(NamedTuple):
+    """Channels of several sources on the rows of one of them.
+
+    Parameters
+    ----------
+    channels : dict of str to ndarray, shape (n,)
+        The channels.
+    rows : ndarray, shape (n,)
+        The rows that were kept.
+    how : dict of str to str
+        How channels came that had rows of their own.
+    """
+
+    channels: dict[str, FloatArray]
+    rows: NDArray[np.intp]
+    how: dict[str, str]
+
+
+def join_rows(channels: Mapping[str, FloatArray], needed: Collection[str]) -> Joined | None:
+    """Join rows that hold a part of the channels each, as of messages from several sources.
+
+    Parameters
+    ----------
+    channels : mapping of str to ndarray, shape (n,)
+        Channels over increasing time, NaN where a row does not hold one.
+    needed : collection of str
+        Channels without which a row is of no use.
+
+    Returns
+    -------
+    Joined or None
+        The channels at the times of the left tread speed, averaged where they are faster and
+        interpolated where they are slower; None where rows hold all that is needed.
+    """
+    known = {name: np.isfinite(values) for name, values in channels.items()}
+    clock = np.flatnonzero(known["t"] & known["v_left"])
+    fewest = min(np.count_nonzero(known[name]) for name in needed)
+    whole = np.count_nonzero(np.all([known[name] for name in needed], axis=0))
+    t = channels["t"][clock]
+    if fewest < _RECORDING or 2 * whole > fewest or len(t) < 2 or np.any(np.diff(t) <= 0):
+        return None
+    found, how = {"t": t}, {}
+    for name, values in channels.items():
+        there = np.flatnonzero(known["t"] & known[name])
+        if name == "t" or np.count_nonzero(known[name][clock]) > 0.5 * min(len(there), len(clock)):
+            found.setdefault(name, values[clock])
+            continue
+        own, readings = channels["t"][there], values[there]
+        later = np.append(True, np.diff(own) > 0)
+        if not np.all(np.diff(own) >= 0) or np.count_nonzero(later) < 2:
+            return None
+        readings = np.unwrap(readings) if name == "yaw" else readings
+        aligned = align(Series(own[later], readings[later]), t)
+        found[name], how[name] = aligned.values, aligned.how
+    return Joined(found, clock, how)
 
 
 def clean(columns: Mapping[str, ArrayLike], label: str, place: Place) -> Cleaned:
@@ -212,6 +267,7 @@ def clean(columns: Mapping[str, ArrayLike], label: str, place: Place) -> Cleaned
     cleaner = _Cleaner(channels, label, place)
     for name in channels:
         cleaner.blank_strays(name)
+    cleaner.join(needed)
     for name in needed:
         cleaner.drop(
             ~np.isfinite(cleaner.channels[name]), f"{name} has no usable reading; left out"
@@ -271,24 +327,113 @@ class _Cleaner:
         self.note(stray, f"{name} is outside {low:g} to {high:g} {unit}; blanked")
         values[stray] = np.nan
 
-    def order(self) -> None:
-        """Drop repeated rows; refuse time that stands still or runs backwards."""
-        t = self.channels["t"]
-        if len(t) < 2:
+    def join(self, needed: Collection[str]) -> None:
+        """Bring channels that stand in rows of their own to those of the left tread speed."""
+        joined = join_rows(self.channels, needed)
+        if joined is None:
             return
-        again = np.ones(len(t) - 1, bool)
+        self.channels, self.rows = joined.channels, self.rows[joined.rows]
+        told = ", ".join(f"{name} {how}" for name, how in joined.how.items())
+        self.warnings.append(f"each row holds some of the channels; at the times of v_left: {told}")
+
+    def order(self) -> None:
+        """Put rows in the order of time, and average those of one time.
+
+        Raises
+        ------
+        DriveLogError
+            If time stands still or runs backwards in a way that tells not what happened.
+        """
+        if len(self.rows) < 2:
+            return
+        again = np.ones(len(self.rows) - 1, bool)
         for values in self.channels.values():
             again &= (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
         self.drop(np.append(False, again), "the row repeats the one before; left out")
+        if len(self.rows) >= _RECORDING and np.mean(np.diff(self.channels["t"]) < 0) > 0.9:
+            self.pick(np.arange(len(self.rows))[::-1])
+            self.warnings.append("the rows stand newest first; they are read backwards")
+        if np.any(np.diff(self.channels["t"]) < 0):
+            self.restart()
+        if np.any(np.diff(self.channels["t"]) < 0):
+            self.sort()
+        if np.any(np.diff(self.channels["t"]) == 0):
+            self.average()
         t = self.channels["t"]
         back = np.append(False, np.diff(t) <= 0)
         if np.any(back):
             k = int(np.flatnonzero(back)[0])
             raise DriveLogError(
                 f"{self.label}, {self.where(back)}: t does not increase: {t[k]:.6f} s follows "
-                f"{t[k - 1]:.6f} s ({np.count_nonzero(back)} such steps); sort the rows by time "
-                "and drop those with a time of another row"
+                f"{t[k - 1]:.6f} s ({np.count_nonzero(back)} such steps); if several recordings "
+                "follow each other, give each a file of its own; else sort the rows by time, and "
+                "drop those with a time of another row"
             )
+
+    def pick(self, rows: NDArray[np.intp]) -> None:
+        """Keep some rows, in their order."""
+        self.channels = {name: values[rows] for name, values in self.channels.items()}
+        self.rows = self.rows[rows]
+
+    def restart(self) -> None:
+        """Put recordings one after the other that were appended to each other."""
+        t = self.channels["t"]
+        cuts = np.flatnonzero(np.diff(t) < 0) + 1
+        bounds = [slice(a, b) for a, b in pairwise([0, *cuts.tolist(), len(t)])]
+        parts = [t[one] for one in bounds]
+        if min(map(len, parts)) < _RECORDING:
+            return
+        place = ", ".join(self.place(int(self.rows[cut])) for cut in cuts[:3])
+        first = sorted(range(len(parts)), key=lambda k: float(parts[k][0]))
+        if all(parts[a][-1] < parts[b][0] for a, b in pairwise(first)):
+            self.pick(np.concatenate([np.arange(bounds[k].start, bounds[k].stop) for k in first]))
+            self.warnings.append(f"t goes back at {place}: recordings were put in their order")
+            return
+        begins = np.array([part[0] for part in parts])
+        shortest = min(float(np.ptp(part)) for part in parts)
+        if np.ptp(begins) > max(5.0, 0.1 * shortest):
+            return  # no clock that begins anew
+        step = float(np.median(np.diff(t)))
+        pause = max(_PAUSE, 10 * step)
+        counted = t.copy()
+        for before, one in pairwise(bounds):
+            counted[one] += counted[before][-1] + pause - t[one][0]
+        self.channels["t"] = counted
+        self.warnings.append(
+            f"t begins anew at {place}: {len(parts)} recordings in one file, which are taken as "
+            f"one drive with gaps of {pause:g} s; separate files tell diagnose more"
+        )
+
+    def sort(self) -> None:
+        """Sort rows of which a few came late."""
+        t = self.channels["t"]
+        late = np.append(False, np.diff(t) < 0)
+        if np.mean(late) > _LATE or np.max(np.maximum.accumulate(t) - t) > _LATEST:
+            return
+        self.note(late, "the row is older than the one before; sorted by time")
+        self.pick(np.argsort(t, kind="stable"))
+
+    def average(self) -> None:
+        """Average rows of one time, as of stamps in whole seconds."""
+        t = self.channels["t"]
+        if np.any(np.diff(t) < 0):
+            return
+        first = np.flatnonzero(np.append(True, np.diff(t) > 0))
+        sizes = np.diff(np.append(first, len(t)))
+        if len(first) < _RECORDING or np.max(sizes) > max(8, 8 * float(np.median(sizes))):
+            return  # the clock stood still
+        self.note(np.repeat(sizes, sizes) > 1, "the row's time is that of another; averaged")
+        for name, values in self.channels.items():
+            angle = name == "yaw"
+            known = np.isfinite(values)
+            filled = np.where(known, values, 0.0)
+            filled = np.where(known, np.exp(1j * filled), 0.0) if angle else filled
+            total = np.add.reduceat(filled, first)
+            count = np.add.reduceat(known.astype(float), first)
+            with np.errstate(invalid="ignore"):
+                mean = np.angle(total) if angle else total / count
+            self.channels[name] = np.where(count > 0, mean, np.nan)
+        self.channels["t"], self.rows = t[first], self.rows[first]
 
     def bridge(self, name: str) -> None:
         """Fill short holes of a further channel; leave it out where most of it is missing."""

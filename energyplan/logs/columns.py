@@ -3,72 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
-from math import isfinite, pi
-from typing import NamedTuple
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from energyplan.errors import DriveLogError
 from energyplan.logs.tables import Table
+from energyplan.logs.units import UNITS, Scale, scale_of, unit_in
 from energyplan.path import FloatArray
-
-
-class Scale(NamedTuple):
-    """SI value = factor times reading, plus offset."""
-
-    factor: float = 1.0
-    offset: float = 0.0
-
-
-_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
-_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048, "in": 0.0254}
-_SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6, "mph": 0.44704, "ft/s": 0.3048}
-_ANGLE = {"rad": 1.0, "deg": pi / 180, "mrad": 1e-3, "rev": 2 * pi}
-_RATE = {"rad/s": 1.0, "deg/s": pi / 180, "rpm": pi / 30, "rev/s": 2 * pi, "mrad/s": 1e-3}
-_POWER = {"W": 1.0, "kW": 1e3, "mW": 1e-3, "hp": 745.69987, "PS": 735.49875}
-
-UNITS: dict[str, dict[str, float]] = {
-    "t": _TIME,
-    "x": _LENGTH,
-    "y": _LENGTH,
-    "v_left": _SPEED,
-    "v_right": _SPEED,
-    "p_left": _POWER,
-    "p_right": _POWER,
-    "power": _POWER,
-    "voltage": {"V": 1.0, "mV": 1e-3},
-    "current": {"A": 1.0, "mA": 1e-3},
-    "yaw": _ANGLE,
-    "slope": _ANGLE,
-    "yaw_rate": _RATE,
-    "accel_x": {"m/s^2": 1.0, "g": 9.80665},
-    "temperature": {"degC": 1.0, "K": 1.0, "degF": 5 / 9},
-    "payload": {"kg": 1.0, "lb": 0.45359237},
-}
-"""Units by channel; the first is the one of the library."""
-_OFFSETS = {"K": -273.15, "degF": -160 / 9}
-_ALIASES = {
-    "sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "millisecond": "ms",
-    "milliseconds": "ms", "usec": "us", "\u00b5s": "us", "\u03bcs": "us", "microseconds": "us",
-    "nsec": "ns", "nanoseconds": "ns", "minutes": "min", "hours": "h",
-    "meter": "m", "meters": "m", "metre": "m", "metres": "m",
-    "mps": "m/s", "m s-1": "m/s", "m s^-1": "m/s", "meters/s": "m/s", "kmh": "km/h",
-    "kph": "km/h", "kmph": "km/h",
-    "radian": "rad", "radians": "rad", "degree": "deg", "degrees": "deg", "\u00b0": "deg",
-    "rads": "rad/s", "radps": "rad/s", "rad s-1": "rad/s", "rad s^-1": "rad/s",
-    "radians/s": "rad/s", "rad/sec": "rad/s", "\u00b0/s": "deg/s", "dps": "deg/s",
-    "degrees/s": "deg/s", "deg/sec": "deg/s", "1/min": "rpm", "r/min": "rpm", "u/min": "rpm",
-    "min-1": "rpm", "min^-1": "rpm", "rps": "rev/s",
-    "watt": "W", "watts": "W", "kilowatt": "kW", "horsepower": "hp",
-    "milliwatt": "mW", "volt": "V", "volts": "V",
-    "amp": "A", "amps": "A", "ampere": "A", "amperes": "A", "milliampere": "mA",
-    "m/s2": "m/s^2", "m/s\u00b2": "m/s^2", "m/s/s": "m/s^2", "mps2": "m/s^2",
-    "\u00b0c": "degC", "celsius": "degC", "\u00b0f": "degF", "fahrenheit": "degF",
-    "kelvin": "K", "kilogram": "kg", "lbs": "lb", "pounds": "lb",
-}  # fmt: skip
-"""Other ways to write a unit, in small letters."""
-_WHEEL_CHANNELS = ("v_left", "v_right")
 
 
 class Column(NamedTuple):
@@ -84,115 +27,49 @@ class Column(NamedTuple):
         The unit that the conversion came from, as it was written; empty where it is the library's.
     times : str, optional
         A further column to multiply by, as a voltage by a current.
+    plus : tuple of str
+        Further columns to add first, as the currents of a side's other motors.
     """
 
     source: str
     scale: Scale = Scale()
     unit: str = ""
     times: str | None = None
+    plus: tuple[str, ...] = ()
 
-    def described(self) -> dict[str, str | None]:
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all the columns."""
+        return (self.source, *self.plus, *(() if self.times is None else (self.times,)))
+
+    @property
+    def written(self) -> str:
+        """What is computed of the columns, before the conversion."""
+        added = " + ".join((self.source, *self.plus))
+        if self.times is None:
+            return added
+        return f"({added}) * {self.times}" if self.plus else f"{added} * {self.times}"
+
+    def value(self, reading: Callable[[str], Any]) -> Any:
+        """Return the channel in the library's unit from the readings of columns."""
+        value = sum((reading(name) for name in self.plus), start=reading(self.source))
+        if self.times is not None:
+            value = value * reading(self.times)
+        return value * self.scale.factor + self.scale.offset
+
+    def described(self) -> dict[str, str | list[str] | None]:
         """Return the column as a project's file holds it."""
-        return {"column": self.source, "unit": self.unit, "times": self.times}
-
-
-def known_unit(channel: str, unit: str) -> str | None:
-    """Return a channel's unit by its usual spelling; None where the channel has no such unit.
-
-    Parameters
-    ----------
-    channel : str
-        The channel.
-    unit : str
-        A unit as people write it, such as ``"RPM"`` or ``"degrees"``.
-
-    Returns
-    -------
-    str or None
-        The unit. Rates of wheels count as units of tread speeds.
-
-    Examples
-    --------
-    >>> known_unit("v_left", "RPM"), known_unit("yaw", "m")
-    ('rpm', None)
-    """
-    known = {**UNITS.get(channel, {}), **(_RATE if channel in _WHEEL_CHANNELS else {})}
-    bare = unit.strip()
-    if bare in known:
-        return bare
-    folded = {name.lower(): name for name in known if name.lower() not in ("kw", "mw", "ma", "mv")}
-    spelt = _ALIASES.get(bare.lower(), folded.get(bare.lower()))
-    if spelt is None and bare.lower() in ("kw", "mw", "ma", "mv"):  # M would be a million
-        spelt = {"kw": "kW", "mw": None, "ma": "mA", "mv": "mV"}[bare.lower()]
-    return spelt if spelt in known else None
-
-
-def is_wheel_rate(unit: str) -> bool:
-    """Tell whether a unit of tread speeds is one of wheel rates, which take a wheel radius."""
-    return unit in _RATE
-
-
-def scale_of(channel: str, unit: str) -> Scale:
-    """Return the conversion from a unit.
-
-    Parameters
-    ----------
-    channel : str
-        The channel.
-    unit : str
-        A unit's name, a factor after ``*``, or both, with a minus before it where the sign is
-        opposite: ``"deg"``, ``"-A"``, ``"*0.165"``, ``"rpm*0.165"``.
-
-    Returns
-    -------
-    Scale
-        The conversion.
-
-    Raises
-    ------
-    DriveLogError
-        If the channel cannot be in that unit, or the factor is none.
-    """
-    sign = -1.0 if unit.startswith("-") else 1.0
-    bare = unit.lstrip("-").strip()
-    name, star, number = bare.rpartition("*")
-    factor = 1.0
-    if star:
-        bare = name.strip()
-        try:
-            factor = float(number)
-        except ValueError:
-            factor = float("nan")
-        if not isfinite(factor) or factor == 0:
-            raise DriveLogError(f"{channel}: [{unit}] is no factor; write one such as [*0.165]")
-    if not bare:
-        return Scale(sign * factor)
-    known = UNITS.get(channel)
-    if known is None:
-        raise DriveLogError(
-            f"{channel}: the unit of a channel of your own is yours; leave [{unit}] out, or give a "
-            "factor such as [*0.001]"
-        )
-    spelt = known_unit(channel, bare)
-    if spelt is None:
-        rates = ", wheel rates such as rpm with the wheel radius, as in [rpm*0.165]"
-        raise DriveLogError(
-            f"{channel} cannot be in [{unit}]; it can be in {', '.join(known)}"
-            f"{rates if channel in _WHEEL_CHANNELS else ''}, with a minus "
-            "before it where the sign is opposite, or give a factor such as [*0.001]"
-        )
-    if spelt not in known:
-        if not star:
-            raise DriveLogError(
-                f"{channel} in [{unit}] is a wheel's rate; give the wheel radius with it, as in "
-                f"{channel}=NAME[{spelt}*0.165] for 0.165 m"
-            )
-        return Scale(sign * factor * _RATE[spelt])
-    return Scale(sign * factor * known[spelt], _OFFSETS.get(spelt, 0.0))
+        return {
+            "column": self.source, "plus": list(self.plus), "unit": self.unit, "times": self.times
+        }  # fmt: skip
 
 
 def column_from(
-    channel: str, column: str, unit: str | None = None, times: str | None = None
+    channel: str,
+    column: str,
+    unit: str | None = None,
+    times: str | None = None,
+    plus: Sequence[str] = (),
 ) -> Column:
     """Return the column of a name that serves as a channel.
 
@@ -206,6 +83,8 @@ def column_from(
         As for `scale_of`; the library's where not given.
     times : str, optional
         A further column to multiply by.
+    plus : sequence of str
+        Further columns to add first.
 
     Returns
     -------
@@ -217,7 +96,8 @@ def column_from(
     DriveLogError
         If the channel cannot be in that unit.
     """
-    return Column(column, scale_of(channel, unit) if unit else Scale(), unit or "", times)
+    scale = scale_of(channel, unit) if unit else Scale()
+    return Column(column, scale, unit or "", times, tuple(plus))
 
 
 def _unreadable(entry: str) -> DriveLogError:
@@ -280,14 +160,7 @@ def _entries(columns: str | Mapping[str, str] | None) -> list[_Entry]:
     return found
 
 
-_BRACKETED = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 _UNIT_AFTER = re.compile(r"(.*\S)\s*\[\s*([^\[\]]*?)\s*\]")
-
-
-def split_unit(name: str) -> tuple[str, str]:
-    """Split a column's name from the unit in brackets at its end; empty where there is none."""
-    match = _BRACKETED.fullmatch(name.strip())
-    return (match[1], match[2]) if match else (name.strip(), "")
 
 
 def _resolve(entry: _Entry, names: Collection[str]) -> Column:
@@ -295,18 +168,19 @@ def _resolve(entry: _Entry, names: Collection[str]) -> Column:
     if entry.unit:
         return column_from(entry.channel, entry.text, entry.unit)
     if entry.quoted or entry.text in names:
-        # What a name says of its unit, such as "speed [km/h]", is believed.
-        unit = split_unit(entry.text)[1]
-        spelt = known_unit(entry.channel, unit) if unit else None
-        return column_from(entry.channel, entry.text, spelt)
+        # What a name says of its unit, such as "speed [km/h]" or "speed_kmh", is believed.
+        told = unit_in(entry.channel, entry.text)
+        return column_from(entry.channel, entry.text, told.unit if told else None)
     match = _UNIT_AFTER.fullmatch(entry.text)
     source, unit = (match[1], match[2]) if match else (entry.text, "")
     if source.count("[") != source.count("]"):
         raise _unreadable(f"{entry.channel}={entry.text}")
-    if "*" in source and source not in names:
-        first, second = (part.strip() for part in source.split("*", 1))
-        if first in names and second in names:
-            return column_from(entry.channel, first, unit, second)
+    if source not in names:
+        first, star, second = (part.strip() for part in source.rpartition("*"))
+        added = (first if star else source).removeprefix("(").removesuffix(")")
+        parts = [part.strip() for part in added.split("+")]
+        if {*parts, *([second] if star else [])} <= set(names):
+            return column_from(entry.channel, parts[0], unit, second if star else None, parts[1:])
     return column_from(entry.channel, source, unit)
 
 
@@ -322,8 +196,8 @@ def parse_columns(
         brackets stands the unit where it is not the library's, with a minus before it where the
         sign is opposite (``current=i[-A]``), a factor (``v_left=wheel_rate[*0.165]``), or both
         (``v_left=wheel_rate[rpm*0.165]``). A name with commas or brackets stands in quotes
-        (``v_left="speed, left [km/h]"[km/h]``). Two columns can be multiplied
-        (``p_left=voltage_left*current_left``).
+        (``v_left="speed, left [km/h]"[km/h]``). Columns can be added, then multiplied by one
+        (``p_left=(current_fl+current_rl)*voltage``, ``v_left=front+rear[*0.5]``).
     names : collection of str
         Names of the columns there are: a name among them needs no quotes, and what it says of its
         unit is believed.
@@ -369,8 +243,8 @@ def choose_columns(
     table : Table
         The table.
     columns : str or mapping of str to str or Column, optional
-        As in `parse_columns`; columns that bear a channel's name, and any others of numbers, need
-        no mention.
+        As in `parse_columns`; columns that bear a channel's name, with a unit or without, and any
+        others of numbers, need no mention.
     others : bool
         Whether to take those that are not mentioned.
 
@@ -385,20 +259,55 @@ def choose_columns(
         If the mapping is malformed, or a column is missing or holds text.
     """
     wanted = parse_columns(columns, (*table.columns, *table.text))
-    taken = {name for column in wanted.values() for name in (column.source, column.times)}
-    for name in (*table.columns, *table.text):
-        useful = name in table.columns or name in UNITS
-        if others and useful and name not in wanted and name not in taken:
-            wanted[name] = Column(name)
+    if others:
+        own = own_columns((*table.columns, *table.text), wanted)
+        wanted |= {k: c for k, c in own.items() if k in UNITS or c.source in table.columns}
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is out of range anyway
-        channels = {channel: _taken(table, column) for channel, column in wanted.items()}
-    unread = [name for name in table.text if others and name not in channels]
+        channels = {channel: column.value(table.column) for channel, column in wanted.items()}
+    used = {name for column in wanted.values() for name in column.names}
+    unread = [name for name in table.text if others and name not in used]
     return Chosen(channels, unread)
 
 
-def _taken(table: Table, column: Column) -> FloatArray:
-    """Return a column's readings in the library's unit."""
-    values = table.column(column.source)
-    if column.times is not None:
-        values = values * table.column(column.times)
-    return values * column.scale.factor + column.scale.offset
+def own_columns(names: Iterable[str], wanted: Mapping[str, Column]) -> dict[str, Column]:
+    """Return the channels that columns are by their own names.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Names of columns.
+    wanted : mapping of str to Column
+        The channels that are mapped already; their columns serve for no other.
+
+    Returns
+    -------
+    dict of str to Column
+        The others: of a channel's name, of one with a unit after it such as ``power_kW``, or else
+        channels of their own.
+    """
+    taken = {name for column in wanted.values() for name in column.names}
+    left = [name for name in names if name and name not in taken]
+    found = {name: Column(name) for name in left if name in UNITS and name not in wanted}
+    for name in left:
+        named = _named_channel(name)
+        if named is not None and named.channel not in {**wanted, **found}:
+            found[named.channel] = column_from(named.channel, name, named.unit)
+        elif name not in {**wanted, **found}:
+            found[name] = Column(name)
+    return found
+
+
+class _NamedChannel(NamedTuple):
+    """A channel, and the unit that a column's name tells beside it."""
+
+    channel: str
+    unit: str
+
+
+def _named_channel(name: str) -> _NamedChannel | None:
+    """Return the channel that a column's name is, with a unit of that channel after it."""
+    for channel in UNITS:
+        told = unit_in(channel, name) if name.startswith(channel) and name != channel else None
+        if told is not None and told.bare == channel:
+            return _NamedChannel(channel, told.unit)
+    return None

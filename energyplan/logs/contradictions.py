@@ -41,6 +41,7 @@ def find_contradictions(
         _signs(channels, runs),
         _sides(channels, runs),
         _powers(channels),
+        _unsigned(channels),
         _course(channels, runs),
         _motor_current(channels, power),
         _distance(channels, runs),
@@ -112,6 +113,39 @@ def _powers(channels: Mapping[str, FloatArray]) -> str:
             f"sensor of {less} is dead; map both in one unit, as in {less}=NAME[kW]"
         )
     return ""
+
+
+def _unsigned(channels: Mapping[str, FloatArray]) -> str:
+    """Whether both sides' powers lost their sign: the inner side of an arc should return power.
+
+    In arcs a force of slip F and a resistance K give the outer side (F + K) v, the inner one
+    (K - F) v. Without its sign, the latter looks as if F and K were exchanged. On straight lines
+    the resistance alone remains: there it is seen which of the two it is.
+    """
+    if not {"p_left", "p_right"} <= set(channels):
+        return ""
+    left, right = channels["v_left"], channels["v_right"]
+    difference = right - left
+    turns = np.abs(difference) > 0.2 * float(np.quantile(np.abs(difference), 0.95))
+    straight = np.abs(difference) < 0.01 * np.abs(left + right)
+    for name, speed, outwards in (("p_left", left, -1.0), ("p_right", right, 1.0)):
+        power = channels[name]
+        along = outwards * np.sign(difference) * speed
+        inner = turns & (along < 0.0)
+        if min(np.count_nonzero(inner), np.count_nonzero(straight)) < _ENOUGH:
+            return ""
+        if np.mean(power[inner] < 0.0) > 0.02:
+            return ""
+        X = np.stack([along[turns], np.abs(speed[turns])], axis=1)
+        slip, resistance = np.linalg.lstsq(X, power[turns], rcond=None)[0]
+        seen = float(np.median(power[straight] / np.abs(speed[straight])))
+        if not (0.0 < 1.5 * slip < resistance and seen < np.sqrt(slip * resistance)):
+            return ""
+    return (
+        "p_left and p_right are never negative, and in arcs the inner side seems to be held back "
+        "far more than on straight lines: the sensors show what it returns as power drawn. Log "
+        "signed currents, or let diagnose find unsigned_power; identify takes it for resistance"
+    )
 
 
 def turning_against(channels: Mapping[str, FloatArray], runs: Sequence[slice], name: str) -> str:

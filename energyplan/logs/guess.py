@@ -6,22 +6,26 @@ import re
 from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
-from energyplan.logs.columns import known_unit, split_unit
+from energyplan.logs.units import split_unit, split_words, unit_in
 
 _WORDS = {
-    "left": {"left", "l", "lh", "port", "links", "gauche", "izquierda", "izq"},
-    "right": {"right", "r", "rh", "starboard", "rechts", "droite", "derecha", "der"},
+    "left": {"left", "l", "lh", "port", "fl", "rl", "bl", "ml", "lf", "lr", "lb", "lm",
+             "links", "gauche", "izquierda", "izq"},
+    "right": {"right", "r", "rh", "starboard", "fr", "rr", "br", "mr", "rf", "rb", "rm",
+              "rechts", "droite", "derecha", "der"},
     "speed": {
         "v", "vel", "velocity", "speed", "wheel", "wheels", "track", "tread", "rpm", "omega",
         "rate", "spd", "w", "velocities", "speeds", "angvel", "rotation",
         "geschwindigkeit", "geschw", "vitesse", "roue", "velocidad", "rueda",
     },
     "power": {"p", "power", "watt", "watts", "pwr", "leistung", "puissance", "potencia"},
-    "voltage": {"u", "volt", "volts", "voltage", "spannung", "tension"},
+    "voltage": {"u", "volt", "volts", "voltage", "vbat", "vbatt", "ubat", "vbus", "spannung",
+                "tension"},
     "current": {"i", "cur", "curr", "current", "amp", "amps", "ampere", "amperes", "currents",
+                "ibat", "ibatt", "ibus",
                 "strom", "courant", "corriente"},
     "time": {"t", "time", "timestamp", "stamp", "sec", "secs", "seconds", "clock", "elapsed",
-             "zeit", "zeitstempel", "temps", "tiempo"},
+             "zeit", "uhrzeit", "zeitstempel", "temps", "tiempo", "epoch", "utc"},
     "yaw": {"yaw", "heading", "theta", "psi", "hdg", "gierwinkel", "cap", "rumbo"},
     "turn": {"gyro", "angular", "yawrate", "wz", "gz", "gyr", "omega", "drehrate", "gierrate"},
     "accel": {"acc", "accel", "acceleration", "ax"},
@@ -36,12 +40,26 @@ _NOT_MEASURED = {
 """Words of what is asked for, or of what is no speed and no power."""
 
 
+_PLACES = {
+    "front": "", "rear": "", "back": "", "mid": "", "middle": "", "center": "", "centre": "",
+    "vorne": "", "hinten": "", "vorn": "",
+    **{f"{place}{side}": side for place in "frbm" for side in "lr"},
+    **{f"{side}{place}": side for place in "frbm" for side in "lr" if f"{side}{place}" != "rl"},
+}  # fmt: skip
+"""Words that tell which of a side's wheels, and what they tell of the side."""
+_TOLD_BY_UNIT = {"power": "power", "voltage": "voltage", "current": "current", "v_left": "speed"}
+
+
 class Guess(NamedTuple):
-    """A name that may be a channel: how well it fits, and the unit that it tells."""
+    """A name that may be a channel: how well it fits, the unit that it tells, and its fellows.
+
+    Fellows are the same of the side's other wheels or motors.
+    """
 
     name: str
     score: float
     unit: str
+    fellows: tuple[str, ...] = ()
 
 
 def words(name: str) -> list[str]:
@@ -52,16 +70,25 @@ def words(name: str) -> list[str]:
     >>> words("wheelSpeed_L [rad/s]"), words("velR")
     (['wheel', 'speed', 'l'], ['vel', 'r'])
     """
-    bare = split_unit(name)[0]
-    spaced = re.sub(r"([a-z])([A-Z])", r"\1 \2", bare)
-    spaced = re.sub(r"([A-Z]+)([A-Z][a-z])", r"\1 \2", spaced)
-    parts = re.findall(r"[A-Za-z]+", spaced)
     found: list[str] = []
-    for part in parts:
+    for part in split_words(re.sub(r"[0-9]+", " ", split_unit(name)[0])):
         word = part.lower()
         short = re.fullmatch(r"(v|w|p|i|u|rpm|vel|cur|omega|n)(l|r)", word)
         found += [short[1], short[2]] if short else [word]
     return found
+
+
+def _groups(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """Return names that differ in nothing but the wheel or the number of the motor."""
+    alike: dict[object, list[str]] = {}
+    for name in names:
+        told, unit = words(name), split_unit(name)[1]
+        number = re.search(r"(?<![.\d])\d+", split_unit(name)[0])
+        if number is None and not set(told) & set(_PLACES):
+            continue
+        key = tuple(word for word in (_PLACES.get(word, word) for word in told) if word)
+        alike.setdefault((key, unit, number is None), []).append(name)
+    return {name: tuple(group) for group in alike.values() for name in group}
 
 
 def _score(channel: str, name: str) -> float:
@@ -69,6 +96,8 @@ def _score(channel: str, name: str) -> float:
     told = words(name)
     said = set(told)
     has = {kind: bool(said & names) for kind, names in _WORDS.items()}
+    for quantity, kind in _TOLD_BY_UNIT.items():
+        has[kind] = has[kind] or unit_in(quantity, name) is not None
     if name.strip() == channel:
         return 10.0
     asked = bool(said & _NOT_MEASURED)
@@ -138,25 +167,31 @@ def guess(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, Guess]
     {'t': 'Time [ms]', 'v_left': 'velL', 'v_right': 'velR', 'yaw_rate': 'gyro_z'}
     """
     left = [name for name in names if name not in taken]
+    groups = _groups(left)
     rated = []
     for channel in CHANNELS:
         for place, name in enumerate(left):
             score = _score(channel, name)
-            unit = split_unit(name)[1]
             quantity = {"current": "current", "voltage": "voltage"}.get(
                 channel.partition("_")[0], channel
             )
-            spelt = known_unit(quantity, unit) if unit else None
-            if unit and spelt is None and channel != "t":
+            told = unit_in(quantity, name)
+            if told is None and split_unit(name)[1] and channel != "t":
                 score = min(score, 0.5) if score else 0.0  # it says that it is something else
-            elif spelt is not None and score:
+            elif told is not None and score:
                 score += 1.0
             if score >= 1.0:
-                rated.append((-score, place, channel, Guess(name, score, spelt or "")))
+                rated.append(
+                    (-score, place, channel, Guess(name, score, told.unit if told else ""))
+                )
     found: dict[str, Guess] = {}
     used: set[str] = set()
     for _, _, channel, one in sorted(rated, key=lambda item: item[:2]):
-        if channel not in found and one.name not in used:
-            found[channel] = one
-            used.add(one.name)
+        if channel in found or one.name in used:
+            continue
+        if channel.partition("_")[0] in ("v", "p", "current", "power"):
+            group = groups.get(one.name, (one.name,))
+            one = one._replace(fellows=tuple(name for name in group if name != one.name))
+        found[channel] = one
+        used |= {one.name, *one.fellows}
     return {channel: found[channel] for channel in CHANNELS if channel in found}

@@ -12,7 +12,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from energyplan.errors import DriveLogError
 from energyplan.logs._smooth import derivative
-from energyplan.logs.checks import gap_limit
+from energyplan.logs.align import gap_limit
 from energyplan.logs.contradictions import find_contradictions, turning_against
 from energyplan.path import FloatArray
 

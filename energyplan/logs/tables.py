@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import csv
+import codecs
 import gzip
 import io
-import re
 import warnings
 import zlib
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -18,6 +16,16 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 import numpy as np
 
 from energyplan.errors import InvalidInputError, MissingDependencyError
+from energyplan.logs.dialect import (
+    MAX_COLUMNS,
+    MAX_HEADER,
+    MISSING,
+    UNNAMED,
+    Dialect,
+    find_dialect,
+)
+from energyplan.logs.instants import Instants, instants_of, over_midnight
+from energyplan.logs.units import split_unit
 from energyplan.path import FloatArray
 
 if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is read
@@ -25,17 +33,13 @@ if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is r
     import pyarrow as pa
     from _typeshed import WriteableBuffer
 
-MAX_COLUMNS = 4096
-"""Widest table that is read."""
-MAX_HEADER = 1 << 18
-"""Longest header line that is read [bytes]."""
 MAX_LINE = 1 << 20
 """Longest line that is read [bytes]."""
 MAX_BYTES = 1 << 31
 """Largest table that is read, after decompression [bytes]."""
 MAX_CELLS = 100_000_000
 """Most cells that are read."""
-_AHEAD = 4096  # bytes of readings that are looked at to learn how they are written
+_AHEAD = MAX_HEADER + (1 << 16)  # bytes that are looked at to learn how a table is written
 _CHUNK = 200_000  # rows parsed at once
 _INTERRUPTED = "Calling read(nbytes) on source failed"
 """What the parser makes of Ctrl-C at the moment when it asks for bytes; errors it passes on."""
@@ -166,7 +170,7 @@ def column_names(path: str | Path, error: type[InvalidInputError]) -> list[str]:
             raise error(f"{file} is no CSV file")
         with file.open("rb") as raw:
             stream = io.BufferedReader(_Guarded(raw, file, error))
-            return _dialect(stream, file, error).names
+            return _opened(stream, file, error).dialect.names
 
 
 @contextmanager
@@ -184,7 +188,7 @@ def _reading(file: Path, error: type[InvalidInputError]) -> Iterator[None]:
 
 def _suffix(file: Path, error: type[InvalidInputError]) -> str:
     suffix = {".pq": ".parquet"}.get(file.suffix.lower(), file.suffix.lower())
-    if suffix not in (".csv", ".gz", ".parquet"):
+    if suffix not in (".csv", ".tsv", ".txt", ".dat", ".gz", ".parquet"):
         raise error(f"{file} is of an unknown type; give a .csv, .csv.gz or .parquet file")
     return suffix
 
@@ -199,18 +203,17 @@ class _Guarded(io.RawIOBase):
         super().__init__()
         self._stream = gzip.GzipFile(fileobj=raw) if file.suffix.lower() == ".gz" else raw
         self._file, self._error, self._left, self._line = file, error, MAX_BYTES, 0
+        self._utf16: codecs.IncrementalDecoder | None = None
+        self._ready, self._begun = b"", False
 
     def readable(self) -> bool:
         return True
 
     def readinto(self, buffer: WriteableBuffer, /) -> int:
         view = memoryview(buffer).cast("B")
-        try:
-            data = self._stream.read(len(view))
-        except (gzip.BadGzipFile, EOFError, zlib.error) as problem:
-            raise self._error(
-                f"{self._file} is no sound gzip file ({problem}); copy or compress it anew"
-            ) from None
+        if not self._ready:
+            self._ready = self._more(len(view))
+        data, self._ready = self._ready[: len(view)], self._ready[len(view) :]
         view[: len(data)] = data
         self._left -= len(data)
         if self._left < 0:
@@ -224,82 +227,69 @@ class _Guarded(io.RawIOBase):
             )
         return len(data)
 
+    def _more(self, size: int) -> bytes:
+        """Return the next bytes, of UTF-16 as UTF-8; none at the end."""
+        data = self._raw(size)
+        if not self._begun:
+            self._begun = True
+            if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+                self._utf16 = codecs.getincrementaldecoder("utf-16")()
+        while self._utf16 is not None:
+            try:
+                text = self._utf16.decode(data, final=not data)
+            except UnicodeDecodeError as problem:
+                raise self._error(
+                    f"{self._file} is no sound UTF-16 text ({problem.reason}); save it as UTF-8"
+                ) from None
+            if text or not data:
+                return text.encode()
+            data = self._raw(size)
+        return data
 
-class _Dialect(NamedTuple):
-    """How a text file writes a table: its column names, separator and decimal sign."""
+    def _raw(self, size: int) -> bytes:
+        try:
+            return self._stream.read(size)
+        except (gzip.BadGzipFile, EOFError, zlib.error) as problem:
+            raise self._error(
+                f"{self._file} is no sound gzip file ({problem}); copy or compress it anew"
+            ) from None
 
-    names: list[str]
-    separator: str
-    decimal: str
+
+class _Rewound(io.RawIOBase):
+    """What was read ahead of a stream, and then the stream."""
+
+    def __init__(self, ahead: bytes, stream: io.BufferedReader[Any]) -> None:
+        super().__init__()
+        self._ahead, self._stream = io.BytesIO(ahead), stream
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: WriteableBuffer, /) -> int:
+        return self._ahead.readinto(buffer) or self._stream.readinto(buffer)
 
 
-def _dialect(
-    stream: io.BufferedReader[Any], file: Path, error: type[InvalidInputError]
-) -> _Dialect:
+class _Opened(NamedTuple):
+    """How a text file writes its table, and its readings."""
+
+    dialect: Dialect
+    readings: io.BufferedReader[Any]
+
+
+def _opened(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInputError]) -> _Opened:
     """Read the line of column names, and look at the lines that follow."""
-    line = stream.readline(MAX_HEADER + 1)
-    if len(line) > MAX_HEADER:
-        raise error(f"{file}, line 1 is longer than {MAX_HEADER >> 10} KiB; it must name columns")
-    try:
-        text = line.decode("utf-8-sig").rstrip("\r\n")
-    except UnicodeDecodeError as problem:
-        raise error(f"{file}, line 1, byte {problem.start} is no UTF-8 text; save it so") from None
-    if "\0" in text:
-        raise error(f"{file}, line 1 holds a NUL byte; this is no text file")
-    ahead = stream.peek(_AHEAD)[:_AHEAD].decode("utf-8", "replace").splitlines()[:20]
-    rows = {mark: [_cells(row, mark) for row in (text, *ahead[:-1])] for mark in ",;\t"}
-    # The separator that cuts names and readings into the same number of cells, the most of them.
-    even = {mark: len(cut[0]) for mark, cut in rows.items() if len({len(c) for c in cut[:2]}) == 1}
-    whole = {mark: len(cut[0]) for mark, cut in rows.items()}
-    counts = even if max(even.values(), default=0) > 1 else whole
-    mark = max(counts, key=lambda key: counts[key])
-    decimal = "." if not any(map(_comma_number, _flat(rows[mark][1:]))) else ","
-    try:
-        names = [name.strip() for name in next(csv.reader([text], delimiter=mark), [])]
-    except csv.Error as problem:
-        raise error(f"{file}, line 1 is no line of column names: {problem}") from None
-    if not any(names):
-        raise error(f"{file} is empty; line 1 must name the columns")
-    if len(names) > MAX_COLUMNS:
-        raise error(f"{file} has {len(names)} columns; at most {MAX_COLUMNS} are read")
-    if all(_is_number(name) for name in names):
-        raise error(f"{file}, line 1 holds numbers; put a line of column names before it")
-    twice = [name for name, count in Counter(names).items() if count > 1]
-    if twice:
-        raise error(f"{file}, line 1 names the column {twice[0]!r} twice; rename one")
-    return _Dialect(names, mark, decimal)
-
-
-def _cells(row: str, mark: str) -> list[str]:
-    try:
-        return next(csv.reader([row], delimiter=mark, skipinitialspace=True), [])
-    except csv.Error:
-        return []
-
-
-def _flat(rows: list[list[str]]) -> Iterator[str]:
-    return (cell for row in rows for cell in row)
-
-
-def _comma_number(cell: str) -> bool:
-    """Whether a cell is a number with a decimal comma."""
-    return re.fullmatch(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*", cell) is not None
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    head = stream.read(_AHEAD)
+    dialect = find_dialect(head, len(head) < _AHEAD, file, error)
+    return _Opened(dialect, io.BufferedReader(_Rewound(head[dialect.start :], stream)))
 
 
 def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInputError]) -> Table:
     import pandas as pd
 
-    names, separator, decimal = _dialect(stream, file, error)
+    dialect, readings = _opened(stream, file, error)
+    names = dialect.names
     most = MAX_CELLS // len(names)
-    columns = _Columns(names, 2, "line")
+    columns = _Columns(names, dialect.line, "line", dialect.decimal)
     # before 3.1 pandas is out by the last bit in one number of six, unless it is asked not to be
     old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
     exact: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
@@ -308,11 +298,14 @@ def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInp
             # Rows wider than the header would lose their surplus with no more than a warning.
             warnings.simplefilter("error", pd.errors.ParserWarning)
             for frame in pd.read_csv(
-                stream,
+                readings,
                 header=None,
-                names=names,
-                sep=separator,
-                decimal=decimal,
+                names=range(len(names)),
+                sep=dialect.separator,
+                decimal=dialect.decimal,
+                encoding=dialect.encoding,
+                encoding_errors="replace",  # in text; a number has no such letters
+                na_values=list(MISSING),
                 index_col=False,
                 skip_blank_lines=False,  # so that rows keep their line numbers
                 skipinitialspace=True,
@@ -329,23 +322,24 @@ def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInp
         pass
     except pd.errors.ParserWarning:
         raise error(
-            f"{file}: rows have more cells than the {len(names)} names of line 1; name every column"
+            f"{file}: rows have more cells than the {len(names)} names of line "
+            f"{max(dialect.line - 1, 1)}; name every column"
         ) from None
     except pd.errors.ParserError as problem:
         if _INTERRUPTED in str(problem):
             raise KeyboardInterrupt from None
-        raise error(f"{file} is no table: {_with_line(str(problem))}") from None
-    except UnicodeDecodeError as problem:
-        raise error(f"{file} is no UTF-8 text ({problem.reason}); save it as such") from None
+        raise error(f"{file} is no table: {_with_line(str(problem), dialect.line)}") from None
     return columns.table(file, error)
 
 
-def _with_line(problem: str) -> str:
-    """Count the parser's complaint from the file's line 1, which it did not see."""
+def _with_line(problem: str, first: int) -> str:
+    """Count the parser's complaint from the file's line 1; it saw the readings alone."""
     text = problem.strip().removeprefix("Error tokenizing data. C error: ")
     head, found, tail = text.partition(" in line ")
     number, _, rest = tail.partition(",")
-    return f"{head} in line {int(number) + 1},{rest}" if found and number.isdecimal() else text
+    return (
+        f"{head} in line {int(number) + first - 1},{rest}" if found and number.isdecimal() else text
+    )
 
 
 def _read_parquet(file: Path, error: type[InvalidInputError]) -> Table:
@@ -392,29 +386,14 @@ def _holds_numbers(kind: pa.DataType) -> bool:
     return bool(types.is_primitive(kind) or types.is_decimal(kind) or types.is_null(kind))
 
 
-def _instants(series: pd.Series[Any]) -> FloatArray | None:
-    """Seconds since 1970 of instants written by ISO 8601, NaN where one is none.
-
-    None if the first is none, so that the column holds something else.
-    """
-    import pandas as pd
-
-    there = series.notna().to_numpy()
-    first = str(series[there].iloc[0])
-    if re.match(r"\s*\d{4}-?\d\d-?\d\d[T ]\d\d:?\d\d", first) is None:
-        return None
-    read = pd.to_datetime(series, format="ISO8601", utc=True, errors="coerce")
-    stamps = read.dt.tz_localize(None).to_numpy("datetime64[ns]")
-    return np.asarray((stamps - np.datetime64(0, "ns")) / np.timedelta64(1, "s"), float)
-
-
 class _Columns:
     """Columns as they are read, piece by piece, sorted into numbers and text."""
 
-    def __init__(self, names: list[str], first: int, unit: str) -> None:
-        self.rows, self._first, self._unit = 0, first, unit
+    def __init__(self, names: list[str], first: int, unit: str, decimal: str = ".") -> None:
+        self.rows, self._first, self._unit, self._decimal = 0, first, unit, decimal
         self._numbers: dict[str, list[FloatArray]] = {name: [] for name in names}
         self._text: dict[str, str] = {}
+        self._instants: dict[str, Instants] = {}
 
     def add(self, frame: pd.DataFrame) -> None:
         """Take in the next rows."""
@@ -428,14 +407,18 @@ class _Columns:
                 seconds = (stamps - np.datetime64(0, "ns")) / np.timedelta64(1, "s")
                 self._numbers[label].append(np.asarray(seconds, float))
                 continue
-            if series.dtype == object:  # text among numbers, or integers beyond 64 bits
-                series = series.astype("string")
+            if not pd.api.types.is_numeric_dtype(
+                series
+            ):  # text among numbers, or integers beyond 64 bits
+                series = self._mended(label, series.astype("string").str.strip())
             values = pd.to_numeric(series, errors="coerce").to_numpy(float, na_value=np.nan)
             bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
-            instants = _instants(series) if len(bad) else None
-            if instants is not None:
-                values = instants
-                bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
+            if len(bad):
+                written = self._instants.get(label) or instants_of(series)
+                if written is not None:
+                    self._instants[label] = written
+                    values = written.seconds(series)
+                    bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
             if len(bad):
                 k = int(bad[0])
                 place = f"{self._unit} {self._first + self.rows + k}"
@@ -445,11 +428,29 @@ class _Columns:
                 self._numbers[label].append(values)
         self.rows += len(frame)
 
+    def _mended(self, label: str, series: pd.Series[Any]) -> pd.Series[Any]:
+        """Blank names and units that stand among readings; decimal commas become points.
+
+        Where recordings were appended to each other, each brought its own line of names.
+        """
+        bare, unit = split_unit(label)
+        series = series.mask(series.isin({label, bare, unit, f"[{unit}]"} - {"", "[]"}))
+        return series.str.replace(",", ".", regex=False) if self._decimal == "," else series
+
     def table(self, file: Path, error: type[InvalidInputError]) -> Table:
         """Return what was read."""
         numbers = {
             name: np.concatenate(parts) if parts else np.zeros(0)
             for name, parts in self._numbers.items()
             if name not in self._text
+        }
+        for name, written in self._instants.items():
+            if written.of_day and name in numbers:
+                numbers[name] = over_midnight(numbers[name])
+        # Where lines end with a separator, a column without a name holds nothing.
+        numbers = {
+            name: values
+            for name, values in numbers.items()
+            if not name.startswith(UNNAMED) or np.isfinite(values).any()
         }
         return Table(file.name, numbers, self._text, self._first, self._unit, error)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from energyplan.io.config import plain_vehicle
-from energyplan.logs.columns import UNITS
+from energyplan.logs.units import UNITS
 
 if TYPE_CHECKING:
     from energyplan.diagnosis import Diagnosis
@@ -96,7 +96,7 @@ def start(made: Start) -> Document:
     project = made.project
     keys = ("what", "value", "expected", "ok", "remedy")
     return {
-        "columns": {channel: one.source for channel, one in project.columns.items()},
+        "columns": {channel: one.written for channel, one in project.columns.items()},
         "units": {
             channel: one.unit or next(iter(UNITS.get(channel, {"": 1.0})))
             for channel, one in project.columns.items()

@@ -135,7 +135,7 @@ def start(made: Start) -> list[str]:
     """Return what ``energyplan start`` prints."""
     project = made.project
     lines = [
-        f"{channel}: {one.source}{f' * {one.times}' if one.times else ''}"
+        f"{channel}: {one.written}"
         f"{f' [{one.unit}]' if one.unit and not one.source.endswith(f'[{one.unit}]') else ''}"
         for channel, one in project.columns.items()
     ]

@@ -19,8 +19,9 @@ from scipy.signal import savgol_filter
 from energyplan.errors import DriveLogError, EnergyPlanError, MissingChannelError
 from energyplan.logs import DriveLog, tables
 from energyplan.logs._smooth import derivative
-from energyplan.logs.columns import UNITS, parse_columns
+from energyplan.logs.columns import parse_columns
 from energyplan.logs.plausible import find_offset
+from energyplan.logs.units import UNITS
 from energyplan.power import PowerModel
 from energyplan.power.effects import ANGULAR_INERTIA, LINEAR_INERTIA
 from energyplan.simulate import Setpoint, drive, identification_drive
@@ -91,8 +92,8 @@ def test_lines_are_counted_across_pieces(tmp_path, monkeypatch):
     with pytest.raises(DriveLogError, match="line 35: 'mine' is 'word'"):
         DriveLog.read(file, "slope=mine")
     rows[20] = "19,1,1,6,0"
-    with pytest.raises(DriveLogError, match="line 22: t does not increase"):
-        DriveLog.read(write(tmp_path, "\n".join([HEAD.strip() + ",mine", *rows])))
+    (aside,) = DriveLog.read(write(tmp_path, "\n".join([HEAD.strip() + ",mine", *rows]))).set_aside
+    assert (aside.count, aside.where) == (2, "line 21, line 22")
 
 
 def test_columns_are_mapped_and_converted(tmp_path, noisy):
@@ -172,8 +173,9 @@ HEAD = "t,v_left,v_right,power\n"
         (HEAD + "0,1,1,5,9\n1,1,1,5,9\n", "more cells"),
         (HEAD + "0,1,1,5\n1,1,1,5,9\n", "in line 3"),
         (HEAD + '0,1,1,"5\n', "no table"),
-        (b"\xff\xfe\x00", "UTF-8"),
-        (HEAD.encode() + b"0,1,\xff,5\n", "UTF-8"),
+        (b"\xff\xfe\x00", "no sound UTF-16"),
+        (HEAD.encode() + b"0,1,\xff,5\n", "line 2: 'v_right' is"),
+        (b"t,v_left\n\x81,1\n", "byte 9 is no UTF-8"),
         (b"t\x00,v_left\n", "NUL"),
         (HEAD + "0,30,1,5\n1,30,1,5\n2,30,1,5\n", "line 2, line 3, line 4: v_left is 30 m/s"),
         (HEAD + "0,1,1,5\n60,1,1,5\n120,1,1,5\n", "time step of t is 60 s"),

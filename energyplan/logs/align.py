@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.logs.checks import gap_limit
 from energyplan.path import FloatArray
 
 LONGEST_BRIDGE = 1.0
@@ -34,6 +33,13 @@ class Aligned(NamedTuple):
     values: FloatArray
     how: str
     error: float | None
+
+
+def gap_limit(t: FloatArray) -> float:
+    """Longest time step that still counts as continuous [s]."""
+    steps = np.diff(t)
+    # The lower median: of two steps, one may be the gap.
+    return max(4.0 * float(np.quantile(steps, 0.5, method="lower")), 0.2)
 
 
 def align(series: Series, clock: FloatArray) -> Aligned:

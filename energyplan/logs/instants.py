@@ -1,0 +1,137 @@
+"""Instants as text: dates with times by ISO 8601 and as people write them, and times of day."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from energyplan.path import FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_ISO = re.compile(r"\d{4}-?\d\d-?\d\d[T ]\d\d:?\d\d")
+_ISO_DATE = r"(?P<y>\d{4})[-/.](?P<m>\d{1,2})[-/.](?P<d>\d{1,2})"
+_DATE = r"(?P<a>\d{1,2})(?P<sign>[-/.])(?P<b>\d{1,2})[-/.](?P<y>\d{4}|\d\d)"
+_TIME = (
+    r"(?P<hour>\d{1,2}):(?P<minute>\d\d):(?P<second>\d\d(?:[.,:]\d+)?)"
+    r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
+)
+_DAY = 86400.0
+
+
+@dataclass(frozen=True)
+class Instants:
+    """How instants are written.
+
+    Parameters
+    ----------
+    pattern : str
+        Regular expression of their parts; empty for ISO 8601.
+    day_first : bool
+        Whether the day stands before the month.
+    """
+
+    pattern: str
+    day_first: bool = True
+
+    @property
+    def of_day(self) -> bool:
+        """Whether these are times of day, without a date."""
+        return bool(self.pattern) and "<y>" not in self.pattern
+
+    def seconds(self, series: pd.Series[Any]) -> FloatArray:
+        """Return seconds since 1970, or since midnight; NaN where an instant cannot be read."""
+        import pandas as pd
+
+        if not self.pattern:
+            read = pd.to_datetime(series, format="ISO8601", utc=True, errors="coerce")
+            return _since_1970(read)
+        parts = series.str.extract(f"^{self.pattern}$")
+        clock = parts["second"].str.replace(r"[,:]", ".", regex=True)
+        hour, minute, second = (
+            pd.to_numeric(part, errors="coerce").to_numpy(float, na_value=np.nan)
+            for part in (parts["hour"], parts["minute"], clock)
+        )
+        half = parts["half"].str.lower().str[:1]
+        hour = np.where(half.isin(["a", "p"]), hour % 12, hour)
+        of_day = (
+            3600.0 * (hour + 12.0 * (half == "p").fillna(False).to_numpy(bool))
+            + 60.0 * minute
+            + second
+        )
+        if self.of_day:
+            return np.asarray(of_day, float)
+        if "<a>" in self.pattern:
+            day, month = ("a", "b") if self.day_first else ("b", "a")
+        else:
+            day, month = "d", "m"
+        year = parts["y"].where(parts["y"].str.len() == 4, "20" + parts["y"])
+        dates = year + "-" + parts[month].str.zfill(2) + "-" + parts[day].str.zfill(2)
+        midnight = _since_1970(pd.to_datetime(dates, errors="coerce", utc=True))
+        return np.asarray(midnight + of_day, float)
+
+
+def instants_of(series: pd.Series[Any]) -> Instants | None:
+    """Learn from texts how their instants are written.
+
+    Parameters
+    ----------
+    series : Series
+        Texts.
+
+    Returns
+    -------
+    Instants or None
+        How; None if the first text is no instant.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> texts = pd.Series(["04.05.2026 23:59:59.5", "05.05.2026 00:00:00.5"], dtype="string")
+    >>> np.diff(instants_of(texts).seconds(texts)).tolist()
+    [1.0]
+    """
+    there = series.dropna()
+    if not len(there):
+        return None
+    first = str(there.iloc[0])
+    if _ISO.match(first):
+        return Instants("")
+    for date in (_ISO_DATE, _DATE, ""):
+        pattern = rf"{date}[T,\s]+{_TIME}" if date else _TIME
+        match = re.fullmatch(pattern, first)
+        if match is None:
+            continue
+        if date != _DATE or match["sign"] == ".":
+            return Instants(pattern)
+        # Day or month first: the order in which all can be read, and lie closer together.
+        spans = {}
+        for day_first in (False, True):
+            seconds = Instants(pattern, day_first).seconds(there)
+            spans[day_first] = float(np.ptp(seconds)) if np.all(np.isfinite(seconds)) else np.inf
+        return Instants(pattern, min(spans, key=lambda key: spans[key]))
+    return None
+
+
+def over_midnight(seconds: FloatArray) -> FloatArray:
+    """Count times of day on where a day ends.
+
+    Examples
+    --------
+    >>> over_midnight(np.array([86399.0, 1.0])).tolist()
+    [86399.0, 86401.0]
+    """
+    known = np.isfinite(seconds)
+    days = np.cumsum(np.diff(seconds[known], prepend=seconds[known][:1]) < -0.5 * _DAY)
+    counted = seconds.copy()
+    counted[known] += _DAY * days
+    return counted
+
+
+def _since_1970(read: pd.Series[Any]) -> FloatArray:
+    stamps = read.dt.tz_localize(None).to_numpy("datetime64[ns]")
+    return np.asarray((stamps - np.datetime64(0, "ns")) / np.timedelta64(1, "s"), float)

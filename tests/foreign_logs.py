@@ -1,0 +1,285 @@
+"""Drive logs as different robots and people write them, each made from a simulated drive."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+import energyplan as ep
+from energyplan import simulate
+from energyplan.vehicle import Vehicle
+
+EPOCH = 1_770_000_000.25
+RPM, DEG = 30 / np.pi, 180 / np.pi
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A robot, its power parameters, the radius of its wheels, its usual speed and voltage."""
+
+    name: str
+    mass: float
+    wheelbase: float
+    track: float
+    radius: float
+    speed: float
+    K: float
+    mu: float
+    voltage: float
+
+    @property
+    def vehicle(self) -> Vehicle:
+        return Vehicle.from_geometry(
+            self.name, mass=self.mass, wheelbase=self.wheelbase, track=self.track,
+            length=1.3 * self.wheelbase + self.radius, width=1.2 * self.track,
+        )  # fmt: skip
+
+    @property
+    def model(self) -> ep.PowerModel:
+        return ep.PowerModel.paper(self.vehicle, K=self.K, mu=self.mu)
+
+    @property
+    def measures(self) -> dict[str, float]:
+        return {
+            "mass": self.mass, "wheelbase": self.wheelbase, "track": self.track,
+            "wheel_radius": self.radius,
+        }  # fmt: skip
+
+
+TOY = Robot("toy", 1.1, 0.11, 0.13, 0.03, 0.25, 0.5, 0.6, 7.4)
+ROVER = Robot("rover", 30.0, 0.5, 0.45, 0.11, 0.8, 14.0, 0.6, 25.6)
+HEAVY = Robot("heavy", 480.0, 0.95, 1.1, 0.3, 1.0, 180.0, 0.55, 48.0)
+LOADER = Robot("loader", 5000.0, 1.4, 1.6, 0.45, 1.2, 1500.0, 0.5, 400.0)
+ROBOTS = (TOY, ROVER, HEAVY, LOADER)
+
+
+def drive(robot: Robot, rate: float = 10.0, seed: int = 1) -> ep.DriveLog:
+    """Simulate the drive that a log is made from."""
+    return simulate.drive(
+        robot.model, simulate.IDENTIFICATION, rate=rate, speed=robot.speed,
+        accel_limit=0.5 * robot.speed, power_noise=0.02 * robot.K * robot.speed,
+        speed_noise=0.004 * robot.speed, seed=seed,
+    )  # fmt: skip
+
+
+class At:
+    """What a robot's sensors show in a drive."""
+
+    def __init__(self, log: ep.DriveLog, robot: Robot) -> None:
+        self.log, self.robot, self.t, self.power = log, robot, log.t, log.power
+        self.left, self.right = log.channel("v_left"), log.channel("v_right")
+        self.p_left, self.p_right = log.channel("p_left"), log.channel("p_right")
+        self.yaw, self.yaw_rate = log.channel("yaw"), log.channel("yaw_rate")
+        # A battery's voltage sags a little.
+        self.volts = robot.voltage * (1 - 0.03 * log.power / np.max(np.abs(log.power)))
+        self.amps = log.power / self.volts
+        start = pd.Timestamp("2026-05-04T23:58:30.125")  # midnight comes on the way
+        self.stamps = pd.DatetimeIndex(start + pd.to_timedelta(np.round(log.t, 6), unit="s"))
+        self.nanoseconds = np.round(1e9 * (EPOCH + log.t)).astype(np.int64)
+
+    def house(self) -> pd.DataFrame:
+        """Return the columns as the library itself names them."""
+        return pd.DataFrame({
+            "t": self.t, "v_left": self.left, "v_right": self.right, "power": self.power,
+            "yaw_rate": self.yaw_rate,
+        })  # fmt: skip
+
+    def wheels(self, rate: float, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+        """Return four wheels' rates: front left, front right, rear left, rear right."""
+        noise = np.random.default_rng(3).normal(0, 0.002 * self.robot.speed, (2, len(self.t)))
+        rates = [side + sign * extra for sign in (1, -1)
+                 for side, extra in zip((self.left, self.right), noise, strict=True)]  # fmt: skip
+        return {n: r * rate / self.robot.radius for n, r in zip(names, rates, strict=True)}
+
+
+def csv(
+    columns: object, file: Path, *, head: str = "", encoding: str = "utf-8", **options: Any
+) -> Path:
+    """Write columns as text, with something before them if need be."""
+    data = (head + pd.DataFrame(columns).to_csv(index=False, **options)).encode(encoding)
+    file.write_bytes(gzip.compress(data) if file.suffix == ".gz" else data)
+    return file
+
+
+# -- logs that are to be read -----------------------------------------------------------------
+
+
+def four_wheels_in_rpm(at: At, folder: Path) -> Path:
+    return csv({
+        "timestamp_ms": np.round(1e3 * (EPOCH + at.t)).astype(np.int64),
+        **at.wheels(RPM, ("FL (rpm)", "FR (rpm)", "RL (rpm)", "RR (rpm)")), "batt_V": at.volts,
+        "batt_I [mA]": 1e3 * at.amps, "gyro_z_dps": DEG * at.yaw_rate,
+    }, folder / "telemetry.csv")  # fmt: skip
+
+
+def four_motors(at: At, folder: Path) -> Path:
+    names = tuple(f"wheel_{wheel}_speed_radps" for wheel in ("fl", "fr", "rl", "rr"))
+    left, right = 1e3 * at.p_left / at.volts, 1e3 * at.p_right / at.volts
+    return csv({
+        "Time": at.t, **at.wheels(1.0, names), "motor_fl_current_mA": 0.6 * left,
+        "motor_fr_current_mA": 0.45 * right, "motor_rl_current_mA": 0.4 * left,
+        "motor_rr_current_mA": 0.55 * right, "vbat_mV": 1e3 * at.volts, "imu_wz": at.yaw_rate,
+    }, folder / "motors.csv")  # fmt: skip
+
+
+def german(at: At, folder: Path) -> Path:
+    return csv({
+        "Uhrzeit": [stamp.isoformat() for stamp in at.stamps.tz_localize("Europe/Berlin")],
+        "v links [km/h]": 3.6 * at.left, "v rechts [km/h]": 3.6 * at.right,
+        "Leistung [kW]": 1e-3 * at.power, "Gierrate [°/s]": DEG * at.yaw_rate,
+    }, folder / "Fahrt 1.csv", sep=";", decimal=",", encoding="cp1252")  # fmt: skip
+
+
+def utf16(at: At, folder: Path) -> Path:
+    return csv({
+        " time [ns] ": at.nanoseconds, " left speed [mm/s] ": 1e3 * at.left,
+        " right speed [mm/s] ": 1e3 * at.right, " power [W] ": at.power,
+        " heading [deg] ": DEG * at.yaw % 360,
+    }, folder / "unicode.csv", sep="\t", encoding="utf-16")  # fmt: skip
+
+
+def byte_order_mark(at: At, folder: Path) -> Path:
+    house = at.house().rename(columns=" {} ".format)
+    return csv(house, folder / "bom.csv", encoding="utf-8-sig")
+
+
+def units_in_a_second_row(at: At, folder: Path) -> Path:
+    names = ("time", "wheel speed left", "wheel speed right", "bus voltage", "bus current", "yaw")
+    head = ",".join(f'"{name}"' for name in names) + '\n"ms","rpm","rpm","V","A","deg"\n'
+    rate = RPM / at.robot.radius
+    cells = (1e3 * at.t, rate * at.left, rate * at.right, at.volts, at.amps, DEG * at.yaw)
+    return csv(np.stack(cells, axis=1), folder / "two_rows.csv", head=head, header=False)
+
+
+def remarks_before_the_names(at: At, folder: Path) -> Path:
+    return csv({
+        "Time_s": at.t, "velL_cm_s": 100 * at.left, "velR_cm_s": 100 * at.right,
+        "power_kW": 1e-3 * at.power, "yaw_rate_rad_s": at.yaw_rate,
+    }, folder / "remarks.csv", head="# robot: rover 7\n# firmware 2.1, started 2026-05-04\n\n"
+    )  # fmt: skip
+
+
+def words_for_nothing(at: At, folder: Path) -> Path:
+    cells = at.house().map("{:.6f}".format)
+    words = ("nan", "NULL", "-", "inf", "n/a", "#N/A", "-inf", "None", "NaN", "---", "?", "N/A",
+             "missing", "--", "1.#QNAN", "1.#INF")  # fmt: skip
+    for k, word in enumerate(words):
+        cells.loc[30 + 17 * k, ("power", "v_left", "yaw_rate")[k % 3]] = word
+    return csv(cells, folder / "words.csv")
+
+
+def two_recordings(at: At, folder: Path) -> Path:
+    """The second with its own line of names, and its own clock."""
+    second = At(drive(at.robot, seed=9), at.robot).house()
+    return csv(at.house(), csv(second, folder / "both.csv"), head=at.house().to_csv(index=False))
+
+
+def coarse_stamps(at: At, folder: Path) -> Path:
+    return csv(at.house().assign(t=np.round(at.t * 4) / 4), folder / "coarse.csv")
+
+
+def a_row_for_each_message(at: At, folder: Path) -> Path:
+    """As PlotJuggler writes what several topics hold."""
+    joints = {"__time": EPOCH + at.t, "/joints/left_wheel/velocity": at.left / at.robot.radius,
+              "/joints/right_wheel/velocity": at.right / at.robot.radius}  # fmt: skip
+    battery = {"__time": EPOCH + at.t + 0.006, "/battery_state/voltage": at.volts,
+               "/battery_state/current": -at.amps}  # fmt: skip
+    imu = {"__time": EPOCH + at.t + 0.004, "/imu/data/angular_velocity/z": at.yaw_rate}
+    rows = pd.concat([pd.DataFrame(part) for part in (joints, battery, imu)])
+    return csv(rows.sort_values("__time"), folder / "plotjuggler.csv")
+
+
+def date_and_time_of_day(at: At, folder: Path) -> Path:
+    frame = at.house().assign(t=at.stamps.strftime("%H:%M:%S.%f")).rename(columns={"t": "time"})
+    return csv({"date": at.stamps.strftime("%d.%m.%Y"), **frame}, folder / "clock.csv")
+
+
+def american_dates(at: At, folder: Path) -> Path:
+    written = at.stamps.strftime("%m/%d/%Y %I:%M:%S.%f %p")
+    return csv(at.house().assign(t=written), folder / "american.csv")
+
+
+def aligned_by_spaces(at: At, folder: Path) -> Path:
+    file = folder / "aligned.txt"
+    file.write_text(f"# {at.house().to_string(index=False, float_format='%.6f')}\n")
+    return file
+
+
+def newest_first(at: At, folder: Path) -> Path:
+    return csv(at.house()[::-1], folder / "newest_first.csv")
+
+
+def units_in_names(at: At, folder: Path) -> Path:
+    return csv({
+        "t_ms": 1e3 * at.t, "v_left_kmh": 3.6 * at.left, "v_right_kmh": 3.6 * at.right,
+        "current_mA": 1e3 * at.amps, "voltage_mV": 1e3 * at.volts, "yaw_deg": DEG * at.yaw,
+        "yaw_rate_deg_s": DEG * at.yaw_rate,
+    }, folder / "suffixes.csv.gz")  # fmt: skip
+
+
+def rostopic_echo(at: At, folder: Path) -> Path:
+    return csv({
+        "%time": at.nanoseconds, "field.header.seq": np.arange(len(at.t)),
+        "field.header.stamp": at.nanoseconds, "field.left_vel": at.left,
+        "field.right_vel": at.right, "field.voltage": at.volts, "field.current": -at.amps,
+    }, folder / "echo.csv")  # fmt: skip
+
+
+# -- logs that are to be refused, or doubted ------------------------------------------------------
+
+
+def speed_and_yaw_rate(at: At, folder: Path) -> Path:
+    turn = (at.right - at.left) / at.robot.track
+    return csv({
+        "time": at.t, "linear_velocity_x": 0.5 * (at.left + at.right), "angular_velocity_z": turn,
+        "battery_voltage": at.volts, "battery_current": at.amps,
+    }, folder / "odometry.csv")  # fmt: skip
+
+
+def ticks_a_second(at: At, folder: Path) -> Path:
+    ticks = 1024 * 30 / (2 * np.pi * at.robot.radius)
+    return csv({
+        "time": at.t, "enc_left_tps": np.round(ticks * at.left),
+        "enc_right_tps": np.round(ticks * at.right), "power_w": at.power,
+    }, folder / "ticks.csv")  # fmt: skip
+
+
+def units_in_cells(at: At, folder: Path) -> Path:
+    house = at.house()
+    return csv(house.assign(v_left=house["v_left"].map("{:.4f} m/s".format)), folder / "cells.csv")
+
+
+def thousands(at: At, folder: Path) -> Path:
+    written = (1e3 * at.house()["power"]).map("{:,.1f}".format)
+    return csv({**at.house().drop(columns="power"), "power [mW]": written}, folder / "k.csv")
+
+
+def currents_without_sign(at: At, folder: Path) -> Path:
+    return csv({
+        "time": at.t, "v_left": at.left, "v_right": at.right, "yaw_rate": at.yaw_rate,
+        "u": at.volts, "i_left": np.abs(at.p_left / at.volts),
+        "i_right": np.abs(at.p_right / at.volts),
+    }, folder / "unsigned.csv")  # fmt: skip
+
+
+Writer = Callable[[At, Path], Path]
+READ: tuple[Writer, ...] = (
+    four_wheels_in_rpm, four_motors, german, utf16, byte_order_mark, units_in_a_second_row,
+    remarks_before_the_names, words_for_nothing, two_recordings, coarse_stamps,
+    a_row_for_each_message, date_and_time_of_day, american_dates, aligned_by_spaces, newest_first,
+    units_in_names, rostopic_echo,
+)  # fmt: skip
+"""Logs from which the right coefficients must come."""
+REFUSED: dict[Writer, str] = {
+    speed_and_yaw_rate: "v_left and v_right are the speeds of the left and right wheels",
+    ticks_a_second: r"metres per tick, as in v_left=enc_left_tps\[",
+    units_in_cells: "line 2: 'v_left' is '.* m/s', which is no number",
+    thousands: r"line \d+: 'power \[mW\]' is '-?\d+,\d+.\d', which is no number",
+}
+"""Logs that must be refused, and the words of the remedy."""

@@ -1,0 +1,135 @@
+"""Logs as others write them: the right coefficients, or an error that says what to do."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from foreign_logs import (
+    LOADER,
+    READ,
+    REFUSED,
+    ROBOTS,
+    ROVER,
+    TOY,
+    At,
+    Robot,
+    Writer,
+    currents_without_sign,
+    drive,
+    four_motors,
+    two_recordings,
+    units_in_names,
+)
+
+import energyplan as ep
+from energyplan.errors import DriveLogError
+from energyplan.io.robot import Given
+from energyplan.io.start import start
+
+BY_NAME = {"argnames": "write", "ids": lambda write: write.__name__}
+
+
+@cache
+def sensors(robot: Robot, rate: float = 10.0) -> At:
+    return At(drive(robot, rate), robot)
+
+
+@cache
+def coefficients(robot: Robot) -> np.ndarray:
+    """What the same drive tells in the library's own format."""
+    return ep.identify(sensors(robot).log, robot.vehicle).model.coefficients
+
+
+def started(write: Writer, robot: Robot, folder: Path) -> ep.DriveLog:
+    """Read a log by what `start` makes of it."""
+    file = write(sensors(robot), folder)
+    made = start(file, Given(**robot.measures))
+    assert made.sound, made.checks
+    return ep.DriveLog.read(file, dict(made.project.columns), others=False)
+
+
+@pytest.mark.parametrize(argvalues=READ, **BY_NAME)
+def test_start_reads_what_others_write(tmp_path: Path, write: Writer) -> None:
+    log = started(write, ROVER, tmp_path)
+    found = ep.identify(log, ROVER.vehicle).model.coefficients
+    # Stamps of a quarter of a second average the steps of speed, and another recording differs.
+    within = 0.01 if write.__name__ in ("coarse_stamps", "two_recordings") else 0.002
+    np.testing.assert_allclose(found, coefficients(ROVER), rtol=within)
+
+
+@pytest.mark.parametrize("robot", ROBOTS, ids=lambda robot: robot.name)
+@pytest.mark.parametrize("write", [four_motors, units_in_names])
+def test_robots_of_a_kilogram_and_of_five_tonnes_are_alike(
+    tmp_path: Path, robot: Robot, write: Writer
+) -> None:
+    log = started(write, robot, tmp_path)
+    found = ep.identify(log, robot.vehicle).model.coefficients
+    np.testing.assert_allclose(found, coefficients(robot), rtol=0.003)
+
+
+@pytest.mark.parametrize(argvalues=REFUSED, **BY_NAME)
+def test_what_cannot_be_known_is_asked_for(tmp_path: Path, write: Writer) -> None:
+    file = write(sensors(ROVER), tmp_path)
+    with pytest.raises(DriveLogError, match=REFUSED[write]) as told:
+        start(file, Given(**ROVER.measures))
+    assert file.name in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("robot", [TOY, ROVER, LOADER], ids=lambda robot: robot.name)
+def test_currents_without_their_sign_are_noticed(tmp_path: Path, robot: Robot) -> None:
+    file = currents_without_sign(sensors(robot), tmp_path)
+    made = start(file, Given(**robot.measures))
+    assert "Log signed currents" in " ".join(check.remedy for check in made.checks if not check.ok)
+    read = ep.DriveLog.read(file, dict(made.project.columns))
+    assert any("Log signed currents" in warning for warning in read.warnings)
+
+
+@pytest.mark.parametrize("rate", [2.0, 50.0])
+def test_slow_and_fast_logs_tell_the_same(tmp_path: Path, rate: float) -> None:
+    at = sensors(ROVER, rate)
+    file = units_in_names(at, tmp_path)
+    found = ep.identify(ep.DriveLog.read(file), ROVER.vehicle)
+    np.testing.assert_allclose(found.model.coefficients, [ROVER.mu, ROVER.K], rtol=0.01)
+
+
+def test_what_was_done_to_rows_is_told(tmp_path: Path) -> None:
+    log = started(two_recordings, ROVER, tmp_path)
+    assert any("2 recordings in one file" in warning for warning in log.warnings)
+    assert [item.count for item in log.set_aside] == [1]  # the second line of names
+    assert np.diff(log.t).max() == pytest.approx(10.0)
+
+
+def rows(*parts: tuple[float, float, int]) -> dict[str, np.ndarray]:
+    """Return channels over stretches of time, each from, to and of some samples."""
+    t = np.concatenate([np.linspace(*part) for part in parts])
+    noise = np.random.default_rng(1).normal(0, 0.01, len(t))
+    return {"t": t, "v_left": 0.5 + noise, "v_right": 0.4 + noise, "power": 100 + noise}
+
+
+def test_recordings_that_follow_each_other_are_put_in_order() -> None:
+    made = rows((1000.0, 1010.0, 101), (0.0, 10.0, 101))
+    log = ep.DriveLog.from_columns(made)
+    np.testing.assert_allclose(log.power[:101], made["power"][101:])
+    assert any("put in their order" in warning for warning in log.warnings)
+
+
+def test_a_few_late_rows_are_sorted_and_many_refused() -> None:
+    made = rows((0.0, 50.0, 501))
+    made["t"][[100, 101, 300, 301]] = made["t"][[101, 100, 301, 300]]
+    log = ep.DriveLog.from_columns(made)
+    assert [item.count for item in log.set_aside] == [2]
+    assert np.all(np.diff(log.t) > 0)
+    made["t"][:500] = made["t"][:500].reshape(-1, 2)[:, ::-1].ravel()
+    with pytest.raises(DriveLogError, match="give each a file of its own"):
+        ep.DriveLog.from_columns(made)
+
+
+def test_a_clock_that_stands_still_is_refused() -> None:
+    made = rows((0.0, 50.0, 501))
+    made["t"][200:260] = made["t"][200]
+    with pytest.raises(DriveLogError, match="t does not increase"):
+        ep.DriveLog.from_columns(made)
