@@ -17,9 +17,6 @@ from energyplan.physics.tracking import Tracker, Tracking
 from energyplan.power import PowerModel
 from energyplan.terrain import laid_out
 
-DYNAMIC = ("kinetic", "other")
-"""Parts of the engine's energy that no term of a power model stands for."""
-
 
 @dataclass(frozen=True)
 class Driven:

@@ -5,7 +5,8 @@ the instantaneous centre of rotation lies anywhere between 0.5 and 1.3 m where 0
 
 - every contact is a spring and damper of its own, in proportion to the wheel's load. The impedance
   is the least that MuJoCo allows, so that the soft constraint adds next to nothing to it: a wheel
-  sinks by `SINK`, whatever its slip;
+  sinks by `SINK`, whatever its slip; further where a wide stance about a light body would rock
+  faster than the steps can follow, for wheels would hop then;
 - the tangential directions have a reference of their own, damped only, and are much stiffer than
   the normal one (``impratio``): a contact sticks, or slides with friction times load;
 - rolling resistance is dry friction of the drive, in proportion to the loads measured at the
@@ -16,7 +17,9 @@ the instantaneous centre of rotation lies anywhere between 0.5 and 1.3 m where 0
 - a velocity servo drives each side, with the speed at the end of each step, for it is stiff. That
   is the same as its gain times the step in armature. MuJoCo's own implicit integrator would tell
   the contacts nothing of it: they would believe in more acceleration than there is, let the body
-  run ahead of its treads, and do work on it at each start and stop.
+  run ahead of its treads, and do work on it at each start and stop. Whether a motor is at its
+  largest force is decided by the end of the step too, and the step repeated where that was wrong:
+  treads are so light that a force chosen beforehand would throw them to and fro.
 
 The ground is a plane. Slopes tilt gravity.
 """
@@ -27,6 +30,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from scipy.linalg import eigh
 
 from energyplan.errors import InvalidInputError, MissingDependencyError, PhysicsError
 from energyplan.path import FloatArray, Pose
@@ -38,9 +42,9 @@ if TYPE_CHECKING:
     import mujoco
 
 SINK = 2e-4
-"""How far a wheel sinks in under its own load [m]."""
-REACH = 1e-3
-"""Height above the plane up to which a contact is watched [m]."""
+"""How far a wheel sinks in under its own load, unless the robot would rock too fast [m]."""
+REACH = 5.0
+"""Height above the plane up to which a contact is watched, over how far a wheel sinks in [1]."""
 TREAD_SHARE = 1e-3
 """Share of the robot's mass that each tread has [1]."""
 ROTOR_SHARE = 5e-3
@@ -51,6 +55,10 @@ RESET = 0.1
 """Reset time of their integral part [s]."""
 SETTLE = 0.3
 """Time at standstill before the start, in which the wheels find their loads [s]."""
+GUESSES = 6
+"""How often a step is done at most until it is right which motors are at their largest force."""
+BALANCE = 0.005
+"""Share of the work of the motors that may be unaccounted for [1]."""
 
 _BALL = 0.1  # radius of the spheres that touch the ground [m]; any will do
 _IMPEDANCE = 1e-4  # the least that MuJoCo takes
@@ -80,6 +88,7 @@ class Outer(NamedTuple):
     """Where the robot is at the start of a tick, and what pulls at it from outside."""
 
     place: FloatArray
+    height: float
     yaw: float
     gravity: FloatArray
     gradient: FloatArray
@@ -131,9 +140,22 @@ class Engine:
         order = np.concatenate(loaded)  # the wheels on the left come first
         self.points, self.loads = vehicle.contacts[order], vehicle.loads[order]
         self.left = len(loaded[0])
+        length, width = vehicle.footprint[1] - vehicle.footprint[0]
+        tall = 2 * robot.centre_height
+        self._box = np.array([width**2 + tall**2, length**2 + tall**2, length**2 + width**2]) / 12
+        self.sink = SINK * max(1.0, self._rocking())
         self.model = self._build()
 
     # -- the model --------------------------------------------------------------------------------
+
+    def _rocking(self) -> float:
+        """Return the square of the fastest of heave, roll and pitch, over that of heave alone."""
+        share = self.loads / self.loads.sum()
+        x, y = (self.points - share @ self.points).T
+        moves = np.column_stack([np.ones(len(share)), y, -x])
+        stiffness = moves.T @ (share[:, None] * moves)
+        inertia = np.diag([1.0, self._box[0], self._box[1]])
+        return float(eigh(stiffness, inertia, eigvals_only=True)[-1])
 
     def _build(self) -> mujoco.MjModel:
         robot, vehicle = self.robot, self.robot.vehicle
@@ -141,9 +163,7 @@ class Engine:
         centre = np.append(self.loads @ self.points / self.loads.sum(), robot.centre_height)
         tread = TREAD_SHARE * mass
         body = mass - 2 * tread
-        length, width = vehicle.footprint[1] - vehicle.footprint[0]
-        tall = 2 * robot.centre_height
-        box = np.array([width**2 + tall**2, length**2 + tall**2, length**2 + width**2])
+        box, reach = self._box, REACH * self.sink
         treads = []
         for side, wheels in enumerate(np.split(np.arange(len(self.loads)), [self.left])):
             spheres = "".join(
@@ -158,10 +178,10 @@ class Engine:
                 f'armature="{ROTOR_SHARE * mass + tread}" '
                 f'solreffriction="{2 * STEP} 1" solimpfriction="0.99 0.99 0.01 0.5 1"/>'
                 f'<inertial pos="{_words(centre)}" mass="{tread}" '
-                f'diaginertia="{_words(tread / 12 * box)}"/>{spheres}</body>'
+                f'diaginertia="{_words(tread * box)}"/>{spheres}</body>'
             )
         pairs = [
-            f'<pair geom1="ground" geom2="wheel{k}" condim="3" margin="{REACH}" gap="0" '
+            f'<pair geom1="ground" geom2="wheel{k}" condim="3" margin="{reach}" gap="0" '
             f'friction="1 1 0 0 0" solimp="{_IMPEDANCE} {_IMPEDANCE} 1 0.5 1"/>'
             for k in range(len(self.loads))
         ]
@@ -170,14 +190,14 @@ class Engine:
             'solver="Newton" iterations="50" tolerance="1e-12"><flag eulerdamp="disable"/></option>'
             "<worldbody>"
             '<geom name="ground" type="plane" size="1 1 1" contype="0" conaffinity="0"/>'
-            f'<body name="robot" pos="0 0 {REACH - SINK}"><freejoint/>'
+            f'<body name="robot" pos="0 0 {reach - self.sink}"><freejoint/>'
             f'<inertial pos="{_words(centre)}" mass="{body}" '
-            f'diaginertia="{_words(body / 12 * box)}"/>{"".join(treads)}</body></worldbody>'
+            f'diaginertia="{_words(body * box)}"/>{"".join(treads)}</body></worldbody>'
             f"<contact>{''.join(pairs)}</contact></mujoco>"
         )
         model = self.mujoco.MjModel.from_xml_string(text)
-        springs = self.loads / SINK
-        dampers = 2 * np.sqrt(GRAVITY / SINK) * self.loads / GRAVITY
+        springs = self.loads / self.sink
+        dampers = 2 * np.sqrt(SINK / GRAVITY) * springs  # critical for the fastest motion
         # MuJoCo scales a contact's reference by its impedance and its force by the inertia there.
         yields = np.repeat(model.body_invweight0[2:, 0], (self.left, len(self.loads) - self.left))
         weight = _IMPEDANCE / ((1 - _IMPEDANCE) * yields)
@@ -206,24 +226,41 @@ class Engine:
         Raises
         ------
         PhysicsError
-            If a wheel leaves the ground, the motion diverges, or the time is up.
+            If a wheel leaves the ground, the motion diverges, the time is up, or more than
+            `BALANCE` of the work of the motors is unaccounted for.
+        InvalidInputError
+            If a command is not two finite numbers.
         """
         data = self.mujoco.MjData(self.model)
         data.qpos[:2] = self.start[:2]
         data.qpos[3:7] = (np.cos(self.start.yaw / 2), 0.0, 0.0, np.sin(self.start.yaw / 2))
         book = _Book(self, data)
         for _ in range(round(SETTLE / (PERIOD))):
-            book.tick((0.0, 0.0), -SETTLE)
+            book.tick(np.zeros(2), -SETTLE)
         book.open()
         while (command := controller(book.state())) is not None:
             if book.t >= longest:
                 raise PhysicsError(f"the drive is not over after {longest:g} s")
-            book.tick(command, book.t)
+            asked = np.asarray(command, float)
+            if asked.shape != (2,) or not np.all(np.isfinite(asked)):
+                raise InvalidInputError(
+                    f"the controller asked for tread speeds {command} at {book.t:.2f} s; "
+                    "give two finite numbers, or None to end the drive"
+                )
+            book.tick(asked, book.t)
         return book.close()
 
 
 def _words(values: FloatArray) -> str:
     return " ".join(repr(float(v)) for v in values)
+
+
+def _absorbed(force: FloatArray, speed: FloatArray) -> FloatArray:
+    """Return the work that contacts take along load and both tangential directions, shape (3,) [J].
+
+    Of forces (n, wheels, 3) and the speeds (n + 1, wheels, 3) before, between and after.
+    """
+    return np.asarray(-STEP * np.sum(force * 0.5 * (speed[:-1] + speed[1:]), axis=(0, 1)))
 
 
 _COLUMNS = (
@@ -250,10 +287,13 @@ class _Book:
         traction = np.array(robot.traction)
         self._dry = (1 - robot.rolling_share) * traction
         self._rolling = robot.rolling_share * traction / loads
-        self._gain, self._most = 0.5 * robot.vehicle.mass / SERVO, robot.vehicle.motor.force
+        self._gain, self._most = (
+            0.5 * robot.vehicle.mass / SERVO,
+            max(robot.vehicle.motor.force, 1e-9),
+        )
         self._armature = engine.model.dof_armature[6:].copy()
         self._centre = engine.loads @ engine.points / engine.loads.sum()
-        self._integral, self._target = np.zeros(2), np.zeros(2)
+        self._integral, self._target, self._held = np.zeros(2), np.zeros(2), np.zeros(2)
         self._count = 0
         self._rows: list[FloatArray] = []
         self._sums: list[FloatArray] = []
@@ -283,6 +323,14 @@ class _Book:
     def _yaw(self) -> float:
         w, x, y, z = self._data.qpos[3:7]
         return float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+    def _height(self) -> float:
+        """Height of the centre of mass over the plane [m]."""
+        data, (x, y) = self._data, self._centre
+        a, b, c, d = data.qpos[3:7]
+        tall = self._engine.robot.centre_height
+        upright = (2 * (b * d - a * c), 2 * (c * d + a * b), 1 - 2 * (b * b + c * c))
+        return float(data.qpos[2] + np.dot(upright, (x, y, tall)))
 
     def state(self) -> State:
         data = self._data
@@ -316,41 +364,33 @@ class _Book:
         pull = -robot.towing - robot.drag * ahead * abs(ahead)
         # Along the body's centre line, wherever the centre of mass is.
         data.xfrc_applied[1] = (pull * c, pull * s, 0.0, 0.0, 0.0, pull * self._centre[1])
-        return Outer(np.array([x, y]), yaw, model.opt.gravity[:2].copy(), gradient, pull)
+        here = np.array([x, y])
+        return Outer(here, self._height(), yaw, model.opt.gravity[:2].copy(), gradient, pull)
 
-    def tick(self, command: tuple[float, float], t: float) -> None:
-        """Drive towards the commanded tread speeds for one tick."""
-        data, model, step = self._data, self._model, self._mj_step
+    def tick(self, command: FloatArray, t: float) -> None:
+        """Drive towards the commanded tread speeds, shape (2,) [m/s], for one tick."""
+        data = self._data
         outer = self._prepare(t)
-        before, self._target = self._target, np.array(command)
+        before, self._target = self._target, command
         error = before - data.qvel[6:]
-        gain, stiff = self._gain, STEP * self._gain
-        most = self._most / gain
+        most = self._most / self._gain
         self._integral = np.clip(self._integral + error * (PERIOD / RESET), -most, most)
-        still = self._armature + STEP * self._engine.robot.viscous
         speeds = np.empty((TICK + 1, 8))
         motor, friction = np.empty((TICK, 2)), np.empty((TICK, 2))
         speeds[0] = data.qvel
         self._force[0], self._slip[0] = self._force[-1], self._slip[-1]
-        rows = 2 + 3 * self._wheels
         shares = np.arange(1, TICK + 1)[:, None] / TICK
         aims = before + (self._target - before) * shares + self._integral
-        applied, armature = data.qfrc_applied[6:], model.dof_armature[6:]
         for k in range(TICK):
-            wanted = gain * (aims[k] - speeds[k, 6:])
-            free = stiff * (np.abs(wanted) < self._most)
-            applied[:] = np.minimum(np.maximum(wanted, -self._most), self._most)
-            armature[:] = still + free
-            step(model, data)
+            motor[k] = self._step(aims[k])
             force = data.efc_force
-            if len(force) != rows:
+            if len(force) != 2 + 3 * self._wheels:
                 raise PhysicsError(
                     f"a wheel left the ground at {max(t, 0.0):.2f} s; the robot tips over: lower "
                     "the centre of mass, the slope or the acceleration"
                 )
             data.qpos[7:] = 0.0
             speeds[k + 1] = data.qvel
-            motor[k] = applied - free * data.qacc[6:]
             friction[k] = force[:2]
             self._force[k + 1] = force[2:].reshape(-1, 3)
             self._slip[k + 1] = data.efc_vel[2:].reshape(-1, 3)
@@ -358,6 +398,31 @@ class _Book:
             raise PhysicsError(f"the motion diverged at {max(t, 0.0):.2f} s")
         self._count += 1
         self._enter(outer, speeds, motor, friction)
+
+    def _step(self, aim: FloatArray) -> FloatArray:
+        """Do one step and return the motors' forces, by the speeds at its end, shape (2,) [N].
+
+        A motor is either free, with its servo's gain in the armature, or held at its largest
+        force. Which one it is shows after the step.
+        """
+        data, most, gain = self._data, self._most, self._gain
+        before = [values.copy() for values in (data.qpos, data.qvel, data.qacc_warmstart)]
+        still = self._armature + STEP * self._engine.robot.viscous
+        for guess in range(GUESSES):
+            if guess:
+                data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = before
+            free = STEP * gain * (self._held == 0.0)
+            force = np.where(free, gain * (aim - before[1][6:]), self._held)
+            data.qfrc_applied[6:] = force
+            self._model.dof_armature[6:] = still + free
+            self._mj_step(self._model, data)
+            force -= free * data.qacc[6:]
+            wanted = gain * (aim - data.qvel[6:])
+            held = np.where(np.abs(wanted) > most, np.copysign(most, wanted), 0.0)
+            if (held == self._held).all():
+                break
+            self._held = held
+        return force
 
     def _enter(
         self, outer: Outer, speeds: FloatArray, motor: FloatArray, friction: FloatArray
@@ -372,10 +437,8 @@ class _Book:
             robot.drive_loss * drawing, robot.regeneration_loss * returning,
             robot.copper * np.square(motor),
         ])  # fmt: skip
-        # A contact's velocity is known at the start of each step, its force for the step.
-        ends = np.concatenate([self._slip[1:], self._slip[-1:]])
-        slip = 0.5 * (ends[:-1] + ends[1:])
-        sliding = -float(np.sum(self._force[1:, :, 1:] * slip[:, :, 1:]))
+        # Up to the last step but one: of that one the speeds at its end are not known yet.
+        pressed, *slid = _absorbed(self._force[:-1], self._slip)
         dry = -float(np.sum(friction * tread))
         damped = robot.viscous * float(np.sum(speeds[1:, 6:] * tread))
         turn = (self._yaw() - outer.yaw + np.pi) % (2 * np.pi) - np.pi
@@ -387,6 +450,11 @@ class _Book:
         x, y = self._centre
         swing = omega * np.array([-s * x - c * y, c * x - s * y])
         lifted = -robot.vehicle.mass * time * float(outer.gravity @ (velocity + swing))
+        risen = (
+            robot.vehicle.mass
+            * -float(self._model.opt.gravity[2])
+            * (self._height() - outer.height)
+        )
         pulled = -outer.pull * ahead * time
         accel = (speeds[-1, :2] - speeds[0, :2]) / time - outer.gravity
         self._rows.append(np.array([
@@ -395,9 +463,19 @@ class _Book:
             accel @ [c, s], np.arctan(outer.gradient @ [c, s]),
         ]))  # fmt: skip
         self._sums.append(np.array([
-            STEP * shaft.sum(), STEP * sliding, STEP * dry, STEP * damped, lifted, pulled,
-            *(STEP * losses.sum(axis=(1, 2))),
+            STEP * shaft.sum(), sum(slid), pressed + risen, STEP * dry, STEP * damped, lifted,
+            pulled, *(STEP * losses.sum(axis=(1, 2))),
         ]))  # fmt: skip
+
+    def _refuse_unbalanced(self, closure: float, moved: float) -> None:
+        # Wheels that find their loads take the work of sinking in.
+        sinking = self._engine.robot.vehicle.mass * GRAVITY * self._engine.sink
+        if abs(closure) > BALANCE * moved + sinking:
+            raise PhysicsError(
+                f"of {moved:.4g} J that the motors moved {closure:.3g} J are unaccounted for, more "
+                f"than {100 * BALANCE:g} %: the wheels hop or chatter; lower the centre of mass, "
+                "give a lower motor force or commands that change more slowly"
+            )
 
     def close(self) -> Run:
         """Return what was booked."""
@@ -405,13 +483,21 @@ class _Book:
             raise PhysicsError("the drive was over before it began")
         robot, time = self._engine.robot, PERIOD
         rows = np.array(self._rows).T
-        motor, sliding, dry, damped, lifted, pulled, *losses = np.sum(self._sums, axis=0)
+        motor, sliding, pressed, dry, damped, lifted, pulled, *losses = np.sum(self._sums, axis=0)
+        self._engine.mujoco.mj_forward(self._model, self._data)
+        last = self._data.efc_vel[2:].reshape(-1, 3)
+        if len(last) == self._wheels:
+            ending = _absorbed(self._force[-1:], np.array([self._slip[-1], last]))
+            pressed, sliding = pressed + ending[0], sliding + ending[1:].sum()
         mechanical = {
             "slip_friction": sliding, "traction_resistance": dry, "viscous_loss": damped,
             "grade": lifted, "towing_and_drag": pulled,
-            "kinetic": self._kinetic_energy() - self._kinetic,
+            "contacts": pressed, "kinetic": self._kinetic_energy() - self._kinetic,
         }  # fmt: skip
         closure = motor - sum(mechanical.values())
+        moved = time * float(np.abs(rows[_COLUMNS.index("shaft_left")]).sum()
+                             + np.abs(rows[_COLUMNS.index("shaft_right")]).sum())  # fmt: skip
+        self._refuse_unbalanced(closure, moved)
         names = ("drive_efficiency", "regeneration_efficiency", "copper_loss")
         electrical = dict(zip(names, losses, strict=True))
         electrical["hotel_load"] = robot.hotel * time * rows.shape[1]

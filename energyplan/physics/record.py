@@ -41,7 +41,8 @@ class Run:
     slope : ndarray, shape (n,)
         Slope of the ground along the heading [rad].
     energy : dict of str to float
-        Where the battery's energy went, by the term of a power model that stands for it [J].
+        Where the battery's energy went, by the term of a power model that stands for it [J]. Of
+        what no term stands for, ``contacts`` is what wheels take that are pressed into the ground.
     closure : float
         What the motors did beyond all mechanical terms [J]: the engine's own error.
 

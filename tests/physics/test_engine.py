@@ -152,6 +152,68 @@ def test_every_joule_is_accounted_for() -> None:
     assert sum(run.energy.values()) == pytest.approx(run.taken, rel=1e-9)
 
 
+def any_robot(rng: np.random.Generator) -> Robot:
+    """Draw a robot of 5 to 500 kg: stance, centre of mass, motors, friction and slope."""
+    mass = float(np.exp(rng.uniform(np.log(5.0), np.log(500.0))))
+    size, weight = (mass / 150.0) ** (1 / 3), mass * GRAVITY
+    base, track = size * rng.uniform(0.4, 1.2, 2)
+    force = float(rng.choice([np.inf, rng.uniform(0.1, 1.5) * weight]))
+    vehicle = ep.Vehicle.from_geometry(
+        "any", mass=mass, wheelbase=base, track=track, length=base * rng.uniform(1.0, 1.8),
+        width=track * rng.uniform(1.0, 1.6), cog=rng.uniform(-0.15, 0.15, 2) * (base, track),
+        motor=ep.MotorLimits(force=force),
+    )  # fmt: skip
+    traction = weight * rng.uniform(0.01, 0.12) * np.array([1.0, rng.uniform(0.7, 1.4)])
+    return Robot(
+        vehicle, rng.uniform(0.2, 1.0), (traction[0], traction[1]),
+        tilt=tuple(rng.uniform(-0.1, 0.1, 2)), height=0.25 * min(base, track),
+        viscous=float(rng.choice([0.0, 2 * traction[0]])), drive_loss=0.1,
+    )  # fmt: skip
+
+
+def jumping(hold: float, top: float, rng: np.random.Generator, duration: float = 2.0) -> Controller:
+    """Ask for other tread speeds again and again, without any ramp."""
+    speeds = rng.uniform(-top, top, (int(duration / hold) + 2, 2))
+    speeds[rng.random(len(speeds)) < 0.3] = 0.0
+
+    def controller(state: State) -> tuple[float, float] | None:
+        left, right = speeds[int(state.t / hold)]
+        return None if state.t >= duration else (float(left), float(right))
+
+    return controller
+
+
+@pytest.mark.parametrize(
+    "seed", [*range(8), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(8, 108))]
+)
+def test_every_joule_is_accounted_for_whatever_is_commanded(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    robot = any_robot(rng)
+    hold = (0.01, 0.1, 0.4, 1.0)[seed % 4]
+    run = Engine(robot).drive(jumping(hold, rng.uniform(0.2, 1.5), rng))
+    moved = float(np.abs([run.shaft_left, run.shaft_right]).sum()) * run.period
+    assert abs(run.closure) < 0.002 * moved
+    most = robot.vehicle.motor.force
+    assert max(np.abs(run.force_left).max(), np.abs(run.force_right).max()) <= most * (1 + 1e-9)
+
+
+def test_a_command_that_jumps_makes_no_motor_chatter() -> None:
+    """The wheels slide until the body has the speed that was asked for, then all is steady."""
+    run = Engine(ROBOT).drive(lambda state: (0.5, 0.5) if state.t < 1.0 else None)
+    assert abs(run.closure) < 0.001 * run.taken
+    later = run.t > 0.5
+    assert np.allclose(run.force_left[later], 118.0, rtol=0.01)
+    assert np.allclose(run.v[later], 0.5, rtol=0.01)
+
+
+def test_a_drive_that_does_not_add_up_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("energyplan.physics.engine.BALANCE", -1.0)
+    with pytest.raises(PhysicsError, match=r"unaccounted for.*slowly"):
+        Engine(ROBOT).drive(steady(0.5, 0.5, duration=1.0))
+    with pytest.raises(InvalidInputError, match=r"at 0\.00 s; give two finite"):
+        Engine(ROBOT).drive(lambda state: (np.nan, 0.5))
+
+
 def test_the_centre_of_mass_moves_the_icr() -> None:
     """To where the friction of all four contacts is in balance, solved apart from the engine."""
     robot = replace(Effect("centre_of_mass", 0.06).on(ROBOT), height=0.01)
