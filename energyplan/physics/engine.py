@@ -291,6 +291,7 @@ class _Book:
             0.5 * robot.vehicle.mass / SERVO,
             max(robot.vehicle.motor.force, 1e-9),
         )
+        self._fade = float(np.exp(-PERIOD / robot.sharing))
         self._armature = engine.model.dof_armature[6:].copy()
         self._centre = engine.loads @ engine.points / engine.loads.sum()
         self._integral, self._target, self._held = np.zeros(2), np.zeros(2), np.zeros(2)
@@ -375,6 +376,9 @@ class _Book:
         error = before - data.qvel[6:]
         most = self._most / self._gain
         self._integral = np.clip(self._integral + error * (PERIOD / RESET), -most, most)
+        if command[0] == command[1]:  # straight ahead, or standing: they share the load
+            mean = self._integral.mean()
+            self._integral = mean + self._fade * (self._integral - mean)
         speeds = np.empty((TICK + 1, 8))
         motor, friction = np.empty((TICK, 2)), np.empty((TICK, 2))
         speeds[0] = data.qvel

@@ -104,6 +104,10 @@ class Robot:
         Power lost per square of a side's force [W/N^2].
     hotel : float
         Constant draw [W].
+    sharing : float
+        Time constant in which motors that are asked for the same speed share the load [s]. With
+        infinity each has a controller of its own: once the robot has turned, both push against
+        each other until it turns again.
     height : float, optional
         Height of the centre of mass [m]; 0.35 of the wheelbase, which is about the height of the
         axles, where not given.
@@ -137,6 +141,7 @@ class Robot:
     regeneration_loss: float = 0.0
     copper: float = 0.0
     hotel: float = 0.0
+    sharing: float = 0.1
     height: float | None = None
 
     def __post_init__(self) -> None:
@@ -144,6 +149,8 @@ class Robot:
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise InvalidInputError(f"{name} is {value}; give a positive number")
+        if not self.sharing > 0:
+            raise InvalidInputError(f"sharing is {self.sharing}; give a positive time")
         ranges = {
             "rolling_share": 1.0, "viscous": np.inf, "drag": np.inf, "warm_up": np.inf,
             "drive_loss": np.inf, "regeneration_loss": 1.0, "copper": np.inf, "hotel": np.inf,

@@ -11,6 +11,17 @@ from energyplan.path import Trajectory, wrap_angle
 from energyplan.physics.record import PERIOD, State
 from energyplan.vehicle import Vehicle
 
+STRAIGHT = 0.01
+"""Curvature, times half the slip track, up to which a reference counts as straight [1]."""
+AHEAD = 2.0
+"""Distance at which a robot beside a straight reference is to be near it, in half slip tracks."""
+ALIGNED = 1e-3
+"""Heading that is left of a correction [rad]."""
+QUICK = 10.0
+"""Yaw rate of a correction per heading that is missing [1/s]."""
+LEAST = 0.03
+"""Least tread speed with which the robot turns there [m/s]: the wheels have to break away."""
+
 
 @dataclass(frozen=True)
 class Tracking:
@@ -24,6 +35,9 @@ class Tracking:
         Yaw rate per speed and distance to the side of it [1/m^2].
     heading : float
         Yaw rate per heading error [1/s].
+    slack : float
+        How far beside a straight reference the robot may be heading, over half the slip track [1].
+        Within it nothing is corrected.
     settle : float
         Time after the trajectory's end in which the robot may still close up [s].
     position, angle : float
@@ -49,6 +63,7 @@ class Tracking:
     along: float = 2.0
     across: float = 6.0
     heading: float = 3.0
+    slack: float = 0.02
     settle: float = 0.5
     position: float = 0.1
     angle: float = 0.1
@@ -75,6 +90,7 @@ class Tracker:
 
     def __init__(self, trajectory: Trajectory, vehicle: Vehicle, gains: Tracking) -> None:
         self.trajectory, self.vehicle, self.gains = trajectory, vehicle, gains
+        self._turning = 0.0
         self._t = trajectory.t - trajectory.t[0]
         turns = wrap_angle(np.diff(trajectory.yaw))
         yaw = trajectory.yaw[0] + np.concatenate([[0.0], np.cumsum(turns)])
@@ -91,6 +107,21 @@ class Tracker:
             row[3:] = 0.0
         return tuple(float(value) for value in row)
 
+    def _straightening(self, aside: float, turn: float) -> float:
+        """Return the yaw rate that brings the robot back to a straight reference [rad/s].
+
+        None as long as it passes near enough a little further on. Then it turns at once to where
+        it meets the reference twice as far away, and lets go: wheels that slide sideways take as
+        much for a slow turn as for a quick one, and push against each other in between.
+        """
+        track = self.vehicle.icr.half_track
+        missing = turn + aside / (2 * AHEAD * track)
+        if abs(AHEAD * turn + aside / track) > self.gains.slack and not self._turning:
+            self._turning = float(np.sign(missing))
+        if missing * self._turning <= ALIGNED:
+            self._turning = 0.0
+        return self._turning * max(QUICK * abs(missing), LEAST / track)
+
     def __call__(self, state: State) -> tuple[float, float] | None:
         """Return the tread speeds to reach by the next tick [m/s], or None at the end."""
         gains, icr = self.gains, self.vehicle.icr
@@ -103,7 +134,13 @@ class Tracker:
         ahead, aside = c * dx + s * dy, c * dy - s * dx
         turn = float(wrap_angle(np.array(yaw - state.pose.yaw)))
         forward = v * np.cos(turn) + gains.along * ahead
-        rate = omega + gains.across * v * np.sinc(turn / np.pi) * aside + gains.heading * turn
+        if abs(omega) * self.vehicle.icr.half_track > STRAIGHT * abs(v):
+            self._turning = 0.0
+            damped = min(2 * abs(v) * np.sqrt(gains.across), 0.2 / PERIOD)  # at any speed
+            heading = max(gains.heading, damped)
+            rate = omega + gains.across * v * np.sinc(turn / np.pi) * aside + heading * turn
+        else:
+            rate = self._straightening(float(np.sign(v)) * aside, turn)
         left, right = forward - icr.left * rate, forward + icr.right * rate
         over = max(abs(left), abs(right)) / self.vehicle.motor.speed
         if over > 1:  # slower, in the same curvature

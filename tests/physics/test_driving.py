@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path as File
 
 import numpy as np
@@ -30,8 +31,6 @@ ROUTE = ep.Path(ep.Pose(1, 1, 0.3), ds=[2, 0, 1.5, 0.47], dtheta=[0, -1.2, 0.5, 
 
 
 def trajectory(path: ep.Path = ROUTE, speed: float = 0.6) -> ep.Trajectory:
-    from dataclasses import replace
-
     slow = replace(VEHICLE, motor=replace(VEHICLE.motor, speed=speed, acceleration=0.4))
     return profile(path, MODEL, vehicle=slow)
 
@@ -52,6 +51,58 @@ def test_backwards_it_arrives_too() -> None:
     made = drive(trajectory(ROUTE.reversed()), Robot.from_model(MODEL), MODEL)
     assert made.arrived
     assert abs(made.error) < 0.015
+
+
+def any_route(seed: int) -> tuple[ep.Trajectory, ep.PowerModel]:
+    """Draw a robot of 5 to 500 kg and a route of straights, spins, pivots and arcs for it."""
+    rng = np.random.default_rng(seed)
+    mass = float(np.exp(rng.uniform(np.log(5.0), np.log(500.0))))
+    base, track = (mass / 150.0) ** (1 / 3) * rng.uniform((0.4, 0.5), (1.0, 1.1))
+    top = float(rng.choice([0.4, 0.8, 1.5, 2.5]))
+    vehicle = ep.Vehicle.from_geometry(
+        "any", mass=mass, wheelbase=base, track=track, length=1.5 * base, width=1.3 * track,
+        motor=ep.MotorLimits(speed=1.6 * top, acceleration=1.0),
+    )  # fmt: skip
+    model = ep.PowerModel.paper(vehicle, K=9.81 * mass * rng.uniform(0.02, 0.1), mu=0.6)
+    reach, ds, dtheta = vehicle.icr.half_track, list[float](), list[float]()
+    for _ in range(2):
+        turn = rng.uniform(-2.0, 2.0)
+        wide = rng.choice([0.0, 1.0, rng.uniform(1.0, 4.0)]) * reach * abs(turn)
+        ds += [float(rng.choice([-1.0, 1.0]) * rng.uniform(5.0, 12.0) * reach), float(wide)]
+        dtheta += [0.0, float(turn)]
+    slow = replace(vehicle, motor=replace(vehicle.motor, speed=top, acceleration=0.4))
+    return profile(ep.Path(ep.Pose(0, 0, 0.3), ds, dtheta), model, vehicle=slow), model
+
+
+def fought(made: Driven) -> float:
+    """Return the share of the energy that motors returned while the robot was to go straight."""
+    run, asked = made.run, made.trajectory
+    straight = np.abs(np.interp(run.t, asked.t, asked.omega)) < 0.01
+    braking = np.minimum(run.shaft_left, 0.0) + np.minimum(run.shaft_right, 0.0)
+    return -float(braking[straight].sum()) * run.period / made.energy_taken
+
+
+@pytest.mark.parametrize(
+    "seed", [*range(4), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(4, 60))]
+)
+def test_robots_of_any_size_follow_without_hunting(seed: int) -> None:
+    asked, model = any_route(seed)
+    made = drive(asked, Robot.from_model(model), model)
+    assert made.arrived
+    assert abs(made.error) < 0.015
+    assert made.tracking_error < 0.15 * model.vehicle.icr.half_track
+    # Stops return what starts took; motors that push against each other returned a half and more.
+    kinetic = 0.5 * model.vehicle.mass * float(np.square(asked.v).max())
+    assert fought(made) < 0.03 + 2 * kinetic / made.energy_taken
+
+
+def test_motors_that_share_no_load_push_against_each_other() -> None:
+    alone = replace(Robot.from_model(MODEL), sharing=np.inf)
+    asked = trajectory(ep.Path(ep.Pose(1, 1, 0.3), ds=[0.0, 3.0], dtheta=[1.0, 0.0]))
+    assert fought(drive(asked, alone, MODEL)) > 0.05
+    assert fought(drive(asked, Robot.from_model(MODEL), MODEL)) < 0.01
+    with pytest.raises(InvalidInputError, match="sharing"):
+        replace(alone, sharing=0.0)
 
 
 def test_told_of_a_path_is_what_planning_counts() -> None:
