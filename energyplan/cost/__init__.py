@@ -181,16 +181,22 @@ class EnergyCost:
         slow, fast = (self._drawn.power(self._motion(x, y, rate)) / rate for rate in (0.1, 0.7))
         return bool(np.allclose(slow, fast, rtol=1e-9, atol=0.0))
 
-    def _admissible_rate(self, x: FloatArray, y: FloatArray) -> FloatArray:
+    def _admissible_rate(
+        self, x: FloatArray, y: FloatArray, fastest: float = np.inf
+    ) -> FloatArray:
         return speeds.admissible_rate(
-            x, y, self.vehicle, lambda rate: self.model.forces(self._motion(x, y, rate))
+            x,
+            y,
+            self.vehicle,
+            lambda x, y, rate: self.model.forces(self._motion(x, y, rate)),
+            fastest,
         )
 
     def _rate(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Rate [1/s] at which elements are driven: the cheapest admissible one."""
-        limit = self._admissible_rate(x, y)
         if self.speed is not None:
-            return np.minimum(limit, self.speed / (np.abs(x) + np.abs(y)))
+            return self._admissible_rate(x, y, self.speed)
+        limit = self._admissible_rate(x, y)
         if self._static:
             return limit
         if not np.all(np.isfinite(limit)):

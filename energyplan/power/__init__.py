@@ -162,7 +162,7 @@ class PowerModel:
             (
                 term.name.replace("_", " "), term.symbol, self.coefficient(term.name),
                 "-" if (error := self.std_error(term.name)) is None else error,
-                term.unit.removeprefix("1"),
+                html.unit(term.unit),
             )
             for term in self.terms
         ]  # fmt: skip
