@@ -117,9 +117,11 @@ def tread_forces(motion: Motion, longitudinal: ArrayLike = 0.0, moment: ArrayLik
     """
     icr = motion.icr
     fx, mz = np.asarray(longitudinal, float), np.asarray(moment, float)
-    left = (icr.right * fx - mz) / icr.slip_track
-    right = (icr.left * fx + mz) / icr.slip_track
-    return Sides(np.broadcast_to(left, motion.shape), np.broadcast_to(right, motion.shape))
+    left = np.asarray((icr.right * fx - mz) / icr.slip_track)
+    right = np.asarray((icr.left * fx + mz) / icr.slip_track)
+    if left.shape != motion.shape:  # views take longer to make than most forces to work out
+        left, right = (np.broadcast_to(force, motion.shape) for force in (left, right))
+    return Sides(left, right)
 
 
 def slip_friction(motion: Motion, vehicle: Vehicle) -> Sides:
