@@ -28,7 +28,7 @@ from energyplan.cost.direction_table import SPECIAL, Corners, DirectionTable
 from energyplan.errors import InvalidInputError, ModelError
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Path
-from energyplan.power import PowerModel
+from energyplan.power import PowerModel, Sides
 from energyplan.vehicle import TreadICR, Vehicle
 
 STEADY = {"t": 1e9, "x": 0.0, "y": 0.0, "yaw": 0.0, "slope": 0.0, "accel": 0.0, "yaw_accel": 0.0}
@@ -181,16 +181,11 @@ class EnergyCost:
         slow, fast = (self._drawn.power(self._motion(x, y, rate)) / rate for rate in (0.1, 0.7))
         return bool(np.allclose(slow, fast, rtol=1e-9, atol=0.0))
 
-    def _admissible_rate(
-        self, x: FloatArray, y: FloatArray, fastest: float = np.inf
-    ) -> FloatArray:
-        return speeds.admissible_rate(
-            x,
-            y,
-            self.vehicle,
-            lambda x, y, rate: self.model.forces(self._motion(x, y, rate)),
-            fastest,
-        )
+    def _forces(self, x: FloatArray, y: FloatArray, rate: FloatArray) -> Sides:
+        return self.model.forces(self._motion(x, y, rate))
+
+    def _admissible_rate(self, x: FloatArray, y: FloatArray, fastest: float = np.inf) -> FloatArray:
+        return speeds.admissible_rate(x, y, self.vehicle, self._forces, fastest)
 
     def _rate(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Rate [1/s] at which elements are driven: the cheapest admissible one."""
@@ -205,11 +200,11 @@ class EnergyCost:
                 f"{self.vehicle.name!r} has no speed limit; set its motor speed, or give speed="
             )
         slowest = speeds.slowest_rate(x, y, limit, self.vehicle)
-        return speeds.cheapest_rate(
-            slowest,
-            limit,
-            lambda rate: (self._drawn.power(self._motion(x, y, rate)) + self.time_value) / rate,
-        )
+
+        def energy(rate: FloatArray) -> FloatArray:
+            return (self._drawn.power(self._motion(x, y, rate)) + self.time_value) / rate
+
+        return speeds.cheapest_rate(slowest, limit, energy)
 
     def admissible_speed(self, curvature: ArrayLike) -> FloatArray:
         """Return the largest speed that the vehicle's limits allow on arcs of this curvature.
@@ -350,13 +345,12 @@ class EnergyCost:
         return float(np.sum(self._element_duration(*self._moving(path)[:2])))
 
     def _element_duration(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        rate = self._rate(x, y)
-        if not np.all(np.isfinite(rate)):
-            raise InvalidInputError(
-                f"the vehicle {self.vehicle.name!r} has no speed limit, so a motion has no "
-                "duration; set its motor speed, or give EnergyCost a speed"
-            )
-        return np.asarray(1.0 / rate)
+        if np.all(np.isfinite(rate := self._rate(x, y))):
+            return np.asarray(1.0 / rate)
+        raise InvalidInputError(
+            f"the vehicle {self.vehicle.name!r} has no speed limit, so a motion has no "
+            "duration; set its motor speed, or give EnergyCost a speed"
+        )
 
     @cached_property
     def _clock(self) -> DirectionTable:

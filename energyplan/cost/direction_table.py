@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from heapq import heappop, heappush
 
 import numpy as np
 
@@ -150,16 +151,10 @@ class DirectionTable:
         """
         points = self.directions / self.values[:, None]
         points[len(SPECIAL) :] *= 1.0 - 1e-12  # special directions win ties
-        hull = _convex_hull(points)
-        tolerance = 1e-7
-        while True:
-            chosen, error = _simplify(hull, tolerance)
-            turns = np.abs(chosen[:, 1]) > 1e-9 * np.abs(chosen[:, 0])
-            left = chosen[turns & (chosen[:, 1] > 0)]
-            right = chosen[turns & (chosen[:, 1] < 0)]
-            if max(len(left), len(right)) <= most:
-                return Corners(left, right, error)
-            tolerance *= 2.0
+        chosen, error = _simplify(_convex_hull(points), most)
+        turns = np.abs(chosen[:, 1]) > 1e-9 * np.abs(chosen[:, 0])
+        left, right = (chosen[turns & (side * chosen[:, 1] > 0)] for side in (1, -1))
+        return Corners(left, right, error)
 
 
 @dataclass(frozen=True)
@@ -266,10 +261,12 @@ def scan_ratios(even: int) -> FloatArray:
     return np.concatenate([[0.0], inner, [1.0]])
 
 
-def _simplify(hull: FloatArray, tolerance: float) -> tuple[FloatArray, float]:
+def _simplify(hull: FloatArray, most: int, tolerance: float = 1e-7) -> tuple[FloatArray, float]:
     """Drop vertices of a convex polygon about the origin; return the rest and the error made.
 
-    The error is the largest fraction by which a dropped vertex lies outside of what is left.
+    The error is the largest fraction by which a dropped vertex lies outside of what is left. The
+    vertex that lies farthest outside is taken back first, until none lies outside by more than the
+    tolerance, or `most` of a turning direction are kept.
     """
     # Vertices in special directions stay: the motions there are simple, and both halves alike.
     x, y = np.abs(hull.T)
@@ -277,28 +274,37 @@ def _simplify(hull: FloatArray, tolerance: float) -> tuple[FloatArray, float]:
     n = len(hull)
     if not first:  # arcs are cheaper than straights and than pivots: begin anywhere
         first = [0]
-    stack = list(zip(first, [*first[1:], first[0] + n], strict=True))
     keep, error = set(first), 0.0
-    while stack:
-        i, j = stack.pop()
+    side = np.where(np.abs(hull[:, 1]) > 1e-9 * np.abs(hull[:, 0]), np.sign(hull[:, 1]), 0.0)
+    count = {s: sum(side[k] == s for k in first) for s in (-1.0, 0.0, 1.0)}
+    waiting: list[tuple[float, int, int, int]] = []
+
+    def look(i: int, j: int) -> None:
+        """Note the vertex between two that lies farthest outside of their chord."""
         if j - i < 2:
-            continue
+            return
         a, b = hull[i % n], hull[j % n]
         normal = np.array([b[1] - a[1], a[0] - b[0]])
-        between = np.arange(i + 1, j) % n
         if a @ normal <= 1e-6 * (a @ a):  # half a turn or more: the chord does not bound it
-            middle = (i + j) // 2
-            keep.add(middle % n)
-            stack += [(i, middle), (middle, j)]
-            continue
-        excess = hull[between] @ normal / (a @ normal) - 1.0
+            heappush(waiting, (-np.inf, i, (i + j) // 2, j))
+            return
+        excess = hull[np.arange(i + 1, j) % n] @ normal / (a @ normal) - 1.0
         worst = int(np.argmax(excess))
-        if excess[worst] <= tolerance:
-            error = max(error, float(excess[worst]))
+        heappush(waiting, (-float(excess[worst]), i, i + 1 + worst, j))
+
+    for i, j in zip(first, [*first[1:], first[0] + n], strict=True):
+        look(i, j)
+    while waiting:
+        excess, i, middle, j = heappop(waiting)
+        half = float(side[middle % n])
+        full = half != 0.0 and count[half] >= most
+        if -excess <= tolerance or (full and np.isfinite(excess)):
+            error = max(error, -excess)
             continue
-        middle = i + 1 + worst
         keep.add(middle % n)
-        stack += [(i, middle), (middle, j)]
+        count[half] += 1
+        look(i, middle)
+        look(middle, j)
     return hull[sorted(keep)], error
 
 

@@ -22,6 +22,7 @@ _SLOWEST = 0.05  # slowest tread speed, as a fraction of the vehicle's limit
 _SCAN = 25  # rates tried before the best is refined
 _PARTS = 8  # parts in which an interval is cut at once: the calls cost more than the numbers
 _CUT = 14  # how often: 8^-14 is 2e-13
+_SAME = 1e-13  # part by which forces may differ by rounding
 _AT_ONCE = 1 << 18  # numbers in an array of rates to try
 _INVERSE_GOLDEN = 0.5 * (5**0.5 - 1)
 
@@ -97,29 +98,49 @@ def admissible_rate(
     if not (np.isfinite(motor.continuous_power) or np.isfinite(motor.regeneration)):
         return limit
 
-    def within(x: FloatArray, y: FloatArray, rate: FloatArray) -> FloatArray:
-        force = forces(x, y, rate)
+    def powers(force: Sides, x: FloatArray, y: FloatArray, rate: FloatArray) -> list[FloatArray]:
         left, right = force.left * rate * (x - y), force.right * rate * (x + y)
-        most, least = np.maximum(left, right), np.minimum(left, right)
+        return [np.maximum(left, right), -np.minimum(left, right)]
+
+    def within(x: FloatArray, y: FloatArray, rate: FloatArray) -> FloatArray:
+        drawn, returned = powers(forces(x, y, rate), x, y, rate)
         slack = 1.0 + 1e-12
         return np.asarray(
-            (most <= slack * motor.continuous_power) & (least >= -slack * motor.regeneration)
+            (drawn <= slack * motor.continuous_power) & (returned <= slack * motor.regeneration)
         )
 
     high = np.minimum(limit, _UNLIMITED / (np.abs(x) + np.abs(y)))
-    bad = ~within(x, y, high)
+    bad = np.logical_not(within(x, y, high))
     if not np.any(bad):
         return limit
-    # power rises with speed, so the limit is where it is first reached
-    x, y, high = (np.broadcast_to(part, limit.shape)[bad] for part in (x, y, high))
-    low, parts = np.zeros(len(high)), np.arange(1, _PARTS)[:, None] / _PARTS
-    for _ in range(_CUT):
-        cuts = low + (high - low) * parts
-        fine = np.logical_and.accumulate(within(x, y, cuts), axis=0).sum(axis=0, keepdims=True)
-        edges = np.concatenate([low[None], cuts, high[None]])
-        low, high = (np.take_along_axis(edges, fine + k, axis=0)[0] for k in (0, 1))
     limit = np.array(limit)
-    limit[bad] = low
+    x, y, high = (np.broadcast_to(part, limit.shape)[bad] for part in (x, y, high))
+    # power rises with speed, so the limit is where it is first reached: in proportion, where
+    # forces are the same at any speed
+    force = forces(x, y, high)
+    drawn, returned = powers(force, x, y, high)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.fmin(
+            np.where(drawn > 0, motor.continuous_power / drawn, np.inf),
+            np.where(returned > 0, motor.regeneration / returned, np.inf),
+        )
+    found = high * share
+    other = forces(x, y, found)
+    moved = ~(
+        np.isclose(other.left, force.left, rtol=_SAME, atol=0.0)
+        & np.isclose(other.right, force.right, rtol=_SAME, atol=0.0)
+    )
+    if np.any(moved):
+        x, y, high = x[moved], y[moved], high[moved]
+        low, parts = np.zeros(len(high)), np.arange(1, _PARTS)[:, None] / _PARTS
+        for _ in range(_CUT):
+            cuts = low + (high - low) * parts
+            fine = np.logical_and.accumulate(within(x, y, cuts), axis=0)
+            k = fine.sum(axis=0, keepdims=True)
+            edges = np.concatenate([low[None], cuts, high[None]])
+            low, high = (np.take_along_axis(edges, k + end, axis=0)[0] for end in (0, 1))
+        found[moved] = low
+    limit[bad] = found
     return limit
 
 
