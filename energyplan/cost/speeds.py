@@ -21,7 +21,7 @@ _UNLIMITED = 1e6  # tread speed [m/s] beyond which a power limit is not looked f
 _SLOWEST = 0.05  # slowest tread speed, as a fraction of the vehicle's limit
 _SCAN = 25  # rates tried before the best is refined
 _PARTS = 8  # parts in which an interval is cut at once: the calls cost more than the numbers
-_CUT = 14  # how often: 8^-14 is 2e-13
+_CUT = 18  # how often: 8^-18 is below what numbers resolve
 _SAME = 1e-13  # part by which forces may differ by rounding
 _AT_ONCE = 1 << 18  # numbers in an array of rates to try
 _INVERSE_GOLDEN = 0.5 * (5**0.5 - 1)
@@ -132,16 +132,35 @@ def admissible_rate(
     )
     if np.any(moved):
         x, y, high = x[moved], y[moved], high[moved]
-        low, parts = np.zeros(len(high)), np.arange(1, _PARTS)[:, None] / _PARTS
-        for _ in range(_CUT):
-            cuts = low + (high - low) * parts
-            fine = np.logical_and.accumulate(within(x, y, cuts), axis=0)
-            k = fine.sum(axis=0, keepdims=True)
-            edges = np.concatenate([low[None], cuts, high[None]])
-            low, high = (np.take_along_axis(edges, k + end, axis=0)[0] for end in (0, 1))
-        found[moved] = low
+        found[moved] = last_within(lambda rate: within(x, y, rate), np.zeros(len(high)), high)
     limit[bad] = found
     return limit
+
+
+def last_within(
+    within: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray
+) -> FloatArray:
+    """Return the largest values up to which all that are tried are within limits.
+
+    Parameters
+    ----------
+    within : callable
+        Whether values of shape (m, n) are within.
+    low, high : ndarray, shape (n,)
+        Values that are within, and values that are not.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        The values, within, to the last bit or two.
+    """
+    parts = np.arange(1, _PARTS).reshape(-1, *[1] * np.ndim(low)) / _PARTS
+    for _ in range(_CUT):
+        cuts = low + (high - low) * parts
+        first = np.logical_and.accumulate(within(cuts), axis=0).sum(axis=0, keepdims=True)
+        edges = np.concatenate([low[None], cuts, high[None]])
+        low, high = (np.take_along_axis(edges, first + end, axis=0)[0] for end in (0, 1))
+    return low
 
 
 def slowest_rate(x: FloatArray, y: FloatArray, limit: FloatArray, vehicle: Vehicle) -> FloatArray:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from energyplan.cost.speeds import last_within
 from energyplan.errors import InvalidInputError
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
@@ -218,8 +219,8 @@ def largest_within(
     top : ndarray, shape (n,)
         Where to stop looking; finite and not negative.
     rungs : int
-        Number of values tried before bisection: a stretch above the limit that is narrower than
-        ``top / rungs`` can be missed.
+        Number of values tried before the limit is enclosed: a stretch above the limit that is
+        narrower than ``top / rungs`` can be missed.
 
     Returns
     -------
@@ -233,9 +234,6 @@ def largest_within(
     first = np.argmax(exceeded, axis=0)
     low = np.where(first > 0, parts[first - 1], 0.0) * top
     high = parts[first] * top
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        over = use(middle) > 1
-        high, low = np.where(over, middle, high), np.where(over, low, middle)
+    low = last_within(lambda values: np.logical_not(use(values) > 1), low, high)
     result = np.where(first > 0, low, 0.0)
     return np.where(never, top, result)
