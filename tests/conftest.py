@@ -30,7 +30,7 @@ def shared_data() -> Path:
 
 @pytest.fixture
 def counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have planning count its effort where it is given a time: up to a fifth of a second's worth.
+    """Have planning count its effort where it is given a time: up to a tenth of a second's worth.
 
     For tests of what planning is a part of: what comes of them depends on no clock.
     """
@@ -38,7 +38,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def init(self: Budget, time_limit: float = float("inf"), *, effort: int | None = None) -> None:
         if effort is None and time_limit > 0 and isfinite(time_limit):
-            effort = max(round(min(time_limit, 0.2) * PACE), 1)
+            effort = max(round(min(time_limit, 0.1) * PACE), 1)
         original(self, time_limit, effort=effort)
 
     monkeypatch.setattr(Budget, "__init__", init)

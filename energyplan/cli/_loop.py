@@ -156,7 +156,8 @@ def drive(
 
 @app.command(
     epilog="Example: energyplan close-the-loop --map warehouse.yaml --model quadriga:full:concrete "
-    "--start 2,2,0 --goal 20,12,90deg --hidden 4 --report loop.html"
+    "--start 2,2,0 --goal 20,12,90deg --hidden 4 --effort 50000 "
+    "--report loop.html"
 )
 def close_the_loop(
     map_file: MapFile,

@@ -1,0 +1,75 @@
+"""Friction found with the wheels in the air, against friction that the drive was made with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from energyplan.errors import InvalidInputError, NotIdentifiableError
+from energyplan.fit.hoisted import hoisted
+from energyplan.logs import DriveLog
+
+FORCE, SLOPE, AT = 40.0, 8.0, 0.6
+
+
+def drive(rate: float = 50.0, seed: int = 1, inertia: float = 60.0) -> dict[str, np.ndarray]:
+    """Four steady speeds with ramps between; encoders beat, and ramps take power for inertia."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 48.0, 1.0 / rate)
+    steady = np.array([0.3, 0.5, 0.7, 0.9])
+    speed = np.interp(t % 12.0, [0.0, 1.0, 11.0, 12.0], [0.0, 1.0, 1.0, 0.0])
+    speed = speed * steady[(t // 12.0).astype(int)]
+    force = FORCE + SLOPE * (speed - AT) + inertia * np.gradient(speed, t)
+    beat = 0.01 * np.sin(2 * np.pi * 8.0 * t)
+    channels = {"t": t}
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        noise = rng.normal(0.0, 1.0, len(t))
+        channels[f"v_{side}"] = sign * (speed + np.where(speed > 0.05, beat, 0.0))
+        channels[f"p_{side}"] = force * speed + noise
+        channels[f"current_{side}"] = sign * (force * (speed > 0.05) + 0.3 * noise) / 12.0
+    return channels
+
+
+@pytest.mark.parametrize("constant", [None, 12.0])
+def test_friction_and_its_slope_are_found(constant: float | None) -> None:
+    for found in hoisted(DriveLog(drive(), "hoisted"), constant):
+        at_mean = FORCE + SLOPE * (found.speed - AT)
+        assert found.force == pytest.approx(at_mean, rel=0.01)
+        assert abs(found.force - at_mean) < 4 * found.force_error
+        assert found.slope == pytest.approx(SLOPE, abs=max(4 * found.slope_error, 0.5))
+        assert found.slope_error < 2.0
+        assert found.left_out == 0
+        for one in found.classes:
+            assert one.force == pytest.approx(FORCE + SLOPE * (one.speed - AT), rel=0.02)
+
+
+def test_two_drives_tell_what_one_does() -> None:
+    one = hoisted(DriveLog(drive(), "a"))
+    two = hoisted([DriveLog(drive(seed=1), "a"), DriveLog(drive(seed=2), "b")])
+    for alone, both in zip(one, two, strict=True):
+        assert both.force == pytest.approx(alone.force, rel=0.01)
+        assert both.force_error < alone.force_error
+
+
+def test_readings_in_a_dead_band_are_counted_and_lie_below_it() -> None:
+    channels = drive()
+    dead = 3.2  # above the current at the slowest speed, below that at the others
+    for side in ("left", "right"):
+        reading = channels[f"current_{side}"]
+        moving = np.abs(channels[f"v_{side}"]) > 0.05
+        low = moving & (np.abs(reading) < dead)
+        assert 0.1 < low.sum() / moving.sum() < 0.6
+        channels[f"current_{side}"] = np.where(low, np.sign(reading) * dead, reading)
+    plain = hoisted(DriveLog(drive(), "plain"), 12.0)
+    for found, before in zip(hoisted(DriveLog(channels, "dead"), 12.0), plain, strict=True):
+        assert found.left_out > 100
+        assert found.force < before.force
+
+
+def test_what_is_missing_is_named() -> None:
+    channels = drive()
+    with pytest.raises(InvalidInputError, match="there is no current_left"):
+        hoisted(DriveLog({k: v for k, v in channels.items() if "current" not in k}, "x"), 12.0)
+    still = {k: v if k == "t" else np.zeros_like(v) for k, v in channels.items()}
+    with pytest.raises(NotIdentifiableError, match="the left side hardly turns"):
+        hoisted(DriveLog(still, "still"))
