@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from energyplan import html
 from energyplan.errors import (
     InfeasibleMotionError,
     InvalidInputError,
+    MissingChannelError,
     ModelError,
 )
 from energyplan.limits.speed import profile
@@ -27,10 +29,13 @@ from energyplan.physics.robot import Ground, Robot
 from energyplan.physics.sensors import Sensors
 from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.power import PowerModel
-from energyplan.power.effects import reads_slope
+from energyplan.power.effects import reads_slope, with_weight
+from energyplan.vehicle import TreadICR
 
 SPEED_SHARE = 0.6
 """Share of the largest tread speed that is driven where none is usual: the controller has room."""
+ALIKE = 0.02
+"""How far tread ICRs may differ for controllers to steer alike, over half the slip track [1]."""
 SHARP = 0.1
 """Width of an interval over its energy beyond which being within it proves nothing."""
 Progress = Callable[[float, str], None]
@@ -298,7 +303,7 @@ def close_loop(
     model, base = problem.cost.model, problem.robot
     limit = speed or _usual_speed(problem)
     logs, done = list(before), list[Round]()
-    driven_before = list[tuple[Trajectory, DriveLog]]()
+    steered = list[_Steered]()
     for k in range(count):
         report(k / count, f"round {k + 1}: planning")
         driven = None
@@ -321,11 +326,8 @@ def close_loop(
             energy = sum(energy_told(trajectory, belief.model, belief.ground).values())
             motion = _followed(trajectory, belief)
             weights = np.diff(trajectory.t)
-            known = [
-                one.energy / sum(energy_told(asked, belief.model, belief.ground).values())
-                for asked, one in driven_before
-            ]
-            driven_before.append((trajectory, log))
+            known = [_ratio(one, model, belief) for one in steered]
+            steered.append(_Steered(trajectory, log, belief.model.vehicle.icr))
         else:
             log = source[k]
             motion, weights = log.motion(model.vehicle.icr), log.weights
@@ -349,7 +351,7 @@ def close_loop(
             if wanted is not None:
                 made_next = source(wanted, belief.model, k + 1)
                 logs.append(source.log(made_next, count + 1))
-                driven_before.append((wanted, logs[-1]))
+                steered.append(_Steered(wanted, logs[-1], belief.model.vehicle.icr))
                 now = replace(now, survey=made_next)
                 report((k + 0.85) / count, f"round {k + 1}: diagnosing")
                 learned = learn(logs, base)
@@ -415,6 +417,31 @@ def timed(made: Plan, belief: Belief, speed: float) -> Trajectory:
         slope["slope"] = belief.ground.heights.slopes(path)
     law = replace(belief.model, vehicle=vehicle)
     return profile(path, law, vehicle=replace(vehicle, motor=motor), channels=slope, smooth=0.0)
+
+
+class _Steered(NamedTuple):
+    """A drive that followed a trajectory, and the tread ICRs that its controller believed in."""
+
+    asked: Trajectory
+    log: DriveLog
+    icr: TreadICR
+
+
+def _ratio(drive: _Steered, model: PowerModel, belief: Belief) -> float:
+    """Return the energy that a drive took, over what a model says of it.
+
+    A controller with other tread ICRs in mind leaves its route in another way: what it took more
+    for coming back says nothing of the drives to come. Then the motion that was made counts.
+    """
+    icr = model.vehicle.icr
+    apart = np.subtract(astuple(icr), astuple(drive.icr))
+    if np.abs(apart).max() > ALIKE * icr.half_track:
+        on_slopes = with_weight(model) if belief.asked.heights is not None else model
+        try:
+            return drive.log.energy / retold(on_slopes, drive.log)
+        except MissingChannelError:  # a sensor less than the model asks for
+            pass
+    return drive.log.energy / sum(energy_told(drive.asked, belief.model, belief.ground).values())
 
 
 def _followed(trajectory: Trajectory, belief: Belief) -> Motion:

@@ -17,6 +17,7 @@ from energyplan.errors import InfeasibleMotionError, InvalidInputError
 from energyplan.output import documents, text
 from energyplan.output.pages import loop_page
 from energyplan.physics import Effect, EngineDrives, Loop, Robot, close_loop, switch_on
+from energyplan.physics import loop as _loop
 from energyplan.physics.belief import believed
 from energyplan.physics.driving import energy_told
 from energyplan.physics.interval import NORMAL, overhead
@@ -214,6 +215,21 @@ def test_what_drives_take_beyond_the_model_is_learned_with_its_scatter() -> None
         hits += abs(following - 1.0 - told.share) <= NORMAL * told.deviation
     assert 0.92 < hits / 2000 < 0.99
     assert overhead(()).share == 0.0
+
+
+def test_what_a_controller_takes_that_steers_otherwise_is_not_carried_over() -> None:
+    """The robot turned by a tenth more than was asked: this holds only for who steers like that."""
+    log = simulate.drive(MODEL, "figure8", duration=20.0)
+    motion = log.motion(ICR)
+    pose = (log.channel(name) for name in ("x", "y", "yaw"))
+    asked = ep.Trajectory(log.t, *pose, motion.v, motion.omega / 1.1)
+    belief = believed(MODEL, PROBLEM)
+    alike = _loop._ratio(_loop._Steered(asked, log, ICR), MODEL, belief)
+    assert alike == pytest.approx(log.energy / sum(energy_told(asked, MODEL).values()))
+    assert alike > 1.02
+    other = replace(ICR, longitudinal=0.1 * ICR.half_track)
+    told = _loop._ratio(_loop._Steered(asked, log, other), MODEL, belief)
+    assert told == pytest.approx(1.0, abs=0.002)
 
 
 def test_on_a_map_with_heights_a_model_of_level_ground_gets_the_weight() -> None:
