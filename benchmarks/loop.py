@@ -6,6 +6,7 @@
     python benchmarks/loop.py one 20 40         # the same, 20 of them from number 40 on
     python benchmarks/loop.py routes 12         # effects that change which route is best
     python benchmarks/loop.py design 10         # designed drives against random ones
+    python benchmarks/loop.py table FILE...     # the table of runs made in parts
 
 Each line is printed as soon as it is measured; a Markdown table comes last. Needs the extra
 ``physics``. The 60 hidden runs take about a quarter of an hour of one quiet core.
@@ -13,13 +14,16 @@ Each line is printed as soon as it is measured; a Markdown table comes last. Nee
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import shapely
 from forks import FORKS
+from scipy.stats import binomtest
 
 import energyplan as ep
 from energyplan.errors import EnergyPlanError
@@ -86,13 +90,13 @@ def pair(grids: list[ep.OccupancyGrid], seed: int) -> Pair:
             return Pair(grid, ep.Pose(*poses[0].tolist()), ep.Pose(*poses[1].tolist()))
 
 
-def without(count: int) -> None:
+def without(count: int, begin: int = 0) -> None:
     """No hidden effect: error of the energy told, and of the saving over the shortest route."""
     grids, errors, savings = maps(), list[float](), list[float]()
     speed = SPEED_SHARE * VEHICLE.motor.speed
     motor = replace(VEHICLE.motor, speed=speed, acceleration=0.5)
     slow = replace(VEHICLE, motor=motor)
-    for k in range(count):
+    for k in range(begin, begin + count):
         case = pair(grids, k)
         problem = ep.PlanningProblem(case.grid, ep.EnergyCost(MODEL), case.start, case.goal)
         try:
@@ -115,9 +119,9 @@ def without(count: int) -> None:
             flush=True,
         )
     e, s = np.abs(errors), np.abs(savings)
-    print(f"\n{len(e)} drives: |error| <= 1.5 % in {100 * np.mean(e <= 0.015):.0f} %, median "
+    print(f"\n{len(e)} drives: |error| <= 1.5 % in {of(list(e <= 0.015))}, median "
           f"{100 * np.median(e):.2f} %, worst {100 * e.max():.2f} %")  # fmt: skip
-    print(f"{len(s)} pairs: saving within 1.5 points in {100 * np.mean(s <= 0.015):.0f} %, worst "
+    print(f"{len(s)} pairs: saving within 1.5 points in {of(list(s <= 0.015))}, worst "
           f"{100 * s.max():.2f} points")  # fmt: skip
 
 
@@ -130,7 +134,7 @@ def closed(effects: tuple[Effect, ...], case: Pair, rounds: int = 2) -> Loop:
 
 def hidden(count: int, single: bool, begin: int = 0) -> None:
     """Hidden effects: error before and after one round, what was found, which takes less."""
-    grids, rows, inside = maps(), list[tuple[str, str, float, float, float]](), list[bool]()
+    grids, rows = maps(), list[Hidden]()
     kinds = list(EFFECTS)
     for k in range(begin, begin + count):
         case = pair(grids, k)
@@ -146,21 +150,72 @@ def hidden(count: int, single: bool, begin: int = 0) -> None:
         first, last = made.rounds[0], made.rounds[-1]
         found = ", ".join(e.name for e in first.effects) or first.note or "-"
         saved = 1 - last.energy_taken / first.energy_taken
-        rows.append((label, found, first.error, last.error, saved))
         low, high = last.energy_interval or (-np.inf, np.inf)
-        inside.append(low <= last.energy_taken <= high)
-        print(f"{k}: {label}: {100 * first.error:+.1f} % -> {100 * last.error:+.1f} % "
-              f"(+- {50 * (high - low) / last.energy_told:.1f} %), found {found}; "
-              f"second route takes {100 * saved:+.1f} % less", flush=True)  # fmt: skip
-    print("\n| hidden | found | error before | after | second route saves |\n|---|---|---|---|---|")
-    for label, found, before, after, saved in rows:
-        print(f"| {label} | {found} | {100 * before:+.1f} % | {100 * after:+.1f} % | "
-              f"{100 * saved:+.1f} % |")  # fmt: skip
-    after = np.abs([row[3] for row in rows])
-    print(f"\n{len(rows)} runs: after one round within 3 % in {100 * np.mean(after <= 0.03):.0f} %,"
-          f" within 6 % in {100 * np.mean(after <= 0.06):.0f} %, median "
-          f"{100 * np.median(after):.1f} %; taken within the 95 % interval in "
-          f"{100 * np.mean(inside):.0f} %")  # fmt: skip
+        half = (high - low) / (2 * last.energy_told)
+        rows.append(Hidden(k, label, first.error, last.error, half, found, saved))
+        print(rows[-1].line(), flush=True)
+    table(rows)
+
+
+class Hidden(NamedTuple):
+    """A run with hidden effects: errors before and after a round, and what was found.
+
+    `half` is half the 95 % interval over the energy told, `saved` by how much less the second
+    route took.
+    """
+
+    number: int
+    label: str
+    before: float
+    after: float
+    half: float
+    found: str
+    saved: float
+
+    def line(self) -> str:
+        """Return the run as a line."""
+        return (f"{self.number}: {self.label}: {100 * self.before:+.1f} % -> "
+                f"{100 * self.after:+.2f} % (+- {100 * self.half:.2f} %), found {self.found}; "
+                f"second route takes {100 * self.saved:+.1f} % less")  # fmt: skip
+
+    @classmethod
+    def read(cls, line: str) -> Hidden | None:
+        """Return the run that a line tells of; None where it tells of none."""
+        number = r"([+-]?[\d.]+|[+-]?inf|nan) %"
+        found = re.fullmatch(
+            rf"(\d+): (.*): {number} -> {number} \(\+- {number}\), found (.*); "
+            rf"second route takes {number} less",
+            line.strip(),
+        )
+        if found is None:
+            return None
+        k, label, before, after, half, what, saved = found.groups()
+        errors = (float(x) / 100 for x in (before, after, half))
+        return cls(int(k), label, *errors, what, float(saved) / 100)
+
+
+def of(flags: list[bool]) -> str:
+    """Return how many of all hold, with the 95 % interval of the share (Clopper and Pearson)."""
+    low, high = binomtest(sum(flags), len(flags)).proportion_ci()
+    return f"{sum(flags)} of {len(flags)} ({100 * low:.0f} to {100 * high:.0f} %)"
+
+
+def table(rows: list[Hidden]) -> None:
+    """Print runs as a Markdown table, and how many reach what."""
+    if not rows:
+        print("no run to make a table of")
+        return
+    print("\n| hidden | found | error before | after | interval | second route saves |\n"
+          "|---|---|---|---|---|---|")  # fmt: skip
+    for row in sorted(rows):
+        print(f"| {row.label} | {row.found} | {100 * row.before:+.1f} % | {100 * row.after:+.2f} % "
+              f"| ±{100 * row.half:.1f} % | {100 * row.saved:+.1f} % |")  # fmt: skip
+    after = [abs(row.after) for row in rows]
+    inside = [abs(row.after) <= row.half * (1 + row.after) for row in rows]
+    print("\n| runs | median error | within 3 % | within 6 % | taken in the 95 % interval |\n"
+          "|---|---|---|---|---|\n"
+          f"| {len(rows)} | {100 * np.median(after):.1f} % | {of([e <= 0.03 for e in after])} | "
+          f"{of([e <= 0.06 for e in after])} | {of(inside)} |")  # fmt: skip
 
 
 def routes(count: int, begin: int = 0) -> None:
@@ -258,12 +313,17 @@ def designed(count: int, duration: float = 60.0, noise: float = 20.0) -> None:
 
 if __name__ == "__main__":
     what = sys.argv[1] if len(sys.argv) > 1 else "none"
+    if what == "table":
+        lines = [line for file in sys.argv[2:] for line in Path(file).read_text().splitlines()]
+        table([row for line in lines if (row := Hidden.read(line)) is not None])
+        sys.exit()
     number = int(sys.argv[2]) if len(sys.argv) > 2 else 4
+    first = int(sys.argv[3]) if len(sys.argv) > 3 else 0
     if what == "none":
-        without(number)
+        without(number, first)
     elif what == "design":
         designed(number)
     elif what == "routes":
-        routes(number, int(sys.argv[3]) if len(sys.argv) > 3 else 0)
+        routes(number, first)
     else:
-        hidden(number, what == "one", int(sys.argv[3]) if len(sys.argv) > 3 else 0)
+        hidden(number, what == "one", first)
