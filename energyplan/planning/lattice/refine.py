@@ -24,6 +24,9 @@ POSES = 60
 ATTEMPT, PAIR = 0.35, 0.08
 """Units of work that an attempt counts as, and the square of the number of poses of a shortcut."""
 
+APART = 150
+"""How many poses apart those lie at most that a shortcut joins."""
+
 TRIALS = 400
 """Attempts between two looks at the budget."""
 
@@ -103,8 +106,9 @@ class Refiner:
 
     def shortcut(self, budget: Budget) -> None:
         """Leave out the poses without which the path is cheaper."""
-        budget.spend(PAIR * self.count * self.count)
-        self.count = int(kernels.shortcut(self.chain, self.setting, self.count, self.count, 0.0))
+        apart = min(self.count, APART)
+        budget.spend(PAIR * self.count * apart)
+        self.count = int(kernels.shortcut(self.chain, self.setting, self.count, apart, 0.0))
 
     def with_fewer_stops(self, price: float, budget: Budget) -> Segments:
         """Return the motions that are cheapest where each costs so much more [J]."""

@@ -17,12 +17,13 @@ from energyplan.compilation import inner, njit
 from energyplan.compilation.arrays import Floats, FloatTable
 from energyplan.path import FloatArray, Pose
 from energyplan.planning.budget import Budget
+from energyplan.planning.lattice.passage_kernels import follow, thread
 from energyplan.planning.lattice.search import Search, lattice_for
 from energyplan.planning.scene.compiled import Segments
 from energyplan.planning.scene.guide_kernels import HEADINGS, RIM, DistanceToGo, node_at, to_and_fro
 from energyplan.planning.scene.motions import KernelProblem, join
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy
-from energyplan.terrain.collision import pose_free
+from energyplan.terrain.collision import Body, pose_free
 
 BACK = (1, 2, 3, 5, 8, 13, 21)
 """How many poses before a pose those lie from which it is sought to be reached."""
@@ -42,6 +43,20 @@ where there is room, a fine one follows bends that a coarse one has no motion fo
 
 WEIGHT = 2.0
 """And its weight."""
+
+CELL, FINE_HEADINGS = 0.125, 128
+"""Distance between the poses that are tested where no such search leads across, in units of that
+between places, and their headings."""
+
+SPARE, ROOMY = (0.5, 0.0), 3.0
+"""How much larger the body is when they are tested, in units of that distance, so that motions
+between them are free as well; and how much larger it is where it has room."""
+
+MOST_TESTS, MOST_MOTIONS = 20_000, 20_000
+"""Poses tested at most, and motions along them."""
+
+TEST, FOLLOWED = 0.03, 1.0
+"""Units of work that a test counts as, and a motion that is sought along those poses."""
 
 
 class Joined(NamedTuple):
@@ -118,7 +133,33 @@ def _across(
         search.run(budget, stop_at_first=True, expansions=most)
         if search.found:
             return search.segments()
+    cell = to_go.places.spacing * CELL
+    return _threaded(setting, Pose(x, y, yaw), Pose(goal_x, goal_y, goal_yaw), cell, budget)
+
+
+def _threaded(
+    setting: KernelProblem, begin: Pose, end: Pose, cell: float, budget: Budget
+) -> Segments | None:
+    """Return motions along free poses that lie close together, if there are such; see `thread`."""
+    for part in SPARE:
+        most = int(min(MOST_TESTS, budget.left / TEST))
+        spare, roomy = (_grown(setting.body, much * cell) for much in (part, ROOMY))
+        tested = setting._replace(body=spare)
+        found = thread(tested, roomy, begin, end, cell, FINE_HEADINGS, most)
+        budget.spend(TEST * found.tests)
+        if len(found.poses):
+            ds, dtheta = np.empty((2, MOST_MOTIONS))
+            limit = int(min(budget.left / FOLLOWED, MOST_MOTIONS))
+            led = follow(setting, found.poses, limit, ds, dtheta)
+            budget.spend(FOLLOWED * led.tried)
+            if led.last == len(found.poses) - 1:
+                return Segments(ds[: led.motions], dtheta[: led.motions])
     return None
+
+
+def _grown(body: Body, by: float) -> Body:
+    """Return a body that is larger on every side [m]."""
+    return Body(body.x_min - by, body.y_min - by, body.x_max + by, body.y_max + by)
 
 
 @njit

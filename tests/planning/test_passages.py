@@ -1,0 +1,90 @@
+"""Passages that only poses close together lead through: gaps taken sideways, crooked ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from energyplan.cost import EnergyCost
+from energyplan.path import Pose
+from energyplan.planning import PlanningProblem, plan
+from energyplan.planning.lattice.passage_kernels import follow, thread
+from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.scene.motions import KernelProblem, drive
+from energyplan.terrain import OccupancyGrid
+from energyplan.terrain.collision import Body
+from energyplan.vehicle import Vehicle
+
+CELL, HEADINGS, TESTS = 0.0125, 128, 20_000
+
+
+def gap(width: float, thick: float, resolution: float) -> PlanningProblem:
+    """Return a problem on either side of a wall with one gap, for a robot wider than long."""
+    cells = np.zeros((round(6 / resolution), round(8 / resolution)), bool)
+    wall = slice(round(4 / resolution), round(4 / resolution) + max(round(thick / resolution), 1))
+    low = round((3 - 0.5 * width) / resolution)
+    cells[:, wall] = True
+    cells[low : low + round(width / resolution), wall] = False
+    robot = Vehicle.from_geometry(
+        "robot", mass=40.0, wheelbase=0.36, track=0.64, length=0.6, width=0.8
+    )
+    cost = EnergyCost.from_coefficients(150.0, 60.0, robot.icr)
+    grid = OccupancyGrid(cells, resolution)
+    return PlanningProblem(grid, cost, (1.5, 2.0, 0.3), (6.5, 4.0, 1.0), vehicle=robot)
+
+
+@pytest.mark.parametrize(("width", "thick", "resolution"), [(0.72, 0.1, 0.02), (0.8, 0.3, 0.05)])
+def test_a_robot_wider_than_long_goes_through_a_gap_sideways(width, thick, resolution):
+    problem = gap(width, thick, resolution)
+    found = plan(problem, effort=5_000)
+    assert problem.map.path_free(found.path, problem.robot)
+    poses = found.path.subdivide(max_ds=0.02, max_dtheta=0.02).vertices
+    inside = poses[np.abs(poses[:, 0] - 4.0 - 0.5 * thick) < 0.2]
+    # along the wall, or the opposite way, within what the gap leaves
+    assert np.all(np.abs(np.sin(inside[:, 2])) > 0.8)
+
+
+def straight_gap(width: float = 0.72) -> tuple[KernelProblem, Pose, Pose]:
+    """Return a problem with such a gap, and two poses along the wall on either side."""
+    problem = gap(width, 0.1, 0.02)
+    return CompiledProblem(problem).setting, Pose(3.2, 3.0, 1.5), Pose(5.0, 3.0, 1.6)
+
+
+def larger(body: Body, by: float) -> Body:
+    """Return a body that is larger on every side [m]."""
+    return Body(body.x_min - by, body.y_min - by, body.x_max + by, body.y_max + by)
+
+
+def test_motions_follow_poses_through_a_gap():
+    setting, begin, end = straight_gap()
+    found = thread(setting, larger(setting.body, 0.03), begin, end, CELL, HEADINGS, TESTS)
+    assert len(found.poses) and not found.closed and found.tests < TESTS
+    assert np.allclose(found.poses[[0, -1]], [begin, end])
+    ds, dtheta = np.empty((2, 10_000))
+    led = follow(setting, found.poses, 10_000, ds, dtheta)
+    assert led.last == len(found.poses) - 1
+    assert np.isfinite(drive(setting, *begin, ds, dtheta, led.motions, np.inf))
+
+
+def test_poses_follow_no_gap_that_is_too_narrow():
+    setting, begin, end = straight_gap(0.56)
+    found = thread(setting, setting.body, begin, end, CELL, HEADINGS, TESTS)
+    assert len(found.poses) == 0
+
+
+def test_a_pose_with_nowhere_to_go_is_known_to_be_closed_in():
+    cells = np.ones((200, 400), bool)
+    cells[60:140, 40:140] = False
+    cells[60:140, 260:360] = False
+    setting = CompiledProblem(gap(0.72, 0.1, 0.02)).setting
+    setting = setting._replace(space=OccupancyGrid(cells, 0.01).space)
+    ends = Pose(0.9, 1.0, 0.0), Pose(3.1, 1.0, 0.0)
+    found = thread(setting, setting.body, *ends, 0.02, 64, 100_000)
+    assert found.closed and len(found.poses) == 0
+
+
+def test_poses_of_one_place_are_joined_at_once():
+    setting, begin, _ = straight_gap()
+    end = Pose(begin.x + 0.3 * CELL, begin.y, begin.yaw)
+    found = thread(setting, setting.body, begin, end, CELL, HEADINGS, TESTS)
+    assert np.allclose(found.poses, [begin, end])
