@@ -419,8 +419,19 @@ def loop(made: Loop) -> list[str]:
             for e in now.effects
         ]
         lines += [f"  {now.note}"] if now.note else []
-    last = "the last prediction was right" if made.closed else "the last prediction was still wrong"
-    return [*lines, last]
+    return [*lines, f"the last prediction {_verdict(made)}"]
+
+
+def _verdict(made: Loop) -> str:
+    """Return what became of the last prediction of a loop."""
+    if made.closed:
+        return "was right"
+    last = made.rounds[-1]
+    if last.energy_interval:
+        low, high = last.energy_interval
+        if low <= last.energy_taken <= high:
+            return "holds the energy taken, but is too wide to count as right; drive more rounds"
+    return "was still wrong"
 
 
 def design(made: Design) -> list[str]:

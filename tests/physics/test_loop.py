@@ -130,6 +130,10 @@ def test_the_second_route_takes_less() -> None:
         "energy_told", "energy_interval", "energy_taken", "effects", "length",
     }  # fmt: skip
     assert text.loop(made)[0].startswith("round 1")
+    for interval, words in (((0.0, 2.0), "is too wide"), ((2.0, 3.0), "was still wrong")):
+        told = (interval[0] * last.energy_taken, interval[1] * last.energy_taken)
+        other = replace(made, rounds=(first, replace(last, energy_interval=told)), closed=False)
+        assert words in text.loop(other)[-1]
     assert "round" in loop_page(made, problem).html()
 
 
