@@ -119,6 +119,62 @@ def test_a_damaged_file_is_a_miss(copy: Path, tmp_path: Path) -> None:
         assert run(CALL, path=copy, ENERGYPLAN_CACHE_DIR=str(kept)).stdout.split() == ["31.0"]
 
 
+LONG = """
+from energyplan.compilation import on_compile
+from energyplan.compilation.cache import ADDRESSED
+from energyplan.calls import one, other
+compiled = []
+on_compile(lambda what: compiled.append(what.name.rpartition(".")[2]))
+print(one(0.5) == one.py_func(0.5), other(0.5) == other.py_func(0.5), end=" ")
+print(*sorted(name.rpartition(".")[2] for name in ADDRESSED.values()), end=": ")
+print(*compiled)
+"""
+
+
+@pytest.fixture
+def calls(copy: Path) -> Path:
+    """Folder of the copy with two kernels that call a kernel too long to be copied into them."""
+    steps = "".join(f"    x = math.sin(x) + {k}.0 * abs(x)\n" for k in range(40))
+    (copy / "energyplan" / "calls.py").write_text(
+        "import math\nfrom energyplan.compilation import inner, njit\n\n\n"
+        f"@inner\ndef long(x: float) -> float:\n{steps}    return x\n\n\n"
+        "@inner\ndef between(x: float) -> float:\n    return 2.0 * long(x)\n\n\n"
+        "@njit\ndef one(x: float) -> float:\n    return 1.0 + between(x)\n\n\n"
+        "@njit\ndef other(x: float) -> float:\n    return 3.0 * long(x)\n"
+    )
+    return copy
+
+
+def test_a_long_kernel_is_called_not_copied(calls: Path, tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    first = run(LONG, path=calls, ENERGYPLAN_CACHE_DIR=str(kept))
+    assert first.stdout.strip() == "True True long: one between long other", first.stderr
+    again = run(LONG, path=calls, ENERGYPLAN_CACHE_DIR=str(kept))
+    assert again.stdout.strip() == "True True long:", again.stderr
+
+
+def test_machine_code_that_calls_what_is_no_more_is_a_miss(calls: Path, tmp_path: Path) -> None:
+    """LLVM ends the process where a symbol is missing."""
+    kept = tmp_path / "kept"
+    run(LONG, path=calls, ENERGYPLAN_CACHE_DIR=str(kept))
+    (file,) = kept.rglob("energyplan.calls.long-*.nbc")
+    for lose in (file.unlink, lambda: file.write_bytes(b"no machine code")):
+        lose()
+        found = run(LONG, path=calls, ENERGYPLAN_CACHE_DIR=str(kept))
+        assert found.stdout.startswith("True True long: "), found.stderr
+        assert "long" in found.stdout.split(": ")[1].split()
+        again = run(LONG, path=calls, ENERGYPLAN_CACHE_DIR=str(kept))
+        assert again.stdout.strip() == "True True long:", again.stderr
+    # another process has compiled it for itself meanwhile, under another symbol
+    alone = "from energyplan.compilation.kernel import KERNELS\nimport energyplan.calls\n"
+    alone += "import energyplan.deep\nKERNELS['energyplan.deep.deep'].prepare()\n"
+    alone += "KERNELS['energyplan.calls.long'].prepare()"
+    file.unlink()
+    run(alone, path=calls, ENERGYPLAN_CACHE_DIR=str(kept))
+    found = run(LONG, path=calls, ENERGYPLAN_CACHE_DIR=str(kept))
+    assert found.stdout.startswith("True True long: one"), found.stdout + found.stderr
+
+
 @pytest.fixture
 def unwritable(tmp_path: Path) -> str:
     """A place where nobody can make a folder, not even the superuser: below a file."""

@@ -23,9 +23,10 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
+from llvmlite.binding import parse_assembly
 from numba.core import caching, config
 from numba.core.serialize import dumps
 
@@ -34,6 +35,9 @@ FOLDER_VARIABLE = "ENERGYPLAN_CACHE_DIR"
 
 KEPT_UNUSED = 30 * 24 * 3600.0
 """Machine code of sources that are no more is deleted when unused for so long [s]."""
+
+ADDRESSED: dict[str, str] = {}
+"""Kernels whose machine code others call instead of copying it: their names, by their symbols."""
 
 _ROOT = Path(__file__).parents[1]
 _IMPORT = re.compile(r"^[ \t]*from energyplan([.\w]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
@@ -121,6 +125,24 @@ class _Reduced(caching.CompileResultCacheImpl):
         self._locator = SimpleNamespace(_py_file=function.__code__.co_filename)
 
 
+class _Kept(NamedTuple):
+    """What a file holds.
+
+    Attributes
+    ----------
+    reduced : tuple
+        Machine code, as Numba reduces it.
+    addressed : bool
+        Whether others call it by its address.
+    calls : tuple of (str, str)
+        Names and symbols of the kernels that it calls by their addresses.
+    """
+
+    reduced: tuple[Any, ...]
+    addressed: bool
+    calls: tuple[tuple[str, str], ...]
+
+
 class KernelCache(caching.FunctionCache):
     """Machine code of one kernel, a file for each signature and processor.
 
@@ -130,14 +152,22 @@ class KernelCache(caching.FunctionCache):
         The kernel.
     missed : callable
         Called when there is no machine code; true where there is some now.
+    load_called : callable
+        Has the kernel of a name loaded, or compiled.
     """
 
-    def __init__(self, function: Callable[..., object], missed: Callable[[], bool]) -> None:
+    def __init__(
+        self,
+        function: Callable[..., object],
+        missed: Callable[[], bool],
+        load_called: Callable[[str], None],
+    ) -> None:
         self._py_func = function
         self._name = f"{function.__module__}.{function.__qualname__}"
         self._digest = _digest_once(function.__code__.co_filename)
         self._impl = _Reduced(function)
         self._missed = missed
+        self._load_called = load_called
         self.enable()
 
     @property
@@ -169,7 +199,14 @@ class KernelCache(caching.FunctionCache):
             file = self._file(sig, target_context.codegen())
             # whatever is wrong with the file, the kernel can be compiled
             with suppress(Exception):
-                found = self._impl.rebuild(target_context, pickle.loads(file.read_bytes()))
+                kept = _Kept(*pickle.loads(file.read_bytes()))
+                for name, symbol in kept.calls:
+                    self._load_called(name)
+                    if symbol not in ADDRESSED:  # compiled anew: LLVM would end the process
+                        return None
+                found: Any = self._impl.rebuild(target_context, kept.reduced)
+                if kept.addressed:
+                    ADDRESSED[found.fndesc.llvm_func_name] = self._name
                 _mark_used(file.parent)
                 return found
         return None
@@ -179,9 +216,25 @@ class KernelCache(caching.FunctionCache):
         if not self._enabled or self._digest is None or not self._impl.check_cachable(data):
             return
         try:
-            _write(self._file(sig, data.codegen), dumps(self._impl.reduce(data)))
+            _write(self._file(sig, data.codegen), dumps(tuple(self._kept(data))))
         except OSError as error:
             _say_not_kept(str(error.strerror or error))
+
+    def _kept(self, result: Any) -> _Kept:
+        reduced = self._impl.reduce(result)
+        addressed = result.fndesc.llvm_func_name in ADDRESSED
+        if addressed:  # nobody copies it: of its text only the name that Python asks for is needed
+            (name, kind, (code, _)), *rest = reduced
+            wrapper = result.fndesc.llvm_cpython_wrapper_name
+            wrapped = result.library.get_pointer_to_function(wrapper)
+            named = parse_assembly(f'define void @"{wrapper}"() {{ ret void }}' if wrapped else "")
+            reduced = (name, kind, (code, named.as_bitcode())), *rest
+        calls = {
+            (ADDRESSED[function.name], function.name)
+            for function in result.library._final_module.functions
+            if function.is_declaration and function.name in ADDRESSED
+        }
+        return _Kept(reduced, addressed, tuple(sorted(calls)))
 
     def flush(self) -> None:
         """Delete the machine code made from these sources."""

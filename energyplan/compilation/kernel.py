@@ -10,12 +10,14 @@ from typing import get_type_hints as hints_of
 import numpy as np
 from numba import types
 from numba.core import config, sigutils
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.np import numpy_support
 
 from energyplan.compilation.arrays import READONLY, STRIDED
-from energyplan.compilation.cache import KernelCache
+from energyplan.compilation.cache import ADDRESSED, KernelCache
 from energyplan.compilation.pool import current
+from energyplan.compilation.resolution import Options, resolving_once
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -24,6 +26,13 @@ _SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
 
 KERNELS: dict[str, Kernel] = {}
 """All kernels of the modules imported so far, by module and name."""
+
+COPIED = 100
+"""Lines of LLVM's language up to which a kernel is copied into those that call it.
+
+LLVM would not inline a longer one anyway, but optimise it once more in each of its callers: these
+call its machine code instead.
+"""
 
 
 class Compiling(NamedTuple):
@@ -114,6 +123,12 @@ def _kernel(function: Callable[P, R], *, inner: bool) -> Callable[P, R]:
     return cast("Callable[P, R]", made)
 
 
+def _load(name: str) -> None:
+    """Load a kernel that another one calls, or compile it."""
+    kernel = KERNELS[name]
+    kernel._compile(kernel.declared)
+
+
 class Kernel(CPUDispatcher):
     """A function that is compiled for the types of its annotations.
 
@@ -131,7 +146,8 @@ class Kernel(CPUDispatcher):
         super().__init__(function, targetoptions={**options, "no_cpython_wrapper": self.inner})
         self.name = f"{function.__module__}.{function.__qualname__}"
         self._announced = False
-        self._cache = KernelCache(function, self._missed)
+        self._cache = KernelCache(function, self._missed, _load)
+        self._compiler._customize_flags = Options  # type: ignore[attr-defined]
 
     def _missed(self) -> bool:
         """Tell whether another process has made the machine code meanwhile; else it comes here."""
@@ -143,10 +159,23 @@ class Kernel(CPUDispatcher):
 
     def _compile(self, sig: Any) -> Any:
         try:
-            return super().compile(sig)
+            with global_compiler_lock, resolving_once():
+                return super().compile(sig)
         finally:
             if (pool := current()) is not None:
                 pool.end(self)
+
+    def add_overload(self, cres: Any) -> None:
+        """Note machine code, and how others come to it: by a copy, or by its address."""
+        super().add_overload(cres)
+        symbol = cres.fndesc.llvm_func_name
+        if cres.metadata is not None and cres.signature.args == self.declared:  # not from disk
+            lines = str(cres.library.get_function(symbol)).count("\n")
+            if lines > COPIED:
+                ADDRESSED[symbol] = self.name
+        if symbol in ADDRESSED:
+            self.targetctx.remove_user_function(cres.entry_point)
+            self.targetctx.insert_user_function(cres.entry_point, cres.fndesc)
 
     @cached_property
     def declared(self) -> tuple[Any, ...] | None:
