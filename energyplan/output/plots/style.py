@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 
@@ -105,13 +106,15 @@ def arrange(figure: Figure) -> None:
         for ax in figure.axes
         if (made := ax.get_legend()) is not None and made.get_gid() == _ABOVE
     ]
+    if above:
+        figure.draw_without_rendering()  # puts the axes where they belong
+    renderer = RendererAgg(1, 1, figure.dpi)  # type: ignore[no-untyped-call]  # measures text
     for ax, made in above:
         handles, names = made.legend_handles, [text.get_text() for text in made.get_texts()]
         for columns in range(len(names), 0, -1):
             made = _put_above(ax, handles, names, columns)
-            figure.draw_without_rendering()
-            if made.get_window_extent().x1 <= figure.bbox.x1:
+            if made.get_window_extent(renderer).x1 <= figure.bbox.x1:
                 break
         made.set_in_layout(True)
-        pad = 2 + made.get_window_extent().height * 72 / figure.dpi
+        pad = 2 + made.get_window_extent(renderer).height * 72 / figure.dpi
         ax.set_title(ax.get_title(loc="left"), loc="left", fontsize="medium", pad=pad)
