@@ -18,12 +18,11 @@ from energyplan.diagnosis.averaging import averaged, note_of
 from energyplan.diagnosis.breakaway import with_breakaway
 from energyplan.diagnosis.change_points import change_time
 from energyplan.diagnosis.explanations import Found
-from energyplan.diagnosis.fitting import PAPER, Part, Problem
 from energyplan.diagnosis.holdout import ErrorInterval, Prediction, interval, predict, score
 from energyplan.diagnosis.joint_fit import final_fit, size_error
-from energyplan.diagnosis.late import Late
 from energyplan.diagnosis.mass_centre import MassCentre, find_mass_centre
 from energyplan.diagnosis.mimics import without_mimics
+from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import terms_of
 from energyplan.diagnosis.residual import Dependence, dependences
 from energyplan.diagnosis.result import (
@@ -39,9 +38,11 @@ from energyplan.diagnosis.result import (
 )
 from energyplan.diagnosis.search import SIGNIFICANCE, Search
 from energyplan.diagnosis.wheel_fight import find_wheel_fight
-from energyplan.diagnosis.windows import Drive, prepared
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
+from energyplan.fit.drives.late import Late
+from energyplan.fit.drives.windows import Drive, prepared
+from energyplan.fit.least_squares import PAPER, Problem
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
 from energyplan.logs.plausible import yaw_rate_offset

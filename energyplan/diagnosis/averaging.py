@@ -17,18 +17,11 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.diagnosis.fitting import (
-    FLOOR,
-    PAPER,
-    Part,
-    Problem,
-    RunSpread,
-    left_out,
-    weighted,
-)
 from energyplan.diagnosis.joint_fit import FinalFit
+from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.result import Average
-from energyplan.diagnosis.windows import Design
+from energyplan.fit.drives.windows import Design
+from energyplan.fit.least_squares import FLOOR, PAPER, Problem, RunSpread, left_out, weighted
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Term
 from energyplan.power.effect_terms import SLIP_SPEED

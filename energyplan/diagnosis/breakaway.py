@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from energyplan.diagnosis.columns import columns_of
-from energyplan.diagnosis.fitting import PAPER, Problem, fit
+from energyplan.fit.drives.columns import columns_of
+from energyplan.fit.least_squares import PAPER, Problem, fit
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TRACTION, Term
 

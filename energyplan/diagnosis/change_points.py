@@ -11,9 +11,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from energyplan.diagnosis.columns import column
-from energyplan.diagnosis.fitting import PAPER, Part, Problem, solve
-from energyplan.diagnosis.windows import Drive
+from energyplan.diagnosis.part import Part
+from energyplan.fit.drives.columns import column
+from energyplan.fit.drives.windows import Drive
+from energyplan.fit.least_squares import PAPER, Problem, solve
 from energyplan.path import FloatArray
 from energyplan.power import Term
 from energyplan.power.effects import Effect

@@ -8,9 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from energyplan.diagnosis.fitting import Fit, weighted
-from energyplan.diagnosis.windows import Design
 from energyplan.fit.covariance import innovation_share
+from energyplan.fit.drives.windows import Design
+from energyplan.fit.least_squares import Fit, weighted
 from energyplan.path import FloatArray
 
 Likelihood = Callable[[FloatArray, FloatArray], float]

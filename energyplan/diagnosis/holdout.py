@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from energyplan.diagnosis.change_points import settle_change
-from energyplan.diagnosis.fitting import Part
-from energyplan.diagnosis.late import ON_TIME, Late
-from energyplan.diagnosis.linear import linearise_drive
-from energyplan.diagnosis.windows import BLOCK, Drive
+from energyplan.diagnosis.part import Part
 from energyplan.fit.covariance import correlation_time
+from energyplan.fit.drives.late import ON_TIME, Late
+from energyplan.fit.drives.linear import linearise_drive
+from energyplan.fit.drives.windows import BLOCK, Drive
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from energyplan.diagnosis.fitting import PAPER, Fit, Part, Problem, RunSpread, fit
 from energyplan.diagnosis.holdout import equations_of
-from energyplan.diagnosis.late import Late
-from energyplan.diagnosis.windows import Design, window_means
+from energyplan.diagnosis.part import Part
+from energyplan.fit.drives.late import Late
+from energyplan.fit.drives.windows import Design, window_means
+from energyplan.fit.least_squares import PAPER, Fit, Problem, RunSpread, fit
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Term
 from energyplan.power.effects import Effect

@@ -16,8 +16,8 @@ from scipy.optimize import least_squares
 from scipy.stats import f as fisher
 
 from energyplan.diagnosis.result import Evidence, FoundEffect
-from energyplan.diagnosis.windows import BLOCK, Drive
 from energyplan.errors import VehicleError
+from energyplan.fit.drives.windows import BLOCK, Drive
 from energyplan.path import FloatArray
 from energyplan.power.effects import Effect
 from energyplan.vehicle import GRAVITY, Vehicle, wheel_loads

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from energyplan.diagnosis.fitting import Fit, Part, Problem, difference, fit
+from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import terms_of
 from energyplan.diagnosis.search import WORTHWHILE
+from energyplan.fit.least_squares import Fit, Problem, difference, fit
 
 
 def without_mimics(

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.diagnosis.columns import field_of
-from energyplan.diagnosis.fitting import PAPER, Fit, Part, Problem
-from energyplan.diagnosis.linear import held_loss
+from energyplan.diagnosis.part import Part
+from energyplan.fit.drives.columns import field_of
+from energyplan.fit.drives.linear import held_loss
+from energyplan.fit.least_squares import PAPER, Fit, Problem
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Sides, Term
 from energyplan.power.effect_terms import SLIP_CHANGE, TRACTION_CHANGE

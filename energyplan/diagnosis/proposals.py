@@ -15,9 +15,10 @@ from itertools import combinations
 import numpy as np
 
 from energyplan.diagnosis.change_points import lines, mark_changes
-from energyplan.diagnosis.fitting import PAPER, Part, Problem, fit, solve
-from energyplan.diagnosis.late import Late
-from energyplan.diagnosis.windows import Design, Drive, channels_of
+from energyplan.diagnosis.part import Part
+from energyplan.fit.drives.late import Late
+from energyplan.fit.drives.windows import Design, Drive, channels_of
+from energyplan.fit.least_squares import PAPER, Problem, fit, solve
 from energyplan.path import FloatArray
 from energyplan.power import Term
 from energyplan.power.effects import Effect

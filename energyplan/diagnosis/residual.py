@@ -15,8 +15,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import f as fisher
 
-from energyplan.diagnosis.fitting import Fit, Problem, difference, fit
-from energyplan.diagnosis.windows import Design, Drive, channels_of, window_means
+from energyplan.fit.drives.windows import Design, Drive, channels_of, window_means
+from energyplan.fit.least_squares import Fit, Problem, difference, fit
 from energyplan.motion import CHANNELS
 from energyplan.path import FloatArray
 from energyplan.power import Sides, Term

@@ -14,8 +14,7 @@ import numpy as np
 from energyplan.diagnosis.change_points import mark_changes
 from energyplan.diagnosis.evidence import Account, classes, innovations, residuals
 from energyplan.diagnosis.explanations import Evaluated, Explanation, Found, Gain
-from energyplan.diagnosis.fitting import FLOOR, Part, Problem, difference, fit
-from energyplan.diagnosis.late import DELAYS, ON_TIME, Late, least_late
+from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.plausible import Rest
 from energyplan.diagnosis.proposals import (
     OF_LOG,
@@ -27,7 +26,9 @@ from energyplan.diagnosis.proposals import (
     with_changes,
 )
 from energyplan.diagnosis.settling import Make, settled
-from energyplan.diagnosis.windows import SCALES, Drive
+from energyplan.fit.drives.late import DELAYS, ON_TIME, Late, least_late
+from energyplan.fit.drives.windows import SCALES, Drive
+from energyplan.fit.least_squares import FLOOR, Problem, difference, fit
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL
 from energyplan.power.effects import Effect

@@ -7,8 +7,9 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import minimize
 
-from energyplan.diagnosis.fitting import Part, Problem, fit
+from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import terms_of
+from energyplan.fit.least_squares import Problem, fit
 from energyplan.path import FloatArray
 
 Make = Callable[[FloatArray], tuple[list[Part], Problem]]

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import norm
 
-from energyplan.diagnosis.fitting import Problem
-from energyplan.diagnosis.linear import (
+from energyplan.diagnosis.result import Evidence, FoundEffect
+from energyplan.fit.drives.linear import (
     held_forces,
     is_lossy,
     losses_of,
@@ -17,8 +17,8 @@ from energyplan.diagnosis.linear import (
     preload,
     slip_limit,
 )
-from energyplan.diagnosis.result import Evidence, FoundEffect
-from energyplan.diagnosis.windows import BLOCK, Drive
+from energyplan.fit.drives.windows import BLOCK, Drive
+from energyplan.fit.least_squares import Problem
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Sides
 from energyplan.power.effect_terms import WHEEL_FIGHT

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog, diagnose, identify, simulate
-from energyplan.diagnosis.denoise import quiet
 from energyplan.errors import EnergyPlanError, NotIdentifiableError
+from energyplan.fit.drives.denoise import quiet
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel
 

@@ -10,9 +10,9 @@ import pytest
 
 from energyplan import DriveLog, diagnose, simulate
 from energyplan.diagnosis.breakaway import with_breakaway
-from energyplan.diagnosis.fitting import Problem, fit
-from energyplan.diagnosis.linear import linearise_drive
-from energyplan.diagnosis.windows import Drive, prepared
+from energyplan.fit.drives.linear import linearise_drive
+from energyplan.fit.drives.windows import Drive, prepared
+from energyplan.fit.least_squares import Problem, fit
 from energyplan.motion import Motion
 from energyplan.power import (
     DRIVE_LOSS,

@@ -15,16 +15,16 @@ from scipy.stats import kstest
 from energyplan import DriveLog, EnergyCost, diagnose, identify, simulate
 from energyplan.diagnosis import Dependence, Diagnosis, residual
 from energyplan.diagnosis import windows as _design
-from energyplan.diagnosis.denoise import quiet, speed_noise
-from energyplan.diagnosis.fitting import Fit, Problem, fit, solve, weighted
-from energyplan.diagnosis.linear import linearise_drive
 from energyplan.diagnosis.mass_centre import find_mass_centre, twist
 from energyplan.diagnosis.residual import dependences, in_words
-from energyplan.diagnosis.window_kernels import block_grams, block_grams_reference
-from energyplan.diagnosis.windows import Design, Drive
 from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.fit import fit_residual
+from energyplan.fit.drives.denoise import quiet, speed_noise
+from energyplan.fit.drives.linear import linearise_drive
+from energyplan.fit.drives.window_kernels import block_grams, block_grams_reference
+from energyplan.fit.drives.windows import Design, Drive
 from energyplan.fit.identifiability import linearise as reference_linearise
+from energyplan.fit.least_squares import Fit, Problem, fit, solve, weighted
 from energyplan.motion import Motion
 from energyplan.power import HOTEL, SLIP, TABLE_II, TRACTION, PowerModel, Sides, Term
 from energyplan.power.effect_terms import (

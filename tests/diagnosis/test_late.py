@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from energyplan import DriveLog, Vehicle, diagnose, simulate
-from energyplan.diagnosis.late import Late, lagged
+from energyplan.fit.drives.late import Late, lagged
 from energyplan.power import PowerModel
 from energyplan.power.effects import LINEAR_INERTIA
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from energyplan import simulate
-from energyplan.diagnosis.fitting import Problem
 from energyplan.diagnosis.plausible import drags, drivable
-from energyplan.diagnosis.windows import prepared
+from energyplan.fit.drives.windows import prepared
+from energyplan.fit.least_squares import Problem
 from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel
 from energyplan.power.effect_terms import (
     SLIP_CHANGE,

@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
-from energyplan.diagnosis.denoise import Turning, quiet, reading_noise, turning
 from energyplan.fit.covariance import innovation_share
+from energyplan.fit.drives.denoise import Turning, quiet, reading_noise, turning
 from energyplan.motion import Motion
 from energyplan.power import HOTEL, effects
 from energyplan.vehicle import TreadICR

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from energyplan.diagnosis.columns import columns_of, held_field_of, of_equations
-from energyplan.diagnosis.late import Late
-from energyplan.diagnosis.windows import MOMENT, Drive
+from energyplan.fit.drives.columns import columns_of, held_field_of, of_equations
+from energyplan.fit.drives.late import Late
+from energyplan.fit.drives.windows import MOMENT, Drive
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS, SLIP, Sides, Term

@@ -1,6 +1,6 @@
 """Fits of a sum of terms to drives, with cross-validation and jackknife (private).
 
-Least squares on the window means of `energyplan.diagnosis.windows`: every scale counts by its error
+Least squares on the means of `energyplan.fit.drives.windows`: every scale counts by its error
 relative to the error of a reference model, so that each has one vote. Leaving out one block after
 the other is a small linear solve each, because the design is kept as one Gram matrix per block.
 """
@@ -17,13 +17,12 @@ from scipy.stats import f as fisher
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from energyplan.diagnosis.columns import columns_of
-from energyplan.diagnosis.late import Late
-from energyplan.diagnosis.linear import is_lossy, linearise_drive
-from energyplan.diagnosis.windows import SCALES, Design, Drive, window_means
+from energyplan.fit.drives.columns import columns_of
+from energyplan.fit.drives.late import Late
+from energyplan.fit.drives.linear import is_lossy, linearise_drive
+from energyplan.fit.drives.windows import SCALES, Design, Drive, window_means
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, Term
-from energyplan.power.effects import Effect
 from energyplan.vehicle import Vehicle
 
 PAPER = (SLIP, TRACTION)
@@ -36,23 +35,6 @@ _WATCHED = 3  # full steps that may raise the loss before it is lower
 _SETTLED = 1e-6  # relative fall of the loss that is none
 _RUNS = 6  # drives from which on each has a factor before effects are looked for
 _LEVELLING = 4  # rounds in which factors of runs and coefficients settle
-
-
-@dataclass(frozen=True)
-class Part:
-    """An effect with the values of the parameters in which it is not linear."""
-
-    effect: Effect
-    params: tuple[tuple[str, float], ...] = ()
-
-    @cached_property
-    def terms(self) -> tuple[Term, ...]:
-        """The effect's terms, with these parameters where they have them."""
-        chosen = dict(self.params)
-        return tuple(
-            replace(term, params={key: chosen.get(key, v) for key, v in term.params.items()})
-            for term in self.effect.terms
-        )
 
 
 @dataclass(frozen=True)

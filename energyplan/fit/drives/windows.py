@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from energyplan.diagnosis.denoise import quiet, speed_noise
-from energyplan.diagnosis.late import ON_TIME, Late, lagged
-from energyplan.diagnosis.window_kernels import block_grams
 from energyplan.errors import DriveLogError
+from energyplan.fit.drives.denoise import quiet, speed_noise
+from energyplan.fit.drives.late import ON_TIME, Late, lagged
+from energyplan.fit.drives.window_kernels import block_grams
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import find_runs
 from energyplan.motion import Motion

@@ -1,0 +1,26 @@
+"""An effect as it stands in a model (private)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from energyplan.power import Term
+from energyplan.power.effects import Effect
+
+
+@dataclass(frozen=True)
+class Part:
+    """An effect with the values of the parameters in which it is not linear."""
+
+    effect: Effect
+    params: tuple[tuple[str, float], ...] = ()
+
+    @cached_property
+    def terms(self) -> tuple[Term, ...]:
+        """The effect's terms, with these parameters where they have them."""
+        chosen = dict(self.params)
+        return tuple(
+            replace(term, params={key: chosen.get(key, v) for key, v in term.params.items()})
+            for term in self.effect.terms
+        )
