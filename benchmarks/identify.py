@@ -51,7 +51,7 @@ def best_of(work: Callable[[], object], repeats: int = 3) -> float:
 
 def fits(log: DriveLog) -> None:
     """Time the fits of Eq. 7 on one log, and the whole identification."""
-    design = linearise(CONCRETE, log.motion(CONCRETE.vehicle.icr)).jacobian
+    design = linearise(CONCRETE, log.motion(CONCRETE.vehicle.icr)).columns[:, 0]
     power, bounds = log.power, solvers.Bounds(np.zeros(2), np.array([2.0, np.inf]))
 
     def eq7(c: np.ndarray) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from energyplan.diagnosis import advice as _advice
 from energyplan.diagnosis.adequacy import adequacy, energies, holds
-from energyplan.diagnosis.averaging import averaged, note_of
+from energyplan.diagnosis.averaging import FEWEST_RUNS, averaged, note_of
 from energyplan.diagnosis.breakaway import with_breakaway
 from energyplan.diagnosis.change_points import change_time
 from energyplan.diagnosis.explanations import Found
@@ -283,7 +283,8 @@ class _Case:
         if added is not None:
             parts = (*parts, added)
         fitted = final_fit(best.problem, parts)
-        if not parts and self.mass_centre is None and len(self.logs[0]) < 3:
+        averages = choose and len(self.logs[0]) >= FEWEST_RUNS
+        if not parts and self.mass_centre is None and not averages:
             fitted = replace(fitted, model=self.paper)  # nothing found: the paper's, as it is
         entry = next((one for one in self.entries if one.acts == "hold"), None)
         fight = find_wheel_fight(best.problem, fitted.model) if entry else None

@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import t as student
 
-from energyplan.diagnosis.holdout import Prediction, power_of
+from energyplan.diagnosis.holdout import Prediction
 from energyplan.diagnosis.joint_fit import FinalFit
 from energyplan.diagnosis.result import Adequacy, EnergyPrediction
 from energyplan.fit.covariance import autocorrelation
 from energyplan.fit.drives.denoise import speed_noise
+from energyplan.fit.drives.linear import power_of
 from energyplan.fit.drives.windows import Drive
 from energyplan.fit.least_squares import Problem, RunSpread
 from energyplan.path import FloatArray

@@ -9,10 +9,10 @@ import numpy as np
 
 from energyplan.diagnosis.change_points import settle_change
 from energyplan.diagnosis.part import Part
-from energyplan.fit.covariance import correlation_time
-from energyplan.fit.drives.late import ON_TIME, Late
-from energyplan.fit.drives.linear import linearise_drive
+from energyplan.fit.drives.late import Late
+from energyplan.fit.drives.linear import power_of
 from energyplan.fit.drives.windows import BLOCK, Drive
+from energyplan.fit.residuals import statistics
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual
 
@@ -42,19 +42,6 @@ class ErrorInterval:
     mae: tuple[float, float]
     bias: tuple[float, float]
     energy_error: tuple[float, float]
-
-
-def power_of(model: PowerModel, drive: Drive) -> FloatArray:
-    """Return the power of a drive by a model, with contacts that hold on a straight [W]."""
-    for term in model.terms:
-        for name in term.channels:
-            drive.motion.channel(name, f"the term {term.name!r}")
-    return equations_of(model, replace(drive, between=None, late=ON_TIME, factor=1.0))[:, 0]
-
-
-def equations_of(model: PowerModel, drive: Drive) -> FloatArray:
-    """Return the power of a drive by a model in each equation, as the log shows it [W]."""
-    return linearise_drive(drive, model.vehicle, model.terms, model.coefficients, ()).power
 
 
 @dataclass(frozen=True)
@@ -126,22 +113,7 @@ def predict(
 
 def score(predictions: Sequence[Prediction]) -> Residual:
     """Return the statistics of measured minus predicted power."""
-    parts = [one.drive.power - one.power for one in predictions]
-    residual = np.concatenate(parts)
-    duration = sum(float(one.drive.weights.sum()) for one in predictions)
-    measured = sum(float(one.drive.weights @ one.drive.power) for one in predictions)
-    predicted = sum(float(one.drive.weights @ one.power) for one in predictions)
-    period = duration / max(len(residual) - len(parts), 1)
-    stops = np.cumsum([len(part) for part in parts]).tolist()
-    pieces = [slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
-    return Residual(
-        rmse=float(np.sqrt(np.mean(residual**2))),
-        mae=float(np.mean(np.abs(residual))),
-        bias=float(np.mean(residual)),
-        energy_error=predicted / measured - 1.0 if measured else 0.0,
-        correlation_time=correlation_time(residual, period, pieces),
-        duration=duration,
-    )
+    return statistics([one.drive for one in predictions], [one.power for one in predictions])
 
 
 def interval(predictions: Sequence[Prediction], seed: int = 0) -> ErrorInterval:

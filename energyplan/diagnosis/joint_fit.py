@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from energyplan.diagnosis.holdout import equations_of
 from energyplan.diagnosis.part import Part
 from energyplan.fit.drives.late import Late
+from energyplan.fit.drives.linear import equations_of
 from energyplan.fit.drives.windows import Design, window_means
 from energyplan.fit.least_squares import PAPER, Fit, Problem, RunSpread, fit
 from energyplan.path import FloatArray

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from energyplan.errors import MissingChannelError, NotIdentifiableError
-from energyplan.logs import DriveLog
+from energyplan.fit.drives.linear import Linear, linearise_drive
+from energyplan.fit.drives.windows import Drive
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
-from energyplan.power import PowerModel, Sides, Term
+from energyplan.power import PowerModel, Term
 from energyplan.vehicle import GRAVITY, TreadICR
 
 _NO_DATA = 0.01
@@ -22,36 +23,14 @@ _NEARLY_COLLINEAR = 0.1
 """Smallest singular value of the regressors, each of unit size: below, they are one another's
 combination but for what the noise of the speeds adds."""
 
-_CLEAR = 4.0
-"""Standard deviations of its noise beyond which a speed is no noise."""
-
-
-# -- linearisation ------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Linearisation:
-    """Predicted power and its derivatives by the coefficients.
-
-    Parameters
-    ----------
-    power : ndarray, shape (n,)
-        Predicted power [W].
-    jacobian : ndarray, shape (n, p)
-        Its derivative by each coefficient [W per unit].
-    """
-
-    power: FloatArray
-    jacobian: FloatArray
-
 
 def is_linear(model: PowerModel) -> bool:
     """Tell whether the power is linear in the coefficients: no loss depends on the forces."""
     return all(term.kind != "loss" for term in model.terms)
 
 
-def linearise(model: PowerModel, motion: Motion, battery: bool = False) -> Linearisation:
-    """Linearise a model's power about its coefficients.
+def linearise(model: PowerModel, motion: Motion, battery: bool = False) -> Linear:
+    """Linearise a model's total power about its coefficients, instant by instant.
 
     Parameters
     ----------
@@ -65,123 +44,40 @@ def linearise(model: PowerModel, motion: Motion, battery: bool = False) -> Linea
 
     Returns
     -------
-    Linearisation
-        Power and derivatives, one column for each term of `model`.
+    Linear
+        Power, shape (n, 1), and derivatives, shape (n, 1, k), one column for each term of `model`.
     """
-    count = len(model.terms)
-    whole = model.battery_side() if battery else model
-    columns = [c.total if isinstance(c, Sides) else c for c in whole.regressors(motion)]
-    design = np.column_stack([np.broadcast_to(c, motion.shape) for c in columns])
-    power = design @ whole.coefficients
-    jacobian = design[:, :count]
-    if not is_linear(whole):
-        # A force changes the losses too. Central differences are exact where those are linear or
-        # quadratic in the forces.
-        for k, term in enumerate(model.terms):
-            if term.kind == "force":
-                value = float(whole.coefficients[k])
-                step = 1e-4 * max(abs(value), 1e-2)
-                ahead, behind = (_moved(whole, k, value + h).power(motion) for h in (step, -step))
-                jacobian[:, k] = (ahead - behind) / (2 * step)
-    return Linearisation(power, np.ascontiguousarray(jacobian))
+    drive = Drive.at(replace(motion, icr=model.vehicle.icr), battery)
+    return linearise_drive(drive, model.vehicle, model.terms, model.coefficients)
 
 
-def _moved(model: PowerModel, k: int, value: float) -> PowerModel:
-    coefficients = np.array(model.coefficients)
-    coefficients[k] = value
-    return model.with_coefficients(coefficients)
+def signal_motion(drive: Drive, turning: bool = True) -> Motion:
+    """Return a drive's motion averaged over a second: what its manoeuvres tell.
 
-
-# -- what is signal in a log --------------------------------------------------------------------
-
-
-def _noise(speed: FloatArray) -> float:
-    """Return a speed's sample-to-sample noise, from its second differences [m/s]."""
-    moving = speed[speed != 0]
-    if len(moving) < 5:
-        return 0.0
-    second = np.abs(moving[2:] - 2 * moving[1:-1] + moving[:-2])
-    return float(1.4826 * np.median(second) / np.sqrt(6))
-
-
-@dataclass(frozen=True)
-class _Signal:
-    """Tread speeds averaged over a second, and zero where they may be noise."""
-
-    left: FloatArray
-    right: FloatArray
-
-
-def _signal(log: DriveLog) -> _Signal:
-    """Average the speeds; a speed, or difference of speeds, within four deviations of 0 is 0."""
-    v_left, v_right = log.channel("v_left"), log.channel("v_right")
-    window = max(1, min(round(1.0 / float(np.median(np.diff(log.t)))), len(log) // 2))
-    left, right = np.empty_like(v_left), np.empty_like(v_right)
-    for run in log.runs:
-        left[run] = uniform_filter1d(v_left[run], window, mode="nearest")
-        right[run] = uniform_filter1d(v_right[run], window, mode="nearest")
-    level = _CLEAR * np.hypot(_noise(v_left), _noise(v_right)) / np.sqrt(window)
-    mean, straight = 0.5 * (left + right), np.abs(right - left) < level
-    left, right = (np.where(straight, mean, v) for v in (left, right))
-    left, right = (np.where(np.abs(v) < level, 0.0, v) for v in (left, right))
-    return _Signal(left, right)
-
-
-def settled_motion(log: DriveLog, icr: TreadICR) -> Motion:
-    """Return a log's motion, straight and at rest where it was but for noise of the speeds.
-
-    Forces change sign with the speeds. Noise that makes them flip would make losses appear that
-    were never there, and friction at rest.
+    Regressors of the motion itself are never quite proportional, for the noise of its speeds.
 
     Parameters
     ----------
-    log : DriveLog
-        The log.
-    icr : TreadICR
-        Tread ICRs.
-
-    Returns
-    -------
-    Motion
-        The motion: measured speeds but for those stretches.
-    """
-    motion, signal = log.motion(icr), _signal(log)
-    mean = 0.5 * (motion.v_left + motion.v_right)
-    straight = signal.left == signal.right
-    left = np.where(straight, mean, motion.v_left)
-    right = np.where(straight, mean, motion.v_right)
-    left = np.where(signal.left == 0.0, 0.0, left)
-    right = np.where(signal.right == 0.0, 0.0, right)
-    return Motion(left, right, icr, motion.channels)
-
-
-def signal_motion(log: DriveLog, icr: TreadICR, turning: bool = True) -> Motion:
-    """Return a log's motion without what may be noise of its speeds.
-
-    Regressors of this motion show what the manoeuvres tell; those of the measured one are never
-    quite zero and never quite proportional.
-
-    Parameters
-    ----------
-    log : DriveLog
-        The log.
-    icr : TreadICR
-        Tread ICRs.
+    drive : Drive
+        The drive.
     turning : bool
         False for a robot whose yaw shows that it did not turn, whatever the treads did.
 
     Returns
     -------
     Motion
-        Speeds averaged over a second, zero where they may be noise, and their accelerations.
+        Averaged speeds, and their accelerations.
     """
-    signal = _signal(log)
-    left, right = signal.left, signal.right
+    motion, window = drive.motion, min(drive.samples_in(1.0), max(len(drive.t) // 2, 1))
+    left, right = np.empty(len(drive.t)), np.empty(len(drive.t))
+    for run in drive.runs:
+        left[run] = uniform_filter1d(motion.v_left[run], window, mode="nearest")
+        right[run] = uniform_filter1d(motion.v_right[run], window, mode="nearest")
     if not turning:
         left = right = 0.5 * (left + right)
-    clean = Motion(left, right, icr, log.motion(icr).channels)
+    clean = replace(motion, v_left=left, v_right=right)
     return clean.with_channels(
-        accel=np.gradient(clean.v, log.t), yaw_accel=np.gradient(clean.omega, log.t)
+        accel=np.gradient(clean.v, drive.t), yaw_accel=np.gradient(clean.omega, drive.t)
     )
 
 
@@ -221,7 +117,7 @@ def _manoeuvres(icr: TreadICR) -> dict[str, Motion]:
 def _columns(model: PowerModel, motion: Motion) -> FloatArray | None:
     """Regressors on a manoeuvre; None where a term needs a channel that no manoeuvre sets."""
     try:
-        return linearise(model, motion).jacobian
+        return linearise(model, motion).columns[:, 0]
     except MissingChannelError:
         return None
 

@@ -12,10 +12,12 @@ from scipy.stats import t as student
 
 from energyplan import html
 from energyplan.errors import InvalidInputError, ModelError, NotIdentifiableError, UnknownNameError
-from energyplan.fit.covariance import autocorrelation, correlation_time
+from energyplan.fit.covariance import autocorrelation
+from energyplan.fit.drives.windows import Drive
 from energyplan.fit.icr import ICREstimate, fit_icr, icr_from_spin, turned, yaw_channel
 from energyplan.fit.identifiability import check_identifiable, linearise, signal_motion
-from energyplan.fit.regression import Method, PowerRegression, pieces_of
+from energyplan.fit.regression import Method, PowerRegression
+from energyplan.fit.residuals import statistics
 from energyplan.fit.solvers import Bounds
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
@@ -227,26 +229,27 @@ def identify(
     model = PowerModel(vehicle, tuple(terms), start, name=name)
 
     turning = turned(drives, settled)
-    clean = [signal_motion(log, settled, turning) for log in drives]
+    ready = [Drive.of(log, vehicle) for log in drives]
+    clean = [signal_motion(drive, turning) for drive in ready]
     linear = [term for term in terms if term.kind != "loss"]
     if linear:
         first = PowerModel(vehicle, tuple(linear), np.zeros(len(linear)))
-        doubts = check_identifiable(first, _stacked(first, clean, drives))
-    problem = PowerRegression(drives, model)
+        doubts = check_identifiable(first, _stacked(first, clean, ready))
+    problem = PowerRegression(ready, model)
     model = problem.solve(method, bounds)
     if len(linear) < len(terms):
-        doubts = check_identifiable(model, _stacked(model, clean, drives))
+        doubts = check_identifiable(model, _stacked(model, clean, ready))
     warnings += doubts
 
     covariance = problem.covariance(model, method)
     if estimate is not None:
         covariance = covariance + problem.inherited(model, estimate)
-    residual = _statistics(problem.residual(model), drives)
+    residual = statistics(ready, problem.powers(model))
     independent = residual.duration / max(2 * residual.correlation_time, 1e-300)
     model = replace(model, covariance=covariance, residual=residual)
     icr_covariance = None if estimate is None else estimate.covariance
     warnings += _doubts(model, bounds, independent)
-    warnings += _draw_at_rest(model, clean, drives)
+    warnings += _draw_at_rest(ready, problem.powers(model))
     aside = set_aside_by_drive(drives)
     return Identification(model, method, icr_covariance, independent, tuple(warnings), aside)
 
@@ -254,7 +257,7 @@ def identify(
 def fit_residual(model: PowerModel, logs: DriveLog | Sequence[DriveLog]) -> Residual:
     """Compare a model's power with what logs measured.
 
-    Where speeds are zero but for their noise, or equal, they count as zero, or as equal.
+    Speeds are freed of their sensors' noise first, as in `identify` and `energyplan.diagnose`.
 
     Parameters
     ----------
@@ -282,42 +285,19 @@ def fit_residual(model: PowerModel, logs: DriveLog | Sequence[DriveLog]) -> Resi
     >>> round(fit_residual(truth, ep.simulate.validation_drive(truth)).rmse, 6)
     0.0
     """
-    drives = _drives(logs)
-    return _statistics(PowerRegression(drives, model).residual(model), drives)
+    drives = [Drive.of(log, model.vehicle) for log in _drives(logs)]
+    return statistics(drives, PowerRegression(drives, model).powers(model))
 
 
 # -- parts --------------------------------------------------------------------------------------
 
 
-def _statistics(residual: FloatArray, drives: Sequence[DriveLog]) -> Residual:
-    weights = np.concatenate([log.weights for log in drives])
-    measured, missing = sum(log.energy for log in drives), float(weights @ residual)
-    if measured == 0.0:
-        energy_error = 0.0 if missing == 0.0 else -float(np.copysign(np.inf, missing))
-    else:
-        energy_error = -missing / measured
-    duration, pieces = sum(log.duration for log in drives), pieces_of(drives)
-    period = duration / max(len(residual) - len(pieces), 1)
-    return Residual(
-        rmse=float(np.sqrt(np.mean(residual**2))),
-        mae=float(np.mean(np.abs(residual))),
-        bias=float(np.mean(residual)),
-        energy_error=energy_error,
-        correlation_time=correlation_time(residual, period, pieces),
-        duration=duration,
-    )
-
-
-def _draw_at_rest(
-    model: PowerModel, clean: Sequence[Motion], drives: Sequence[DriveLog]
-) -> list[str]:
+def _draw_at_rest(drives: Sequence[Drive], powers: Sequence[FloatArray]) -> list[str]:
     """Warn of power that the robot draws standing still and no term explains."""
     residual = np.concatenate(
         [
-            (log.power - (model.battery_side() if log.battery_side else model).power(motion))[
-                (motion.v_left == 0) & (motion.v_right == 0)
-            ]
-            for motion, log in zip(clean, drives, strict=True)
+            (drive.power - power)[(drive.motion.v_left == 0) & (drive.motion.v_right == 0)]
+            for drive, power in zip(drives, powers, strict=True)
         ]
     )
     if len(residual) < _LEAST_INDEPENDENT:
@@ -339,14 +319,12 @@ def _drives(logs: DriveLog | Sequence[DriveLog]) -> list[DriveLog]:
     return drives
 
 
-def _stacked(
-    model: PowerModel, motions: Sequence[Motion], drives: Sequence[DriveLog]
-) -> FloatArray:
-    """Regressors of all logs, one below the other."""
+def _stacked(model: PowerModel, motions: Sequence[Motion], drives: Sequence[Drive]) -> FloatArray:
+    """Regressors of all drives, one below the other."""
     return np.concatenate(
         [
-            linearise(model, motion, log.battery_side).jacobian
-            for motion, log in zip(motions, drives, strict=True)
+            linearise(model, motion, drive.battery).columns[:, 0]
+            for motion, drive in zip(motions, drives, strict=True)
         ]
     )
 

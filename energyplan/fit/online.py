@@ -299,8 +299,9 @@ class OnlineIdentifier:
         coefficients = self._vectors[kernel.COEFFICIENTS] * self._unit
         model = self._model.with_coefficients(coefficients)
         known = linearise(model, motion, self._battery)
-        target = power - known.power + known.jacobian @ coefficients
-        return known.jacobian * self._unit, target
+        columns = known.columns[:, 0]
+        target = power - known.power[:, 0] + columns @ coefficients
+        return columns * self._unit, target
 
     def run(self, log: DriveLog) -> tuple[SurfaceChange, ...]:
         """Take in a log, sample by sample, as it would have come in while driving.

@@ -19,10 +19,12 @@ from energyplan.fit.covariance import (
     sandwich,
     sum_covariance,
 )
+from energyplan.fit.drives.linear import linearise_drive, power_of
+from energyplan.fit.drives.windows import Drive
 from energyplan.fit.icr import ICREstimate
-from energyplan.fit.identifiability import is_linear, linearise, settled_motion
+from energyplan.fit.identifiability import is_linear
+from energyplan.fit.residuals import pieces_of
 from energyplan.fit.solvers import Bounds
-from energyplan.logs import DriveLog
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel
 
@@ -31,16 +33,6 @@ Loss = Callable[[FloatArray], float]
 
 _IDLE = 0.01
 """Size of a regressor, over its usual one, below which a sample says nothing about it."""
-
-
-def pieces_of(drives: Sequence[DriveLog]) -> list[slice]:
-    """Stretches without a gap, all logs one below the other."""
-    starts = np.concatenate([[0], np.cumsum([len(log) for log in drives])[:-1]])
-    return [
-        slice(int(start) + run.start, int(start) + run.stop)
-        for start, log in zip(starts, drives, strict=True)
-        for run in log.runs
-    ]
 
 
 def telling(design: FloatArray) -> NDArray[np.bool_]:
@@ -77,37 +69,33 @@ def kept_pieces(pieces: Sequence[slice], kept: NDArray[np.bool_]) -> list[slice]
 
 
 class PowerRegression:
-    """Measured power and the predictions to fit to it, all logs one below the other."""
+    """Measured total power and the predictions to fit to it, all drives one below the other."""
 
-    def __init__(self, drives: Sequence[DriveLog], model: PowerModel) -> None:
+    def __init__(self, drives: Sequence[Drive], model: PowerModel) -> None:
         self._start = model
-        self._motions = [settled_motion(log, model.vehicle.icr) for log in drives]
-        self._battery = [log.battery_side for log in drives]
-        self._measured = np.concatenate([log.power for log in drives])
+        self._drives = [replace(drive, between=None) for drive in drives]
+        self._measured = np.concatenate([drive.power for drive in drives])
         self.pieces = pieces_of(drives)
         self._linear = is_linear(model) and not (
-            any(self._battery) and not is_linear(model.battery_side())
+            any(drive.battery for drive in drives) and not is_linear(model.battery_side())
         )
 
-    def _power(self, model: PowerModel) -> FloatArray:
-        parts = [
-            (model.battery_side() if battery else model).power(motion)
-            for motion, battery in zip(self._motions, self._battery, strict=True)
-        ]
-        return np.concatenate(parts)
+    def powers(self, model: PowerModel) -> list[FloatArray]:
+        """Return the predicted power of each drive [W]."""
+        return [power_of(model, drive) for drive in self._drives]
 
     def residual(self, model: PowerModel) -> FloatArray:
         """Measured minus predicted power [W]."""
-        return np.asarray(self._measured - self._power(model))
+        return np.asarray(self._measured - np.concatenate(self.powers(model)))
 
     def _linearise(self, model: PowerModel) -> tuple[FloatArray, FloatArray]:
         """Target and design of the linear problem at a model's coefficients."""
         parts = [
-            linearise(model, motion, battery)
-            for motion, battery in zip(self._motions, self._battery, strict=True)
+            linearise_drive(drive, model.vehicle, model.terms, model.coefficients)
+            for drive in self._drives
         ]
-        jacobian = np.concatenate([part.jacobian for part in parts])
-        power = np.concatenate([part.power for part in parts])
+        jacobian = np.concatenate([part.columns[:, 0] for part in parts])
+        power = np.concatenate([part.power[:, 0] for part in parts])
         return self._measured - power + jacobian @ model.coefficients, jacobian
 
     def solve(self, method: Method, bounds: Bounds) -> PowerModel:
@@ -207,12 +195,15 @@ class PowerRegression:
         """Covariance that the coefficients take over from the tread ICRs."""
         _, design = self._linearise(model)
         icr = model.vehicle.icr
+        power = np.concatenate(self.powers(model))
         shifts = []
         for which in ("left", "right", "longitudinal"):
             step = max(estimate.std_error[which], 1e-6)
             moved = replace(icr, **{which: getattr(icr, which) + step})
             other = replace(model, vehicle=model.vehicle.with_icr(moved))
-            shifts.append((self._power(other) - self._power(model)) / step)
+            turned = [drive.with_icr(moved) for drive in self._drives]
+            ahead = np.concatenate([power_of(other, drive) for drive in turned])
+            shifts.append((ahead - power) / step)
         free = Bounds(np.full(len(model.terms), -np.inf), np.full(len(model.terms), np.inf))
         change = [solvers.weighted_least_squares(design, -shift, free) for shift in shifts]
         sensitivity = np.column_stack(change)

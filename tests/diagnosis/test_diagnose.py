@@ -23,7 +23,6 @@ from energyplan.fit.drives.denoise import quiet, speed_noise
 from energyplan.fit.drives.linear import linearise_drive
 from energyplan.fit.drives.window_kernels import block_grams, block_grams_reference
 from energyplan.fit.drives.windows import Design, Drive
-from energyplan.fit.identifiability import linearise as reference_linearise
 from energyplan.fit.least_squares import Fit, Problem, fit, solve, weighted
 from energyplan.motion import Motion
 from energyplan.power import HOTEL, SLIP, TABLE_II, TRACTION, PowerModel, Sides, Term
@@ -482,9 +481,13 @@ def test_losses_linearise_as_the_model_itself_does() -> None:
     values = np.array([0.6, 110.0, 20.0, 3e-4, 150.0])
     drive = _problem(duration=120.0).of_totals.drives[0]
     about = linearise_drive(drive, VEHICLE, terms, values)
-    reference = reference_linearise(PowerModel(VEHICLE, terms, values), drive.motion)
-    assert about.power[:, 0] == pytest.approx(reference.power, rel=1e-9, abs=1e-9)
-    assert about.columns[:, 0] == pytest.approx(reference.jacobian, rel=1e-4, abs=1e-3)
+    model = PowerModel(VEHICLE, terms, values)
+    assert about.power[:, 0] == pytest.approx(model.power(drive.motion), rel=1e-9, abs=1e-9)
+    for k, value in enumerate(values):
+        step = 1e-4 * value * np.eye(len(values))[k]
+        ends = (model.with_coefficients(values + by).power(drive.motion) for by in (step, -step))
+        slope = np.subtract(*ends) / (2e-4 * value)
+        assert about.columns[:, 0, k] == pytest.approx(slope, rel=1e-4, abs=1e-3)
 
 
 def test_noise_is_measured_and_taken_out_without_moving_the_truth() -> None:
@@ -654,4 +657,4 @@ def test_identify_and_diagnosis_agree_on_the_papers_model_and_its_errors() -> No
         assert told.paper.coefficient(term) == found.model.coefficient(term)
         assert told.paper.std_error(term) == found.std_error[term]
         assert told.model.coefficient(term) == found.model.coefficient(term)
-    assert told.before.rmse == pytest.approx(fit_residual(found.model, unseen).rmse, rel=0.05)
+    assert told.before.rmse == pytest.approx(fit_residual(found.model, unseen).rmse)

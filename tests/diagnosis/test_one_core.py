@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from energyplan import diagnose, identify, simulate
+from energyplan.fit import fit_residual
 from energyplan.fit.online import OnlineIdentifier
+from energyplan.io.husky import read_husky
+from energyplan.logs import DriveLog
 from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel
 from energyplan.power.effects import catalogue
 from energyplan.vehicle import Vehicle
@@ -54,6 +59,47 @@ def test_three_ways_to_the_same_terms_agree_within_their_errors(seed: int, tau: 
         # Three estimators of one number: no further apart than errors of their own.
         assert np.ptp(values) < 4 * errors.max()
         assert errors.max() < 3 * errors.min()
+
+
+def _agree(train: list[DriveLog], unseen: DriveLog, vehicle: Vehicle) -> None:
+    """Hold the paper's terms and what they leave of a drive against each other, to rounding."""
+    found = identify(train, vehicle)
+    told = diagnose(train, unseen, vehicle, effects=[], choose=False)
+    for model in (told.paper, told.model):
+        for term in (SLIP.name, TRACTION.name):
+            assert model.coefficient(term) == pytest.approx(
+                found.model.coefficient(term), rel=1e-12
+            )
+            assert model.std_error(term) == pytest.approx(found.std_error[term], rel=1e-12)
+    left = fit_residual(found.model, unseen)
+    for errors in (told.before, told.after):
+        for name in ("rmse", "mae", "bias", "energy_error", "correlation_time", "duration"):
+            assert getattr(errors, name) == pytest.approx(getattr(left, name), rel=1e-9), name
+
+
+@pytest.mark.parametrize("count", [1, 4])
+@pytest.mark.parametrize("measured", ["sides", "total", "battery"])
+def test_identify_and_diagnose_are_one_core(measured: Any, count: int) -> None:
+    model = _robot(2)
+    model = replace(model, vehicle=replace(model.vehicle, drive_efficiency=0.8))
+    noise: dict[str, Any] = {"power_noise": 8.0, "speed_noise": 0.005, "correlation_time": 0.5}
+    noise["measured"] = measured
+    logs = [simulate.identification_drive(model, seed=k, **noise) for k in range(count)]
+    # A pause in the record, over which no energy is counted.
+    parts = {k: np.delete(v, slice(700, 900)) for k, v in logs[0].channels.items()}
+    logs[0] = DriveLog(parts)
+    _agree(logs, simulate.validation_drive(model, seed=50, **noise), model.vehicle)
+
+
+@pytest.mark.shared
+def test_identify_and_diagnose_are_one_core_on_recorded_drives(shared_data: Path) -> None:
+    log = DriveLog.read(shared_data / "drive" / "warthog_grass.csv")
+    cut = float(log.t[0] + 0.6 * log.duration)
+    first, last = log.segment(float(log.t[0]), cut), log.segment(cut, float(log.t[-1]))
+    _agree([first], last, Vehicle.preset("warthog"))
+    folder = shared_data / "borealtc" / "FLOORING"
+    runs = [read_husky(folder / f"pro_{k:02d}.csv") for k in (0, 1, 2, 3)]
+    _agree(runs[:3], runs[3], Vehicle.preset("husky_a200"))
 
 
 def test_what_a_log_cannot_tell_is_said_first() -> None:

@@ -20,6 +20,7 @@ from energyplan.errors import (
 )
 from energyplan.fit import ICREstimate, fit_icr, fit_residual, icr_from_spin, identify, solvers
 from energyplan.fit import covariance as _covariance
+from energyplan.fit.drives.windows import Drive
 from energyplan.fit.regression import PowerRegression
 from energyplan.logs import DriveLog
 from energyplan.output import documents, text
@@ -256,7 +257,7 @@ def test_error_of_the_tread_icrs_is_passed_on(truth: PowerModel) -> None:
     off = truth.vehicle.with_icr(TreadICR.symmetric(0.6))
     model = identify(log, off, icr="vehicle", method="huber").model
     estimate = ICREstimate(off.icr, covariance, 10.0, "yaw")
-    passed = PowerRegression([log], model).inherited(model, estimate)
+    passed = PowerRegression([Drive.of(log, off)], model).inherited(model, estimate)
     np.testing.assert_allclose(passed, np.outer(change, change), rtol=0.05, atol=1e-12)
     assert identify(log, off, icr="vehicle").icr_std_error is None
 

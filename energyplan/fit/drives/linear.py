@@ -1,7 +1,6 @@
 """A drive's power about given coefficients, and its derivatives (private).
 
-`energyplan.fit.identifiability.linearise` answers the same for one model and one motion. Selection
-asks hundreds of times for the same drives and terms, so that here the force of each term is
+Selection asks hundreds of times for the same drives and terms, so that the force of each term is
 computed once a drive and kept; only the losses are evaluated anew.
 """
 
@@ -15,11 +14,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from energyplan.fit.drives.columns import columns_of, held_field_of, of_equations
-from energyplan.fit.drives.late import Late
+from energyplan.fit.drives.late import ON_TIME, Late
 from energyplan.fit.drives.windows import MOMENT, Drive
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
-from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS, SLIP, Sides, Term
+from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS, SLIP, PowerModel, Sides, Term
 from energyplan.vehicle import Vehicle
 
 _STEP = 1e-4
@@ -111,6 +110,19 @@ def linearise_drive(
         power[:, 0] += most
         table[known, 0] = 0.0
     return Linear(drive.observed(power), drive.observed(table))
+
+
+def equations_of(model: PowerModel, drive: Drive) -> FloatArray:
+    """Return the power of a drive by a model in each equation, as the log shows it [W]."""
+    for term in model.terms:
+        for name in term.channels:
+            drive.motion.channel(name, f"the term {term.name!r}")
+    return linearise_drive(drive, model.vehicle, model.terms, model.coefficients, ()).power
+
+
+def power_of(model: PowerModel, drive: Drive) -> FloatArray:
+    """Return the power of a drive by a model, with contacts that hold on a straight [W]."""
+    return equations_of(model, replace(drive, between=None, late=ON_TIME, factor=1.0))[:, 0]
 
 
 def held_loss(vehicle: Vehicle, terms: Sequence[Term], values: FloatArray, drive: Drive) -> float:

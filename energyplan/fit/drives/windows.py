@@ -28,7 +28,7 @@ from energyplan.logs import DriveLog
 from energyplan.logs.checks import find_runs
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
-from energyplan.vehicle import Vehicle
+from energyplan.vehicle import TreadICR, Vehicle
 
 SCALES = (0.5, 2.0, 8.0)
 """Window lengths [s]; each divides the next."""
@@ -89,19 +89,8 @@ class Drive:
 
     @classmethod
     def of(cls, log: DriveLog, vehicle: Vehicle) -> Drive:
-        """Prepare a log.
-
-        Raises
-        ------
-        DriveLogError
-            If it is shorter than two blocks.
-        """
+        """Prepare a log."""
         t = np.asarray(log.t - log.t[0])
-        if t[-1] < 2 * BLOCK:
-            raise DriveLogError(
-                f"{log.name}: {t[-1]:.1f} s are too short to learn from; give {2 * BLOCK:.0f} s "
-                "or more"
-            )
         motion = quiet(log.motion(vehicle.icr), t)
         steps = 0.5 * np.diff(t) * (np.abs(motion.v[1:]) + np.abs(motion.v[:-1]))
         distance = np.concatenate([[0.0], np.cumsum(steps)])
@@ -111,9 +100,19 @@ class Drive:
             between=None if sides is None else np.asarray(sides.right - sides.left),
         )  # fmt: skip
 
+    @classmethod
+    def at(cls, motion: Motion, battery: bool = False) -> Drive:
+        """Return instants of a motion, shape (n,), that belong to no log."""
+        count = motion.shape[0]
+        return cls("instants", np.arange(float(count)), motion, np.zeros(count), battery)
+
     def with_channels(self, **channels: FloatArray) -> Drive:
         """Return the drive with channels added to its motion."""
         return replace(self, motion=self.motion.with_channels(**channels), fields={})
+
+    def with_icr(self, icr: TreadICR) -> Drive:
+        """Return the drive of a robot with other tread ICRs."""
+        return replace(self, motion=replace(self.motion, icr=icr), fields={})
 
     @cached_property
     def runs(self) -> tuple[slice, ...]:
@@ -283,7 +282,18 @@ def prepared(logs: Sequence[DriveLog], vehicle: Vehicle) -> list[Drive]:
     """Prepare training drives; very many samples are thinned, to four a shortest window at least.
 
     Speeds are cleaned before: only the averaging of noise suffers, of which there is plenty left.
+
+    Raises
+    ------
+    DriveLogError
+        If a log is shorter than two blocks.
     """
+    for log in logs:
+        if log.t[-1] - log.t[0] < 2 * BLOCK:
+            raise DriveLogError(
+                f"{log.name}: {log.t[-1] - log.t[0]:.1f} s are too short to learn from; give "
+                f"{2 * BLOCK:.0f} s or more"
+            )
     drives = [Drive.of(log, vehicle) for log in logs]
     total = sum(len(drive.t) for drive in drives)
     period = max(float(np.median(np.diff(drive.t))) for drive in drives)

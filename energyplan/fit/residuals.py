@@ -1,0 +1,57 @@
+"""What a model's prediction leaves of measured drives (private)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from energyplan.fit.covariance import correlation_time
+from energyplan.fit.drives.windows import Drive
+from energyplan.path import FloatArray
+from energyplan.power import Residual
+
+
+def pieces_of(drives: Sequence[Drive]) -> list[slice]:
+    """Stretches without a gap, all drives one below the other."""
+    starts = np.concatenate([[0], np.cumsum([len(drive.t) for drive in drives])[:-1]])
+    return [
+        slice(int(start) + run.start, int(start) + run.stop)
+        for start, drive in zip(starts, drives, strict=True)
+        for run in drive.runs
+    ]
+
+
+def statistics(drives: Sequence[Drive], powers: Sequence[FloatArray]) -> Residual:
+    """Return the statistics of measured minus predicted power.
+
+    Parameters
+    ----------
+    drives : sequence of Drive
+        The drives.
+    powers : sequence of ndarray, shape (n,)
+        Predicted power of each [W].
+
+    Returns
+    -------
+    Residual
+        Energies count gaps for nothing.
+    """
+    residual = np.concatenate([d.power - p for d, p in zip(drives, powers, strict=True)])
+    weights = np.concatenate([drive.weights for drive in drives])
+    measured = sum(float(drive.weights @ drive.power) for drive in drives)
+    missing = float(weights @ residual)
+    if measured == 0.0:
+        energy_error = 0.0 if missing == 0.0 else -float(np.copysign(np.inf, missing))
+    else:
+        energy_error = -missing / measured
+    duration, pieces = float(weights.sum()), pieces_of(drives)
+    period = duration / max(len(residual) - len(pieces), 1)
+    return Residual(
+        rmse=float(np.sqrt(np.mean(residual**2))),
+        mae=float(np.mean(np.abs(residual))),
+        bias=float(np.mean(residual)),
+        energy_error=energy_error,
+        correlation_time=correlation_time(residual, period, pieces),
+        duration=duration,
+    )
