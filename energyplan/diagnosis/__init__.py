@@ -41,7 +41,7 @@ from energyplan.diagnosis.wheel_fight import find_wheel_fight
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
 from energyplan.fit.drives.late import Late
-from energyplan.fit.drives.windows import Drive, prepared
+from energyplan.fit.drives.windows import Drive, check_long_enough, prepared
 from energyplan.fit.least_squares import PAPER, Problem
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
@@ -145,6 +145,7 @@ def diagnose(
         raise InvalidInputError("a drive stands in train and in holdout; give it to one of them")
     entries = tuple(catalogue().values()) if effects is None else tuple(effects)
     _answerable(learned)
+    check_long_enough([*learned, *held_out])
     report(0.0, "fitting the paper's model")
     vehicle = _with_icr(learned, vehicle)
     case = _Case(learned, held_out, vehicle, entries)

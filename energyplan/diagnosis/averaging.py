@@ -10,12 +10,14 @@ explanation that fits them may be wrong about the first motion that they do not 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.cluster.vq import kmeans2
 
 from energyplan.diagnosis.joint_fit import FinalFit
 from energyplan.diagnosis.part import Part
@@ -40,7 +42,7 @@ _SLOW = 1  # scale at which an explanation is told to leave nothing: two seconds
 _NOTHING = (USUAL_RUN_SPREAD / FLOOR) ** 2  # of the floor, less than which runs differ by anyway
 _MOTIONS = 8  # most kinds of motion
 _MEMBERS = 3  # windows of a kind of motion, in the mean
-_GROUPINGS = 50  # most rounds of grouping
+_GROUPINGS = 50  # rounds of grouping
 _EXACT = 1e-6  # relative error that is none
 _DRAWS = 400  # of the Bayesian bootstrap
 
@@ -216,7 +218,7 @@ def _motions(problem: Problem, cautious: FloatArray) -> NDArray[np.intp]:
     """Group the longest windows by what the robot did in them, as far as it takes power.
 
     Speed and yaw rate, with and without their signs, each by the power that it takes; Lloyd's
-    grouping, from windows that are far from each other.
+    grouping (k-means), from windows that are far from each other.
     """
     driving = 2.0 * abs(float(cautious[1]))
     turning = abs(float(cautious[0])) * problem.vehicle.slip_moment
@@ -241,16 +243,9 @@ def _motions(problem: Problem, cautious: FloatArray) -> NDArray[np.intp]:
         gap = np.minimum(gap, apart(centres[-1]))
     if len(centres) == 1:  # one motion throughout: its first half and its last
         return np.asarray(np.arange(len(points)) * 2 // len(points))
-    label = np.full(len(points), -1)
-    for _ in range(_GROUPINGS):
-        now = np.argmin([apart(centre) for centre in centres], axis=0)
-        if np.array_equal(now, label):
-            break
-        label = now
-        centres = [
-            points[label == k].mean(axis=0) if np.any(label == k) else centre
-            for k, centre in enumerate(centres)
-        ]
+    with warnings.catch_warnings():  # a group without members keeps its centre
+        warnings.filterwarnings("ignore", "One of the clusters is empty")
+        _, label = kmeans2(points, np.array(centres), iter=_GROUPINGS, minit="matrix")
     return np.asarray(np.unique(label, return_inverse=True)[1])
 
 

@@ -14,11 +14,11 @@ from scipy.stats import kstest
 
 from energyplan import DriveLog, EnergyCost, diagnose, identify, simulate
 from energyplan.diagnosis import Dependence, Diagnosis, residual
-from energyplan.diagnosis import windows as _design
 from energyplan.diagnosis.mass_centre import find_mass_centre, twist
 from energyplan.diagnosis.residual import dependences, in_words
 from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.fit import fit_residual
+from energyplan.fit.drives import windows as _design
 from energyplan.fit.drives.denoise import quiet, speed_noise
 from energyplan.fit.drives.linear import linearise_drive
 from energyplan.fit.drives.window_kernels import block_grams, block_grams_reference

@@ -91,9 +91,11 @@ def turning(motion: Motion, t: FloatArray) -> Turning | None:
         None where no sensor tells it.
     """
     rates = []
+    if len(t) < _SHORTEST:
+        return None
     if "yaw_rate" in motion.channels:
         rates.append(np.asarray(motion.channels["yaw_rate"]))
-    if "yaw" in motion.channels and len(t) > 2:
+    if "yaw" in motion.channels:
         rates.append(np.gradient(np.unwrap(motion.channels["yaw"]), t))
     told = [found for rate in rates if (found := Turning.of(rate, motion)) is not None]
     return min(told, key=lambda one: one.noise + one.offset_error, default=None)

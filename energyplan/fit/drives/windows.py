@@ -278,10 +278,8 @@ class Windows:
         return np.asarray(total / self.counts.reshape(-1, *[1] * (values.ndim - 1)))
 
 
-def prepared(logs: Sequence[DriveLog], vehicle: Vehicle) -> list[Drive]:
-    """Prepare training drives; very many samples are thinned, to four a shortest window at least.
-
-    Speeds are cleaned before: only the averaging of noise suffers, of which there is plenty left.
+def check_long_enough(logs: Sequence[DriveLog]) -> None:
+    """Refuse drives too short to be cut into blocks.
 
     Raises
     ------
@@ -289,11 +287,19 @@ def prepared(logs: Sequence[DriveLog], vehicle: Vehicle) -> list[Drive]:
         If a log is shorter than two blocks.
     """
     for log in logs:
-        if log.t[-1] - log.t[0] < 2 * BLOCK:
+        seconds = float(log.t[-1] - log.t[0])
+        if seconds < 2 * BLOCK:
             raise DriveLogError(
-                f"{log.name}: {log.t[-1] - log.t[0]:.1f} s are too short to learn from; give "
+                f"{log.name}: {seconds:.1f} s are too short to learn from, or to judge by; give "
                 f"{2 * BLOCK:.0f} s or more"
             )
+
+
+def prepared(logs: Sequence[DriveLog], vehicle: Vehicle) -> list[Drive]:
+    """Prepare training drives; very many samples are thinned, to four a shortest window at least.
+
+    Speeds are cleaned before: only the averaging of noise suffers, of which there is plenty left.
+    """
     drives = [Drive.of(log, vehicle) for log in logs]
     total = sum(len(drive.t) for drive in drives)
     period = max(float(np.median(np.diff(drive.t))) for drive in drives)
