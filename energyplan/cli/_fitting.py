@@ -38,10 +38,10 @@ if TYPE_CHECKING:
     from energyplan.power import Term
 
 Method = Annotated[
-    Literal["lad", "simplex", "huber"],
+    Literal["lad", "simplex", "huber", "windows"],
     typer.Option(
         help="lad: least absolute deviations, exact; simplex: the same by the paper's search; "
-        "huber: robust least squares."
+        "huber: robust least squares; windows: as diagnose fits, both sides, means over 0.5 to 8 s."
     ),
 ]
 

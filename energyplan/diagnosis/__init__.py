@@ -15,7 +15,6 @@ import numpy as np
 from energyplan.diagnosis import advice as _advice
 from energyplan.diagnosis.adequacy import adequacy, energies, holds
 from energyplan.diagnosis.averaging import FEWEST_RUNS, averaged, note_of
-from energyplan.diagnosis.breakaway import with_breakaway
 from energyplan.diagnosis.change_points import change_time
 from energyplan.diagnosis.explanations import Found
 from energyplan.diagnosis.holdout import ErrorInterval, Prediction, interval, predict, score
@@ -40,6 +39,7 @@ from energyplan.diagnosis.search import SIGNIFICANCE, Search
 from energyplan.diagnosis.wheel_fight import find_wheel_fight
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
+from energyplan.fit.breakaway import with_breakaway
 from energyplan.fit.drives.late import Late
 from energyplan.fit.drives.windows import Drive, check_long_enough, prepared
 from energyplan.fit.least_squares import PAPER, Problem

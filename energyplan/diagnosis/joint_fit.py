@@ -10,8 +10,8 @@ import numpy as np
 from energyplan.diagnosis.part import Part
 from energyplan.fit.drives.late import Late
 from energyplan.fit.drives.linear import equations_of
-from energyplan.fit.drives.windows import Design, window_means
-from energyplan.fit.least_squares import PAPER, Fit, Problem, RunSpread, fit
+from energyplan.fit.joint import joint_fit
+from energyplan.fit.least_squares import PAPER, Problem
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Term
 from energyplan.power.effects import Effect
@@ -64,51 +64,20 @@ def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
         The model with its covariance.
     """
     terms = [*PAPER, *(term for part in parts for term in part.terms)]
-    errors = problem.reference(problem.design(terms))
-    design = problem.design(terms, errors)
-    found = _within(problem, terms, design, errors)
-    covariance, searched = found.reported, {}
-    moved = _derivatives(
-        problem, parts, dict(zip((t.name for t in terms), found.values, strict=True))
-    )
-    if moved:
-        columns = [np.stack(column, axis=-1) for column in zip(*moved.values(), strict=True)]
-        wide = fit(design.joined(window_means(problem.drives, columns)), errors)
-        count = len(terms)
-        covariance = wide.reported[:count, :count]
-        deviation = np.sqrt(np.diag(wide.reported)[count:])
-        searched = dict(zip(moved, (float(d) for d in deviation), strict=True))
-        late = [count + k for k, key in enumerate(moved) if key in Late._fields]
-        if late:
-            block = wide.reported[np.ix_(late, late)]
-            searched["late"] = float(np.sqrt(max(float(block.sum()), 0.0)))
-    plain = problem.of_totals.with_factors([1.0] * len(problem.drives))
-    spread = RunSpread.of(plain.design(terms), found.values)
-    if spread is not None:
-        # What all runs share is known no better than the mean of runs that differ.
-        level = spread.deviation**2 / len(problem.drives)
-        covariance = covariance + level * np.outer(found.values, found.values)
-    model = PowerModel(
-        problem.vehicle, tuple(terms), found.values, 0.5 * (covariance + covariance.T)
-    )
-    return FinalFit(model, searched, None if spread is None else spread.deviation)
+    names: list[str] = []
 
+    def further(values: Mapping[str, float]) -> Sequence[Sequence[FloatArray]]:
+        moved = _derivatives(problem, parts, values)
+        names.extend(moved)
+        return list(moved.values())
 
-def _within(problem: Problem, terms: Sequence[Term], design: Design, errors: FloatArray) -> Fit:
-    """Fit coefficients none of which is beyond its upper end; one that would be stands there.
-
-    The covariance is that of the fit without ends.
-    """
-    found = fit(design, errors)
-    most = np.array([term.bounds[1] for term in terms])
-    values = np.array(found.values)
-    ends = values > most
-    while np.any(values[ends] > most[ends]):
-        values[ends] = most[ends]
-        about = Design.of(problem.drives, *problem.tables(terms, values))
-        values[~ends] = fit(about.fixed(ends, most), errors).values
-        ends |= values > most
-    return replace(found, values=values)
+    found = joint_fit(problem, terms, further)
+    searched = dict(zip(names, np.sqrt(np.diag(found.further)).tolist(), strict=True))
+    late = [k for k, name in enumerate(names) if name in Late._fields]
+    if late:
+        block = found.further[np.ix_(late, late)]
+        searched["late"] = float(np.sqrt(max(float(block.sum()), 0.0)))
+    return FinalFit(found.model, searched, found.run_spread)
 
 
 def _derivatives(

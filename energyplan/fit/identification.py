@@ -12,10 +12,13 @@ from scipy.stats import t as student
 
 from energyplan import html
 from energyplan.errors import InvalidInputError, ModelError, NotIdentifiableError, UnknownNameError
+from energyplan.fit.breakaway import with_breakaway
 from energyplan.fit.covariance import autocorrelation
-from energyplan.fit.drives.windows import Drive
+from energyplan.fit.drives.windows import Drive, check_long_enough, prepared
 from energyplan.fit.icr import ICREstimate, fit_icr, icr_from_spin, turned, yaw_channel
 from energyplan.fit.identifiability import check_identifiable, linearise, signal_motion
+from energyplan.fit.joint import joint_fit
+from energyplan.fit.least_squares import Problem
 from energyplan.fit.regression import Method, PowerRegression
 from energyplan.fit.residuals import statistics
 from energyplan.fit.solvers import Bounds
@@ -24,6 +27,7 @@ from energyplan.logs.checks import set_aside_by_drive
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Term
+from energyplan.power.effects import catalogue
 from energyplan.vehicle import TreadICR, Vehicle
 
 __all__ = ["ICREstimate", "Identification", "fit_icr", "fit_residual", "icr_from_spin", "identify"]
@@ -169,10 +173,12 @@ def identify(
         The robot: contacts and loads, and the tread ICRs to fall back to.
     terms : sequence of Term
         Terms of the model; also ones that are not linear in their coefficients.
-    method : {"lad", "simplex", "huber"}
+    method : {"lad", "simplex", "huber", "windows"}
         ``lad``: least sum of absolute residuals, exact (Eq. 7 as a linear program). ``simplex``:
         the same sum by the paper's Nelder-Mead search. ``huber``: squares near zero, absolute
-        values beyond, for Gaussian noise with outliers.
+        values beyond, for Gaussian noise with outliers. ``windows``: least squares of means over
+        0.5, 2 and 8 s, as `energyplan.diagnose` fits; where the power of each side was logged, of
+        both sides' difference too. Drives must last 16 s.
     icr : {"auto", "symmetric", "asymmetric", "vehicle"} or TreadICR
         ``auto``: the tread ICRs that the logs determine, the vehicle's for the rest.
         ``symmetric`` and ``asymmetric`` raise if the logs do not determine them. ``vehicle`` or
@@ -195,6 +201,8 @@ def identify(
         If a term needs a channel that a log lacks.
     InvalidInputError
         If there are no logs or no terms.
+    DriveLogError
+        If a log is too short for the method ``windows``.
 
     References
     ----------
@@ -236,12 +244,15 @@ def identify(
         first = PowerModel(vehicle, tuple(linear), np.zeros(len(linear)))
         doubts = check_identifiable(first, _stacked(first, clean, ready))
     problem = PowerRegression(ready, model)
-    model = problem.solve(method, bounds)
+    if method == "windows":
+        model = replace(joint_fit(_both_sides(drives, vehicle, terms), terms).model, name=name)
+    else:
+        model = problem.solve(method, bounds)
     if len(linear) < len(terms):
         doubts = check_identifiable(model, _stacked(model, clean, ready))
     warnings += doubts
 
-    covariance = problem.covariance(model, method)
+    covariance = problem.covariance(model, method) if model.covariance is None else model.covariance
     if estimate is not None:
         covariance = covariance + problem.inherited(model, estimate)
     residual = statistics(ready, problem.powers(model))
@@ -290,6 +301,16 @@ def fit_residual(model: PowerModel, logs: DriveLog | Sequence[DriveLog]) -> Resi
 
 
 # -- parts --------------------------------------------------------------------------------------
+
+
+def _both_sides(drives: Sequence[DriveLog], vehicle: Vehicle, terms: Sequence[Term]) -> Problem:
+    """Return drives as diagnosis fits them: each side an equation, where it slides."""
+    check_long_enough(drives)
+    usual = [
+        term for effect in catalogue().values() if effect.usual for term in effect.terms
+        if term in terms
+    ]  # fmt: skip
+    return with_breakaway(Problem(prepared(drives, vehicle), vehicle), usual)
 
 
 def _draw_at_rest(drives: Sequence[Drive], powers: Sequence[FloatArray]) -> list[str]:

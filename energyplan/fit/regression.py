@@ -28,7 +28,7 @@ from energyplan.fit.solvers import Bounds
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel
 
-Method = Literal["lad", "simplex", "huber"]
+Method = Literal["lad", "simplex", "huber", "windows"]
 Loss = Callable[[FloatArray], float]
 
 _IDLE = 0.01

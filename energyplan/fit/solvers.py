@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import optimize
 from scipy.optimize import linprog, lsq_linear
 
@@ -23,7 +24,10 @@ HUBER_TUNING = 1.345
 """Where Huber's loss turns linear, in standard deviations (95 % efficient for normal noise)."""
 
 _BAND = 4000
-"""Rows that the first reduced linear program holds."""
+"""Least rows that a reduced linear program holds; up to twice as many are solved as they are."""
+
+_FEW_WRONG = 0.1
+"""Share of the band, up to which rows with another sign than expected join it."""
 
 
 @dataclass(frozen=True)
@@ -118,8 +122,9 @@ def lad(X: FloatArray, y: FloatArray, bounds: Bounds) -> FloatArray:
 
     Rows far from the fitted surface only matter through the sign of their residual. They are
     summed into one vector, the rest is a small linear program, and rows whose sign turns out
-    otherwise join it until there are none: then the solution is that of the whole problem, because
-    the reduced objective never exceeds the full one and equals it there.
+    otherwise join it, or a wider band takes its place where they are many, until there are none:
+    then the solution is that of the whole problem, because the reduced objective never exceeds the
+    full one and equals it there.
 
     Parameters
     ----------
@@ -145,6 +150,10 @@ def lad(X: FloatArray, y: FloatArray, bounds: Bounds) -> FloatArray:
     Portnoy and Koenker (1997), "The Gaussian hare and the Laplacian tortoise", Statistical
     Science 12(4); docs/theory, section 6.
     """
+    acting = np.any(X != 0.0, axis=1)  # the residual of any other row is what it is
+    if not acting.any():
+        return bounds.clip(np.zeros(X.shape[1]))
+    X, y = X[acting], y[acting]
     scale = column_scale(X)
     target = float(np.max(np.abs(y), initial=0.0)) or 1.0
     Xs, ys = X / scale, y / target
@@ -152,22 +161,31 @@ def lad(X: FloatArray, y: FloatArray, bounds: Bounds) -> FloatArray:
     if len(ys) <= 2 * _BAND:
         c, _ = _lad_program(Xs, ys, inner, np.zeros(X.shape[1]))
         return bounds.clip(c * target / scale)
-    c = huber(Xs, ys, inner)
-    residual = ys - Xs @ c
-    band = np.zeros(len(ys), bool)
-    band[np.argpartition(np.abs(residual), _BAND)[:_BAND]] = True
-    sign = np.sign(residual)
+    # Rows evenly picked lead near the solution, however skew the residual; squares would not.
+    few = slice(None, None, -(-len(ys) // (2 * _BAND)))
+    c = lad(Xs[few], ys[few], inner)
+    size = max(_BAND, round(3.0 * len(ys) ** (2 / 3)))
+    band, sign = _band(ys - Xs @ c, size)
     while True:
         fixed = Xs[~band].T @ sign[~band]
-        c, _ = _lad_program(Xs[band], ys[band], inner, fixed)
-        residual = ys - Xs @ c
-        wrong = ~band & (residual * sign < 0)
-        if not wrong.any():
-            return bounds.clip(c * target / scale)
-        # The neighbours of the new surface come along: the next step crosses them.
-        near = np.argpartition(np.abs(residual), _BAND)[:_BAND]
-        band[near] = True
-        band |= wrong
+        found, _ = _lad_program(Xs[band], ys[band], inner, fixed)
+        wrong = ~band & ((ys - Xs @ found) * sign < 0)
+        count = np.count_nonzero(wrong)
+        if count == 0:
+            return bounds.clip(found * target / scale)
+        if count > _FEW_WRONG * size:  # it left the band: a wider one holds it
+            size = min(2 * size, len(ys))
+            band, sign = _band(ys - Xs @ c, size)
+        else:
+            band |= wrong
+
+
+def _band(residual: FloatArray, size: int) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Mark the rows of the smallest residuals, and return the signs of all."""
+    band = np.ones(len(residual), bool)
+    if size < len(residual):
+        band[np.argpartition(np.abs(residual), size)[size:]] = False
+    return band, np.sign(residual)
 
 
 def simplex(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog, diagnose, simulate
-from energyplan.diagnosis.breakaway import with_breakaway
+from energyplan.fit.breakaway import with_breakaway
 from energyplan.fit.drives.linear import linearise_drive
 from energyplan.fit.drives.windows import Drive, prepared
 from energyplan.fit.least_squares import Problem, fit

@@ -91,6 +91,25 @@ def test_identify_and_diagnose_are_one_core(measured: Any, count: int) -> None:
     _agree(logs, simulate.validation_drive(model, seed=50, **noise), model.vehicle)
 
 
+@pytest.mark.parametrize("measured", ["sides", "total"])
+def test_identify_fits_windows_as_diagnosis_does(measured: Any) -> None:
+    entries = [catalogue()[name] for name in ("hotel_load", "copper_loss", "linear_inertia")]
+    terms = [SLIP, TRACTION, *(term for entry in entries for term in entry.terms)]
+    model = _robot(1)
+    truth = model.with_term(HOTEL, 20.0).with_term(entries[1].terms[0], 4e-4)
+    noise: dict[str, Any] = {"power_noise": 4.0, "speed_noise": 0.002, "measured": measured}
+    logs = [simulate.identification_drive(truth, seed=k, **noise) for k in range(3)]
+    unseen = simulate.validation_drive(truth, seed=50, **noise)
+    told = diagnose(logs, unseen, model.vehicle, effects=entries, choose=False).model
+    icr = told.vehicle.icr  # given: nothing of its error is passed on
+    found = identify(logs, model.vehicle, terms=terms, method="windows", icr=icr)
+    assert found.method == "windows"
+    for term in terms:
+        value, error = told.coefficient(term.name), told.std_error(term.name)
+        assert found.model.coefficient(term.name) == pytest.approx(value, rel=1e-9)
+        assert found.std_error[term.name] == pytest.approx(error, rel=1e-9)
+
+
 @pytest.mark.shared
 def test_identify_and_diagnose_are_one_core_on_recorded_drives(shared_data: Path) -> None:
     log = DriveLog.read(shared_data / "drive" / "warthog_grass.csv")

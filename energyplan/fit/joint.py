@@ -1,0 +1,100 @@
+"""All coefficients of a sum of terms, fitted together to window means of drives (private).
+
+What `energyplan.diagnose` fits its models by, and `energyplan.identify` with the method
+``windows``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from energyplan.fit.drives.windows import Design, window_means
+from energyplan.fit.least_squares import Fit, Problem, RunSpread, fit
+from energyplan.path import FloatArray
+from energyplan.power import PowerModel, Term
+
+Further = Callable[[Mapping[str, float]], Sequence[Sequence[FloatArray]]]
+"""From coefficients by name to the derivatives of the power by further parameters, on each drive:
+shape (n, equations) each."""
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """A sum of terms fitted to drives.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The model with its covariance.
+    further : ndarray, shape (q, q)
+        Covariance of further parameters, at whose values the terms were fitted.
+    run_spread : float or None
+        Relative standard deviation of the power between runs; None where there were too few.
+    """
+
+    model: PowerModel
+    further: FloatArray
+    run_spread: float | None
+
+
+def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None = None) -> JointFit:
+    """Fit terms together.
+
+    Parameters
+    ----------
+    problem : Problem
+        The drives.
+    terms : sequence of Term
+        The terms.
+    further : callable, optional
+        Derivatives by parameters that were searched: they join the columns, so that the covariance
+        allows for the search.
+
+    Returns
+    -------
+    JointFit
+        The covariance is the jackknife's over blocks, by Student's distribution, and that of runs
+        that differ as a whole.
+    """
+    errors = problem.reference(problem.design(terms))
+    design = problem.design(terms, errors)
+    found = _within(problem, terms, design, errors)
+    covariance, count = found.reported, len(terms)
+    names = [term.name for term in terms]
+    moved = further(dict(zip(names, found.values.tolist(), strict=True))) if further else ()
+    if moved:
+        columns = [np.stack(column, axis=-1) for column in zip(*moved, strict=True)]
+        wide = fit(design.joined(window_means(problem.drives, columns)), errors).reported
+        covariance, rest = wide[:count, :count], wide[count:, count:]
+    else:
+        rest = np.zeros((0, 0))
+    plain = problem.of_totals.with_factors([1.0] * len(problem.drives))
+    spread = RunSpread.of(plain.design(terms), found.values)
+    if spread is not None:
+        # What all runs share is known no better than the mean of runs that differ.
+        level = spread.deviation**2 / len(problem.drives)
+        covariance = covariance + level * np.outer(found.values, found.values)
+    model = PowerModel(
+        problem.vehicle, tuple(terms), found.values, 0.5 * (covariance + covariance.T)
+    )
+    return JointFit(model, rest, None if spread is None else spread.deviation)
+
+
+def _within(problem: Problem, terms: Sequence[Term], design: Design, errors: FloatArray) -> Fit:
+    """Fit coefficients none of which is beyond its upper end; one that would be stands there.
+
+    The covariance is that of the fit without ends.
+    """
+    found = fit(design, errors)
+    most = np.array([term.bounds[1] for term in terms])
+    values = np.array(found.values)
+    ends = values > most
+    while np.any(values[ends] > most[ends]):
+        values[ends] = most[ends]
+        about = Design.of(problem.drives, *problem.tables(terms, values))
+        values[~ends] = fit(about.fixed(ends, most), errors).values
+        ends |= values > most
+    return replace(found, values=values)
