@@ -307,8 +307,9 @@ def _both_sides(drives: Sequence[DriveLog], vehicle: Vehicle, terms: Sequence[Te
     """Return drives as diagnosis fits them: each side an equation, where it slides."""
     check_long_enough(drives)
     usual = [
-        term for effect in catalogue().values() if effect.usual for term in effect.terms
-        if term in terms
+        term for effect in catalogue().values()
+        if effect.usual and not effect.channels and not effect.grid
+        for term in effect.terms if term in terms
     ]  # fmt: skip
     return with_breakaway(Problem(prepared(drives, vehicle), vehicle), usual)
 

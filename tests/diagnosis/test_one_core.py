@@ -93,10 +93,10 @@ def test_identify_and_diagnose_are_one_core(measured: Any, count: int) -> None:
 
 @pytest.mark.parametrize("measured", ["sides", "total"])
 def test_identify_fits_windows_as_diagnosis_does(measured: Any) -> None:
-    entries = [catalogue()[name] for name in ("hotel_load", "copper_loss", "linear_inertia")]
+    entries = [catalogue()[name] for name in ("hotel_load", "viscous_loss", "linear_inertia")]
     terms = [SLIP, TRACTION, *(term for entry in entries for term in entry.terms)]
     model = _robot(1)
-    truth = model.with_term(HOTEL, 20.0).with_term(entries[1].terms[0], 4e-4)
+    truth = model.with_term(HOTEL, 20.0).with_term(entries[1].terms[0], 30.0)
     noise: dict[str, Any] = {"power_noise": 4.0, "speed_noise": 0.002, "measured": measured}
     logs = [simulate.identification_drive(truth, seed=k, **noise) for k in range(3)]
     unseen = simulate.validation_drive(truth, seed=50, **noise)

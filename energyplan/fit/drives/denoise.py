@@ -219,9 +219,16 @@ def reading_noise(values: FloatArray) -> float:
 
     Of readings that mostly repeat, the median third difference is zero though they flicker between
     two steps: the mean square of all but the largest tenth counts too, up to half a step. Of normal
-    noise both give the same.
+    noise both give the same. Readings of nothing but zero are a sensor at rest: however long it
+    stands, they say nothing of its noise in motion.
     """
-    square = np.sort(np.diff(values, 3) ** 2)[: max(int(_KEPT * (len(values) - 3)), 1)]
+    rest = values == 0.0
+    moving = ~(rest[3:] & rest[2:-1] & rest[1:-2] & rest[:-3])
+    differences = np.abs(np.diff(values, 3)[moving])
+    if not len(differences) or np.ptp(values) == 0.0:
+        return 0.0
+    white = float(1.4826 * np.median(differences) / np.sqrt(20.0))
+    square = np.sort(differences**2)[: max(int(_KEPT * len(differences)), 1)]
     kept = float(np.sqrt(np.mean(square) / _KEPT_SQUARE / 20.0))
-    step = float(np.median(np.diff(np.unique(values)))) if np.ptp(values) > 0.0 else 0.0
-    return max(speed_noise(values), min(kept, 0.5 * step))
+    step = float(np.median(np.diff(np.unique(values))))
+    return max(white, min(kept, 0.5 * step))
