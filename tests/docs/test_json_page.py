@@ -38,6 +38,8 @@ COMMANDS = {
     "rmf": "rmf --model quadriga:full:concrete --battery quadriga --charging-current 10",
     "nav2-lattice": "nav2-lattice --model quadriga:full:marble --out lattice.json",
     "cost-table": "cost-table --model quadriga:full:marble --out cost.csv",
+    "plan-edges": f"plan-edges graph.geojson {PLACE}",
+    "warmup": "warmup",
 }
 
 
@@ -49,6 +51,17 @@ def material(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ep.write_model(ep.identify(log, MODEL.vehicle).model, folder / "model.yaml")
     path = ep.Path(ep.Pose(0, 0, 0), ds=[2.0, 0.5], dtheta=[0.0, 1.0])
     write_trajectory(ep.speed.profile(path, MODEL), folder / "trajectory.csv")
+    places = {0: (1.2, 2.0), 1: (3.9, 2.0), 2: (-5.0, 2.0)}  # the last is off the map
+    features = [
+        {"type": "Feature", "properties": {"id": k},
+         "geometry": {"type": "Point", "coordinates": at}} for k, at in places.items()
+    ] + [
+        {"type": "Feature", "properties": {"id": 2 + k, "startid": 0, "endid": k},
+         "geometry": {"type": "MultiLineString", "coordinates": [[places[0], places[k]]]}}
+        for k in (1, 2)
+    ]  # fmt: skip
+    graph = {"type": "FeatureCollection", "features": features}
+    (folder / "graph.geojson").write_text(json.dumps(graph))
     for file in files_behind(bundled("office.yaml")):
         shutil.copy(file, folder)
     return folder
