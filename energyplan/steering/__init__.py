@@ -17,6 +17,9 @@ from energyplan.path import FloatArray, Path, Pose
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energies, steer_path
 from energyplan.steering.polygon import polygon_energies, polygon_path
 
+AT_PLACE, ROUNDING = 1e-9, 1e-12
+"""Distance [m], and part of an energy, that are rounding."""
+
 
 def _poses(value: ArrayLike, name: str) -> FloatArray:
     poses = np.asarray(value, float)
@@ -91,7 +94,8 @@ def path(start: ArrayLike, goal: ArrayLike, cost: EnergyCost) -> Path:
     Returns
     -------
     Path
-        Straight lines, pivots and spins. The yaw at its end is the goal's up to full turns.
+        Straight lines, pivots and spins; a turn on the spot is one spin where pivots take no less.
+        The yaw at its end is the goal's up to full turns.
 
     Raises
     ------
@@ -121,4 +125,18 @@ def path(start: ArrayLike, goal: ArrayLike, cost: EnergyCost) -> Path:
         n = steer_path(*between, read, ds, dtheta)
     else:
         n = polygon_path(*between, read, ds, dtheta)
-    return Path(Pose(*(float(v) for v in first)), ds[:n], dtheta[:n], cost.icr.longitudinal)
+    found = Path(Pose(*(float(v) for v in first)), ds[:n], dtheta[:n], cost.icr.longitudinal)
+    return _spin_if_as_good(found, last, cost)
+
+
+def _spin_if_as_good(found: Path, goal: FloatArray, cost: EnergyCost) -> Path:
+    """Return the turn on the spot where that leads to the goal for no more energy.
+
+    Pivots there and back take as much, and more time.
+    """
+    turn = float(found.dtheta.sum())
+    spin = Path(found.start, [cost.icr.centre[1] * turn], [turn], found.longitudinal)
+    misses = np.hypot(*np.subtract(spin.end, goal)[:2]) > AT_PLACE
+    if len(found) < 2 or misses or abs(turn) > np.pi + AT_PLACE:
+        return found
+    return spin if cost.energy(spin) <= cost.energy(found) * (1.0 + ROUNDING) else found

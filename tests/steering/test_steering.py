@@ -405,3 +405,18 @@ def test_bad_poses_are_told() -> None:
         steering.energy(np.zeros((2, 3)), np.zeros((4, 3)), UNIT)
     with pytest.raises(InvalidInputError, match="one pose to one"):
         steering.path(np.zeros((2, 3)), (1, 1, 0), UNIT)
+
+
+@pytest.mark.parametrize("turn", [-3.0, 0.02, 1.57, np.pi])
+@pytest.mark.parametrize("icr", [(0.47, 0.47, 0.0), (0.5, 0.4, 0.1)])
+def test_a_turn_on_the_spot_is_one_spin(icr, turn):
+    tread = TreadICR(*icr)
+    cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=tread)
+    start = Pose(1.0, 2.0, 0.7)
+    # the body frame turns about the middle between the tread ICRs
+    spin = Path(start, [tread.centre[1] * turn], [turn], tread.longitudinal)
+    found = steering.path(start, spin.end, cost)
+    assert len(found) == 1
+    assert np.allclose(found.end[:2], spin.end[:2])
+    assert np.cos(found.end.yaw - spin.end.yaw) == pytest.approx(1.0)
+    assert cost.energy(found) == pytest.approx(steering.energy(start, spin.end, cost), rel=1e-9)
