@@ -135,7 +135,8 @@ def _spin_if_as_good(found: Path, goal: FloatArray, cost: EnergyCost) -> Path:
     Pivots there and back take as much, and more time.
     """
     turn = float(found.dtheta.sum())
-    spin = Path(found.start, [cost.icr.centre[1] * turn], [turn], found.longitudinal)
+    moved = np.array([cost.icr.centre[1] * turn])
+    spin = Path(found.start, moved, np.array([turn]), found.longitudinal)
     misses = np.hypot(*np.subtract(spin.end, goal)[:2]) > AT_PLACE
     if len(found) < 2 or misses or abs(turn) > np.pi + AT_PLACE:
         return found
