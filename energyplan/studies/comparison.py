@@ -74,8 +74,9 @@ def compare(
 ) -> Comparison:
     """Plan the route of least energy and the shortest one.
 
-    The shortest route is planned first and offered to the search for the one of least energy, so
-    that the latter never takes more.
+    Both are those of `energyplan.plan`. A plan of least energy by the lattice planner never takes
+    more than the shortest one of the same effort; where one by the clock or by another planner
+    does, the shortest one stands for it.
 
     Parameters
     ----------
@@ -115,12 +116,9 @@ def compare(
     (True, 0.07)
     """
     shortest = plan(replace(problem, objective="length"), "lattice", time_limit, effort=effort)
-    if planner == "lattice":
-        options = {**options, "initial": [shortest.path, *options.get("initial", ())]}
     cheapest = replace(problem, objective="energy")
     best = plan(cheapest, planner, time_limit, effort=effort, **options)
     if best.energy > shortest.energy:
-        # a planner that cannot be told of the shortest route has found a worse one
         best = priced_plan(
             CompiledProblem(cheapest),
             shortest.path,

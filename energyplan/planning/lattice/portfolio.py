@@ -6,7 +6,6 @@ dearer. So all of them are refined a little, the better ones more, and the best 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -31,6 +30,9 @@ KEPT = 4
 
 LEADING = 2
 """How many of them get another turn."""
+
+PATIENCE = 3
+"""How often it is refined anew although that may be in vain."""
 
 AGAIN = 2
 """How often the best path is refined anew, each time with other random numbers, at once."""
@@ -57,7 +59,7 @@ class Portfolio:
         self.others: list[Segments] = []
         """What has become of those that stayed to the end."""
         self.rounds = 0
-        self._seed = seed
+        self.seed = seed
         self._entered: list[float] = []
         self._fresh: list[Refiner] = []
         self._grown = False
@@ -65,7 +67,7 @@ class Portfolio:
 
     def enter(self, motions: Segments) -> None:
         """Take in motions from the start to the goal, free of collisions."""
-        entrant = Refiner(self.setting, motions, self._seed)
+        entrant = Refiner(self.setting, motions, self.seed)
         if any(abs(entrant.cost - cost) <= SAME * cost for cost in self._entered):
             return
         self._entered.append(entrant.cost)
@@ -126,7 +128,7 @@ class Portfolio:
         while self.waiting and not budget.over:
             do_together(budget, self.turns(enough))
 
-    def finish(self, budget: Budget, enough: float, *beside: Work) -> None:
+    def finish(self, budget: Budget, enough: float) -> None:
         """Refine those kept until little is gained, side by side; see `run`.
 
         Parameters
@@ -135,29 +137,39 @@ class Portfolio:
             What may be spent.
         enough : float
             Cost at which to stop.
-        *beside : Work
-            What else to do at once.
         """
+        if budget.over or self.cost <= enough:
+            return
         hopeful = [entrant for entrant in self._kept if entrant.cost <= HOPE * self.cost]
-        self._finish(hopeful, budget, enough, beside)
+        self._finish(hopeful, budget, enough)
         self.others = [entrant.segments for entrant in self._kept]
         self._kept = []
 
-    def again(self, budget: Budget, enough: float, *beside: Work) -> None:
+    def improve(self, budget: Budget, enough: float) -> None:
+        """Refine the best path until the budget is over or that gains nothing any more.
+
+        Parameters
+        ----------
+        budget : Budget
+            What may be spent.
+        enough : float
+            Cost at which to stop.
+        """
+        gains = True
+        while gains and not budget.over and self.cost > enough:
+            before = self.cost
+            self.again(budget, enough)
+            gains = self.rounds <= PATIENCE or self.cost <= before * (1 - 1e-5)
+
+    def again(self, budget: Budget, enough: float) -> None:
         """Refine the best motions once more, with other random numbers; see `finish`."""
         entrants = []
         for _ in range(AGAIN):
             self.rounds += 1
-            entrants.append(Refiner(self.setting, self.best, self._seed + self.rounds))
-        self._finish(entrants, budget, enough, beside)
+            entrants.append(Refiner(self.setting, self.best, self.seed + self.rounds))
+        self._finish(entrants, budget, enough)
 
-    def _finish(
-        self,
-        entrants: list[Refiner],
-        budget: Budget,
-        enough: float,
-        beside: Sequence[Work],
-    ) -> None:
+    def _finish(self, entrants: list[Refiner], budget: Budget, enough: float) -> None:
         """Refine some paths until little is gained."""
 
         def run(entrant: Refiner, own: Budget) -> None:
@@ -170,6 +182,6 @@ class Portfolio:
         refining = [
             Work(partial(run, entrant), budget.left, lambda _: None) for entrant in entrants
         ]
-        do_together(budget, [*beside, *refining])
+        do_together(budget, refining)
         for entrant in entrants:
             self._offer(entrant)

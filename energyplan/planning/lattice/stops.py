@@ -8,7 +8,7 @@ shortcuts are sought at the price, and all that come of it are driven.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -124,8 +124,11 @@ def least_driven(
     others: Iterable[Segments],
     to_go: DistanceToGo,
     budget: Budget,
+    shortest: Sequence[Path] = (),
 ) -> Path:
     """Return the path that takes least energy when it is driven.
+
+    None is dearer at a steady speed than the shortest.
 
     Parameters
     ----------
@@ -141,6 +144,9 @@ def least_driven(
         Distance to go.
     budget : Budget
         What may be spent.
+    shortest : sequence of Path
+        The shortest path, if it is known. It is driven whatever is left of the budget, where it may
+        take less.
 
     Returns
     -------
@@ -148,6 +154,11 @@ def least_driven(
         The path, or one that takes less.
     """
     best, least, extra = path, stops.energy, stops.extra
+    most = min((query.value(other) for other in shortest), default=np.inf)
+    for other in shortest:
+        found = _driven(query, other, budget) if most < least else None
+        if found is not None and found.energy < least:
+            best, least = other, found.energy
     known = {_key(path)}
     looked = [query.of_centre(path), *others]
     if extra > DEAR * abs(least) and path.turning > 0:
@@ -162,7 +173,7 @@ def least_driven(
                 candidate = query.path(fewer)
             except PlanningError:
                 continue
-            if _key(candidate) in known:
+            if _key(candidate) in known or query.value(candidate) > most:
                 continue
             known.add(_key(candidate))
             found = _driven(query, candidate, budget)
