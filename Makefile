@@ -32,11 +32,11 @@ shuffled: $(READY)
 		$(BIN)/python -m pytest -p randomly -n 2 --dist worksteal -q || exit 1; \
 	done
 
-# The suite with the oldest releases that pyproject.toml admits.
+# The suite with the oldest releases that pyproject.toml admits; the oldest test client needs httpx.
 lowest: $(READY)
 	$(PYTHON) -m venv --clear build/lowest
 	$(BIN)/uv pip install --quiet --python build/lowest/bin/python --resolution lowest-direct \
-		--all-extras --group test -r pyproject.toml
+		--all-extras --group test -r pyproject.toml httpx
 	$(BIN)/uv pip install --quiet --python build/lowest/bin/python --no-deps .
 	build/lowest/bin/python -m pytest -n 2 --dist worksteal tests
 
