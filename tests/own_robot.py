@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +23,18 @@ def drive(seed: int = 1) -> ep.DriveLog:
     return simulate.identification_drive(MODEL, power_noise=3.0, speed_noise=0.004, seed=seed)
 
 
-def bag(folder: Path, log: ep.DriveLog, pose: bool = True) -> Path:
-    """Write an MCAP file of joint states, a battery, an inertial unit and an odometry."""
+JOINTS = {"front_left": "v_left", "front_right": "v_right", "rear_left": "v_left",
+          "rear_right": "v_right"}  # fmt: skip
+
+
+def bag(
+    folder: Path, log: ep.DriveLog, pose: bool = True, joints: Mapping[str, str] = JOINTS
+) -> Path:
+    """Write an MCAP file of joint states, a battery, an inertial unit and an odometry.
+
+    Each joint turns as a side's tread does; one that does not stands still. Their order is another
+    in every second message.
+    """
     rosbag2 = pytest.importorskip("rosbags.rosbag2")
     from rosbags.typesys import Stores, get_typestore
 
@@ -47,15 +58,15 @@ def bag(folder: Path, log: ep.DriveLog, pose: bool = True) -> Path:
             at = {name: float(values[k]) for name, values in log.channels.items()}
             half = at["yaw"] / 2
             turn = Q(0.0, 0.0, np.sin(half), np.cos(half))
-            wheels = np.array([at["v_left"], at["v_right"]] * 2) / RADIUS
+            names = list(joints) if k % 2 else list(joints)[::-1]
+            wheels = np.array([at.get(joints[name], 0.0) for name in names]) / RADIUS
             battery = {
                 name: np.float32(0) for name in
                 ("temperature", "charge", "capacity", "design_capacity", "percentage")
             }  # fmt: skip
             messages = {
                 "/rover/joints": make[kinds["/rover/joints"]](
-                    header, ["front_left", "front_right", "rear_left", "rear_right"], np.zeros(4),
-                    wheels, np.zeros(4)),
+                    header, names, np.zeros(len(names)), wheels, np.zeros(len(names))),
                 "/rover/battery": make[kinds["/rover/battery"]](
                     header=header, voltage=25.0, current=-float(log.power[k]) / 25.0, **battery,
                     power_supply_status=0, power_supply_health=0, power_supply_technology=0,

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from energyplan.diagnosis import advice as _advice
-from energyplan.diagnosis.adequacy import adequacy, energies, holds
+from energyplan.diagnosis.adequacy import adequacy, energies, explains, holds
 from energyplan.diagnosis.averaging import FEWEST_RUNS, averaged, note_of
 from energyplan.diagnosis.change_points import change_time
 from energyplan.diagnosis.explanations import Found
@@ -333,7 +333,8 @@ class _Case:
         ]
         verdict: Verdict = "no_effect"
         if found:
-            verdict = "effect_found" if held else "unexplained"
+            enough = explains(quality, errors[0].rmse, errors[1].rmse)
+            verdict = "effect_found" if held and enough else "unexplained"
         elif left or not quality.adequate:
             verdict = "unexplained"
         report(1.0, "done")

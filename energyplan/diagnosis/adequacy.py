@@ -25,6 +25,8 @@ _FLOOR = 0.02
 _RESTING = 20  # samples at rest that tell the noise
 _SIGMA = 4.0  # standard deviations that noise does not exceed
 _HOLDS = 1.5  # error on other drives, over that on the training drives, that is no surprise
+_GROSS = 4.0  # residual over noise from which most of it must be explained
+_EXPLAINED = 0.5  # error with what was found, over that without, that counts as most
 _LEVEL = 0.9  # of the intervals of energies
 _WITHIN = 30  # degrees of freedom of what is known from within runs
 _ASSUMED = 2  # of a spread that is assumed: robots and grounds differ much in it
@@ -107,6 +109,29 @@ def holds(quality: Adequacy, error: float) -> bool:
         then effects that were looked for at any time or place fitted those drives alone.
     """
     return error <= _HOLDS * max(quality.residual, quality.noise)
+
+
+def explains(quality: Adequacy, before: float, after: float) -> bool:
+    """Tell whether what was found explains the error, where more is left than noise.
+
+    Parameters
+    ----------
+    quality : Adequacy
+        What the model leaves of the training drives.
+    before, after : float
+        Root mean square errors on drives that took no part, of the paper's model and of the model
+        with what was found [W].
+
+    Returns
+    -------
+    bool
+        False where what is left is no noise, and the errors on other drives grew, or far more than
+        noise is left and they are still more than half: something else is there.
+    """
+    if quality.adequate:
+        return True
+    gross = quality.residual > _GROSS * quality.noise
+    return after <= (_EXPLAINED if gross else 1.0) * before
 
 
 def energies(

@@ -10,11 +10,12 @@ from typing import Any, NamedTuple
 
 from energyplan.io.bags import opened_bag
 from energyplan.io.topics import TopicMap
-from energyplan.logs.guess import guess, words
+from energyplan.logs.guess import guess, side_of, words
 
 _DEEPEST = 6
 _LONGEST = 16  # elements of an array that are looked at
-_SIDES = {"v_left": "left", "v_right": "right"}
+_SIDES = ("v_left", "v_right")
+_ROLLING = {"wheel", "wheels", "track", "tread", "drivewhl", "drive", "whl"}
 
 
 class Field(NamedTuple):
@@ -68,9 +69,14 @@ class BagFields:
             if channel is not None:
                 found.setdefault(channel, [one])
             if one.type == "sensor_msgs/msg/JointState" and one.field.startswith("velocity["):
-                for side, word in _SIDES.items():
-                    if {word, word[0]} & set(words(one.label)):
-                        found.setdefault(side, []).append(one)
+                side = side_of(one.label)
+                if side:
+                    found.setdefault(f"v_{side}", []).append(one)
+        for channel in ("v_left", "v_right"):
+            # Arms and steering have joints, too.
+            rolling = [one for one in found.get(channel, []) if _ROLLING & set(words(one.label))]
+            if rolling:
+                found[channel] = rolling
         return found
 
     def _named(self) -> dict[str, list[Field]]:
@@ -108,7 +114,8 @@ class BagFields:
             entry: dict[str, Any] = {"topic": first.topic, "field": first.field}
             if channel in _SIDES:
                 if first.type == "sensor_msgs/msg/JointState" and len(fields) > 1:
-                    entry["field"] = f"velocity[*{_SIDES[channel]}*]"
+                    joints = (one.field.removeprefix("velocity[")[:-1] for one in fields)
+                    entry["field"] = f"velocity[{'|'.join(joints)}]"
                 if radius != 1.0:
                     entry["scale"] = radius
             elif len(fields) == 2:

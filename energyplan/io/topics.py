@@ -52,7 +52,8 @@ def _read(message: Any, field: str) -> float:
         index = [int(place.element)]
     else:
         names = getattr(message, "name", ())
-        index = [k for k, name in enumerate(names) if fnmatchcase(name, place.element)]
+        wanted = place.element.split("|")
+        index = [k for k, name in enumerate(names) if any(fnmatchcase(name, w) for w in wanted)]
     found = [float(value[k]) for k in index if k < len(value)]
     return sum(found) / len(found) if found else nan
 
@@ -66,8 +67,8 @@ class TopicSource(BaseModel):
         Topic; a bag's topic matches if it is the same or ends with a slash and it.
     field : str
         Field of the message, such as ``angular_velocity.z``. ``measured_currents[1]`` takes one
-        element, ``velocity[*left*]`` the mean of the joints whose names match, and
-        ``yaw(pose.pose.orientation)`` the heading of a quaternion.
+        element, ``velocity[*left*]`` or ``velocity[fl|rl]`` the mean of the joints whose names
+        match, and ``yaw(pose.pose.orientation)`` the heading of a quaternion.
     scale : float
         Factor to the library's unit and sign.
     times : str, optional

@@ -14,6 +14,9 @@ _POSE = {"x", "y", "yaw"}
 _ENOUGH = 20  # samples below which nothing is concluded
 _TURNS = 0.3  # yaw rate over a second that no robot has which is driven straight [rad/s]
 _SHARE = 0.05  # share of the samples in which it must
+_HANGS = 0.3  # time of a repeated reading from which the sensor hangs [s]
+_REPEATED = 0.01  # share of the driving that it must do so
+_STEPS = 0.05  # share of readings that repeat where a sensor reads in steps
 _UNLIKE = 60.0  # ratio of both sides' powers that no ground explains
 
 
@@ -42,6 +45,7 @@ def find_contradictions(
         _sides(channels, runs),
         _powers(channels),
         _unsigned(channels),
+        *_repeats(channels, power),
         _course(channels, runs),
         _motor_current(channels, power),
         _distance(channels, runs),
@@ -146,6 +150,51 @@ def _unsigned(channels: Mapping[str, FloatArray]) -> str:
         "far more than on straight lines: the sensors show what it returns as power drawn. Log "
         "signed currents, or let diagnose find unsigned_power; identify takes it for resistance"
     )
+
+
+def _repeats(channels: Mapping[str, FloatArray], power: FloatArray) -> list[str]:
+    """Whether a power that changes with every sample stays the same for a while in driving.
+
+    A sensor that hangs, one that drops out and one at the end of its range all repeat a reading to
+    the last bit. One that reads in steps does so all the time.
+    """
+    t = channels["t"]
+    effort = np.abs(channels["v_left"]) + np.abs(channels["v_right"])
+    moving = effort > 0.15 * float(np.quantile(effort, 0.95))
+    least = max(5, round(_HANGS / float(np.median(np.diff(t)))))
+    turned = np.append(False, np.diff(effort) != 0.0)
+    told = []
+    for name in ("p_left", "p_right", "power", "current"):
+        if name not in channels:
+            continue
+        values = channels[name]
+        starts = np.flatnonzero(np.append(True, np.diff(values) != 0.0))
+        counts = np.diff(np.append(starts, len(values)))
+        drives = np.logical_and.reduceat(moving, starts)
+        if name.startswith("p_"):  # of a side that returns nothing, zero is a reading
+            drives &= (values[starts] != 0.0) | (power[starts] == 0.0)
+        hangs = drives & (counts >= least)
+        lost, usual = int(counts[hangs].sum()), counts[drives & ~hangs]
+        if np.count_nonzero(hangs) < 3 or lost < _REPEATED * np.count_nonzero(moving):
+            continue
+        if not len(usual) or np.mean(usual > 1) > _STEPS:
+            continue
+        if np.mean(turned[np.repeat(hangs, counts)]) < 0.5:
+            continue  # without noise, all that is driven steadily repeats
+        held = values[starts[hangs]]
+        if np.all(held == held[0]) and held[0] == 0.0:
+            what = "drops out to 0"
+        elif np.all(held == held[0]) and held[0] in (values.max(), values.min()):
+            what = f"ends at {held[0]:.4g}, which is the end of its range"
+        else:
+            what = "hangs"
+        share = lost / np.count_nonzero(moving)
+        told.append(
+            f"{name} {what} in {share:.0%} of the driving, first at {t[starts[hangs][0]]:.6g} s: "
+            "it repeats a reading where others change with every sample; mend the sensor, or "
+            "leave such stretches out"
+        )
+    return told
 
 
 def turning_against(channels: Mapping[str, FloatArray], runs: Sequence[slice], name: str) -> str:

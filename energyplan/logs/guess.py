@@ -78,6 +78,19 @@ def words(name: str) -> list[str]:
     return found
 
 
+def side_of(name: str) -> str:
+    """Return the side that a name tells, ``"left"`` or ``"right"``; empty where it tells none.
+
+    Examples
+    --------
+    >>> side_of("wheel_FL_joint"), side_of("drivewhl_r_joint"), side_of("mast")
+    ('left', 'right', '')
+    """
+    said = set(words(name))
+    sides = [side for side in ("left", "right") if said & _WORDS[side]]
+    return sides[0] if len(sides) == 1 else ""
+
+
 def _groups(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
     """Return names that differ in nothing but the wheel or the number of the motor."""
     alike: dict[object, list[str]] = {}

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from own_robot import RADIUS, ROBOT, bag, drive
+from own_robot import MODEL, RADIUS, ROBOT, bag, drive
 
 import energyplan as ep
-from energyplan import cli
+from energyplan import cli, simulate
+from energyplan.io.logs import read_log
 from energyplan.io.project import read_project
 from energyplan.io.robot import Given
 from energyplan.io.start import start
@@ -206,6 +207,26 @@ def test_the_topics_of_a_bag_are_found(
         code, _, error = run(capsys, "start", file, *MEASURES, "--out", out)
         assert code == 2
         assert "--wheel-radius" in error
+
+
+@pytest.mark.parametrize(
+    "joints",
+    [
+        {"wheel_RR_joint": "v_right", "left_arm": "", "wheel_FL_joint": "v_left", "right_arm": "",
+         "wheel_RL_joint": "v_left", "wheel_FR_joint": "v_right"},
+        {"drivewhl_r_joint": "v_right", "drivewhl_l_joint": "v_left"},
+        {"base/starboard_track": "v_right", "base/port_track": "v_left", "mast": ""},
+    ],
+    ids=["four wheels and two arms", "short names", "nautical"],
+)  # fmt: skip
+def test_joints_of_other_names_and_orders_are_found(tmp_path: Path, joints: dict[str, str]) -> None:
+    log = simulate.drive(MODEL, "spiral", rate=10.0, power_noise=3.0)
+    file = bag(tmp_path, log, joints=joints)
+    made = start(file, Given(track=0.4, wheelbase=0.62, mass=30.0, wheel_radius=RADIUS))
+    assert made.project.topics is not None
+    read = read_log(file, topics=made.project.topics)
+    for channel in ("v_left", "v_right"):
+        np.testing.assert_allclose(read.channel(channel), log.channel(channel), atol=1e-9)
 
 
 @pytest.mark.parametrize("name", MODEL_PRESETS)

@@ -66,6 +66,46 @@ def patch(drive: DriveLog) -> tuple[FloatArray, FloatArray]:
     return more * np.abs(left), more * np.abs(right)
 
 
+def gear_slips(drive: DriveLog) -> tuple[FloatArray, FloatArray]:
+    """A gear that takes the more of what is beyond a torque, as it slips."""
+    left, right = drive.channel("p_left"), drive.channel("p_right")
+    return 1.2 * np.clip(left - 130.0, 0.0, None), 1.2 * np.clip(right - 130.0, 0.0, None)
+
+
+def clock_drifts(drive: DriveLog) -> tuple[FloatArray, FloatArray]:
+    """Power from a file whose clock runs 1.2 % slow."""
+    powers = drive.channel("p_left"), drive.channel("p_right")
+    late = [np.interp(0.988 * drive.t, drive.t, power) - power for power in powers]
+    return late[0], late[1]
+
+
+def sensor_hangs(drive: DriveLog) -> tuple[FloatArray, FloatArray]:
+    last = np.maximum.accumulate(np.where(drive.t % 13.0 < 2.0, 0, np.arange(len(drive))))
+    powers = drive.channel("p_left"), drive.channel("p_right")
+    return powers[0][last] - powers[0], powers[1][last] - powers[1]
+
+
+def friction_with_sag(drive: DriveLog) -> tuple[FloatArray, FloatArray]:
+    """Friction that grows as the battery empties, and as it sags under load."""
+    left, right = speeds(drive)
+    sag = 0.3 + 0.5 * drive.t / drive.t[-1] + 0.3 * drive.power / np.max(np.abs(drive.power))
+    return 0.6 * K * sag * np.abs(left), 0.6 * K * sag * np.abs(right)
+
+
+def greased(drive: DriveLog) -> tuple[FloatArray, FloatArray]:
+    """Cold grease, which each metre makes run more easily."""
+    left, right = speeds(drive)
+    steps = 0.5 * np.abs(left + right) * np.diff(drive.t, prepend=0.0)
+    stiff = 0.7 * K * np.exp(-np.cumsum(steps) / 15.0)
+    return stiff * np.abs(left), stiff * np.abs(right)
+
+
+def drag_above_a_speed(drive: DriveLog) -> tuple[FloatArray, FloatArray]:
+    left, right = speeds(drive)
+    force = 200.0 * np.clip(0.5 * np.abs(left + right) - 0.45, 0.0, None)
+    return force * np.abs(left), force * np.abs(right)
+
+
 def driven(kind: Kind, seed: int, *, validation: bool = False, total: bool = False) -> DriveLog:
     """A drive of a robot with that kind of effect, with noise."""
     pattern = simulate.validation_drive if validation else simulate.identification_drive
@@ -93,6 +133,13 @@ def told(kind: Kind, seed: int = 11, *, total: bool = False) -> Diagnosis:
         pytest.param(eccentric_wheel, set(), id="eccentric wheel"),
         pytest.param(tyre_loses_pressure, {"t", "distance"}, id="tyre loses pressure"),
         pytest.param(backlash, set(), id="backlash"),
+        pytest.param(clock_drifts, set(), id="clock drifts"),
+        pytest.param(gear_slips, set(), id="gear slips at high torque", marks=pytest.mark.nightly),
+        pytest.param(sensor_hangs, set(), id="sensor hangs", marks=pytest.mark.nightly),
+        pytest.param(
+            friction_with_sag, {"t", "distance"}, id="friction with sag", marks=pytest.mark.nightly
+        ),
+        pytest.param(greased, {"t", "distance"}, id="greased", marks=pytest.mark.nightly),
     ],
 )
 def test_what_the_catalogue_lacks_is_unexplained(kind: Kind, channels: set[str]) -> None:
@@ -114,6 +161,16 @@ def test_wind_is_a_slope_that_foretells_other_drives() -> None:
     found = told(wind)
     assert [effect.name for effect in found.effects] == ["tilted_plane"]
     assert found.after.rmse < 1.1 * np.sqrt(2.0) * NOISE < found.before.rmse
+
+
+@pytest.mark.nightly
+def test_drag_above_a_speed_is_air_drag_that_foretells_other_drives() -> None:
+    found = told(drag_above_a_speed)
+    assert found.effects[0].name == "air_drag"
+    noise = 2.0 * NOISE**2
+    # Of what is more than noise, most is foretold.
+    assert found.after.rmse**2 - noise < 0.25 * (found.before.rmse**2 - noise)
+    assert "v" in {one.channel for one in found.unexplained}  # and that this is not all
 
 
 def test_what_does_not_hold_on_other_drives_is_not_explained() -> None:

@@ -109,6 +109,23 @@ def pointing_down(made: Columns) -> Columns:
     return {**made, "y": -made["y"], "yaw": -made["yaw"], "yaw_rate": -made["yaw_rate"]}
 
 
+def hanging(made: Columns) -> Columns:
+    """Power sensors that show their last reading again for a second, now and then."""
+    at = np.arange(len(made["t"]))
+    last = np.maximum.accumulate(np.where(made["t"] % 13.0 < 1.0, 0, at))
+    return {**made, "p_left": made["p_left"][last], "p_right": made["p_right"][last]}
+
+
+def dropping_out(made: Columns) -> Columns:
+    there = made["t"] % 17.0 > 1.0
+    return {**made, "p_left": made["p_left"] * there, "p_right": made["p_right"] * there}
+
+
+def at_its_end(made: Columns) -> Columns:
+    most = {name: float(np.quantile(made[name], 0.7)) for name in ("p_left", "p_right")}
+    return {**made, **{name: np.minimum(made[name], most[name]) for name in most}}
+
+
 OWN = Measures.of(ROBOT)
 POSE = ("x", "y", "yaw")
 LOGS = {
@@ -159,6 +176,9 @@ LOGS = {
     "x and y swapped": (swapped("x", "y"), r"x and y are swapped"),
     "y to the right": (scaled(y=-1.0), r"y=NAME\[-m\]"),
     "z axis down": (pointing_down, r"NED.*y=NAME\[-m\]"),
+    "power's sensors hang": (hanging, r"p_left hangs in .*driving"),
+    "power's sensors drop out": (dropping_out, r"p_left drops out to 0"),
+    "power's sensors at their end": (at_its_end, r"p_right ends at .* end of its range"),
     "motor current for battery current": (motor_current, r"motor's current"),
 }  # fmt: skip
 BATTERY = {
@@ -237,7 +257,7 @@ def test_real_drives_raise_no_alarm(shared_data: Path) -> None:
         alarms += [f"{log.name}: {check}" for check in checks if not check.ok]
         words = ("counts the other way", "another unit", "backwards", "beside", "jumps up",
                  "swapped", "as far as", "their sign", "alone",
-                 "mirror", "are the same")  # fmt: skip
+                 "mirror", "are the same", "repeats a reading", "never negative")  # fmt: skip
         alarms += [f"{log.name}: {text}" for text in log.warnings if any(w in text for w in words)]
     assert count > 90
     assert alarms == []
