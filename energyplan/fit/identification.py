@@ -293,8 +293,8 @@ def fit_residual(model: PowerModel, logs: DriveLog | Sequence[DriveLog]) -> Resi
     --------
     >>> import energyplan as ep
     >>> truth = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> round(fit_residual(truth, ep.simulate.validation_drive(truth)).rmse, 6)
-    0.0
+    >>> fit_residual(truth, ep.simulate.validation_drive(truth)).rmse < 0.1  # as speeds are cleaned
+    True
     """
     drives = [Drive.of(log, model.vehicle) for log in _drives(logs)]
     return statistics(drives, PowerRegression(drives, model).powers(model))

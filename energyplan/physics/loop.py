@@ -430,18 +430,21 @@ class _Steered(NamedTuple):
 def _ratio(drive: _Steered, model: PowerModel, belief: Belief) -> float:
     """Return the energy that a drive took, over what a model says of it.
 
-    A controller with other tread ICRs in mind leaves its route in another way: what it took more
-    for coming back says nothing of the drives to come. Then the motion that was made counts.
+    A controller leaves its route, and that takes more than the route does. With other tread ICRs in
+    mind it leaves it in another way, which says nothing of the drives to come: then the motion that
+    was made counts. So it does where it takes less than the route. No controller saves energy; the
+    route lies along the edge of some ground, and the robot just beside it.
     """
     icr = model.vehicle.icr
     apart = np.subtract(astuple(icr), astuple(drive.icr))
-    if np.abs(apart).max() > ALIKE * icr.half_track:
-        on_slopes = with_weight(model) if belief.asked.heights is not None else model
-        try:
-            return drive.log.energy / retold(on_slopes, drive.log)
-        except MissingChannelError:  # a sensor less than the model asks for
-            pass
-    return drive.log.energy / sum(energy_told(drive.asked, belief.model, belief.ground).values())
+    route = sum(energy_told(drive.asked, belief.model, belief.ground).values())
+    on_slopes = with_weight(model) if belief.asked.heights is not None else model
+    try:
+        motion = retold(on_slopes, drive.log)
+    except MissingChannelError:  # a sensor less than the model asks for
+        return drive.log.energy / route
+    alike = np.abs(apart).max() <= ALIKE * icr.half_track
+    return drive.log.energy / (min(route, motion) if alike else motion)
 
 
 def _followed(trajectory: Trajectory, belief: Belief) -> Motion:
