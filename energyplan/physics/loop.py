@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import astuple, dataclass, replace
 from typing import NamedTuple
 
@@ -428,23 +429,21 @@ class _Steered(NamedTuple):
 
 
 def _ratio(drive: _Steered, model: PowerModel, belief: Belief) -> float:
-    """Return the energy that a drive took, over what a model says of it.
+    """Return the energy that a drive took, over what a model says of it; at least one.
 
     A controller leaves its route, and that takes more than the route does. With other tread ICRs in
     mind it leaves it in another way, which says nothing of the drives to come: then the motion that
-    was made counts. So it does where it takes less than the route. No controller saves energy; the
-    route lies along the edge of some ground, and the robot just beside it.
+    was made counts. No controller saves energy: a drive that took less was asked for more than
+    motors do, or its route lies along the edge of some ground.
     """
     icr = model.vehicle.icr
     apart = np.subtract(astuple(icr), astuple(drive.icr))
-    route = sum(energy_told(drive.asked, belief.model, belief.ground).values())
-    on_slopes = with_weight(model) if belief.asked.heights is not None else model
-    try:
-        motion = retold(on_slopes, drive.log)
-    except MissingChannelError:  # a sensor less than the model asks for
-        return drive.log.energy / route
-    alike = np.abs(apart).max() <= ALIKE * icr.half_track
-    return drive.log.energy / (min(route, motion) if alike else motion)
+    told = sum(energy_told(drive.asked, belief.model, belief.ground).values())
+    if np.abs(apart).max() > ALIKE * icr.half_track:
+        on_slopes = with_weight(model) if belief.asked.heights is not None else model
+        with suppress(MissingChannelError):  # a sensor less than the model asks for
+            told = retold(on_slopes, drive.log)
+    return max(drive.log.energy / told, 1.0)
 
 
 def _followed(trajectory: Trajectory, belief: Belief) -> Motion:
