@@ -72,7 +72,7 @@ class BagFields:
                 side = side_of(one.label)
                 if side:
                     found.setdefault(f"v_{side}", []).append(one)
-        for channel in ("v_left", "v_right"):
+        for channel in _SIDES:
             # Arms and steering have joints, too.
             rolling = [one for one in found.get(channel, []) if _ROLLING & set(words(one.label))]
             if rolling:

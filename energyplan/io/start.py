@@ -33,7 +33,7 @@ from energyplan.path import FloatArray
 _SOME = 20_000  # readings that suffice to tell a unit
 _FASTEST_TURN = 3.0  # yaw rate that hardly a robot reaches that skids [rad/s]
 _FULL_TURN = 6.5  # [rad]; headings beyond are unwrapped, or degrees
-_ENCODER = {"enc", "encoder", "tick", "ticks", "count", "counts", "tps", "qpps"}
+_ENCODER = {"enc", "encoder", "tick", "ticks", "count", "counts"}
 _NEEDED = {"t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current"}
 _RATES = {"rad/s": 1.0, "rpm": pi / 30, "deg/s": pi / 180}
 
@@ -171,11 +171,7 @@ def _refuse(table: Table, needed: list[str]) -> None:
     hint = ""
     if {"v_left", "v_right"} & set(needed):
         hint = "; v_left and v_right are the speeds of the left and right wheels"
-        counted = [
-            name
-            for name in names
-            if {"enc", "encoder", "tick", "ticks", "count", "counts"} & set(words(name))
-        ]
+        counted = [name for name in names if _ENCODER & set(words(name))]
         if counted:
             hint += (
                 f"; {counted[0]!r} seems to be an encoder's: if it holds ticks per second, give "
