@@ -254,8 +254,7 @@ def check(
         battery_power=battery_power,
         battery_return=battery_return,
     )
-    points = np.column_stack([trajectory.x, trajectory.y])
-    ground = Ground(*laid_out(model, points, surfaces, heights))
+    ground = Ground(*laid_out(model, trajectory.poses[:, :2], surfaces, heights))
     drive = LimitedDrive(Drive(trajectory, ground, dict(channels or {})), limits)
     survey = drive.survey()
     violations = sorted(

@@ -123,8 +123,7 @@ def energy_told(
     {'traction_resistance': 452}
     """
     here = ground or Ground()
-    points = np.column_stack([trajectory.x, trajectory.y])
-    law, surfaces, heights = laid_out(model, points, here.surfaces, here.heights)
+    law, surfaces, heights = laid_out(model, trajectory.poses[:, :2], here.surfaces, here.heights)
     grounds = () if surfaces is None else surfaces.surfaces
     others = tuple(surface.model.battery_side() for surface in grounds)
     driven_on = ModelledGround(law.battery_side(), surfaces, heights, others)

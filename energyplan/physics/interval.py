@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import astuple
 from typing import NamedTuple
 
 import numpy as np
@@ -11,8 +13,14 @@ from scipy.stats import t as student
 from energyplan.errors import MissingChannelError
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
-from energyplan.path import FloatArray
+from energyplan.path import FloatArray, Trajectory
+from energyplan.physics.driving import energy_told
+from energyplan.physics.robot import Ground
+from energyplan.planning import PlanningProblem
 from energyplan.power import PowerModel, Sides
+from energyplan.power.effects import with_weight
+from energyplan.terrain import HeightMap
+from energyplan.vehicle import TreadICR
 
 NORMAL = 1.96
 """Half width of a 95 % interval in standard deviations."""
@@ -21,6 +29,8 @@ USUAL = 0.005
 """Relative error of energies told by a model that lacks nothing: that of the engine's drives."""
 PRIOR = 4
 """Drives that count for it beside those made."""
+ALIKE = 0.02
+"""How far tread ICRs may differ for controllers to steer alike, over half the slip track [1]."""
 
 
 class Overhead(NamedTuple):
@@ -85,6 +95,98 @@ def retold(model: PowerModel, log: DriveLog) -> float:
     4036
     """
     return float(log.weights @ model.battery_side().power(log.motion(model.vehicle.icr)))
+
+
+class Steered(NamedTuple):
+    """A drive that followed a trajectory, and the tread ICRs that its controller believed in.
+
+    Parameters
+    ----------
+    asked : Trajectory
+        What was to be driven.
+    log : DriveLog
+        What was driven.
+    icr : TreadICR
+        The tread ICRs.
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> truth = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> log = ep.simulate.drive(truth, "figure8", duration=15.0)
+    >>> asked = Trajectory([0, 2], x=[0, 1], y=[0, 0], yaw=[0, 0], v=[0.5, 0.5], omega=[0, 0])
+    >>> Steered(asked, log, truth.vehicle.icr).asked.duration
+    2.0
+    """
+
+    asked: Trajectory
+    log: DriveLog
+    icr: TreadICR
+
+
+def asked_energy(trajectory: Trajectory, problem: PlanningProblem) -> float:
+    """Return what the model and the ground of a problem say that a trajectory takes [J].
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> asked = Trajectory([0, 2], x=[1, 2], y=[2, 2], yaw=[0, 0], v=[0.5, 0.5], omega=[0, 0])
+    >>> round(asked_energy(asked, problem))
+    180
+    """
+    ground = Ground(problem.surfaces, problem.heights)
+    return sum(energy_told(trajectory, problem.cost.model, ground).values())
+
+
+def ratio(
+    drive: Steered, model: PowerModel, asked: PlanningProblem, heights: HeightMap | None
+) -> float:
+    """Return the energy that a drive took, over what a model says of it; at least one.
+
+    A controller leaves its route, and that takes more than the route does. With other tread ICRs in
+    mind it leaves it in another way, which says nothing of the drives to come: then the motion that
+    was made counts. No controller saves energy: a drive that took less was asked for more than
+    motors do, or its route lies along the edge of some ground.
+
+    Parameters
+    ----------
+    drive : Steered
+        The drive.
+    model : PowerModel
+        The model, with what it knows of the ground.
+    asked : PlanningProblem
+        The problem as that model has it.
+    heights : HeightMap or None
+        Heights of the map, beside what the model found.
+
+    Returns
+    -------
+    float
+        The ratio.
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> asked = Trajectory([0, 2], x=[1, 2], y=[2, 2], yaw=[0, 0], v=[0.5, 0.5], omega=[0, 0])
+    >>> log = ep.simulate.drive(model, "figure8", duration=15.0)
+    >>> made = Steered(asked, log, model.vehicle.icr)
+    >>> ratio(made, model, problem, None) == log.energy / asked_energy(asked, problem)
+    True
+    """
+    icr = model.vehicle.icr
+    apart = np.subtract(astuple(icr), astuple(drive.icr))
+    told = asked_energy(drive.asked, asked)
+    if np.abs(apart).max() > ALIKE * icr.half_track:
+        on_slopes = model if heights is None else with_weight(model)
+        with suppress(MissingChannelError):  # a sensor less than the model asks for
+            told = retold(on_slopes, drive.log)
+    return max(drive.log.energy / told, 1.0)
 
 
 def interval(

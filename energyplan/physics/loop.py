@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import astuple, dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,30 +11,33 @@ from energyplan import html
 from energyplan.errors import (
     InfeasibleMotionError,
     InvalidInputError,
-    MissingChannelError,
     ModelError,
 )
 from energyplan.limits.speed import profile
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
-from energyplan.physics.belief import Belief, believed
 from energyplan.physics.design import Explanation, design
-from energyplan.physics.driving import Driven, drive, energy_told
+from energyplan.physics.driving import Driven, drive
 from energyplan.physics.engine import require_mujoco
-from energyplan.physics.interval import interval, overhead, retold
+from energyplan.physics.interval import (
+    Steered,
+    asked_energy,
+    interval,
+    overhead,
+    ratio,
+    retold,
+)
 from energyplan.physics.learning import Found, learn
 from energyplan.physics.robot import Ground, Robot
 from energyplan.physics.sensors import Sensors
 from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.power import PowerModel
 from energyplan.power.effects import reads_slope, with_weight
-from energyplan.vehicle import TreadICR
+from energyplan.terrain import HeightMap
 
 SPEED_SHARE = 0.6
 """Share of the largest tread speed that is driven where none is usual: the controller has room."""
-ALIKE = 0.02
-"""How far tread ICRs may differ for controllers to steer alike, over half the slip track [1]."""
 SHARP = 0.1
 """Width of an interval over its energy beyond which being within it proves nothing."""
 Progress = Callable[[float, str], None]
@@ -301,18 +302,19 @@ def close_loop(
     if count == 0:
         raise InvalidInputError("there is no log to close the loop with; give one or more")
     report = progress or (lambda fraction, text: None)
-    model, base = problem.cost.model, problem.robot
+    model = problem.cost.model
+    base = problem.vehicle or problem.cost.vehicle
     limit = speed or _usual_speed(problem)
     logs, done = list(before), list[Round]()
-    steered = list[_Steered]()
+    steered = list[Steered]()
     for k in range(count):
         report(k / count, f"round {k + 1}: planning")
         driven = None
         try:
-            belief = believed(model, problem)
-            made = plan(belief.planned(limit), planner, time_limit, effort=effort)
+            asked = believed(problem, model, limit)
+            made = plan(asked, planner, time_limit, effort=effort)
             if isinstance(source, EngineDrives):
-                trajectory = timed(made, belief, limit)
+                trajectory = timed(made, asked, limit)
         except (InfeasibleMotionError, ModelError) as reason:
             if not done:
                 raise
@@ -322,13 +324,13 @@ def close_loop(
             break
         report((k + 0.3) / count, f"round {k + 1}: driving")
         if isinstance(source, EngineDrives):
-            driven = source(trajectory, belief.model, k + 1)
+            driven = source(trajectory, asked.cost.model, k + 1)
             log = source.log(driven, k + 1)
-            energy = sum(energy_told(trajectory, belief.model, belief.ground).values())
-            motion = _followed(trajectory, belief)
+            energy = asked_energy(trajectory, asked)
+            motion = _followed(trajectory, model, problem.heights)
             weights = np.diff(trajectory.t)
-            known = [_ratio(one, model, belief) for one in steered]
-            steered.append(_Steered(trajectory, log, belief.model.vehicle.icr))
+            known = [ratio(one, model, asked, problem.heights) for one in steered]
+            steered.append(Steered(trajectory, log, model.vehicle.icr))
         else:
             log = source[k]
             motion, weights = log.motion(model.vehicle.icr), log.weights
@@ -350,9 +352,9 @@ def close_loop(
             report((k + 0.7) / count, f"round {k + 1}: a designed drive")
             wanted = _survey(learned.explanations, model, problem, limit, survey)
             if wanted is not None:
-                made_next = source(wanted, belief.model, k + 1)
+                made_next = source(wanted, asked.cost.model, k + 1)
                 logs.append(source.log(made_next, count + 1))
-                steered.append(_Steered(wanted, logs[-1], belief.model.vehicle.icr))
+                steered.append(Steered(wanted, logs[-1], model.vehicle.icr))
                 now = replace(now, survey=made_next)
                 report((k + 0.85) / count, f"round {k + 1}: diagnosing")
                 learned = learn(logs, base)
@@ -391,62 +393,44 @@ def _usual_speed(problem: PlanningProblem) -> float:
     return SPEED_SHARE * top
 
 
-def timed(made: Plan, belief: Belief, speed: float) -> Trajectory:
-    """Time a plan to tread speeds that leave the controller room.
+def believed(problem: PlanningProblem, model: PowerModel, speed: float) -> PlanningProblem:
+    """Return a problem priced by another model of the same robot, at a tread speed [m/s].
 
-    Parameters
-    ----------
-    made : Plan
-        The plan.
-    belief : Belief
-        Model and ground.
-    speed : float
-        Largest tread speed [m/s].
+    What the model found of the ground is put on the map. Where the map has heights, a model that
+    was learned on level ground gets the vehicle's weight.
 
-    Returns
-    -------
-    Trajectory
-        The route over time.
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> from energyplan.power.effects import term
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> found = believed(problem, model.with_term(term("tilt_x"), 20.0), 0.5)
+    >>> found.heights is not None, [t.name for t in found.cost.model.terms]
+    (True, ['slip_friction', 'traction_resistance', 'grade'])
     """
-    vehicle = belief.model.vehicle
-    acceleration = min(0.5 * vehicle.motor.acceleration, 0.5)
-    motor = replace(vehicle.motor, speed=speed, acceleration=acceleration)
+    law = model if problem.heights is None else with_weight(model)
+    cost = replace(problem.cost, model=law, battery=True, speed=speed)
+    return replace(problem, cost=cost, vehicle=problem.vehicle or problem.cost.vehicle)
+
+
+def timed(made: Plan, asked: PlanningProblem, speed: float) -> Trajectory:
+    """Time a plan to tread speeds [m/s] that leave the controller room."""
+    law = asked.cost.model
+    acceleration = min(0.5 * law.vehicle.motor.acceleration, 0.5)
+    motor = replace(law.vehicle.motor, speed=speed, acceleration=acceleration)
     slope: dict[str, FloatArray | float] = {"slope": 0.0}
     path = made.path
-    if belief.ground.heights is not None:
-        path = belief.ground.heights.cut(path)
-        slope["slope"] = belief.ground.heights.slopes(path)
-    law = replace(belief.model, vehicle=vehicle)
-    return profile(path, law, vehicle=replace(vehicle, motor=motor), channels=slope, smooth=0.0)
+    if asked.heights is not None:
+        path = asked.heights.cut(path)
+        slope["slope"] = asked.heights.slopes(path)
+    vehicle = replace(law.vehicle, motor=motor)
+    return profile(path, law, vehicle=vehicle, channels=slope, smooth=0.0)
 
 
-class _Steered(NamedTuple):
-    """A drive that followed a trajectory, and the tread ICRs that its controller believed in."""
-
-    asked: Trajectory
-    log: DriveLog
-    icr: TreadICR
-
-
-def _ratio(drive: _Steered, model: PowerModel, belief: Belief) -> float:
-    """Return the energy that a drive took, over what a model says of it; at least one.
-
-    A controller leaves its route, and that takes more than the route does. With other tread ICRs in
-    mind it leaves it in another way, which says nothing of the drives to come: then the motion that
-    was made counts. No controller saves energy: a drive that took less was asked for more than
-    motors do, or its route lies along the edge of some ground.
-    """
-    icr = model.vehicle.icr
-    apart = np.subtract(astuple(icr), astuple(drive.icr))
-    told = sum(energy_told(drive.asked, belief.model, belief.ground).values())
-    if np.abs(apart).max() > ALIKE * icr.half_track:
-        on_slopes = with_weight(model) if belief.asked.heights is not None else model
-        with suppress(MissingChannelError):  # a sensor less than the model asks for
-            told = retold(on_slopes, drive.log)
-    return max(drive.log.energy / told, 1.0)
-
-
-def _followed(trajectory: Trajectory, belief: Belief) -> Motion:
+def _followed(trajectory: Trajectory, model: PowerModel, heights: HeightMap | None) -> Motion:
     """Return the motion in the middle of each step of a trajectory."""
     step = np.diff(trajectory.t)
 
@@ -458,10 +442,9 @@ def _followed(trajectory: Trajectory, belief: Belief) -> Motion:
         "t": middle(trajectory.t), "x": x, "y": y, "yaw": yaw,
         "accel": np.diff(trajectory.v) / step, "yaw_accel": np.diff(trajectory.omega) / step,
     }  # fmt: skip
-    heights = belief.asked.heights
     if heights is not None:
         channels["slope"] = heights.slope(np.column_stack([x, y, yaw]))
-    elif reads_slope(belief.model) and not belief.ground.heights:
+    elif reads_slope(model):
         channels["slope"] = np.zeros(len(x))
-    icr = belief.model.vehicle.icr
+    icr = model.vehicle.icr
     return Motion.from_twist(middle(trajectory.v), middle(trajectory.omega), icr, **channels)

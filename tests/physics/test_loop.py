@@ -17,12 +17,10 @@ from energyplan.errors import InfeasibleMotionError, InvalidInputError
 from energyplan.output import documents, text
 from energyplan.output.pages import loop_page
 from energyplan.physics import Effect, EngineDrives, Loop, Robot, close_loop, switch_on
-from energyplan.physics import loop as _loop
-from energyplan.physics.belief import believed
 from energyplan.physics.driving import energy_told
-from energyplan.physics.interval import NORMAL, overhead
+from energyplan.physics.interval import NORMAL, Steered, asked_energy, overhead, ratio
 from energyplan.physics.learning import Learned, learn
-from energyplan.physics.loop import SPEED_SHARE, Round, timed
+from energyplan.physics.loop import SPEED_SHARE, Round, believed, timed
 from energyplan.power.effects import term
 from energyplan.vehicle import predict_icr
 
@@ -103,13 +101,11 @@ def test_who_knows_the_effect_takes_another_way(fork: forks.Fork) -> None:
     """Without the engine: the routes of two models, both by the one that is right."""
     speed = SPEED_SHARE * VEHICLE.motor.speed
     problem, true = fork.problem(MODEL), true_model(fork.effects[0])
-    right, taken = believed(true, problem), []
+    right, taken = believed(problem, true, speed), []
     for model in (MODEL, true):
-        belief = believed(model, problem)
-        made = ep.plan(belief.planned(speed), effort=30_000)
-        taken.append(
-            sum(energy_told(timed(made, belief, speed), right.model, right.ground).values())
-        )
+        asked = believed(problem, model, speed)
+        made = ep.plan(asked, effort=30_000)
+        taken.append(asked_energy(timed(made, asked, speed), right))
     assert taken[1] < 0.98 * taken[0]
 
 
@@ -152,16 +148,16 @@ def test_real_logs_take_the_place_of_the_engine() -> None:
 def test_what_was_found_of_the_ground_is_put_on_the_map() -> None:
     mass = VEHICLE.mass
     tilted = MODEL.with_term(term("tilt_x"), mass * np.sin(0.05)).with_term(term("tilt_y"), 0.0)
-    belief = believed(tilted, PROBLEM)
-    assert not belief.model.has("tilt_x")
-    assert belief.ground.heights is not None
-    slope = belief.ground.heights.slope(np.array([5.0, 5.0, 0.0]))
+    found = believed(PROBLEM, tilted, 0.5)
+    assert not found.cost.model.has("tilt_x")
+    assert found.heights is not None
+    slope = found.heights.slope(np.array([5.0, 5.0, 0.0]))
     assert float(slope) == pytest.approx(0.05, rel=1e-6)
     beyond = replace(term("slip_beyond"), params={"direction": 0.0, "offset": 7.0})
-    belief = believed(MODEL.with_term(beyond, 0.2), PROBLEM)
-    assert belief.ground.surfaces is not None
-    assert belief.ground.surfaces.region_at([(6.9, 5.0), (7.1, 5.0)]).tolist() == [0, 1]
-    there = belief.ground.surfaces.surfaces[0].model
+    found = believed(PROBLEM, MODEL.with_term(beyond, 0.2), 0.5)
+    assert found.surfaces is not None
+    assert found.surfaces.region_at([(6.9, 5.0), (7.1, 5.0)]).tolist() == [0, 1]
+    there = found.surfaces.surfaces[0].model
     assert there.coefficient("slip_friction") == pytest.approx(0.847)
 
 
@@ -227,15 +223,22 @@ def test_what_a_controller_takes_that_steers_otherwise_is_not_carried_over() -> 
     motion = log.motion(ICR)
     pose = (log.channel(name) for name in ("x", "y", "yaw"))
     asked = ep.Trajectory(log.t, *pose, motion.v, motion.omega / 1.1)
-    belief = believed(MODEL, PROBLEM)
-    alike = _loop._ratio(_loop._Steered(asked, log, ICR), MODEL, belief)
+    problem = believed(PROBLEM, MODEL, 0.5)
+    alike = ratio(Steered(asked, log, ICR), MODEL, problem, None)
     assert alike == pytest.approx(log.energy / sum(energy_told(asked, MODEL).values()))
     assert alike > 1.02
     other = replace(ICR, longitudinal=0.1 * ICR.half_track)
-    told = _loop._ratio(_loop._Steered(asked, log, other), MODEL, belief)
+    told = ratio(Steered(asked, log, other), MODEL, problem, None)
     assert told == pytest.approx(1.0, abs=0.002)
 
 
 def test_on_a_map_with_heights_a_model_of_level_ground_gets_the_weight() -> None:
-    assert believed(MODEL, forks.ridge(0.5).problem(MODEL)).model.has("grade")
-    assert not believed(MODEL, PROBLEM).model.has("grade")
+    assert believed(forks.ridge(0.5).problem(MODEL), MODEL, 0.5).cost.model.has("grade")
+    assert not believed(PROBLEM, MODEL, 0.5).cost.model.has("grade")
+
+
+def test_a_clearance_counts_once() -> None:
+    """The footprint grows by the clearance in the problem; it must not have grown before."""
+    problem = replace(PROBLEM, clearance=0.1)
+    asked = believed(believed(problem, MODEL, 0.5), MODEL, 0.5)
+    assert np.array_equal(asked.robot.footprint, problem.robot.footprint)

@@ -14,25 +14,18 @@ from energyplan.vehicle import Vehicle
 _KEPT = 96  # forces and columns of terms kept a drive
 
 
-def field_of(term: Term, drive: Drive, vehicle: Vehicle) -> Any:
-    """Return force or power per unit of a term that is no loss, computed once a drive."""
-    key = (term.name, tuple(term.params.items()), vehicle.slip_moment)
+def field_of(term: Term, drive: Drive, vehicle: Vehicle, held: bool = False) -> Any:
+    """Return force or power per unit of a term that is no loss, computed once a drive.
+
+    With `held` it is that of contacts that hold.
+    """
+    key = ("held" if held else "driven", term.name, tuple(term.params.items()), vehicle.slip_moment)
     if key not in drive.fields:
         if len(drive.fields) > _KEPT:
             drive.fields.clear()
-        drive.fields[key] = term.function(drive.motion, vehicle, **term.params)
+        motion = drive.held if held else drive.motion
+        drive.fields[key] = term.function(motion, vehicle, **term.params)
     return drive.fields[key]
-
-
-def held_field_of(term: Term, drive: Drive, vehicle: Vehicle) -> Sides:
-    """Return the force per unit of a term with contacts that hold, computed once a drive."""
-    key = ("held", term.name, tuple(term.params.items()), vehicle.slip_moment)
-    if key not in drive.fields:
-        if len(drive.fields) > _KEPT:
-            drive.fields.clear()
-        drive.fields[key] = term.function(drive.held, vehicle, **term.params)
-    found: Sides = drive.fields[key]
-    return found
 
 
 def column(term: Term, drive: Drive, vehicle: Vehicle) -> FloatArray:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from energyplan.fit.drives.columns import columns_of, held_field_of, of_equations
+from energyplan.fit.drives.columns import columns_of, field_of, of_equations
 from energyplan.fit.drives.late import ON_TIME, Late
 from energyplan.fit.drives.windows import MOMENT, Drive
 from energyplan.motion import Motion
@@ -93,7 +93,7 @@ def linearise_drive(
         else:
             own = columns_of(term, drive, vehicle)
         if term.kind == "force" and rise is not None:
-            acting = held_field_of(term, drive, vehicle)
+            acting = field_of(term, drive, vehicle, held=True)
             own = own + rise.left * acting.left[:, None] + rise.right * acting.right[:, None]
         columns.append(own)
     power = np.zeros((len(drive.t), drive.equations))
@@ -188,7 +188,7 @@ def held_forces(drive: Drive, vehicle: Vehicle, terms: Sequence[Term], values: F
     total = Sides(np.zeros(drive.motion.shape), np.zeros(drive.motion.shape))
     for term, value in zip(terms, values, strict=True):
         if term.kind == "force":
-            total = total + held_field_of(term, drive, vehicle) * float(value)
+            total = total + field_of(term, drive, vehicle, held=True) * float(value)
     return total
 
 
