@@ -15,11 +15,12 @@ from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.io.maps import read_map
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, plan
-from energyplan.planning.bound import DETAILS, EFFORT, corners, ends, lower_bound, one_line, outline
+from energyplan.planning.bound import EFFORT, corners, ends, lower_bound, one_line, outlines
 from energyplan.planning.bound.ends import MOST, NORMALS, Beyond, Section, to_gate
 from energyplan.planning.bound.gates import gate
 from energyplan.planning.bound.geodesic import Ends, ways_to_goal
 from energyplan.planning.bound.one_line import HEADINGS, Rates
+from energyplan.planning.bound.outlines import DETAILS, outline, sights
 from energyplan.planning.bound.sight import no_links, sight
 from energyplan.planning.bound.surface_excess import least_excess, least_steps
 from energyplan.planning.contract import ROUNDING
@@ -50,7 +51,7 @@ def nearly_a_point(metre, radian, half_track=0.01, size=0.05):
 @pytest.mark.parametrize("exact", [True, False])
 def test_outline_lies_within_the_grown_obstacles(exact, monkeypatch):
     if not exact:
-        monkeypatch.setattr("energyplan.planning.bound.MOST_RUNS", 0)
+        monkeypatch.setattr("energyplan.planning.bound.outlines.MOST_RUNS", 0)
     grid = cluttered(2)
     radius = 0.318
     corners = outline(grid, radius)
@@ -68,6 +69,68 @@ def test_outline_lies_within_the_grown_obstacles(exact, monkeypatch):
     edge = np.minimum(points.min(axis=1), (np.array(grid.size) - points).min(axis=1))
     assert worst <= radius + 1e-9 or np.any(edge < radius)
     assert worst > corners.inside - 1e-9
+
+
+def patched(rng, grid):
+    """Return a map with a random patch replaced: walls, pillars, or nothing at all."""
+    rows, columns = rng.integers(2, 40, 2)
+    row, column = rng.integers(0, grid.shape[0] - rows), rng.integers(0, grid.shape[1] - columns)
+    cells = rng.random((rows, columns)) < rng.choice([0.0, 0.02, 0.3, 1.0])
+    return grid.updated(cells, int(row), int(column))
+
+
+@pytest.mark.parametrize("drawn", ["squares", "polygons", "either"])
+def test_an_outline_brought_up_to_date_is_the_one_of_a_new_map(drawn, monkeypatch):
+    monkeypatch.setattr(outlines, "SQUARE", 32)
+    for seed in range(4):
+        grid = cluttered(seed)
+        runs = np.count_nonzero(np.diff(grid.blocked, axis=1)) // 2
+        most = {"squares": 0, "polygons": 10_000, "either": runs}[drawn]
+        monkeypatch.setattr(outlines, "MOST_RUNS", most)
+        rng, kept = np.random.default_rng(seed), 0
+        for _ in range(8):
+            before = {detail: sights(grid, 0.318, detail) for detail in DETAILS}
+            grid = patched(rng, grid)
+            for detail in DETAILS:
+                now = sights(grid, 0.318, detail)
+                new = outline(OccupancyGrid(grid.occupied, grid.resolution), 0.318, detail)
+                assert all(np.array_equal(a, b) for a, b in zip(now.outline, new, strict=True))
+                old = before[detail].squares
+                if now.squares and old:
+                    kept += sum(now.squares[at] is old[at] for at in old)
+        assert drawn != "squares" or kept > 100
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_lines_cut_between_squares_are_joined(seed, monkeypatch):
+    monkeypatch.setattr(outlines, "MOST_RUNS", 0)
+    rng = np.random.default_rng(seed)
+    occupied = rng.random((75, 110)) < 0.01
+    occupied[20:40, 30:34] = occupied[36:40, 30:90] = True
+    grid = OccupancyGrid(occupied, 0.05, (3.0, -2.0, 0.4))
+    for radius in (0.05, 0.2, 0.2 + 0.05 * np.sqrt(0.5)):
+        whole = outline(grid, radius)
+        monkeypatch.setattr(outlines, "SQUARE", 8)
+        cut = outline(grid, radius)
+        monkeypatch.setattr(outlines, "SQUARE", 256)
+        # no fewer corners, and none lost: each of the whole lies on the cut one, and all ends meet
+        assert len(cut.point) >= len(whole.point)
+        lines = shapely.multilinestrings(cut.edges.reshape(-1, 2, 2))
+        off = shapely.distance(shapely.points(whole.point), lines)
+        assert off.max() <= 2 * DETAILS[0].slack * radius + 1e-9
+        ends = np.sort(cut.edges[:, :2].copy().view(complex).ravel())
+        inner = grid.to_cells(cut.point)
+        assert np.all((inner > 0) & (inner < np.array(grid.shape)[::-1]))
+        assert np.isin(cut.point.copy().view(complex).ravel(), ends).all()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 300), (257, 2)])
+@pytest.mark.parametrize("full", [True, False])
+def test_maps_without_lines_have_an_empty_outline(shape, full, monkeypatch):
+    for most in (0, 10_000):
+        monkeypatch.setattr(outlines, "MOST_RUNS", most if full else most - 1)
+        found = outline(OccupancyGrid(np.full(shape, full), 0.05), 0.3)
+        assert np.isfinite(found.edges).all()
 
 
 def test_lines_through_obstacles_are_closed_and_others_open():
@@ -445,7 +508,7 @@ def test_gaps_that_the_disc_does_not_pass_are_closed_however_coarse_the_outline(
             for exact in (True, False):
                 with pytest.MonkeyPatch.context() as patch:
                     if not exact:
-                        patch.setattr("energyplan.planning.bound.MOST_RUNS", 0)
+                        patch.setattr("energyplan.planning.bound.outlines.MOST_RUNS", 0)
                     found = ways(grid, 0.32, (2.0, 3.3), (6.0, 3.3), detail=detail).least
                     assert (found < 4.3) == passes
                     assert passes or found > 5.5

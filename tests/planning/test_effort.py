@@ -142,13 +142,13 @@ def test_what_is_made_once_for_a_map_is_there_before_the_clock_starts(monkeypatc
     monkeypatch.setattr("energyplan.planning.Budget", Clock)
     watched("energyplan.planning.scene.guide.free_space")
     watched("energyplan.planning.scene.guide.connect_places")
-    watched("energyplan.planning.bound.outline")
+    watched("energyplan.planning.bound.outlines._sights")
     watched("energyplan.planning.bound.surface_excess._certain_regions")
     query = problem()
     assert digest(plan(query, effort=3_000)) == told
     # the first one only checks the numbers
     assert clocks == [0, len(made)]
-    assert set(made) == {"free_space", "connect_places", "outline", "_certain_regions"}
+    assert set(made) == {"free_space", "connect_places", "_sights", "_certain_regions"}
     made.clear()
     assert digest(plan(query, effort=3_000)) == told
     assert made == []

@@ -9,22 +9,18 @@ it is a bound is derived in docs/planner.md.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property, partial
-from math import cos, hypot, pi, remainder, sqrt
-from threading import Lock
+from functools import partial
+from math import hypot, pi, remainder
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
-import contourpy
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
-from energyplan.path import FloatArray
 from energyplan.planning.bound.corners import least_over_corners
 from energyplan.planning.bound.geodesic import Ends, ways_to_goal
 from energyplan.planning.bound.one_line import Rates
-from energyplan.planning.bound.sight import Outline, gaps, no_links, squares_of_edges
+from energyplan.planning.bound.outlines import DETAILS, Sights, sights
+from energyplan.planning.bound.sight import Outline
 from energyplan.planning.bound.surface_excess import certain_regions, least_excess
 from energyplan.planning.parallel import workers
 from energyplan.planning.scene.compiled import MARGIN, SHORT_TRACK, CompiledProblem
@@ -32,9 +28,6 @@ from energyplan.planning.scene.guide import inscribed
 from energyplan.planning.scene.motions import KernelProblem, free_energy
 from energyplan.terrain import OccupancyGrid
 from energyplan.terrain.collision import Body
-
-MOST_RUNS = 6000
-"""Runs of blocked cells up to which obstacles are grown as polygons, in less than a second."""
 
 EFFORT = 5e7
 """Steps of the searches over corners after which what is known by then is taken: below 0.1 s."""
@@ -52,189 +45,6 @@ BEYOND = 1.001
 
 WAYS_SHARE = 0.6
 """Part of the steps that the shortest ways may take; the headings have what is left."""
-
-
-class Detail(NamedTuple):
-    """How finely obstacles are drawn.
-
-    Attributes
-    ----------
-    arc : int
-        Chords of a quarter circle.
-    slack : float
-        Largest distance by which an outline is simplified, in radii of the disc.
-    """
-
-    arc: int
-    slack: float
-
-
-DETAILS = (Detail(8, 0.01), Detail(4, 0.03), Detail(4, 0.1), Detail(2, 0.25))
-"""The finer an outline, the closer it is to the disc's ways; the coarser, the fewer corners."""
-
-
-class Sights:
-    """An outline, and what is known of the lines between its corners.
-
-    Parameters
-    ----------
-    outline : Outline
-        The outline.
-    """
-
-    def __init__(self, outline: Outline) -> None:
-        self.outline = outline
-        self.links = no_links(len(outline.point))
-        self.lock = Lock()
-
-
-_sights: WeakKeyDictionary[OccupancyGrid, dict[tuple[float, Detail], Sights]]
-_sights = WeakKeyDictionary()
-
-
-class _Rings(NamedTuple):
-    """Closed outlines in cells, with the obstacle on their right.
-
-    `low` and `high` bound the distance from the obstacles at which they run [m].
-    """
-
-    rings: list[FloatArray]
-    low: float
-    high: float
-
-
-def _grown(grid: OccupancyGrid, radius: float, arc: int) -> _Rings | None:
-    """Return the outlines of the blocked cells grown by `radius`; None where there are too many.
-
-    Round corners are drawn as polygons inside them.
-    """
-    change = np.diff(np.pad(grid.blocked, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    row, first = np.nonzero(change == 1)
-    _, last = np.nonzero(change == -1)
-    if len(row) > MOST_RUNS:
-        return None
-    boxes = shapely.box(first, row, last, row + 1)
-    area = shapely.union_all(shapely.buffer(boxes, radius / grid.resolution, quad_segs=arc))
-    rings = []
-    for polygon in shapely.get_parts(area):
-        for k, ring in enumerate(shapely.get_rings(polygon)):
-            points = shapely.get_coordinates(ring)
-            rings.append(points[::-1] if shapely.is_ccw(ring) == (k == 0) else points)
-    return _Rings(rings, radius * cos(0.25 * pi / arc), radius)
-
-
-class _Levels:
-    """Level sets of a map's clearance; what all of them need is made once, and takes the time.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        The map.
-    """
-
-    def __init__(self, grid: OccupancyGrid) -> None:
-        self._grid = grid
-        self._lock = Lock()
-
-    @cached_property
-    def _generator(self) -> contourpy.ContourGenerator:
-        rows, columns = self._grid.shape
-        x, y = (np.arange(n) + 0.5 for n in (columns, rows))
-        return contourpy.contour_generator(x, y, self._grid.clearance)
-
-    def lines(self, level: float) -> list[FloatArray]:
-        """Return the lines of a level [m], in cells."""
-        with self._lock:
-            return [np.asarray(line) for line in self._generator.lines(level)]
-
-
-def _level_set(grid: OccupancyGrid, radius: float, levels: _Levels) -> _Rings:
-    """Return a level set of the clearance that lies within the blocked cells grown by `radius`.
-
-    The clearance between the cells' centres is interpolated. That is off by half a cell's diagonal
-    at most, since clearance changes by no more than the distance, and the level is lower by that.
-    """
-    error = grid.resolution * sqrt(0.5)
-    if radius <= error:
-        return _Rings([], 0.0, 0.0)
-    return _Rings(levels.lines(radius - error), radius - 2.0 * error, radius)
-
-
-def sights(
-    grid: OccupancyGrid, radius: float, detail: Detail, levels: _Levels | None = None
-) -> Sights:
-    """Return the outline of a map for a disc, made once, with what is known of its corners."""
-    known = _sights.setdefault(grid, {})
-    key = radius, detail
-    if key not in known:
-        known[key] = Sights(outline(grid, radius, detail, levels))
-    return known[key]
-
-
-def outline(
-    grid: OccupancyGrid,
-    radius: float,
-    detail: Detail = DETAILS[0],
-    levels: _Levels | None = None,
-) -> Outline:
-    """Return an outline that lies within the obstacles grown by `radius`, and its convex corners.
-
-    It is simplified, which moves it by at most a tolerance, so the obstacles grow by that less.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        The map.
-    radius : float
-        Radius of the disc [m].
-    detail : Detail
-        How finely to draw it.
-    levels : _Levels, optional
-        The map's level sets, where several outlines are made of them.
-
-    Returns
-    -------
-    Outline
-        The corners and edges, in the world.
-    """
-    tolerance = detail.slack * radius
-    drawn = _grown(grid, radius - tolerance, detail.arc)
-    if drawn is None:
-        drawn = _level_set(grid, radius - tolerance, levels or _Levels(grid))
-    point, before, after = [np.empty((0, 2))], [np.empty((0, 2))], [np.empty((0, 2))]
-    first, last = [np.empty((0, 2))], [np.empty((0, 2))]
-    for ring in drawn.rings:
-        simple = shapely.simplify(shapely.LineString(ring), tolerance / grid.resolution)
-        corner = shapely.get_coordinates(simple)
-        first.append(corner[:-1])
-        last.append(corner[1:])
-        if np.all(corner[0] == corner[-1]):
-            corner = np.concatenate([corner[-2:-1], corner])
-        (x1, y1), (x2, y2) = np.diff(corner[:-1], axis=0).T, np.diff(corner[1:], axis=0).T
-        convex = x1 * y2 - y1 * x2 < 0
-        point.append(corner[1:-1][convex])
-        before.append(corner[:-2][convex])
-        after.append(corner[2:][convex])
-
-    def world(parts: list[FloatArray]) -> FloatArray:
-        return np.ascontiguousarray(grid.to_world(np.concatenate(parts)))
-
-    inside = max(drawn.low - tolerance, 0.0)
-    across = np.unique(gaps(grid.space, radius, inside), axis=0)
-    first.append(across[:, :2])
-    last.append(across[:, 2:])
-    edges = np.hstack([world(first), world(last)])
-    squares = squares_of_edges(grid.space, edges)
-    return Outline(
-        world(point),
-        world(before),
-        world(after),
-        edges,
-        squares.first,
-        squares.listed,
-        inside,
-        drawn.high + tolerance,
-    )
 
 
 Spent = dict[int, NDArray[np.bool_]]
@@ -305,12 +115,11 @@ def prepare_bound(query: CompiledProblem) -> None:
         certain_regions(query, surfaces)
     ends = Ends(setting.start_x, setting.start_y, setting.goal_x, setting.goal_y)
     apart = hypot(ends.goal_x - ends.start_x, ends.goal_y - ends.start_y)
-    levels = _Levels(grid)
-    coarsest = sights(grid, radius, DETAILS[-1], levels).outline
+    coarsest = sights(grid, radius, DETAILS[-1]).outline
     finest = _finest(coarsest, ends, DETOURS[0] * apart)
     last = _finest(coarsest, ends, DETOURS[1] * apart)
     with ThreadPoolExecutor(workers()) as pool:
-        list(pool.map(partial(sights, grid, radius, levels=levels), DETAILS[finest : last + 1]))
+        list(pool.map(partial(sights, grid, radius), DETAILS[finest : last + 1]))
 
 
 def _without_obstacles(kernel: KernelProblem) -> float:

@@ -11,6 +11,7 @@ from energyplan.compilation import inner, njit
 from energyplan.compilation.arrays import Floats, FloatTable, Ints, ShortInts
 from energyplan.planning.scene.field import longer_floats, longer_ints, pop, push
 from energyplan.terrain.collision import Space, in_cells
+from energyplan.terrain.updates import Window
 
 BUCKET = 8
 """Side of the squares by which edges are looked up [cells]."""
@@ -140,7 +141,7 @@ def squares_of_edges(space: Space, edges: FloatTable) -> Squares:
 
 
 @njit
-def gaps(space: Space, radius: float, inside: float) -> FloatTable:
+def gaps(space: Space, radius: float, inside: float, window: Window) -> FloatTable:
     """Return lines across the gaps that a disc does not pass, where the outline is open.
 
     A disc's centre cannot cross a line between two points of obstacles that is shorter than its
@@ -156,6 +157,8 @@ def gaps(space: Space, radius: float, inside: float) -> FloatTable:
         Radius of the disc [m].
     inside : float
         Clearance below which the outline is closed anyway [m].
+    window : Window
+        The cells at which they are sought.
 
     Returns
     -------
@@ -166,11 +169,11 @@ def gaps(space: Space, radius: float, inside: float) -> FloatTable:
     res = space.resolution
     low = inside / res - 1.0
     high = radius / res + 0.75
-    window = int(radius / res) + 2
+    reach = int(radius / res) + 2
     out = np.empty((64, 4))
     count = 0
-    for row in range(1, rows - 1):
-        for column in range(1, columns - 1):
+    for row in range(max(window.first_row, 1), min(window.end_row, rows - 1)):
+        for column in range(max(window.first_column, 1), min(window.end_column, columns - 1)):
             near = space.clearance[row, column]
             if not low < near < high:
                 continue
@@ -187,9 +190,9 @@ def gaps(space: Space, radius: float, inside: float) -> FloatTable:
             best = inf
             pr = -1
             pc = -1
-            for r in range(max(row - window, 0), min(row + window + 1, rows)):
-                c = space.next_blocked[r, max(column - window, 0)]
-                while c <= min(column + window, columns - 1):
+            for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
+                c = space.next_blocked[r, max(column - reach, 0)]
+                while c <= min(column + reach, columns - 1):
                     far = hypot(r - row, c - column)
                     if far < best:
                         best = far
@@ -201,9 +204,9 @@ def gaps(space: Space, radius: float, inside: float) -> FloatTable:
             best = 2.0 * radius / res - TINY
             qr = -1
             qc = -1
-            for r in range(max(row - window, 0), min(row + window + 1, rows)):
-                c = space.next_blocked[r, max(column - window, 0)]
-                while c <= min(column + window, columns - 1):
+            for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
+                c = space.next_blocked[r, max(column - reach, 0)]
+                while c <= min(column + reach, columns - 1):
                     if (r - row) * (pr - row) + (c - column) * (pc - column) < 0:
                         far = hypot(max(abs(r - pr) - 1, 0), max(abs(c - pc) - 1, 0))
                         if far < best:
