@@ -14,6 +14,8 @@ demo: $(READY)
 	$(BIN)/energyplan demo --out $(OUT)
 
 # Kernels are compiled ahead, by both processors: else both processes of the tests compile each.
+# Bytecode is kept even where the environment says otherwise: the tests start many processes.
+test: export PYTHONDONTWRITEBYTECODE =
 test: $(READY) lint
 	$(BIN)/energyplan warmup
 	$(BIN)/python -m pytest -n 2 --dist worksteal

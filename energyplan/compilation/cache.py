@@ -90,16 +90,17 @@ def source_digest(file: Path) -> str:
     return digest.hexdigest()[:24]
 
 
-def _imported(text: str) -> list[Path]:
+@cache
+def _imported(text: str) -> tuple[Path, ...]:
     """Return the files of this package that a source names in its import statements."""
-    files = []
+    files = list[Path]()
     for match in _IMPORT.finditer(text):
         base = _ROOT.joinpath(*match[1].split("."))
         names = re.findall(r"(\w+)(?: as \w+)?", match[2])
         for place in (base, *(base / name for name in names)):
             candidates = place.with_suffix(".py"), place / "__init__.py"
             files += [c for c in candidates if c.is_file() and c != _ROOT / "__init__.py"]
-    return files
+    return tuple(files)
 
 
 @cache

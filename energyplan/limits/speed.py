@@ -18,7 +18,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
 from energyplan.limits._accept import accepted
@@ -29,7 +28,6 @@ from energyplan.limits.curve import Curve, Points
 from energyplan.limits.drive import Drive, Ground
 from energyplan.limits.economy import Choice, Economy
 from energyplan.limits.motor import ROUNDING, Limits
-from energyplan.limits.thermal import Thermal
 from energyplan.path import FloatArray, Path, Trajectory
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, SurfaceMap, laid_out
@@ -355,6 +353,8 @@ class _Task:
 
     def cool(self, duration: float | None, limits: Limits) -> Sampled:
         """Return a trajectory of least time within the continuous power too, or so slowed down."""
+        from energyplan.limits.thermal import Thermal  # slow to import, and rarely needed
+
         whole, parts, first = float(self.course.length.sum()), [], [0]
         cells = float(np.clip(WARM * self._windows(limits), CELLS, MOST))
         for section in self.course.sections():
@@ -429,6 +429,8 @@ class _Task:
 
     def _lasting(self, economy: Economy, quick: Choice, duration: float) -> Phases:
         """Search the price of time, then a cap on the speed, until the duration fits."""
+        from scipy.optimize import brentq  # slow to import, and rarely needed
+
         best, longest = quick, 0.0
 
         def excess(logprice: float) -> float:

@@ -8,7 +8,6 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 
 from energyplan.errors import DriveLogError
 from energyplan.logs._smooth import derivative
@@ -119,11 +118,12 @@ def find_offset(
         y = np.interp(grid, t[run], values[run])[lags:-lags]
         X = np.stack([np.interp(grid, t[run], column[run]) for column in columns])
         square, total, count = square + float(y @ y), total + float(y.sum()), count + len(y)
-        length = next_fast_len(X.shape[1], real=True)
-        spectrum = np.conj(rfft(y, length))
+        length = 1 << (X.shape[1] - 1).bit_length()
+        spectrum = np.conj(np.fft.rfft(y, length))
         for j in range(size):
             # Correlation at every lag at once; it wraps round only beyond the lags wanted.
-            cross[:, j] += irfft(rfft(X[j], length) * spectrum, length)[2 * lags :: -1]
+            product = np.fft.rfft(X[j], length) * spectrum
+            cross[:, j] += np.fft.irfft(product, length)[2 * lags :: -1]
             for k in range(size):
                 sums = np.concatenate([[0.0], np.cumsum(X[j] * X[k])])
                 gram[:, j, k] += (sums[len(y) :] - sums[: 2 * lags + 1])[::-1]

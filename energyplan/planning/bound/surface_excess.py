@@ -12,7 +12,6 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from energyplan.compilation import njit
 from energyplan.compilation.arrays import FlagTable, FloatTable
@@ -50,6 +49,8 @@ def least_excess(query: CompiledProblem, radius: float, limit: float) -> float:
     surfaces = query.problem.surfaces
     if surfaces is None:
         return 0.0
+    from scipy import ndimage  # slow to import, and rarely needed
+
     dear = query.least_prices.metre_excess()
     if dear.max() <= 1e-9 * query.least.metre:
         return 0.0

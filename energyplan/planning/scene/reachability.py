@@ -6,7 +6,6 @@ from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from energyplan.errors import NoPathError
 from energyplan.planning.scene.compiled import CompiledProblem
@@ -28,6 +27,8 @@ def _parts(query: CompiledProblem) -> NDArray[np.int32]:
     least = radius - (sqrt(0.5) + 1e-3) * grid.resolution
 
     def label() -> NDArray[np.int32]:
+        from scipy import ndimage  # slow to import, and rarely needed
+
         found, _ = ndimage.label(grid.clearance >= least, np.ones((3, 3)))
         return np.asarray(found, np.int32)
 

@@ -13,7 +13,6 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, MapError, ModelError
@@ -66,6 +65,8 @@ def steepest(grid: OccupancyGrid, heights: HeightMap, radius: float) -> float:
 
 
 def _steepest(grid: OccupancyGrid, heights: HeightMap, radius: float) -> float:
+    from scipy.ndimage import maximum_filter  # slow to import, and rarely needed
+
     cells = radius / grid.resolution
     # the clearance is that of a cell's centre, off by 0.71 cells from that of a point in it
     may_be = grid.clearance > max(radius - grid.resolution, 0.0)
