@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from energyplan.cli._planning import model_without_map
 from energyplan.cli.common import Json, ModelName, answer, app, writes
 from energyplan.errors import InvalidInputError
 
@@ -39,7 +40,6 @@ def cost_table(
     """
     from energyplan.cost import EnergyCost
     from energyplan.cost.table import tabulate
-    from energyplan.io.config import read_model
     from energyplan.io.cost_table import write_cost_table
 
     try:
@@ -48,7 +48,7 @@ def cost_table(
         raise InvalidInputError(
             f"--speeds is {speeds!r}; write metres per second with commas between, like 0.2,0.5"
         ) from None
-    made = tabulate(EnergyCost(read_model(model), battery=battery), asked, tolerance)
+    made = tabulate(EnergyCost(model_without_map(model), battery=battery), asked, tolerance)
     write_cost_table(made, out)
     size = {"directions": len(made.angle), "speeds": len(made.speed)}
     lines = [

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from energyplan.path import Pose
     from energyplan.planning import Plan, PlanningProblem
     from energyplan.planning.driven import DrivenPath
+    from energyplan.power import PowerModel
     from energyplan.terrain import HeightMap, SurfaceMap
 
 RECORDING = ".mcap"
@@ -190,6 +191,20 @@ def ground_of(
         power, ground = with_weight(power), with_weights(ground) if ground else None
     cost = EnergyCost(power, battery=battery, speed=asked_speed(speed, power.vehicle))
     return PricedGround(cost, ground, hills)
+
+
+def model_without_map(name: str) -> PowerModel:
+    """Read the model of what knows no map; say so where it contains ground of some place."""
+    from energyplan.io.config import read_model
+    from energyplan.terrain import knows_ground
+
+    power = read_model(name)
+    if knows_ground(power):
+        warn(
+            f"{power.name} contains ground of some place, such as a slope: it is left out, because "
+            "what is written holds for level ground anywhere"
+        )
+    return power
 
 
 def driven(made: Plan, trajectory: Path | None) -> DrivenPath | None:

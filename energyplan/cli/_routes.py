@@ -22,6 +22,7 @@ from energyplan.cli._planning import (
     Surfaces,
     TimeLimit,
     driven,
+    model_without_map,
     no_path,
     problem_of,
     write_plans,
@@ -185,11 +186,13 @@ def nav2_lattice(
 
     They come nearest to the energy of the model. Prints the error that remains.
     """
-    from energyplan.cli._planning import ground_of
+    from energyplan.cost import EnergyCost
+    from energyplan.cost.speeds import asked_speed
     from energyplan.io.nav2_lattice import write_lattice, write_penalties
     from energyplan.studies.control_set import control_set, penalties
 
-    cost = ground_of(model, None, None, battery, speed).cost
+    power = model_without_map(model)
+    cost = EnergyCost(power, battery=battery, speed=asked_speed(speed, power.vehicle))
     controls = control_set(cost, resolution, headings=headings, radius=radius)
     found = penalties(controls, cost)
     write_lattice(controls, out)

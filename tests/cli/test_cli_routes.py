@@ -11,9 +11,12 @@ import pytest
 import yaml
 
 from energyplan import cli
+from energyplan.io.config import write_model
 from energyplan.io.maps import write_map
 from energyplan.io.nav2_lattice import read_lattice
 from energyplan.io.route_graph import read_route_graph
+from energyplan.power import PowerModel
+from energyplan.power.effects import term
 from energyplan.terrain import OccupancyGrid
 
 Run = Callable[..., "tuple[int, str, str]"]
@@ -120,3 +123,23 @@ def test_primitives_and_penalties_are_written_for_nav2(run: Run, tmp_path: Path)
     code, _, err = run("nav2-lattice", "--model", MODEL, "--resolution", 0, "--out", out)
     assert code == 2
     assert "resolution" in err
+
+
+@pytest.mark.parametrize(
+    "command",
+    [("nav2-lattice", "--resolution", 0.1, "--out"), ("cost-table", "--out")],
+    ids=lambda c: c[0],
+)
+def test_what_knows_no_map_says_that_it_leaves_a_slope_out(
+    run: Run, tmp_path: Path, command: tuple[object, ...]
+) -> None:
+    level = PowerModel.preset(MODEL)
+    tilted = write_model(level.with_term(term("tilt_x"), 20.0), tmp_path / "tilted.yaml")
+    plain = write_model(level, tmp_path / "level.yaml")
+    out = {"nav2-lattice": "out.json", "cost-table": "out.csv"}[str(command[0])]
+    code, _, err = run(*command, tmp_path / out, "--model", tilted)
+    assert code == 0, err
+    assert "left out" in err
+    code, _, err = run(*command, tmp_path / out, "--model", plain)
+    assert code == 0, err
+    assert "left out" not in err
