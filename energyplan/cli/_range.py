@@ -116,7 +116,7 @@ def reach(
         raise InvalidInputError("--pack and --energy both set the energy at hand; give one")
     if soc is not None and pack is None:
         raise InvalidInputError("--soc is the charge of a battery; give --pack, or leave it out")
-    if spread > 0 and confidence is None:
+    if spread != 0 and confidence is None:
         raise InvalidInputError("--coefficient-spread needs --confidence; give both")
     pose = parse_pose(start)
     # what a battery delivers is counted at the battery

@@ -109,13 +109,15 @@ def watch(
     )  # fmt: skip
     asked = read_mission(mission) if mission else None
     lines = lines_of(sys.stdin.buffer) if log == "-" else follow(log, None if once else _wait)
-    warn_of_presets()
     learned: Any = None
     try:
         with _until_interrupted(lines) as wanted:
-            for event in events(
+            found = events(
                 wanted, prior, asked, columns=_mapping(columns), name=log, settings=settings
-            ):
+            )
+            for k, event in enumerate(found):
+                if k == 0:
+                    warn_of_presets()  # with the answer: an error stays one line
                 _tell(event, json, documents.event, text.event)
                 if isinstance(event, Learned | Ended):
                     learned = event.model if isinstance(event, Learned) else learned

@@ -24,10 +24,8 @@ if TYPE_CHECKING:
     from energyplan.path import Pose
     from energyplan.vehicle import Vehicle
 
-_OUTPUTS, _PROJECT = "energyplan.outputs", "energyplan.project"
-"""Where the context of a command keeps the files that it will write, and the project's file."""
-_ARGUMENTS = "energyplan.arguments"
-"""Where it keeps the arguments as they were given."""
+_OUTPUTS, _PROJECT, _ARGUMENTS = "energyplan.outputs", "energyplan.project", "energyplan.given"
+"""Where the context of a command keeps its outputs, the project's file, and what was given."""
 _presets: ContextVar[dict[str, str]] = ContextVar("presets", default={})  # noqa: B039
 """Ready-made models that the command in hand uses, with their sources; never changed in place."""
 IMAGES = (".png", ".svg", ".pdf")
@@ -123,6 +121,9 @@ class Command(TyperCommand):
         from energyplan.io.files import refuse_overwriting
 
         check_standard_output()
+        for param in self.params:
+            if isinstance(value := ctx.params.get(param.name), float) and math.isnan(value):
+                raise InvalidInputError(f"{param.opts[0]} is nan; give a number")
         outputs = ctx.meta.get(_OUTPUTS, {})
         given = [value for name, value in ctx.params.items() if name not in outputs]
         values = [v for value in given for v in (value if isinstance(value, list) else [value])]

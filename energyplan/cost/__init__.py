@@ -31,8 +31,8 @@ from energyplan.path import FloatArray, Path
 from energyplan.power import PowerModel, Sides
 from energyplan.vehicle import TreadICR, Vehicle
 
-STEADY = {"t": 1e9, "x": 0.0, "y": 0.0, "yaw": 0.0, "slope": 0.0, "accel": 0.0, "yaw_accel": 0.0}
-STEADY |= {"accel_x": 0.0}
+_STILL = ("x", "y", "yaw", "slope", "accel", "yaw_accel", "accel_x")
+STEADY = {"t": 1e9, **dict.fromkeys(_STILL, 0.0)}
 """Channels of steady motion on level ground, long after the start."""
 
 
@@ -83,13 +83,13 @@ class EnergyCost:
     channels: Mapping[str, float] = field(default_factory=dict)
     time_value: float = 0.0
 
+    @np.errstate(all="ignore")  # what overflows is refused
     def __post_init__(self) -> None:
         if not 0 <= self.time_value < np.inf:
             raise InvalidInputError(f"time_value is {self.time_value}; give joules a second >= 0")
         if self.speed is not None and not self.speed > 0:
             raise InvalidInputError(f"speed is {self.speed}; give metres per second > 0")
-        lowest = float(self.gauge.values.min())
-        if not lowest > 0:
+        if not (lowest := float(self.gauge.values.min())) > 0:
             x, y = self.gauge.directions[int(np.argmin(self.gauge.values))]
             raise ModelError(
                 f"the model {self.model.name!r} gives {lowest:.3g} J to an element of {x:.3g} m "

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ValidationError, ValidationInfo, field_validator
 
 from energyplan.errors import InvalidInputError
 
@@ -17,10 +18,26 @@ MAX_BYTES = 1 << 20
 MAX_NODES = 50_000
 """Most values in a document, aliases written out."""
 _MAX_DEPTH = 40
+_TEXT = re.compile(r"[-+]?0[0-9_]+|[-+]?[0-9_]+(:[0-9_.]+)+|[0-9]{4}-[0-9][0-9]?-[0-9].*")
+"""What YAML 1.1 takes for a number of base 8 or 60, or for a date; it stays what is written."""
 _PLAIN = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
 
 Loc = tuple[int | str, ...]
 M = TypeVar("M", bound=BaseModel)
+
+
+class Checked(BaseModel):
+    """What a mapping holds: no number is written as true or false."""
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_truth(cls, value: Any, info: ValidationInfo) -> Any:
+        parts = value if isinstance(value, list) else [value]
+        kind = cls.model_fields[info.field_name or ""].annotation
+        allowed = kind in (Any, bool) or bool in get_args(kind)
+        if not allowed and any(isinstance(part, bool) for part in parts):
+            raise ValueError("Input should be a number or a text")
+        return value
 
 
 @dataclass(frozen=True)
@@ -161,6 +178,9 @@ class _Builder:
             return [self.build(item, (*loc, k)) for k, item in enumerate(node.value)]
         if isinstance(node, yaml.MappingNode):
             return self._mapping(node, loc)
+        plain = isinstance(node, yaml.ScalarNode) and node.style is None
+        if plain and _TEXT.fullmatch(node.value):
+            return str(node.value)
         try:
             return self._scalars.construct_object(node)
         except (ValueError, yaml.YAMLError, OverflowError) as problem:

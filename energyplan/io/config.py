@@ -13,7 +13,7 @@ import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from energyplan.errors import ConfigError, InvalidInputError, ModelError, UnknownNameError
-from energyplan.io._yaml import Document, load
+from energyplan.io._yaml import Checked, Document, load
 from energyplan.io.files import atomic_write, is_file
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual, Term
@@ -40,7 +40,7 @@ Limit = Annotated[float, BeforeValidator(_infinite), Field(ge=0)]
 Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 
-class _Strict(BaseModel):
+class _Strict(Checked, BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from energyplan.errors import MissionError
 from energyplan.fleet import Fleet, Robot
-from energyplan.io._yaml import Document, Loc, load
+from energyplan.io._yaml import Checked, Document, Loc, load
 from energyplan.io.mission import MissionReader
 
 _OWN = (
@@ -20,23 +20,23 @@ _OWN = (
 """Keys of a mission that each robot may have for itself."""
 
 
-class _Robot(BaseModel):
+class _Robot(Checked, BaseModel):
     model_config = ConfigDict(extra="allow", frozen=True)
     name: str
     skills: list[str] = []
 
 
-class _Needs(BaseModel):
+class _Needs(Checked, BaseModel):
     model_config = ConfigDict(extra="allow", frozen=True)
     needs: list[str] = []
 
 
-class _Charger(BaseModel):
+class _Charger(Checked, BaseModel):
     model_config = ConfigDict(extra="allow", frozen=True)
     places: Annotated[int, Field(ge=1)] = 1
 
 
-class _Fleet(BaseModel):
+class _Fleet(Checked, BaseModel):
     model_config = ConfigDict(extra="allow", frozen=True)
     robots: Annotated[list[_Robot], Field(min_length=1, max_length=100)]
     tasks: Annotated[list[_Needs], Field(min_length=1, max_length=1000)]

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from energyplan.errors import MapError
 from energyplan.io._limited import beside, read_bytes
-from energyplan.io._yaml import load
+from energyplan.io._yaml import Checked, load
 from energyplan.io.files import atomic_write
 from energyplan.io.geojson import read_obstacles
 from energyplan.path import Pose
@@ -30,7 +30,7 @@ MOVINGAI_FREE = b".GS"
 """Characters of passable cells in a MovingAI map: ground, ground too, swamp."""
 
 
-class _MapHeader(BaseModel):
+class _MapHeader(Checked, BaseModel):
     """What a map_server YAML says."""
 
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False)

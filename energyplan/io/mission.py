@@ -15,7 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidat
 from energyplan.battery import Battery
 from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
 from energyplan.io._limited import beside
-from energyplan.io._yaml import Document, Loc, load, parse
+from energyplan.io._yaml import Checked, Document, Loc, load, parse
 from energyplan.io.amounts import amount
 from energyplan.io.bundled import bundled
 from energyplan.io.config import read_model, read_vehicle
@@ -95,7 +95,7 @@ def _is_yaml(name: str) -> bool:
     return name.endswith((".yaml", ".yml"))
 
 
-class _Strict(BaseModel):
+class _Strict(Checked, BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from energyplan.errors import ConfigError, UnknownNameError
-from energyplan.io._yaml import Document, Loc, load
+from energyplan.io._yaml import Checked, Document, Loc, load
 
 _FIELD = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)\s*(?:\[([^\[\]]+)\])?\Z")
 
@@ -58,7 +58,7 @@ def _read(message: Any, field: str) -> float:
     return sum(found) / len(found) if found else nan
 
 
-class TopicSource(BaseModel):
+class TopicSource(Checked, BaseModel):
     """A message field that serves as a channel.
 
     Parameters

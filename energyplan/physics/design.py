@@ -24,6 +24,7 @@ SETTLED = 3.0
 SHARE = 0.15
 """Share of the power that an effect of unknown size is taken to have."""
 
+LONGEST = 3600.0  # [s]; beyond it, the same drive again tells as much
 _HINT = 0.02  # share of every manoeuvre that is taken to be driven while the first are chosen
 
 
@@ -139,8 +140,8 @@ def design(
     """Design the drive that best separates explanations, or narrows the model's parameters.
 
     Manoeuvres are added one after the other, each the one that gains the most per second
-    (T-optimality; D-optimality of the model's own terms where fewer than two explanations are
-    given). What another explanation can absorb by being fitted again does not count.
+    (T-optimality; D-optimality of the model's own terms with fewer than two explanations). What
+    another explanation can absorb by being fitted again does not count.
 
     With fewer than two explanations and `screen`, every effect of the catalogue that a drive on
     level ground can show counts as a parameter too, so that whatever is there shows.
@@ -150,8 +151,7 @@ def design(
     model : PowerModel
         What is known; explanations add to its terms.
     explanations : sequence of Explanation
-        What may be there. Sizes that are not given are as strong as the first
-        explanation's, and that one's a sixth of the power.
+        What may be there. A size not given is as strong as the first's, or a sixth of the power.
     grid : OccupancyGrid, optional
         The map; an empty square where not given.
     square : float
@@ -159,7 +159,7 @@ def design(
     start : Pose, optional
         Where to begin; the middle of the largest free place of the map where not given.
     duration : float
-        Longest time that the drive may take [s].
+        Longest time that the drive may take, up to `LONGEST` [s].
     speed : float, optional
         Largest tread speed [m/s]; 0.6 of what the motors reach where not given.
     acceleration : float
@@ -189,14 +189,15 @@ def design(
 
     References
     ----------
-    Atkinson and Fedorov (1975), "The design of experiments for discriminating between two rival
-    models"; docs/theory, section 7.
+    Atkinson and Fedorov (1975), on T-optimality; docs/theory, section 7.
     """
-    values = {"square": square, "duration": duration, "acceleration": acceleration, "noise": noise,
+    values = {"square": square, "acceleration": acceleration, "noise": noise,
               "correlation_time": correlation_time}  # fmt: skip
     for name, value in values.items():
         if not (np.isfinite(value) and value > 0):
             raise InvalidInputError(f"{name} is {value}; give a positive number")
+    if not 0 < duration <= LONGEST:
+        raise InvalidInputError(f"duration is {duration} s; give up to {LONGEST:g} s")
     vehicle = model.vehicle
     top = speed or 0.6 * vehicle.motor.speed
     if not (np.isfinite(top) and top > 0):

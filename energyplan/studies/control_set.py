@@ -137,13 +137,20 @@ USUAL = Penalties(1.05, 0.0, 2.0, 5.0, np.nan)
 """What is set where nothing is known of a robot; that of a change of direction left out."""
 
 
+MOST_HEADINGS = 512
+"""Most headings of a lattice."""
+
+MOST_CELLS = 1000
+"""Most cells that a primitive may reach."""
+
+
 def headings_of(count: int) -> tuple[FloatArray, tuple[tuple[int, int], ...]]:
     """Return the headings of a lattice [rad], and for each the cell that it leads to.
 
     Raises
     ------
     InvalidInputError
-        If the number is no multiple of 8.
+        If the number is no multiple of 8, or above `MOST_HEADINGS`.
 
     Examples
     --------
@@ -151,8 +158,10 @@ def headings_of(count: int) -> tuple[FloatArray, tuple[tuple[int, int], ...]]:
     >>> angles[:3].round(3).tolist(), cells[:3]
     ([0.0, 0.464, 0.785], ((1, 0), (2, 1), (1, 1)))
     """
-    if count < 8 or count % 8:
-        raise InvalidInputError(f"a lattice of {count} headings; give a multiple of 8")
+    if count % 8 or not 8 <= count <= MOST_HEADINGS:
+        raise InvalidInputError(
+            f"a lattice of {count} headings; give a multiple of 8, up to {MOST_HEADINGS}"
+        )
     half = count // 8
     around = range(-half, half + 1)
     rim = [(x, y) for x in around for y in around if max(abs(x), abs(y)) == half]
@@ -208,6 +217,11 @@ def control_set(
             f"a resolution of {resolution} m and a radius of {least} m; give lengths above 0"
         )
     angles, steps = headings_of(headings)
+    if FARTHEST * least / resolution > MOST_CELLS:
+        raise InvalidInputError(
+            f"arcs of radius {least:g} m reach beyond {MOST_CELLS} cells of {resolution:g} m; give "
+            "larger cells or a smaller radius"
+        )
     reach = int(np.ceil(FARTHEST * least / resolution)) + 1
     row, column = np.indices((2 * reach + 1, 2 * reach + 1)).reshape(2, -1) - reach
     found = []

@@ -155,7 +155,7 @@ class EnergyMap:
         """Return `contours` in `STEPS` even steps up to an energy [J], else up to the farthest."""
         farthest = float(self.energy[np.isfinite(self.energy)].max(initial=0.0))
         limit = farthest if energy is None else energy
-        levels = [limit * k / STEPS for k in range(1, STEPS + 1)]
+        levels = [limit * (k / STEPS) for k in range(1, STEPS + 1)]
         return self.contours(levels) if limit > 0 else ()
 
     def _to_world(self, points: FloatArray) -> FloatArray:
@@ -222,6 +222,8 @@ def energy_map(
     """
     if not energy > 0:
         raise InvalidInputError(f"the energy is {energy} J; give a positive number")
+    if coefficient_spread != 0 and confidence is None:
+        raise InvalidInputError("a coefficient spread needs a confidence; give both")
     if problem.objective != "energy":
         raise InvalidInputError("a map of energies has the objective 'energy'; leave it out")
     problem = replace(problem, goal=problem.start, costmap=None)

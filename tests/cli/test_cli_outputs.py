@@ -248,6 +248,29 @@ def test_a_drive_by_another_name_is_not_held_out(
     assert "hold-out" in error
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("start", "a.csv", "--track", "nan", "--out", "new.yaml"),
+        ("range", "--map", "office.yaml", "--model", "model.yaml", "--from", "1.2,2,90deg",
+         "--energy", "5000", "--coefficient-spread", "-1"),
+        ("watch", "a.csv", "--once", "--mission", "round.yaml", "--vehicle", "robot.yaml", "--done",
+         "zz"),
+        ("design", "--model", "model.yaml", "--duration", "1e9"),
+        ("nav2-lattice", "--model", "model.yaml", "--out", "l.json", "--resolution", "1e-9"),
+    ],
+)  # fmt: skip
+def test_a_number_that_cannot_be_meant_is_refused_in_one_line(
+    folder: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
+) -> None:
+    (folder / "round.yaml").write_text(
+        "model: quadriga:full:marble\nmap: office.yaml\nbattery: quadriga\n"
+        "start: [1.2, 2, 90deg]\ncoefficient_spread: 5 %\n"
+        "tasks: [{name: m, pose: [3.9, 2, 90deg]}]\n"
+    )
+    assert "give" in (error := refused(folder, capsys, *arguments)) or "no task" in error
+
+
 def test_without_a_command_the_help_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, error = run(capsys)
     assert (code, error) == (0, "")

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from energyplan import simulate
+from energyplan.cost import EnergyCost
 from energyplan.errors import ConfigError, EnergyPlanError, InvalidInputError, UnknownNameError
 from energyplan.io.config import read_model, read_vehicle, write_model, write_vehicle
 from energyplan.io.files import atomic_write
@@ -186,7 +187,7 @@ def test_a_term_that_no_file_could_name_is_refused(tmp_path):
         ("a: !!python/object/apply:os.system [x]\n", "line 1: leave the tag"),
         ("a: !!python/name:os.system x\n", "line 1: .* cannot be read"),
         ("? [1, 2]\n: 3\n", "plain word"),
-        ("a: 2001-99-99\n", "line 1: '2001-99-99' cannot be read"),
+        ("a: !!int x\n", "line 1: 'x' cannot be read"),
         ("a: " + "[" * 5000, "nested too deeply|too deep|no valid YAML"),
         ("a: &a [*a]\n", "too deep|no valid YAML|unhashable"),
         ("a: \x07\n", "no valid YAML"),
@@ -286,3 +287,35 @@ def test_atomic_write_keeps_permissions_and_links(tmp_path):
         atomic_write(tmp_path, "a folder")
     with pytest.raises(InvalidInputError, match="cannot be written"):
         atomic_write("nul\0name", "x")
+
+
+# -- numbers as they are written ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("text", ["true", "no", "1:30", "1:30:00", "2026-01-01", "[true]"])
+def test_what_is_no_number_is_taken_for_none(tmp_path, text):
+    """YAML 1.1 reads 1:30 as 90, and Python counts with true as with 1."""
+    file = write(tmp_path, DIMENSIONS.replace("120.0", text))
+    with pytest.raises(ConfigError, match="line 2, mass"):
+        read_vehicle(file)
+
+
+@pytest.mark.parametrize(("text", "mass"), [("010", 10.0), ("0120.5", 120.5), ("12e1", 120.0)])
+def test_a_number_is_read_in_tens(tmp_path, text, mass):
+    file = write(tmp_path, DIMENSIONS.replace("120.0", text))
+    assert read_vehicle(file).mass == pytest.approx(mass)
+
+
+@pytest.mark.parametrize("name", ["010", "1:30", "2026-01-01", "true", "no", "1e3", "07"])
+def test_any_word_is_a_name(tmp_path, name):
+    vehicle = replace(Vehicle.preset("jackal"), name=name)
+    write_vehicle(vehicle, tmp_path / "it.yaml")
+    assert read_vehicle(tmp_path / "it.yaml").name == name
+    assert read_vehicle(write(tmp_path, DIMENSIONS.replace("mule", f"'{name}'"))).name == name
+
+
+def test_a_coefficient_beyond_all_numbers_is_refused_without_a_warning(tmp_path, recwarn):
+    file = write(tmp_path, MODEL.replace("value: 0.5", "value: 1.0e+308"))
+    with pytest.raises(EnergyPlanError, match="motion must cost energy"):
+        EnergyCost(read_model(file))
+    assert not recwarn.list

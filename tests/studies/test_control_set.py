@@ -209,6 +209,19 @@ def test_no_route_is_said(room, controls):
         Lattice(walled, controls).routes(room.start, [room.goal], USUAL)
 
 
+@pytest.mark.parametrize(
+    ("resolution", "headings", "told"),
+    [
+        (1e-9, 16, "reach beyond 1000 cells"),
+        (1e-300, 16, "reach beyond"),
+        (0.1, 10**6, "up to 512"),
+    ],
+)
+def test_a_lattice_of_more_primitives_than_anyone_needs_is_refused(resolution, headings, told):
+    with pytest.raises(InvalidInputError, match=told):
+        control_set(COST, resolution, headings=headings)
+
+
 def test_cells_too_large_for_arcs_are_refused():
     with pytest.raises(InvalidInputError, match="resolution"):
         control_set(COST, 0.0)
