@@ -231,6 +231,87 @@ def rostopic_echo(at: At, folder: Path) -> Path:
     }, folder / "echo.csv")  # fmt: skip
 
 
+def counts(at: At, side: np.ndarray, per_metre: float, first: float = 0.0) -> np.ndarray:
+    """Return what an encoder of a side has counted."""
+    steps = 0.5 * np.diff(at.t) * (side[1:] + side[:-1])
+    return np.floor(first + per_metre * np.concatenate([[0.0], np.cumsum(steps)]))
+
+
+def position(at: At) -> dict[str, np.ndarray]:
+    """Return where a satellite receiver sees the robot, 48 degrees north."""
+    degree = 111_195.08
+    return {
+        "gps.latitude": 48.0 + at.log.channel("y") / degree,
+        "gps.longitude": 11.0 + at.log.channel("x") / degree / np.cos(np.radians(48.0)),
+    }
+
+
+def encoders_of_four_wheels(at: At, folder: Path) -> Path:
+    """Counters of 16 bits; those of the left count down on the way ahead."""
+    left, right = counts(at, at.left, 8000.0), counts(at, at.right, 8000.0)
+    return csv({
+        "time": at.t, "enc_fl": -left % 65536, "enc_fr": right % 65536, "enc_rl": -left % 65536,
+        "enc_rr": (right + 40000) % 65536, "x": at.log.channel("x"), "y": at.log.channel("y"),
+        "yaw": at.yaw, "power_w": at.power,
+    }, folder / "wheels.csv")  # fmt: skip
+
+
+def encoders_and_a_satellite_receiver(at: At, folder: Path) -> Path:
+    return csv({
+        "ms": np.round(1e3 * at.t), "ticks_left": counts(at, at.left, 9000.0, 1e6),
+        "ticks_right": counts(at, at.right, 9000.0), **position(at), "gyro_z": at.yaw_rate,
+        "batt_V": at.volts, "batt_A": at.amps,
+    }, folder / "field.csv")  # fmt: skip
+
+
+def encoders_from_row_to_row(at: At, folder: Path) -> Path:
+    left, right = (np.diff(counts(at, side, 5e4), prepend=0.0) for side in (at.left, at.right))
+    return csv({
+        "time": at.t, "encoder_count_l": left, "encoder_count_r": right,
+        "ground speed [km/h]": 1.8 * (at.left + at.right), "gyro_z": at.yaw_rate,
+        "power": at.power,
+    }, folder / "steps.csv")  # fmt: skip
+
+
+def encoders_that_tell_a_rate(at: At, folder: Path) -> Path:
+    return csv({
+        "time": at.t, "enc_left_tps": np.round(4e4 * at.left),
+        "enc_right_tps": np.round(4e4 * at.right), "pose_x": at.log.channel("x"),
+        "pose_y": at.log.channel("y"), "heading": at.yaw, "power_w": at.power,
+    }, folder / "rates.csv")  # fmt: skip
+
+
+def status_topic(at: At, folder: Path) -> Path:
+    """As a controller's status messages and odometry come out of a bag."""
+    return csv({
+        "Time": EPOCH + at.t, "status.header.seq": np.arange(len(at.t)),
+        "status.left_driver_current": at.p_left / at.volts,
+        "status.right_driver_current": at.p_right / at.volts,
+        "status.left_driver_voltage": at.volts, "status.right_driver_voltage": at.volts,
+        "status.left_motor_temp": 31.0, "status.right_motor_temp": 32.0,
+        "status.left_ticks": counts(at, at.left, 7000.0) % 65536,
+        "status.right_ticks": counts(at, at.right, 7000.0) % 65536,
+        "odom.twist.twist.linear.x": 0.5 * (at.left + at.right),
+        "odom.twist.twist.angular.z": at.yaw_rate,
+    }, folder / "status.csv")  # fmt: skip
+
+
+def flight_controller(at: At, folder: Path) -> Path:
+    """A row for each message: encoders, battery, gyroscope and position of an autopilot."""
+    parts: tuple[tuple[dict[str, np.ndarray], int, float], ...] = (
+        ({"WENC.LeftTicks": counts(at, at.left, 1e4),
+          "WENC.RightTicks": counts(at, at.right, 1e4)}, 1, 0.0),
+        ({"BAT.Volt": at.volts, "BAT.Curr": at.amps}, 1, 3e3),
+        ({"IMU.GyrZ": at.yaw_rate}, 1, 5e3),
+        (position(at), 2, 6e3),
+    )  # fmt: skip
+    rows = [
+        pd.DataFrame({"TimeUS": np.round(1e6 * at.t + late), **columns})[::step]
+        for columns, step, late in parts
+    ]
+    return csv(pd.concat(rows).sort_values("TimeUS"), folder / "rover.csv")
+
+
 # -- logs that are to be refused, or doubted ------------------------------------------------------
 
 
@@ -248,6 +329,45 @@ def ticks_a_second(at: At, folder: Path) -> Path:
         "time": at.t, "enc_left_tps": np.round(ticks * at.left),
         "enc_right_tps": np.round(ticks * at.right), "power_w": at.power,
     }, folder / "ticks.csv")  # fmt: skip
+
+
+def encoders_alone(at: At, folder: Path) -> Path:
+    return csv({
+        "time": at.t, "enc_l": counts(at, at.left, 4096 / (2 * np.pi * at.robot.radius)),
+        "enc_r": counts(at, at.right, 4096 / (2 * np.pi * at.robot.radius)),
+        "gyro_z": at.yaw_rate, "power_w": at.power,
+    }, folder / "bare.csv")  # fmt: skip
+
+
+def numbered_axes(at: At, folder: Path) -> Path:
+    turns = 1 / (2 * np.pi * at.robot.radius)
+    return csv({
+        "time": at.t, "axis0.encoder.vel_estimate": turns * at.left,
+        "axis1.encoder.vel_estimate": turns * at.right, "vbus_voltage": at.volts, "ibus": at.amps,
+    }, folder / "axes.csv", sep=";")  # fmt: skip
+
+
+def electrical_rates(at: At, folder: Path) -> Path:
+    rate = 7 * 20 * RPM / at.robot.radius
+    return csv({
+        "ms_today": np.round(1e3 * at.t) + 4321, "input_voltage": at.volts,
+        "left_erpm": np.round(rate * at.left), "right_erpm": np.round(rate * at.right),
+        "left_current_motor": 2 * at.p_left / at.volts,
+        "right_current_motor": 2 * at.p_right / at.volts,
+        "left_current_in": at.p_left / at.volts, "right_current_in": at.p_right / at.volts,
+    }, folder / "controllers.csv", sep=";")  # fmt: skip
+
+
+def torques(at: At, folder: Path) -> Path:
+    """As a simulator writes what its joints do."""
+    columns = {"sim_time": at.t}
+    for side, speed, power in (("left", at.left, at.p_left), ("right", at.right, at.p_right)):
+        rate = speed / at.robot.radius
+        columns[f"{side}_wheel_joint_velocity"] = rate
+        columns[f"{side}_wheel_joint_effort"] = np.divide(
+            power, rate, out=np.zeros_like(rate), where=rate != 0
+        )
+    return csv({**columns, "world_yaw": at.yaw}, folder / "joints.csv")
 
 
 def units_in_cells(at: At, folder: Path) -> Path:
@@ -273,12 +393,17 @@ READ: tuple[Writer, ...] = (
     four_wheels_in_rpm, four_motors, german, utf16, byte_order_mark, units_in_a_second_row,
     remarks_before_the_names, words_for_nothing, two_recordings, coarse_stamps,
     a_row_for_each_message, date_and_time_of_day, american_dates, aligned_by_spaces, newest_first,
-    units_in_names, rostopic_echo,
+    units_in_names, rostopic_echo, encoders_of_four_wheels, encoders_and_a_satellite_receiver,
+    encoders_from_row_to_row, encoders_that_tell_a_rate, status_topic, flight_controller,
 )  # fmt: skip
 """Logs from which the right coefficients must come."""
 REFUSED: dict[Writer, str] = {
     speed_and_yaw_rate: "v_left and v_right are the speeds of the left and right wheels",
-    ticks_a_second: r"metres per tick, as in v_left=enc_left_tps\[",
+    ticks_a_second: r'--counts-per-revolution .* "v_left=enc_left_tps\[ticks/s\*0.0001\]',
+    encoders_alone: r'--counts-per-revolution .* "v_left=enc_l\[ticks\*0.0001\]',
+    numbered_axes: r'which side .* "v_left=axis0.encoder.vel_estimate\[UNIT\]',
+    electrical_rates: r"v_left=left_erpm\[rpm\*F\]",
+    torques: r"p_left=left_wheel_joint_effort\*RATE",
     units_in_cells: "line 2: 'v_left' is '.* m/s', which is no number",
     thousands: r"line \d+: 'power \[mW\]' is '-?\d+,\d+.\d', which is no number",
 }

@@ -41,6 +41,10 @@ def start(
         float | None,
         typer.Option(metavar="KG", help="Mass of the robot as it drives, payload included."),
     ] = None,
+    counts_per_revolution: Annotated[
+        float | None,
+        typer.Option(metavar="N", help="What an encoder counts while the wheel turns once."),
+    ] = None,
     length: Annotated[
         float | None, typer.Option(metavar="M", help="Length of the footprint.")
     ] = None,
@@ -76,7 +80,7 @@ def start(
 
     told = {
         "wheel_radius": wheel_radius, "track": track, "wheelbase": wheelbase, "mass": mass,
-        "length": length, "width": width,
+        "length": length, "width": width, "counts_per_revolution": counts_per_revolution,
     }  # fmt: skip
     vehicle = None if like is None else read_vehicle(like)
     if vehicle is None and not json and sys.stdin.isatty() and sys.stderr.isatty():

@@ -29,6 +29,8 @@ class Given:
         Radius of the wheels; distance of left from right, and of front from rear contacts [m].
     mass : float
         Mass as it drives [kg].
+    counts_per_revolution : float
+        What an encoder counts while the wheel turns once.
     length, width : float
         Footprint [m].
     name : str
@@ -48,9 +50,11 @@ class Given:
     name: str = ""
     like: Vehicle | None = None
     columns: str | None = None
+    counts_per_revolution: float = nan
 
     def __post_init__(self) -> None:
-        for key in ("wheel_radius", "track", "wheelbase", "mass", "length", "width"):
+        for key in ("wheel_radius", "track", "wheelbase", "mass", "length", "width",
+                    "counts_per_revolution"):  # fmt: skip
             value = getattr(self, key)
             if not (np.isnan(value) or (isfinite(value) and value > 0)):
                 raise InvalidInputError(f"{key} is {value}; give a positive number")

@@ -14,8 +14,10 @@ import numpy as np
 from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.io.bag_fields import bag_fields
 from energyplan.io.bags import is_bag, read_bag
+from energyplan.io.encoders import counted_columns, position_columns
 from energyplan.io.husky import is_husky
 from energyplan.io.logs import read_log
+from energyplan.io.missing import refuse
 from energyplan.io.project import Project
 from energyplan.io.robot import Given, build_vehicle, known_measures
 from energyplan.io.topics import TOPIC_MAPS, TopicMap, topic_map_of
@@ -25,15 +27,14 @@ from energyplan.logs.columns import Column, column_from, parse_columns
 from energyplan.logs.consistency import Check, Measures, check_consistency, strain
 from energyplan.logs.contradictions import find_contradictions
 from energyplan.logs.evidence import gather
-from energyplan.logs.guess import guess, words
+from energyplan.logs.guess import guess, guess_encoders
 from energyplan.logs.tables import Table, read_table
-from energyplan.logs.units import is_wheel_rate, scale_of
+from energyplan.logs.units import is_count, is_wheel_rate, scale_of
 from energyplan.path import FloatArray
 
 _SOME = 20_000  # readings that suffice to tell a unit
 _FASTEST_TURN = 3.0  # yaw rate that hardly a robot reaches that skids [rad/s]
 _FULL_TURN = 6.5  # [rad]; headings beyond are unwrapped, or degrees
-_ENCODER = {"enc", "encoder", "tick", "ticks", "count", "counts"}
 _NEEDED = {"t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current"}
 _RATES = {"rad/s": 1.0, "rpm": pi / 30, "deg/s": pi / 180}
 
@@ -112,7 +113,8 @@ def _start_table(file: Path, known: Given) -> Start:
     table = read_table(file, DriveLogError)
     names = (*table.columns, *table.text)
     columns = parse_columns(known.columns, names)
-    taken = {name for one in columns.values() for name in one.names}
+    # A factor of a power, such as a wheel's rate, may serve for itself too.
+    taken = {name for one in columns.values() for name in (one.source, *one.plus)}
     guesses = guess([name for name in table.columns if name not in taken])
     _powers(columns, guesses)
     found = {channel: one for channel, one in guesses.items() if channel not in columns}
@@ -120,13 +122,19 @@ def _start_table(file: Path, known: Given) -> Start:
         clock = _clock(table, taken.union(*((one.name, *one.fellows) for one in found.values())))
         if clock is not None:
             columns["t"] = Column(clock)
-    needed = [name for name in ("t", "v_left", "v_right") if name not in {*columns, *found}]
+    encoders = {name: found.pop(name) for name in [*found] if is_count(found[name].unit)}
+    if not {"v_left", "v_right"} & {*columns, *found, *encoders}:
+        used = {name for one in columns.values() for name in one.names}
+        used |= {name for one in found.values() for name in (one.name, *one.fellows)}
+        encoders = guess_encoders(name for name in table.columns if name not in used)
+    speeds = {*columns, *found, *encoders}
+    needed = [name for name in ("t", "v_left", "v_right") if name not in speeds]
     powers = {*columns, *found}
     ways = ({"p_left", "p_right"}, {"power"}, {"voltage", "current"})
     if not any(way <= powers for way in ways):
         needed.append("power")
     if needed:
-        _refuse(table, needed)
+        refuse(table, needed)
     for channel, one in found.items():
         unit = one.unit
         if is_wheel_rate(unit) and channel.startswith("v_"):
@@ -135,12 +143,19 @@ def _start_table(file: Path, known: Given) -> Start:
     for channel in ("slope", "temperature", "payload"):
         if channel in table.columns and channel not in columns:
             columns[channel] = Column(channel)
+    if not {"x", "y"} & set(columns):
+        columns |= position_columns(table, {n for one in columns.values() for n in one.names})
+    assumed: dict[str, str] = {}
+    if len(encoders) == 2:
+        if not (found.get("t") and found["t"].unit) and columns["t"].scale.factor == 1.0:
+            columns["t"] = _timed(table, columns["t"])
+        columns, assumed = counted_columns(table, columns, encoders, known)
     columns = _with_units(table, columns, found, known)
     log = _read_signed(file, columns)
     used = {name for one in log.columns.values() for name in one.names}
     idle = [name for name in table.columns if name not in used]
     notes = (f"columns that serve for nothing: {', '.join(idle[:20])}",) if idle else ()
-    told = _finish(file, log.log, known, log.columns, None, {})
+    told = _finish(file, log.log, known, log.columns, None, assumed)
     return replace(told, notes=(*notes, *log.notes, *told.notes))
 
 
@@ -152,36 +167,6 @@ def _column(
         bare, _, factor = unit.rpartition("*") if "*" in unit else (unit, "", "1")
         unit = f"{bare}*{float(factor) / (1 + len(fellows)):.6g}"
     return column_from(channel, name, unit or None, times, fellows)
-
-
-def _refuse(table: Table, needed: list[str]) -> None:
-    """Say what is missing, and why what could be it is not.
-
-    Raises
-    ------
-    DriveLogError
-        Always.
-    """
-    text = guess(table.text)
-    for channel in needed:
-        ways = (channel,) if channel != "power" else ("power", "p_left", "current", "voltage")
-        for one in (text[way] for way in ways if way in text):
-            table.column(one.name)  # says which cell is no number
-    names = (*table.columns, *table.text)
-    hint = ""
-    if {"v_left", "v_right"} & set(needed):
-        hint = "; v_left and v_right are the speeds of the left and right wheels"
-        counted = [name for name in names if _ENCODER & set(words(name))]
-        if counted:
-            hint += (
-                f"; {counted[0]!r} seems to be an encoder's: if it holds ticks per second, give "
-                f"the metres per tick, as in v_left={counted[0]}[*0.0001]; if it counts on, log "
-                "its rate"
-            )
-    raise DriveLogError(
-        f"{table.source}: nothing seems to be {' or '.join(needed)}{hint}; the columns are "
-        f"{', '.join(names[:30])}; say which it is with --columns {needed[0]}=NAME"
-    )
 
 
 def _powers(columns: dict[str, Column], guesses: dict[str, Any]) -> None:
@@ -251,7 +236,8 @@ def _with_units(
     clock = columns["t"]
     if "t" not in told and clock.scale.factor == 1.0:
         columns = {**columns, "t": _timed(table, clock)}
-    raw = {channel: _some(table, column) for channel, column in columns.items()}
+    t = _some(table, columns["t"])
+    raw = {channel: _some(table, column, t) for channel, column in columns.items()}
     joined = join_rows(raw, [name for name in raw if name in _NEEDED])
     raw = raw if joined is None else joined.channels
     sound = np.all([np.isfinite(values) for values in raw.values()], axis=0)
@@ -306,9 +292,9 @@ def _size(table: Table, column: Column) -> float:
     return float(np.quantile(values, 0.99)) if len(values) else 0.0
 
 
-def _some(table: Table, column: Column) -> FloatArray:
+def _some(table: Table, column: Column, t: FloatArray | None = None) -> FloatArray:
     """Return the first readings of a column, in the library's unit as far as it is known."""
-    return np.asarray(column.value(lambda name: table.column(name)[:_SOME]))
+    return column.over(t, lambda name: table.column(name)[:_SOME])
 
 
 def _timed(table: Table, clock: Column) -> Column:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from energyplan.errors import DriveLogError
+from energyplan.logs.counts import count_rate, counting
 from energyplan.logs.tables import Table
 from energyplan.logs.units import UNITS, Scale, scale_of, unit_in
 from energyplan.path import FloatArray
@@ -56,6 +57,13 @@ class Column(NamedTuple):
         if self.times is not None:
             value = value * reading(self.times)
         return value * self.scale.factor + self.scale.offset
+
+    def over(self, t: FloatArray | None, reading: Callable[[str], FloatArray]) -> FloatArray:
+        """Return the channel over time [s], as `value`; of an encoder that counts on, its rate."""
+        kind = counting(self.unit)
+        if not kind or t is None:
+            return np.asarray(self.value(reading))
+        return np.asarray(self.value(lambda name: count_rate(t, reading(name), kind)))
 
     def described(self) -> dict[str, str | list[str] | None]:
         """Return the column as a project's file holds it."""
@@ -195,7 +203,9 @@ def parse_columns(
         ``"v_left=velL,yaw=heading[deg]"``, or ``{"v_left": "velL", "yaw": "heading[deg]"}``. In
         brackets stands the unit where it is not the library's, with a minus before it where the
         sign is opposite (``current=i[-A]``), a factor (``v_left=wheel_rate[*0.165]``), or both
-        (``v_left=wheel_rate[rpm*0.165]``). A name with commas or brackets stands in quotes
+        (``v_left=wheel_rate[rpm*0.165]``). An encoder's counts take the metres per count: of one
+        that counts on ``v_left=enc[ticks*0.0001]``, of counts since the row before
+        ``[ticks/sample*0.0001]``. A name with commas or brackets stands in quotes
         (``v_left="speed, left [km/h]"[km/h]``). Columns can be added, then multiplied by one
         (``p_left=(current_fl+current_rl)*voltage``, ``v_left=front+rear[*0.5]``).
     names : collection of str
@@ -263,7 +273,8 @@ def choose_columns(
         own = own_columns((*table.columns, *table.text), wanted)
         wanted |= {k: c for k, c in own.items() if k in UNITS or c.source in table.columns}
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is out of range anyway
-        channels = {channel: column.value(table.column) for channel, column in wanted.items()}
+        t = wanted["t"].value(table.column) if "t" in wanted else None
+        channels = {channel: column.over(t, table.column) for channel, column in wanted.items()}
     used = {name for column in wanted.values() for name in column.names}
     unread = [name for name in table.text if others and name not in used]
     return Chosen(channels, unread)

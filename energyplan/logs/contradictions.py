@@ -17,6 +17,7 @@ _SHARE = 0.05  # share of the samples in which it must
 _HANGS = 0.3  # time of a repeated reading from which the sensor hangs [s]
 _REPEATED = 0.01  # share of the driving that it must do so
 _STEPS = 0.05  # share of readings that repeat where a sensor reads in steps
+_FOLLOWS = 0.9  # correlation with a side's speed, of a robot that turns about the other
 _UNLIKE = 60.0  # ratio of both sides' powers that no ground explains
 
 
@@ -41,6 +42,7 @@ def find_contradictions(
     """
     told = [
         _same(channels, "v_left", "v_right", yaw_rates(channels, runs)),
+        *_dead(channels, yaw_rates(channels, runs)),
         _signs(channels, runs),
         _sides(channels, runs),
         _powers(channels),
@@ -71,6 +73,32 @@ def _same(
         f"{left} and {right} are the same while {turning[0]} shows that the robot turns: one "
         "column was used for both sides; map each to its own"
     )
+
+
+def _dead(channels: Mapping[str, FloatArray], rates: Mapping[str, FloatArray]) -> list[str]:
+    """Whether a side shows nothing all along while the robot drives."""
+    told = []
+    for side, other in (("left", "right"), ("right", "left")):
+        speed, theirs = channels[f"v_{side}"], channels[f"v_{other}"]
+        if np.ptp(speed) == 0.0 and np.count_nonzero(theirs) >= _ENOUGH and np.ptp(theirs) > 0.0:
+            if any(abs(correlation(rate, theirs)) > _FOLLOWS for rate in rates.values()):
+                continue  # it turns about the side that stands
+            told.append(
+                f"v_{side} is {speed[0]:g} throughout while v_{other} changes: its encoder is "
+                f"dead, or the column another; map v_{side} to the speed of the {side} wheels"
+            )
+        power = channels.get(f"p_{side}")
+        if power is None or power.any():
+            continue
+        # Where both sides go ahead alike, neither returns power.
+        ahead = np.abs(speed - theirs) < 0.1 * np.abs(speed + theirs)
+        if np.count_nonzero(ahead & (channels.get(f"p_{other}", power) > 0)) >= _ENOUGH:
+            told.append(
+                f"p_{side} is 0 throughout while p_{other} is not, on straight lines too: its "
+                f"sensor is dead, or the column another; map p_{side} to the power of the {side} "
+                "motors, or log the battery's"
+            )
+    return told
 
 
 def _signs(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:

@@ -34,10 +34,15 @@ _WORDS = {
 _NOT_MEASURED = {
     "cmd", "command", "commanded", "set", "setpoint", "target", "desired", "ref", "reference",
     "goal", "request", "requested", "cov", "covariance", "std", "error", "err", "torque", "effort",
-    "ticks", "count", "encoder", "position", "temp", "temperature", "limit", "max", "min", "status",
-    "input", "raw", "supply", "health", "technology", "capacity", "charge", "percentage", "present",
+    "ticks", "count", "encoder", "position", "temp", "temperature", "limit", "max", "min",
+    "raw", "supply", "health", "technology", "capacity", "charge", "percentage", "present",
 }  # fmt: skip
 """Words of what is asked for, or of what is no speed and no power."""
+
+
+ENCODER = {"enc", "encoder", "encoders", "tick", "ticks", "count", "counts", "counter", "pulses",
+            "odometer"}  # fmt: skip
+"""Words of what counts the turns of a wheel."""
 
 
 _PLACES = {
@@ -48,6 +53,9 @@ _PLACES = {
 }  # fmt: skip
 """Words that tell which of a side's wheels, and what they tell of the side."""
 _TOLD_BY_UNIT = {"power": "power", "voltage": "voltage", "current": "current", "v_left": "speed"}
+
+
+_WHOLE = {"curr"}  # no abbreviation of a quantity and a side
 
 
 class Guess(NamedTuple):
@@ -73,6 +81,9 @@ def words(name: str) -> list[str]:
     found: list[str] = []
     for part in split_words(re.sub(r"[0-9]+", " ", split_unit(name)[0])):
         word = part.lower()
+        if word in _WHOLE:
+            found.append(word)
+            continue
         short = re.fullmatch(r"(v|w|p|i|u|rpm|vel|cur|omega|n)(l|r)", word)
         found += [short[1], short[2]] if short else [word]
     return found
@@ -113,7 +124,8 @@ def _score(channel: str, name: str) -> float:
         has[kind] = has[kind] or unit_in(quantity, name) is not None
     if name.strip() == channel:
         return 10.0
-    asked = bool(said & _NOT_MEASURED)
+    asked = bool(said & _NOT_MEASURED) or told[-1:] == ["status"]
+    asked = asked or ("input" in said and not (has["voltage"] or has["current"]))
     quantity, _, side = channel.partition("_")
     sided = has["left"] != has["right"]
     if channel == "t":
@@ -127,7 +139,8 @@ def _score(channel: str, name: str) -> float:
         electric = has["power"] or has["voltage"] or has["current"]
         if quantity == "v":
             return 0.0 if electric else 2.0 * has["speed"]
-        return 2.0 * has[kinds[quantity]]
+        own = 0.5 * bool(said & {"motor", "phase", "iq"})  # a motor's, not what it draws
+        return (2.0 - own) * has[kinds[quantity]]
     if sided and not (said & {"x", "y"}):
         return 0.0
     if channel in ("power", "voltage", "current"):
@@ -136,7 +149,8 @@ def _score(channel: str, name: str) -> float:
         return (2.0 + whole) * has[channel] * (not any(has[other] for other in others))
     if channel in ("x", "y"):
         place = said & {"pos", "pose", "position", "odom", "odometry", "slam", "gps", "map"}
-        moving = has["turn"] or has["accel"] or said & {"vel", "velocity", "speed", "orientation"}
+        other = {"vel", "velocity", "speed", "orientation", "linear", "twist"}
+        moving = has["turn"] or has["accel"] or said & other
         return (1.0 + bool(place)) * (told[-1:] == [channel]) * (not moving)
     if channel == "yaw":
         return 2.0 * has["yaw"] * (not (said & {"rate", "vel", "velocity", "speed", "dot"}))
@@ -150,6 +164,80 @@ def _score(channel: str, name: str) -> float:
     if channel == "temperature":
         return 0.0  # whose it is a name does not tell
     return 0.0
+
+
+def guess_encoders(names: Iterable[str]) -> dict[str, Guess]:
+    """Guess which names are encoders' of the left and right wheels; none where one is missing.
+
+    Examples
+    --------
+    >>> found = guess_encoders(["time", "enc_l", "enc_r", "enc_arm"])
+    >>> {channel: one.name for channel, one in found.items()}
+    {'v_left': 'enc_l', 'v_right': 'enc_r'}
+    """
+    asked = {"cmd", "command", "set", "setpoint", "target", "desired", "ref", "goal", "err",
+             "error", "cov", "covariance", "temp"}  # fmt: skip
+    counted = [n for n in names if ENCODER & set(words(n)) and not asked & set(words(n))]
+    groups = _groups(counted)
+    found: dict[str, Guess] = {}
+    for side in ("left", "right"):
+        name = next((name for name in counted if side_of(name) == side), None)
+        if name is not None:
+            told = unit_in(f"v_{side}", name)
+            fellows = tuple(n for n in groups.get(name, ()) if n != name and side_of(n) == side)
+            found[f"v_{side}"] = Guess(name, 1.0, told.unit if told else "", fellows)
+    return found if len(found) == 2 else {}
+
+
+def numbered_speeds(names: Iterable[str]) -> tuple[str, ...]:
+    """Return names of wheels' or motors' speeds that a number tells apart, not a side.
+
+    Examples
+    --------
+    >>> numbered_speeds(["axis0.encoder.vel_estimate", "axis1.encoder.vel_estimate", "v_left"])
+    ('axis0.encoder.vel_estimate', 'axis1.encoder.vel_estimate')
+    """
+    kinds = _WORDS["speed"] | ENCODER | {"dist", "distance"}
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for name in names:
+        if re.search(r"\d", name) and not side_of(name) and kinds & set(words(name)):
+            groups.setdefault(tuple(words(name)), []).append(name)
+    return tuple(next((group for group in groups.values() if len(group) > 1), ()))
+
+
+def guess_ahead(names: Iterable[str]) -> list[str]:
+    """Return names that seem to be of the robot's own speed, of no side of it.
+
+    Examples
+    --------
+    >>> guess_ahead(["speed_left", "odom.twist.linear.x", "ground_speed", "cmd_vel.linear.x"])
+    ['odom.twist.linear.x', 'ground_speed']
+    """
+    found = []
+    for name in names:
+        said = set(words(name))
+        other = said & (_NOT_MEASURED | _WORDS["left"] | _WORDS["right"] | {"angular", "y", "z"})
+        fast = said & {"speed", "velocity", "vel", "groundspeed", "spd", "speeds", "linear", "vx"}
+        wheel = said & {"wheel", "wheels", "motor", "rpm", "angular", "fan", "wind"}
+        if fast and not other and not wheel:
+            found.append(name)
+    return found
+
+
+def guess_position(names: Iterable[str]) -> tuple[str, str] | None:
+    """Return the names that seem to be latitude and longitude; None where one is missing.
+
+    Examples
+    --------
+    >>> guess_position(["GPS.Lat", "GPS.Lng", "GPS.Alt"])
+    ('GPS.Lat', 'GPS.Lng')
+    """
+    said = {name: set(words(name)) for name in names}
+    found = [
+        next((name for name in said if said[name] & wanted), None)
+        for wanted in ({"lat", "latitude", "breite"}, {"lon", "lng", "long", "longitude"})
+    ]
+    return None if found[0] is None or found[1] is None else (found[0], found[1])
 
 
 CHANNELS = (

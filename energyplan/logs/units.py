@@ -21,6 +21,7 @@ _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048, "in": 0.0254}
 _SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6, "mph": 0.44704, "ft/s": 0.3048}
 _ANGLE = {"rad": 1.0, "deg": pi / 180, "mrad": 1e-3, "rev": 2 * pi}
 _RATE = {"rad/s": 1.0, "deg/s": pi / 180, "rpm": pi / 30, "rev/s": 2 * pi, "mrad/s": 1e-3}
+_COUNTS = {"ticks": 1.0, "ticks/sample": 1.0, "ticks/s": 1.0}
 _POWER = {"W": 1.0, "kW": 1e3, "mW": 1e-3, "hp": 745.69987, "PS": 735.49875}
 
 UNITS: dict[str, dict[str, float]] = {
@@ -60,10 +61,14 @@ _ALIASES = {
     "amp": "A", "amps": "A", "ampere": "A", "amperes": "A", "milliampere": "mA",
     "m/s2": "m/s^2", "m/s\u00b2": "m/s^2", "m/s/s": "m/s^2", "mps2": "m/s^2",
     "\u00b0c": "degC", "celsius": "degC", "\u00b0f": "degF", "fahrenheit": "degF",
+    "tick": "ticks", "counts": "ticks", "count": "ticks", "cts": "ticks", "pulses": "ticks",
+    "tps": "ticks/s", "counts/s": "ticks/s", "cps": "ticks/s", "pulses/s": "ticks/s",
+    "tick/s": "ticks/s", "ticks/sec": "ticks/s", "counts/sample": "ticks/sample",
     "kelvin": "K", "kilogram": "kg", "lbs": "lb", "pounds": "lb",
 }  # fmt: skip
 """Other ways to write a unit, in small letters."""
 _WHEEL_CHANNELS = ("v_left", "v_right")
+_OF_WHEELS = {**_RATE, **_COUNTS}
 
 
 def known_unit(channel: str, unit: str) -> str | None:
@@ -86,7 +91,7 @@ def known_unit(channel: str, unit: str) -> str | None:
     >>> known_unit("v_left", "RPM"), known_unit("yaw", "m")
     ('rpm', None)
     """
-    known = {**UNITS.get(channel, {}), **(_RATE if channel in _WHEEL_CHANNELS else {})}
+    known = {**UNITS.get(channel, {}), **(_OF_WHEELS if channel in _WHEEL_CHANNELS else {})}
     bare = unit.strip()
     if bare in known:
         return bare
@@ -102,6 +107,11 @@ def is_wheel_rate(unit: str) -> bool:
     return unit in _RATE
 
 
+def is_count(unit: str) -> bool:
+    """Tell whether a unit of tread speeds is one of encoders, which takes the metres per count."""
+    return unit in _COUNTS
+
+
 def scale_of(channel: str, unit: str) -> Scale:
     """Return the conversion from a unit.
 
@@ -111,7 +121,8 @@ def scale_of(channel: str, unit: str) -> Scale:
         The channel.
     unit : str
         A unit's name, a factor after ``*``, or both, with a minus before it where the sign is
-        opposite: ``"deg"``, ``"-A"``, ``"*0.165"``, ``"rpm*0.165"``.
+        opposite: ``"deg"``, ``"-A"``, ``"*0.165"``, ``"rpm*0.165"``. Of encoders ``"ticks*F"``,
+        ``"ticks/sample*F"`` or ``"ticks/s*F"``, with F metres per count.
 
     Returns
     -------
@@ -145,19 +156,27 @@ def scale_of(channel: str, unit: str) -> Scale:
         )
     spelt = known_unit(channel, bare)
     if spelt is None:
-        rates = ", wheel rates such as rpm with the wheel radius, as in [rpm*0.165]"
+        rates = (
+            ", wheel rates such as rpm with the wheel radius, as in [rpm*0.165], encoder counts "
+            "with the metres per count, as in [ticks*0.0001]"
+        )
         raise DriveLogError(
             f"{channel} cannot be in [{unit}]; it can be in {', '.join(known)}"
             f"{rates if channel in _WHEEL_CHANNELS else ''}, with a minus "
             "before it where the sign is opposite, or give a factor such as [*0.001]"
         )
     if spelt not in known:
+        if not star and is_count(spelt):
+            raise DriveLogError(
+                f"{channel} in [{unit}] is an encoder's count; give the metres per count with it, "
+                f"as in {channel}=NAME[{spelt}*0.0001] for 0.1 mm"
+            )
         if not star:
             raise DriveLogError(
                 f"{channel} in [{unit}] is a wheel's rate; give the wheel radius with it, as in "
                 f"{channel}=NAME[{spelt}*0.165] for 0.165 m"
             )
-        return Scale(sign * factor * _RATE[spelt])
+        return Scale(sign * factor * _OF_WHEELS[spelt])
     return Scale(sign * factor * known[spelt], _OFFSETS.get(spelt, 0.0))
 
 

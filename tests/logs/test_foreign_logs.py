@@ -19,7 +19,11 @@ from foreign_logs import (
     Writer,
     currents_without_sign,
     drive,
+    electrical_rates,
+    encoders_alone,
     four_motors,
+    numbered_axes,
+    torques,
     two_recordings,
     units_in_names,
 )
@@ -56,7 +60,7 @@ def test_start_reads_what_others_write(tmp_path: Path, write: Writer) -> None:
     log = started(write, ROVER, tmp_path)
     found = ep.identify(log, ROVER.vehicle).model.coefficients
     # Stamps of a quarter of a second average the steps of speed, and another recording differs.
-    within = 0.01 if write.__name__ in ("coarse_stamps", "two_recordings") else 0.002
+    within = 0.01 if write.__name__ in ("coarse_stamps", "two_recordings") else 0.004
     np.testing.assert_allclose(found, coefficients(ROVER), rtol=within)
 
 
@@ -77,6 +81,44 @@ def test_what_cannot_be_known_is_asked_for(tmp_path: Path, write: Writer) -> Non
         start(file, Given(**ROVER.measures))
     assert file.name in str(told.value)
     assert "\n" not in str(told.value)
+
+
+REMEDIES = {
+    encoders_alone: {"counts_per_revolution": 4096.0},
+    numbered_axes: {
+        "columns": "v_left=axis0.encoder.vel_estimate[rev/s*0.11],"
+        "v_right=axis1.encoder.vel_estimate[rev/s*0.11]"
+    },
+    electrical_rates: {
+        "columns": f"v_left=left_erpm[rpm*{0.11 / 140}],v_right=right_erpm[rpm*{0.11 / 140}]"
+    },
+    torques: {
+        "columns": "p_left=left_wheel_joint_effort*left_wheel_joint_velocity,"
+        "p_right=right_wheel_joint_effort*right_wheel_joint_velocity"
+    },
+}
+
+
+@pytest.mark.parametrize("write", REMEDIES, ids=lambda write: write.__name__)
+def test_with_what_was_asked_for_they_are_read(tmp_path: Path, write: Writer) -> None:
+    file = write(sensors(ROVER), tmp_path)
+    made = start(file, Given(**{**ROVER.measures, **REMEDIES[write]}))
+    assert made.sound, made.checks
+    log = ep.DriveLog.read(file, dict(made.project.columns), others=False)
+    found = ep.identify(log, ROVER.vehicle).model.coefficients
+    np.testing.assert_allclose(found, coefficients(ROVER), rtol=0.004)
+
+
+@pytest.mark.parametrize("dead", ["v_left", "v_right", "p_left", "p_right"])
+def test_a_side_that_shows_nothing_is_noticed(dead: str) -> None:
+    at = sensors(ROVER)
+    columns = {"t": at.t, "v_left": at.left, "v_right": at.right, "p_left": at.p_left,
+               "p_right": at.p_right, "yaw_rate": at.yaw_rate}  # fmt: skip
+    assert not ep.DriveLog.from_columns(columns).warnings
+    told = ep.DriveLog.from_columns({**columns, dead: 0.0 * at.t}).warnings
+    assert any(
+        f"{dead} is 0 throughout" in warning and f"map {dead} to" in warning for warning in told
+    )
 
 
 @pytest.mark.parametrize("robot", [TOY, ROVER, LOADER], ids=lambda robot: robot.name)

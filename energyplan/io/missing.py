@@ -1,0 +1,68 @@
+"""What a log lacks, and what of it could be meant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NoReturn
+
+from energyplan.errors import DriveLogError
+from energyplan.logs.guess import ENCODER, guess, numbered_speeds, words
+from energyplan.logs.tables import Table
+
+
+def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
+    """Say what is missing, and why what could be it is not.
+
+    Parameters
+    ----------
+    table : Table
+        The log.
+    needed : sequence of str
+        Channels that nothing in it seems to be.
+
+    Raises
+    ------
+    DriveLogError
+        Always.
+    """
+    text = guess(table.text)
+    for channel in needed:
+        ways = (channel,) if channel != "power" else ("power", "p_left", "current", "voltage")
+        for one in (text[way] for way in ways if way in text):
+            table.column(one.name)  # says which cell is no number
+    names = (*table.columns, *table.text)
+    hint = ""
+    if {"v_left", "v_right"} & set(needed):
+        hint = "; v_left and v_right are the speeds of the left and right wheels"
+        counted = [name for name in names if ENCODER & set(words(name))]
+        numbered = numbered_speeds(names)
+        electric = [name for name in names if "erpm" in words(name)]
+        if numbered:
+            first, second = numbered[:2]
+            hint += (
+                f"; of {', '.join(map(repr, numbered[:4]))} nobody but you knows which side each "
+                f'is: give --columns "v_left={first}[UNIT],v_right={second}[UNIT]", with UNIT such '
+                "as rpm*RADIUS, rev/s*RADIUS, or ticks*METRES_PER_COUNT (ticks*1 of metres gone)"
+            )
+        elif electric:
+            hint += (
+                f"; {electric[0]!r} seems to be a motor's electrical rate: give v_left="
+                f"{electric[0]}[rpm*F], with F the wheel radius over gear ratio times pole pairs"
+            )
+        elif counted:
+            hint += (
+                f"; {counted[0]!r} seems to be an encoder's: map those of the left and of the "
+                f"right wheels with the metres per count, as in v_left={counted[0]}[ticks*0.0001] "
+                "where it counts on, [ticks/sample*0.0001] where it counts from row to row, "
+                "[ticks/s*0.0001] where it counts in a second"
+            )
+    torques = [name for name in names if {"effort", "torque"} & set(words(name))]
+    if "power" in needed and torques:
+        hint += (
+            f"; {torques[0]!r} seems to be a torque: its power is torque times the wheel's rate in "
+            f"rad/s, as in p_left={torques[0]}*RATE"
+        )
+    raise DriveLogError(
+        f"{table.source}: nothing seems to be {' or '.join(needed)}{hint}; the columns are "
+        f"{', '.join(names[:30])}; say which it is with --columns {needed[0]}=NAME"
+    )
