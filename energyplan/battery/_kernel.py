@@ -149,7 +149,7 @@ def discharge(
             step = span - done
             if abs(rate) * step > _MAX_STEP * capacity:
                 step = _MAX_STEP * capacity / abs(rate)
-            if r1 > 0.0 and step > 0.25 * tau:
+            if r1 > 0.0 and current != 0.0 and step > 0.25 * tau:
                 step = 0.25 * tau
             change = -rate * step / capacity
             bound = -1.0
@@ -175,8 +175,10 @@ def discharge(
             if r1 > 0.0:
                 decay = np.exp(-step / tau)
                 after = u1 * decay + r1 * current * (1.0 - decay)
-                lost += 0.5 * (u1 * u1 + after * after) / r1 * step
-                if current != 0.0:
+                if current == 0.0:  # what the pair holds ebbs away, however long the step
+                    lost += 0.5 * tau * (u1 * u1 - after * after) / r1
+                else:
+                    lost += 0.5 * (u1 * u1 + after * after) / r1 * step
                     emf -= 0.5 * (after - u1)
                 u1 = after
             if limited:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -69,8 +69,12 @@ def mission(
         Path | None,
         typer.Option(help="Tasks from Open-RMF requests (JSON) instead of the file's own."),
     ] = None,
-    soc: Annotated[str, typer.Option(help="State of charge at the start.")] = "100 %",
-    reserve: Annotated[str, typer.Option(help="What must be left at the end.")] = "20 %",
+    soc: Annotated[
+        str | None, typer.Option(help="State of charge at the start. Default: 100 %.")
+    ] = None,
+    reserve: Annotated[
+        str | None, typer.Option(help="What must be left at the end. Default: 20 %.")
+    ] = None,
     back: Annotated[bool, typer.Option("--return", help="Return to the start.")] = False,
     effort: Annotated[
         int | None,
@@ -98,8 +102,15 @@ def mission(
     from energyplan.output import documents, text
     from energyplan.output.pages import mission_page
 
-    told_by = {"map": map_file, "model": model, "battery": battery, "start": start, "task": task}
+    told_by: dict[str, Any] = {
+        "map": map_file,
+        "model": model,
+        "battery": battery,
+        "start": start,
+        "task": task,
+    }
     if file is not None:
+        told_by |= {"soc": soc, "reserve": reserve, "return": back}
         clash = [f"--{name}" for name, value in told_by.items() if value]
         if clash:
             raise InvalidInputError(f"{', '.join(clash)} and a mission's file: give one of them")
@@ -116,7 +127,7 @@ def mission(
         asked = mission_from(
             {
                 "name": "mission", "model": model, "map": str(map_file), "battery": battery,
-                "start": start, "soc": soc, "reserve": reserve,
+                "start": start, "soc": soc or "100 %", "reserve": reserve or "20 %",
                 "return_to": "start" if back else "any",
                 "tasks": [_task(text) for text in task or []],
             }

@@ -16,6 +16,7 @@ from energyplan.mission.types import Mission
 from energyplan.path import FloatArray
 
 _STEP = 30.0
+_MOST_STEPS = 10_000  # of one stay: three days in steps of that length, and longer ones beyond
 _PARTS = 300
 _HOURS = 48
 _ROUNDING = 1e-9
@@ -105,7 +106,7 @@ class Walk:
         """Stand still for so long [s], which takes an energy."""
         if duration <= _INSTANT:
             return state
-        t = np.linspace(0.0, duration, max(int(duration / _STEP), 1) + 1)
+        t = np.linspace(0.0, duration, int(min(max(duration / _STEP, 1), _MOST_STEPS)) + 1)
         flat = np.full(len(t) - 1, energy.mean / duration)
         return self._draw(state, kind, state.node, t, flat, np.ones(len(flat)), energy)
 

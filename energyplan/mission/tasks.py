@@ -9,6 +9,12 @@ import numpy as np
 from energyplan.mission.checks import checked_pose, require
 from energyplan.path import Pose
 
+LONGEST = 1e8
+"""Longest time that a task may take [s]: three years."""
+
+LARGEST = 1e12
+"""Largest instant [s], power [W] or prize of a task."""
+
 
 @dataclass(frozen=True)
 class Task:
@@ -62,21 +68,18 @@ class Task:
         label = f"task {self.name!r}"
         require(self.name, "a task has no name; give each its own", "name")
         object.__setattr__(self, "pose", checked_pose(self.pose, label, "pose"))
-        for key in ("dwell", "power", "prize"):
+        for key in ("dwell", "power", "prize", "power_spread", "dwell_spread"):
             value = getattr(self, key)
+            unset = value is None and key.endswith("_spread")
+            most = LONGEST if key.startswith("dwell") else LARGEST
             require(
-                np.isfinite(value) and value >= 0, f"{label}: {key} is {value}; give 0 or more", key
-            )
-        for key in ("power_spread", "dwell_spread"):
-            value = getattr(self, key)
-            require(
-                value is None or (np.isfinite(value) and value >= 0),
-                f"{label}: {key} is {value}; give 0 or more",
-                key,
+                unset or 0 <= value <= most, f"{label}: {key} is {value}; give 0 to {most:g}", key
             )
         require(np.isfinite(self.payload), f"{label}: payload is {self.payload}", "payload")
         require(
-            len(self.window) == 2 and 0 <= self.window[0] <= self.window[1],
+            len(self.window) == 2
+            and 0 <= self.window[0] <= self.window[1]
+            and self.window[0] <= LARGEST,
             f"{label}: the window {self.window} is empty; give earliest and latest start [s]",
             "window",
         )
@@ -118,8 +121,8 @@ class Charger:
         require(self.name, "a charger has no name; give each its own", "name")
         object.__setattr__(self, "pose", checked_pose(self.pose, label, "pose"))
         require(
-            np.isfinite(self.power) and self.power > 0,
-            f"{label}: power is {self.power}; give watts > 0",
+            0 < self.power <= LARGEST,
+            f"{label}: power is {self.power}; give watts > 0, up to {LARGEST:g}",
             "power",
         )
         require(

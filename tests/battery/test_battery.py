@@ -305,3 +305,15 @@ def test_bad_profile_is_refused():
         plain().simulate([0.0, 1.0], [1.0, 1.0], soc=1.5)
     with pytest.raises(UnknownNameError, match="battery preset"):
         Battery.preset("none")
+
+
+@pytest.mark.parametrize("samples", [2, 20_000])
+def test_rest_of_any_length_loses_what_the_pair_holds(samples: int) -> None:
+    """A pair of R and C discharges itself: C u^2 / 2, with C = tau / R."""
+    battery = Battery.preset("quadriga")
+    held = 0.2
+    t = np.linspace(0.0, 40.0 * battery.pair_time, samples)
+    run = battery.simulate(t, np.zeros(samples), soc=0.5, polarisation=held)
+    expected = 0.5 * battery.pair_time * held**2 / battery.circuit().pair_resistance
+    assert run.lost[-1] == pytest.approx(expected, rel=1e-9)
+    assert run.soc_end == 0.5

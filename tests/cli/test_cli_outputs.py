@@ -258,6 +258,8 @@ def test_a_drive_by_another_name_is_not_held_out(
          "zz"),
         ("design", "--model", "model.yaml", "--duration", "1e9"),
         ("nav2-lattice", "--model", "model.yaml", "--out", "l.json", "--resolution", "1e-9"),
+        ("mission", "round.yaml", "--soc", "5 %"),
+        ("mission", "round.yaml", "--reserve", "50 %"),
     ],
 )  # fmt: skip
 def test_a_number_that_cannot_be_meant_is_refused_in_one_line(

@@ -186,3 +186,20 @@ def test_tasks_that_take_the_last_joule(order: str) -> None:
     for share, verdict in ((1.002, "reachable"), (0.99, "unreachable")):
         asked = corridor(share * 28 * METRE, {"end": 29.0}, 15.0, order=order)
         assert evaluate(asked).task("end").verdict == verdict
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"dwell": 1e300}, {"dwell": np.nan}, {"power": 1e300}, {"dwell_spread": -1.0},
+     {"window": (1e300, 1e301)}],
+)  # fmt: skip
+def test_a_task_beyond_all_measure_is_refused(changes: dict[str, Any]) -> None:
+    with pytest.raises(MissionError, match=next(iter(changes))):
+        at("end", 25.0, **changes)
+
+
+def test_a_task_that_lasts_for_years_is_out_of_reach() -> None:
+    asked = corridor(25 * METRE, {"end": 25.0}, 15.0)
+    report = evaluate(with_tasks(asked, at("end", 25.0, dwell=1e8, power=30.0)))
+    assert report.tasks[0].verdict == "unreachable"
+    assert report.tasks[0].reason == "battery"
