@@ -156,7 +156,7 @@ def _at_rest(drive: Drive, power: FloatArray, most: float) -> tuple[NDArray[np.b
     At rest the sides' difference is zero whatever contacts hold. What is drawn beyond the model, up
     to what they can hold, is no evidence against it, nor for any coefficient.
     """
-    rest = drive.holds & (drive.held.v_left == 0.0) & (drive.held.v_right == 0.0)
+    rest = drive.holds & (drive.held.v_left == 0.0)  # which is that of both where contacts hold
     early = replace(drive, late=Late(-drive.late.mean), factor=1.0)
     beyond = uniform_filter1d(
         np.asarray(early.seen(drive.power) / drive.factor) - power, drive.samples_in(MOMENT)
