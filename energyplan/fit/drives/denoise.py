@@ -163,9 +163,20 @@ def _quiet_run(
         turn = _told_turn(right - left, level, other, moving, width, period)
     level /= np.sqrt(2)
     left, right = mean - 0.5 * turn, mean + 0.5 * turn
-    level = max(level, _CREEP)
-    left, right = (np.where(np.abs(v) < level, 0.0, v) for v in (left, right))
+    reach = width if level > _CREEP else 1
+    left, right = (_at_rest(v, max(level, _CREEP), reach) for v in (left, right))
     return left, right
+
+
+def _at_rest(v: FloatArray, level: float, reach: int) -> FloatArray:
+    """Return a speed with zeros where noise explains it, but for starts and stops.
+
+    A start passes through the noise in some samples. Were they zero, as many samples at rest would
+    show the power of driving, and a constant load would be found in it.
+    """
+    slow = np.abs(v) < level
+    driven = maximum_filter1d((~slow).astype(float), reach) > 0.0
+    return np.where(slow & ~driven, 0.0, v)
 
 
 def _told_turn(
