@@ -31,6 +31,9 @@ SURFACES = ("energyplan.planning.bound.surface_excess", "energyplan.terrain.surf
 TIGHT = ("energyplan.planning.lattice.escape_kernels",)
 """Where the kernels are that only ends without room need."""
 
+CLOSED = ("energyplan.planning.scene.closure_kernels",)
+"""Where the kernels are that only ends need that nothing seems to join."""
+
 
 def kernels(
     cost: EnergyCost | None = None, *, surfaces: bool = False, tight: bool = False
@@ -48,7 +51,7 @@ def kernels(
     """
     import_module("energyplan.planning.lattice.planner")  # knows all that planning may call
     static = cost is None or isinstance(cost.steering_parameters, StaticSteering)
-    left_out = (() if surfaces else SURFACES) + (() if tight else TIGHT)
+    left_out = CLOSED + (() if surfaces else SURFACES) + (() if tight else TIGHT)
     found = {name.rpartition(".")[0] for name in KERNELS if name.startswith(PLANNING)}
     return (*sorted(found.difference(left_out)), *(() if static else EXACT))
 

@@ -162,10 +162,20 @@ def test_only_a_resolution_is_named_where_a_finer_search_might_find_one():
     y, x = (np.mgrid[:300, :400] + 0.5) * size - np.array([3.0, 4.0])[:, None, None]
     along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
     grid = OccupancyGrid((np.abs(along) < 0.5) & (np.abs(across) > 0.31), size)
-    robot = Vehicle.from_geometry("thin", mass=40, wheelbase=0.6, track=0.5, length=1.0, width=0.6)
-    cost = EnergyCost.from_coefficients(150.0, 60.0, robot.icr)
-    problem = PlanningProblem(grid, cost, (1.5, 3, 0), (6.5, 3, 0), vehicle=robot)
-    with pytest.raises(NoPathError, match="none was found in cells of") as told:
-        plan(problem, effort=500_000, finest=1.0)
-    assert told.value.certainty == "at_resolution"
-    assert 0.05 <= told.value.resolution < 0.5
+
+    def told(width):
+        robot = Vehicle.from_geometry(
+            "thin", mass=40, wheelbase=0.6, track=0.5, length=1.0, width=width
+        )
+        cost = EnergyCost.from_coefficients(150.0, 60.0, robot.icr)
+        problem = PlanningProblem(grid, cost, (1.5, 3, 0), (6.5, 3, 0), vehicle=robot)
+        with pytest.raises(NoPathError) as error:
+            plan(problem, effort=100_000, finest=1.0)
+        return error.value
+
+    # the widest body that is free all along a straight line through the gap is 0.5944 m wide
+    assert told(0.6).certainty == "proven"
+    hair = told(0.594)
+    assert hair.certainty == "at_resolution"
+    assert 0.05 <= hair.resolution < 0.5
+    assert "none was found in cells of" in str(hair)

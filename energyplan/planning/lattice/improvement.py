@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from energyplan.compilation import compile_kernels
 from energyplan.errors import TimeLimitError
 from energyplan.path import Path
 from energyplan.planning.budget import PACE, Budget
@@ -24,11 +25,17 @@ from energyplan.planning.lattice.tight_ends import Ends, ways_out
 from energyplan.planning.lattice.way_along import way_along
 from energyplan.planning.parallel import Work, do_together, side_by_side
 from energyplan.planning.problem import PlanningProblem
+from energyplan.planning.scene import closure_kernels
+from energyplan.planning.scene.closure import Closure, closure
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.guide import TURNS, distance_to_go, places_for, reached, regions_for
 from energyplan.planning.scene.guide_kernels import DistanceToGo
 from energyplan.planning.scene.motions import KernelProblem
-from energyplan.planning.scene.reachability import check_configurations, none_found
+from energyplan.planning.scene.reachability import (
+    check_closer,
+    check_configurations,
+    none_found,
+)
 
 FIRST_WEIGHT = 2.0
 """Weight of the search for the first path."""
@@ -82,6 +89,9 @@ MOST_LATTICES = 16
 
 ESCAPE_SHARE = 0.25
 """Part of the budget that ways out of tight ends may take."""
+
+CLOSURE_SHARE = 0.5
+"""Part of the budget that may be taken to find out that there is no way."""
 
 SHORTEST_SHARE = 0.25
 """Part of what is left after the first plan that finding a shortest way may take."""
@@ -167,13 +177,18 @@ class Improvement:
             return
         if not self.ends.eased:
             check_configurations(self.query, self.field(PENALTY))
+        # where the poses tested do not join start and goal, a search among them is in vain
+        setting = self.ends.between(self.setting)
+        tested = self.field(PENALTY).places is places_for(setting)
+        closed = None if tested else self._closed(setting)
         for penalty in WAYS:
             if self._enter_way(penalty):
                 return
-        # where the poses tested do not join start and goal, a search among them is in vain
-        tested = self.field(PENALTY).places is places_for(self.ends.between(self.setting))
         if not tested and self._enter_slots():
             return
+        # between ends without room there may be a way where no pose beside them is free
+        if closed is not None and (self.ends.eased or self.query.ends_roomy):
+            check_closer(self.query, setting, closed)
         turn = FIRST_TURN
         waiting = [(self.ends, 2.0**-k) for k in range(MOST_LATTICES) if 2.0**-k >= finest]
         if self.ends.eased:
@@ -223,6 +238,20 @@ class Improvement:
             f"down to {cell:.3g} m, the one nearest to the goal at ({x:.2f}, {y:.2f}); give more "
             f"{self.budget.remedy}"
         )
+
+    def _closed(self, setting: KernelProblem) -> Closure:
+        """Look closer at what the poses tested leave open.
+
+        Raises
+        ------
+        NoPathError
+            If it is proven that there is no way.
+        """
+        self.budget.beside(lambda: compile_kernels(closure_kernels.__name__))
+        found = closure(setting, self.budget.part(CLOSURE_SHARE))
+        if found.proven:
+            check_closer(self.query, setting, found)
+        return found
 
     def _move_ends(self, ends: Ends) -> None:
         """Have searches begin and end elsewhere."""

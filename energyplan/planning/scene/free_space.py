@@ -156,33 +156,6 @@ def runs_of(
     )
 
 
-def shrunk(body: Body, square: float, heading: float, turn: float) -> Body:
-    """Return a rectangle that lies in a body at all poses near a pose, in that pose's frame.
-
-    Parameters
-    ----------
-    body : Body
-        The body.
-    square : float
-        Side of the square about the pose [m], along the axes of the grid.
-    heading : float
-        Heading in the frame of the grid [rad].
-    turn : float
-        Largest turn from it [rad].
-    """
-    # the square as seen along either axis of the body, at any of the headings
-    off = 0.5 * square * (abs(cos(heading)) + abs(sin(heading)))
-    off += 0.5 * square * hypot(1, 1) * 2.0 * sin(0.5 * turn)
-    # a point of the rectangle turned either way must stay within the body
-    along = max(-body.x_min, body.x_max, 0.0) * (1.0 - cos(turn))
-    across = max(-body.y_min, body.y_max, 0.0) * (1.0 - cos(turn))
-    aside_x = sin(turn) * max(-body.y_min, body.y_max, 0.0) + along + off
-    aside_y = sin(turn) * max(-body.x_min, body.x_max, 0.0) + across + off
-    return Body(
-        body.x_min + aside_x, body.y_min + aside_y, body.x_max - aside_x, body.y_max - aside_y
-    )
-
-
 def _grouping(space: Space, body: Body) -> tuple[int, int]:
     """Return how many cells make a place, and how many places a cell, along either axis."""
     side = min(body.x_max - body.x_min, body.y_max - body.y_min)
@@ -200,7 +173,12 @@ def _grouping(space: Space, body: Body) -> tuple[int, int]:
 
 
 def free_space(
-    space: Space, body: Body, *, enlarged: bool = False, threads: int | None = None
+    space: Space,
+    body: Body,
+    *,
+    enlarged: bool = False,
+    threads: int | None = None,
+    placed_as: Body | None = None,
 ) -> FreeSpace:
     """Return the free configurations of a body on a map, computed anew.
 
@@ -217,19 +195,23 @@ def free_space(
     threads : int, optional
         Threads that work side by side; as many as there are processors if left out. The result
         does not depend on it.
+    placed_as : Body, optional
+        The body that tells how far apart places lie; this one if left out.
 
     Returns
     -------
     FreeSpace
         The free configurations.
     """
-    group, parts = _grouping(space, body)
+    group, parts = _grouping(space, body if placed_as is None else placed_as)
     masks = _masks(space.clearance, space.resolution, body, group, parts, enlarged, threads)
     masks.setflags(write=False)
     return FreeSpace(masks, space.resolution * group / parts, enlarged)
 
 
-def updated_free_space(former: FreeSpace, space: Space, body: Body, window: Window) -> FreeSpace:
+def updated_free_space(
+    former: FreeSpace, space: Space, body: Body, window: Window, placed_as: Body | None = None
+) -> FreeSpace:
     """Return the free configurations of a body on a map that differs within a window.
 
     Parameters
@@ -242,13 +224,15 @@ def updated_free_space(former: FreeSpace, space: Space, body: Body, window: Wind
         The body [m].
     window : Window
         Where its blocked cells may differ.
+    placed_as : Body, optional
+        As for `free_space`.
 
     Returns
     -------
     FreeSpace
         What `free_space` returns for the map now.
     """
-    group, parts = _grouping(space, body)
+    group, parts = _grouping(space, body if placed_as is None else placed_as)
     reach = ceil(_reach(body) / space.resolution) + 2
     shape = space.clearance.shape
     # whole places whose poses may touch the window, and all cells that these touch
@@ -306,7 +290,7 @@ def _masks(
             for h in range(headings):
                 fitting, touch = body, TOUCH
                 if enlarged:
-                    fitting = shrunk(body, resolution / parts, h * turn, 0.5 * turn)
+                    fitting = kernels.shrunk(body, resolution / parts, h * turn, 0.5 * turn)
                     touch = -TOUCH
                 x, y = (shift_column + 0.5) / parts, (shift_row + 0.5) / parts
                 tables.append(runs_of(fitting, resolution, h * turn, x, y, touch))

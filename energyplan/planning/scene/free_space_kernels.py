@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import inf
+from math import cos, hypot, inf, sin
 from typing import Annotated
 
 import numpy as np
@@ -19,6 +19,35 @@ from energyplan.compilation.arrays import (
     Words,
     WordTable,
 )
+from energyplan.terrain.collision import Body
+
+
+@inner
+def shrunk(body: Body, square: float, heading: float, turn: float) -> Body:
+    """Return a rectangle that lies in a body at all poses near a pose, in that pose's frame.
+
+    Parameters
+    ----------
+    body : Body
+        The body.
+    square : float
+        Side of the square about the pose [m], along the axes of the grid.
+    heading : float
+        Heading in the frame of the grid [rad].
+    turn : float
+        Largest turn from it [rad].
+    """
+    # the square as seen along either axis of the body, at any of the headings
+    off = 0.5 * square * (abs(cos(heading)) + abs(sin(heading)))
+    off += 0.5 * square * hypot(1, 1) * 2.0 * sin(0.5 * turn)
+    # a point of the rectangle turned either way must stay within the body
+    along = max(-body.x_min, body.x_max, 0.0) * (1.0 - cos(turn))
+    across = max(-body.y_min, body.y_max, 0.0) * (1.0 - cos(turn))
+    aside_x = sin(turn) * max(-body.y_min, body.y_max, 0.0) + along + off
+    aside_y = sin(turn) * max(-body.x_min, body.x_max, 0.0) + across + off
+    return Body(
+        body.x_min + aside_x, body.y_min + aside_y, body.x_max - aside_x, body.y_max - aside_y
+    )
 
 
 @njit

@@ -60,7 +60,7 @@ def places_for(kernel: KernelProblem, enlarged: bool = False) -> Places:
         The problem.
     enlarged : bool
         Whether the body counts as free wherever it may be, between the poses tested as well: then
-        what is not connected has no path.
+        what is not connected has no path. The places are the same.
     """
     space, body = kernel.space, kernel.body
     fitting = body
@@ -72,14 +72,14 @@ def places_for(kernel: KernelProblem, enlarged: bool = False) -> Places:
         )
 
     def make() -> Places:
-        found = free_space(space, fitting, enlarged=enlarged)
+        found = free_space(space, fitting, enlarged=enlarged, placed_as=body)
         return connect_places(found.masks, space, found.spacing)
 
     def update(former: Places, window: Window) -> Places:
         shape = len(former.masks) // (former.columns + 2 * RIM), former.columns + 2 * RIM
         masks = former.masks.reshape(shape)[RIM:-RIM, RIM:-RIM]
         known = FreeSpace(masks, former.spacing, enlarged)
-        found = updated_free_space(known, space, fitting, window)
+        found = updated_free_space(known, space, fitting, window, placed_as=body)
         return connect_places(found.masks, space, found.spacing)
 
     return tables_of(space).get(("places", body, enlarged), make, update)

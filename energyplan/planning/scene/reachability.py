@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from math import sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.errors import NoPathError
+from energyplan.planning.scene.closure import Closure
 from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.planning.scene.guide import distance_to_go, reached
-from energyplan.planning.scene.guide_kernels import RIM, DistanceToGo
+from energyplan.planning.scene.guide import distance_to_go, places_for, reached
+from energyplan.planning.scene.guide_kernels import RIM, DistanceToGo, Places
+from energyplan.planning.scene.motions import KernelProblem
+
+CANNOT = "the footprint cannot get through, whichever way it turns, so there certainly is none"
+"""What is said where that is proven."""
 
 
 def _parts(query: CompiledProblem) -> NDArray[np.int32]:
@@ -94,13 +100,50 @@ def check_configurations(query: CompiledProblem, to_go: DistanceToGo) -> None:
     )  # fmt: skip
     away = distance_to_go(back)
     homes = away.places.home[np.isfinite(away.distance)]
-    row, column = np.divmod(homes, away.places.columns + 2 * RIM)
+    raise _none(query, away.places, homes, CANNOT, certainty="proven")
+
+
+def check_closer(query: CompiledProblem, setting: KernelProblem, closed: Closure) -> None:
+    """Check that looking closer left a way from start to goal.
+
+    Parameters
+    ----------
+    query : CompiledProblem
+        The problem.
+    setting : KernelProblem
+        The problem between the poses where searches begin and end.
+    closed : Closure
+        What looking closer told.
+
+    Raises
+    ------
+    NoPathError
+        If there is none, or none over poses that lie close together; the message names the place
+        nearest to the goal that it gets to.
+    """
+    if len(closed.reached) == 0:
+        return
+    places = places_for(setting, enlarged=True)
+    if closed.proven:
+        raise _none(query, places, closed.reached, CANNOT, certainty="proven")
+    why = (
+        f"none leads over poses {1e3 * closed.resolution:.2g} mm apart, though one might through a "
+        "gap that leaves less room than that (finer cells of the map, or a smaller clearance, may "
+        "show one)"
+    )
+    raise _none(query, places, closed.reached, why, resolution=closed.resolution)
+
+
+def _none(
+    query: CompiledProblem, places: Places, homes: NDArray[np.integer], why: str, **verdict: Any
+) -> NoPathError:
+    """Return the error that names the nearest to the goal of some places."""
+    row, column = np.divmod(homes, places.columns + 2 * RIM)
     cells = np.column_stack([column, row]) - RIM + 0.5
-    place = query.grid.to_world(cells * away.places.spacing / query.grid.resolution)
+    place = query.grid.to_world(cells * places.spacing / query.grid.resolution)
     end = np.array(query.problem.goal[:2])
     x, y = place[np.argmin(np.hypot(*(place - end).T))].tolist()
-    why = "the footprint cannot get through, whichever way it turns, so there certainly is none"
-    raise NoPathError(_told(query, why, (x, y)), certainty="proven")
+    return NoPathError(_told(query, why, (x, y)), **verdict)
 
 
 def none_found(query: CompiledProblem, cell: float, near: tuple[float, float]) -> NoPathError:
