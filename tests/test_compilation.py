@@ -321,6 +321,42 @@ def test_what_is_called_while_others_compile_is_compiled_once(many: Path, tmp_pa
     assert found.stdout.splitlines()[2] == "7"
 
 
+AHEAD = """
+from energyplan.compilation import compile_kernels, compiling_beside
+import energyplan.many
+with compiling_beside("energyplan.many", all_ahead=True):
+    made = compile_kernels("energyplan.deep")
+    print(*sorted(k.name.rpartition(".")[2] for k in made.compiled))
+print(compile_kernels("energyplan.deep").found)
+"""
+
+
+@pytest.mark.parametrize("processors", [1, 2])
+def test_what_is_wanted_ahead_is_compiled_when_anything_is(
+    many: Path, tmp_path: Path, processors: int
+) -> None:
+    """The kernel that is asked for, and beside it the one that calls all others."""
+    code = f"from energyplan.compilation import ahead\nahead._processes = lambda: {processors}\n"
+    found = run(code + AHEAD, path=many, ENERGYPLAN_CACHE_DIR=str(tmp_path / "kept"))
+    expected = ["deep part0 part1 part2 part3 part4 top", "1"]
+    assert found.stdout.splitlines() == expected, found.stderr
+
+
+def test_an_error_ends_the_others_at_once(many: Path, tmp_path: Path) -> None:
+    """Nobody who mistyped a pose waits until a kernel is compiled that nobody needs."""
+    code = (
+        "import threading\nimport energyplan.many\n"
+        "from energyplan.compilation import compiling_beside, on_compile\n"
+        "from energyplan.compilation import ahead\nahead._processes = lambda: 2\n"
+        "ahead._WORK = 'import time; time.sleep(1000.0)'\n"
+        "begun = threading.Event()\non_compile(lambda what: begun.set())\n"
+        "with compiling_beside('energyplan.many'):\n    begun.wait()\n"
+        "    raise ValueError('a mistyped pose')\n"
+    )
+    found = run(code, path=many, ENERGYPLAN_CACHE_DIR=str(tmp_path / "kept"))
+    assert "a mistyped pose" in found.stderr
+
+
 class Fake:
     """What a pool knows of a kernel."""
 
@@ -508,6 +544,10 @@ for planner, name in WAYS:
         assert len(energies(kind, rows, effort=40_000)) == 2  # the hash table grows twice
     elif planner == "compare":
         assert ep.compare(kind, effort=20_000).saving >= -1e-9
+    elif planner == "drive":
+        with ready.compiling(kind):
+            made = ep.plan(kind, effort=1_000)
+        assert made.driven.energy > 0
     else:
         assert ep.plan(kind, planner=planner, effort=20_000).energy > 0
     late = [n for n, k in KERNELS.items() if set(k.overloads) - at_rest[0].get(n, set())]
@@ -520,6 +560,7 @@ WAYS = {
         *(("lattice", kind) for kind in ("plain", "tight", "surfaces", "heights", "length")),
         ("lattice", "time"),
         ("energies", "big"), ("compare", "surfaces"), ("roadmap", "plain"), ("bitstar", "surfaces"),
+        ("drive", "plain"),
     ],
     "with exact steering": [("lattice", "speed"), ("control_rrt", "speed")],
 }  # fmt: skip

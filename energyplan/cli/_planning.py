@@ -257,6 +257,7 @@ def plan(
     """
     from energyplan.output import documents, text
     from energyplan.planning import plan as run
+    from energyplan.planning.ready import compiling
 
     _writable(out)
     problem = problem_of(
@@ -264,7 +265,7 @@ def plan(
         speed, tolerance, clearance, keepout, costmap, costmap_weight,
     )  # fmt: skip
     try:
-        with progress("planning"):
+        with progress("planning"), compiling(problem):
             made = run(problem, planner=planner, time_limit=time_limit, effort=effort)
     except NoPathError as error:
         no_path(error, json, strict)
@@ -310,6 +311,7 @@ def compare(
     """
     from energyplan.output import documents, text
     from energyplan.output.pages import comparison_page
+    from energyplan.planning.ready import compiling
     from energyplan.studies.comparison import compare as run
 
     _writable(out)
@@ -318,7 +320,7 @@ def compare(
         speed, tolerance, clearance, keepout,
     )  # fmt: skip
     try:
-        with progress("planning"):
+        with progress("planning"), compiling(problem):
             made = run(problem, planner=planner, time_limit=time_limit, effort=effort)
     except NoPathError as error:
         no_path(error, json, strict)

@@ -68,6 +68,7 @@ def replan(
     """
     from energyplan.io.trajectory import read_path
     from energyplan.output import documents, text
+    from energyplan.planning.ready import compiling
     from energyplan.planning.replanning import replan as run
 
     here = parse_pose(start)
@@ -84,7 +85,7 @@ def replan(
         )  # fmt: skip
         problem = replace(problem, map=before.map)
     try:
-        with progress("planning"):
+        with progress("planning"), compiling(problem):
             made = run(
                 problem, former, start=here, map=now.map, time_limit=time_limit, effort=effort
             )

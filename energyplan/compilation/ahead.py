@@ -94,7 +94,7 @@ def compile_kernels(*modules: str, processes: int | None = None) -> Preparation:
     """
     begun = time.perf_counter()
     with _one_at_a_time:
-        wanted = _kernels(modules)
+        wanted = list(dict.fromkeys([*_kernels(modules), *_all_ahead]))
         outer = [kernel for kernel in wanted if not kernel.inner]
         missing = _missing(outer)
         done: dict[Kernel, float] = {}
@@ -117,26 +117,40 @@ def compile_kernels(*modules: str, processes: int | None = None) -> Preparation:
         return Preparation(compiled, len(wanted) - len(compiled), kept, count, seconds)
 
 
+_all_ahead: list[Kernel] = []
+"""Kernels that are compiled whenever any are compiled ahead."""
+
+
 @contextmanager
-def compiling_beside(*modules: str) -> Iterator[None]:
+def compiling_beside(*modules: str, all_ahead: bool = False) -> Iterator[None]:
     """Have other processes compile kernels while this one does something else.
 
     What this process calls meanwhile it compiles itself; where another process has begun with it,
-    it waits for that one. At the end of the block the others stop. Where there is one processor,
-    or machine code cannot be kept on disk, kernels are compiled when they are called.
+    it waits for that one. At the end of the block the others stop, after an error at once. Where
+    there is one processor, or machine code cannot be kept on disk, kernels are compiled when they
+    are called.
 
     Parameters
     ----------
     *modules : str
         Modules, or packages of which all modules that are imported count.
+    all_ahead : bool
+        Whether `compile_kernels` within the block waits for all of these kernels, so that no
+        process is busy with one afterwards.
     """
-    missing = _missing(kernel for kernel in _kernels(modules) if not kernel.inner)
+    wanted = [kernel for kernel in _kernels(modules) if not kernel.inner]
+    missing = _missing(wanted)
     count = _processes() - 1 if len(missing) > FEW else 0
-    if count and can_be_kept():
-        with _pool(missing, count, urgent=False):
+    before = list(_all_ahead)
+    _all_ahead.extend(wanted if all_ahead else ())
+    try:
+        if count and can_be_kept():
+            with _pool(missing, count, urgent=False):
+                yield
+        else:
             yield
-    else:
-        yield
+    finally:
+        _all_ahead[:] = before
 
 
 def _kernels(modules: tuple[str, ...]) -> list[Kernel]:
@@ -158,12 +172,17 @@ def _pool(missing: list[Kernel], helpers: int, *, urgent: bool) -> Iterator[Pool
         return
     pool = Pool(lambda name, done, total: say_compiling(Compiling(name, done, total)))
     pool.add(missing, urgent=urgent)
-    threads = [threading.Thread(target=_help, args=(pool,)) for _ in range(helpers)]
+    started: list[subprocess.Popen[str]] = []
+    threads = [threading.Thread(target=_help, args=(pool, started)) for _ in range(helpers)]
     for thread in threads:
         thread.start()
     try:
         with working_at(pool):
             yield pool
+    except BaseException:
+        for process in started:
+            process.terminate()
+        raise
     finally:
         for thread in threads:
             thread.join()
@@ -194,7 +213,7 @@ def _missing(kernels: Iterable[Kernel]) -> list[Kernel]:
 _WORK = "from energyplan.compilation.ahead import work; work()"
 
 
-def _help(pool: Pool) -> None:
+def _help(pool: Pool, started: list[subprocess.Popen[str]]) -> None:
     """Have another process compile kernels, one after the other, as long as it lives."""
     try:
         process = subprocess.Popen(
@@ -207,6 +226,7 @@ def _help(pool: Pool) -> None:
         )
     except OSError:  # this process does it alone
         return
+    started.append(process)
     assert process.stdin is not None
     assert process.stdout is not None
     with process:

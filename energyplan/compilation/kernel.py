@@ -17,7 +17,7 @@ from numba.np import numpy_support
 from energyplan.compilation.arrays import READONLY, STRIDED
 from energyplan.compilation.cache import ADDRESSED, KernelCache
 from energyplan.compilation.pool import current
-from energyplan.compilation.resolution import Options, resolving_once
+from energyplan.compilation.shortcuts import Options, taking_shortcuts
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -159,7 +159,7 @@ class Kernel(CPUDispatcher):
 
     def _compile(self, sig: Any) -> Any:
         try:
-            with global_compiler_lock, resolving_once():
+            with global_compiler_lock, taking_shortcuts():
                 return super().compile(sig)
         finally:
             if (pool := current()) is not None:

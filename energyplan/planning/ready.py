@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from importlib import import_module
 
-from energyplan.compilation import compile_kernels
+from energyplan.compilation import compile_kernels, compiling_beside
 from energyplan.compilation.kernel import KERNELS
 from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
@@ -27,6 +28,9 @@ EXACT = ("energyplan.steering.polygon",)
 
 SURFACES = ("energyplan.planning.bound.surface_excess", "energyplan.terrain.surfaces")
 """Where the kernels are that only surfaces need."""
+
+DRIVEN = "energyplan.limits"
+"""Where the kernels are that time a plan within the motors' limits."""
 
 TIGHT = ("energyplan.planning.lattice.escape_kernels",)
 """Where the kernels are that only ends without room need."""
@@ -54,6 +58,21 @@ def kernels(
     left_out = CLOSED + (() if surfaces else SURFACES) + (() if tight else TIGHT)
     found = {name.rpartition(".")[0] for name in KERNELS if name.startswith(PLANNING)}
     return (*sorted(found.difference(left_out)), *(() if static else EXACT))
+
+
+def compiling(problem: PlanningProblem) -> AbstractContextManager[None]:
+    """Have the kernels compiled beside that a plan, and driving it, may call.
+
+    Within the block planning waits for all of them, so that no time limit pays for them.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        The problem.
+    """
+    import_module("energyplan.planning.driven")
+    needed = kernels(problem.cost, surfaces=problem.surfaces is not None)
+    return compiling_beside(*needed, DRIVEN, all_ahead=True)
 
 
 def compiled(problem: PlanningProblem, *, tight: bool | None = None) -> None:

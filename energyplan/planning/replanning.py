@@ -238,11 +238,12 @@ def replan(
         query = CompiledProblem(replace(problem, start=former.start))
         former = priced_plan(query, former, query.least_in_free_space, "lattice", planning_time=0.0)
     _check_answers(former, problem)
-    budget = Budget(time_limit, effort=effort)
+    Budget(time_limit, effort=effort)  # says at once what is wrong with them
     here = as_pose(start, "start")
     now = replace(problem, start=here, map=problem.map if map is None else map)
     now.check_poses()
     compile_kernels(now, tight=True)
+    budget = Budget(time_limit, effort=effort)
     query = CompiledProblem(now)
     bound = query.least_in_free_space
     rest = remainder(former.path, here, now)
