@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -72,9 +73,11 @@ class Book:
         self._gain = 0.5 * robot.vehicle.mass / SERVO
         self._most = max(robot.vehicle.motor.force, 1e-9)  # with none at all it would turn freely
         self._fade = float(np.exp(-PERIOD / robot.sharing))
-        self._armature = engine.model.dof_armature[6:].copy()
         self._centre = engine.loads @ engine.points / engine.loads.sum()
-        self._integral, self._target, self._held = np.zeros(2), np.zeros(2), np.zeros(2)
+        self._armature = engine.model.dof_armature[6:].copy()
+        self._still = (self._armature + STEP * robot.viscous).tolist()
+        self._tall = float(robot.centre_height)
+        self._integral, self._target, self._held = np.zeros(2), np.zeros(2), [0.0, 0.0]
         self._count = 0
         self._rows: list[FloatArray] = []
         self._sums: list[FloatArray] = []
@@ -109,9 +112,8 @@ class Book:
         """Height of the centre of mass over the plane [m]."""
         data, (x, y) = self._data, self._centre
         a, b, c, d = data.qpos[3:7]
-        tall = self._engine.robot.centre_height
         upright = (2 * (b * d - a * c), 2 * (c * d + a * b), 1 - 2 * (b * b + c * c))
-        return float(data.qpos[2] + np.dot(upright, (x, y, tall)))
+        return float(data.qpos[2] + np.dot(upright, (x, y, self._tall)))
 
     def state(self) -> State:
         data = self._data
@@ -183,29 +185,35 @@ class Book:
         self._count += 1
         self._enter(outer, speeds, motor, friction)
 
-    def _step(self, aim: FloatArray) -> FloatArray:
-        """Do one step and return the motors' forces, by the speeds at its end, shape (2,) [N].
+    def _step(self, aim: FloatArray) -> list[float]:
+        """Do one step and return the motors' forces, left and right, by the speeds at its end [N].
 
         A motor is either free, with its servo's gain in the armature, or held at its largest
         force. Which one it is shows after the step.
         """
         data, most, gain = self._data, self._most, self._gain
-        before = [values.copy() for values in (data.qpos, data.qvel, data.qacc_warmstart)]
-        still = self._armature + STEP * self._engine.robot.viscous
+        state = data.qpos, data.qvel, data.qacc_warmstart
+        before = [values.copy() for values in state]
+        speed, acceleration, armature = data.qvel, data.qacc, self._model.dof_armature
+        applied, sides = data.qfrc_applied, (0, 1)
+        aims, begun, held = aim.tolist(), before[1][6:].tolist(), self._held
+        # Numbers one by one: arrays of two take longer to make than all of this.
         for guess in range(GUESSES):
             if guess:
-                data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = before
-            free = STEP * gain * (self._held == 0.0)
-            force = np.where(free, gain * (aim - before[1][6:]), self._held)
-            data.qfrc_applied[6:] = force
-            self._model.dof_armature[6:] = still + free
+                for values, former in zip(state, before, strict=True):
+                    values[:] = former
+            free = [0.0 if held[k] else STEP * gain for k in sides]
+            force = [held[k] or gain * (aims[k] - begun[k]) for k in sides]
+            applied[6:] = force
+            armature[6:] = [self._still[k] + free[k] for k in sides]
             self._mj_step(self._model, data)
-            force -= free * data.qacc[6:]
-            wanted = gain * (aim - data.qvel[6:])
-            held = np.where(np.abs(wanted) > most, np.copysign(most, wanted), 0.0)
-            if (held == self._held).all():
+            force = [force[k] - free[k] * float(acceleration[6 + k]) for k in sides]
+            wanted = [gain * (aims[k] - float(speed[6 + k])) for k in sides]
+            former_held = held
+            held = [math.copysign(most, w) if abs(w) > most else 0.0 for w in wanted]
+            if held == former_held:
                 break
-            self._held = held
+        self._held = held
         return force
 
     def _enter(
@@ -241,9 +249,9 @@ class Book:
         )
         pulled = -outer.pull * ahead * time
         accel = (speeds[-1, :2] - speeds[0, :2]) / time - outer.gravity
+        means = np.array([tread, motor, shaft, shaft + losses.sum(axis=0)]).mean(axis=1)
         self._rows.append(np.array([
-            *here, yaw, ahead, omega, *tread.mean(axis=0), *motor.mean(axis=0),
-            *shaft.mean(axis=0), *(shaft + losses.sum(axis=0)).mean(axis=0),
+            *here, yaw, ahead, omega, *means.ravel(),
             accel @ [c, s], np.arctan(outer.gradient @ [c, s]),
         ]))  # fmt: skip
         self._sums.append(np.array([

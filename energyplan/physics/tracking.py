@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,21 +92,22 @@ class Tracker:
     def __init__(self, trajectory: Trajectory, vehicle: Vehicle, gains: Tracking) -> None:
         self.trajectory, self.vehicle, self.gains = trajectory, vehicle, gains
         self._turning = 0.0
-        self._t = trajectory.t - trajectory.t[0]
+        self._times = (trajectory.t - trajectory.t[0]).tolist()
         turns = wrap_angle(np.diff(trajectory.yaw))
         yaw = trajectory.yaw[0] + np.concatenate([[0.0], np.cumsum(turns)])
-        self._columns = np.column_stack(
-            [trajectory.x, trajectory.y, yaw, trajectory.v, trajectory.omega]
-        )
+        columns = (trajectory.x, trajectory.y, yaw, trajectory.v, trajectory.omega)
+        self._rows = np.column_stack(columns).tolist()  # one is asked for at a time
 
     def reference(self, t: float) -> tuple[float, ...]:
         """Return x, y, yaw, v, omega of the reference at a time since the start [s]."""
-        k = int(np.clip(np.searchsorted(self._t, t, side="right") - 1, 0, len(self._t) - 2))
-        share = min(max((t - self._t[k]) / (self._t[k + 1] - self._t[k]), 0.0), 1.0)
-        row = self._columns[k] + share * (self._columns[k + 1] - self._columns[k])
-        if t >= self._t[-1]:
-            row[3:] = 0.0
-        return tuple(float(value) for value in row)
+        last = len(self._rows) - 1
+        k = min(max(bisect_right(self._times, t) - 1, 0), last - 1)
+        share = (t - self._times[k]) / (self._times[k + 1] - self._times[k])
+        share = min(max(share, 0.0), 1.0)
+        row = [a + share * (b - a) for a, b in zip(self._rows[k], self._rows[k + 1], strict=True)]
+        if t >= self._times[-1]:
+            row[3:] = [0.0, 0.0]
+        return tuple(row)
 
     def _straightening(self, aside: float, turn: float) -> float:
         """Return the yaw rate that brings the robot back to a straight reference [rad/s].
@@ -125,7 +127,7 @@ class Tracker:
     def __call__(self, state: State) -> tuple[float, float] | None:
         """Return the tread speeds to reach by the next tick [m/s], or None at the end."""
         gains, icr = self.gains, self.vehicle.icr
-        if state.t >= self._t[-1] + gains.settle:
+        if state.t >= self._times[-1] + gains.settle:
             return None
         x, y, yaw, _, _ = self.reference(state.t)
         *_, v, omega = self.reference(state.t + PERIOD)

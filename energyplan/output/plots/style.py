@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import PlaceHolderLayoutEngine
 from matplotlib.legend import Legend
 
 if TYPE_CHECKING:
@@ -99,8 +100,10 @@ def arrange(figure: Figure) -> None:
     """Fit legends above axes to the picture's width, and put titles over them.
 
     Whoever adds to a picture after its legends calls it once more; `energyplan.output.report.image`
-    does so for every picture.
+    does so for every picture. A picture whose layout has been switched off stays as it is.
     """
+    if isinstance(figure.get_layout_engine(), PlaceHolderLayoutEngine):
+        return
     above = [
         (ax, made)
         for ax in figure.axes
