@@ -216,3 +216,31 @@ def test_a_way_follows_the_guide_through_a_gap_that_a_lattice_misses():
     spent = Budget(effort=1)
     spent.spend(1)
     assert way_along(query.setting, distance_to_go(query.setting, 8.0), spent) is None
+
+
+@pytest.mark.parametrize("penalty", [1.0, 8.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_with_little_work_the_way_is_looked_at_all_the_same(seed, penalty):
+    """On a map far larger than what may be looked at."""
+    rng = np.random.default_rng(seed)
+    occupied = np.zeros((600, 800), bool)
+    for row, column in rng.integers(0, (590, 790), (120, 2)):
+        occupied[row : row + rng.integers(4, 40), column : column + rng.integers(4, 40)] = True
+    occupied[:40, :40] = occupied[-40:, -40:] = False
+    cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.4)
+    grid = OccupancyGrid(occupied, 0.05)
+    asked = PlanningProblem(grid, cost, (1, 1, 0), (39, 29, 0), vehicle=robot("small"))
+    setting = CompiledProblem(asked).setting
+    whole = distance_to_go(setting, penalty)
+    assert reached(whole, setting)
+    for most in (1.0, 0.7 * whole.work / guide.TURNS):
+        part = distance_to_go(setting, penalty, most)
+        assert reached(part, setting)
+        lengths = [guide.distance_at_start(one, setting) for one in (whole, part)]
+        # the region's middles lead, not their nodes
+        assert lengths[0] <= lengths[1] + 1e-3 <= 1.1 * lengths[0]
+        assert part.work < whole.work
+    assert way_along(setting, part, Budget(effort=100_000)) is not None
+    # more than it takes changes nothing
+    same = distance_to_go(setting, penalty, 10.0 * whole.work)
+    assert np.array_equal(same.distance, whole.distance)

@@ -81,6 +81,9 @@ BOUND_SHARE = 0.15
 MOST_LEFT = 60.0
 """Time of which that part is taken at most [s]."""
 
+FIELD_SHARE = 0.4
+"""Part of what is left that a distance to go may take before a first path is known, about."""
+
 GUIDE_SHARE = 0.3
 """Part of what the searches may take up to which new distances to go are worth their work."""
 
@@ -410,7 +413,8 @@ class Improvement:
     def field(self, penalty: float) -> DistanceToGo:
         """Return the distance to go, with tight places counted longer."""
         if penalty not in self.fields:
-            found = distance_to_go(self.ends.between(self.setting), penalty)
+            most = FIELD_SHARE * self.budget.left
+            found = distance_to_go(self.ends.between(self.setting), penalty, most)
             self.budget.spend(found.work / TURNS)
             self.fields[penalty] = found
         return self.fields[penalty]

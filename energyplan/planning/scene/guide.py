@@ -43,6 +43,12 @@ REACH = 1.05
 TURNS = 120
 """Turns of nodes, where distances to go are found, that count as a unit of work."""
 
+AGAIN = 1.5
+"""How often a node has its turn, about."""
+
+SINGLE = 1e-5
+"""Rounding of lengths that are added in single precision along a way, as a part of it."""
+
 SLACK = 1.0
 """And how much beyond that, in lengths of the body."""
 
@@ -98,7 +104,9 @@ def inscribed(kernel: KernelProblem) -> float:
     return max(min(-body.x_min, body.x_max, -body.y_min, body.y_max), 0.0)
 
 
-def distance_to_go(kernel: KernelProblem, penalty: float = 1.0) -> DistanceToGo:
+def distance_to_go(
+    kernel: KernelProblem, penalty: float = 1.0, most: float = np.inf
+) -> DistanceToGo:
     """Return the distance to go to the goal, as far as it is needed.
 
     With a `penalty` above 1 it counts as longer where the disc barely passes: the body turns
@@ -110,6 +118,9 @@ def distance_to_go(kernel: KernelProblem, penalty: float = 1.0) -> DistanceToGo:
         The problem.
     penalty : float
         Factor by which distances count in tight places.
+    most : float
+        Units of work that it may take, about: then only what lies nearest to the shortest way is
+        looked at. That way itself is, however long it is.
 
     Returns
     -------
@@ -117,8 +128,10 @@ def distance_to_go(kernel: KernelProblem, penalty: float = 1.0) -> DistanceToGo:
         The distances. Where the poses tested do not join start and goal, those between poses that
         may be free; where these are infinite at the start, no path exists.
     """
-    found = _guide(kernel, penalty, enlarged=False)
-    return found if reached(found, kernel) else _guide(kernel, penalty, enlarged=True)
+    found = _guide(kernel, penalty, enlarged=False, most=most)
+    if reached(found, kernel):
+        return found
+    return _guide(kernel, penalty, enlarged=True, most=most)
 
 
 def no_distance() -> DistanceToGo:
@@ -193,10 +206,12 @@ def _guide(
     enlarged: bool,
     places: Places | None = None,
     known: float = 0.0,
+    most: float = np.inf,
 ) -> DistanceToGo:
     """Return the distance to go near the shortest way, and on all that are not longer than known.
 
-    The places are those of the problem unless given.
+    The places are those of the problem unless given. What takes more than `most` units of work is
+    left out, but for the shortest way.
     """
     places = places_for(kernel, enlarged) if places is None else places
     hills, space = kernel.hills, kernel.space
@@ -217,7 +232,7 @@ def _guide(
     height = heights_of_places(places, hills, space)
     regions = regions_for(kernel, enlarged)
     near = np.ones(len(regions.x), bool)
-    work = 0
+    work, narrowed = 0, False
     if start >= 0 and goal >= 0:
         ends = int(regions.of_node[goal]), int(regions.of_node[start])
         slack = SLACK * 2.0 * kernel.reach
@@ -229,7 +244,11 @@ def _guide(
         work += between(start=ends[0], stop=ends[1], leaving=False, distance=back)
         if np.isfinite(back[ends[1]]):
             work += between(start=ends[1], stop=ends[0], leaving=True, distance=out)
-            near = back + out <= max(REACH * back[ends[1]] + slack, known)
+            far_off = back + out
+            limit = max(REACH * back[ends[1]] + slack, known)
+            least = _narrowed(regions, far_off, most * TURNS - work) if most < np.inf else limit
+            narrowed = least < limit
+            near = far_off <= min(least, limit)
             distance[:] = np.inf
     work += way_to_go(
         places,
@@ -247,9 +266,24 @@ def _guide(
         to_go.direction,
         to_go.after,
     )
+    if narrowed and not reached(to_go, kernel):
+        # a way may lead beside what was looked at
+        whole = _guide(kernel, penalty, enlarged, places, known)
+        return whole._replace(work=whole.work + work)
     if not near.all():
         fill_beside(regions, near, back, to_go.distance)
     return to_go._replace(work=work)
+
+
+def _narrowed(regions: Regions, length: NDArray[np.float32], most: float) -> float:
+    """Return the length of ways by a region up to which all nodes have no more than so many turns.
+
+    The shortest way is not longer.
+    """
+    order = np.argsort(length, kind="stable")
+    turns = AGAIN * np.cumsum(np.bincount(regions.of_node, minlength=len(length))[order])
+    last = int(np.searchsorted(turns, most, side="right")) - 1
+    return float(max(length[order[max(last, 0)]], length[order[0]] * (1.0 + SINGLE)))
 
 
 def _surface(places: Places, kernel: KernelProblem) -> NDArray[np.uint8]:
