@@ -102,23 +102,25 @@ def admissible_rate(
         left, right = force.left * rate * (x - y), force.right * rate * (x + y)
         return [np.maximum(left, right), -np.minimum(left, right)]
 
-    def within(x: FloatArray, y: FloatArray, rate: FloatArray) -> FloatArray:
-        drawn, returned = powers(forces(x, y, rate), x, y, rate)
+    def bearable(drawn: FloatArray, returned: FloatArray) -> FloatArray:
         slack = 1.0 + 1e-12
         return np.asarray(
             (drawn <= slack * motor.continuous_power) & (returned <= slack * motor.regeneration)
         )
 
     high = np.minimum(limit, _UNLIMITED / (np.abs(x) + np.abs(y)))
-    bad = np.logical_not(within(x, y, high))
+    force = forces(x, y, high)
+    drawn, returned = powers(force, x, y, high)
+    bad = np.logical_not(bearable(drawn, returned))
     if not np.any(bad):
         return limit
     limit = np.array(limit)
-    x, y, high = (np.broadcast_to(part, limit.shape)[bad] for part in (x, y, high))
+    x, y, high, drawn, returned, left, right = (
+        np.broadcast_to(part, limit.shape)[bad]
+        for part in (x, y, high, drawn, returned, force.left, force.right)
+    )
     # power rises with speed, so the limit is where it is first reached: in proportion, where
     # forces are the same at any speed
-    force = forces(x, y, high)
-    drawn, returned = powers(force, x, y, high)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.fmin(
             np.where(drawn > 0, motor.continuous_power / drawn, np.inf),
@@ -127,12 +129,16 @@ def admissible_rate(
     found = high * share
     other = forces(x, y, found)
     moved = ~(
-        np.isclose(other.left, force.left, rtol=_SAME, atol=0.0)
-        & np.isclose(other.right, force.right, rtol=_SAME, atol=0.0)
+        np.isclose(other.left, left, rtol=_SAME, atol=0.0)
+        & np.isclose(other.right, right, rtol=_SAME, atol=0.0)
     )
     if np.any(moved):
         x, y, high = x[moved], y[moved], high[moved]
-        found[moved] = last_within(lambda rate: within(x, y, rate), np.zeros(len(high)), high)
+
+        def within(rate: FloatArray) -> FloatArray:
+            return bearable(*powers(forces(x, y, rate), x, y, rate))
+
+        found[moved] = last_within(within, np.zeros(len(high)), high)
     limit[bad] = found
     return limit
 

@@ -1,0 +1,235 @@
+"""How a vehicle is driven: steadily, at a speed or at the cheapest, and how long that takes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from energyplan.cost import direction_table, speeds
+from energyplan.cost.direction_table import SPECIAL, DirectionTable
+from energyplan.errors import InvalidInputError, ModelError
+from energyplan.motion import Motion
+from energyplan.path import FloatArray, Path
+from energyplan.power import PowerModel, Sides
+from energyplan.vehicle import TreadICR, Vehicle
+
+_STILL = ("x", "y", "yaw", "slope", "accel", "yaw_accel", "accel_x")
+STEADY = {"t": 1e9, **dict.fromkeys(_STILL, 0.0)}
+"""Channels of steady motion on level ground, long after the start."""
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyDriving:
+    """Path elements driven steadily on level ground, each at its own speed.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The power model with its vehicle.
+    battery : bool
+        Whether power is that of the battery rather than of the treads.
+    speed : float, optional
+        Tread speed to drive at [m/s]; the cheapest admissible one where not given.
+    channels : mapping of str to float
+        Constant values of further channels that the model's terms read.
+    time_value : float
+        What a second is worth where the cheapest speed is chosen [J/s].
+
+    Raises
+    ------
+    InvalidInputError
+        If `speed` is not positive, or `time_value` is negative or not finite.
+    """
+
+    model: PowerModel
+    battery: bool = False
+    speed: float | None = None
+    channels: Mapping[str, float] = field(default_factory=dict)
+    time_value: float = 0.0
+
+    @np.errstate(all="ignore")  # what overflows is refused
+    def __post_init__(self) -> None:
+        if not 0 <= self.time_value < np.inf:
+            raise InvalidInputError(f"time_value is {self.time_value}; give joules a second >= 0")
+        if self.speed is not None and not self.speed > 0:
+            raise InvalidInputError(f"speed is {self.speed}; give metres per second > 0")
+
+    # -- geometry -----------------------------------------------------------------------------
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The model's vehicle."""
+        return self.model.vehicle
+
+    @property
+    def icr(self) -> TreadICR:
+        """Tread ICRs."""
+        return self.model.vehicle.icr
+
+    @property
+    def half_track(self) -> float:
+        """Half the slip track ``C`` [m]: the turn radius of a pivot."""
+        return self.icr.half_track
+
+    def _element(self, ds: ArrayLike, dtheta: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return the centre's arc length and the turn times the half slip track [m]."""
+        turn = np.asarray(dtheta, float)
+        return np.asarray(ds, float) - self.icr.centre[1] * turn, self.half_track * turn
+
+    def _moving(self, path: Path, slope: ArrayLike = 0.0) -> list[FloatArray]:
+        """Elements of a path that do not vanish, rid of rounding in pivots, and their slopes."""
+        if path.longitudinal != self.icr.longitudinal:
+            raise InvalidInputError(
+                f"the path's reference point is at x = {path.longitudinal} m, the tread ICRs are "
+                f"at {self.icr.longitudinal} m; build the path with "
+                "longitudinal=cost.icr.longitudinal"
+            )
+        x, y = self._element(path.ds, path.dtheta)
+        pivot = np.abs(np.abs(x) - np.abs(y)) <= 1e-9 * np.abs(y)
+        x = np.where(pivot, np.copysign(y, x), x)
+        moves = (x != 0) | (y != 0)
+        return [v[moves] for v in (x, y, np.broadcast_to(np.asarray(slope, float), x.shape))]
+
+    # -- speed ----------------------------------------------------------------------------------
+
+    @cached_property
+    def _drawn(self) -> PowerModel:
+        return self.model.battery_side() if self.battery else self.model
+
+    def _motion(
+        self, x: FloatArray, y: FloatArray, rate: ArrayLike, slope: ArrayLike = 0.0
+    ) -> Motion:
+        """Steady motion through elements ``(x, y)`` at `rate` of them per second."""
+        speed = np.asarray(rate, float)
+        steady = {
+            **STEADY,
+            **self.channels,
+            "slope": slope,
+            "yaw_rate": speed * y / self.half_track,
+        }
+        channels = {name: np.asarray(value, float) for name, value in steady.items()}
+        return Motion(speed * (x - y), speed * (x + y), self.icr, channels)
+
+    @cached_property
+    def _static(self) -> bool:
+        """Whether speed makes no difference to the energy."""
+        x, y = np.concatenate([SPECIAL, SPECIAL + np.array([0.3, 0.1])]).T
+        slow, fast = (self._drawn.power(self._motion(x, y, rate)) / rate for rate in (0.1, 0.7))
+        return bool(np.allclose(slow, fast, rtol=1e-9, atol=0.0))
+
+    def _forces(self, x: FloatArray, y: FloatArray, rate: FloatArray) -> Sides:
+        return self.model.forces(self._motion(x, y, rate))
+
+    def _admissible_rate(self, x: FloatArray, y: FloatArray, fastest: float = np.inf) -> FloatArray:
+        return speeds.admissible_rate(x, y, self.vehicle, self._forces, fastest)
+
+    def _rate(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Rate [1/s] at which elements are driven: the cheapest admissible one."""
+        if self.speed is not None:
+            return self._admissible_rate(x, y, self.speed)
+        limit = self._admissible_rate(x, y)
+        if self._static:
+            return limit
+        if not np.all(np.isfinite(limit)):
+            raise ModelError(
+                f"the energy of the model {self.model.name!r} depends on speed, but the vehicle "
+                f"{self.vehicle.name!r} has no speed limit; set its motor speed, or give speed="
+            )
+        slowest = speeds.slowest_rate(x, y, limit, self.vehicle)
+
+        def energy(rate: FloatArray) -> FloatArray:
+            return (self._drawn.power(self._motion(x, y, rate)) + self.time_value) / rate
+
+        return speeds.cheapest_rate(slowest, limit, energy)
+
+    def admissible_speed(self, curvature: ArrayLike) -> FloatArray:
+        """Return the largest speed that the vehicle's limits allow on arcs of this curvature.
+
+        Parameters
+        ----------
+        curvature : array_like, shape (...)
+            Curvature [1/m], positive to the left.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Speed of the reference point [m/s], from the limits of tread speed, yaw rate, and each
+            side's continuous power and regeneration; infinite where there is no limit.
+        """
+        return self._admissible_rate(*self._element(np.ones(np.shape(curvature)), curvature))
+
+    def cheapest_speed(self, curvature: ArrayLike) -> FloatArray:
+        """Return the admissible speed of least energy per metre on arcs of this curvature.
+
+        Parameters
+        ----------
+        curvature : array_like, shape (...)
+            Curvature [1/m], positive to the left.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Speed of the reference point [m/s]; the fastest where several cost the same, and that
+            of `speed` where it was given; `time_value` counts. Treads run at a twentieth of the
+            motor's speed limit or faster, else the cheapest speed would be zero where time costs
+            nothing.
+        """
+        return self._rate(*self._element(np.ones(np.shape(curvature)), curvature))
+
+    # -- duration -------------------------------------------------------------------------------
+
+    def duration(self, path: Path) -> float:
+        """Return the time that a path takes at the speeds of this cost [s].
+
+        Speed changes take no time here; `speed.profile` accounts for accelerations.
+
+        Raises
+        ------
+        InvalidInputError
+            If neither the vehicle nor `speed` limits the speed.
+        """
+        return float(np.sum(self._element_duration(*self._moving(path)[:2])))
+
+    def _element_duration(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        if np.all(np.isfinite(rate := self._rate(x, y))):
+            return np.asarray(1.0 / rate)
+        raise InvalidInputError(
+            f"the vehicle {self.vehicle.name!r} has no speed limit, so a motion has no "
+            "duration; set its motor speed, or give EnergyCost a speed"
+        )
+
+    @cached_property
+    def _clock(self) -> DirectionTable:
+        """Duration over the direction of motion, tabulated like `gauge`."""
+        return direction_table.tabulate(self._element_duration)
+
+    def segment_duration(
+        self,
+        ds: ArrayLike,
+        dtheta: ArrayLike,
+        *,
+        exact: bool = False,
+        fastest: bool = False,
+    ) -> FloatArray:
+        """Return the time that arcs take, as they are driven [s]; arguments as in `segment_energy`.
+
+        It comes from a table like that of `gauge` unless it must be `exact`, or is that of the
+        `fastest` speed within the limits rather than of the cheapest.
+
+        Raises
+        ------
+        InvalidInputError
+            If neither the vehicle nor `speed` limits the speed.
+        """
+        x, y = np.broadcast_arrays(*self._element(ds, dtheta))
+        if not exact and not fastest:
+            return self._clock(x, y)
+        moves = (x != 0) | (y != 0)
+        x = np.where(moves, x, 1.0)
+        limited = fastest and self.speed is None
+        duration = 1.0 / self._admissible_rate(x, y) if limited else self._element_duration(x, y)
+        return np.where(moves, duration, 0.0)
