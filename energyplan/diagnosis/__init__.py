@@ -291,8 +291,9 @@ class _Case:
         fight = find_wheel_fight(best.problem, fitted.model) if entry else None
         if fight is not None:
             fitted = replace(fitted, model=fight.model)
-        average = averaged(best.problem, fitted, parts, len(self.entries)) if choose else None
-        told = fitted if average is None else average.fitted
+        weighed = averaged(best.problem, fitted, parts, len(self.entries)) if choose else None
+        told = fitted if weighed is None else weighed.fitted
+        average = None if weighed is None else weighed.average
         after = [predict(told.model, parts, drive) for drive in self.held]
         if told.model is self.paper:
             after = list(before)
@@ -327,7 +328,7 @@ class _Case:
             *([] if held or not found else _advice.unheld_advice(names, quality, errors[1])),
             *_advice.change_advice(undated),
             *_advice.untested_advice(searched.untested, names),
-            *(() if average is None else [note_of(average.average, names)]),
+            *(() if average is None else [note_of(average, names)]),
             *_advice.few_advice(len(self.logs[0])),
             *self.notes,
         ]
@@ -362,7 +363,7 @@ class _Case:
             choosing=self._choosing(),
             set_aside=set_aside_by_drive([*self.logs[0], *self.logs[1]]),
             after_undated=undated,
-            average=None if average is None else average.average,
+            average=average,
         )
 
     def _carry(self, part: Part) -> bool:

@@ -142,6 +142,8 @@ def energies(
     Their variance is that of the coefficients, that of what is left within a run, and that of what
     differs from run to run as a whole. Fewer than three training drives do not show the latter: it
     is taken to be that of robots elsewhere, by a distribution that says how little is known of it.
+    Where runs were left out, one at a time, an interval is no narrower than what they were missed
+    by tells: runs that a model was fitted to differ less from it than others do.
 
     Parameters
     ----------
@@ -183,6 +185,8 @@ def energies(
         if spread is not None:
             variance += (spread.deviation * energy) ** 2
         half = float(np.hypot(reach * np.sqrt(variance), assumed * energy))
+        if fitted.run_error is not None:
+            half = max(half, reach * fitted.run_error * abs(energy))
         found.append(
             EnergyPrediction(
                 one.drive.name, energy, (energy - half, energy + half),

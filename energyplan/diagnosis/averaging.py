@@ -1,4 +1,4 @@
-"""Predictions of runs to come: the explanation, averaged with a fit that assumes less (private).
+"""Predictions of runs to come: the explanation, averaged with the paper's two terms (private).
 
 Runs of one robot on one ground differ as a whole, and few runs, or short ones, say little about
 which effects the next one will show. An average of models that err differently is then better than
@@ -22,19 +22,16 @@ from scipy.cluster.vq import kmeans2
 from energyplan.diagnosis.joint_fit import FinalFit
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.result import Average
-from energyplan.fit.drives.windows import Design
+from energyplan.fit.drives.windows import SCALES, Design
 from energyplan.fit.least_squares import FLOOR, PAPER, Problem, RunSpread, left_out, weighted
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Term
-from energyplan.power.effect_terms import SLIP_SPEED
 
 FEWEST_RUNS = 4
 """Runs from which on leaving one out alone tells how runs to come are predicted."""
 
-_LENIENT = (*PAPER, SLIP_SPEED)
-_SHARE = 0.1  # of the power, that the further term is expected to be of
 _ROUNDS = 40
-_CORE = 0.05  # relative error below which squares count, so that the fit is smooth
+_CORE = 0.005  # relative error below which squares count, so that the fit is smooth
 _LEAST = 0.1  # of the usual power, that a run counts as drawing at least
 _PART = 1.0  # of the usual power, that a kind of motion counts as: it is but a part of a run
 _NEGLIGIBLE = 0.02  # weight that is not worth a further term
@@ -55,12 +52,12 @@ class Averaged:
     ----------
     fitted : FinalFit
         The average: terms of both models, coefficients by weight.
-    average : Average
-        Weight of the explanation, and why.
+    average : Average, optional
+        Weight of the explanation, and why; None where it stands alone.
     """
 
     fitted: FinalFit
-    average: Average
+    average: Average | None
 
 
 @dataclass(frozen=True)
@@ -101,6 +98,48 @@ class _Windows:
 
 
 @dataclass(frozen=True)
+class _Rows:
+    """Means of the paper's columns, and of the power that inertia leaves them.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (w, 2)
+        Columns of the paper's terms.
+    power : ndarray, shape (w,)
+        Power that they are to explain [W].
+    block : ndarray of int, shape (w,)
+        Block of each.
+    """
+
+    columns: FloatArray
+    power: FloatArray
+    block: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, design: Design, usual: FloatArray, scale: int) -> _Rows:
+        """Take the windows of a scale; the columns after the paper's have given coefficients."""
+        scale %= len(SCALES)
+        table, first = design.rows[scale], len(PAPER)
+        return cls(
+            table[:, :first], table[:, -1] - table[:, first:-1] @ usual, design.blocks[scale]
+        )
+
+    def fit(self, kept: NDArray[np.bool_]) -> FloatArray:
+        """Fit by least absolute errors some of the rows (iteratively reweighted)."""
+        X, y = self.columns[kept], self.power[kept]
+        level = float(np.mean(np.abs(y))) or 1.0
+        size = np.sqrt(np.mean(X**2, axis=0))
+        scale = np.divide(level, size, out=np.zeros_like(size), where=size > 0)
+        Z, pull = X * scale, np.full(len(y), 1.0 / len(y))
+        found = np.zeros(Z.shape[1])
+        for _ in range(_ROUNDS):
+            normal = Z.T @ (Z * pull[:, None]) + 1e-8 * level**2 * np.eye(Z.shape[1])
+            found = np.linalg.solve(normal, Z.T @ (pull * y))
+            pull = 1.0 / len(y) / np.maximum(np.abs(y - Z @ found) / level, _CORE)
+        return np.asarray(found * scale)
+
+
+@dataclass(frozen=True)
 class _Comparison:
     """Two models on what was left out, fold by fold, neither of them fitted to it.
 
@@ -108,16 +147,20 @@ class _Comparison:
     ----------
     what : str
         What a fold is.
-    explanation, cautious : ndarray, shape (folds,)
+    explanation, paper : ndarray, shape (folds,)
         Relative errors of the energies.
-    refits : ndarray, shape (folds, k)
-        Coefficients of the cautious fit without each fold.
+    refits : ndarray, shape (folds, 2)
+        Coefficients of the paper's terms without each fold.
     """
 
     what: str
     explanation: FloatArray
-    cautious: FloatArray
+    paper: FloatArray
     refits: FloatArray
+
+    def mixed(self, weight: float) -> FloatArray:
+        """Relative errors of the average, by the weight of the explanation."""
+        return weight * self.explanation + (1.0 - weight) * self.paper
 
     def weight(self, handicap: float) -> float:
         """Weight of the explanation: pseudo Bayesian model averaging, bootstrapped.
@@ -129,7 +172,7 @@ class _Comparison:
         """
         count = len(self.explanation)
         share = np.random.default_rng(0).dirichlet(np.ones(count), _DRAWS)
-        one, other = (share @ np.abs(errors) for errors in (self.explanation, self.cautious))
+        one, other = (share @ np.abs(errors) for errors in (self.explanation, self.paper))
         odds = count * np.log(np.maximum(other, _EXACT) / np.maximum(one, _EXACT)) - handicap
         return float(np.mean(1.0 / (1.0 + np.exp(-np.clip(odds, -50.0, 50.0)))))
 
@@ -137,14 +180,14 @@ class _Comparison:
 def averaged(
     problem: Problem, fitted: FinalFit, parts: Sequence[Part] = (), tried: int = 1
 ) -> Averaged | None:
-    """Average an explanation with a cautious fit, each by how well it predicts what it has not met.
+    """Average an explanation with the paper's terms, by how well each predicts what it has not met.
 
-    The cautious fit has the paper's terms and a friction that may rise or fall with the slip speed,
-    shrunk to none as far as the runs do not bear it; least absolute errors of means over eight
-    seconds, each relative to the power of its run. Inertia, which nearly every robot has and
-    which comes to nothing over a run, is in both. An effect that was picked out of many is worth
-    less than it seems: each takes the logarithm of their number from the odds (Foster and George
-    1994, "The risk inflation criterion for multiple regression").
+    The paper's terms are fitted by least absolute errors of means over half a second, as `identify`
+    fits samples. Inertia, which nearly every robot has and which comes to nothing over a run, is in
+    both. An effect that was picked out of many is worth less than it seems: each takes the
+    logarithm of their number from the odds (Foster and George 1994, "The risk inflation criterion
+    for multiple regression"). So an explanation has to be clearly better than two terms before it
+    leaves them behind, and what is predicted is seldom worse than by two terms alone.
 
     Parameters
     ----------
@@ -160,10 +203,11 @@ def averaged(
     Returns
     -------
     Averaged or None
-        None where the cautious fit says nothing beside the explanation, or the drives took no
-        energy. With fewer than `FEWEST_RUNS` runs an explanation is left as it is where it has no
-        effect that only some robots have, or where it foretells the blocks, over two seconds, as
-        well as runs are alike: then little is left that another motion could bring to light.
+        None where the paper's terms say nothing beside the explanation and no runs were left out,
+        or the drives took no energy. With fewer than `FEWEST_RUNS` runs an explanation is left as
+        it is where it has no effect that only some robots have, or where it foretells the blocks,
+        over two seconds, as well as runs are alike: then little is left that another motion could
+        bring to light.
     """
     count = len(problem.drives)
     picked = sum(bool(part.terms) and not part.effect.usual for part in parts)
@@ -182,10 +226,9 @@ def averaged(
         and term.kind != "loss"
     ]  # fmt: skip
     own = np.array([start[term.name] for term in usual])
-    table, _ = plain.design([*_LENIENT, *usual]).longest
-    first = len(_LENIENT)
-    lenient = np.column_stack([table[:, :first], table[:, -1] - table[:, first:-1] @ own])
-    cautious = _cautious(lenient, windows, np.ones(len(lenient), bool))
+    short = _Rows.of(plain.design([*PAPER, *usual]), own, 0)
+    long = _Rows.of(plain.design([*PAPER, *usual]), own, -1)
+    paper = short.fit(np.ones(len(short.block), bool))
 
     design = problem.design(fitted.terms, None, start, rounds=1)
     errors = problem.reference(design)
@@ -194,34 +237,41 @@ def averaged(
     grams = weighted(design, errors)
     folds = {"run": windows.run} if count > 1 else {}
     if count < FEWEST_RUNS:
-        folds["kind of motion"] = _motions(plain, cautious)
+        folds["kind of motion"] = _motions(plain, paper)
     compared = [
-        _compared(what, fold, windows, whole.longest[0], lenient, grams)
+        _compared(what, fold, windows, whole.longest[0], (short, long), grams)
         for what, fold in folds.items()
     ]
     # Both must be foretold: runs that are to come, and motions that are in them.
     handicap = picked * float(np.log(max(tried, 1)))
     weight, worst = min(((one.weight(handicap), one) for one in compared), key=lambda pair: pair[0])
+    missed = None
+    if count >= FEWEST_RUNS:
+        (runs,) = compared
+        missed = float(np.sqrt(np.mean(runs.mixed(weight) ** 2)))
     if 1.0 - weight < _NEGLIGIBLE:
-        return None
-    model = _mixed(fitted.model, [*_LENIENT, *usual], np.append(cautious, own), worst, weight)
+        return None if missed is None else Averaged(replace(fitted, run_error=missed), None)
+    model = _mixed(fitted.model, [*PAPER, *usual], np.append(paper, own), worst, weight)
     about = {t.name: float(v) for t, v in zip(model.terms, model.coefficients, strict=True)}
     between = RunSpread.of(
         plain.design(model.terms, None, about, rounds=1), np.array(model.coefficients)
     )
-    told = replace(fitted, model=model, run_spread=None if between is None else between.deviation)
-    sizes = (float(np.mean(np.abs(errors))) for errors in (worst.explanation, worst.cautious))
+    told = replace(
+        fitted, model=model, run_spread=None if between is None else between.deviation,
+        run_error=missed,
+    )  # fmt: skip
+    sizes = (float(np.mean(np.abs(errors))) for errors in (worst.explanation, worst.paper))
     return Averaged(told, Average(weight, worst.what, *sizes))
 
 
-def _motions(problem: Problem, cautious: FloatArray) -> NDArray[np.intp]:
+def _motions(problem: Problem, paper: FloatArray) -> NDArray[np.intp]:
     """Group the longest windows by what the robot did in them, as far as it takes power.
 
     Speed and yaw rate, with and without their signs, each by the power that it takes; Lloyd's
     grouping (k-means), from windows that are far from each other.
     """
-    driving = 2.0 * abs(float(cautious[1]))
-    turning = abs(float(cautious[0])) * problem.vehicle.slip_moment
+    driving = 2.0 * abs(float(paper[1]))
+    turning = abs(float(paper[0])) * problem.vehicle.slip_moment
     scale = np.array([driving, driving, turning, turning])
     points = scale * np.concatenate(
         [
@@ -254,14 +304,16 @@ def _compared(
     fold: NDArray[np.intp],
     windows: _Windows,
     table: FloatArray,
-    lenient: FloatArray,
+    paper: tuple[_Rows, _Rows],
     grams: FloatArray,
 ) -> _Comparison:
     """Leave out one fold after the other, and predict its energy by both models."""
     last = np.searchsorted(windows.block, np.arange(len(grams)), side="right") - 1
-    held = left_out(grams.sum(axis=0), grams, fold[np.maximum(last, 0)])
+    of_block = fold[np.maximum(last, 0)]
+    held = left_out(grams.sum(axis=0), grams, of_block)
     number = range(int(fold.max()) + 1)
-    refits = np.array([_cautious(lenient, windows, fold != k) for k in number])
+    short, long = paper
+    refits = np.array([short.fit(of_block[short.block] != k) for k in number])
     energies = windows.energies(fold, _LEAST if fold is windows.run else _PART)
 
     def misses(columns: FloatArray, values: Callable[[int], FloatArray]) -> FloatArray:
@@ -270,42 +322,14 @@ def _compared(
         return np.asarray(np.array(lost) / energies)
 
     first = misses(table, lambda k: held[min(k, len(held) - 1)])
-    return _Comparison(what, first, misses(lenient, lambda k: refits[k]), refits)
-
-
-def _cautious(table: FloatArray, windows: _Windows, kept: NDArray[np.bool_]) -> FloatArray:
-    """Fit the paper's terms and a shrunk further one to some of the windows.
-
-    Laplace's distribution of the relative errors, a normal one of what the further term takes.
-    """
-    X, y, time, run = table[kept, :-1], table[kept, -1], windows.time[kept], windows.run[kept]
-    seconds = np.bincount(windows.run, windows.time)
-    weight = time * (seconds / windows.energies(windows.run))[run]
-    weight = weight / weight.sum()
-    level = float(weight @ np.abs(y)) or 1.0
-    size = np.sqrt(weight @ X**2)
-    Z = X * np.divide(level, size, out=np.zeros_like(size), where=size > 0)
-
-    def solve(columns: int, shrinkage: float) -> FloatArray:
-        penalty = np.full(columns, 1e-8)
-        penalty[len(PAPER) :] = shrinkage
-        part, pull = Z[:, :columns], weight
-        for _ in range(_ROUNDS):
-            normal = part.T @ (part * pull[:, None]) + np.diag(penalty) * level**2
-            found = np.linalg.solve(normal, part.T @ (pull * y))
-            pull = weight / np.maximum(np.abs(y - part @ found) / level, _CORE)
-        return np.asarray(found)
-
-    plain = solve(len(PAPER), 0.0)
-    scatter = float(weight @ np.abs(y - Z[:, : len(PAPER)] @ plain)) / level
-    found = solve(Z.shape[1], scatter / (len(np.unique(run)) * _SHARE**2))
-    return np.asarray(found * np.divide(level, size, out=np.zeros_like(size), where=size > 0))
+    other = np.column_stack([long.columns, long.power])
+    return _Comparison(what, first, misses(other, lambda k: refits[k]), refits)
 
 
 def _mixed(
     model: PowerModel,
     terms: Sequence[Term],
-    cautious: FloatArray,
+    paper: FloatArray,
     compared: _Comparison,
     weight: float,
 ) -> PowerModel:
@@ -315,13 +339,13 @@ def _mixed(
     one, other = np.zeros(len(names)), np.zeros(len(names))
     one[:first] = model.coefficients
     at = [names.index(term.name) for term in terms]
-    other[at] = cautious
+    other[at] = paper
     mean = weight * one + (1.0 - weight) * other
     covariance = np.zeros((len(names), len(names)))
     if model.covariance is not None:
         covariance[:first, :first] += weight * model.covariance
     number, width = compared.refits.shape
-    centred = compared.refits - cautious[:width]
+    centred = compared.refits - paper[:width]
     covariance[np.ix_(at[:width], at[:width])] += (
         (1.0 - weight) * (number - 1) / number * centred.T @ centred
     )
@@ -335,14 +359,14 @@ def _mixed(
 
 def note_of(told: Average, names: Sequence[str]) -> str:
     """Say what the model for runs to come is made of."""
-    what = f"the explanation ({', '.join(names)})" if names else "the paper's terms"
+    what = f"the explanation ({', '.join(names)})" if names else "the paper's terms and inertia"
     why = (
         "runs differ as a whole" if told.left_out == "run"
         else "these drives do not show how the effects act on other motions"
     )  # fmt: skip
     return (
-        f"{why}: the model averages {what}, weight {told.weight:.2f}, with a cautious fit of two "
-        "terms and a slight dependence on slip speed; leaving out one "
+        f"{why}: the model averages {what}, weight {told.weight:.2f}, with the paper's two terms "
+        "by least absolute errors; leaving out one "
         f"{told.left_out} after the other, they miss its energy by "
         f"{100 * told.explanation_error:.1f} % and {100 * told.cautious_error:.1f} %"
     )

@@ -32,11 +32,15 @@ class FinalFit:
         Standard errors of the parameters in which the terms are not linear, by name.
     run_spread : float, optional
         Relative standard deviation of the power between runs; None where there were too few.
+    run_error : float, optional
+        Root mean square relative error of the energies of runs that were left out one at a time;
+        None where there were too few.
     """
 
     model: PowerModel
     errors: Mapping[str, float]
     run_spread: float | None = None
+    run_error: float | None = None
 
     @property
     def terms(self) -> tuple[Term, ...]:

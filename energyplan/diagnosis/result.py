@@ -192,14 +192,15 @@ class EnergyPrediction:
 
 @dataclass(frozen=True)
 class Average:
-    """What the model for runs to come is made of: an explanation and a cautious fit.
+    """What the model for runs to come is made of: an explanation and the paper's two terms.
 
     Each counts by how it predicts energies of what it was not fitted to.
 
     Parameters
     ----------
     weight : float
-        Weight of the explanation, in [0, 1]; the rest is that of the cautious fit.
+        Weight of the explanation, in [0, 1]; the rest is that of the paper's terms, fitted by least
+        absolute errors.
     left_out : {"run", "kind of motion"}
         What was left out, one after the other: whole runs, or with fewer than four of them kinds of
         motion, whichever the explanation foretells worse.
