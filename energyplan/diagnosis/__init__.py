@@ -335,6 +335,9 @@ class _Case:
         verdict: Verdict = "no_effect"
         if found:
             enough = explains(quality, errors[0].rmse, errors[1].rmse)
+            # What nearly every robot has is no reason for what is still left.
+            usual = {entry.name for entry in self.entries if entry.usual}
+            enough &= quality.adequate or not usual.issuperset(names)
             verdict = "effect_found" if held and enough else "unexplained"
         elif left or not quality.adequate:
             verdict = "unexplained"

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 from energyplan.diagnosis.holdout import Prediction
@@ -14,14 +15,14 @@ from energyplan.diagnosis.result import Adequacy, EnergyPrediction
 from energyplan.fit.covariance import autocorrelation
 from energyplan.fit.drives.denoise import speed_noise
 from energyplan.fit.drives.linear import power_of
-from energyplan.fit.drives.windows import Drive
+from energyplan.fit.drives.windows import SCALES, Drive
 from energyplan.fit.least_squares import Problem, RunSpread
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel
 
-_SLOW = 1  # scale at which colour is looked for: two seconds
-_FLOOR = 0.02
+_FLOOR = 0.01
 """What is no more than this fraction of the root mean square power is as good as nothing."""
+_CHANCE = 1e-3  # that noise alone is called coloured, over all lengths of means
 _RESTING = 20  # samples at rest that tell the noise
 _SIGMA = 4.0  # standard deviations that noise does not exceed
 _HOLDS = 1.5  # error on other drives, over that on the training drives, that is no surprise
@@ -42,7 +43,10 @@ def adequacy(problem: Problem, fitted: FinalFit) -> Adequacy:
     """Compare what a model leaves of the training drives with their noise.
 
     The noise of a sample is what neighbouring samples differ by beyond a smooth curve, or the
-    scatter at rest where that is larger; how much of it lasts is told by the samples at rest.
+    scatter at rest where that is larger; how much of it lasts is told by the samples at rest. The
+    residual is coloured where its means over half a second, two or eight seconds scatter by more
+    than noise would by chance (Fisher's distribution, of as many means as are independent, and of
+    as many samples as told the noise), and by more than is as good as nothing.
 
     Parameters
     ----------
@@ -54,9 +58,9 @@ def adequacy(problem: Problem, fitted: FinalFit) -> Adequacy:
     Returns
     -------
     Adequacy
-        Both, of samples and of means over two seconds.
+        Both, of samples and of means over the time that shows most.
     """
-    residuals, rests, whites, slow, counts = [], [], [], [], []
+    residuals, rests, whites = [], [], []
     for drive in problem.drives:
         residual = drive.power - predicted(fitted.model, drive)
         residuals.append(residual)
@@ -65,12 +69,9 @@ def adequacy(problem: Problem, fitted: FinalFit) -> Adequacy:
         still = (drive.motion.v_left == 0) & (drive.motion.v_right == 0)
         if np.count_nonzero(still) >= _RESTING:
             rests.append(residual[still] - np.median(residual[still]))
-        windows = drive.windows[_SLOW]
-        slow.append(windows.mean(residual))
-        counts.append(windows.counts)
     every = np.concatenate(residuals)
     size = float(np.sqrt(np.mean(np.concatenate([d.power for d in problem.drives]) ** 2)))
-    noise, repeats = float(np.median(whites)) if whites else 0.0, 1.0
+    noise, repeats, told = float(np.median(whites)) if whites else 0.0, 1.0, float(len(every))
     if rests:
         rest = np.concatenate(rests)
         # A load that comes and goes at rest is no noise: what most samples scatter by is.
@@ -80,16 +81,56 @@ def adequacy(problem: Problem, fitted: FinalFit) -> Adequacy:
             pieces = [slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
             usual = np.clip(rest, -_SIGMA * spread, _SIGMA * spread)
             repeats = autocorrelation(usual, pieces).repeats if spread > 0.5 * noise else 1.0
+            # Noise that lasts is known by as many samples as are independent.
+            told = len(rest) / repeats if repeats > 1.0 else told
         noise = max(noise, spread)
-    noise = max(noise, 0.5 * _FLOOR * size)
-    number = float(np.median(np.concatenate(counts)))
-    slow_noise = noise * float(np.sqrt(min(repeats / number, 1.0)))
-    means = np.concatenate(slow)
-    slow_residual = float(np.sqrt(np.mean(means**2)))
+    noise = max(noise, _FLOOR * size)
+    slow = [
+        _means(problem.drives, residuals, k, _Noise(noise, repeats, told), _FLOOR * size)
+        for k in range(len(SCALES))
+    ]
+    most = max(slow, key=lambda one: one.residual / one.limit)
     return Adequacy(
-        noise, float(np.sqrt(np.mean(every**2))), slow_noise, slow_residual,
-        bool(slow_residual > 2.0 * max(slow_noise, 0.5 * _FLOOR * size)),
+        noise, float(np.sqrt(np.mean(every**2))), most.noise, most.residual,
+        bool(most.residual > most.limit), most.time,
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """Noise of a sample [W], how many samples repeat each other, and how many told it."""
+
+    deviation: float
+    repeats: float
+    told: float
+
+
+@dataclass(frozen=True)
+class _Means:
+    """Scatter of means of a residual: what noise makes, what there is, what noise may make [W]."""
+
+    time: float
+    noise: float
+    residual: float
+    limit: float
+
+
+def _means(
+    drives: Sequence[Drive],
+    residuals: Sequence[FloatArray],
+    scale: int,
+    noise: _Noise,
+    nothing: float,
+) -> _Means:
+    """Compare means of a residual over one time with those of noise."""
+    windows = [drive.windows[scale] for drive in drives]
+    means = np.concatenate([w.mean(r) for w, r in zip(windows, residuals, strict=True)])
+    number = float(np.median(np.concatenate([w.counts for w in windows])))
+    own = noise.deviation * float(np.sqrt(min(noise.repeats / number, 1.0)))
+    independent = min(float(len(means)), sum(map(len, residuals)) / noise.repeats)
+    by_chance = float(fisher.isf(_CHANCE / len(SCALES), independent, noise.told))
+    limit = float(np.sqrt(own**2 * by_chance + nothing**2))
+    return _Means(windows[0].length, own, float(np.sqrt(np.mean(means**2))), limit)
 
 
 def holds(quality: Adequacy, error: float) -> bool:

@@ -39,8 +39,8 @@ def adequacy_advice(quality: Adequacy, named: bool) -> list[str]:
     what = "lasts longer than noise would" if quality.coloured else "is larger than noise"
     line = (
         f"the model leaves {quality.residual:.3g} W on the training drives, where samples scatter "
-        f"by {quality.noise:.3g} W, and over two seconds {quality.slow_residual:.3g} W for "
-        f"{quality.slow_noise:.3g} W: what is left {what}, so something is missing"
+        f"by {quality.noise:.3g} W, and over {quality.time:.2g} s {quality.slow_residual:.3g} W "
+        f"for {quality.slow_noise:.3g} W: what is left {what}, so something is missing"
     )
     return [line if named else f"{line}, and no recorded channel explains it"]
 

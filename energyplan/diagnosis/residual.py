@@ -1,9 +1,9 @@
 """What a residual depends on: every channel and derived signal, tested honestly (private).
 
-A dependence is a smooth function of one signal, as a power or as a force that scales with the
-traction resistance or the slip moment. It is fitted beside the model's own terms, so that what the
-model could have absorbed does not count, and its p-value allows for autocorrelation (by blocks)
-and for the number of signals tried (Holm).
+A dependence is a smooth function of one signal, as a power, as a force that scales with the
+traction resistance, the slip moment or all forces, or as a force along the ground. It is fitted
+beside the model's own terms, so that what the model could have absorbed does not count, and its
+p-value allows for autocorrelation (by blocks) and for the number of signals tried (Holm).
 """
 
 from __future__ import annotations
@@ -15,12 +15,21 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import f as fisher
 
+from energyplan.fit.drives.linear import held_forces
 from energyplan.fit.drives.windows import Design, Drive, channels_of, window_means
 from energyplan.fit.least_squares import Fit, Problem, difference, fit
 from energyplan.motion import CHANNELS
 from energyplan.path import FloatArray
 from energyplan.power import Sides, Term
-from energyplan.power.empirical import CARRIERS, DERIVED, carry, described, place, signal
+from energyplan.power.empirical import (
+    CARRIERS,
+    DERIVED,
+    carries,
+    carry,
+    described,
+    place,
+    signal,
+)
 
 _KNOTS = 6
 _NOT_SIGNALS = {"changed", "p_left", "p_right", "power", "yaw_rate"}
@@ -31,6 +40,7 @@ _REACHES = (0.08, 0.2)  # of a patch, over the size of the ground that was drive
 _SLOW = 1  # scale at which a patch is looked for: two seconds
 _PERIODS = (2.0, 60.0)  # of a periodic load [s]
 _WAVES = 12  # drives in which a periodic load is looked for
+_TURNS = (0.7, 10.0)  # of a wheel [s], at the usual speed
 _WINDOWS = 4  # longest windows that a drive needs to show how much it scatters
 
 
@@ -42,8 +52,9 @@ class Dependence:
     ----------
     channel : str
         The signal.
-    carrier : {"power", "traction", "slip"}
-        Whether it acts as a power, on the traction resistance or on the slip friction.
+    carrier : {"power", "traction", "slip", "whole", "ground"}
+        Whether it acts as a power, on the traction resistance, on the slip friction, on all forces,
+        or as a force along the axis of the ground that the signal is.
     shape : str
         In words.
     explained_variance : float
@@ -95,10 +106,11 @@ def signals(drives: Sequence[Drive]) -> list[str]:
     return kept
 
 
-def _knots(drives: Sequence[Drive], name: str) -> FloatArray:
-    values = np.concatenate([signal(drive.motion, name) for drive in drives])
+def _knots(values: FloatArray) -> FloatArray:
     low, high = np.quantile(values, [0.01, 0.99])
-    inner = np.quantile(values, np.linspace(0, 1, _KNOTS)[1:-1])
+    # A signal that ends somewhere is there most of the time; it tells by how it gets there.
+    within = values[(values > low) & (values < high)]
+    inner = np.quantile(within if len(within) else values, np.linspace(0, 1, _KNOTS)[1:-1])
     even = np.linspace(low, high, _KNOTS)[1:-1]
     places = np.unique(np.round(np.concatenate([[low], 0.5 * (inner + even), [high]]), 9))
     gap = (high - low) / (3 * _KNOTS)
@@ -110,18 +122,23 @@ def _knots(drives: Sequence[Drive], name: str) -> FloatArray:
 
 
 def _shape_columns(
-    problem: Problem, name: str, carrier: str, knots: FloatArray, skipped: int
+    problem: Problem,
+    name: str,
+    carrier: str,
+    knots: FloatArray,
+    skipped: int,
+    signals: Sequence[FloatArray],
+    forces: Sequence[Sides],
 ) -> list[FloatArray]:
     """Columns of hat functions over the knots, at each sample of each drive."""
     tables = []
-    for drive in problem.drives:
-        values = signal(drive.motion, name)
+    for drive, values, acting in zip(problem.drives, signals, forces, strict=True):
         columns = []
         for k in range(len(knots)):
             if k == skipped:
                 continue
             hat = np.interp(values, knots, np.eye(len(knots))[k])
-            part = carry(drive.motion, problem.vehicle, carrier, hat)
+            part = carry(drive.motion, problem.vehicle, carrier, name, hat, acting)
             if isinstance(part, Sides):
                 part = part.left * drive.motion.v_left + part.right * drive.motion.v_right
             columns.append(part)
@@ -156,22 +173,30 @@ def dependences(
     width = len(terms)
     found = []
     here = _place(problem, now, design)
+    forces = [held_forces(d, problem.vehicle, terms, now.values) for d in problem.drives]
+    known = channels_of(problem.drives)
     for name in [*signals(problem.drives), *([here] if here else [])]:
-        knots = _knots(problem.drives, name)
+        each = [signal(drive.motion, name) for drive in problem.drives]
+        values = np.concatenate(each)
+        knots = _knots(values)
         if len(knots) < 3:
             continue
-        values = np.concatenate([signal(drive.motion, name) for drive in problem.drives])
-        skipped = int(np.argmin(np.abs(knots - np.median(values))))
+        usual = int(np.argmin(np.abs(knots - np.median(values))))
         for carrier in carriers:
-            columns = _shape_columns(problem, name, carrier, knots, skipped)
+            if not carries(carrier, name, known):
+                continue
+            # The model has a constant of each but of a force along the ground.
+            skipped = -1 if carrier == "ground" else usual
+            columns = _shape_columns(problem, name, carrier, knots, skipped, each, forces)
             full = design.joined(window_means(problem.drives, columns))
             new = fit(full, errors)
-            shape = np.insert(new.values[width:], skipped, 0.0)
+            shape = new.values[width:]
+            shape = shape if skipped < 0 else np.insert(shape, skipped, 0.0)
             one = _dependence(name, carrier, knots, shape, now, new, width)
             # The place was looked for.
             looks = _PLACES**2 * len(_REACHES) if name == here else 1
             found.append(replace(one, p_value=min(looks * one.p_value, 1.0)))
-    found += _periodic(problem, now, errors, design)
+    found += [*_periodic(problem, now, errors, design), *_every_turn(problem, now, errors, design)]
     plain = problem.with_factors([1.0] * len(problem.drives)).design(terms, errors)
     settled = [*_holm(found), *_between_drives(now, plain)]
     return tuple(sorted(settled, key=lambda one: -one.explained_variance))
@@ -311,6 +336,71 @@ def _periodic(problem: Problem, now: Fit, errors: FloatArray, design: Design) ->
     return [Dependence("t", "power", words, gain / len(errors), error / len(errors), p_value)]
 
 
+def _every_turn(problem: Problem, now: Fit, errors: FloatArray, design: Design) -> list[Dependence]:
+    """Test for a force that comes back with each turn of a side's wheels, its phase free.
+
+    A bent axle drags whichever way it turns; a wheel that is not round pushes as often as it
+    drags, by the way it turns.
+    """
+    path = [
+        [
+            np.concatenate([[0.0], np.cumsum(0.5 * np.diff(drive.t) * (v[1:] + v[:-1]))])
+            for v in (drive.motion.v_left, drive.motion.v_right)
+        ]
+        for drive in problem.drives
+    ]
+    covered = np.array([max(float(np.abs(np.diff(s)).sum()) for s in each) for each in path])
+    chosen = np.sort(np.argsort(-covered, kind="stable")[:_WAVES])
+    drives, design = [problem.drives[k] for k in chosen], design.of_drives(chosen)
+    path = [path[k] for k in chosen]
+    speeds = np.concatenate([np.abs(d.motion.v_left) for d in drives])
+    usual = float(np.quantile(speeds, 0.9))
+    longest = float(covered.max())
+    if usual <= 0.0 or longest < 4 * _TURNS[0] * usual:
+        return []
+    least = max(1.0 / (_TURNS[1] * usual), 4.0 / longest)
+    counts = np.arange(least, 1.0 / (_TURNS[0] * usual), 0.5 / longest)
+    table, owner = design.rows[0], design.drives[design.blocks[0]]
+    residual = table[:, -1] - table[:, :-1] @ now.values
+    best = (0.0, 0, False, counts[0])
+    for side in (0, 1):
+        for dragging in (False, True):
+            explained = 0.0 * counts
+            for k, drive in enumerate(drives):
+                speed = (drive.motion.v_left, drive.motion.v_right)[side]
+                windows = drive.windows[0]
+                pull = windows.mean(np.abs(speed) if dragging else speed)
+                wave = pull[:, None] * np.exp(
+                    2j * np.pi * counts * windows.mean(path[k][side])[:, None]
+                )
+                power = float(pull @ pull)
+                if power > 0.0:
+                    explained += np.abs(residual[owner == k] @ wave) ** 2 / power
+            at = int(np.argmax(explained))
+            best = max(best, (float(explained[at]), side, dragging, float(counts[at])))
+    _, side, dragging, count = best
+    tables, level = [], []
+    for k, drive in enumerate(drives):
+        speed = (drive.motion.v_left, drive.motion.v_right)[side]
+        angle = 2 * np.pi * count * path[k][side]
+        waves = np.zeros((len(drive.t), 2 * len(drives)))
+        waves[:, 2 * k], waves[:, 2 * k + 1] = np.cos(angle), np.sin(angle)
+        pull = np.abs(speed) if dragging else speed
+        tables.append(drive.seen(waves * pull[:, None])[:, None])
+        level.append(drive.seen(np.abs(speed)[:, None])[:, None])
+    # What drags for a part of each turn has a mean, which is no wave.
+    design = design.joined(window_means(drives, level))
+    new = fit(design.joined(window_means(drives, tables)), errors, by_block=True)
+    gain, error = difference(fit(design, errors, by_block=True).losses, new.losses)
+    width = len(now.values) + 1
+    looks = 4 * len(counts)
+    p_value = min(new.p_value(range(width, len(new.values))) * looks, 1.0)
+    name = ("left", "right")[side]
+    words = f"force on the {name} side that comes back every {1 / count:.3g} m of its tread"
+    scale = len(errors)
+    return [Dependence(f"{name} tread", "traction", words, gain / scale, error / scale, p_value)]
+
+
 def _holm(found: Sequence[Dependence]) -> list[Dependence]:
     order = np.argsort([one.p_value for one in found])
     adjusted, running = np.zeros(len(found)), 0.0
@@ -320,7 +410,10 @@ def _holm(found: Sequence[Dependence]) -> list[Dependence]:
     return [replace(one, p_value=float(p)) for one, p in zip(found, adjusted, strict=True)]
 
 
-_CARRIED = {"power": "power", "traction": "traction resistance", "slip": "slip moment"}
+_CARRIED = {
+    "power": "power", "traction": "traction resistance", "slip": "slip moment",
+    "whole": "power of all forces", "ground": "force along the ground",
+}  # fmt: skip
 
 
 def in_words(name: str, carrier: str, knots: FloatArray, shape: FloatArray) -> str:

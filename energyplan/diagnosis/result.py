@@ -136,15 +136,20 @@ class Adequacy:
     residual : float
         Root mean square residual of the extended model [W].
     slow_noise, slow_residual : float
-        The same of means over two seconds [W].
+        The same of means over `time` [W].
     coloured : bool
-        Whether the residual lasts longer than noise would.
+        Whether the residual lasts longer than noise would, by more than chance.
+    time : float
+        Of half a second, two and eight seconds the one over which means differ most from those of
+        noise [s].
 
     Examples
     --------
     Noise that varies quickly averages out over two seconds; something that is missing does not:
 
-    >>> left = Adequacy(noise=5.0, residual=5.4, slow_noise=0.8, slow_residual=2.3, coloured=True)
+    >>> left = Adequacy(
+    ...     noise=5.0, residual=5.4, slow_noise=0.8, slow_residual=2.3, coloured=True, time=2.0
+    ... )
     >>> round(left.slow_residual / left.slow_noise, 1)
     2.9
     """
@@ -154,6 +159,7 @@ class Adequacy:
     slow_noise: float
     slow_residual: float
     coloured: bool
+    time: float
 
     @property
     def adequate(self) -> bool:

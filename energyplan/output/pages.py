@@ -144,7 +144,7 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
 
 def diagnosis_pictures(told: Diagnosis, holdout: Sequence[DriveLog]) -> Iterator[Picture]:
     """Yield the residual against the guilty channel, and power and energy, before and after."""
-    if told.dependences_before:
+    if any(one.knots for one in told.dependences_before):
         yield _guilty_channel(told, holdout)
     longest = int(np.argmax([log.duration for log in holdout]))
     log = holdout[longest]
@@ -160,7 +160,8 @@ def diagnosis_pictures(told: Diagnosis, holdout: Sequence[DriveLog]) -> Iterator
 
 
 def _guilty_channel(told: Diagnosis, holdout: Sequence[DriveLog]) -> Picture:
-    channel = told.dependences_before[0].channel
+    # What has no knots is no channel of a log: drives as a whole, waves, forces of the model.
+    channel = next(one.channel for one in told.dependences_before if one.knots)
     icr = told.model.vehicle.icr
     values = np.concatenate([signal(log.motion(icr), channel) for log in holdout])
     if channel == "yaw":

@@ -30,6 +30,36 @@ def eccentric_wheel(drive: DriveLog) -> tuple[FloatArray, FloatArray]:
     return 0.6 * K * np.sin(turned) * left, np.zeros_like(right)
 
 
+def bent_axle(drive: DriveLog) -> tuple[FloatArray, FloatArray]:
+    """Drag of the right side that comes back every 0.9 m."""
+    left, right = speeds(drive)
+    steps = 0.5 * np.diff(drive.t) * (right[1:] + right[:-1])
+    turned = 2 * np.pi * np.concatenate([[0.0], np.cumsum(steps)]) / 0.9
+    return np.zeros_like(left), 0.5 * K * (1 + np.sin(turned)) * np.abs(right)
+
+
+def hill(drive: DriveLog) -> tuple[FloatArray, FloatArray]:
+    """A ridge across the way, 9 cm high, that no slope channel shows."""
+    left, right = speeds(drive)
+    at = drive.channel("x") - float(np.median(drive.channel("x")))
+    climb = -0.09 * at / 1.5**2 * np.exp(-(at**2) / (2 * 1.5**2))
+    weight = ROBOT.vehicle.mass * 9.81 * climb * np.cos(drive.channel("yaw"))
+    return weight * left / 2, weight * right / 2
+
+
+def swinging_payload(drive: DriveLog) -> tuple[FloatArray, FloatArray]:
+    """A load of 100 kg on a cable of 0.7 m, which every change of speed makes swing."""
+    left, right = speeds(drive)
+    accel = np.gradient(0.5 * (left + right), drive.t)
+    stiff, step = 9.81 / 0.7, float(drive.t[1] - drive.t[0])
+    angle, rate, force = 0.0, 0.0, np.zeros(len(drive))
+    for k, push in enumerate(accel):
+        rate -= (push + stiff * angle + 0.1 * rate) * step
+        angle += rate * step
+        force[k] = -100.0 * stiff * angle
+    return force * left / 2, force * right / 2
+
+
 def auxiliary_load(drive: DriveLog) -> tuple[FloatArray, FloatArray]:
     on = 60.0 * (drive.t % 30.0 < 10.0)
     return on / 2, on / 2
@@ -130,9 +160,11 @@ def told(kind: Kind, seed: int = 11, *, total: bool = False) -> Diagnosis:
 @pytest.mark.parametrize(
     ("kind", "channels"),
     [
-        pytest.param(eccentric_wheel, set(), id="eccentric wheel"),
+        pytest.param(eccentric_wheel, {"left tread"}, id="eccentric wheel"),
+        pytest.param(hill, {"x"}, id="hill"),
+        pytest.param(swinging_payload, set(), id="swinging payload"),
         pytest.param(tyre_loses_pressure, {"t", "distance"}, id="tyre loses pressure"),
-        pytest.param(backlash, set(), id="backlash"),
+        pytest.param(backlash, {"since_start"}, id="backlash"),
         pytest.param(clock_drifts, set(), id="clock drifts"),
         pytest.param(gear_slips, set(), id="gear slips at high torque", marks=pytest.mark.nightly),
         pytest.param(sensor_hangs, set(), id="sensor hangs", marks=pytest.mark.nightly),
@@ -146,6 +178,12 @@ def test_what_the_catalogue_lacks_is_unexplained(kind: Kind, channels: set[str])
     found = told(kind)
     assert found.verdict == "unexplained"
     assert channels == set() or {one.channel for one in found.unexplained} & channels
+
+
+def test_a_drag_of_each_turn_is_told_with_its_side_and_length() -> None:
+    found = told(bent_axle)
+    turning = next(one for one in found.unexplained if one.channel == "right tread")
+    assert "every 0.90" in turning.shape
 
 
 def test_a_load_that_comes_and_goes_is_told_with_its_period() -> None:

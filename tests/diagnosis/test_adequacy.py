@@ -1,0 +1,47 @@
+"""Colour of a residual: told by chance and by what is as good as nothing, at any length."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from energyplan import DriveLog, PowerModel, simulate
+from energyplan.diagnosis.adequacy import adequacy
+from energyplan.diagnosis.joint_fit import final_fit
+from energyplan.diagnosis.result import Adequacy
+from energyplan.fit.drives.windows import prepared
+from energyplan.fit.least_squares import Problem
+from energyplan.path import FloatArray
+
+ROBOT = PowerModel.preset("quadriga:full:concrete")
+CLEAN = simulate.drive(ROBOT, simulate.IDENTIFICATION, rate=10.0, measured="total")
+SIZE = float(np.sqrt(np.mean(CLEAN.power**2)))
+
+
+def judged(more: FloatArray) -> Adequacy:
+    """Adequacy of the paper's model on a drive of which the log shows so much more power."""
+    log = DriveLog({**CLEAN.channels, "power": CLEAN.power + more}, "drive")
+    problem = Problem(prepared([log], ROBOT.vehicle), ROBOT.vehicle)
+    return adequacy(problem, final_fit(problem, ()))
+
+
+@pytest.mark.parametrize("share", [0.005, 0.03, 0.15])
+def test_white_noise_has_no_colour(share: float) -> None:
+    for seed in range(8):
+        noise = np.random.default_rng(seed).normal(0.0, share * SIZE, len(CLEAN))
+        assert judged(noise).adequate
+
+
+@pytest.mark.parametrize("period", [1.7, 6.0, 40.0])
+def test_what_lasts_is_coloured_though_it_is_less_than_noise(period: float) -> None:
+    noise = np.random.default_rng(5).normal(0.0, 0.04 * SIZE, len(CLEAN))
+    driving = CLEAN.channel("v_left") != 0.0  # at rest, nothing could tell it from noise
+    left = judged(noise + driving * 0.04 * SIZE * np.sin(2 * np.pi * CLEAN.t / period))
+    assert left.residual < 2.0 * left.noise
+    assert left.coloured
+    assert left.time < period
+
+
+def test_what_is_as_good_as_nothing_is_no_colour() -> None:
+    noise = np.random.default_rng(5).normal(0.0, 0.003 * SIZE, len(CLEAN))
+    assert judged(noise + 0.006 * SIZE * np.sin(2 * np.pi * CLEAN.t / 6.0)).adequate
