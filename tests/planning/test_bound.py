@@ -162,6 +162,23 @@ def test_no_path_beats_the_bound(seed):
         assert float(steering.energy(start, goal, COST)) <= found.lower_bound * (1 + 1e-9)
 
 
+@pytest.mark.parametrize("factor", [1e-4, 1e4])
+def test_joules_of_another_size_scale_the_bound(factor):
+    """A robot of a few grams, or one of many tons, in the same rooms: all energies as one."""
+
+    def bound(size):
+        cost = EnergyCost.from_coefficients(per_metre=120.0 * size, per_radian=90.0 * size, icr=0.3)
+        for start, goal in zip(poses[::2], poses[1::2], strict=True):
+            query = CompiledProblem(PlanningProblem(grid, cost, start, goal))
+            most = 3.0 * float(steering.energy(start, goal, cost))
+            yield lower_bound(query, most).value / size
+
+    grid = cluttered(1)
+    vehicle = EnergyCost.from_coefficients(per_metre=1.0, per_radian=1.0, icr=0.3).vehicle
+    poses = free_poses(grid, 8, 1, vehicle)
+    assert list(bound(factor)) == pytest.approx(list(bound(1.0)), rel=1e-6)
+
+
 def test_bound_is_close_around_one_pillar():
     occupied = np.zeros((200, 300), bool)
     occupied[60:140, 140:160] = True
