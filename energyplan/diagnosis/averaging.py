@@ -204,14 +204,14 @@ def averaged(
     -------
     Averaged or None
         None where the paper's terms say nothing beside the explanation and no runs were left out,
-        or the drives took no energy. With fewer than `FEWEST_RUNS` runs an explanation is left as
-        it is where it has no effect that only some robots have, or where it foretells the blocks,
+        or the drives took no energy. One run without an effect that only some robots have is left
+        as it is, and so are fewer than `FEWEST_RUNS` that the explanation foretells, block by block
         over two seconds, as well as runs are alike: then little is left that another motion could
         bring to light.
     """
     count = len(problem.drives)
     picked = sum(bool(part.terms) and not part.effect.usual for part in parts)
-    if count < FEWEST_RUNS and not picked:
+    if count < FEWEST_RUNS and not picked and (count == 1 or not parts):
         return None
     plain = problem.of_totals.with_factors([1.0] * count)
     values = np.array(fitted.model.coefficients)
@@ -236,7 +236,7 @@ def averaged(
         return None
     grams = weighted(design, errors)
     folds = {"run": windows.run} if count > 1 else {}
-    if count < FEWEST_RUNS:
+    if count < FEWEST_RUNS and picked:
         folds["kind of motion"] = _motions(plain, paper)
     compared = [
         _compared(what, fold, windows, whole.longest[0], (short, long), grams)
