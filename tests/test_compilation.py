@@ -357,6 +357,31 @@ def test_an_error_ends_the_others_at_once(many: Path, tmp_path: Path) -> None:
     assert "a mistyped pose" in found.stderr
 
 
+CODE = """
+import hashlib
+from energyplan.compilation import shortcuts
+from energyplan.compilation.kernel import KERNELS
+shortcuts.TRIED = {tried}
+import energyplan.limits.motor_kernels
+for kernel in [k for name, k in KERNELS.items() if name.startswith("energyplan.limits.motor_k")]:
+    kernel.prepare()
+for name, kernel in sorted(KERNELS.items()):
+    for made in kernel.overloads.values():
+        code = str(made.library.get_function(made.fndesc.llvm_func_name))
+        print(name, hashlib.sha256(code.encode()).hexdigest())
+"""
+
+
+def test_machine_code_is_the_same_without_shortcuts(tmp_path: Path) -> None:
+    """As with a release of Numba that nobody has tried."""
+    made = [
+        run(CODE.format(tried=tried), ENERGYPLAN_CACHE_DIR=str(tmp_path / str(k))).stdout
+        for k, tried in enumerate(("shortcuts.TRIED", "((0, 0), (0, 1))"))
+    ]
+    assert made[0].count("\n") >= 5
+    assert made[0] == made[1]
+
+
 class Fake:
     """What a pool knows of a kernel."""
 

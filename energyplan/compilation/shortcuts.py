@@ -5,7 +5,7 @@ subscript of each kernel Numba tries all that has ever been registered for it, t
 apart by comparing all of them each time, and has LLVM read a type to learn its size. It sets up an
 optimiser for every function that a kernel names, though only those with a body can be optimised,
 and wraps its own functions for callers in C, of which there are none. The machine code is the same
-with these shortcuts as without them.
+with these shortcuts as without them, and they are not taken with releases of Numba not tried yet.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import numba
 from llvmlite.binding import ModuleRef
 from llvmlite.ir import Type
 from numba.core.codegen import CPUCodeLibrary
@@ -21,6 +22,9 @@ from numba.core.compiler import Flags
 from numba.core.cpu import CPUContext
 from numba.core.targetconfig import ConfigStack
 from numba.core.types.functions import BaseFunction
+
+TRIED = (0, 60), (0, 68)
+"""The first and the last release of Numba whose insides are known to be as the shortcuts need."""
 
 
 class Options(Flags):
@@ -110,6 +114,9 @@ _SHORTCUTS: tuple[tuple[Any, str, Any], ...] = (
 @contextmanager
 def taking_shortcuts() -> Iterator[None]:
     """Have Numba take them. Whoever enters holds the compiler's lock."""
+    if not TRIED[0] <= tuple(int(part) for part in numba.__version__.split(".")[:2]) <= TRIED[1]:
+        yield
+        return
     before = [(owner, name, getattr(owner, name)) for owner, name, _ in _SHORTCUTS]
     for owner, name, shortcut in _SHORTCUTS:
         setattr(owner, name, shortcut)

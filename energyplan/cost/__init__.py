@@ -39,6 +39,8 @@ class EnergyCost(SteadyDriving):
     model : PowerModel
         The power model with its vehicle. It must not need a channel that steady motion on level
         ground does not have, unless `channels` gives it.
+        What it contains of the ground of some place, such as a slope that a diagnosis found, is
+        left out, for a cost knows no map: problems and missions put it on theirs.
     battery : bool
         Whether energy is counted at the battery, with the vehicle's drive and regeneration
         efficiencies, rather than at the treads.
