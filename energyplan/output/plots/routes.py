@@ -266,7 +266,7 @@ def _name_places(figure: Figure, places: Mapping[str, tuple[float, float]], line
     drawn = ax.transData.transform(line)
     steps = np.linspace(0.0, 1.0, 50)[:, None, None]  # closer than a name is high
     between = drawn[:-1] + steps * np.diff(drawn, axis=0)
-    busy = np.vstack([between.reshape(-1, 2), ax.transData.transform(marks)])
+    busy_x, busy_y = np.vstack([between.reshape(-1, 2), ax.transData.transform(marks)]).T.copy()
     taken: list[Any] = []
     turns = np.arange(16) * np.pi / 8 + np.pi / 4
     for note, at in zip(notes, marks, strict=True):
@@ -284,8 +284,11 @@ def _name_places(figure: Figure, places: Mapping[str, tuple[float, float]], line
                 )
                 out = np.any(low < frame.min) or np.any(top > frame.max)
                 hit = sum(bool(np.all(low < b) and np.all(a < top)) for a, b in taken)
-                over = np.count_nonzero(np.all((busy > low) & (busy < top), axis=1))
-                price = 1e6 * out + 1e4 * hit + 10.0 * over + gap
+                price = 1e6 * out + 1e4 * hit + gap
+                if price < least:
+                    beside = (busy_x > low[0]) & (busy_x < top[0])
+                    over = beside & (busy_y > low[1]) & (busy_y < top[1])
+                    price += 10.0 * np.count_nonzero(over)
                 if price < least:
                     best, least, place = tuple((low - centre) / scale + 1), price, (low, top)
         note.set_position(best)
