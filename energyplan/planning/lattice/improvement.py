@@ -22,6 +22,7 @@ from energyplan.planning.lattice.search import EXPANSION, Search, lattice_for
 from energyplan.planning.lattice.shortest import shortest_way
 from energyplan.planning.lattice.slots import slot_work, way_through_slots
 from energyplan.planning.lattice.tight_ends import Ends, ways_out
+from energyplan.planning.lattice.turning import Turned, ways_with_turns
 from energyplan.planning.lattice.way_along import way_along
 from energyplan.planning.parallel import Work, do_together, side_by_side
 from energyplan.planning.problem import PlanningProblem
@@ -75,6 +76,9 @@ MOST = 2000
 SEARCH_SHARE = 0.6
 """Part of the time left after the first plan that the searches may take."""
 
+TURNING_SHARE = 0.75
+"""Part of what the searches may take that seeking ways by their turns may."""
+
 BOUND_SHARE = 0.15
 """Part of that time that the bound may take at most at a time."""
 
@@ -121,10 +125,13 @@ def _bound_part(budget: Budget) -> float:
 
 
 class Improvement:
-    """The best motions so far, and how to better them."""
+    """The best motions so far, and how to better them; by their turns where `turning` says so."""
 
-    def __init__(self, query: CompiledProblem, budget: Budget, gap: float, seed: int) -> None:
+    def __init__(
+        self, query: CompiledProblem, budget: Budget, gap: float, seed: int, turning: bool = True
+    ) -> None:
         self.query = query
+        self.turning = turning
         self.setting = query.setting
         self.budget = budget
         self.gap = gap
@@ -294,6 +301,9 @@ class Improvement:
     def search(self) -> None:
         """Find further paths until the searches' part of the budget is over, or the gap closed."""
         left = self.budget.left
+        first = self.budget.part(SEARCH_SHARE)
+        if self.turning:
+            do_together(first, [*self.portfolio.turns(self.enough), *self._turning(first)])
         # what is found must be refined before the end
         searching = self.budget.part(SEARCH_SHARE)
         kept = self.kept = _bound_part(self.budget)
@@ -362,6 +372,20 @@ class Improvement:
 
         return [Work(run, units, take)]
 
+    def _turning(self, budget: Budget) -> list[Work]:
+        """Return the search for the ways that are cheapest by their length and turns."""
+        setting, known = self.ends.between(self.setting), self.fields.get(1.0)
+
+        def run(own: Budget) -> Turned:
+            return ways_with_turns(setting, known, own)
+
+        def take(found: Turned) -> None:
+            self.fields.setdefault(1.0, found.to_go)
+            for way in found.ways:
+                self._enter(way)
+
+        return [Work(run, TURNING_SHARE * budget.left, take)]
+
     def _guiding(self, begun: Iterable[Sought], budget: Budget) -> list[Work]:
         """Return the search for guides of a round that are not known, and for ways along them."""
         missing = sorted({sought.penalty for sought in begun} - set(self.fields))
@@ -383,7 +407,7 @@ class Improvement:
 
     def _searching(self, begun: Iterable[Sought], most: int) -> list[Work]:
         """Return what goes on with all searches, and begins some."""
-        searches = [*self._new_searches(begun), *self.searches]
+        searches = [*self.searches, *self._new_searches(begun)]
         self.searches = []
 
         def take(search: Search, before: float, state: int) -> None:

@@ -84,7 +84,10 @@ def plan(
     # a path between tight ends may prove not to be free: then planning is done anew
     whole, stops = budget, stops_count(led)
     budget = budget.part(1.0 - SHARE) if stops else budget
-    work = Improvement(led, budget if led.ends_roomy else budget.part(0.5), gap, seed)
+    # driven with stops the route of another kind may take less, though the shortest one, made of
+    # what is found by turns, is cheaper at a steady speed and so would rule it out
+    within = budget if led.ends_roomy else budget.part(0.5)
+    work = Improvement(led, within, gap, seed, turning=not stops)
     if bound is not None and led is query:
         work.bounding.know(bound - query.potential(problem.goal))
     for path in known:

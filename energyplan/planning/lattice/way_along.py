@@ -12,15 +12,23 @@ from math import atan2, hypot, inf, pi
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import Floats, FloatTable
+from energyplan.compilation.arrays import Floats, FloatTable, Ints
 from energyplan.path import FloatArray, Pose
 from energyplan.planning.budget import Budget
 from energyplan.planning.lattice.passage_kernels import follow, thread
 from energyplan.planning.lattice.search import Search, lattice_for
 from energyplan.planning.scene.compiled import Segments
-from energyplan.planning.scene.guide_kernels import HEADINGS, RIM, DistanceToGo, node_at, to_and_fro
+from energyplan.planning.scene.guide_kernels import (
+    HEADINGS,
+    RIM,
+    DistanceToGo,
+    Places,
+    node_at,
+    to_and_fro,
+)
 from energyplan.planning.scene.motions import KernelProblem, join
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy
 from energyplan.terrain.collision import Body, pose_free
@@ -77,7 +85,12 @@ class Joined(NamedTuple):
     tried: int
 
 
-def way_along(setting: KernelProblem, to_go: DistanceToGo, budget: Budget) -> Segments | None:
+def way_along(
+    setting: KernelProblem,
+    to_go: DistanceToGo,
+    budget: Budget,
+    chain: NDArray[np.int64] | None = None,
+) -> Segments | None:
     """Return motions along the way to go.
 
     Parameters
@@ -88,6 +101,8 @@ def way_along(setting: KernelProblem, to_go: DistanceToGo, budget: Budget) -> Se
         Distance to go.
     budget : Budget
         What may be spent.
+    chain : ndarray of int, optional
+        Nodes from the start to the goal to go along instead.
 
     Returns
     -------
@@ -95,7 +110,8 @@ def way_along(setting: KernelProblem, to_go: DistanceToGo, budget: Budget) -> Se
         The motions, free of collisions; None where poses are not joined, or nothing leads to the
         goal.
     """
-    poses = poses_along(to_go, setting)
+    chain = chain_along(to_go, setting) if chain is None else chain
+    poses = poses_along(to_go.places, setting, chain)
     parts: list[Segments] = []
     at, end = 0, len(poses) - 1
     while at < end and not budget.over:
@@ -163,8 +179,8 @@ def _grown(body: Body, by: float) -> Body:
 
 
 @njit
-def poses_along(to_go: DistanceToGo, setting: KernelProblem) -> FloatTable:
-    """Return poses along the way to go, from the start to the goal; none where it is not known.
+def chain_along(to_go: DistanceToGo, setting: KernelProblem) -> Ints:
+    """Return the nodes along the way to go, from the start to the goal; none where it is not known.
 
     Parameters
     ----------
@@ -173,21 +189,38 @@ def poses_along(to_go: DistanceToGo, setting: KernelProblem) -> FloatTable:
     setting : KernelProblem
         The problem.
     """
-    places = to_go.places
-    space = setting.space
-    node = node_at(to_go, space, setting.start_x, setting.start_y, setting.start_yaw)
+    node = node_at(to_go, setting.space, setting.start_x, setting.start_y, setting.start_yaw)
+    start = node
     count = 0
     if node >= 0 and to_go.distance[node] < inf:
         while node >= 0:
             count += 1
             node = int(to_go.after[node])
     chain = np.empty(count, np.int64)
-    if count == 0:
-        return np.empty((0, 3))
-    node = node_at(to_go, space, setting.start_x, setting.start_y, setting.start_yaw)
+    node = start
     for k in range(count):
         chain[k] = node
         node = int(to_go.after[node])
+    return chain
+
+
+@njit
+def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTable:
+    """Return poses along a way, from the start to the goal; none where it has no nodes.
+
+    Parameters
+    ----------
+    places : Places
+        The nodes.
+    setting : KernelProblem
+        The problem.
+    chain : ndarray of int
+        Nodes along the way.
+    """
+    space = setting.space
+    count = len(chain)
+    if count == 0:
+        return np.empty((0, 3))
     across = places.columns + 2 * RIM
     turn = 2.0 * pi / HEADINGS
     per_turn = setting.least_radian * turn
