@@ -452,7 +452,7 @@ def test_a_terminal_is_told_what_is_compiled(many: Path, tmp_path: Path) -> None
     pty = pytest.importorskip("pty")
     theirs, ours = pty.openpty()
     code = (
-        "from energyplan.cli.common import progress\n"
+        "from energyplan.cli.answers import progress\n"
         "with progress('planning'):\n"
         "    from energyplan.compilation import compile_kernels\n"
         "    import energyplan.many\n"

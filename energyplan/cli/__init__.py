@@ -25,15 +25,9 @@ from energyplan.cli import (
     _warmup,
     _watch,
 )
-from energyplan.cli.common import (
-    INTERRUPTED,
-    Json,
-    answer,
-    app,
-    give_up_stdout,
-    warn,
-    writes_folder,
-)
+from energyplan.cli.answers import INTERRUPTED, answer, give_up_stdout, warn
+from energyplan.cli.app import app
+from energyplan.cli.options import Json, writes_folder
 from energyplan.errors import EnergyPlanError, MissingDependencyError, TimeLimitError
 
 __all__ = ["app", "main"]

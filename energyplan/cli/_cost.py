@@ -8,7 +8,9 @@ from typing import Annotated
 import typer
 
 from energyplan.cli._planning import model_without_map
-from energyplan.cli.common import Json, ModelName, answer, app, writes
+from energyplan.cli.answers import answer
+from energyplan.cli.app import app
+from energyplan.cli.options import Json, ModelName, writes
 from energyplan.errors import InvalidInputError
 
 

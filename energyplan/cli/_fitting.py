@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from energyplan.cli.common import (
-    App,
+from energyplan.cli.answers import answer, progress, verdict, warn
+from energyplan.cli.app import App, app
+from energyplan.cli.inputs import contradictions, notes, read_logs
+from energyplan.cli.options import (
     Columns,
     Json,
     Logs,
@@ -20,14 +22,6 @@ from energyplan.cli.common import (
     Strict,
     Topics,
     VehicleName,
-    answer,
-    app,
-    contradictions,
-    notes,
-    progress,
-    read_logs,
-    verdict,
-    warn,
 )
 from energyplan.cli.reports import write_report
 from energyplan.errors import InvalidInputError, UnknownNameError

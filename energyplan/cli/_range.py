@@ -9,16 +9,10 @@ from typing import Annotated
 import typer
 
 from energyplan.cli._planning import AtBattery, Heights, MapFile, Speed, Surfaces, ground_of
-from energyplan.cli.common import (
-    IMAGES,
-    Json,
-    ModelName,
-    answer,
-    app,
-    parse_pose,
-    progress,
-    writes,
-)
+from energyplan.cli.answers import answer, progress
+from energyplan.cli.app import app
+from energyplan.cli.inputs import parse_pose
+from energyplan.cli.options import IMAGES, Json, ModelName, writes
 
 
 @app.command(

@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
-from energyplan.cli.common import YAML, Json, ModelName, answer, app, progress, writes
+from energyplan.cli.answers import answer, progress
+from energyplan.cli.app import app
+from energyplan.cli.options import YAML, Json, ModelName, writes
 from energyplan.errors import InvalidInputError
 
 

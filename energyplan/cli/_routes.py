@@ -27,7 +27,10 @@ from energyplan.cli._planning import (
     problem_of,
     write_plans,
 )
-from energyplan.cli.common import Json, ModelName, Strict, answer, app, parse_pose, progress, writes
+from energyplan.cli.answers import answer, progress
+from energyplan.cli.app import app
+from energyplan.cli.inputs import parse_pose
+from energyplan.cli.options import Json, ModelName, Strict, writes
 from energyplan.errors import InvalidInputError, NoPathError
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from energyplan.cli.common import app
+from energyplan.cli.app import app
 
 
 @app.command(epilog="Example: energyplan serve maps --port 8321")

@@ -9,7 +9,9 @@ from typing import Annotated
 
 import typer
 
-from energyplan.cli.common import YAML, Json, Strict, answer, app, progress, verdict, writes
+from energyplan.cli.answers import answer, progress, verdict
+from energyplan.cli.app import app
+from energyplan.cli.options import YAML, Json, Strict, writes
 from energyplan.errors import InvalidInputError
 
 

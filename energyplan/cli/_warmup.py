@@ -6,7 +6,9 @@ from typing import Annotated
 
 import typer
 
-from energyplan.cli.common import Json, answer, app, progress
+from energyplan.cli.answers import answer, progress
+from energyplan.cli.app import app
+from energyplan.cli.options import Json
 
 
 @app.command(epilog="Example: energyplan warmup --json")

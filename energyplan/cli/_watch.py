@@ -14,23 +14,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from energyplan.cli.common import (
-    YAML,
-    Columns,
-    Json,
-    Logs,
-    OutModel,
-    Topics,
-    VehicleName,
-    answer,
-    app,
-    give_up_stdout,
-    progress,
-    read_logs,
-    say,
-    warn_of_presets,
-    writes,
-)
+from energyplan.cli.answers import answer, give_up_stdout, progress, say, warn_of_presets
+from energyplan.cli.app import app
+from energyplan.cli.inputs import read_logs
+from energyplan.cli.options import YAML, Columns, Json, Logs, OutModel, Topics, VehicleName, writes
 from energyplan.errors import InvalidInputError
 
 if TYPE_CHECKING:

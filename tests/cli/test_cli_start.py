@@ -260,7 +260,7 @@ def test_every_answer_from_a_preset_says_so(
 
 
 def test_a_preset_that_a_mission_names_is_told(tmp_path: Path) -> None:
-    from energyplan.cli.common import presets_named
+    from energyplan.cli.app import presets_named
 
     mission = tmp_path / "round.yaml"
     mission.write_text("model: husky_a200:ice\nmap: office.yaml\n")

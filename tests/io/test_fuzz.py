@@ -39,7 +39,7 @@ from hypothesis import strategies as st
 
 import energyplan as ep
 from energyplan import cli
-from energyplan.cli.common import parse_pose
+from energyplan.cli.inputs import parse_pose
 from energyplan.errors import EnergyPlanError
 
 MANY = int(os.environ.get("ENERGYPLAN_FUZZ", "0"))

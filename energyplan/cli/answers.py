@@ -1,0 +1,91 @@
+"""What commands print: the answer, words beside it, progress."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+import typer
+
+presets_used: ContextVar[dict[str, str]] = ContextVar("presets", default={})  # noqa: B039
+"""Ready-made models that the command in hand uses, with their sources; never changed in place."""
+NO, INTERRUPTED = 3, 130
+"""Exit codes of a negative answer with ``--strict``, and of Ctrl-C."""
+
+
+def say(text: str) -> None:
+    """Print a line of the answer."""
+    sys.stdout.write(text + "\n")
+
+
+def give_up_stdout() -> None:
+    """Write no more answers: Python, when it ends, must not try to write to what was closed."""
+    sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115
+
+
+def warn(text: str) -> None:
+    """Print a line that is no part of the answer."""
+    sys.stderr.write(text + "\n")
+
+
+def answer(document: dict[str, Any], lines: list[str], *, json: bool) -> None:
+    """Print the answer, as JSON or as lines of text; JSON names ready-made models."""
+    presets = [
+        {"name": name, "measured": False, "source": source}
+        for name, source in presets_used.get().items()
+    ]
+    if presets:
+        document = {**document, "preset": presets}
+    warn_of_presets()  # with the answer: an error stays one line
+    if json:
+        say(jsonlib.dumps(document, indent=1, allow_nan=False))
+    else:
+        say("\n".join(lines))
+
+
+def warn_of_presets() -> None:
+    """Say which ready-made models the command in hand uses."""
+    for name, source in presets_used.get().items():
+        warn(f"preset {name}: not measured on this robot, but taken from {source}")
+
+
+def verdict(yes: bool, strict: bool) -> None:
+    """End with another exit code where the answer is no and ``--strict`` was given."""
+    if strict and not yes:
+        raise typer.Exit(NO)
+
+
+@contextmanager
+def progress(text: str) -> Iterator[Any]:
+    """Show on stderr that work goes on; yields ``update(fraction, text)``."""
+    if not sys.stderr.isatty():
+        yield lambda fraction, note="": None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from energyplan.compilation import Compiling, on_compile
+
+    # A bar without a total moves to and fro, until the work tells how far it is.
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(text, total=None)
+
+        def compiling(what: Compiling) -> None:
+            note = what.name.removeprefix("energyplan.")
+            if what.total:
+                note = f"{what.done + 1} of {what.total} kernels" if what.name else ""
+            bar.update(task, description=f"preparing, once: {note}" if note else text)
+
+        ended = on_compile(compiling)
+        try:
+            yield lambda fraction, note="": bar.update(
+                task, total=1.0, completed=fraction, description=note or text
+            )
+        finally:
+            ended()

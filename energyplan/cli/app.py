@@ -1,0 +1,203 @@
+"""The app, and what every command does before it begins."""
+
+from __future__ import annotations
+
+import math
+import select
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from energyplan.cli.answers import presets_used, say
+from energyplan.cli.options import OUTPUTS
+from energyplan.cli.reports import remember_command
+from energyplan.errors import InvalidInputError
+
+_PROJECT, _ARGUMENTS = "energyplan.project", "energyplan.given"
+"""Where the context of a command keeps the project's file, and the arguments as they were given."""
+
+
+class Command(TyperCommand):
+    """A command that looks at its outputs before it begins, and takes lists and a project.
+
+    An option whose metavar ends with dots takes all that follows it, up to the next option.
+    ``--project`` gives the options ``--vehicle``, ``--columns`` and ``--topics`` their value.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.params.append(_project_option())
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments, each value of a list as if its option stood before it."""
+        ctx.meta[_ARGUMENTS] = list(args)
+        lists = {
+            name
+            for param in self.params
+            if (getattr(param, "metavar", None) or "").endswith("...")
+            for name in param.opts
+            if name.startswith("-")
+        }
+        spread: list[str] = []
+        current = None
+        for k, word in enumerate(args):
+            if word == "--":
+                spread += args[k:]
+                break
+            if word.startswith("-") and len(word) > 1:
+                name, joined, _ = word.partition("=")
+                current = name if name in lists else None
+                if current is None or joined:
+                    spread.append(word)
+            elif current is not None:
+                spread += [current, word]
+            else:
+                spread.append(word)
+            follows = args[k + 1 :]
+            bare = current is not None and word == current
+            if bare and (not follows or follows[0].startswith("-")):
+                spread.append(word)  # without a value: the parser says so
+        return super().parse_args(ctx, spread)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command, unless it could not end well."""
+        from energyplan.io.files import refuse_overwriting
+
+        check_standard_output()
+        for param in self.params:
+            if isinstance(value := ctx.params.get(param.name), float) and math.isnan(value):
+                raise InvalidInputError(f"{param.opts[0]} is nan; give a number")
+        outputs = ctx.meta.get(OUTPUTS, {})
+        given = [value for name, value in ctx.params.items() if name not in outputs]
+        values = [v for value in given for v in (value if isinstance(value, list) else [value])]
+        inputs = [v for v in (*values, ctx.meta.get(_PROJECT)) if isinstance(v, str | Path)]
+        refuse_overwriting(list(outputs.values()), inputs)
+        presets_used.set(presets_named(inputs))
+        words = [*ctx.command_path.split(), *ctx.meta.get(_ARGUMENTS, ())]
+        remember_command(words, inputs)
+        return super().invoke(ctx)
+
+
+def presets_named(inputs: list[str | Path]) -> dict[str, str]:
+    """Return the ready-made models that a command's values or files name, with their sources."""
+    from energyplan.io.files import strings_behind
+    from energyplan.power.presets import MODEL_PRESETS
+
+    named = {name for value in inputs for name in (str(value), *strings_behind(value))}
+    return {name: preset.source for name, preset in MODEL_PRESETS.items() if name in named}
+
+
+class _Group(TyperGroup):
+    """A group of commands that shows its help where no command is named."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if not args and not ctx.resilient_parsing:
+            say(ctx.get_help())
+            raise typer.Exit(0)
+        return super().parse_args(ctx, args)
+
+
+CommandFunction = TypeVar("CommandFunction", bound=Callable[..., Any])
+
+
+class App(typer.Typer):
+    """A group of commands, each a `Command`."""
+
+    def __init__(self, **options: Any) -> None:
+        settings = {"help_option_names": ["-h", "--help"]}
+        super().__init__(cls=_Group, context_settings=settings, **options)
+
+    def command(
+        self, name: str | None = None, **options: Any
+    ) -> Callable[[CommandFunction], CommandFunction]:
+        """Register a command."""
+        return super().command(name, **{"cls": Command, **options})
+
+
+def _take_project(ctx: typer.Context, value: Path | None) -> Path | None:
+    """Let the project give the options that it can the value of its file."""
+    if value is not None and not ctx.resilient_parsing:
+        from energyplan.io.project import read_project
+
+        project = read_project(value)
+        ctx.meta[_PROJECT] = value
+        given = {"vehicle": True, "columns": project.columns, "topics": project.topics}
+        told = {name: str(value) for name, there in given.items() if there}
+        ctx.default_map = {**(ctx.default_map or {}), **told}
+    return value
+
+
+def _project_option() -> Any:
+    """Build the option that every command has."""
+    from typer.main import get_command
+
+    parts = typer.Typer(add_completion=False)
+
+    @parts.command()
+    def take(
+        project: Annotated[
+            Path | None,
+            typer.Option(
+                callback=_take_project,
+                expose_value=False,
+                is_eager=True,
+                help="Project written by start, in place of --vehicle, --columns and --topics.",
+            ),
+        ] = None,
+    ) -> None:
+        """Hold the option."""
+
+    return next(param for param in get_command(parts).params if param.name == "project")
+
+
+def check_standard_output() -> None:
+    """Refuse to begin where nobody can read the answer.
+
+    Raises
+    ------
+    InvalidInputError
+        If the standard output is closed, or is a pipe that nobody reads.
+    """
+    if sys.stdout is None:
+        raise InvalidInputError("the standard output is closed; the answer has no place to go")
+    try:
+        number = sys.stdout.fileno()
+    except (OSError, ValueError):
+        return  # not a file of the system, as where a program caught it
+    if hasattr(select, "poll"):
+        watch = select.poll()
+        watch.register(number, select.POLLOUT)
+        if any(event & (select.POLLERR | select.POLLNVAL) for _, event in watch.poll(0)):
+            raise InvalidInputError(
+                "the standard output is a closed pipe; the answer has no place to go"
+            )
+
+
+def _version(value: bool) -> None:
+    if value:
+        from energyplan import __version__
+
+        say(f"energyplan {__version__}")
+        raise typer.Exit(0)
+
+
+app = App(
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Energy-aware path planning for wheeled skid-steer robots.",
+    epilog="Begin with: energyplan start LOG --out PROJECT.yaml, or energyplan demo",
+)
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    """Energy-aware path planning for wheeled skid-steer robots."""

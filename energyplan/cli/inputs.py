@@ -1,0 +1,79 @@
+"""What commands are given: logs, poses."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from energyplan.cli.answers import progress
+from energyplan.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from energyplan.logs import DriveLog
+    from energyplan.path import Pose
+    from energyplan.vehicle import Vehicle
+
+
+def read_logs(
+    paths: list[Path], columns: str | None, topics: str | None, vehicle: str
+) -> list[DriveLog]:
+    """Read drive logs; of bags the vehicle tells the topic map where none is given."""
+    from energyplan.io.bags import is_bag
+    from energyplan.io.logs import read_log
+    from energyplan.io.topics import topic_map_of
+
+    bags = [path for path in paths if is_bag(path)]
+    chosen = topics or topic_map_of(vehicle)
+    if bags and chosen is None:
+        raise InvalidInputError(
+            f"{bags[0]}: the topics and the wheel radius are not known: give --topics, or "
+            f"a project that energyplan start {bags[0]} --out PROJECT.yaml makes"
+        )
+    with progress("reading") as update:
+        return [read_log(path, columns, topics=chosen, progress=update) for path in paths]
+
+
+def contradictions(logs: list[DriveLog], vehicle: Vehicle) -> list[str]:
+    """Return how logs contradict the vehicle, and what mistake would explain it."""
+    from energyplan.logs.consistency import Measures, check_consistency
+    from energyplan.logs.evidence import gather
+
+    return [
+        f"{log.name}: {check}"
+        for log in logs
+        for check in check_consistency(
+            gather(log.channels, log.power, log.runs), Measures.of(vehicle)
+        )
+        if not check.ok
+    ]
+
+
+def notes(logs: list[DriveLog]) -> list[str]:
+    """Return what the readers of logs warned of."""
+    return [f"{log.name}: {warning}" for log in logs for warning in log.warnings]
+
+
+def parse_pose(text: str) -> Pose:
+    """Return the pose that ``X,Y,YAW`` stands for."""
+    from energyplan.path import Pose
+
+    parts = text.split(",")
+    try:
+        if len(parts) != 3:
+            raise ValueError(text)
+        yaw = parts[2].strip()
+        turn = math.radians(float(yaw[:-3])) if yaw.endswith("deg") else float(yaw)
+        pose = Pose(float(parts[0]), float(parts[1]), turn)
+        if not all(math.isfinite(value) for value in pose):
+            raise ValueError(text)
+    except ValueError:
+        raise InvalidInputError(
+            f"pose {text!r} is not X,Y,YAW; write it like 2.0,3.5,90deg or 2.0,3.5,1.57"
+        ) from None
+    if abs(pose.yaw) > 6.3:
+        raise InvalidInputError(
+            f"the yaw of pose {text!r} is more than a full turn in radians; for degrees write "
+            f"{parts[2].strip().removesuffix('deg')}deg, up to 360"
+        )
+    return pose
