@@ -14,11 +14,41 @@ from energyplan.fit.least_squares import PAPER, Fit, Problem
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Sides, Term
 from energyplan.power.effect_terms import SLIP_CHANGE, TRACTION_CHANGE
-from energyplan.vehicle import GRAVITY
+from energyplan.vehicle import GRAVITY, Vehicle
 
 _MARGIN = 1.5  # over what the vehicle's description gives
 _OVER = 0.05  # over the upper end of a coefficient, by which noise of the speeds may put it beyond
+_MASS = 0.4  # standard deviation of the logarithm of a robot's mass over that of its description
 _USUAL = 0.99  # quantile over the samples: single ones may be noise of a speed's derivative
+
+
+def likeness(vehicle: Vehicle, parts: Sequence[Part], values: FloatArray) -> float:
+    """Return how likely the masses that effects find are, by the vehicle's own.
+
+    Powers tell forces and masses over an efficiency (docs/theory, section 6): of two explanations
+    that drives cannot tell apart, the vehicle's mass may tell which is right.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    parts : sequence of Part
+        The effects.
+    values : ndarray, shape (k,)
+        Coefficients of the paper's terms and of theirs.
+
+    Returns
+    -------
+    float
+        At most one, which is that of effects that tell no mass of the robot.
+    """
+    found, at = 0.0, len(PAPER)
+    for part in parts:
+        if part.effect.of_mass is not None and part.effect.of_mass[0] > 0.0:
+            apart = np.log(max(float(values[at]), 1e-9 * vehicle.mass) / vehicle.mass)
+            found += (apart / _MASS) ** 2
+        at += len(part.terms)
+    return float(np.exp(-0.5 * found))
 
 
 def drivable(problem: Problem, terms: Sequence[Term], model: PowerModel) -> bool:

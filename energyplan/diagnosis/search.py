@@ -15,7 +15,7 @@ from energyplan.diagnosis.change_points import mark_changes
 from energyplan.diagnosis.evidence import Account, classes, innovations, residuals
 from energyplan.diagnosis.explanations import Evaluated, Explanation, Found, Gain
 from energyplan.diagnosis.part import Part
-from energyplan.diagnosis.plausible import Rest
+from energyplan.diagnosis.plausible import Rest, likeness
 from energyplan.diagnosis.proposals import (
     OF_LOG,
     RARE,
@@ -371,7 +371,10 @@ class Search(Proposals):
         return Found(tuple(ranked), tuple(self.untested))
 
     def _classed(self, ranked: Sequence[Explanation]) -> list[Explanation]:
-        """Say of each explanation which others these drives cannot tell it from."""
+        """Say of each explanation which others these drives cannot tell it from.
+
+        Of those the one is first whose masses are most like the vehicle's.
+        """
         compared = [one for one in ranked if one.probability > _COMPARED]
         accounts = []
         for one in compared:
@@ -379,9 +382,23 @@ class Search(Proposals):
             errors = one.problem.reference(design)
             accounts.append(Account(design, fit(design, errors), errors))
         number = classes(accounts, lambda e, n: float(self.likelihood(e, n)))
-        return [
+        share = np.array([one.probability for one in compared])
+        like = np.array(
+            [
+                likeness(one.problem.vehicle, one.parts, account.fit.values)
+                for one, account in zip(compared, accounts, strict=True)
+            ]
+        )
+        for head in set(number):
+            same = np.array(number) == head
+            if (share * like)[same].any():
+                share[same] = (share * like)[same] * (
+                    share[same].sum() / (share * like)[same].sum()
+                )
+        told = [
             replace(
                 one,
+                probability=float(share[k]) if k < len(compared) else one.probability,
                 alike=tuple(
                     compared[j].names for j in range(len(compared))
                     if k < len(compared) and j != k and number[j] == number[k]
@@ -389,6 +406,7 @@ class Search(Proposals):
             )
             for k, one in enumerate(ranked)
         ]  # fmt: skip
+        return sorted(told, key=lambda one: -round(one.probability, 3))
 
     def _refined(self, best: Explanation) -> Explanation:
         """Move the parameters that were searched on a grid to where the loss is least."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from energyplan import simulate
+from energyplan import diagnose, simulate
 from energyplan.diagnosis.plausible import drags, drivable
 from energyplan.fit.drives.windows import prepared
 from energyplan.fit.least_squares import Problem
@@ -18,6 +18,7 @@ from energyplan.power.effect_terms import (
     TRACTION_CHANGE,
     VISCOUS_LOSS,
 )
+from energyplan.power.effects import term
 from energyplan.vehicle import GRAVITY, MotorLimits, Vehicle
 
 
@@ -68,3 +69,23 @@ def test_friction_after_a_change_still_drags(slip: float, traction: float, possi
     terms = (SLIP, TRACTION, SLIP_CHANGE, TRACTION_CHANGE)
     assert drags(terms, np.array([0.7, 110.0, slip, traction])) is possible
     assert drags(terms[:2], np.array([0.7, 110.0]))
+
+
+@pytest.mark.parametrize(
+    ("loss", "size"), [("drive_efficiency", 0.8), ("regeneration_efficiency", 0.6)]
+)
+def test_the_robots_mass_tells_what_powers_cannot(loss: str, size: float) -> None:
+    """Both losses explain the powers; with the wrong one the robot would weigh half or twice."""
+    model = PowerModel.preset("quadriga:full:concrete")
+    mass = model.vehicle.mass
+    truth = model.with_term(term("linear_inertia"), mass).with_term(term(loss), size)
+    first, second = (
+        simulate.identification_drive(truth, power_noise=4.0, seed=seed) for seed in (1, 2)
+    )
+    told = diagnose(first, second, model.vehicle)
+    found = {effect.name: effect for effect in told.effects}
+    assert found[loss].value == pytest.approx(size, rel=0.05)
+    inertia = found.get("linear_inertia") or found["specific_force"]
+    assert inertia.value == pytest.approx(mass, rel=0.05)
+    other = {"drive_efficiency", "regeneration_efficiency"} - {loss}
+    assert any(other & set(names) for names in told.explanations[0].alike)
