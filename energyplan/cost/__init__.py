@@ -68,11 +68,13 @@ class EnergyCost(SteadyDriving):
 
     Examples
     --------
+    >>> from energyplan.power import PowerModel
     >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
     >>> float(cost.segment_energy(1.0, 0.0).round(1))  # two sides of 113 N over a metre
     226.0
     """
 
+    @np.errstate(all="ignore")  # what overflows is refused
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (lowest := float(self.gauge.values.min())) > 0:

@@ -51,7 +51,6 @@ class SteadyDriving:
     channels: Mapping[str, float] = field(default_factory=dict)
     time_value: float = 0.0
 
-    @np.errstate(all="ignore")  # what overflows is refused
     def __post_init__(self) -> None:
         if not 0 <= self.time_value < np.inf:
             raise InvalidInputError(f"time_value is {self.time_value}; give joules a second >= 0")
