@@ -200,8 +200,12 @@ def run_commands(
     work: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:
-    """Run the command lines of a page in a folder, but for those that a page before it has."""
+) -> str:
+    """Run the command lines of a page in a folder, but for those that a page before it has.
+
+    Returns what they print.
+    """
+    printed = ""
     write_files(page, work)
     monkeypatch.chdir(work)
     before = PAGES[: PAGES.index(page)]
@@ -214,7 +218,31 @@ def run_commands(
         monkeypatch.setattr(sys, "argv", ["energyplan", *arguments])
         with pytest.raises(SystemExit) as left:
             cli.main()
-        assert not left.value.code, f"{page.name}: {arguments}: {capsys.readouterr().err}"
+        told = capsys.readouterr()
+        assert not left.value.code, f"{page.name}: {arguments}: {told.err}"
+        printed += told.out
+    return printed
+
+
+def check_energies_told(page: str, printed: str) -> None:
+    """Hold the energies that the README tells of a comparison against what it prints."""
+    shown = re.search(
+        r"takes\s(\d+) J, and the least-energy route (\d+) J. That saves (\d+) %."
+        r"[^.]*less than (\d+) J",
+        page,
+    )
+    found = re.search(
+        r"least energy:\s+energy: ([\d.]+) J.*?lower bound (\d+) J.*?"
+        r"shortest:\s+energy: ([\d.]+) J",
+        printed,
+        re.DOTALL,
+    )
+    assert shown, page
+    assert found, printed
+    least, bound, shortest = (float(number) for number in found.groups())
+    saved = 100.0 * (1.0 - least / shortest)
+    told = [round(value) for value in (shortest, least, saved, bound)]
+    assert [int(number) for number in shown.groups()] == told
 
 
 def apart_from_the_report(words: list[str]) -> tuple[str, ...]:
@@ -261,7 +289,9 @@ def test_demo_makes_every_file_it_lists_and_pages_go_on_from_there(
     for other in filter(after_demo, going_on):
         work = shutil.copytree(material, tmp_path / other.stem)
         shutil.copytree(folder, work / "demo")
-        run_commands(other, work, monkeypatch, capsys)
+        printed = run_commands(other, work, monkeypatch, capsys)
+        if other == PAGES[0]:
+            check_energies_told(other.read_text(), printed)
     for way in test_paths.BEGINNING_WITH_THE_DEMO:
         work = tmp_path / way
         work.mkdir()
