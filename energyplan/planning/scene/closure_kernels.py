@@ -45,14 +45,67 @@ class Chain(NamedTuple):
     work: int
 
 
+class Queue(NamedTuple):
+    """Places and headings in the order in which they came; there may be room for more.
+
+    Attributes
+    ----------
+    place : ndarray of int64, shape (n,)
+        The places.
+    bits : ndarray of uint64, shape (n,)
+        Headings of each.
+    parent : ndarray of int64, shape (n,)
+        Where each was reached from: its number among what was reached, -1 for an end.
+    side : ndarray of int64, shape (n,)
+        The end whose flood it belongs to.
+    """
+
+    place: Ints
+    bits: Words
+    parent: Ints
+    side: Ints
+
+
+@inner
+def _queue(room: int) -> Queue:
+    """Return a queue with room for some entries."""
+    return Queue(
+        np.empty(room, np.int64), np.empty(room, np.uint64),
+        np.empty(room, np.int64), np.empty(room, np.int64),
+    )  # fmt: skip
+
+
+@inner
+def _added(queue: Queue, count: int, place: int, bits: np.uint64, parent: int, side: int) -> Queue:
+    """Return a queue with an entry behind the first `count`: a longer one where it is full."""
+    if count == len(queue.place):
+        longer = _queue(2 * count)
+        for k in range(count):
+            longer.place[k] = queue.place[k]
+            longer.bits[k] = queue.bits[k]
+            longer.parent[k] = queue.parent[k]
+            longer.side[k] = queue.side[k]
+        queue = longer
+    queue.place[count] = place
+    queue.bits[count] = bits
+    queue.parent[count] = parent
+    queue.side[count] = side
+    return queue
+
+
+@inner
+def _beside(bits: np.uint64) -> np.uint64:
+    """Return the headings next to some."""
+    ahead = (bits << np.uint64(1)) | (bits >> np.uint64(63))
+    return ahead | (bits >> np.uint64(1)) | (bits << np.uint64(63))
+
+
 @inner
 def _spread(bits: np.uint64, mask: np.uint64) -> np.uint64:
     """Return all headings of a mask that are joined with some of them."""
     bits &= mask
     while True:
-        wider = bits | (bits << np.uint64(1)) | (bits >> np.uint64(63))
-        wider |= (bits >> np.uint64(1)) | (bits << np.uint64(63))
-        wider &= mask
+        wider = (bits | _beside(bits)) & mask
         if wider == bits:
             return bits
         bits = wider
@@ -61,14 +114,6 @@ def _spread(bits: np.uint64, mask: np.uint64) -> np.uint64:
 @inner
 def _longer(values: Ints) -> Ints:
     out = np.empty(2 * len(values), np.int64)
-    for k in range(len(values)):
-        out[k] = values[k]
-    return out
-
-
-@inner
-def _longer_words(values: Words) -> Words:
-    out = np.empty(2 * len(values), np.uint64)
     for k in range(len(values)):
         out[k] = values[k]
     return out
@@ -100,65 +145,50 @@ def chain_between(
     for k in range(NEIGHBOURS):
         steps[k] = rows[k] * across + columns[k]
     # what was reached in the order in which it was, of both ends; what waits for its turn
-    place = np.empty(1024, np.int64)
-    bits = np.empty(1024, np.uint64)
-    parent = np.empty(1024, np.int64)
-    side = np.empty(1024, np.int64)
-    later = np.empty(1024, np.int64)
-    later_bits = np.empty(1024, np.uint64)
-    later_parent = np.empty(1024, np.int64)
-    later_side = np.empty(1024, np.int64)
+    found = _queue(1024)
+    later = _queue(1024)
     events = 0
     laters = 0
     head = np.zeros(2, np.int64)
     later_head = np.zeros(2, np.int64)
     for who in range(2):
-        later[laters] = start if who == 0 else goal
-        later_bits[laters] = np.uint64(1) << np.uint64(begin if who == 0 else end)
-        later_parent[laters] = -1
-        later_side[laters] = who
+        place = start if who == 0 else goal
+        heading = np.uint64(1) << np.uint64(begin if who == 0 else end)
+        later = _added(later, laters, place, heading, -1, who)
         laters += 1
     work = 0
     who = 1
     while True:
         who = 1 - who
         # the next of what this end reached
-        while head[who] < events and side[head[who]] != who:
+        while head[who] < events and found.side[head[who]] != who:
             head[who] += 1
         if head[who] == events:
             # a step further, where nothing was tested
-            found = False
-            while later_head[who] < laters and not found:
+            further = False
+            while later_head[who] < laters and not further:
                 k = later_head[who]
                 later_head[who] += 1
-                if later_side[k] != who:
+                if later.side[k] != who:
                     continue
-                there = later[k]
-                waiting[who, there] &= ~later_bits[k]
-                fresh = later_bits[k] & passable[there] & ~reached[who, there]
+                there = later.place[k]
+                waiting[who, there] &= ~later.bits[k]
+                fresh = later.bits[k] & passable[there] & ~reached[who, there]
                 if fresh == 0:
                     continue
                 fresh |= _spread(fresh, tested[there] & passable[there]) & ~reached[who, there]
-                if events == len(place):
-                    place = _longer(place)
-                    bits = _longer_words(bits)
-                    parent = _longer(parent)
-                    side = _longer(side)
-                place[events] = there
-                bits[events] = fresh
-                parent[events] = later_parent[k]
-                side[events] = who
+                found = _added(found, events, there, fresh, later.parent[k], who)
                 reached[who, there] |= fresh
                 events += 1
-                found = True
+                further = True
                 if reached[1 - who, there] & fresh != 0:
-                    return _joined(place, bits, parent, side, events, across, work)
-            if not found:
+                    return _joined(found, events, work)
+            if not further:
                 return Chain(np.empty(0, np.int64), np.empty(0, np.uint64), work)
             continue
         at = head[who]
         head[who] += 1
-        here = place[at]
+        here = found.place[at]
         # this place's other headings, then its neighbours
         for k in range(-1, NEIGHBOURS):
             work += 1
@@ -168,47 +198,27 @@ def chain_between(
                 continue
             if k >= 0:
                 known = tested[there] & mask
-                fresh = _spread(bits[at] & tested[here] & known, known) & ~reached[who, there]
+                fresh = _spread(found.bits[at] & tested[here] & known, known) & ~reached[who, there]
                 if fresh != 0:
-                    if events == len(place):
-                        place = _longer(place)
-                        bits = _longer_words(bits)
-                        parent = _longer(parent)
-                        side = _longer(side)
-                    place[events] = there
-                    bits[events] = fresh
-                    parent[events] = at
-                    side[events] = who
+                    found = _added(found, events, there, fresh, at, who)
                     reached[who, there] |= fresh
                     events += 1
                     if reached[1 - who, there] & fresh != 0:
-                        return _joined(place, bits, parent, side, events, across, work)
-                fresh = bits[at] & mask
+                        return _joined(found, events, work)
+                fresh = found.bits[at] & mask
             else:
-                one = bits[at]
-                fresh = (one << np.uint64(1)) | (one >> np.uint64(63))
-                fresh |= (one >> np.uint64(1)) | (one << np.uint64(63))
-                fresh &= mask
+                fresh = _beside(found.bits[at]) & mask
             fresh &= ~(reached[who, there] | waiting[who, there])
             if fresh != 0:
-                if laters == len(later):
-                    later = _longer(later)
-                    later_bits = _longer_words(later_bits)
-                    later_parent = _longer(later_parent)
-                    later_side = _longer(later_side)
-                later[laters] = there
-                later_bits[laters] = fresh
-                later_parent[laters] = at
-                later_side[laters] = who
+                later = _added(later, laters, there, fresh, at, who)
                 waiting[who, there] |= fresh
                 laters += 1
 
 
 @inner
-def _joined(
-    place: Ints, bits: Words, parent: Ints, side: Ints, events: int, across: int, work: int
-) -> Chain:
+def _joined(found: Queue, events: int, work: int) -> Chain:
     """Return the way by the last thing reached, and by what the other end reached there."""
+    place, bits, parent, side = found.place, found.bits, found.parent, found.side
     last = events - 1
     other = last - 1
     while not (
