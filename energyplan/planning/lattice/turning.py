@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from energyplan.compilation import inner, njit
 from energyplan.compilation.arrays import Flags, Ints
 from energyplan.planning.budget import Budget
-from energyplan.planning.lattice.way_along import way_along
+from energyplan.planning.lattice.way_along import chain_from, way_along
 from energyplan.planning.scene.compiled import Segments
 from energyplan.planning.scene.field import (
     STEP_COLUMNS,
@@ -361,11 +361,8 @@ def cheapest_chain(
     while state >= 0:
         total += 1
         state = int(parent[state])
-    node = int(to_go.after[node_of[best]])
-    while node >= 0:
-        total += 1
-        node = int(to_go.after[node])
-    chain = np.empty(total, np.int64)
+    rest = chain_from(to_go, int(to_go.after[node_of[best]]))
+    chain = np.empty(total + len(rest), np.int64)
     at = 0
     state = best
     while state >= 0:
@@ -378,12 +375,8 @@ def cheapest_chain(
         node = int(chain[n])
         chain[n] = chain[at - 1 - n]
         chain[at - 1 - n] = node
-    node = int(to_go.after[node_of[best]])
-    while node >= 0:
-        chain[at] = node
-        at += 1
-        node = int(to_go.after[node])
-    return Counted(chain[:at].copy(), least, looked)
+    chain[at : at + len(rest)] = rest
+    return Counted(chain[: at + len(rest)].copy(), least, looked)
 
 
 @inner

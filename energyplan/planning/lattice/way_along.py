@@ -189,15 +189,20 @@ def chain_along(to_go: DistanceToGo, setting: KernelProblem) -> Ints:
     setting : KernelProblem
         The problem.
     """
-    node = node_at(to_go, setting.space, setting.start_x, setting.start_y, setting.start_yaw)
-    start = node
+    start = node_at(to_go, setting.space, setting.start_x, setting.start_y, setting.start_yaw)
+    return chain_from(to_go, start if start >= 0 and to_go.distance[start] < inf else -1)
+
+
+@inner
+def chain_from(to_go: DistanceToGo, node: int) -> Ints:
+    """Return a node and those after it, up to the goal; none for -1."""
+    first = node
     count = 0
-    if node >= 0 and to_go.distance[node] < inf:
-        while node >= 0:
-            count += 1
-            node = int(to_go.after[node])
+    while node >= 0:
+        count += 1
+        node = int(to_go.after[node])
     chain = np.empty(count, np.int64)
-    node = start
+    node = first
     for k in range(count):
         chain[k] = node
         node = int(to_go.after[node])
