@@ -391,10 +391,9 @@ class Search(Proposals):
         )
         for head in set(number):
             same = np.array(number) == head
-            if (share * like)[same].any():
-                share[same] = (share * like)[same] * (
-                    share[same].sum() / (share * like)[same].sum()
-                )
+            weighed = share[same] * like[same]
+            if weighed.any():
+                share[same] = weighed * (share[same].sum() / weighed.sum())
         told = [
             replace(
                 one,

@@ -148,7 +148,7 @@ def _read(
 
 def _likeness(channels: Mapping[str, FloatArray]) -> float:
     """How well power and turning follow from what the encoders would be the speeds of."""
-    left, right, power = channels["v_left"], channels["v_right"], _power(channels)
+    left, right, power = channels["v_left"], channels["v_right"], total_power(channels)
     turns = [correlation(rate, right - left) ** 2 for rate in _rates(channels)]
     known = np.isfinite(power)
     spread = float(np.var(power[known])) if np.count_nonzero(known) >= _ENOUGH else 0.0
@@ -170,7 +170,8 @@ def _rates(channels: Mapping[str, FloatArray]) -> list[FloatArray]:
     return list(yaw_rates(sound, find_runs(channels["t"])).values())
 
 
-def _power(channels: Mapping[str, FloatArray]) -> FloatArray:
+def total_power(channels: Mapping[str, FloatArray]) -> FloatArray:
+    """Return the power of both sides together, from whichever channels there are [W]."""
     if {"p_left", "p_right"} <= set(channels):
         return channels["p_left"] + channels["p_right"]
     if "power" in channels:

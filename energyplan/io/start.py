@@ -14,7 +14,7 @@ import numpy as np
 from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.io.bag_fields import bag_fields
 from energyplan.io.bags import is_bag, read_bag
-from energyplan.io.encoders import counted_columns, position_columns
+from energyplan.io.encoders import counted_columns, position_columns, total_power
 from energyplan.io.husky import is_husky
 from energyplan.io.logs import read_log
 from energyplan.io.missing import refuse
@@ -257,7 +257,7 @@ def _with_units(
             channel: values * _factor(channel, chosen.get(channel, ""), known)
             for channel, values in raw.items()
         }
-        evidence = gather(trial, _power_of(trial), find_runs(trial["t"]))
+        evidence = gather(trial, total_power(trial), find_runs(trial["t"]))
         rank = sum(choice.units.index(unit) for choice, unit in zip(choices, each, strict=True))
         # The measures may be what is wrong: they only decide where the log alone does not.
         cost = strain(evidence, Measures()) + 0.2 * strain(evidence, measures) + 0.01 * rank
@@ -318,14 +318,6 @@ def _factor(channel: str, unit: str, known: Given) -> float:
     return scale_of(channel, unit).factor
 
 
-def _power_of(channels: Mapping[str, FloatArray]) -> FloatArray:
-    if {"p_left", "p_right"} <= set(channels):
-        return channels["p_left"] + channels["p_right"]
-    if "power" in channels:
-        return channels["power"]
-    return channels["voltage"] * channels["current"]
-
-
 def _radius_from(
     raw: Mapping[str, FloatArray], chosen: Mapping[str, str], measures: Measures
 ) -> float:
@@ -334,7 +326,7 @@ def _radius_from(
         channel: values * _factor(channel, chosen.get(channel, ""), Given(wheel_radius=1.0))
         for channel, values in raw.items()
     }
-    evidence = gather(trial, _power_of(trial), find_runs(trial["t"]))
+    evidence = gather(trial, total_power(trial), find_runs(trial["t"]))
     radius = 1.0 / evidence.distance
     return radius if isfinite(radius) and 0.02 <= radius <= 0.8 else nan
 
