@@ -1,8 +1,9 @@
 """How many changes of the numerical core do the tests notice? Meant for the night.
 
 Each module is changed in some places, one at a time (an operator, a comparison, a number), in a
-copy of the checkout, and the tests of its package are run. A change that no test notices survives:
-it is printed with its difference. `make mutate` runs it.
+copy of the checkout, and the tests of its package that reach the changed function are run, quick
+ones first. A change that no test notices survives: it is printed with its difference. `make mutate`
+runs it.
 
 No place is changed where nothing can come of it: annotations, what is written into an error, and
 decorators that only make a function faster.
@@ -12,17 +13,21 @@ from __future__ import annotations
 
 import argparse
 import ast
+import cProfile
+import json
 import os
 import random
 import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import NamedTuple
 
+import pytest
 from cosmic_ray.commands.init import _all_work_items
 from cosmic_ray.mutating import mutate_and_test
 from cosmic_ray.work_item import TestOutcome, WorkerOutcome
@@ -81,10 +86,85 @@ def _silent(tree: ast.Module) -> list[Span]:
     ]
 
 
-def try_module(copy: Path, module: Path, tests: str, mutations: int, seed: int) -> Score:
+class Recorder:
+    """Notes the functions of the package that each test calls, and how long it takes."""
+
+    def __init__(self) -> None:
+        self.tests: list[Reach] = []
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        profile, begun = cProfile.Profile(), time.process_time()
+        profile.enable()
+        try:
+            return (yield)
+        finally:
+            profile.disable()
+            took = time.process_time() - begun
+            codes = [entry.code for entry in profile.getstats() if not isinstance(entry.code, str)]
+            calls = {f"{Path(c.co_filename)}:{c.co_firstlineno}" for c in codes}
+            self.tests.append(Reach(item.nodeid, took, sorted(calls)))
+
+
+class Reach(NamedTuple):
+    """A test, what it takes [s] and what it calls, as file:line."""
+
+    test: str
+    took: float
+    calls: list[str]
+
+
+def _reaches(copy: Path, tests: str) -> list[Reach]:
+    """Run the tests of a part as they are; return what each of them calls."""
+    out = copy / "reached.json"
+    asked = [
+        sys.executable,
+        str(copy / "tests" / "mutation.py"),
+        "--record",
+        str(out),
+        *tests.split(),
+    ]
+    subprocess.run(asked, cwd=copy, check=True, stdout=subprocess.DEVNULL)
+    return [Reach(*test) for test in json.loads(out.read_text(encoding="utf-8"))]
+
+
+def _record(out: Path, tests: Sequence[str]) -> int:
+    recorder = Recorder()
+    failed = pytest.main(["-q", "-p", "no:cacheprovider", *tests], plugins=[recorder])
+    out.write_text(json.dumps(recorder.tests), encoding="utf-8")
+    return int(failed)
+
+
+def _tests_of(
+    place: tuple[int, int], file: Path, tree: ast.Module, reaches: list[Reach]
+) -> list[str]:
+    """Return the tests to run where this place is changed, quick ones first.
+
+    They are those that call the function; all where none is seen to: outside of functions, and in
+    kernels, which run as machine code.
+    """
+    around = [
+        node
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef)
+        and (node.lineno, node.col_offset)
+        <= place
+        <= (node.end_lineno or 0, node.end_col_offset or 0)
+    ]
+    chosen = reaches
+    if around:
+        first = min(node.lineno for node in around)
+        outer = next(node for node in around if node.lineno == first)
+        line = min([first, *(d.lineno for d in outer.decorator_list)])
+        chosen = [reach for reach in reaches if f"{file}:{line}" in reach.calls] or reaches
+    return [reach.test for reach in sorted(chosen, key=lambda reach: reach.took)]
+
+
+def try_module(copy: Path, module: Path, reaches: list[Reach], mutations: int, seed: int) -> Score:
     """Change a module of a copy in some places; print those that no test notices."""
     os.chdir(copy)
-    silent = _silent(ast.parse(module.read_text(encoding="utf-8")))
+    tree = ast.parse(module.read_text(encoding="utf-8"))
+    silent = _silent(tree)
     wanted = [
         item
         for item in _all_work_items([module], {})
@@ -93,9 +173,11 @@ def try_module(copy: Path, module: Path, tests: str, mutations: int, seed: int) 
     ]
     chosen = random.Random(seed).sample(wanted, min(mutations, len(wanted)))
     # what noticed the last change is tried first
-    command = f"{sys.executable} -m pytest -x -q --failed-first {tests}"
+    command = f"{sys.executable} -m pytest -x -q --failed-first @tests.txt"
     noticed = 0
     for item in chosen:
+        tests = _tests_of(item.mutations[0].start_pos, copy / module, tree, reaches)
+        Path("tests.txt").write_text("\n".join(tests), encoding="utf-8")
         result = mutate_and_test(item.mutations, command, LONGEST)
         seen = result.test_outcome != TestOutcome.SURVIVED
         noticed += seen and result.worker_outcome == WorkerOutcome.NORMAL
@@ -111,7 +193,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("modules", nargs="*", default=["*"], help="such as power or fit/icr.py")
     parser.add_argument("--mutations", type=int, default=25, help="changes a module")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--record", type=Path, help=argparse.SUPPRESS)
     asked = parser.parse_args(arguments)
+    if asked.record:
+        sys.exit(_record(asked.record, asked.modules))
     scores = []
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "checkout"
@@ -129,13 +214,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 for file in files
                 if any(fnmatch(names[file], f"{pattern}*") for pattern in asked.modules)
             ]
-            if asked_for:
-                subprocess.run(
-                    [sys.executable, "-m", "pytest", "-q", *tests.split()],
-                    cwd=copy, check=True, stdout=subprocess.DEVNULL,
-                )  # fmt: skip
+            reaches = _reaches(copy, tests) if asked_for else []
             for module in asked_for:
-                score = try_module(copy, module, tests, asked.mutations, asked.seed)
+                score = try_module(copy, module, reaches, asked.mutations, asked.seed)
                 scores.append(score)
                 print(f"{score.module}: {score.noticed} of {score.tried} noticed", flush=True)
     noticed, tried = sum(s.noticed for s in scores), sum(s.tried for s in scores)
