@@ -153,7 +153,7 @@ def slip_speed_friction(motion: Motion, vehicle: Vehicle) -> Sides:
     return tread_forces(motion, moment=vehicle.slip_moment * radius * motion.omega)
 
 
-def stribeck_friction(motion: Motion, vehicle: Vehicle, slip_speed: float = 0.1) -> Sides:
+def stribeck_friction(motion: Motion, vehicle: Vehicle, slip_speed: float) -> Sides:
     """Slip friction that is there at small slip speeds only and fades as they grow.
 
     ``exp(-r |w| / slip_speed)`` with the mean slip radius ``r`` of the wheels (Stribeck).
@@ -163,7 +163,7 @@ def stribeck_friction(motion: Motion, vehicle: Vehicle, slip_speed: float = 0.1)
     return tread_forces(motion, moment=vehicle.slip_moment * np.sign(motion.omega) * fade)
 
 
-def friction_mobilisation(motion: Motion, vehicle: Vehicle, radius: float = 1.0) -> Sides:
+def friction_mobilisation(motion: Motion, vehicle: Vehicle, radius: float) -> Sides:
     """Slip friction that is missing in wide turns: ``-mu S sign(w) |v| / (|v| + radius |w|)``."""
     speed, rate = np.abs(motion.v), radius * np.abs(motion.omega)
     whole = speed + rate
@@ -184,7 +184,7 @@ def wheel_fight(motion: Motion, vehicle: Vehicle) -> Sides:
 # -- time and place -------------------------------------------------------------------------------
 
 
-def warm_up(motion: Motion, vehicle: Vehicle, time_constant: float = 60.0) -> Sides:
+def warm_up(motion: Motion, vehicle: Vehicle, time_constant: float) -> Sides:
     """Traction resistance of a cold drive: ``exp(-t / time_constant)``; warm where t is unknown."""
     t = motion.channels.get("t")
     cold = np.zeros(motion.shape) if t is None else np.exp(-t / time_constant)
@@ -199,13 +199,13 @@ def _after(motion: Motion, time: float) -> FloatArray:
     return np.ones(motion.shape) if t is None else np.asarray(t >= time, float)
 
 
-def slip_change(motion: Motion, vehicle: Vehicle, time: float = 0.0) -> Sides:
+def slip_change(motion: Motion, vehicle: Vehicle, time: float) -> Sides:
     """Slip friction that is there only after a change; changed where time is unknown."""
     after = _after(motion, time)
     return tread_forces(motion, moment=vehicle.slip_moment * np.sign(motion.omega) * after)
 
 
-def traction_change(motion: Motion, vehicle: Vehicle, time: float = 0.0) -> Sides:
+def traction_change(motion: Motion, vehicle: Vehicle, time: float) -> Sides:
     """Traction resistance that is there only after a change; changed where time is unknown."""
     after = _after(motion, time)
     return Sides(after * np.sign(motion.v_left), after * np.sign(motion.v_right))
@@ -225,17 +225,13 @@ def _beyond(motion: Motion, vehicle: Vehicle, direction: float, offset: float) -
     return np.asarray(share / float(vehicle.loads.sum()))
 
 
-def slip_beyond(
-    motion: Motion, vehicle: Vehicle, direction: float = 0.0, offset: float = 0.0
-) -> Sides:
+def slip_beyond(motion: Motion, vehicle: Vehicle, direction: float, offset: float) -> Sides:
     """Slip friction that is there only beyond a line on the ground."""
     there = _beyond(motion, vehicle, direction, offset)
     return tread_forces(motion, moment=vehicle.slip_moment * np.sign(motion.omega) * there)
 
 
-def traction_beyond(
-    motion: Motion, vehicle: Vehicle, direction: float = 0.0, offset: float = 0.0
-) -> Sides:
+def traction_beyond(motion: Motion, vehicle: Vehicle, direction: float, offset: float) -> Sides:
     """Traction resistance that is there only beyond a line on the ground."""
     there = _beyond(motion, vehicle, direction, offset)
     return Sides(there * np.sign(motion.v_left), there * np.sign(motion.v_right))

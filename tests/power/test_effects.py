@@ -14,18 +14,28 @@ from energyplan.power import PowerModel, Term, effects, tread_forces
 from energyplan.power.effect_terms import (
     DRAGGING_LEFT,
     DRAGGING_RIGHT,
+    LEFT_TURN_DRAG_LEFT,
+    LEFT_TURN_DRAG_RIGHT,
     MOBILISATION,
+    POWER_OFFSET,
+    REVERSE_DRAG,
+    RIGHT_TURN_DRAG_LEFT,
+    RIGHT_TURN_DRAG_RIGHT,
     SIDE_GAIN,
     SLIP_BEYOND,
     SLIP_CHANGE,
     SLIP_SPEED,
+    STRIBECK,
     TILT_X,
     TILT_Y,
+    TOWED_DRAG,
     TOWING_FORCE,
     TRACTION_ASYMMETRY,
+    TRACTION_BEYOND,
     TRACTION_CHANGE,
     TURN_ASYMMETRY,
     UNSIGNED_POWER,
+    WHEEL_FIGHT,
 )
 from energyplan.power.effects import (
     AIR_DRAG,
@@ -42,6 +52,7 @@ from energyplan.power.effects import (
     empirical_term,
     term,
 )
+from energyplan.power.empirical import CARRIERS, place, signal
 from energyplan.vehicle import GRAVITY, TreadICR, Vehicle
 
 VEHICLE = Vehicle.preset("quadriga:full")
@@ -85,11 +96,67 @@ def test_every_term_equals_its_equation() -> None:
             (np.abs(left) + np.abs(right)) * (T > 31),
         ),
         (replace(SLIP_BEYOND, params={"direction": 0.0, "offset": 3.0}), S * np.abs(w) * (x > 3)),
+        (
+            replace(TRACTION_BEYOND, params={"direction": np.pi / 2, "offset": 0.5}),
+            (np.abs(left) + np.abs(right)) * (y > 0.5),
+        ),
+        (
+            replace(STRIBECK, params={"slip_speed": 0.2}),
+            S * np.abs(w) * np.exp(-reach * np.abs(w) / 0.2),
+        ),
+        (TOWED_DRAG, np.abs(v)),
+        (REVERSE_DRAG, np.maximum(-left, 0) + np.maximum(-right, 0)),
+        (LEFT_TURN_DRAG_LEFT, np.abs(left) * (w > 0)),
+        (LEFT_TURN_DRAG_RIGHT, np.abs(right) * (w > 0)),
+        (RIGHT_TURN_DRAG_LEFT, np.abs(left) * (w < 0)),
+        (RIGHT_TURN_DRAG_RIGHT, np.abs(right) * (w < 0)),
+        (POWER_OFFSET, np.ones(3)),
     ]
     for made, power in pairs:
         assert _power(made, m) == pytest.approx(power, abs=1e-9), made.name
     assert _power(TILT_X, headed) == pytest.approx(GRAVITY * np.cos(yaw) * v)
     assert _power(TILT_Y, headed) == pytest.approx(GRAVITY * np.sin(yaw) * v)
+
+
+def test_at_rest_no_force_of_motion_is_there() -> None:
+    """The regressors themselves, where speeds times forces would hide them."""
+    rest = _motion(np.zeros(2), np.zeros(2), t=np.array([0.0, 5.0]))
+    for made in (
+        MOBILISATION,
+        STRIBECK,
+        TOWED_DRAG,
+        REVERSE_DRAG,
+        WHEEL_FIGHT,
+        WARM_UP,
+        SLIP_SPEED,
+    ):
+        force = made.function(rest, VEHICLE, **made.params)
+        assert not np.any(force.left) and not np.any(force.right), made.name
+
+
+def test_sides_fight_on_a_straight_whichever_way_and_not_in_a_turn() -> None:
+    motion = _motion([0.5, -0.5, 0.5, -0.5, 0.0], [0.0, 0.0, 0.2, -0.2, 0.3])
+    force = WHEEL_FIGHT.function(motion, VEHICLE)
+    held = VEHICLE.slip_moment / VEHICLE.icr.slip_track
+    straight = np.array([1.0, 1.0, 0.0, 0.0, 0.0])
+    assert force.right == pytest.approx(held * straight)
+    assert force.left == pytest.approx(-held * straight)
+
+
+def test_wheels_cross_a_border_one_after_the_other() -> None:
+    """Seen from the ground: each contact is moved there and weighed by its load."""
+    direction, offset = 0.4, 1.0
+    made = replace(SLIP_BEYOND, params={"direction": direction, "offset": offset})
+    x, y, yaw = np.array([0.6, 1.0, 1.1, 1.3]), np.full(4, 0.1), np.array([0.0, 0.7, -2.0, 3.0])
+    share = np.zeros(4)
+    for k in range(4):
+        turn = np.array([[np.cos(yaw[k]), -np.sin(yaw[k])], [np.sin(yaw[k]), np.cos(yaw[k])]])
+        feet = VEHICLE.contacts @ turn.T + np.array([x[k], y[k]])
+        beyond = feet @ np.array([np.cos(direction), np.sin(direction)]) > offset
+        share[k] = VEHICLE.loads[beyond].sum() / VEHICLE.loads.sum()
+    assert 0 < share.min() < 1 or 0 < share[1] < 1
+    motion = _motion(0.3, np.full(4, -0.6), x=x, y=y, yaw=yaw)
+    assert _power(made, motion) == pytest.approx(0.6 * VEHICLE.slip_moment * share)
 
 
 def test_a_tilted_plane_is_the_grade_of_its_slope() -> None:
@@ -161,6 +228,51 @@ def test_an_empirical_term_follows_its_knots_and_resolves_by_name() -> None:
     assert float(_power(made, _motion(0.5, 0.0))) == 0.0
     with pytest.raises(UnknownNameError, match="empirical term"):
         empirical_term("empirical_magic_t")
+
+
+def test_signals_of_a_drive_are_what_they_are_named() -> None:
+    v, w = np.array([0.5, 0.0, 0.001, -0.4, -0.5]), np.array([0.2, 0.3, -0.9, 0.2, 0.0])
+    t, x, y = np.arange(5.0) * 0.5, np.array([1.0, 1.3, 1.3, 1.0, 4.0]), np.array([2.0] * 4 + [6.0])
+    motion = _motion(v, w, t=t, x=x, y=y)
+    # 20 per metre is all that is told of a spin
+    assert signal(motion, "curvature") == pytest.approx([0.4, 20.0, -20.0, -0.5, 0.0])
+    assert signal(motion, "displacement") == pytest.approx([0.0, 0.3, 0.3, 0.0, 5.0])
+    assert signal(motion, place(1.0, 2.0)) == pytest.approx([0.0, 0.3, 0.3, 0.0, 5.0])
+    assert np.all(signal(_motion(v, w), place(1.0, 2.0)) == 0.0)
+    assert np.all(signal(_motion(v, w, x=x), "displacement") == 0.0)
+    assert np.all(signal(_motion(v, w), "since_start") == 0.0)
+    assert signal(motion, "v") == pytest.approx(v)
+    assert signal(motion, "omega") == pytest.approx(w)
+    assert np.all(signal(motion, "temperature") == 0.0)
+
+
+def test_time_since_a_tread_started_or_turned_round() -> None:
+    left = np.array([0.0, 0.4, 0.4, 0.4, 0.4, 0.4, 0.4, 0.0])
+    right = np.array([0.4, 0.4, 0.4, 0.4, -0.4, -0.4, -0.4, 0.0])
+    motion = Motion(left, right, VEHICLE.icr, channels={"t": np.arange(8) * 0.9})
+    # the left tread starts at 0.9 s, the right one turns round at 3.6 s; 2 s are long past
+    expected = [2.0, 0.0, 0.9, 1.8, 0.0, 0.9, 1.8, 2.0]
+    assert signal(motion, "since_start") == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("carrier", sorted(CARRIERS))
+def test_an_empirical_shape_scales_with_its_carrier(carrier: str) -> None:
+    """Its power on top of the paper's terms, by hand."""
+    channel = "y" if carrier == "ground" else "temperature"
+    paper = PowerModel.paper(VEHICLE, 110.0, 0.43)
+    yaw = np.array([0.3, 2.0, -1.0])
+    motion = _motion(yaw=yaw, y=np.array([2.0, 4.0, 6.0]), temperature=np.array([2.0, 4.0, 6.0]))
+    shape = np.array([1.0, 2.0, 3.0])
+    made = empirical_term(f"empirical_{carrier}_{channel}", [0.0, 8.0], [0.0, 4.0])
+    by_hand = {
+        "power": shape,
+        "traction": shape * (np.abs(motion.v_left) + np.abs(motion.v_right)),
+        "slip": shape * np.abs(motion.omega),
+        "whole": shape * paper.power(motion),
+        "ground": shape * np.sin(yaw) * motion.v,
+    }[carrier]
+    more = paper.with_term(made, 1.0).power(motion) - paper.power(motion)
+    assert more == pytest.approx(by_hand, abs=1e-9)
 
 
 def test_one_function_makes_an_effect_and_a_plugin_brings_it(
