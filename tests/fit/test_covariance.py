@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from energyplan.fit.covariance import innovation_share
+from energyplan.fit.covariance import (
+    autocorrelation,
+    correlation_time,
+    innovation_share,
+    local_scale,
+    sandwich,
+    sum_covariance,
+)
 
 
 def autoregression(a: float, n: int = 4000, seed: int = 1) -> np.ndarray:
@@ -27,3 +34,48 @@ def test_the_unit_of_a_series_does_not_matter() -> None:
     told = innovation_share(series, [slice(0, 4000)])
     for unit in (1e-6, 1e3):
         assert innovation_share(unit * series, [slice(0, 4000)]) == pytest.approx(told, rel=1e-9)
+        repeats = autocorrelation(series, [slice(0, 4000)]).repeats
+        assert autocorrelation(unit * series, [slice(0, 4000)]).repeats == pytest.approx(repeats)
+
+
+def test_the_time_scale_of_an_autoregression_is_the_area_under_its_correlation() -> None:
+    """``sum a^k`` over all lags, of both signs, is ``(1 + a) / (1 - a)`` samples."""
+    found = correlation_time(autoregression(0.8, 20_000), 0.1, [slice(0, 20_000)])
+    assert found == pytest.approx(0.5 * 0.1 * 1.8 / 0.2, rel=0.15)
+
+
+def test_a_sum_of_correlated_noise_varies_as_all_pairs_within_pieces_say() -> None:
+    rng = np.random.default_rng(4)
+    X, scale, rho = rng.normal(size=(30, 2)), rng.uniform(0.5, 2.0, 30), np.array([1.0, 0.6, 0.2])
+    whole = np.zeros((30, 30))
+    for piece in (range(12), range(12, 30)):
+        for i in piece:
+            for j in piece:
+                if abs(i - j) < 3:
+                    whole[i, j] = scale[i] * scale[j] * rho[abs(i - j)]
+    found = sum_covariance(X, scale, rho, [slice(0, 12), slice(12, 30)])
+    assert found == pytest.approx(X.T @ whole @ X)
+
+
+def test_the_scale_around_a_sample_follows_steps_of_the_noise() -> None:
+    series = np.r_[np.full(500, 2.0), np.full(500, -6.0)]
+    near = local_scale(series, 1.0)
+    assert near[:449] == pytest.approx(2.0)
+    assert near[551:] == pytest.approx(6.0)
+    # in the middle half of a hundred samples are of either kind
+    assert near[500] == pytest.approx(np.sqrt(0.5 * (2.0**2 + 6.0**2)), rel=0.02)
+    # twenty independent samples take a longer stretch
+    assert local_scale(series, 10.0)[401:600] == pytest.approx(
+        np.sqrt(np.linspace(4, 36, 201)[1:-1]), rel=0.05
+    )
+    assert local_scale(series, 10.0)[400] == pytest.approx(2.0)
+    assert local_scale(series, 5.0)[450] == pytest.approx(2.0)
+    assert local_scale(series, 5.1)[450] > 2.01
+
+
+def test_a_sandwich_is_that_of_the_matrices_whatever_their_units() -> None:
+    rng = np.random.default_rng(5)
+    A, B = rng.normal(size=(2, 9, 3)) * [1e-6, 1.0, 1e4]
+    bread, meat = A.T @ A, B.T @ B
+    by_hand = np.linalg.inv(bread) @ meat @ np.linalg.inv(bread)
+    assert sandwich(bread, meat) == pytest.approx(by_hand, rel=1e-6)

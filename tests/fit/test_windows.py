@@ -1,0 +1,324 @@
+"""What a regression makes of drives, piece by piece, against sums and integrals by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from energyplan.errors import DriveLogError
+from energyplan.fit.drives import windows
+from energyplan.fit.drives.columns import column, columns_of
+from energyplan.fit.drives.late import DELAYS, Late, lagged, least_late
+from energyplan.fit.drives.linear import held_loss, linearise_drive, preload
+from energyplan.fit.drives.windows import (
+    BLOCK,
+    SCALES,
+    Design,
+    Drive,
+    Windows,
+    channels_of,
+    check_long_enough,
+    prepared,
+)
+from energyplan.logs import DriveLog
+from energyplan.motion import Motion
+from energyplan.power import (
+    DRIVE_LOSS,
+    HOTEL,
+    REGENERATION_LOSS,
+    SLIP,
+    TRACTION,
+    PowerModel,
+    Sides,
+)
+from energyplan.power.effects import COPPER_LOSS, GRADE, VISCOUS_LOSS
+
+MODEL = PowerModel.preset("quadriga:full:concrete")
+ICR = MODEL.vehicle.icr
+
+
+def drive(n: int = 400, period: float = 0.05, seed: int = 1, gap: bool = False, **more: object):
+    """A drive over some seconds at random speeds, with a gap of the clock in its middle."""
+    rng = np.random.default_rng(seed)
+    t = period * np.arange(n)
+    if gap:
+        t[n // 2 :] += 3.0
+    left, right, power, between, slope = rng.normal(size=(5, n))
+    motion = Motion(left, right, ICR, {"slope": 0.1 * slope})
+    return Drive("drive", t, motion, power, between=between, **more)
+
+
+@pytest.mark.parametrize("term", [SLIP, TRACTION, HOTEL, GRADE, VISCOUS_LOSS])
+def test_columns_are_the_power_of_a_model_of_one_term(term) -> None:
+    one = PowerModel(MODEL.vehicle, (term,), [1.0])
+    both = drive()
+    total = one.power(both.motion)
+    sides = one.sides(both.motion)
+    expected = np.column_stack([total, sides.right - sides.left])
+    assert_allclose(column(term, both, MODEL.vehicle), total, atol=1e-12)
+    assert_allclose(columns_of(term, both, MODEL.vehicle), expected, atol=1e-12)
+    alone = replace(both, between=None, fields={})
+    assert_allclose(columns_of(term, alone, MODEL.vehicle), total[:, None], atol=1e-12)
+
+
+def test_weights_integrate_every_run_by_itself() -> None:
+    one = drive(gap=True)
+    values = np.sin(one.t)
+    by_hand = sum(np.trapezoid(values[s], one.t[s]) for s in (slice(0, 200), slice(200, 400)))
+    assert one.weights @ values == pytest.approx(by_hand)
+    assert [(s.start, s.stop) for s in one.runs] == [(0, 200), (200, 400)]
+
+
+@pytest.mark.parametrize("delay", [0.37, -0.22])
+def test_a_late_log_shows_what_was_before_within_each_run(delay: float) -> None:
+    one = drive(gap=True, late=Late(delay), factor=1.25)
+    table = np.column_stack([one.power, 2.0 * one.power])
+    shown = one.seen(table)
+    for run in (slice(0, 200), slice(200, 400)):
+        # np.interp holds the first and the last value beyond the ends
+        by_hand = 1.25 * np.interp(one.t[run] - delay, one.t[run], one.power[run])
+        assert_allclose(shown[run], np.column_stack([by_hand, 2.0 * by_hand]), atol=1e-12)
+
+
+def test_a_lag_is_that_of_the_differential_equation() -> None:
+    """``lag dy/dt = x - y`` from rest, for x that is linear between samples; by fine steps."""
+    t, lag, fine = 0.1 * np.arange(60), 0.35, 400
+    values = np.random.default_rng(2).normal(size=60)
+    x = np.interp(np.arange(59 * fine + 1) * 0.1 / fine, t, values)
+    y, step = np.empty_like(x), 0.1 / fine
+    y[0] = values[0]
+    for k in range(len(x) - 1):
+        middle = y[k] + 0.5 * step * (x[k] - y[k]) / lag
+        y[k + 1] = y[k] + step * (0.5 * (x[k] + x[k + 1]) - middle) / lag
+    assert_allclose(lagged(values, t, lag), y[::fine], atol=1e-6)
+    both = lagged(np.column_stack([values, -values]), t, lag)
+    assert_allclose(both, np.column_stack([y, -y])[::fine], atol=1e-6)
+    assert_allclose(lagged(values[:1], t[:1], lag), values[:1])
+    one = drive(gap=True, late=Late(0.0, lag))
+    shown = one.seen(one.power)
+    assert_allclose(shown[200:], lagged(one.power[200:], one.t[200:], lag))
+
+
+def test_how_late_a_log_is_comes_and_goes_as_parameters() -> None:
+    assert Late(0.3, 0.2).mean == pytest.approx(0.5)
+    assert Late(0.3).params == (("delay", 0.3),)
+    assert Late.of(Late(0.3, 0.2).params) == Late(0.3, 0.2)
+    assert Late.of([("delay", 0.3), ("lag", -0.1)]) == Late(0.3)
+
+
+@pytest.mark.parametrize("truth", [-0.73, 0.0, 0.41, 1.4])
+def test_the_least_delay_is_found_to_a_fraction_of_a_step(truth: float) -> None:
+    found = least_late(lambda late: (late.mean - truth) ** 2 + late.lag, 0.0, 0.05)
+    assert found.lag == 0.0
+    assert found.delay == pytest.approx(min(truth, DELAYS[-1]), abs=0.01)
+
+
+@pytest.mark.parametrize(("worth", "lag"), [(0.03, 0.4), (0.05, 0.0)])
+def test_a_lag_is_taken_where_it_is_worth_it(worth: float, lag: float) -> None:
+    """The loss falls by 0.04 with a lag of 0.4 s."""
+    found = least_late(lambda late: (late.mean - 0.5) ** 2 + 0.1 * abs(late.lag - 0.4), worth, 0.05)
+    assert found.lag == lag
+    assert found.mean == pytest.approx(0.5, abs=0.01)
+
+
+def test_windows_are_means_over_their_time() -> None:
+    t = 0.1 * np.arange(245)
+    values = np.random.default_rng(3).normal(size=(245, 2))
+    for length in SCALES:
+        cut = Windows.of(t, length)
+        edges = [*cut.starts, len(t)]
+        count = round(t[-1] / length)  # the last one, if short, joins its neighbour
+        assert len(cut.starts) == count
+        for k in range(count):
+            inside = (t >= k * length - 1e-9) & ((t < (k + 1) * length - 1e-9) | (k == count - 1))
+            at = np.flatnonzero(inside)
+            assert abs(edges[k] - at[0]) <= 1  # times at an edge are rounded either way
+            mine = values[edges[k] : edges[k + 1]]
+            assert_allclose(cut.mean(values)[k], mine.mean(axis=0))
+            assert cut.counts[k] == len(mine)
+            assert cut.blocks[k] == min(int(t[edges[k]] / BLOCK + 1e-9), round(t[-1] / BLOCK) - 1)
+
+
+def test_the_difference_of_sides_counts_where_contacts_have_settled() -> None:
+    """At 20 Hz half a second is eleven samples: five on either side must turn the same way."""
+    omega = np.r_[np.full(20, 0.5), np.full(20, -0.5), np.zeros(20), np.full(20, 0.05)]
+    half = 0.5 * omega * ICR.slip_track
+    t = 0.05 * np.arange(80)
+    one = Drive("one", t, Motion(0.3 - half, 0.3 + half, ICR), np.ones(80), between=np.ones(80))
+    inside = np.zeros(80)
+    inside[:15] = inside[25:35] = inside[65:] = 1.0
+    assert one.samples_in(0.5) == 11
+    assert_allclose(one.slides, inside)
+    assert_allclose(one.measured, np.column_stack([np.ones(80), inside]))
+    assert_allclose(one.observed(np.full((80, 2, 3), 2.0))[:, 1, 1], 2.0 * inside)
+    # contacts that hold up to 0.1 rad/s
+    still = replace(one, breakaway=0.1)
+    assert_allclose(still.slides, np.r_[inside[:65], np.zeros(15)])
+    assert_allclose(still.held.v_left[60:], 0.3)
+    assert_allclose(still.held.v_right[:40], one.motion.v_right[:40])
+    assert len(still.holding.v_left) == 40
+    # a log that is late by 0.2 s shows it four samples later
+    late = replace(one, late=Late(0.1, 0.1))
+    assert_allclose(late.slides, np.r_[np.ones(4), inside[:-4]])
+
+
+def test_way_and_time_of_a_prepared_log() -> None:
+    t = 5.0 + 0.1 * np.arange(200)
+    speed = np.where(np.arange(200) < 100, 0.5, -0.5)
+    columns = {"t": t, "v_left": speed, "v_right": speed, "p_left": 3.0 + t, "p_right": 7.0 - t}
+    one = Drive.of(DriveLog(columns, "straight"), MODEL.vehicle)
+    assert one.t[0] == 0.0
+    assert one.motion.channels["distance"][-1] == pytest.approx(0.5 * 19.9, abs=0.06)
+    assert_allclose(one.between, 4.0 - 2.0 * t)
+    assert_allclose(one.power, 10.0)
+    assert channels_of([one, one.with_channels(x=t)]) == set(one.motion.channels)
+    few = one.thinned(3)
+    assert_allclose(few.t, one.t[::3])
+    assert_allclose(few.between, (4.0 - 2.0 * t)[::3])
+    assert_allclose(few.motion.channels["distance"], one.motion.channels["distance"][::3])
+
+
+def test_short_logs_are_refused_and_long_ones_thinned(monkeypatch: pytest.MonkeyPatch) -> None:
+    def log(seconds: float) -> DriveLog:
+        t = np.linspace(0.0, seconds, round(50 * seconds) + 1)
+        return DriveLog({"t": t, "v_left": 0 * t + 0.4, "v_right": 0 * t + 0.4, "power": t}, "log")
+
+    check_long_enough([log(16.0)])
+    with pytest.raises(DriveLogError, match=r"log: 15\.9 s are too short.* give 16 s or more"):
+        check_long_enough([log(16.0), log(15.9)])
+    assert [len(d.t) for d in prepared([log(20.0)] * 2, MODEL.vehicle)] == [1001, 1001]
+    monkeypatch.setattr(windows, "_MANY", 1001)
+    assert [len(d.t) for d in prepared([log(20.0)] * 2, MODEL.vehicle)] == [501, 501]
+    monkeypatch.setattr(windows, "_MANY", 1)  # four samples are kept in half a second
+    # every sixth of 50 Hz, since seven would be longer than an eighth of a second
+    assert [len(d.t) for d in prepared([log(20.0)], MODEL.vehicle)] == [167]
+
+
+def designed(lengths: list[int]) -> tuple[list[Drive], Design]:
+    drives = [drive(n, 0.1, seed) for seed, n in enumerate(lengths)]
+    columns = [np.random.default_rng(9).normal(size=(n, 2, 3)) for n in lengths]
+    targets = [np.random.default_rng(8).normal(size=(n, 2)) for n in lengths]
+    return drives, Design.of(drives, columns, targets)
+
+
+def test_a_design_of_some_drives_is_that_of_them_alone() -> None:
+    _, whole = designed([250, 400, 330, 260])
+    _, first = designed([250, 400])
+    part = whole.of_drives(np.array([0, 1]))
+    for rows, alone in zip(part.rows, first.rows, strict=True):
+        assert_allclose(rows, alone)
+    assert_allclose(part.grams, first.grams)
+    assert part.drives.tolist() == first.drives.tolist() == [0] * 3 + [1] * 5
+    # a product of columns summed over its blocks is that over all rows
+    assert_allclose(whole.grams.sum(axis=1), [rows.T @ rows for rows in whole.rows])
+    assert whole.longest[0] is whole.rows[2]
+    assert whole.longest[1].tolist() == whole.drives.tolist()
+
+
+def test_columns_of_a_design_are_picked_joined_and_held_fixed() -> None:
+    _, design = designed([250, 400])
+    some = design.picked([2, 0])
+    again = some.joined([rows[:, 1:2] for rows in design.rows])
+    for rows, back in zip(design.rows, again.rows, strict=True):
+        assert_allclose(back, rows[:, [2, 0, 1, 3]])
+    held = design.fixed(np.array([False, True, False]), np.array([9.0, 2.0, 9.0]))
+    for rows, rest in zip(design.rows, held.rows, strict=True):
+        by_hand = np.column_stack([rows[:, 0], rows[:, 2], rows[:, 3] - 2.0 * rows[:, 1]])
+        assert_allclose(rest, by_hand)
+
+
+@pytest.mark.parametrize(
+    ("lengths", "comparable"),
+    [
+        ([160] * 4, True),
+        ([160] * 3, False),
+        ([640, 160, 160, 160], False),
+        ([320, 160, 160, 160], True),
+    ],
+)
+def test_folds_are_whole_drives_where_these_compare(lengths: list[int], comparable: bool) -> None:
+    _, design = designed(lengths)
+    assert design.comparable is comparable
+    blocks = sum(lengths) // 80
+    folds = design.with_folds(100)
+    assert len(folds.drives) == (4 if comparable else blocks)
+    few = design.with_folds(2)
+    assert len(few.drives) == 2
+    assert_allclose(few.grams.sum(axis=1), design.grams.sum(axis=1))
+    if comparable:
+        assert folds.drives.tolist() == [0, 1, 2, 3]
+
+
+def test_blocks_of_a_robot_at_rest_tell_nothing() -> None:
+    one = drive(480, 0.1)
+    columns = np.random.default_rng(4).normal(size=(480, 2, 3))
+    columns[160:240] = 0.0
+    columns[240:320] *= 0.05
+    target = np.column_stack([one.power, np.where(one.t < 16.0, one.power, 0.0)])
+    design = Design.of([one], [columns], [target])
+    assert design.telling.tolist() == [True, True, False, False, True, True]
+    # of the sides' difference, windows in which it is known: those of 16 s
+    assert design.counts.tolist() == [96, 24, 6, 32, 8, 2]
+    assert_allclose(design.evidence, design.counts * 4 / 6)
+
+
+@pytest.mark.parametrize("battery", [False, True])
+def test_derivatives_are_differences_of_the_power(battery: bool) -> None:
+    """Of a total, in turns and on straights; the vehicle's own losses count at the battery."""
+    vehicle = replace(MODEL.vehicle, drive_efficiency=0.8, regen_efficiency=0.6)
+    rng = np.random.default_rng(6)
+    left, right = rng.uniform(0.1, 1.0, size=(2, 60))
+    right[:20] = left[:20]
+    one = Drive("one", 0.1 * np.arange(60), Motion(left, right, ICR), np.ones(60), battery)
+    terms, values = (SLIP, TRACTION, HOTEL, COPPER_LOSS), np.array([0.6, 110.0, 30.0, 2e-4])
+    here = linearise_drive(one, vehicle, terms, values)
+    for k, value in enumerate(values):
+        step = 1e-5 * value * np.eye(4)[k]
+        more, less = (linearise_drive(one, vehicle, terms, values + s, ()) for s in (step, -step))
+        assert more.columns.shape == (60, 1, 0)
+        slope = (more.power - less.power) / (2e-5 * value)
+        assert_allclose(here.columns[:, :, k], slope, rtol=1e-3, atol=1e-3 * np.abs(slope).max())
+    # the model itself, where nothing holds
+    model = PowerModel(vehicle, terms, values)
+    whole = model.battery_side() if battery else model
+    assert_allclose(here.power[20:, 0], whole.power(one.motion)[20:])
+
+
+@pytest.mark.parametrize("speed", [0.5, -0.4])
+@pytest.mark.parametrize("copper", [0.0, 3e-4])
+def test_what_contacts_hold_is_told_by_the_difference_of_the_sides(
+    speed: float, copper: float
+) -> None:
+    """A constant moment on a straight. Sides draw ``F v + c F^2``, ``F = K -+ M / track``."""
+    moment, limit, n = 60.0, 200.0, 80
+    v, pull = np.full(n, speed), np.full(n, 110.0 * np.sign(speed))
+    push = moment / ICR.slip_track
+    left, right = pull - push, pull + push
+    between = (right - left) * v + copper * (right**2 - left**2)
+    one = Drive("one", 0.05 * np.arange(n), Motion(v, v, ICR), 0 * v, between=between, factor=1.2)
+    losses = [(COPPER_LOSS, copper)] if copper else []
+    found = preload(one, 1.2 * between, MODEL.vehicle, losses, Sides(pull, pull), limit)
+    assert_allclose(found.moment, moment, rtol=1e-3)
+    assert_allclose(found.forces.right, push, rtol=1e-3)
+    assert_allclose(found.forces.left, -push, rtol=1e-3)
+    rise_of_total = 2 * copper * (right - left)
+    rise_of_difference = 2 * speed + 2 * copper * (right + left)
+    assert_allclose(found.share, rise_of_total / rise_of_difference, atol=1e-4)
+    # no more than friction allows, and then it follows no coefficient
+    most = preload(one, 1.2 * between, MODEL.vehicle, losses, Sides(pull, pull), 30.0)
+    assert_allclose(most.moment, 30.0, rtol=1e-3)
+    assert_allclose(most.share, 0.0)
+
+
+def test_losses_at_rest_are_those_of_all_that_friction_holds() -> None:
+    vehicle = replace(MODEL.vehicle, drive_efficiency=0.8)
+    one = drive(battery=True)
+    push = 0.6 * vehicle.slip_moment / ICR.slip_track
+    terms = (SLIP, COPPER_LOSS, DRIVE_LOSS, REGENERATION_LOSS)
+    found = held_loss(vehicle, terms, np.array([0.6, 2e-4, 0.1, 0.3]), one)
+    assert found == pytest.approx(2 * 2e-4 * push**2)
+    assert held_loss(vehicle, terms, np.array([-0.6, 2e-4, 0.1, 0.3]), one) == 0.0
+    assert held_loss(vehicle, (COPPER_LOSS,), np.array([2e-4]), one) == 0.0
