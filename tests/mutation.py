@@ -35,9 +35,10 @@ from cosmic_ray.work_item import TestOutcome, WorkerOutcome
 ROOT = Path(__file__).resolve().parents[1]
 TESTS = {
     "power": "tests/power", "vehicle": "tests/test_vehicle.py",
-    "cost": "tests/cost tests/limits/test_chain.py",
+    "cost": "tests/cost tests/limits/test_chain.py tests/steering",
     "steering": "tests/steering", "planning/bound": "tests/planning/test_bound.py",
-    "fit": "tests/fit tests/diagnosis/test_one_core.py tests/diagnosis/test_probabilities.py",
+    "fit": "tests/fit tests/diagnosis/test_one_core.py tests/diagnosis/test_probabilities.py "
+           "tests/diagnosis/test_both_sides.py",
     "mission": "tests/mission", "limits": "tests/limits",
 }  # fmt: skip
 """What is changed, below the package, and the tests that should notice."""

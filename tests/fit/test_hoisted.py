@@ -73,3 +73,39 @@ def test_what_is_missing_is_named() -> None:
     still = {k: v if k == "t" else np.zeros_like(v) for k, v in channels.items()}
     with pytest.raises(NotIdentifiableError, match="the left side hardly turns"):
         hoisted(DriveLog(still, "still"))
+
+
+def test_two_steady_speeds_give_the_line_through_their_means() -> None:
+    """Without noise or ramps; each speed is a drive of its own."""
+    logs = []
+    for v, force, n in ((0.31, 40.0, 60), (0.58, 46.0, 30), (0.93, 44.0, 19)):
+        t = 0.1 * np.arange(n)
+        wave = 2.0 * np.sin(t * 9.0)
+        sides = {"v_left": 0 * t + v, "v_right": 0 * t - v, "p_left": (force + wave) * v}
+        logs.append(DriveLog({"t": t, **sides, "p_right": (force - wave) * v}, f"{v}"))
+    left, right = hoisted(logs)
+    for found, sign in ((left, 1.0), (right, -1.0)):
+        parts = [(0.31, 40.0, 60), (0.58, 46.0, 30), (0.93, 44.0, 19)]
+        v = np.concatenate([np.full(n, speed) for speed, _, n in parts])
+        force = np.concatenate([f + sign * 2.0 * np.sin(0.9 * np.arange(n)) for _, f, n in parts])
+        slope, at_mean = np.polyfit(v - v.mean(), force, 1)
+        assert found.speed == pytest.approx(v.mean())
+        assert found.force == pytest.approx(at_mean)
+        assert found.slope == pytest.approx(slope)
+        # both errors come from one variance; the last class has too few samples to be told
+        sxx = np.sum((v - v.mean()) ** 2)
+        assert found.slope_error / found.force_error == pytest.approx(np.sqrt(len(v) / sxx))
+        assert [one.samples for one in found.classes] == [60, 30]
+        for one, (speed, *_) in zip(found.classes, parts, strict=False):
+            assert one.speed == pytest.approx(speed)
+            assert one.force == pytest.approx(force[v == speed].mean())
+            assert 0 < one.std_error < 2.0
+    one_speed = hoisted(logs[0])[0]
+    assert (one_speed.slope, one_speed.slope_error) == (0.0, np.inf)
+
+
+def test_beats_of_the_encoders_leave_nearly_all_samples() -> None:
+    """Taken for acceleration, as 0.5 m/s^2 at each beat, they would leave one in five."""
+    for found in hoisted(DriveLog(drive(), "hoisted")):
+        steady = 4 * 9 * 50
+        assert sum(one.samples for one in found.classes) > 0.95 * steady

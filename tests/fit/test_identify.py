@@ -543,6 +543,17 @@ def test_a_gap_is_no_time_driven(truth: PowerModel, spiral: DriveLog) -> None:
     assert found.residual.duration == pytest.approx(40.0, abs=0.2)
 
 
+def test_an_error_of_energy_where_none_was_measured_has_its_sign() -> None:
+    model = PowerModel.preset("quadriga:empty:marble")
+    t = np.linspace(0.0, 20.0, 201)
+    moving = {"t": t, "v_left": 0 * t + 0.5, "v_right": 0 * t + 0.5, "power": 0 * t}
+    assert fit_residual(model, DriveLog(moving)).energy_error == np.inf
+    pushed = PowerModel.paper(model.vehicle, -10.0, 0.0)
+    assert fit_residual(pushed, DriveLog(moving)).energy_error == -np.inf
+    resting = {**moving, "v_left": 0 * t, "v_right": 0 * t}
+    assert fit_residual(model, DriveLog(resting)).energy_error == 0.0
+
+
 def test_residual_statistics(truth: PowerModel) -> None:
     log = simulate.drive(truth, "spiral", duration=600.0, seed=1, power_noise=10.0,
                          correlation_time=1.0, biases={"power": 3.0}, measured="total")  # fmt: skip

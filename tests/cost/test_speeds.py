@@ -1,0 +1,105 @@
+"""Speeds that motions are priced at: as asked, within limits, and the cheapest of a range."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from energyplan.cost import EnergyCost
+from energyplan.cost.speeds import asked_speed, cheapest_rate, last_within, slowest_rate
+from energyplan.cost.steering import _turn_table
+from energyplan.errors import InvalidInputError
+from energyplan.vehicle import MotorLimits, TreadICR, Vehicle
+
+VEHICLE = Vehicle.preset("husky_a200")
+
+
+def test_what_is_asked_is_a_speed_the_cheapest_or_the_usual_one() -> None:
+    assert asked_speed("cheapest", VEHICLE) is None
+    assert asked_speed(None, VEHICLE) == VEHICLE.motor.speed
+    assert asked_speed(None, replace(VEHICLE, usual_speed=0.4)) == 0.4
+    assert asked_speed(None, replace(VEHICLE, motor=MotorLimits())) is None
+    assert asked_speed("0.6", VEHICLE) == asked_speed(0.6, VEHICLE) == 0.6
+    for wrong in ("0", -1.0, "inf", "nan", "as fast as it goes", "zigzag", ""):
+        with pytest.raises(InvalidInputError, match="metres per second"):
+            asked_speed(wrong, VEHICLE)
+
+
+@pytest.mark.parametrize("per_radian", [0.0, 0.4, 90.0])
+@pytest.mark.parametrize("icr", [0.5, TreadICR(0.6, 0.3, 0.1)])
+def test_two_coefficients_make_a_cost(per_radian: float, icr: float | TreadICR) -> None:
+    cost = EnergyCost.from_coefficients(200.0, per_radian, icr)
+    ds, dtheta = np.array([1.0, 0.0, 0.3, -2.0]), np.array([0.0, 1.0, -1.5, 0.2])
+    # the point midway between the treads' ICRs lies 0.15 m to the left of the second robot's origin
+    C, aside = (0.5, 0.0) if icr == 0.5 else (0.45, 0.15)
+    expected = 200.0 * np.maximum(
+        np.abs(ds - aside * dtheta), C * np.abs(dtheta)
+    ) + per_radian * np.abs(dtheta)
+    assert_allclose(cost.segment_energy(ds, dtheta), expected, rtol=1e-9)
+    # a metre takes a second unless another speed is given
+    assert cost.model.vehicle.motor.speed == 1.0
+    assert EnergyCost.from_coefficients(200.0, 1.0, icr, 0.4).model.vehicle.motor.speed == 0.4
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "words"),
+    [((0.0, 1.0), "per_metre is 0"), ((np.inf, 1.0), "per_metre is inf"),
+     ((1.0, -1e-9), "per_radian is -1e-09"), ((1.0, np.nan), "per_radian is nan")],
+)  # fmt: skip
+def test_coefficients_that_no_cost_has_are_refused(
+    coefficients: tuple[float, float], words: str
+) -> None:
+    with pytest.raises(InvalidInputError, match=words):
+        EnergyCost.from_coefficients(*coefficients, 0.5)
+
+
+def test_the_last_value_within_limits_is_found_to_the_last_bits() -> None:
+    ends = np.array([0.1, 1.0 / 3.0, 0.77, 1.0 - 1e-9])
+    found = last_within(lambda x: x <= ends, np.zeros(4), np.ones(4))
+    assert np.all(found <= ends)
+    assert_allclose(found, ends, rtol=1e-14)
+    # what lies beyond a gap of what is allowed is out of reach
+    parted = last_within(lambda x: (x <= 0.3) | (x > 0.6), np.zeros(1), np.ones(1))
+    assert_allclose(parted, 0.3, rtol=1e-12)
+
+
+def test_the_cheapest_rate_is_the_least_of_a_range_or_its_end() -> None:
+    slowest, limit = np.array([0.01, 0.01, 2.0, 0.5]), np.array([4.0, 0.2, 5.0, 0.5])
+    found = cheapest_rate(slowest, limit, lambda w: w + 1.0 / w)  # least at 1
+    assert_allclose(found, [1.0, 0.2, 2.0, 0.5], rtol=1e-5)
+    # of two valleys the deeper one
+    two = cheapest_rate(
+        np.array([0.05]), np.array([5.0]),
+        lambda w: np.minimum(np.log(w / 0.2) ** 2 + 0.3, np.log(w / 2.0) ** 2),
+    )  # fmt: skip
+    assert_allclose(two, 2.0, rtol=1e-5)
+
+
+def test_the_slowest_rate_is_a_twentieth_of_what_limits_it() -> None:
+    x, y, limit = np.array([1.0, 0.5]), np.array([0.0, -0.3]), np.array([0.4, 0.01])
+    top = VEHICLE.motor.speed
+    expected = np.minimum(limit, [0.05 * top, 0.05 * top / 0.8])
+    assert_allclose(slowest_rate(x, y, limit, VEHICLE), expected)
+    free = replace(VEHICLE, motor=MotorLimits())
+    assert_allclose(slowest_rate(x, y, limit, free), 0.05 * limit)
+
+
+def test_a_table_of_corners_has_their_rates_and_slopes() -> None:
+    half, corners = 0.5, np.array([[0.2, 0.1], [0.0, 0.5], [0.1, 0.4]])
+    m, g, slope = _turn_table(corners, half, 100.0)
+    assert_allclose(m, [0.0, 0.25, 2.0])
+    assert_allclose(g, [1.0, 1.25, 5.0])
+    assert_allclose(slope, [0.25 / 0.25, 3.75 / 1.75, np.inf])
+
+
+def test_a_flat_edge_gets_a_corner_in_its_middle_that_is_hardly_cheaper() -> None:
+    half, corners = 0.5, np.array([[0.0, 0.5], [0.25, 0.5], [0.6, 0.3]])
+    m, g, slope = _turn_table(corners, half, 100.0)
+    assert_allclose(m, [0.0, 0.25, 0.5, 2.0])
+    assert_allclose(g, [1.0, 1.0, 1.0, 5.0 / 3.0], rtol=1e-7)
+    assert 0 < 1.0 - g[1] < 2e-8
+    assert slope[0] < 0 < slope[1]
+    assert_allclose(slope[2], (5.0 / 3.0 - 1.0) / 1.5)
