@@ -54,6 +54,9 @@ SAME = {
 }  # fmt: skip
 """Effects that powers cannot tell apart, and what stands for them."""
 
+STRANGER = ("something else",)
+"""What the report states of causes that the catalogue lacks."""
+
 BINS = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.0)
 PAGE = Path(__file__).parents[1] / "docs" / "diagnosis.md"
 START, END = "<!-- calibration -->\n", "<!-- end of calibration -->\n"
@@ -92,7 +95,8 @@ class Outcome:
     @property
     def first(self) -> bool:
         """Whether the most probable explanation is the right one."""
-        return max(self.stated, key=lambda one: one[1])[0] == self.hidden
+        named = [one for one in self.stated if one[0] != STRANGER]
+        return max(named, key=lambda one: one[1])[0] == self.hidden
 
 
 @dataclass(frozen=True)
@@ -206,6 +210,8 @@ def case(seed: int, robots: str, fewest: int, most: int) -> Outcome:
         alike = [told_apart(names) for names in (one.effects, *one.alike)]
         key = true if true in alike else next((k for k in stated if k in alike), alike[0])
         stated[key] = stated.get(key, 0.0) + one.probability
+    if told.none_of_these > 0.0:
+        stated[STRANGER] = told.none_of_these
     covered = tuple(
         bool(abs(effect.value - sizes[effect.name]) <= 1.96 * effect.std_error)
         for effect in told.effects if effect.name in sizes

@@ -7,7 +7,7 @@ errors that are reported come from drives that took part in neither.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,9 +18,9 @@ from energyplan.diagnosis.averaging import FEWEST_RUNS, averaged, note_of
 from energyplan.diagnosis.change_points import change_time
 from energyplan.diagnosis.explanations import Found
 from energyplan.diagnosis.holdout import ErrorInterval, Prediction, interval, predict, score
-from energyplan.diagnosis.joint_fit import final_fit, size_error
+from energyplan.diagnosis.joint_fit import FinalFit, final_fit, size_error
 from energyplan.diagnosis.mass_centre import MassCentre, find_mass_centre
-from energyplan.diagnosis.mimics import without_mimics
+from energyplan.diagnosis.mimics import smooth_part, without_mimics
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import terms_of
 from energyplan.diagnosis.residual import Dependence, dependences
@@ -36,6 +36,7 @@ from energyplan.diagnosis.result import (
     Verdict,
 )
 from energyplan.diagnosis.search import SIGNIFICANCE, Search
+from energyplan.diagnosis.stand_ins import Presence, presence
 from energyplan.diagnosis.wheel_fight import find_wheel_fight
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
@@ -47,7 +48,7 @@ from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
 from energyplan.logs.plausible import yaw_rate_offset
 from energyplan.power import PowerModel, Residual
-from energyplan.power.effects import Effect, catalogue, empirical_term
+from energyplan.power.effects import Effect, catalogue
 from energyplan.vehicle import Vehicle
 
 __all__ = [
@@ -278,7 +279,7 @@ class _Case:
         ]  # fmt: skip
         # What differs from drive to drive hides no channel that says more within each.
         first = next((one for one in left if one.channel != "drive"), None)
-        smooth = _smooth_part(first) if first is not None and first.knots else None
+        smooth = smooth_part(first) if first is not None and first.knots else None
         chosen = parts
         added = smooth if empirical and smooth is not None and self._carry(smooth) else None
         if added is not None:
@@ -291,7 +292,14 @@ class _Case:
         fight = find_wheel_fight(best.problem, fitted.model) if entry else None
         if fight is not None:
             fitted = replace(fitted, model=fight.model)
-        weighed = averaged(best.problem, fitted, parts, len(self.entries)) if choose else None
+        quality = adequacy(best.problem, fitted)
+        present = presence(
+            searched, chosen, quality, self.mass_centre is not None or fight is not None
+        )
+        weighed = (
+            averaged(best.problem, fitted, parts, len(self.entries), present.stranger)
+            if choose else None
+        )  # fmt: skip
         told = fitted if weighed is None else weighed.fitted
         average = None if weighed is None else weighed.average
         after = [predict(told.model, parts, drive) for drive in self.held]
@@ -301,7 +309,7 @@ class _Case:
         if any(part.effect.acts == "change" for part in parts):
             foretold = [predict(told.model, parts, drive, dated=False) for drive in self.held]
             undated = score(foretold)
-        found = self._found(chosen, fitted.model, fitted.errors, searched, after)
+        found = self._found(chosen, fitted, searched, after, present)
         if fight is not None and entry is not None:
             found = (*found, fight.effect(entry))
         unexplained = tuple(
@@ -311,7 +319,6 @@ class _Case:
             )
             for one in left
         )  # fmt: skip
-        quality = adequacy(best.problem, fitted)
         names = [effect.name for effect in found]
         used = [part.effect for part in chosen]
         errors = score(before), score(after)
@@ -335,7 +342,6 @@ class _Case:
         verdict: Verdict = "no_effect"
         if found:
             enough = explains(quality, errors[0].rmse, errors[1].rmse)
-            # What nearly every robot has is no reason for what is still left.
             usual = {entry.name for entry in self.entries if entry.usual}
             enough &= quality.adequate or not usual.issuperset(names)
             verdict = "effect_found" if held and enough else "unexplained"
@@ -358,7 +364,8 @@ class _Case:
             withdrawn=tuple(mimics),
             predictions_before=tuple(one.power for one in before),
             predictions_after=tuple(one.power for one in after),
-            explanations=self._explanations(searched),
+            explanations=self._explanations(searched, 1.0 - present.stranger),
+            none_of_these=present.stranger,
             adequacy=quality,
             predictions=energies(best.problem, told, foretold),
             training=tuple(log.name for log in self.logs[0]),
@@ -385,18 +392,18 @@ class _Case:
         best = next((one for one in shapes if one.knots), None)
         if best is None or best.explained_variance < _MOSTLY or best.p_value > SIGNIFICANCE:
             return parts, []
-        return without_mimics(problem, parts, _smooth_part(best))
+        return without_mimics(problem, parts, smooth_part(best))
 
     def _choosing(self) -> tuple[str, ...]:
         """Name what chose: whole training drives, or blocks of them, each left out in turn."""
         names = [log.name for log in self.logs[0]]
         return tuple(names if len(names) >= 4 else (f"blocks of {name}" for name in names))
 
-    def _explanations(self, searched: Found) -> tuple[Explanation, ...]:
+    def _explanations(self, searched: Found, share: float) -> tuple[Explanation, ...]:
         moved = () if self.mass_centre is None else ("centre_of_mass",)
         return tuple(
             Explanation(
-                (*moved, *one.names), one.probability,
+                (*moved, *one.names), share * one.probability,
                 _for_planners(final_fit(one.problem, one.parts).model,
                               [part.effect for part in one.parts], None),
                 tuple((*moved, *names) for names in one.alike),
@@ -407,11 +414,12 @@ class _Case:
     def _found(
         self,
         parts: Sequence[Part],
-        model: PowerModel,
-        errors: Mapping[str, float],
+        fitted: FinalFit,
         searched: Found,
         after: Sequence[Prediction],
+        present: Presence,
     ) -> tuple[FoundEffect, ...]:
+        model, errors = fitted.model, fitted.errors
         found = []
         if self.mass_centre is not None:
             entry = next(entry for entry in self.entries if entry.name == "centre_of_mass")
@@ -437,7 +445,8 @@ class _Case:
                 FoundEffect(
                     entry.name, entry.symbol, value, entry.unit, error,
                     Evidence(gain.improvement, gain.error, gain.p_value),
-                    searched.probability(entry.name), searched.rivals(entry.name),
+                    present.of(entry.name) * searched.probability(entry.name),
+                    searched.rivals(entry.name),
                     details, entry.meaning, entry.planner,
                 )
             )  # fmt: skip
@@ -456,8 +465,3 @@ def _for_planners(
     return PowerModel(
         model.vehicle, tuple(terms), model.coefficients[keep], covariance, residual, name
     )
-
-
-def _smooth_part(found: Dependence) -> Part:
-    term = empirical_term(f"empirical_{found.carrier}_{found.channel}", found.knots, found.values)
-    return Part(Effect.of(term, planner="where it knows the channel"))

@@ -178,7 +178,11 @@ class _Comparison:
 
 
 def averaged(
-    problem: Problem, fitted: FinalFit, parts: Sequence[Part] = (), tried: int = 1
+    problem: Problem,
+    fitted: FinalFit,
+    parts: Sequence[Part] = (),
+    tried: int = 1,
+    stranger: float = 0.0,
 ) -> Averaged | None:
     """Average an explanation with the paper's terms, by how well each predicts what it has not met.
 
@@ -199,6 +203,8 @@ def averaged(
         Its effects.
     tried : int
         Number of effects that they were picked out of.
+    stranger : float
+        Probability that one of them only stands in for what the catalogue lacks.
 
     Returns
     -------
@@ -207,7 +213,7 @@ def averaged(
         or the drives took no energy. One run without an effect that only some robots have is left
         as it is, and so are fewer than `FEWEST_RUNS` that the explanation foretells, block by block
         over two seconds, as well as runs are alike: then little is left that another motion could
-        bring to light.
+        bring to light, unless it stands in for something else.
     """
     count = len(problem.drives)
     picked = sum(bool(part.terms) and not part.effect.usual for part in parts)
@@ -232,18 +238,23 @@ def averaged(
 
     design = problem.design(fitted.terms, None, start, rounds=1)
     errors = problem.reference(design)
-    if count < FEWEST_RUNS and errors[_SLOW] <= _NOTHING * problem.floor[_SLOW]:
+    foretold = errors[_SLOW] <= _NOTHING * problem.floor[_SLOW]
+    if count < FEWEST_RUNS and foretold and stranger == 0.0:
         return None
     grams = weighted(design, errors)
     folds = {"run": windows.run} if count > 1 else {}
     if count < FEWEST_RUNS and picked:
         folds["kind of motion"] = _motions(plain, paper)
+        if any(part.effect.acts == "place" for part in parts):
+            folds["part of the ground"] = _places(plain)
     compared = [
         _compared(what, fold, windows, whole.longest[0], (short, long), grams)
         for what, fold in folds.items()
     ]
-    # Both must be foretold: runs that are to come, and motions that are in them.
+    # All must be foretold: runs that are to come, and motions and ground that are in them.
     handicap = picked * float(np.log(max(tried, 1)))
+    if stranger > 0.0 and count < FEWEST_RUNS:
+        handicap += max(float(np.log(stranger / max(1.0 - stranger, _EXACT))), 0.0)
     weight, worst = min(((one.weight(handicap), one) for one in compared), key=lambda pair: pair[0])
     missed = None
     if count >= FEWEST_RUNS:
@@ -281,6 +292,24 @@ def _motions(problem: Problem, paper: FloatArray) -> NDArray[np.intp]:
             for drive, m in ((drive, drive.motion) for drive in problem.drives)
         ]
     )  # fmt: skip
+    return _grouped(points)
+
+
+def _places(problem: Problem) -> NDArray[np.intp]:
+    """Group the longest windows by where the robot was."""
+    return _grouped(
+        np.concatenate(
+            [
+                drive.windows[-1].mean(
+                    np.column_stack([drive.motion.channels[name] for name in ("x", "y")])
+                )
+                for drive in problem.drives
+            ]
+        )
+    )
+
+
+def _grouped(points: FloatArray) -> NDArray[np.intp]:
     count = int(np.clip(len(points) // _MEMBERS, 2, _MOTIONS))
 
     def apart(centre: FloatArray) -> FloatArray:
@@ -291,7 +320,7 @@ def _motions(problem: Problem, paper: FloatArray) -> NDArray[np.intp]:
     while len(centres) < count and gap.max() > 0.0:
         centres.append(points[np.argmax(gap)])
         gap = np.minimum(gap, apart(centres[-1]))
-    if len(centres) == 1:  # one motion throughout: its first half and its last
+    if len(centres) == 1:  # alike throughout: the first half and the last
         return np.asarray(np.arange(len(points)) * 2 // len(points))
     with warnings.catch_warnings():  # a group without members keeps its centre
         warnings.filterwarnings("ignore", "One of the clusters is empty")
@@ -362,7 +391,7 @@ def note_of(told: Average, names: Sequence[str]) -> str:
     what = f"the explanation ({', '.join(names)})" if names else "the paper's terms and inertia"
     why = (
         "runs differ as a whole" if told.left_out == "run"
-        else "these drives do not show how the effects act on other motions"
+        else "these drives do not show how the effects act on other motions, or elsewhere"
     )  # fmt: skip
     return (
         f"{why}: the model averages {what}, weight {told.weight:.2f}, with the paper's two terms "

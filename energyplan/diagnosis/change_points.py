@@ -7,7 +7,7 @@ are computed once.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from energyplan.power.effects import Effect
 from energyplan.vehicle import Vehicle
 
 _SWEEPS = 3
+_LEAST_SIDE = 0.1  # share of the samples on either side of a line, of which it tells
 _MARGIN = 6  # windows before the first and after the last time that is tried
 
 
@@ -131,6 +132,31 @@ def lines(effect: Effect, drives: Sequence[Drive]) -> Iterator[Part]:
         along = x * np.cos(direction) + y * np.sin(direction)
         for offset in np.quantile(along, [0.2, 0.35, 0.5, 0.65, 0.8]):
             yield Part(effect, (("direction", float(direction)), ("offset", float(offset))))
+
+
+def crosses(params: Mapping[str, float], drives: Sequence[Drive]) -> bool:
+    """Tell whether the drives were on both sides of a line, a tenth of the samples on each.
+
+    Parameters
+    ----------
+    params : mapping of str to float
+        Its ``direction`` and ``offset``.
+    drives : sequence of Drive
+        Drives with ``x`` and ``y``.
+
+    Returns
+    -------
+    bool
+        False where a moment beyond the line would have to tell of all the ground there.
+    """
+    direction, offset = params["direction"], params["offset"]
+    beyond = [
+        d.motion.channels["x"] * np.cos(direction) + d.motion.channels["y"] * np.sin(direction)
+        > offset
+        for d in drives
+    ]
+    share = float(np.mean(np.concatenate(beyond)))
+    return _LEAST_SIDE <= share <= 1.0 - _LEAST_SIDE
 
 
 def settle_change(

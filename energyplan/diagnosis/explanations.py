@@ -56,6 +56,8 @@ class Gain:
         By how much it raises the logarithm of the set's likelihood.
     share : float
         Root of the fall of the mean square error, over the root mean square power.
+    falls : ndarray, shape (scales,)
+        Fall of the cross-validated mean square error of the total power, at each scale [W^2].
     """
 
     improvement: float
@@ -63,14 +65,19 @@ class Gain:
     p_value: float
     weight: float
     share: float
+    falls: FloatArray
 
 
 @dataclass(frozen=True)
 class Found:
-    """Outcome of the search: explanations, the most probable one first."""
+    """Outcome of the search: explanations, the most probable one first.
+
+    `followed` is how well each effect would be followed by another one, were it not known.
+    """
 
     explanations: tuple[Explanation, ...]
     untested: tuple[tuple[str, str], ...]
+    followed: FloatArray
 
     @property
     def best(self) -> Explanation:

@@ -6,8 +6,16 @@ from collections.abc import Sequence
 
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import terms_of
+from energyplan.diagnosis.residual import Dependence
 from energyplan.diagnosis.search import WORTHWHILE
 from energyplan.fit.least_squares import Fit, Problem, difference, fit
+from energyplan.power.effects import Effect, empirical_term
+
+
+def smooth_part(found: Dependence) -> Part:
+    """Return the smooth term of a dependence as an effect."""
+    term = empirical_term(f"empirical_{found.carrier}_{found.channel}", found.knots, found.values)
+    return Part(Effect.of(term, planner="where it knows the channel"))
 
 
 def without_mimics(

@@ -55,7 +55,8 @@ class FoundEffect:
     evidence : Evidence
         Why it was added.
     probability : float
-        That it is there, over all explanations.
+        That it is there, over all explanations; the lower, the more may be missing that it may
+        stand in for.
     rivals : tuple of str
         Effects that these drives cannot separate from it.
     details : mapping of str to float
@@ -102,7 +103,7 @@ class Explanation:
     effects : tuple of str
         Their names, the one that explains most first; none where the paper's model may do.
     probability : float
-        That it is the right one, among those that the catalogue can give.
+        That it is the right one. With `Diagnosis.none_of_these` they sum to one.
     model : PowerModel
         The model with these effects, fitted to the training drives.
     alike : tuple of tuple of str
@@ -207,9 +208,10 @@ class Average:
     weight : float
         Weight of the explanation, in [0, 1]; the rest is that of the paper's terms, fitted by least
         absolute errors.
-    left_out : {"run", "kind of motion"}
+    left_out : {"run", "kind of motion", "part of the ground"}
         What was left out, one after the other: whole runs, or with fewer than four of them kinds of
-        motion, whichever the explanation foretells worse.
+        motion, and parts of the ground where an effect has a place there, whichever the
+        explanation foretells worst.
     explanation_error, cautious_error : float
         Mean size of the relative error of its energy, by each alone.
 
@@ -293,6 +295,9 @@ class Diagnosis:
         Predicted power of each hold-out drive [W].
     explanations : tuple of Explanation
         The sets of effects that these drives leave possible, the most probable one first.
+    none_of_these : float
+        Probability that none of them is right: that behind a name is something else, which the
+        catalogue lacks. Zero where `adequacy` misses nothing.
     adequacy : Adequacy
         What is left, against noise.
     predictions : tuple of EnergyPrediction
@@ -346,6 +351,7 @@ class Diagnosis:
     set_aside: Mapping[str, Mapping[str, int]]
     after_undated: Residual | None = None
     average: Average | None = None
+    none_of_these: float = 0.0
 
     def _repr_html_(self) -> str:
         """Return the effects and both errors as tables, for notebooks."""

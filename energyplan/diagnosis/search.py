@@ -26,6 +26,7 @@ from energyplan.diagnosis.proposals import (
     with_changes,
 )
 from energyplan.diagnosis.settling import Make, settled
+from energyplan.diagnosis.stand_ins import followed_in
 from energyplan.fit.drives.late import DELAYS, ON_TIME, Late, least_late
 from energyplan.fit.drives.windows import SCALES, Drive
 from energyplan.fit.least_squares import FLOOR, Problem, difference, fit
@@ -82,6 +83,7 @@ class Search(Proposals):
         self.progress = progress
         self.rest = Rest(problem)
         self.evaluated: dict[tuple[Set, Late], Evaluated] = {}
+        self.followed: FloatArray = np.array([])
 
     def _best_of(self, pools: Mapping[Late, tuple[list[Candidate], list[Set]]]) -> Evaluated:
         every = [
@@ -134,6 +136,7 @@ class Search(Proposals):
         return Gain(
             float(falls), error / len(SCALES), self._p_value(full, part, looks),
             self.score(full) - self.score(less), float(np.sqrt(max(shares, 0.0))),
+            fall[: len(SCALES)],
         )  # fmt: skip
 
     def _p_value(self, full: Evaluated, part: Part, looks: float) -> float:
@@ -228,6 +231,7 @@ class Search(Proposals):
             one = self._evaluate(now, candidates, late)
             about = self._about(one.problem, one.parts, one.errors)
             design = self._table(self.problem.delayed(late), candidates, about)
+            self.followed = followed_in(design, candidates, one)
             others = [k for k in range(len(candidates)) if k not in chosen]
             trials = [{*now, new} for new in others]
             trials += [
@@ -368,7 +372,7 @@ class Search(Proposals):
             ]
         )
         ranked[0] = self._refined(ranked[0])
-        return Found(tuple(ranked), tuple(self.untested))
+        return Found(tuple(ranked), tuple(self.untested), self.followed)
 
     def _classed(self, ranked: Sequence[Explanation]) -> list[Explanation]:
         """Say of each explanation which others these drives cannot tell it from.
@@ -454,7 +458,7 @@ class Search(Proposals):
             rest = [other for other in parts if other is not part]
             gains.append(self._gain(full, self._fitted(problem, rest), part, 1.0))
         one = Explanation(tuple(parts), 1.0, problem, tuple(gains))
-        return Found((one,), tuple(self.untested))
+        return Found((one,), tuple(self.untested), np.array([]))
 
 
 def _errors(problem: Problem, parts: Sequence[Part]) -> FloatArray:

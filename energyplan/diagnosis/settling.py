@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import minimize
 
+from energyplan.diagnosis.change_points import crosses
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import terms_of
 from energyplan.fit.least_squares import Problem, fit
@@ -36,6 +37,10 @@ def settled(part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
 
     def loss(values: FloatArray) -> float:
         trial, case = made(values)
+        if part.effect.acts == "place":
+            named = zip((key for key, _ in part.params), values.tolist(), strict=True)
+            if not crosses(dict(named), case.drives):
+                return np.inf
         return fit(case.design(terms_of(trial), errors), errors).loss
 
     start, span = np.array([value for _, value in part.params]), _span(part)

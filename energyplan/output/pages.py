@@ -59,8 +59,13 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
             f"fitted to, the root mean square error is {before} without it and {after} with it.",
             "no_effect": "No effect of the catalogue predicts these drives better than the paper's "
             "model alone.",
-            "unexplained": "Part of the residual depends on a channel in a way that no effect of "
-            "the catalogue explains.",
+            "unexplained": "More is left than noise"
+            + (
+                ", and part of it depends on a channel in a way that no effect of the catalogue "
+                "explains."
+                if told.unexplained
+                else ", and no effect of the catalogue explains it."
+            ),
         }[told.verdict],
         "lead",
     )
@@ -78,8 +83,9 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
             ],
         )  # fmt: skip
         page.paragraph("A size is told with its standard error.")
-    if len(told.explanations) > 1:
+    if len(told.explanations) > 1 or told.none_of_these > 0:
         page.heading("Possible explanations")
+        none = ("none of these, but something else", _chance(told.none_of_these), "-")
         page.table(
             ("effects", "probability", "not separated from"),
             [
@@ -89,7 +95,8 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
                     "; ".join(_together(names) for names in one.alike) or "-",
                 )
                 for one in told.explanations
-            ],
+            ]
+            + ([none] if told.none_of_these > 0 else []),
         )
     page.heading("Error on the hold-out drives")
     rows = (

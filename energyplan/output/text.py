@@ -82,6 +82,8 @@ def diagnosis(told: Diagnosis) -> list[str]:
         + (" and ".join(name.replace("_", " ") for name in one.effects) or "no effect")
         for one in others
     ]
+    if told.none_of_these > 0:
+        lines.append(f"none of these, but something else: probability {told.none_of_these:.2f}")
     if told.explanations and told.explanations[0].alike:
         alike = ((told.explanations[0].effects), *told.explanations[0].alike)
         names = (" and ".join(n.replace("_", " ") for n in one) or "no effect" for one in alike)

@@ -83,7 +83,8 @@ def _learned(logs: Sequence[DriveLog], vehicle: Vehicle) -> Learned:
         return Learned(model, (), note=note)
     told = diagnose(long, [log.segment(float(log.t[0]), np.inf) for log in long], vehicle)
     found = tuple(Found(e.name, e.value, e.std_error, e.unit) for e in told.effects)
-    likely = [e for e in told.explanations if e.probability >= LIKELY]
+    most = told.explanations[0].probability
+    likely = [e for e in told.explanations if e.probability > LIKELY * most]
     return Learned(told.model, found, tuple(map(_explanation, likely)))
 
 

@@ -10,6 +10,7 @@ import pytest
 from energyplan import DriveLog, PowerModel, diagnose, simulate
 from energyplan.diagnosis import Diagnosis
 from energyplan.path import FloatArray
+from energyplan.power.effects import catalogue
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")
 K = ROBOT.coefficient("traction_resistance")
@@ -136,6 +137,13 @@ def drag_above_a_speed(drive: DriveLog) -> tuple[FloatArray, FloatArray]:
     return force * np.abs(left), force * np.abs(right)
 
 
+def rubs_in_fast_turns(drive: DriveLog) -> tuple[FloatArray, FloatArray]:
+    """Tyres that rub by the centripetal force."""
+    left, right = speeds(drive)
+    force = 2.0 * K * np.abs(0.5 * (left + right) * (right - left))
+    return force * np.abs(left), force * np.abs(right)
+
+
 def driven(kind: Kind, seed: int, *, validation: bool = False, total: bool = False) -> DriveLog:
     """A drive of a robot with that kind of effect, with noise."""
     pattern = simulate.validation_drive if validation else simulate.identification_drive
@@ -163,6 +171,7 @@ def told(kind: Kind, seed: int = 11, *, total: bool = False) -> Diagnosis:
         pytest.param(eccentric_wheel, {"left tread"}, id="eccentric wheel"),
         pytest.param(hill, {"x"}, id="hill"),
         pytest.param(swinging_payload, set(), id="swinging payload"),
+        pytest.param(rubs_in_fast_turns, set(), id="rubs in fast turns"),
         pytest.param(tyre_loses_pressure, {"t", "distance"}, id="tyre loses pressure"),
         pytest.param(backlash, {"since_start"}, id="backlash"),
         pytest.param(clock_drifts, set(), id="clock drifts"),
@@ -178,6 +187,14 @@ def test_what_the_catalogue_lacks_is_unexplained(kind: Kind, channels: set[str])
     found = told(kind)
     assert found.verdict == "unexplained"
     assert channels == set() or {one.channel for one in found.unexplained} & channels
+    # A name, where there is one, is doubted: it may stand in for what has none.
+    usual = {name for name, entry in catalogue().items() if entry.usual}
+    named = [one.probability for one in found.effects if one.name not in usual]
+    assert max(named, default=0.0) < 0.8
+    assert found.none_of_these > 0.2
+    stated = sum(one.probability for one in found.explanations) + found.none_of_these
+    assert stated == pytest.approx(1.0, abs=0.01)  # eight explanations are reported
+    assert abs(found.after.energy_error) < abs(found.before.energy_error) + 0.02
 
 
 def test_a_drag_of_each_turn_is_told_with_its_side_and_length() -> None:

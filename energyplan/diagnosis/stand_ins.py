@@ -1,0 +1,185 @@
+"""How well one effect stands in for another that a catalogue lacks (private).
+
+Where more than noise is left of drives, something is missing, and what was named may only stand in
+for it: of many effects one is always like it. How like, these drives tell: each effect of the
+catalogue, taken out, is followed by the best of the others to some degree. A cause that the
+catalogue lacks is taken to be followed as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from energyplan.diagnosis.explanations import Evaluated, Found
+from energyplan.diagnosis.part import Part
+from energyplan.diagnosis.proposals import RARE, Candidate
+from energyplan.diagnosis.result import Adequacy
+from energyplan.fit.drives.windows import SCALES, Design
+from energyplan.fit.least_squares import PAPER, weighted
+from energyplan.path import FloatArray
+
+_ALMOST = 1e-9  # share of a column's square that the model's own columns leave of it, and is none
+
+
+def followed(
+    gram: FloatArray, base: Sequence[int], groups: Mapping[str, Sequence[tuple[int, ...]]]
+) -> FloatArray:
+    """Return how well each effect is followed by the best other one.
+
+    Parameters
+    ----------
+    gram : ndarray, shape (k, k)
+        Gram matrix of all columns.
+    base : sequence of int
+        Columns that every model has.
+    groups : mapping of str to sequence of tuple of int
+        Columns of each variant of each effect.
+
+    Returns
+    -------
+    ndarray, shape (effects,)
+        Share of its square, ascending; the median over the variants of each.
+    """
+    own = list(base)
+    size = np.diagonal(gram)
+    scale = 1.0 / np.sqrt(np.maximum(size, 1e-300))
+    unit = gram * np.outer(scale, scale)
+    left = (
+        unit
+        - unit[:, own] @ np.linalg.pinv(unit[np.ix_(own, own)], 1e-9, hermitian=True) @ unit[own]
+    )
+    square = np.diagonal(left)
+    shown = square > _ALMOST
+    best: dict[str, FloatArray] = {}
+    for name, variants in groups.items():
+        most = np.zeros(len(left))
+        for columns in variants:
+            some = [k for k in columns if shown[k]]
+            if some:
+                cross = left[:, some]
+                inner = np.linalg.pinv(left[np.ix_(some, some)], 1e-9, hermitian=True)
+                most = np.maximum(most, np.einsum("ki,ij,kj->k", cross, inner, cross))
+        best[name] = most
+    shares = []
+    for name, variants in groups.items():
+        others = [best[other] for other in groups if other != name]
+        mine = [k for columns in variants for k in columns if shown[k]]
+        if others and mine:
+            most = np.max(others, axis=0)[mine] / square[mine]
+            shares.append(float(np.median(np.clip(most, 0.0, 1.0))))
+    return np.sort(np.array(shares))
+
+
+def followed_in(design: Design, candidates: Sequence[Candidate], best: Evaluated) -> FloatArray:
+    """Return how well each effect is followed by the best other one in drives.
+
+    Parameters
+    ----------
+    design : Design
+        Columns of all candidates.
+    candidates : sequence of Candidate
+        The catalogue.
+    best : Evaluated
+        The best set: what it has of what nearly every robot has is in every model.
+
+    Returns
+    -------
+    ndarray, shape (effects,)
+        As of `followed`.
+    """
+    base, groups = [*range(len(PAPER))], dict[str, list[tuple[int, ...]]]()
+    usual = {part.effect.name for part in best.parts if part.effect.usual}
+    for one in candidates:
+        if one.name in usual:
+            base.extend(one.columns)
+        else:
+            groups.setdefault(one.name, []).append(one.columns)
+    return followed(weighted(design, best.errors).sum(axis=0)[:-1, :-1], base, groups)
+
+
+def chance_to_stand_in(share: float, known: FloatArray) -> float:
+    """Return the chance that a cause the catalogue lacks is followed as well as this, or better.
+
+    Parameters
+    ----------
+    share : float
+        Part that an effect explains of what it and the missing cause make together.
+    known : ndarray
+        What `followed` returns.
+
+    Returns
+    -------
+    float
+        One where nothing is explained, zero where nothing is left.
+    """
+    at = np.concatenate([[0.0], known, [1.0]])
+    return float(np.interp(share, at, np.linspace(1.0, 0.0, len(at))))
+
+
+@dataclass(frozen=True)
+class Presence:
+    """Whether what was named is there, or stands in for what the catalogue lacks.
+
+    Parameters
+    ----------
+    chances : mapping of str to float
+        Of each effect, that it is there.
+    stranger : float
+        That behind a name, or behind none, is something that the catalogue lacks.
+    """
+
+    chances: Mapping[str, float]
+    stranger: float
+
+    def of(self, name: str) -> float:
+        """Return the chance that an effect is there."""
+        return self.chances.get(name, 1.0)
+
+
+def presence(
+    searched: Found, parts: Sequence[Part], quality: Adequacy, otherwise: bool
+) -> Presence:
+    """Return the chances that effects are there, and do not stand in for what is missing.
+
+    Where more than noise is left, Bayes' rule: the odds before the data are those that such an
+    effect is there beside what is missing, against a stranger alone; a stranger is followed as well
+    as this by chance.
+
+    Parameters
+    ----------
+    searched : Found
+        The explanations.
+    parts : sequence of Part
+        Effects of the best one that are told.
+    quality : Adequacy
+        What they leave.
+    otherwise : bool
+        Whether something was found by other means, which nothing stands in for.
+
+    Returns
+    -------
+    Presence
+        Certain where no more than noise is left, and where nothing was chosen. What nearly every
+        robot has is no reason for what is still left: it counts for none.
+    """
+    if quality.adequate or not len(searched.followed):
+        return Presence({}, 0.0)
+    scale = int(np.argmin(np.abs(np.array(SCALES) - quality.time)))
+    missing = max(quality.slow_residual**2 - quality.slow_noise**2, 0.0)
+    chances, least = {}, 1.0 if otherwise else 0.0
+    named = []
+    for part, gain in zip(searched.best.parts, searched.best.gains, strict=True):
+        if part not in parts:
+            continue
+        fall = max(float(gain.falls[scale]), 0.0)
+        share = fall / (fall + missing) if fall > 0.0 else 0.0
+        usual = part.effect.usual
+        odds = 1.0 if usual else len(searched.followed) * float(np.exp(RARE))
+        chance = odds / (odds + chance_to_stand_in(share, searched.followed))
+        chances[part.effect.name] = chance
+        if not usual:
+            named.append(chance)
+    return Presence(chances, 1.0 - min(named, default=least))
