@@ -7,7 +7,8 @@ import hashlib
 import html
 import io
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,10 +20,12 @@ from matplotlib.figure import Figure
 from energyplan import __version__
 from energyplan import html as _html
 from energyplan.errors import InvalidInputError, UnknownNameError
-from energyplan.output.plots.style import arrange
 
 if TYPE_CHECKING:
     from energyplan.power import PowerModel
+
+DPI = 240
+"""Resolution of images that have one [pixels per inch]."""
 
 _CSS = """
 :root { color-scheme: light; }
@@ -110,11 +113,28 @@ def image(figure: Figure, suffix: str) -> bytes:
     kind = suffix.lower()
     if kind not in undated:
         raise UnknownNameError("kind of image", suffix, undated)
-    arrange(figure)
     stream = io.BytesIO()
-    with mpl.rc_context({"svg.hashsalt": "energyplan"}):  # names of parts that do not change
-        figure.savefig(stream, format=kind[1:], dpi=240, metadata=undated[kind])
+    with (
+        _laid_out(figure),
+        mpl.rc_context({"svg.hashsalt": "energyplan"}),
+    ):  # lasting names of parts
+        figure.savefig(stream, format=kind[1:], dpi=DPI, metadata=undated[kind])
     return stream.getvalue()
+
+
+@contextmanager
+def _laid_out(figure: Figure) -> Iterator[None]:
+    """Lay a picture out, and have it drawn as it is: else it is drawn once more for its layout."""
+    engine, dpi = figure.get_layout_engine(), figure.dpi
+    try:
+        if engine is not None:
+            figure.set_dpi(DPI)  # text is measured as it will be drawn
+            engine.execute(figure)
+            figure.set_layout_engine(None)
+        yield
+    finally:
+        figure.set_dpi(dpi)
+        figure.set_layout_engine(engine)
 
 
 def png(figure: Figure) -> bytes:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import PlaceHolderLayoutEngine
+from matplotlib.layout_engine import LayoutEngine, PlaceHolderLayoutEngine
 from matplotlib.legend import Legend
 
 if TYPE_CHECKING:
@@ -82,8 +82,59 @@ def legend(ax: Axes, above: bool = False, **options: Any) -> None:
     if handles:
         _put_above(ax, handles, [str(handle.get_label()) for handle in handles], len(handles))
         root = ax.get_figure(root=True)
-        if root is not None:
-            arrange(root)
+        engine = None if root is None else root.get_layout_engine()
+        if root is not None and not isinstance(engine, (LegendsAbove, PlaceHolderLayoutEngine)):
+            root.set_layout_engine(LegendsAbove(engine))
+
+
+class LegendsAbove(LayoutEngine):
+    """Fits legends above axes to the picture's width, and puts titles over them.
+
+    It lays a picture out by its former engine, with the legends left out, then places them and
+    lays it out once more. So nothing is drawn to find out where a legend goes.
+
+    Parameters
+    ----------
+    inner : LayoutEngine or None
+        The picture's former engine.
+    """
+
+    def __init__(self, inner: LayoutEngine | None) -> None:
+        super().__init__()
+        self._inner = inner
+        self._adjust_compatible = inner is None or inner.adjust_compatible
+        self._colorbar_gridspec = inner is None or inner.colorbar_gridspec
+
+    def set(self, **options: Any) -> None:
+        """Set what the former engine knows."""
+        if self._inner is not None:
+            self._inner.set(**options)
+
+    def execute(self, fig: Figure) -> None:
+        """Lay a picture out."""
+        above = [
+            (ax, made)
+            for ax in fig.axes
+            if (made := ax.get_legend()) is not None and made.get_gid() == _ABOVE
+        ]
+        for _, made in above:
+            made.set_in_layout(False)
+        self._lay_out(fig)  # puts the axes where they belong
+        renderer = RendererAgg(1, 1, fig.dpi)  # type: ignore[no-untyped-call]  # measures text
+        for ax, made in above:
+            handles, names = made.legend_handles, [text.get_text() for text in made.get_texts()]
+            for columns in range(len(names), 0, -1):
+                made = _put_above(ax, handles, names, columns)
+                if made.get_window_extent(renderer).x1 <= fig.bbox.x1:
+                    break
+            made.set_in_layout(True)
+            pad = 2 + made.get_window_extent(renderer).height * 72 / fig.dpi
+            ax.set_title(ax.get_title(loc="left"), loc="left", fontsize="medium", pad=pad)
+        self._lay_out(fig)
+
+    def _lay_out(self, fig: Figure) -> None:
+        if self._inner is not None:
+            self._inner.execute(fig)
 
 
 def _put_above(ax: Axes, handles: Sequence[Any], names: Sequence[str], columns: int) -> Legend:
@@ -94,30 +145,3 @@ def _put_above(ax: Axes, handles: Sequence[Any], names: Sequence[str], columns: 
     made.set_gid(_ABOVE)
     made.set_in_layout(False)  # a legend that is too wide must not squeeze the axes
     return made
-
-
-def arrange(figure: Figure) -> None:
-    """Fit legends above axes to the picture's width, and put titles over them.
-
-    Whoever adds to a picture after its legends calls it once more; `energyplan.output.report.image`
-    does so for every picture. A picture whose layout has been switched off stays as it is.
-    """
-    if isinstance(figure.get_layout_engine(), PlaceHolderLayoutEngine):
-        return
-    above = [
-        (ax, made)
-        for ax in figure.axes
-        if (made := ax.get_legend()) is not None and made.get_gid() == _ABOVE
-    ]
-    if above:
-        figure.draw_without_rendering()  # puts the axes where they belong
-    renderer = RendererAgg(1, 1, figure.dpi)  # type: ignore[no-untyped-call]  # measures text
-    for ax, made in above:
-        handles, names = made.legend_handles, [text.get_text() for text in made.get_texts()]
-        for columns in range(len(names), 0, -1):
-            made = _put_above(ax, handles, names, columns)
-            if made.get_window_extent(renderer).x1 <= figure.bbox.x1:
-                break
-        made.set_in_layout(True)
-        pad = 2 + made.get_window_extent(renderer).height * 72 / figure.dpi
-        ax.set_title(ax.get_title(loc="left"), loc="left", fontsize="medium", pad=pad)
