@@ -92,6 +92,7 @@ def mission(
     """
     from energyplan.io.mission import mission_from, read_mission
     from energyplan.mission import evaluate
+    from energyplan.mission.legs import compiling
     from energyplan.output import documents, text
     from energyplan.output.pages import mission_page
 
@@ -127,7 +128,7 @@ def mission(
         )  # fmt: skip
     if effort is not None:
         asked = replace(asked, planning_effort=effort)
-    with progress("evaluating the mission"):
+    with progress("evaluating the mission"), compiling(asked):
         told = evaluate(asked)
     if trajectories:
         from energyplan.io.trajectory import write_trajectory
@@ -175,18 +176,19 @@ def fleet(
     """
     from energyplan.fleet import Fleet, evaluate_fleet
     from energyplan.io.fleet import read_fleet
+    from energyplan.mission.legs import compiling
     from energyplan.output import documents, text
 
     name, instant = _failure(fail)
     asked = read_fleet(file)
     if effort is not None:
-        missions = [replace(robot.mission, planning_effort=effort) for robot in asked.robots]
-        robots = zip(asked.robots, missions, strict=True)
-        asked = Fleet(
-            tuple(replace(robot, mission=mission) for robot, mission in robots),
-            asked.places, asked.name,
-        )  # fmt: skip
-    with progress("evaluating the fleet"):
+        robots = [
+            replace(robot, mission=replace(robot.mission, planning_effort=effort))
+            for robot in asked.robots
+        ]
+        asked = Fleet(tuple(robots), asked.places, asked.name)
+    missions = [robot.mission for robot in asked.robots]
+    with progress("evaluating the fleet"), compiling(*missions):
         told = evaluate_fleet(asked)
         after = evaluate_fleet(told.after_failure(name, instant)) if name else None
     document, lines = documents.fleet(told), text.fleet(told)

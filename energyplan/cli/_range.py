@@ -103,6 +103,7 @@ def reach(
     from energyplan.output import documents, plots, text
     from energyplan.output.report import image
     from energyplan.planning import PlanningProblem
+    from energyplan.planning.ready import compiling_search
     from energyplan.studies.doubt import energy_of_charge
     from energyplan.studies.energy_map import energy_map
 
@@ -120,7 +121,7 @@ def reach(
     if pack:
         energy = energy_of_charge(cost, Battery.preset(pack), 1.0 if soc is None else soc)
     usable = None if energy is None else (1.0 - reserve) * energy
-    with progress("searching"):
+    with progress("searching"), compiling_search(problem):
         found = energy_map(
             problem, energy=math.inf if usable is None else usable,
             back=home if back or charger else None,

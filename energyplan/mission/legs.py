@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Hashable, Mapping
+from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -19,7 +20,7 @@ from energyplan.mission.bounds import shortest_ways
 from energyplan.mission.energy import Estimate, Grounds
 from energyplan.mission.types import Mission
 from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
-from energyplan.planning import PlanningProblem, plan
+from energyplan.planning import PlanningProblem, plan, ready
 from energyplan.planning.driven import drive_path
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.power import PowerModel
@@ -85,6 +86,20 @@ _routes: WeakKeyDictionary[OccupancyGrid, dict[bytes, dict[tuple[Pose, Pose, boo
 
 _REMEMBERED = 32
 """How many sets of routes are kept for a map."""
+
+
+def compiling(*missions: Mission) -> AbstractContextManager[None]:
+    """Have the kernels compiled beside that evaluating some missions may call.
+
+    Parameters
+    ----------
+    *missions : Mission
+        The missions.
+    """
+    beside = ("energyplan.battery",)
+    if any(mission.order == "free" for mission in missions):
+        beside += ("energyplan.mission",)
+    return ready.compiling(*(Legs(mission).problem(0, 0) for mission in missions), beside=beside)
 
 
 class Legs:
@@ -224,6 +239,15 @@ class Legs:
         known = (here, there, hurried) in self._routes
         return known or (self._symmetric and (there, here, hurried) in self._routes)
 
+    def problem(self, start: int, goal: int, hurried: bool = False) -> PlanningProblem:
+        """Return the problem of the route from node to node."""
+        mission = self.mission
+        cost, surfaces = self.cost(mission.payload)
+        return PlanningProblem(
+            mission.map, cost, self.poses[start], self.poses[goal], surfaces=surfaces,
+            heights=mission.heights, objective="time" if hurried else "energy",
+        )  # fmt: skip
+
     # -- legs -------------------------------------------------------------------------------------
 
     def leg(self, start: int, goal: int, payload: float, hurried: bool = False) -> Leg:
@@ -267,7 +291,7 @@ class Legs:
     def _planned(self, start: int, goal: int, hurried: bool) -> _Route:
         mission = self.mission
         here, there = self.poses[start], self.poses[goal]
-        cost, surfaces = self.cost(mission.payload)
+        cost, _ = self.cost(mission.payload)
         still = Path(here, np.zeros(0), np.zeros(0), cost.icr.longitudinal)
         if here == there:
             return _Route(still)
@@ -278,10 +302,7 @@ class Legs:
         if self._progress is not None:
             quickly = ", in a hurry" if hurried else ""
             self._progress(f"planning from {self.names[start]} to {self.names[goal]}{quickly}")
-        problem = PlanningProblem(
-            mission.map, cost, here, there, surfaces=surfaces, heights=mission.heights,
-            objective="time" if hurried else "energy",
-        )  # fmt: skip
+        problem = self.problem(start, goal, hurried)
         for patience in (1, 10):
             try:
                 limit, effort = patience * self._planning_time, mission.planning_effort

@@ -39,6 +39,17 @@ CLOSED = ("energyplan.planning.scene.closure_kernels",)
 """Where the kernels are that only ends need that nothing seems to join."""
 
 
+SEARCHED = (
+    "energyplan.planning.lattice.search_kernels",
+    "energyplan.planning.scene.guide_kernels",
+    "energyplan.planning.scene.motions",
+    "energyplan.terrain.",
+    "energyplan.cost.",
+    "energyplan.steering.",
+)
+"""What the names of the kernels begin with that a search of all places calls."""
+
+
 def kernels(
     cost: EnergyCost | None = None, *, surfaces: bool = False, tight: bool = False
 ) -> tuple[str, ...]:
@@ -60,19 +71,39 @@ def kernels(
     return (*sorted(found.difference(left_out)), *(() if static else EXACT))
 
 
-def compiling(problem: PlanningProblem) -> AbstractContextManager[None]:
-    """Have the kernels compiled beside that a plan, and driving it, may call.
+def compiling(
+    *problems: PlanningProblem, beside: tuple[str, ...] = ()
+) -> AbstractContextManager[None]:
+    """Have the kernels compiled beside that plans, and driving them, may call.
 
     Within the block planning waits for all of them, so that no time limit pays for them.
+
+    Parameters
+    ----------
+    *problems : PlanningProblem
+        The problems.
+    beside : tuple of str
+        Modules or packages whose kernels are called besides.
+    """
+    import_module("energyplan.planning.driven")
+    needed = {
+        module
+        for problem in problems
+        for module in kernels(problem.cost, surfaces=problem.surfaces is not None)
+    }
+    return compiling_beside(*sorted(needed), DRIVEN, *beside, all_ahead=True)
+
+
+def compiling_search(problem: PlanningProblem) -> AbstractContextManager[None]:
+    """Have the kernels compiled beside that a search of all places, without planning, may call.
 
     Parameters
     ----------
     problem : PlanningProblem
         The problem.
     """
-    import_module("energyplan.planning.driven")
     needed = kernels(problem.cost, surfaces=problem.surfaces is not None)
-    return compiling_beside(*needed, DRIVEN, all_ahead=True)
+    return compiling_beside(*(module for module in needed if module.startswith(SEARCHED)))
 
 
 def compiled(problem: PlanningProblem, *, tight: bool | None = None) -> None:
