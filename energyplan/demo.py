@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ from energyplan.io.trajectory import write_log, write_path, write_trajectory
 from energyplan.limits.feasibility import check, feasible_region
 from energyplan.limits.speed import profile
 from energyplan.logs import DriveLog
-from energyplan.mission import evaluate
+from energyplan.mission import MissionReport, evaluate
 from energyplan.output import plots
 from energyplan.output.pages import (
     MISSION_HEADER,
@@ -102,8 +103,11 @@ def run(out: Path, say: Callable[[str], None]) -> list[Path]:
         "be compared with the truth.",
         "lead",
     )
-    with compiling_beside(
-        *kernels(), "energyplan.diagnosis", "energyplan.limits", "energyplan.battery"
+    with (
+        compiling_beside(
+            *kernels(surfaces=True), "energyplan.fit", "energyplan.limits", "energyplan.battery"
+        ),
+        ThreadPoolExecutor(1) as beside,
     ):
         say(
             "1/7 identifying Quadriga on four grounds (the first time, kernels are compiled beside)"
@@ -115,10 +119,11 @@ def run(out: Path, say: Callable[[str], None]) -> list[Path]:
         made = _routes(demo)
         say("4/7 checking motor limits")
         _limits(demo, made)
-        say("5/7 budgeting a mission")
-        _mission(demo)
-        say("6/7 driving it in a physics engine")
+        say("5/7 driving it in a physics engine")
+        report = beside.submit(evaluate, read_mission(bundled("mission_warehouse.yaml")))
         _driven(demo)
+        say("6/7 budgeting a mission")
+        _mission(demo, report.result())
     say("7/7 writing the page")
     demo.page.made_from(call="energyplan demo")
     atomic_write(demo.path("index.html"), demo.page.html())
@@ -272,18 +277,9 @@ def _limits(demo: _Demo, made: Comparison) -> None:
     )
 
 
-def _mission(demo: _Demo) -> None:
-    page = demo.page
-    page.heading("5. Will the battery last?")
-    report = evaluate(read_mission(bundled("mission_warehouse.yaml")))
-    page.table(MISSION_HEADER, mission_rows(report))
-    for name, figure, caption in mission_pictures(report):
-        demo.picture(f"mission-{name}.png", figure, caption)
-
-
 def _driven(demo: _Demo) -> None:
     page = demo.page
-    page.heading("6. What does it take when it is driven?")
+    page.heading("5. What does it take when it is driven?")
     try:
         require_mujoco()
     except MissingDependencyError as reason:
@@ -325,3 +321,11 @@ def _driven(demo: _Demo) -> None:
         ),
         "What was learned changes the route.",
     )  # fmt: skip
+
+
+def _mission(demo: _Demo, report: MissionReport) -> None:
+    page = demo.page
+    page.heading("6. Will the battery last?")
+    page.table(MISSION_HEADER, mission_rows(report))
+    for name, figure, caption in mission_pictures(report):
+        demo.picture(f"mission-{name}.png", figure, caption)
