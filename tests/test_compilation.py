@@ -509,9 +509,11 @@ import shapely
 import energyplan as ep
 from numba.core import event
 from energyplan.compilation.kernel import KERNELS
+from energyplan.mission.legs import compiling
 from energyplan.planning import ready
 from energyplan.planning.lattice.many_goals import energies
 from energyplan.power import HOTEL
+from energyplan.studies.energy_map import energy_map
 from energyplan.terrain import HeightMap, Surface, SurfaceMap
 
 MODEL = ep.PowerModel.preset("quadriga:empty:concrete")
@@ -570,6 +572,22 @@ for planner, name in WAYS:
         assert len(energies(kind, rows, effort=40_000)) == 2  # the hash table grows twice
     elif planner == "compare":
         assert ep.compare(kind, effort=5_000).saving >= -1e-9
+    elif planner == "range":
+        energy_map(kind, energy=2e3)
+        searched = {n: k for n, k in KERNELS.items() if n.startswith(ready.SEARCHED)}
+        at_rest[:] = [{n: set(kernel.overloads) for n, kernel in searched.items()}]
+        assert any(at_rest[0].values())
+    elif planner == "mission":
+        task = ep.Task("look", kind.goal)
+        pack = ep.Battery.preset("quadriga")
+        asked = ep.Mission(
+            MODEL, kind.map, pack, kind.start, [task], planning_effort=1_000, confidence=0.5
+        )
+        with compiling(asked):
+            ready.compile_kernels()
+            ready.compile_kernels = original  # from here on nothing is to be loaded
+            assert ep.evaluate(asked).feasible
+            ready.compile_kernels = watched
     elif planner == "drive":
         with ready.compiling(kind):
             made = ep.plan(kind, effort=1_000)
@@ -583,6 +601,7 @@ for planner, name in WAYS:
 
 WAYS = {
     "static": [
+        ("range", "plain"), ("mission", "plain"),
         *(("lattice", kind) for kind in ("plain", "tight", "surfaces", "heights", "length")),
         ("lattice", "time"),
         ("energies", "big"), ("compare", "surfaces"), ("roadmap", "plain"), ("bitstar", "surfaces"),

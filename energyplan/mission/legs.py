@@ -96,9 +96,8 @@ def compiling(*missions: Mission) -> AbstractContextManager[None]:
     *missions : Mission
         The missions.
     """
-    beside = ("energyplan.battery",)
-    if any(mission.order == "free" for mission in missions):
-        beside += ("energyplan.mission",)
+    free = any(mission.order == "free" for mission in missions)
+    beside = ("energyplan.battery", "energyplan.mission") if free else ("energyplan.battery",)
     return ready.compiling(*(Legs(mission).problem(0, 0) for mission in missions), beside=beside)
 
 
