@@ -130,7 +130,8 @@ class EnergyCost(SteadyDriving):
         rate: FloatArray | None = None,
     ) -> FloatArray:
         """Energy of elements [J], evaluated through the model; they must not vanish."""
-        rate = self._rate(x, y) if rate is None else rate
+        if rate is None:
+            return self._as_driven(self._element_energy, x, y, slope)
         safe = np.where(np.isfinite(rate), rate, 1.0 / (np.abs(x) + np.abs(y)))
         return np.asarray(self._drawn.power(self._motion(x, y, safe, slope)) / safe)
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from energyplan.cost import direction_table, speeds
 from energyplan.cost.direction_table import SPECIAL, DirectionTable
@@ -20,6 +20,13 @@ from energyplan.vehicle import TreadICR, Vehicle
 _STILL = ("x", "y", "yaw", "slope", "accel", "yaw_accel", "accel_x")
 STEADY = {"t": 1e9, **dict.fromkeys(_STILL, 0.0)}
 """Channels of steady motion on level ground, long after the start."""
+
+
+def _pivot_and_rest(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return a pivot, and a line or a spin, that lead where elements lead, shape (2, 2, n)."""
+    both = np.minimum(np.abs(x), np.abs(y))
+    pivot = np.stack([np.copysign(both, x), np.copysign(both, y)])
+    return np.stack([pivot, np.stack([x, y]) - pivot])
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +97,15 @@ class SteadyDriving:
         x, y = self._element(path.ds, path.dtheta)
         pivot = np.abs(np.abs(x) - np.abs(y)) <= 1e-9 * np.abs(y)
         x = np.where(pivot, np.copysign(y, x), x)
+        tilt = np.broadcast_to(np.asarray(slope, float), x.shape)
+        if np.any(stuck := self._stuck(x, y)):
+            parts = _pivot_and_rest(x[stuck], y[stuck])
+            x, y, tilt = (
+                np.concatenate([whole[~stuck], *split])
+                for whole, split in ((x, parts[:, 0]), (y, parts[:, 1]), (tilt, [tilt[stuck]] * 2))
+            )
         moves = (x != 0) | (y != 0)
-        return [v[moves] for v in (x, y, np.broadcast_to(np.asarray(slope, float), x.shape))]
+        return [v[moves] for v in (x, y, tilt)]
 
     # -- speed ----------------------------------------------------------------------------------
 
@@ -127,11 +141,16 @@ class SteadyDriving:
         return speeds.admissible_rate(x, y, self.vehicle, self._forces, fastest)
 
     def _rate(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Rate [1/s] at which elements are driven: the cheapest admissible one."""
+        """Rate [1/s] at which elements are driven: the cheapest admissible one; 0 if none is."""
         if self.speed is not None:
             return self._admissible_rate(x, y, self.speed)
         limit = self._admissible_rate(x, y)
         if self._static:
+            return limit
+        moves = np.asarray(limit > 0)
+        if not np.all(moves):
+            x, y = (np.broadcast_to(part, limit.shape)[moves] for part in (x, y))
+            limit[moves] = self._rate(x, y)
             return limit
         if not np.all(np.isfinite(limit)):
             raise ModelError(
@@ -144,6 +163,57 @@ class SteadyDriving:
             return (self._drawn.power(self._motion(x, y, rate)) + self.time_value) / rate
 
         return speeds.cheapest_rate(slowest, limit, energy)
+
+    def _stuck(self, x: FloatArray, y: FloatArray) -> NDArray[np.bool_]:
+        """Tell which elements no speed lets the motors drive."""
+        motor = self.vehicle.motor
+        if motor.continuous_power > 0 and motor.regeneration > 0:
+            return np.zeros(x.shape, bool)
+        moves = (x != 0) | (y != 0)
+        rate = self._admissible_rate(np.where(moves, x, 1.0), y)
+        return np.asarray(moves & (rate == 0))
+
+    def _as_driven(
+        self, of: Callable[..., FloatArray], x: FloatArray, y: FloatArray, slope: ArrayLike = 0.0
+    ) -> FloatArray:
+        """Return what elements take as they are driven; they must not vanish.
+
+        The inner side of an arc may be dragged along. If its motor takes no power back, no speed
+        is slow enough for the arc; a pivot and a line lead the same way.
+
+        Parameters
+        ----------
+        of : callable
+            ``of(x, y, slope, rate)``: what elements take at given rates.
+        x, y, slope : array_like
+            The elements, and the slope that they are driven on.
+
+        Raises
+        ------
+        ModelError
+            If the motors cannot drive these either.
+        """
+        stuck = self._stuck(x, y)
+        if not np.any(stuck):
+            return of(x, y, slope, self._rate(x, y))
+        x, y, slope, stuck = np.broadcast_arrays(x, y, slope, stuck)
+        total = np.zeros(x.shape)
+        free = ~stuck
+        total[free] = of(x[free], y[free], slope[free], self._rate(x[free], y[free]))
+        for a, b in _pivot_and_rest(x[stuck], y[stuck]):
+            moves = (a != 0) | (b != 0)
+            a, b, tilt = np.where(moves, a, 1.0), np.where(moves, b, 0.0), slope[stuck]
+            if np.any(moves & self._stuck(a, b)):
+                k = int(np.argmax(moves & self._stuck(a, b)))
+                raise ModelError(
+                    f"no speed lets the motors of {self.vehicle.name!r} drive {a[k]:.3g} m and "
+                    f"{b[k] / self.half_track:.3g} rad: their continuous power is "
+                    f"{self.vehicle.motor.continuous_power:g} W, and they take back "
+                    f"{self.vehicle.motor.regeneration:g} W; correct these limits, or leave them "
+                    "out"
+                )
+            total[stuck] += np.where(moves, of(a, b, tilt, self._rate(a, b)), 0.0)
+        return total
 
     def admissible_speed(self, curvature: ArrayLike) -> FloatArray:
         """Return the largest speed that the vehicle's limits allow on arcs of this curvature.
@@ -194,8 +264,15 @@ class SteadyDriving:
         return float(np.sum(self._element_duration(*self._moving(path)[:2])))
 
     def _element_duration(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        if np.all(np.isfinite(rate := self._rate(x, y))):
+
+        def duration(
+            x: FloatArray, y: FloatArray, slope: ArrayLike, rate: FloatArray
+        ) -> FloatArray:
             return np.asarray(1.0 / rate)
+
+        taken = self._as_driven(duration, x, y)
+        if np.all(taken > 0):
+            return taken
         raise InvalidInputError(
             f"the vehicle {self.vehicle.name!r} has no speed limit, so a motion has no "
             "duration; set its motor speed, or give EnergyCost a speed"
