@@ -6,7 +6,7 @@ ones first. A change that no test notices survives: it is printed with its diffe
 runs it.
 
 No place is changed where nothing can come of it: annotations, what is written into an error, and
-decorators that only make a function faster.
+decorators that only make a function faster. No text is compared by the alphabet, as nobody would.
 """
 
 from __future__ import annotations
@@ -50,6 +50,9 @@ LONGEST = 900.0
 UNSEEN = ("_Eq_Is$", "_NotEq_IsNot$", "_Is_Eq$", "_IsNot_NotEq$")
 """Operators that mean the same for what they are used for here: short names and None."""
 
+ORDER = ("_Lt", "_LtE", "_Gt", "_GtE")
+"""Operators that nobody would write for equality of a text: they hold or not by the alphabet."""
+
 FASTER = {"njit", "inner", "lru_cache", "cache"}
 """Decorators without which all is as before, and slower."""
 
@@ -65,6 +68,17 @@ class Score(NamedTuple):
     tried: int
 
 
+def _texts(tree: ast.Module) -> list[Span]:
+    """Return the comparisons with a text."""
+    found: list[ast.AST | None] = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Compare):
+            sides = [node.left, *node.comparators]
+            if any(isinstance(s, ast.Constant) and isinstance(s.value, str) for s in sides):
+                found.append(node)
+    return _spans(found)
+
+
 def _silent(tree: ast.Module) -> list[Span]:
     """Return the places where a change has no effect on what a program computes."""
     found: list[ast.AST | None] = []
@@ -78,9 +92,13 @@ def _silent(tree: ast.Module) -> list[Span]:
             found += [d for d in node.decorator_list if FASTER & set(ast.unparse(d).split("("))]
         elif isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
             found.append(node)
+    return _spans(found)
+
+
+def _spans(nodes: Sequence[ast.AST | None]) -> list[Span]:
     return [
         ((node.lineno, node.col_offset - 1), (node.end_lineno, node.end_col_offset))
-        for node in found
+        for node in nodes
         if isinstance(node, ast.expr | ast.stmt)
         and node.end_lineno is not None
         and node.end_col_offset is not None
@@ -165,12 +183,16 @@ def try_module(copy: Path, module: Path, reaches: list[Reach], mutations: int, s
     """Change a module of a copy in some places; print those that no test notices."""
     os.chdir(copy)
     tree = ast.parse(module.read_text(encoding="utf-8"))
-    silent = _silent(tree)
+    silent, texts = _silent(tree), _texts(tree)
     wanted = [
         item
         for item in _all_work_items([module], {})
         if not any(word in f"{item.mutations[0].operator_name}$" for word in UNSEEN)
         and not any(a <= item.mutations[0].start_pos < b for a, b in silent)
+        and not (
+            item.mutations[0].operator_name.endswith(ORDER)
+            and any(a <= item.mutations[0].start_pos < b for a, b in texts)
+        )
     ]
     chosen = random.Random(seed).sample(wanted, min(mutations, len(wanted)))
     # what noticed the last change is tried first
