@@ -31,13 +31,12 @@ def test_what_is_asked_is_a_speed_the_cheapest_or_the_usual_one() -> None:
 @pytest.mark.parametrize("per_radian", [0.0, 0.4, 90.0])
 @pytest.mark.parametrize("icr", [0.5, TreadICR(0.6, 0.3, 0.1)])
 def test_two_coefficients_make_a_cost(per_radian: float, icr: float | TreadICR) -> None:
-    cost = EnergyCost.from_coefficients(200.0, per_radian, icr)
+    cost = EnergyCost.from_coefficients(201.5, per_radian, icr)
     ds, dtheta = np.array([1.0, 0.0, 0.3, -2.0]), np.array([0.0, 1.0, -1.5, 0.2])
     # the point midway between the treads' ICRs lies 0.15 m to the left of the second robot's origin
     C, aside = (0.5, 0.0) if icr == 0.5 else (0.45, 0.15)
-    expected = 200.0 * np.maximum(
-        np.abs(ds - aside * dtheta), C * np.abs(dtheta)
-    ) + per_radian * np.abs(dtheta)
+    metres = np.maximum(np.abs(ds - aside * dtheta), C * np.abs(dtheta))
+    expected = 201.5 * metres + per_radian * np.abs(dtheta)
     assert_allclose(cost.segment_energy(ds, dtheta), expected, rtol=1e-9)
     # a metre takes a second unless another speed is given
     assert cost.model.vehicle.motor.speed == 1.0

@@ -625,6 +625,24 @@ def test_a_dear_strip_that_must_be_crossed_is_charged():
     assert least_excess(query, 0.3, 0.5 * excess) == pytest.approx(0.5 * excess)
 
 
+@pytest.mark.parametrize("friction", [0.6, 0.0])
+def test_straight_across_a_dear_strip_hardly_a_joule_is_missing(friction):
+    """Twelve metres of cheap ground and four of dear one; without friction turning is free."""
+    vehicle = PowerModel.preset("quadriga:empty:marble").vehicle
+    cheap, dear = (PowerModel.paper(vehicle, pull, friction) for pull in (90.0, 113.0))
+    strip = shapely.difference(shapely.box(-1, -1, 21, 11), shapely.box(8, -2, 12, 12))
+    surfaces = SurfaceMap((Surface(strip, cheap),))
+    grid = OccupancyGrid(np.zeros((100, 200), bool), 0.1)
+    ends = (2.0, 5.0, 0.0), (18.0, 5.0, 0.0)
+    found = lower_bound(
+        CompiledProblem(PlanningProblem(grid, EnergyCost(dear), *ends, surfaces)), 1e5
+    )
+    straight = 2 * (12 * 90.0 + 4 * 113.0)
+    # up to six cells at the edges are not sure to be dear
+    assert straight - 6 * 0.1 * 2 * (113.0 - 90.0) - 1e-6 <= found.value <= straight * (1 + 1e-9)
+    assert found.final
+
+
 def test_a_dear_strip_with_a_way_around_it_is_not_charged():
     around = shapely.difference(shapely.box(-1, -1, 21, 11), shapely.box(8, -2, 12, 7))
     assert least_excess(CompiledProblem(two_grounds(around)), 0.3, 1e6) == 0.0
