@@ -94,11 +94,18 @@ def test_a_table_of_corners_has_their_rates_and_slopes() -> None:
     assert_allclose(slope, [0.25 / 0.25, 3.75 / 1.75, np.inf])
 
 
-def test_a_flat_edge_gets_a_corner_in_its_middle_that_is_hardly_cheaper() -> None:
-    half, corners = 0.5, np.array([[0.0, 0.5], [0.25, 0.5], [0.6, 0.3]])
-    m, g, slope = _turn_table(corners, half, 100.0)
-    assert_allclose(m, [0.0, 0.25, 0.5, 2.0])
-    assert_allclose(g, [1.0, 1.0, 1.0, 5.0 / 3.0], rtol=1e-7)
-    assert 0 < 1.0 - g[1] < 2e-8
-    assert slope[0] < 0 < slope[1]
-    assert_allclose(slope[2], (5.0 / 3.0 - 1.0) / 1.5)
+@pytest.mark.parametrize("joules", [1.0, 1e-9])
+@pytest.mark.parametrize("before", [0, 1])
+def test_a_flat_edge_gets_a_corner_in_its_middle_that_is_hardly_cheaper(
+    before: int, joules: float
+) -> None:
+    """Rates are a half over the corners' second column: a flat edge is where these are equal."""
+    corners = np.array([[-0.3, 0.3], [0.0, 0.5], [0.25, 0.5], [0.6, 0.3]])[1 - before :]
+    m, g, slope = _turn_table(corners / joules, 0.5, 100.0 * joules)
+    assert_allclose(m, [-1.0, 0.0, 0.25, 0.5, 2.0][1 - before :])
+    rates = np.array([5.0 / 3.0, 1.0, 1.0, 1.0, 5.0 / 3.0])[1 - before :]
+    assert_allclose(g / joules, rates, rtol=1e-7)
+    flat = before + 1
+    assert 0 < 1.0 - g[flat] / joules < 2e-8
+    assert slope[flat - 1] < 0 < slope[flat]
+    assert_allclose(slope[flat + 1] / joules, (5.0 / 3.0 - 1.0) / 1.5)
