@@ -5,8 +5,9 @@ copy of the checkout, and the tests of its package that reach the changed functi
 ones first. A change that no test notices survives: it is printed with its difference. `make mutate`
 runs it.
 
-No place is changed where nothing can come of it: annotations, what is written into an error, and
-decorators that only make a function faster. No text is compared by the alphabet, as nobody would.
+No place is changed where nothing can come of it: annotations, what is written into an error,
+decorators that only make a function faster, and whether `zip` watches over lengths, which differ
+only by a fault of the program. No text is compared by the alphabet, as nobody would.
 """
 
 from __future__ import annotations
@@ -90,6 +91,8 @@ def _silent(tree: ast.Module) -> list[Span]:
         elif isinstance(node, ast.FunctionDef):
             found.append(node.returns)
             found += [d for d in node.decorator_list if FASTER & set(ast.unparse(d).split("("))]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) == "zip":
+            found += [keyword.value for keyword in node.keywords]
         elif isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
             found.append(node)
     return _spans(found)

@@ -1,0 +1,55 @@
+"""Runs that differ as a whole, and robots at rest: what a fit says of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from energyplan.fit.drives.windows import Drive
+from energyplan.fit.identification import _draw_at_rest
+from energyplan.fit.joint import joint_fit
+from energyplan.fit.least_squares import Problem
+from energyplan.motion import Motion
+from energyplan.power import SLIP, TRACTION, PowerModel
+
+MODEL = PowerModel.preset("quadriga:full:concrete")
+TERMS = (SLIP, TRACTION)
+
+
+def run(factor: float, seed: int) -> Drive:
+    """Forty seconds of straights and turns, which take more or less power as a whole."""
+    rng = np.random.default_rng(seed)
+    left, right = np.repeat(rng.uniform(0.2, 0.8, size=(2, 20)), 20, axis=1)
+    motion = Motion(left, right, MODEL.vehicle.icr)
+    power = factor * MODEL.power(motion) + rng.normal(0.0, 2.0, 400)
+    return Drive(f"run {seed}", 0.1 * np.arange(400), motion, power)
+
+
+def test_what_runs_share_is_known_no_better_than_their_mean() -> None:
+    factors = np.array([0.85, 0.9, 0.97, 1.04, 1.1, 1.14])
+    drives = [run(factor, k) for k, factor in enumerate(factors)]
+    found = joint_fit(Problem(drives, MODEL.vehicle), TERMS)
+    assert found.run_spread == pytest.approx(factors.std(ddof=1), rel=0.15)
+    for term, value in zip(TERMS, found.model.coefficients, strict=True):
+        error = found.model.std_error(term.name)
+        assert error > 0.95 * found.run_spread * value / np.sqrt(6)
+        assert error < 3.0 * found.run_spread * value / np.sqrt(6)
+    alike = joint_fit(Problem([run(1.0, k) for k in range(6)], MODEL.vehicle), TERMS)
+    assert alike.run_spread < 0.02
+    assert alike.model.std_error("traction_resistance") < 3.0
+
+
+def test_only_a_robot_with_both_treads_at_rest_is_at_rest() -> None:
+    """It pivots about either tread at unexplained 50 W, and stands for some seconds."""
+    at = np.repeat([[0.0, 0.5], [0.0, -0.5], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.0]], 40, axis=0)
+    motion = Motion(at[:, 0], at[:, 1], MODEL.vehicle.icr)
+    moves = np.any(at != 0.0, axis=1)
+    t = 0.1 * np.arange(len(at))
+    quiet = Drive("quiet", t, motion, np.where(moves, 50.0, 0.0))
+    assert _draw_at_rest([quiet], [np.zeros(200)]) == []
+    loaded = Drive("loaded", t, motion, np.where(moves, 50.0, 30.0))
+    (said,) = _draw_at_rest([loaded], [np.zeros(200)])
+    assert said.startswith("at rest the robot draws 30.0 W that no term explains")
+    assert _draw_at_rest([loaded], [np.where(moves, 0.0, 30.0)]) == []
+    brief = Drive("brief", t[:179], Motion(*at[:179].T, MODEL.vehicle.icr), loaded.power[:179])
+    assert _draw_at_rest([brief], [np.zeros(179)]) == []
