@@ -11,6 +11,7 @@ from energyplan.fit.joint import joint_fit
 from energyplan.fit.least_squares import Problem
 from energyplan.motion import Motion
 from energyplan.power import SLIP, TRACTION, PowerModel
+from energyplan.power.effects import COPPER_LOSS
 
 MODEL = PowerModel.preset("quadriga:full:concrete")
 TERMS = (SLIP, TRACTION)
@@ -53,3 +54,15 @@ def test_only_a_robot_with_both_treads_at_rest_is_at_rest() -> None:
     assert _draw_at_rest([loaded], [np.where(moves, 0.0, 30.0)]) == []
     brief = Drive("brief", t[:179], Motion(*at[:179].T, MODEL.vehicle.icr), loaded.power[:179])
     assert _draw_at_rest([brief], [np.zeros(179)]) == []
+
+
+@pytest.mark.parametrize("errors", [None, np.array([3.0, 2.0, 1.0])])
+def test_a_fit_with_losses_starts_from_that_without(errors: np.ndarray | None) -> None:
+    rng = np.random.default_rng(1)
+    left, right = np.repeat(rng.uniform(0.2, 0.8, size=(2, 20)), 20, axis=1)
+    motion = Motion(left, right, MODEL.vehicle.icr)
+    exact = Drive("exact", 0.1 * np.arange(400), motion, MODEL.power(motion))
+    problem = Problem([exact], MODEL.vehicle)
+    start = problem._start((*TERMS, COPPER_LOSS), errors)
+    assert start == pytest.approx({t.name: MODEL.coefficient(t.name) for t in TERMS}, rel=1e-7)
+    assert problem._start(TERMS, errors) == {}
