@@ -543,6 +543,18 @@ def test_a_gap_is_no_time_driven(truth: PowerModel, spiral: DriveLog) -> None:
     assert found.residual.duration == pytest.approx(40.0, abs=0.2)
 
 
+def test_the_time_scale_of_white_noise_is_half_a_period_in_any_number_of_logs() -> None:
+    model = PowerModel.preset("quadriga:empty:marble")
+    rng = np.random.default_rng(1)
+    t = 0.1 * np.arange(150)
+    logs = [
+        DriveLog({"t": t, "v_left": 0 * t + 0.5, "v_right": 0 * t + 0.5,
+                  "power": 90.0 + rng.normal(0.0, 5.0, 150)}) for _ in range(6)
+    ]  # fmt: skip
+    assert fit_residual(model, logs[0]).correlation_time == pytest.approx(0.05, rel=0.3)
+    assert fit_residual(model, logs).correlation_time == pytest.approx(0.05, rel=0.15)
+
+
 def test_an_error_of_energy_where_none_was_measured_has_its_sign() -> None:
     model = PowerModel.preset("quadriga:empty:marble")
     t = np.linspace(0.0, 20.0, 201)
