@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan.errors import InvalidInputError, MissingChannelError
+from energyplan.kinds import ByValue, checked, instance, numbers
 from energyplan.path import FloatArray, Trajectory
 from energyplan.vehicle import TreadICR
 
@@ -42,8 +43,8 @@ def _broadcast(array: FloatArray, shape: tuple[int, ...]) -> FloatArray:
     return view
 
 
-@dataclass(frozen=True)
-class Motion:
+@dataclass(frozen=True, eq=False)
+class Motion(ByValue):
     """Tread speeds and further channels at each instant; arrays of one shape.
 
     Parameters
@@ -73,8 +74,9 @@ class Motion:
     channels: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        left, right = np.asarray(self.v_left, float), np.asarray(self.v_right, float)
-        others = {name: np.asarray(value, float) for name, value in self.channels.items()}
+        left, right = numbers(self.v_left, "v_left"), numbers(self.v_right, "v_right")
+        others = {name: numbers(value, name) for name, value in self.channels.items()}
+        instance(self.icr, TreadICR, "icr")
         arrays = (left, right, *others.values())
         try:
             shape = np.broadcast_shapes(*{array.shape for array in arrays})
@@ -160,11 +162,15 @@ class Motion:
         Motion
             Motion with ``v_left = v - left omega`` and ``v_right = v + right omega``.
         """
-        speed, rate = np.asarray(v, float), np.asarray(omega, float)
-        others = {name: np.asarray(value, float) for name, value in channels.items()}
-        return cls(speed - icr.left * rate, speed + icr.right * rate, icr, others)
+        twist = cls(
+            numbers(v, "v"), numbers(omega, "omega"), icr,
+            {name: numbers(value, name) for name, value in channels.items()},
+        )  # fmt: skip
+        speed, rate = twist.v_left, twist.v_right
+        return cls(speed - icr.left * rate, speed + icr.right * rate, icr, twist.channels)
 
     @classmethod
+    @checked()
     def from_trajectory(
         cls, trajectory: Trajectory, icr: TreadICR, **channels: ArrayLike
     ) -> Motion:

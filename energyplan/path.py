@@ -8,12 +8,17 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from energyplan.errors import PathError
+from energyplan.errors import InvalidInputError, PathError
+from energyplan.kinds import ByValue, checked, described, numbers
 
 if TYPE_CHECKING:
     import pandas as pd
 
 FloatArray = NDArray[np.float64]
+
+
+_MOST_PIECES = 1e8  # of a path that is divided
+_TURNED = 10.0  # yaw beyond which whole and half numbers are taken for degrees
 
 
 class Pose(NamedTuple):
@@ -30,6 +35,80 @@ class Pose(NamedTuple):
     yaw: float
 
 
+def refuse_degrees(
+    angles: FloatArray, name: str, error: type[InvalidInputError] = InvalidInputError
+) -> None:
+    """Refuse angles that seem to be in degrees.
+
+    An angle in radians beyond ten is hardly ever a whole or a half number; one in degrees mostly
+    is.
+
+    Parameters
+    ----------
+    angles : ndarray, shape (...)
+        Angles [rad].
+    name : str
+        Whose they are, for the message.
+    error : type
+        The error to raise.
+
+    Raises
+    ------
+    InvalidInputError
+        Or `error`: if one is such a number.
+
+    Examples
+    --------
+    >>> refuse_degrees(np.array([1.0, 62.83]), "dtheta")
+    """
+    wide = np.abs(angles) >= _TURNED
+    if not wide.any():
+        return
+    odd = angles[wide & (2 * angles == np.round(2 * angles))]
+    if odd.size:
+        raise error(
+            f"{name} is {odd[0]:g} rad, which seems to be in degrees; give radians, such as "
+            f"math.radians({odd[0]:g})"
+        )
+
+
+def as_pose(
+    value: ArrayLike, name: str, error: type[InvalidInputError] = InvalidInputError
+) -> Pose:
+    """Return a pose from three finite numbers.
+
+    Parameters
+    ----------
+    value : array_like, shape (3,)
+        x, y [m], yaw [rad].
+    name : str
+        Whose pose it is, for the message.
+    error : type
+        The error to raise.
+
+    Returns
+    -------
+    Pose
+        The pose.
+
+    Raises
+    ------
+    InvalidInputError
+        Or `error`: if they are not three finite numbers, or the yaw seems to be in degrees.
+
+    Examples
+    --------
+    >>> as_pose([1, 2, 0.5], "start")
+    Pose(x=1.0, y=2.0, yaw=0.5)
+    """
+    words = "x, y [m] and yaw [rad]"
+    row = numbers(value, name, error, words=words)
+    if row.shape != (3,) or not np.all(np.isfinite(row)):
+        raise error(f"{name} is {described(value)}; give {words}, all finite")
+    refuse_degrees(row[2:], f"the yaw of {name}", error)
+    return Pose(*(float(v) for v in row))
+
+
 def wrap_angle(angle: ArrayLike) -> FloatArray:
     """Return `angle` [rad] shifted by full turns into (-pi, pi].
 
@@ -42,7 +121,7 @@ def wrap_angle(angle: ArrayLike) -> FloatArray:
 
 
 def _frozen(value: ArrayLike, name: str, shape: tuple[int, ...] | None = None) -> FloatArray:
-    array = np.array(value, float)
+    array = np.array(numbers(value, name, PathError), ndmin=1)
     if not np.all(np.isfinite(array)):
         place = int(np.argwhere(~np.isfinite(array))[0][0])
         raise PathError(f"{name} is not finite at index {place}; remove or interpolate it first")
@@ -57,8 +136,8 @@ def _chord_factor(dtheta: FloatArray) -> FloatArray:
     return np.asarray(np.sinc(dtheta / (2 * np.pi)))
 
 
-@dataclass(frozen=True)
-class Path:
+@dataclass(frozen=True, eq=False)
+class Path(ByValue):
     """A geometric path made of arcs, each of constant curvature.
 
     Segment i moves the reference point by the signed arc length ``ds[i]`` along its heading
@@ -96,16 +175,17 @@ class Path:
     longitudinal: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "start", Pose(*(float(v) for v in _frozen(self.start, "start", (3,))))
-        )
-        object.__setattr__(self, "ds", _frozen(np.atleast_1d(self.ds), "ds"))
-        object.__setattr__(self, "dtheta", _frozen(np.atleast_1d(self.dtheta), "dtheta"))
+        object.__setattr__(self, "start", as_pose(self.start, "start", PathError))
+        (longitudinal,) = _frozen([self.longitudinal], "longitudinal", (1,)).tolist()
+        object.__setattr__(self, "longitudinal", longitudinal)
+        object.__setattr__(self, "ds", _frozen(self.ds, "ds"))
+        object.__setattr__(self, "dtheta", _frozen(self.dtheta, "dtheta"))
         if self.ds.ndim != 1 or self.ds.shape != self.dtheta.shape:
             raise PathError(
                 f"ds has shape {self.ds.shape} and dtheta {self.dtheta.shape}; "
                 "give one value of each per segment"
             )
+        refuse_degrees(self.dtheta, "dtheta", PathError)
 
     def __len__(self) -> int:
         return len(self.ds)
@@ -137,6 +217,7 @@ class Path:
         """Pose of the body frame at the end; yaw unwrapped."""
         return Pose(*(float(v) for v in self.vertices[-1]))
 
+    @checked(PathError)
     def subdivide(self, max_ds: float = np.inf, max_dtheta: float = np.inf) -> Path:
         """Return the same path with segments of at most `max_ds` [m] and `max_dtheta` [rad]."""
         if not (max_ds > 0 and max_dtheta > 0):
@@ -144,6 +225,11 @@ class Path:
         pieces = np.ceil(
             np.maximum(np.abs(self.ds) / max_ds, np.abs(self.dtheta) / max_dtheta) - 1e-12
         )
+        if pieces.sum() > _MOST_PIECES:
+            raise PathError(
+                f"max_ds {max_ds:g} and max_dtheta {max_dtheta:g} make {pieces.sum():.3g} "
+                f"segments; at most {_MOST_PIECES:g} are made"
+            )
         count = np.maximum(pieces, 1).astype(int)
         return Path(
             self.start,
@@ -160,6 +246,7 @@ class Path:
         """Return the path driven from its end to its start, so that each motion runs backwards."""
         return Path(self.end, -self.ds[::-1], -self.dtheta[::-1], self.longitudinal)
 
+    @checked(PathError)
     def __add__(self, other: Path) -> Path:
         """Return this path followed by `other`, which must start where this one ends."""
         here, there = np.array(self.end), np.array(other.start)
@@ -174,6 +261,7 @@ class Path:
         )
 
     @classmethod
+    @checked(PathError)
     def from_poses(
         cls, poses: ArrayLike, longitudinal: float = 0.0, tolerance: float = 0.02
     ) -> Path:
@@ -220,8 +308,8 @@ class Path:
         return cls(Pose(*rows[0]), along / _chord_factor(dtheta), dtheta, longitudinal)
 
 
-@dataclass(frozen=True)
-class Trajectory:
+@dataclass(frozen=True, eq=False)
+class Trajectory(ByValue):
     """Poses and speeds over time.
 
     Parameters
@@ -293,6 +381,7 @@ class Trajectory:
 
         return pd.DataFrame({key: np.array(values) for key, values in vars(self).items()})
 
+    @checked(PathError)
     def scaled(self, factor: float) -> Trajectory:
         """Return the same geometry driven `factor` times as fast."""
         if not factor > 0:

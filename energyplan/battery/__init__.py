@@ -12,6 +12,7 @@ from energyplan.battery._kernel import Circuit, discharge
 from energyplan.battery._tables import CHEMISTRIES, PRESETS
 from energyplan.battery.model import BatteryModel, BatteryRun, BrownOut
 from energyplan.errors import BatteryError, UnknownNameError
+from energyplan.kinds import ByValue, check_fields, checked, numbers
 from energyplan.path import FloatArray
 
 __all__ = ["Battery", "BatteryModel", "BatteryRun", "BrownOut"]
@@ -25,8 +26,8 @@ def _require(condition: bool, message: str) -> None:
         raise BatteryError(message)
 
 
-@dataclass(frozen=True)
-class Battery:
+@dataclass(frozen=True, eq=False)
+class Battery(ByValue):
     """A battery pack as an equivalent circuit (Thevenin): source, resistance, one RC pair.
 
     Parameters
@@ -62,19 +63,17 @@ class Battery:
     resistance_coefficient : float
         Relative rise of the resistances per kelvin below 25 degC [1/K].
     health : float
-        Ageing factor in (0, 1]: capacity left over capacity when new. The resistances rise by its
-        inverse.
+        Capacity left over capacity when new, in (0, 1]. The resistances rise by its inverse.
 
     Raises
     ------
     BatteryError
-        If a value is out of its range; the message says which and what would be right.
+        If a value is out of its range.
 
     References
     ----------
-    Peukert's law in its running form draws ``I (I/I_rated)^(k - 1)``. It takes no account of the
-    charge that comes back at rest, so it errs on the safe side on varying loads (Doerffel and
-    Sharkh, Journal of Power Sources 155, 2006).
+    Peukert's law in its running form draws ``I (I/I_rated)^(k - 1)``. No charge comes back at rest:
+    it errs on the safe side (Doerffel and Sharkh, Journal of Power Sources 155, 2006).
 
     Examples
     --------
@@ -107,6 +106,7 @@ class Battery:
     health: float = 1.0
 
     def __post_init__(self) -> None:
+        check_fields(self, BatteryError, f"battery {self.name}: ")
         for name in ("soc_points", "ocv_points", "derating_temperature", "derating_factor"):
             value = np.array(getattr(self, name), float)
             _require(
@@ -197,8 +197,10 @@ class Battery:
 
     def ocv(self, soc: ArrayLike) -> FloatArray:
         """Open-circuit voltage [V] at a state of charge."""
-        return np.asarray(np.interp(np.asarray(soc, float), self.soc_points, self.ocv_points))
+        at = numbers(soc, "soc", BatteryError)
+        return np.asarray(np.interp(at, self.soc_points, self.ocv_points))
 
+    @checked(BatteryError)
     def larger(self, energy: float) -> Battery:
         """Return a battery of the same make that holds so much more energy when full.
 
@@ -236,6 +238,7 @@ class Battery:
 
     # -- what it can do -------------------------------------------------------------------------
 
+    @checked(BatteryError)
     def simulate(
         self, t: ArrayLike, power: ArrayLike, *, soc: float = 1.0, polarisation: float = 0.0
     ) -> BatteryRun:
@@ -255,7 +258,7 @@ class Battery:
         Returns
         -------
         BatteryRun
-            State of charge, voltage, current, losses, and the brown-out if there is one.
+            State of charge, voltage, current, losses, and any brown-out.
 
         Raises
         ------
@@ -270,13 +273,11 @@ class Battery:
         """
         times = np.ascontiguousarray(t, float)
         load = np.ascontiguousarray(power, float)
-        _require(
-            times.ndim == 1 and len(times) >= 1 and times.shape == load.shape,
-            f"time has shape {times.shape}, power {load.shape}; give one power for each time",
-        )
-        for name, values in (("time", times), ("power", load)):
-            bad = np.flatnonzero(~np.isfinite(values))
-            _require(len(bad) == 0, f"{name} is not finite at sample {bad[:1]}; remove it first")
+        shapes = f"time has shape {times.shape}, power {load.shape}"
+        paired = times.ndim == 1 and len(times) >= 1 and times.shape == load.shape
+        _require(paired, f"{shapes}; give one power for each time")
+        bad = np.flatnonzero(~np.isfinite(times + load))
+        _require(len(bad) == 0, f"time or power is not finite at sample {bad[:1]}; remove it first")
         back = np.flatnonzero(np.diff(times) <= 0)
         _require(len(back) == 0, f"time does not increase after sample {back[:1]}; sort it first")
         _require(0 <= soc <= 1, f"soc is {soc}; give a fraction in [0, 1]")
@@ -285,6 +286,7 @@ class Battery:
         died, why, left = discharge(times, load, *start, *curve, self.circuit(), out)
         return BatteryRun(times, out[0], out[1], out[2], out[3], out[4], died, _REASONS[why], left)
 
+    @checked(BatteryError)
     def usable_energy(self, power: ArrayLike, soc: ArrayLike = 1.0) -> FloatArray:
         """Energy that the battery can deliver at constant power until it gives up.
 
@@ -315,9 +317,8 @@ class Battery:
         level = self.cutoff_soc + span[..., None] * share
         current = self._steady_current(load[..., None], level)
         drop = self._resistance_factor * (self.resistance + self.pair_resistance) * current
-        alive = (self.ocv(level) - drop >= self.cutoff_voltage) & (
-            current <= self.max_discharge_current
-        )
+        alive = self.ocv(level) - drop >= self.cutoff_voltage
+        alive &= current <= self.max_discharge_current
         alive = np.logical_and.accumulate(alive, axis=-1)
         with np.errstate(invalid="ignore"):
             excess = np.maximum(current / self.rated_current, 1.0) ** (self.peukert - 1.0)
@@ -360,6 +361,7 @@ class Battery:
     # -- ready-made -----------------------------------------------------------------------------
 
     @classmethod
+    @checked(BatteryError)
     def from_units(
         cls,
         name: str,
@@ -445,9 +447,8 @@ class Battery:
         """Return a ready-made battery: ``quadriga``, ``husky_a200``, ``jackal``.
 
         Quadriga carries six 12 V lead-acid batteries in series-parallel, 36 V in all (Morales et
-        al. 2010, section IV). The paper gives no capacity: 18 Ah a block is taken here, a size
-        that the robot's weight allows. Husky: 24 V, 20 Ah sealed lead-acid. Jackal: a
-        lithium-ion pack of 270 Wh. Resistances are those usual for blocks and cells of the size.
+        al. 2010, section IV); 18 Ah a block is taken here, as the paper gives no capacity. Husky:
+        24 V, 20 Ah sealed lead-acid. Jackal: lithium-ion, 270 Wh. Resistances are usual ones.
 
         Parameters
         ----------

@@ -132,7 +132,7 @@ def plan_edges(
     Prices each edge with the energy of the path found along it, and names those that are closed.
     """
     from energyplan.io.route_graph import read_route_graph, write_route_graph
-    from energyplan.planning.problem import as_pose
+    from energyplan.path import as_pose
     from energyplan.planning.roadmap.planned import EFFORT
     from energyplan.planning.roadmap.planned import plan_edges as run
 

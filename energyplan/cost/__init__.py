@@ -26,6 +26,7 @@ from energyplan.cost.coefficients import static_model
 from energyplan.cost.direction_table import Corners, DirectionTable
 from energyplan.cost.driving import SteadyDriving
 from energyplan.errors import InvalidInputError, ModelError
+from energyplan.kinds import checked
 from energyplan.path import FloatArray, Path
 from energyplan.vehicle import TreadICR
 
@@ -86,6 +87,7 @@ class EnergyCost(SteadyDriving):
             )
 
     @classmethod
+    @checked()
     def from_coefficients(
         cls, per_metre: float, per_radian: float, icr: float | TreadICR, speed: float = 1.0
     ) -> EnergyCost:
@@ -179,6 +181,7 @@ class EnergyCost(SteadyDriving):
         rate = None if exact or self._static or self.speed else 1.0 / self._clock(x, y)
         return np.where(moves, self._element_energy(x, y, slope, rate), 0.0)
 
+    @checked()
     def energy(self, path: Path, slope: ArrayLike = 0.0) -> float:
         """Return the energy of a path [J], evaluated through the model.
 
@@ -191,6 +194,7 @@ class EnergyCost(SteadyDriving):
         """
         return float(self._element_energy(*self._moving(path, slope)).sum())
 
+    @checked()
     def breakdown(self, path: Path, slope: ArrayLike = 0.0) -> dict[str, float]:
         """Return the energy of a path by term [J]; the values add up to `energy`."""
         x, y, tilt = self._moving(path, slope)
@@ -199,6 +203,7 @@ class EnergyCost(SteadyDriving):
         parts = self._drawn.breakdown(self._motion(x, y, rate, tilt))
         return {name: float((power / rate).sum()) for name, power in parts.items()}
 
+    @checked()
     def per_metre(self, curvature: ArrayLike, speed: ArrayLike | None = None) -> FloatArray:
         """Return the energy per metre on arcs.
 
@@ -217,6 +222,7 @@ class EnergyCost(SteadyDriving):
         """
         return self._per_unit(np.ones(np.shape(curvature)), curvature, speed)
 
+    @checked()
     def per_radian(self, radius: ArrayLike = 0.0, rate: ArrayLike | None = None) -> FloatArray:
         """Return the energy per radian of a turn to the left.
 
@@ -246,6 +252,7 @@ class EnergyCost(SteadyDriving):
 
     # -- what searches need -----------------------------------------------------------------------
 
+    @checked()
     def lower_bound(self, point: tuple[float, float] = (0.0, 0.0)) -> LowerBound:
         """Return coefficients ``(a, beta)`` of ``E >= a length + beta |turn|`` for any motion.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from energyplan.errors import InvalidInputError
-from energyplan.power import PowerModel
+from energyplan.power import SLIP, TRACTION, PowerModel
 from energyplan.vehicle import MotorLimits, TreadICR, Vehicle
 
 
@@ -30,4 +30,4 @@ def static_model(
         motor=MotorLimits(speed=speed),
     )
     mu = per_radian / vehicle.slip_moment
-    return PowerModel.paper(vehicle, K=per_metre / 2, mu=mu, name="coefficients")
+    return PowerModel(vehicle, (SLIP, TRACTION), np.array([mu, per_metre / 2]), name="coefficients")

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from energyplan.cost import direction_table, speeds
 from energyplan.cost.direction_table import SPECIAL, DirectionTable
 from energyplan.errors import InvalidInputError, ModelError
+from energyplan.kinds import check_fields, numbers
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Path
 from energyplan.power import PowerModel, Sides
@@ -59,6 +60,7 @@ class SteadyDriving:
     time_value: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self, InvalidInputError)
         if not 0 <= self.time_value < np.inf:
             raise InvalidInputError(f"time_value is {self.time_value}; give joules a second >= 0")
         if self.speed is not None and not self.speed > 0:
@@ -83,8 +85,14 @@ class SteadyDriving:
 
     def _element(self, ds: ArrayLike, dtheta: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the centre's arc length and the turn times the half slip track [m]."""
-        turn = np.asarray(dtheta, float)
-        return np.asarray(ds, float) - self.icr.centre[1] * turn, self.half_track * turn
+        way, turn = numbers(ds, "ds"), numbers(dtheta, "dtheta")
+        try:
+            np.broadcast_shapes(way.shape, turn.shape)
+        except ValueError:
+            raise InvalidInputError(
+                f"ds has shape {way.shape}, dtheta {turn.shape}; give one of each"
+            ) from None
+        return way - self.icr.centre[1] * turn, self.half_track * turn
 
     def _moving(self, path: Path, slope: ArrayLike = 0.0) -> list[FloatArray]:
         """Elements of a path that do not vanish, rid of rounding in pivots, and their slopes."""
@@ -97,7 +105,12 @@ class SteadyDriving:
         x, y = self._element(path.ds, path.dtheta)
         pivot = np.abs(np.abs(x) - np.abs(y)) <= 1e-9 * np.abs(y)
         x = np.where(pivot, np.copysign(y, x), x)
-        tilt = np.broadcast_to(np.asarray(slope, float), x.shape)
+        tilt = numbers(slope, "slope")
+        if tilt.shape not in ((), (1,), x.shape):
+            raise InvalidInputError(
+                f"slope has shape {tilt.shape}; give one for each of {len(x)} segments"
+            )
+        tilt = np.broadcast_to(tilt, x.shape)
         if np.any(stuck := self._stuck(x, y)):
             parts = _pivot_and_rest(x[stuck], y[stuck])
             x, y, tilt = (

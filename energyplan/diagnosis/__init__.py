@@ -44,6 +44,7 @@ from energyplan.fit.breakaway import with_breakaway
 from energyplan.fit.drives.late import Late
 from energyplan.fit.drives.windows import Drive, check_long_enough, prepared
 from energyplan.fit.least_squares import PAPER, Problem
+from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
 from energyplan.logs.plausible import yaw_rate_offset
@@ -77,6 +78,7 @@ _SHOWN = 8
 Progress = Callable[[float, str], object]
 
 
+@checked()
 def diagnose(
     train: DriveLog | Sequence[DriveLog],
     holdout: DriveLog | Sequence[DriveLog],

@@ -22,6 +22,7 @@ from energyplan.fit.least_squares import Problem
 from energyplan.fit.regression import Method, PowerRegression
 from energyplan.fit.residuals import statistics
 from energyplan.fit.solvers import Bounds
+from energyplan.kinds import ByValue, checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
 from energyplan.motion import Motion
@@ -44,8 +45,8 @@ _LEAST_INDEPENDENT = 20.0
 """Effectively independent samples below which a standard error is doubtful."""
 
 
-@dataclass(frozen=True)
-class Identification:
+@dataclass(frozen=True, eq=False)
+class Identification(ByValue):
     """A power model identified from logs.
 
     Parameters
@@ -123,6 +124,7 @@ class Identification:
             return None
         return ICREstimate(self.icr, self.icr_covariance, 0.0, "").std_error
 
+    @checked()
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of a term's coefficient.
 
@@ -153,6 +155,7 @@ class Identification:
         return value - reach, value + reach
 
 
+@checked()
 def identify(
     logs: DriveLog | Sequence[DriveLog],
     vehicle: Vehicle,

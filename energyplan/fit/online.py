@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import fsum
 
 import numpy as np
 from scipy.stats import chi2
@@ -15,6 +16,7 @@ from scipy.stats import chi2
 from energyplan.errors import InvalidInputError, MissingChannelError
 from energyplan.fit import _online_kernel as kernel
 from energyplan.fit.identifiability import is_linear, linearise
+from energyplan.kinds import checked, described
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
@@ -118,6 +120,7 @@ class OnlineIdentifier:
     True
     """
 
+    @checked()
     def __init__(
         self,
         prior: PowerModel | Vehicle,
@@ -232,6 +235,11 @@ class OnlineIdentifier:
         MissingChannelError
             If a term needs a channel that is not given.
         """
+        try:
+            fsum((t, v_left, v_right, power, *channels.values()))
+        except TypeError:
+            given = ", ".join(map(described, (t, v_left, v_right, power, *channels.values())))
+            raise InvalidInputError(f"a sample holds {given}; give one number of each") from None
         if not np.isfinite(v_left + v_right + power + t) or t <= self._t:
             raise InvalidInputError(
                 f"sample at {t} s after {self._t} s: v_left {v_left}, v_right {v_right}, power "
@@ -303,6 +311,7 @@ class OnlineIdentifier:
         target = power - known.power[:, 0] + columns @ coefficients
         return columns * self._unit, target
 
+    @checked()
     def run(self, log: DriveLog) -> tuple[SurfaceChange, ...]:
         """Take in a log, sample by sample, as it would have come in while driving.
 

@@ -15,6 +15,7 @@ from energyplan.fleet.report import FleetReport, LeftOut, RobotReport
 from energyplan.fleet.schedule import Docks
 from energyplan.fleet.search import solve_by_search
 from energyplan.fleet.types import Fleet
+from energyplan.kinds import checked
 from energyplan.mission import Stop
 from energyplan.mission.condition import Condition
 from energyplan.mission.legs import Legs
@@ -34,6 +35,7 @@ _LEAST_SCALE = 0.8
 """Part of its energy that a battery is trusted to hold at least."""
 
 
+@checked(MissionError)
 def evaluate_fleet(fleet: Fleet, progress: Callable[[str], None] | None = None) -> FleetReport:
     """Tell who does what and charges when: required tasks first, then prizes, then energy.
 

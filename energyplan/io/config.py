@@ -15,6 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from energyplan.errors import ConfigError, InvalidInputError, ModelError, UnknownNameError
 from energyplan.io._yaml import Checked, Document, load
 from energyplan.io.files import atomic_write, is_file
+from energyplan.kinds import checked
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual, Term
 from energyplan.power.effects import term
@@ -139,6 +140,7 @@ class _Model(_Strict):
     residual: _Residual | None = None
 
 
+@checked(ConfigError)
 def read_vehicle(source: str | Path) -> Vehicle:
     """Return a vehicle: a preset's, or the one that a YAML file describes.
 
@@ -181,6 +183,7 @@ def read_vehicle(source: str | Path) -> Vehicle:
     return _vehicle(document.check(_Vehicle), document, ())
 
 
+@checked(ConfigError)
 def read_model(source: str | Path) -> PowerModel:
     """Return a power model: a preset's, or the one that a YAML file holds.
 
@@ -268,6 +271,7 @@ def write_vehicle(vehicle: Vehicle, path: str | Path) -> Path:
     return _dump({"kind": "vehicle", **plain_vehicle(vehicle)}, path)
 
 
+@checked()
 def write_model(model: PowerModel, path: str | Path) -> Path:
     """Write a power model with its vehicle as YAML, whole or not at all.
 

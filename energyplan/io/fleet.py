@@ -12,6 +12,7 @@ from energyplan.errors import MissionError
 from energyplan.fleet import Fleet, Robot
 from energyplan.io._yaml import Checked, Document, Loc, load
 from energyplan.io.mission import MissionReader
+from energyplan.kinds import checked
 
 _OWN = (
     "model", "vehicle", "battery", "start", "home", "soc", "reserve", "payload", "payload_models",
@@ -43,6 +44,7 @@ class _Fleet(Checked, BaseModel):
     chargers: Annotated[list[_Charger], Field(max_length=100)] = []
 
 
+@checked(MissionError)
 def read_fleet(path: str | Path) -> Fleet:
     """Read a fleet from YAML.
 

@@ -14,6 +14,7 @@ from shapely.geometry.base import BaseGeometry
 from energyplan.errors import EnergyPlanError, MapError
 from energyplan.io._limited import beside, read_features
 from energyplan.io.files import atomic_write
+from energyplan.kinds import checked
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 from energyplan.terrain.surfaces import FARTHEST
@@ -29,6 +30,7 @@ MAX_COORDINATES = 1_000_000
 """Most coordinates that a file of surfaces may hold."""
 
 
+@checked(MapError)
 def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = None) -> SurfaceMap:
     """Read a GeoJSON FeatureCollection of polygons.
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from energyplan.errors import MapError
 from energyplan.io._limited import read_bytes
+from energyplan.kinds import checked
 from energyplan.path import Pose
 from energyplan.terrain.grid import MAX_CELLS
 from energyplan.terrain.heights import HeightMap
@@ -19,6 +20,7 @@ _KEYS = ("ncols", "nrows", "xllcorner", "yllcorner", "xllcenter", "yllcenter", "
 _NO_DATA = "nodata_value"
 
 
+@checked(MapError)
 def read_heights(path: str | Path) -> HeightMap:
     """Read an ESRI ASCII grid of heights (``.asc``), in metres in the map's frame.
 

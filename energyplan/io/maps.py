@@ -19,6 +19,7 @@ from energyplan.io._limited import beside, read_bytes
 from energyplan.io._yaml import Checked, load
 from energyplan.io.files import atomic_write
 from energyplan.io.geojson import read_obstacles
+from energyplan.kinds import checked
 from energyplan.path import Pose
 from energyplan.terrain import CostMap
 from energyplan.terrain.grid import MAX_CELLS, OccupancyGrid
@@ -50,6 +51,7 @@ class _MapHeader(Checked, BaseModel):
         return self
 
 
+@checked(MapError)
 def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGrid:
     """Read a map: map_server YAML (``.yaml``, ``.yml``), MovingAI (``.map``) or GeoJSON.
 
@@ -110,6 +112,7 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
         raise MapError(f"{file}: {error}") from None
 
 
+@checked(MapError)
 def read_costmap(path: str | Path) -> CostMap:
     """Read the soft costs of a map_server YAML with an image of costs.
 

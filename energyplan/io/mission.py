@@ -23,6 +23,7 @@ from energyplan.io.files import is_file
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.heights import read_heights
 from energyplan.io.maps import read_map
+from energyplan.kinds import checked
 from energyplan.mission import Charger, Mission, Spreads, Task
 from energyplan.path import Pose
 from energyplan.power import PowerModel
@@ -71,9 +72,8 @@ def _uncertain(kind: str, value: Any) -> Uncertain:
         low, high = parts["low"], parts["high"]
         found = Uncertain(0.5 * (low + high), (high - low) / sqrt(12.0))
     else:
-        raise ValueError(
-            f"a distribution has mean and std, or low and high, not {', '.join(map(str, value))}"
-        )
+        keys = ", ".join(map(str, value))
+        raise ValueError(f"a distribution has mean and std, or low and high, not {keys}")
     if not (isfinite(found.value) and isfinite(found.spread or 0.0)) or (found.spread or 0.0) < 0:
         raise ValueError(f"the distribution {value} has no mean or a negative spread")
     return found
@@ -186,6 +186,7 @@ class _Mission(_Strict):
     planning_effort: Annotated[int, Field(ge=1)] | None = None
 
 
+@checked(MissionError)
 def read_mission(path: str | Path) -> Mission:
     """Read a mission from YAML.
 

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from energyplan import html
 from energyplan.errors import InvalidInputError
+from energyplan.kinds import checked
 from energyplan.limits._check import Excess, LimitedDrive
 from energyplan.limits._scale import SpeedScale, largest_scale
 from energyplan.limits.drive import Drive, Ground
@@ -176,6 +177,7 @@ class FeasibilityReport:
         return self._scale.reason
 
 
+@checked()
 def check(
     trajectory: Trajectory,
     model: PowerModel,
@@ -313,6 +315,7 @@ class FeasibleRegion:
     max_speed_brief: FloatArray
 
 
+@checked()
 def feasible_region(
     model: PowerModel,
     curvature: ArrayLike,

@@ -2,11 +2,9 @@
 
 The tread speeds have to be continuous where the acceleration of the treads is limited. Where the
 curvature jumps, at a corner between two arcs, before a spin or at a reversal, they can only be so
-at a standstill: the robot stops there. Small jumps may be declared part of a smooth curve
-(`smooth`).
+at a standstill: the robot stops there. Small jumps may be part of a smooth curve (`smooth`).
 
-Inertia counts towards power and force exactly if the model has inertia terms; the acceleration
-limit of the motors holds in any case.
+Inertia counts only if the model has inertia terms; the limit of acceleration holds in any case.
 """
 
 from __future__ import annotations
@@ -20,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
+from energyplan.kinds import checked
 from energyplan.limits._accept import accepted
 from energyplan.limits._check import LimitedDrive, Survey
 from energyplan.limits._timing import Course, Grid, Phases, Sampled, joined, rounding
@@ -85,6 +84,7 @@ def corner_rounding(tolerance: float) -> Rounding:
     return Rounding(1.0, tolerance) if tolerance > 0 else Rounding(FITTED, 0.005)
 
 
+@checked()
 def profile(
     path: Path,
     model: PowerModel,

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from math import isfinite, nan
 
 from energyplan.errors import DriveLogError
+from energyplan.kinds import instance
 from energyplan.live.events import Trouble
 from energyplan.live.lines import Line, Restart
 from energyplan.logs.checks import LIMITS, needed_channels
@@ -104,6 +105,7 @@ def read_samples(
             yield Trouble(name, f"{line.reason}; it is read from its beginning")
             fresh = True
             continue
+        instance(line, Line, "a line")
         place = f"line {line.number}"
         if not line.text.strip():
             continue

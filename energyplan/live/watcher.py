@@ -12,6 +12,7 @@ import numpy as np
 
 from energyplan.errors import EnergyPlanError, InvalidInputError
 from energyplan.fit.online import OnlineIdentifier
+from energyplan.kinds import checked
 from energyplan.live.events import Changed, Done, Ended, Event, Learned, Reassessed, Trouble
 from energyplan.live.lines import Line, Restart
 from energyplan.live.samples import Header, Sample, read_samples
@@ -76,6 +77,7 @@ class Settings:
         object.__setattr__(self, "done", tuple(self.done))
 
 
+@checked()
 def watch(
     lines: Iterable[Line | Restart],
     prior: PowerModel | Vehicle | None = None,

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from energyplan import html
 from energyplan.errors import DriveLogError, MissingChannelError
+from energyplan.kinds import checked
 from energyplan.logs._resample import block_bounds, interval_means, shift
 from energyplan.logs._smooth import derivative
 from energyplan.logs.checks import Place, SetAside, clean, find_runs, needed_channels
@@ -40,8 +41,7 @@ _EPOCH = 1e6  # times beyond are those of a calendar, not of a drive [s]
 class DriveLog:
     """One drive: named channels over time.
 
-    `from_columns` and `read` correct what can be corrected, and count it. If you build a log
-    directly, its channels must be without faults.
+    `from_columns` and `read` correct what can be corrected, and count it; this takes no faults.
 
     Parameters
     ----------
@@ -110,10 +110,8 @@ class DriveLog:
         return len(self.t)
 
     def __repr__(self) -> str:
-        return (
-            f"<DriveLog {self.name!r}: {len(self)} samples over {self.duration:.1f} s, "
-            f"{self.energy / 1e3:.2f} kJ; {', '.join(self.channels)}>"
-        )
+        length = f"{len(self)} samples over {self.duration:.1f} s, {self.energy / 1e3:.2f} kJ"
+        return f"<DriveLog {self.name!r}: {length}; {', '.join(self.channels)}>"
 
     def _repr_html_(self) -> str:
         """Return the channels with their ranges as a table, for notebooks."""
@@ -135,6 +133,7 @@ class DriveLog:
     # -- building -------------------------------------------------------------------------------
 
     @classmethod
+    @checked(DriveLogError)
     def read(
         cls,
         source: str | Path | pd.DataFrame,
@@ -158,8 +157,7 @@ class DriveLog:
         Returns
         -------
         DriveLog
-            The log. `set_aside` counts the rows that were left out or mended, `warnings` says what
-            is doubtful.
+            The log. `set_aside` counts what was left out or mended; `warnings` tells doubts.
 
         Raises
         ------
@@ -180,10 +178,10 @@ class DriveLog:
         table = read(source, DriveLogError)  # type: ignore[arg-type]
         chosen = choose_columns(table, columns, others)
         log = cls.from_columns(chosen.channels, table.source, table.place)
-        if chosen.unread:
-            note = f"columns of text are left out: {', '.join(chosen.unread[:10])}"
-            log = replace(log, warnings=(*log.warnings, note))
-        return log
+        if not chosen.unread:
+            return log
+        note = f"columns of text are left out: {', '.join(chosen.unread[:10])}"
+        return replace(log, warnings=(*log.warnings, note))
 
     @classmethod
     def from_columns(
@@ -211,15 +209,13 @@ class DriveLog:
         Raises
         ------
         DriveLogError
-            If a channel is missing, mostly out of range, or contradicts the others: time that does
-            not increase, left and right swapped, power of the wrong sign.
+            If a channel is missing, mostly out of range, or contradicts others (swapped sides).
         """
-        cleaned = clean(columns, name, place or "sample {}".format)
-        raw = cls(cleaned.channels, name)
+        done = clean(columns, name, place or "sample {}".format)
+        raw = cls(done.channels, name)
         doubts = find_doubts(raw.channels, raw.power, raw.runs, name)
-        return replace(
-            raw, set_aside=tuple(cleaned.set_aside), warnings=(*cleaned.warnings, *doubts)
-        )
+        told = (*done.warnings, *doubts)
+        return replace(raw, set_aside=tuple(done.set_aside), warnings=told)
 
     # -- channels -------------------------------------------------------------------------------
 
@@ -297,6 +293,7 @@ class DriveLog:
         """Measured energy [J], gaps left out."""
         return float(self.weights @ self.power)
 
+    @checked(DriveLogError)
     def motion(self, icr: TreadICR, smoothing: float = 0.4) -> Motion:
         """Return the log as a motion, with accelerations derived from the tread speeds.
 
@@ -327,6 +324,7 @@ class DriveLog:
     def _part(self, samples: slice, name: str) -> DriveLog:
         return replace(self, channels={k: v[samples] for k, v in self.channels.items()}, name=name)
 
+    @checked(DriveLogError)
     def segment(self, t0: float, t1: float) -> DriveLog:
         """Return the samples with ``t0 <= t < t1`` [s].
 
@@ -345,6 +343,7 @@ class DriveLog:
         label = f"{self.name} from {t0 - since:g} to {t1 - since:g} s"
         return self._part(slice(int(first), int(last)), label)
 
+    @checked(DriveLogError)
     def blocks(self, duration: float) -> list[DriveLog]:
         """Cut the log into blocks of about equal length that hold every sample once.
 
@@ -372,6 +371,7 @@ class DriveLog:
             for k, (a, b) in enumerate(pairwise(bounds))
         ]
 
+    @checked(DriveLogError)
     def resample(self, period: float) -> DriveLog:
         """Return the log as means over successive intervals, which keeps integrals such as energy.
 
@@ -416,6 +416,7 @@ class DriveLog:
             aside = (*aside, SetAside(reason, unused, "ends of runs"))
         return replace(self, channels=means, set_aside=aside)
 
+    @checked(DriveLogError)
     def shifted(self, **seconds: float) -> DriveLog:
         """Return the log with channels moved in time, to mend a clock offset.
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from energyplan.errors import DriveLogError
+from energyplan.kinds import described, numbers
 from energyplan.logs.align import Series, align, gap_limit
 from energyplan.path import FloatArray
 
@@ -164,6 +165,8 @@ def needed_channels(names: Collection[str], label: str) -> tuple[str, ...]:
     DriveLogError
         If one is missing.
     """
+    if not isinstance(names, Iterable):
+        raise DriveLogError(f"{label} is {described(names)}; give channels by name")
     there = ", ".join(sorted(names)[:20]) or "nothing"
     for channel in ("t", "v_left", "v_right"):
         if channel not in names:
@@ -260,7 +263,7 @@ def clean(columns: Mapping[str, ArrayLike], label: str, place: Place) -> Cleaned
         If a channel is missing or mostly out of range, or time does not increase.
     """
     needed = needed_channels(columns, label)
-    channels = {name: np.array(values, float) for name, values in columns.items()}
+    channels = {k: np.array(numbers(columns[k], f"{label}: {k}", DriveLogError)) for k in columns}
     shapes = {values.shape for values in channels.values()}
     if len(shapes) != 1 or len(next(iter(shapes))) != 1:
         raise DriveLogError(f"{label}: channels have shapes {shapes}; give rows of equal length")
@@ -399,10 +402,9 @@ class _Cleaner:
         for before, one in pairwise(bounds):
             counted[one] += counted[before][-1] + pause - t[one][0]
         self.channels["t"] = counted
-        self.warnings.append(
-            f"t begins anew at {place}: {len(parts)} recordings in one file, which are taken as "
-            f"one drive with gaps of {pause:g} s; separate files tell diagnose more"
-        )
+        told = f"{len(parts)} recordings in one file, which are taken as one drive with gaps of"
+        more = f"{pause:g} s; separate files tell diagnose more"
+        self.warnings.append(f"t begins anew at {place}: {told} {more}")
 
     def sort(self) -> None:
         """Sort rows of which a few came late."""

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from energyplan.errors import DriveLogError
+from energyplan.kinds import described
 from energyplan.logs.counts import count_rate, counting
 from energyplan.logs.tables import Table
 from energyplan.logs.units import UNITS, Scale, scale_of, unit_in
@@ -231,6 +232,9 @@ def parse_columns(
     """
     if columns is None or isinstance(columns, str):
         return {entry.channel: _resolve(entry, names) for entry in _entries(columns)}
+    for key, item in columns.items():
+        if not isinstance(item, str | Column):
+            raise DriveLogError(f"the column of {key!r} is {described(item)}; give its name")
     made = {key: item for key, item in columns.items() if isinstance(item, Column)}
     rest = {key: item for key, item in columns.items() if isinstance(item, str)}
     return {**made, **{entry.channel: _resolve(entry, names) for entry in _entries(rest)}}

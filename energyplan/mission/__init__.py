@@ -14,6 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from energyplan.battery import Battery
+from energyplan.errors import MissionError
+from energyplan.kinds import checked
 from energyplan.mission.account import charger_reports, doubts, leg_reports, timeline
 from energyplan.mission.condition import Attempt, Condition
 from energyplan.mission.energy import Estimate
@@ -51,6 +53,7 @@ _MOST = 10.0
 """Batteries beyond so many times the one on board are not proposed."""
 
 
+@checked(MissionError)
 def evaluate(mission: Mission, progress: Callable[[str], None] | None = None) -> MissionReport:
     """Find which tasks of a mission can be done, and the energy that they take.
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from numpy.typing import ArrayLike
 
-import numpy as np
-
-from energyplan.errors import MissionError
-from energyplan.path import Pose
+from energyplan.errors import InvalidInputError, MissionError
+from energyplan.path import Pose, as_pose
 
 
 def require(condition: object, message: str, *place: str | int) -> None:
@@ -16,12 +14,9 @@ def require(condition: object, message: str, *place: str | int) -> None:
         raise MissionError(message, place)
 
 
-def checked_pose(value: Iterable[float], whose: str, *place: str | int) -> Pose:
-    """Return three finite numbers as a pose."""
-    row = np.asarray(list(value), float)
-    require(
-        row.shape == (3,) and bool(np.all(np.isfinite(row))),
-        f"{whose}: the pose is {row.tolist()}; give x, y [m] and yaw [rad], all finite",
-        *place,
-    )
-    return Pose(*(float(v) for v in row))
+def checked_pose(value: ArrayLike, whose: str, *place: str | int) -> Pose:
+    """Return three finite numbers as a pose; `place` leads to it."""
+    try:
+        return as_pose(value, f"{whose}: the pose")
+    except InvalidInputError as error:
+        raise MissionError(str(error), place) from None

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from energyplan import html
+from energyplan.errors import UnknownNameError
 from energyplan.mission.remedies import Remedy
 from energyplan.mission.types import Mission
 from energyplan.path import FloatArray, Path, Pose, Trajectory
@@ -373,8 +374,17 @@ class MissionReport:
         return html.result(title, header, rows)
 
     def task(self, name: str) -> TaskReport:
-        """Return the report of the named task."""
-        return {task.name: task for task in self.tasks}[name]
+        """Return the report of the named task.
+
+        Raises
+        ------
+        UnknownNameError
+            If the mission has no such task.
+        """
+        known = {task.name: task for task in self.tasks}
+        if name not in known:
+            raise UnknownNameError("task", name, known)
+        return known[name]
 
     @property
     def table(self) -> pd.DataFrame:

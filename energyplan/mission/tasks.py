@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from energyplan.errors import MissionError
+from energyplan.kinds import check_fields
 from energyplan.mission.checks import checked_pose, require
 from energyplan.path import Pose
 
@@ -67,6 +69,7 @@ class Task:
     def __post_init__(self) -> None:
         label = f"task {self.name!r}"
         require(self.name, "a task has no name; give each its own", "name")
+        check_fields(self, MissionError, f"{label}: ")
         object.__setattr__(self, "pose", checked_pose(self.pose, label, "pose"))
         for key in ("dwell", "power", "prize", "power_spread", "dwell_spread"):
             value = getattr(self, key)
@@ -119,6 +122,7 @@ class Charger:
     def __post_init__(self) -> None:
         label = f"charger {self.name!r}"
         require(self.name, "a charger has no name; give each its own", "name")
+        check_fields(self, MissionError, f"{label}: ")
         object.__setattr__(self, "pose", checked_pose(self.pose, label, "pose"))
         require(
             0 < self.power <= LARGEST,

@@ -9,10 +9,12 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from energyplan import html
 from energyplan.battery import BatteryModel
 from energyplan.errors import MissionError
+from energyplan.kinds import check_fields, checked, described
 from energyplan.mission.checks import checked_pose, require
 from energyplan.mission.remedies import Remedy
 from energyplan.mission.spreads import Spreads
@@ -146,11 +148,18 @@ class Mission:
     waiting: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self, MissionError)
         object.__setattr__(self, "tasks", tuple(self.tasks))
         object.__setattr__(self, "chargers", tuple(self.chargers))
         object.__setattr__(self, "start", checked_pose(self.start, "start", "start"))
         home = self.start if self.home is None else checked_pose(self.home, "home", "home")
         object.__setattr__(self, "home", home)
+        for key, by_payload in self.payload_models.items():
+            require(
+                isinstance(by_payload, Mapping),
+                f"payload_models of {key!r} is {described(by_payload)}; give models by payload",
+                "payload_models",
+            )
         self._lay_ground()
         models = {key: MappingProxyType(dict(v)) for key, v in self.payload_models.items()}
         object.__setattr__(self, "payload_models", MappingProxyType(models))
@@ -307,9 +316,10 @@ class Mission:
         kept = self.surfaces.keep_out if self.surfaces is not None else ()
         return self.map.with_blocked(kept) if kept else self.map
 
+    @checked(MissionError)
     def resume(
         self,
-        pose: Iterable[float],
+        pose: ArrayLike,
         soc: float,
         done: Iterable[str] = (),
         *,
@@ -321,7 +331,7 @@ class Mission:
 
         Parameters
         ----------
-        pose : sequence of float
+        pose : array_like, shape (3,)
             Where the robot is now: x, y [m], yaw [rad].
         soc : float
             State of charge now.
@@ -352,7 +362,7 @@ class Mission:
         carried = self.payload + sum(t.payload for t in self.tasks if t.name in names)
         mission = replace(
             self,
-            start=Pose(*pose),
+            start=checked_pose(pose, "pose"),
             soc=soc,
             tasks=left,
             payload=carried if payload is None else payload,
@@ -360,6 +370,7 @@ class Mission:
         )
         return mission if model is None else _corrected(mission, model)
 
+    @checked(MissionError)
     def with_remedy(self, remedy: Remedy) -> Mission:
         """Return the mission with a remedy of its report applied.
 

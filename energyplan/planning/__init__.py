@@ -8,10 +8,18 @@ and prices what a planner returns.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from importlib.metadata import entry_points
+from inspect import signature
 from typing import Any
 
-from energyplan.errors import PlanningError, UnknownNameError, UnsupportedPlannerError
+from energyplan.errors import (
+    InvalidInputError,
+    PlanningError,
+    UnknownNameError,
+    UnsupportedPlannerError,
+)
+from energyplan.kinds import check_fields, checked
 from energyplan.planning.budget import Budget, cancellable
 from energyplan.planning.contract import Candidate, Planner, check_path, priced_plan
 from energyplan.planning.problem import OBJECTIVES, Plan, PlanningProblem
@@ -102,6 +110,21 @@ def _check_capable(name: str, planner: Planner, problem: PlanningProblem, counte
         )
 
 
+def _check_call(name: str, solve: Callable[..., Candidate], options: dict[str, Any]) -> None:
+    try:
+        taken = signature(solve)
+    except (TypeError, ValueError):  # a function that does not say what it takes
+        return
+    try:
+        taken.bind(None, None, **options)
+    except TypeError as error:
+        raise InvalidInputError(
+            f"the planner {name!r} cannot be called with a problem, a budget and the options "
+            f"{sorted(options)}: {error}; it takes {', '.join(taken.parameters)}"
+        ) from None
+
+
+@checked()
 def plan(
     problem: PlanningProblem,
     planner: str | Planner = "lattice",
@@ -172,6 +195,7 @@ def plan(
     _check_capable(name, declared, problem, effort is not None)
     problem.check_poses()
     solve = declared.function
+    _check_call(name, solve, options)
     compile_kernels(problem)
     prepare(problem, guided=declared.bound)
     budget = Budget(time_limit, effort=effort)
@@ -183,6 +207,7 @@ def plan(
             "energyplan.Candidate"
         )
     check_path(problem, found.path, name)
+    check_fields(found, PlanningError, f"the planner {name!r} returned a candidate whose ")
     compiled = CompiledProblem(problem)
     bound = found.lower_bound
     if bound is None:

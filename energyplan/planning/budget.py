@@ -14,6 +14,7 @@ from math import inf, isfinite
 from typing import TypeVar
 
 from energyplan.errors import CancelledError, InvalidInputError, TimeLimitError
+from energyplan.kinds import checked
 
 Made = TypeVar("Made")
 
@@ -80,6 +81,7 @@ class Budget:
     (True, 500.0)
     """
 
+    @checked()
     def __init__(self, time_limit: float = inf, *, effort: int | None = None) -> None:
         if not time_limit > 0:
             raise InvalidInputError(f"time_limit is {time_limit} s; give a positive number")

@@ -19,6 +19,7 @@ from energyplan.errors import (
     LowerBoundError,
     MissingDependencyError,
 )
+from energyplan.kinds import check_fields
 from energyplan.path import Path, wrap_angle
 from energyplan.planning.driven import drive_plan
 from energyplan.planning.problem import OBJECTIVES, Plan, PlanningProblem
@@ -101,6 +102,12 @@ class Planner:
     costmap: bool = False
 
     def __post_init__(self) -> None:
+        check_fields(self, InvalidInputError)
+        if isinstance(self.run, str) and ":" not in self.run:
+            raise InvalidInputError(
+                f"run is {self.run!r}; give a function, or 'module:function'. A planner of the "
+                "library is asked for by its name alone, without Planner"
+            )
         object.__setattr__(self, "objectives", tuple(self.objectives))
         if not self.objectives or not set(self.objectives) <= set(OBJECTIVES):
             raise InvalidInputError(

@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from energyplan import html
 from energyplan.cost import EnergyCost
@@ -20,7 +19,8 @@ from energyplan.errors import (
     OutsideMapError,
     StartInCollisionError,
 )
-from energyplan.path import FloatArray, Path, Pose
+from energyplan.kinds import check_fields, numbers
+from energyplan.path import FloatArray, Path, Pose, as_pose
 from energyplan.terrain import (
     CostMap,
     HeightMap,
@@ -39,23 +39,6 @@ OBJECTIVES = ("energy", "length", "time")
 """What a plan can be asked to make least."""
 
 
-def as_pose(value: ArrayLike, name: str) -> Pose:
-    """Return a pose from three finite numbers.
-
-    Raises
-    ------
-    InvalidInputError
-        If they are not three finite numbers.
-    """
-    try:
-        row = np.asarray(value, float)
-    except (TypeError, ValueError):
-        row = np.zeros(0)
-    if row.shape != (3,) or not np.all(np.isfinite(row)):
-        raise InvalidInputError(f"{name} is {value!r}; give x, y [m] and yaw [rad]")
-    return Pose(*(float(v) for v in row))
-
-
 def objective_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
     """Return an objective as weights of energy [1], length [J/m] and time [J/s].
 
@@ -65,7 +48,7 @@ def objective_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
         If it is malformed.
     """
     named = {objective: 1.0} if isinstance(objective, str) else objective
-    weights = {name: float(value) for name, value in named.items()}
+    weights = {name: float(numbers(named[name], f"the weight of {name}")) for name in named}
     if not weights or not set(weights) <= set(OBJECTIVES):
         raise InvalidInputError(
             f"objective {objective!r} is unknown; choose from {', '.join(OBJECTIVES)} "
@@ -139,6 +122,7 @@ class PlanningProblem:
     costmap_weight: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self, InvalidInputError)
         if not 0.0 <= self.costmap_weight < np.inf:
             raise InvalidInputError(
                 f"the weight of the costmap is {self.costmap_weight}; give a number of 0 or more"

@@ -26,11 +26,12 @@ from energyplan.errors import (
     StartInCollisionError,
     TimeLimitError,
 )
-from energyplan.path import Path, Pose, wrap_angle
+from energyplan.kinds import checked
+from energyplan.path import Path, Pose, as_pose, wrap_angle
 from energyplan.planning.budget import Budget
 from energyplan.planning.contract import ARRIVED, check_path, priced_plan
 from energyplan.planning.lattice import planner as lattice
-from energyplan.planning.problem import Plan, PlanningProblem, as_pose
+from energyplan.planning.problem import Plan, PlanningProblem
 from energyplan.planning.ready import compiled as compile_kernels
 from energyplan.planning.scene.compiled import CompiledProblem, Segments, merged
 from energyplan.terrain import OccupancyGrid
@@ -178,6 +179,7 @@ def _bound_left(former: Plan, problem: PlanningProblem, here: Pose) -> float:
     return former.lower_bound - least
 
 
+@checked()
 def replan(
     problem: PlanningProblem,
     former: Plan | Path,

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 
 from energyplan import html
 from energyplan.errors import ModelError, UnknownNameError
+from energyplan.kinds import ByValue, check_fields, checked, instance, numbers
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power.terms import (
@@ -53,6 +54,8 @@ __all__ = [
     "tread_forces",
 ]
 
+
+_LARGEST_MU = 10.0  # of any friction coefficient; K is larger, so that it tells who swapped them
 
 USUAL_RUN_SPREAD = 0.05
 """Relative standard deviation of a robot's power from run to run where nobody compared any: that of
@@ -92,8 +95,8 @@ class Residual:
     run_spread: float | None = None
 
 
-@dataclass(frozen=True)
-class PowerModel:
+@dataclass(frozen=True, eq=False)
+class PowerModel(ByValue):
     """Power as a sum of terms times coefficients, with their covariance.
 
     Parameters
@@ -136,11 +139,12 @@ class PowerModel:
     name: str = "model"
 
     def __post_init__(self) -> None:
+        check_fields(self, ModelError)
         object.__setattr__(self, "terms", tuple(self.terms))
         names = [term.name for term in self.terms]
         if len(set(names)) != len(names):
             raise ModelError(f"a term stands twice in {names}; merge its coefficients")
-        values = np.array(self.coefficients, float)
+        values = numbers(self.coefficients, "coefficients", ModelError).copy()
         if values.shape != (len(names),) or not np.all(np.isfinite(values)):
             raise ModelError(
                 f"coefficients {values.tolist()} for terms {names}; give one finite value each"
@@ -148,9 +152,12 @@ class PowerModel:
         values.setflags(write=False)
         object.__setattr__(self, "coefficients", values)
         if self.covariance is not None:
-            cov = np.array(self.covariance, float)
+            cov = numbers(self.covariance, "covariance", ModelError).copy()
             if cov.shape != (len(names), len(names)) or not np.all(np.isfinite(cov)):
-                raise ModelError(f"covariance has shape {cov.shape}; give {len(names)} x that")
+                raise ModelError(
+                    f"covariance has shape {cov.shape}; give finite numbers of shape "
+                    f"{(len(names), len(names))}, in the order of the terms {names}"
+                )
             if not np.allclose(cov, cov.T, rtol=1e-6, atol=1e-300) or np.any(np.diag(cov) < 0):
                 raise ModelError("covariance must be symmetric with no negative variance")
             cov.setflags(write=False)
@@ -202,6 +209,7 @@ class PowerModel:
         k = self._index(name)
         return None if self.covariance is None else float(np.sqrt(self.covariance[k, k]))
 
+    @checked(ModelError)
     def with_term(self, term: Term, value: float) -> PowerModel:
         """Return this model with one more term of known coefficient (variance zero)."""
         cov = self.covariance
@@ -220,13 +228,16 @@ class PowerModel:
         """Return this model with other coefficients, and their covariance where it is known."""
         return replace(
             self,
-            coefficients=np.asarray(coefficients, float),
-            covariance=None if covariance is None else np.asarray(covariance, float),
+            coefficients=numbers(coefficients, "coefficients", ModelError),
+            covariance=None
+            if covariance is None
+            else numbers(covariance, "covariance", ModelError),
         )
 
     # -- power ----------------------------------------------------------------------------------
 
     def _motion(self, motion: Motion) -> Motion:
+        instance(motion, Motion, "motion")
         if motion.icr != self.vehicle.icr:
             return replace(motion, icr=self.vehicle.icr)
         return motion
@@ -311,6 +322,7 @@ class PowerModel:
         ----------
         docs/theory, section 2.
         """
+        motion = self._motion(motion)
         total = Sides(np.zeros(motion.shape), np.zeros(motion.shape))
         for column, value in zip(self.regressors(motion), self.coefficients, strict=True):
             if isinstance(column, Sides):
@@ -345,6 +357,7 @@ class PowerModel:
         MissingChannelError
             If a term needs a channel that the motion does not have.
         """
+        motion = self._motion(motion)
         total = np.zeros(motion.shape)
         for part in self.breakdown(motion).values():
             total = total + part
@@ -374,6 +387,7 @@ class PowerModel:
     # -- ready-made -----------------------------------------------------------------------------
 
     @classmethod
+    @checked(ModelError)
     def paper(
         cls,
         vehicle: Vehicle,
@@ -402,8 +416,14 @@ class PowerModel:
         PowerModel
             A model of two terms: slip friction, traction resistance.
         """
+        if not (K >= 0 and 0 <= mu <= _LARGEST_MU):
+            raise ModelError(
+                f"K is {K} N and mu is {mu}; give a traction resistance of 0 N or more, then a "
+                f"friction coefficient from 0 to {_LARGEST_MU:g}"
+            )
+        values = np.array([mu, K], float)
         cov = None if covariance is None else np.asarray(covariance, float)
-        return cls(vehicle, (SLIP, TRACTION), np.array([mu, K]), cov, name=name)
+        return cls(vehicle, (SLIP, TRACTION), values, cov, name=name)
 
     @classmethod
     def preset(cls, name: str) -> PowerModel:

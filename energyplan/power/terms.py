@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from energyplan.kinds import ByValue
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.vehicle import Vehicle
@@ -16,8 +17,8 @@ from energyplan.vehicle import Vehicle
 Kind = Literal["force", "power", "loss"]
 
 
-@dataclass(frozen=True)
-class Sides:
+@dataclass(frozen=True, eq=False)
+class Sides(ByValue):
     """A quantity of the left and of the right side, arrays of one shape.
 
     Examples
@@ -41,8 +42,8 @@ class Sides:
         return Sides(self.left * factor, self.right * factor)
 
 
-@dataclass(frozen=True)
-class Term:
+@dataclass(frozen=True, eq=False)
+class Term(ByValue):
     """One term of a power model: everything but its coefficient.
 
     Parameters

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from energyplan.errors import InvalidInputError, UnknownNameError
+from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Pose, Trajectory
@@ -42,6 +43,7 @@ _NODES = 0.5 + 0.5 * np.array([-(0.6**0.5), 0.0, 0.6**0.5])  # Gauss-Legendre, o
 _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
 
+@checked()
 def drive(
     model: PowerModel,
     pattern: str | Sequence[Part] | Trajectory,
@@ -173,6 +175,7 @@ def drive(
     return DriveLog({"t": t, **kept}, name or f"simulated {model.name}")
 
 
+@checked()
 def identification_drive(model: PowerModel, **options: Any) -> DriveLog:
     """Simulate the most informative drive: spins, straights, a spiral, a figure-8, a survey.
 
@@ -197,6 +200,7 @@ def identification_drive(model: PowerModel, **options: Any) -> DriveLog:
     return drive(model, IDENTIFICATION, **options)
 
 
+@checked()
 def validation_drive(model: PowerModel, **options: Any) -> DriveLog:
     """Simulate another drive, to predict: a survey, stops, a figure-8, a spiral.
 

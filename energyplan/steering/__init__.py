@@ -13,25 +13,33 @@ from numpy.typing import ArrayLike
 from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
 from energyplan.errors import InvalidInputError
-from energyplan.path import FloatArray, Path, Pose
+from energyplan.kinds import checked, numbers
+from energyplan.path import FloatArray, Path, Pose, refuse_degrees
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energies, steer_path
 from energyplan.steering.polygon import polygon_energies, polygon_path
+
+FARTHEST = 1e9
+"""Largest coordinate of a pose [m]; far beyond it energies overflow."""
 
 AT_PLACE, ROUNDING = 1e-9, 1e-12
 """Distance [m], and part of an energy, that are rounding."""
 
 
 def _poses(value: ArrayLike, name: str) -> FloatArray:
-    poses = np.asarray(value, float)
+    poses = numbers(value, name)
     if poses.ndim == 0 or poses.shape[-1] != 3:
         raise InvalidInputError(
             f"{name} has shape {poses.shape}; give x, y, yaw along its last axis"
         )
     if not np.isfinite(poses).all():
         raise InvalidInputError(f"{name} holds a value that is not finite")
+    if np.abs(poses[..., :2]).max(initial=0.0) > FARTHEST:
+        raise InvalidInputError(f"{name} lies beyond {FARTHEST:g} m; give metres")
+    refuse_degrees(poses[..., 2], f"the yaw of {name}")
     return poses
 
 
+@checked()
 def energy(start: ArrayLike, goal: ArrayLike, cost: EnergyCost) -> FloatArray:
     """Return the least energy of any motion from start to goal in free space.
 
@@ -81,6 +89,7 @@ def energy(start: ArrayLike, goal: ArrayLike, cost: EnergyCost) -> FloatArray:
     return out
 
 
+@checked()
 def path(start: ArrayLike, goal: ArrayLike, cost: EnergyCost) -> Path:
     """Return a motion from start to goal that takes the least energy.
 

@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from energyplan import html
+from energyplan.kinds import checked
 from energyplan.path import FloatArray, Path
-from energyplan.planning import Plan, PlanningProblem, plan
+from energyplan.planning import Plan, Planner, PlanningProblem, plan
 from energyplan.planning.contract import priced_plan
 from energyplan.planning.scene.compiled import CompiledProblem
 
@@ -64,9 +65,10 @@ class Comparison:
         return html.result(title, ("", "least energy", "shortest"), rows)
 
 
+@checked()
 def compare(
     problem: PlanningProblem,
-    planner: str = "lattice",
+    planner: str | Planner = "lattice",
     time_limit: float = 1.0,
     *,
     effort: int | None = None,
@@ -82,7 +84,7 @@ def compare(
     ----------
     problem : PlanningProblem
         The problem; its objective is replaced by energy and by length.
-    planner : str
+    planner : str or Planner
         Name of the planner of the route of least energy. The shortest route is always planned by
         the lattice planner.
     time_limit : float

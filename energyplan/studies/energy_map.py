@@ -13,11 +13,12 @@ import shapely
 from numpy.typing import ArrayLike
 
 from energyplan.errors import InvalidInputError
-from energyplan.path import FloatArray, Pose
+from energyplan.kinds import checked, numbers
+from energyplan.path import FloatArray, Pose, as_pose
 from energyplan.planning.budget import Budget
 from energyplan.planning.lattice import search_kernels as kernels
 from energyplan.planning.lattice.search import Search, coarse_lattice
-from energyplan.planning.problem import PlanningProblem, as_pose
+from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.guide import no_distance
 from energyplan.planning.scene.motions import DIRECTIONS, KernelProblem
@@ -97,6 +98,7 @@ class EnergyMap:
     complete_to: float
     confidence: float | None = None
 
+    @checked()
     def reachable(self, energy: float) -> float:
         """Return the area of the places that an energy [J] leads to [m^2]."""
         return float(np.count_nonzero(self.energy <= energy)) * self.resolution**2
@@ -114,7 +116,8 @@ class EnergyMap:
         ndarray, shape (...)
             Energies [J].
         """
-        offset = np.asarray(points, float) - np.array(self.origin[:2])
+        at = numbers(points, "points", last=2, words="x, y [m]")
+        offset = at - np.array(self.origin[:2])
         c, s = np.cos(self.origin.yaw), np.sin(self.origin.yaw)
         cell = np.floor(offset @ np.array([[c, -s], [s, c]]) / self.resolution).astype(int)
         rows, columns = self.energy.shape
@@ -122,6 +125,7 @@ class EnergyMap:
         column, row = np.moveaxis(np.where(inside[..., None], cell, 0), -1, 0)
         return np.where(inside, self.energy[row, column], np.inf)
 
+    @checked()
     def contours(self, levels: Sequence[float]) -> tuple[Contour, ...]:
         """Return the areas that some energies lead to, the least energy first.
 
@@ -135,6 +139,8 @@ class EnergyMap:
         tuple of Contour
             The areas, which hold one another.
         """
+        if not all(np.isfinite(level) and level > 0 for level in levels):
+            raise InvalidInputError(f"levels are {list(levels)}; give energies > 0 [J]")
         # what is out of reach is far beyond every level, so that lines run along its edge
         wide = np.pad(self.energy, 1, constant_values=np.inf)
         x = (np.arange(wide.shape[1]) - 0.5) * self.resolution
@@ -163,6 +169,7 @@ class EnergyMap:
         return np.asarray(points @ np.array([[c, s], [-s, c]]) + np.array(self.origin[:2]))
 
 
+@checked()
 def energy_map(
     problem: PlanningProblem,
     *,

@@ -15,8 +15,8 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from energyplan.errors import NoPathError
-from energyplan.path import FloatArray, Path, Pose, wrap_angle
-from energyplan.planning.problem import PlanningProblem, as_pose
+from energyplan.path import FloatArray, Path, Pose, as_pose, wrap_angle
+from energyplan.planning.problem import PlanningProblem
 from energyplan.studies.control_set import ControlSet, Penalties, Primitive
 
 Ints = NDArray[np.intp]

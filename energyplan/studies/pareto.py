@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 
 from energyplan import html
 from energyplan.errors import InvalidInputError
+from energyplan.kinds import ByValue, checked
 from energyplan.path import FloatArray
-from energyplan.planning import Plan, PlanningProblem, plan
+from energyplan.planning import Plan, Planner, PlanningProblem, plan
 from energyplan.planning.contract import priced_plan
 from energyplan.planning.scene.compiled import CompiledProblem
 
@@ -48,8 +49,8 @@ class ParetoPoint:
     plan: Plan
 
 
-@dataclass(frozen=True)
-class ParetoFront:
+@dataclass(frozen=True, eq=False)
+class ParetoFront(ByValue):
     """Drives for one problem, from the one of least energy to the fastest.
 
     Parameters
@@ -112,10 +113,11 @@ class ParetoFront:
         return html.result("energy against time", heads, rows)
 
 
+@checked()
 def pareto(
     problem: PlanningProblem,
     time_values: Iterable[float] | None = None,
-    planner: str = "lattice",
+    planner: str | Planner = "lattice",
     time_limit: float = 1.0,
     *,
     effort: int | None = None,
@@ -139,7 +141,7 @@ def pareto(
     time_values : iterable of float, optional
         What a second is worth [J/s], each >= 0. Where not given: nothing, then 0.1 to 10 times
         the mean power of the drive of least energy.
-    planner : str
+    planner : str or Planner
         Name of the planner.
     time_limit : float
         Time to plan for each value [s].

@@ -13,10 +13,11 @@ from shapely.geometry.base import BaseGeometry
 
 from energyplan import html
 from energyplan.errors import MapError
-from energyplan.path import FloatArray, Path, Pose
+from energyplan.kinds import check_fields, checked, instance, numbers
+from energyplan.path import FloatArray, Path, Pose, as_pose
 from energyplan.terrain import _distance
 from energyplan.terrain import collision as _collision
-from energyplan.terrain.heights import ORIGIN
+from energyplan.terrain.heights import ORIGIN, extent_in_words
 from energyplan.terrain.surfaces import FARTHEST
 from energyplan.terrain.updates import place_of_patch, updated_space, window_of
 from energyplan.vehicle import Vehicle
@@ -34,7 +35,8 @@ def _frozen_bool(value: ArrayLike, name: str) -> BoolArray:
     array = np.array(value)
     if array.ndim != 2 or array.size == 0 or array.dtype != np.bool_:
         raise MapError(
-            f"{name} has shape {array.shape} and type {array.dtype}; give rows and columns of bool"
+            f"{name} has shape {array.shape} and type {array.dtype}; give rows and columns of "
+            "bool, such as values > 0"
         )
     if array.size > MAX_CELLS:
         raise MapError(f"{name} has {array.size} cells; at most {MAX_CELLS} are taken")
@@ -80,6 +82,7 @@ class OccupancyGrid:
     unknown_is_free: bool = False
 
     def __post_init__(self) -> None:
+        check_fields(self, MapError)
         object.__setattr__(self, "occupied", _frozen_bool(self.occupied, "occupied"))
         if self.unknown is not None:
             object.__setattr__(self, "unknown", _frozen_bool(self.unknown, "unknown"))
@@ -93,13 +96,10 @@ class OccupancyGrid:
                 f"the resolution is {self.resolution} m; give metres from {MIN_RESOLUTION} to "
                 f"{MAX_RESOLUTION}"
             )
-        origin = np.asarray(self.origin, float)
-        if origin.shape != (3,) or not np.all(np.abs(origin) <= FARTHEST):
-            raise MapError(
-                f"the origin is {origin.tolist()}; give x, y [m] and yaw [rad], none beyond "
-                f"{FARTHEST:g}"
-            )
-        object.__setattr__(self, "origin", Pose(*(float(v) for v in origin)))
+        origin = as_pose(self.origin, "the origin", MapError)
+        if max(map(abs, origin)) > FARTHEST:
+            raise MapError(f"the origin is {tuple(origin)}; give none beyond {FARTHEST:g} m")
+        object.__setattr__(self, "origin", origin)
 
     def _repr_html_(self) -> str:
         """Return size and shares of the cells as a table, for notebooks."""
@@ -155,6 +155,7 @@ class OccupancyGrid:
             x, y, yaw, float(np.cos(yaw)), float(np.sin(yaw)), float(self.resolution),
         )  # fmt: skip
 
+    @checked(MapError)
     def updated(
         self, occupied: ArrayLike, row: int, column: int, unknown: ArrayLike | None = None
     ) -> OccupancyGrid:
@@ -227,22 +228,19 @@ class OccupancyGrid:
         """
         return replace(self, occupied=self.occupied | self.touched_by(areas))
 
+    @checked(MapError)
     def with_mask(self, mask: OccupancyGrid) -> OccupancyGrid:
         """Return this map with every cell occupied that a keep-out mask blocks.
 
         Parameters
         ----------
         mask : OccupancyGrid
-            A mask as Nav2 has them: its occupied cells are kept out of; what is free or unknown in
-            it, and what it does not cover, stays as it is. It may have another resolution, origin
-            and size.
+            A mask as Nav2 has them, of any frame and resolution; only its occupied cells count.
 
         Returns
         -------
         OccupancyGrid
-            The map with more cells occupied. A cell is blocked that a blocked cell of the mask
-            touches; where the grids do not coincide, one may be that is up to a cell's diagonal of
-            either grid away from one.
+            The map with more cells occupied; where the grids do not coincide, to a cell's diagonal.
         """
         if mask.shape == self.shape and mask.resolution == self.resolution:
             offset = np.subtract(mask.origin, self.origin)
@@ -266,7 +264,11 @@ class OccupancyGrid:
 
     def touched_by(self, areas: BaseGeometry | Iterable[BaseGeometry]) -> BoolArray:
         """Return the cells that some area in the world [m] touches, shape (rows, columns)."""
-        geometries = [areas] if isinstance(areas, BaseGeometry) else list(areas)
+        geometries = list(areas) if isinstance(areas, Iterable) else [areas]
+        for area in geometries:
+            instance(area, BaseGeometry, "an area", MapError)
+            if not np.isfinite(shapely.get_coordinates(area)).all():
+                raise MapError("an area has a corner that is not finite; correct it")
         touched = np.zeros(self.shape, bool)
         rows, columns = self.shape
         for geometry in (g for g in geometries if not g.is_empty):
@@ -284,16 +286,17 @@ class OccupancyGrid:
 
     def to_cells(self, points: ArrayLike) -> FloatArray:
         """Return world points (..., 2) [m] as (column, row): cell (0, 0) is the unit square."""
-        offset = np.asarray(points, float) - np.array(self.origin[:2])
+        at = numbers(points, "points", MapError, last=2, words="x, y [m]")
+        offset = at - np.array(self.origin[:2])
         space_c, space_s = np.cos(self.origin.yaw), np.sin(self.origin.yaw)
         turned = offset @ np.array([[space_c, -space_s], [space_s, space_c]])
         return np.asarray(turned / self.resolution)
 
     def to_world(self, cells: ArrayLike) -> FloatArray:
         """Return (column, row) coordinates (..., 2) as world points [m]: undoes `to_cells`."""
-        metres = np.asarray(cells, float) * self.resolution
+        at = numbers(cells, "cells", MapError, last=2, words="column, row") * self.resolution
         space_c, space_s = np.cos(self.origin.yaw), np.sin(self.origin.yaw)
-        turned = metres @ np.array([[space_c, space_s], [-space_s, space_c]])
+        turned = at @ np.array([[space_c, space_s], [-space_s, space_c]])
         return np.asarray(turned + np.array(self.origin[:2]))
 
     def inside(self, points: ArrayLike) -> BoolArray:
@@ -305,17 +308,11 @@ class OccupancyGrid:
 
     def describe_extent(self) -> str:
         """Return where the map lies, in words."""
-        width, height = self.size
-        x, y, yaw = self.origin
-        if yaw == 0.0:
-            return f"x from {x:g} to {x + width:g} m and y from {y:g} to {y + height:g} m"
-        corner = f"{width:g} m by {height:g} m from its corner ({x:g}, {y:g})"
-        return f"{corner}, turned by {np.degrees(yaw):.1f} deg"
+        return extent_in_words(*self.size, self.origin)
 
     def clearance_at(self, points: ArrayLike) -> FloatArray:
         """Return the clearance of the cells that hold world points (..., 2) [m]; 0 off the map."""
-        cells = np.floor(self.to_cells(points)).astype(int)
-        rows, columns = self.shape
+        cells, (rows, columns) = np.floor(self.to_cells(points)).astype(int), self.shape
         on_map = np.all((cells >= 0) & (cells < np.array([columns, rows])), axis=-1)
         column, row = np.clip(cells[..., 0], 0, columns - 1), np.clip(cells[..., 1], 0, rows - 1)
         return np.where(on_map, self.clearance[row, column], 0.0)
@@ -338,7 +335,7 @@ class OccupancyGrid:
         ndarray of bool, shape (...)
             Where it is free.
         """
-        rows = np.asarray(poses, float)
+        rows = numbers(poses, "poses", MapError, last=3, words="x, y [m], yaw [rad]")
         flat = np.ascontiguousarray(rows.reshape(-1, 3))
         free = _collision.poses_free(self.space, footprint(vehicle), flat)
         return np.asarray(free.reshape(rows.shape[:-1]))
@@ -358,6 +355,7 @@ class OccupancyGrid:
         int or None
             The segment; None where the whole path is free.
         """
+        instance(path, Path, "path")
         body = footprint(vehicle)
         if len(path) == 0:
             return None if _collision.pose_free(self.space, body, *path.start) else 0
@@ -412,17 +410,19 @@ class OccupancyGrid:
         ndarray of bool, shape (n,)
             Which are free; as exact as `path_free`.
         """
-        rows = np.ascontiguousarray(np.reshape(np.asarray(starts, float), (-1, 3)))
+        poses = numbers(starts, "starts", MapError, last=3, words="x, y [m], yaw [rad]")
+        rows = np.ascontiguousarray(poses.reshape(-1, 3))
+        each = [numbers(value, "ds, dtheta", MapError) for value in (ds, dtheta)]
+        if any(value.shape not in ((), (1,), (len(rows),)) for value in each):
+            shapes = f"ds has shape {each[0].shape}, dtheta {each[1].shape}"
+            raise MapError(f"{shapes}; give one of each for {len(rows)} starts")
+        way, turn = (np.ascontiguousarray(np.broadcast_to(v, len(rows))) for v in each)
         return _collision.motions_free(
-            self.space,
-            footprint(vehicle),
-            rows,
-            np.ascontiguousarray(np.broadcast_to(np.asarray(ds, float), len(rows))),
-            np.ascontiguousarray(np.broadcast_to(np.asarray(dtheta, float), len(rows))),
-            longitudinal,
+            self.space, footprint(vehicle), rows, way, turn, longitudinal
         )
 
     @classmethod
+    @checked(MapError)
     def from_polygons(
         cls,
         obstacles: BaseGeometry | Iterable[BaseGeometry],
@@ -450,21 +450,21 @@ class OccupancyGrid:
         MapError
             If the bounds are empty or hold too many cells.
         """
-        left, low, right, high = (float(v) for v in bounds)
+        edges = numbers(bounds, "bounds", MapError, last=4, words="x_min, y_min, x_max, y_max [m]")
+        left, low, right, high = edges.tolist()
         if not (right > left and high > low and resolution > 0):
             raise MapError(f"bounds {bounds} and resolution {resolution} m make no map")
-        columns = int(np.ceil((right - left) / resolution - 1e-9))
-        rows = int(np.ceil((high - low) / resolution - 1e-9))
+        size = np.ceil(np.array([right - left, high - low]) / resolution - 1e-9)
+        columns, rows = map(int, size)
         if rows * columns > MAX_CELLS:
-            raise MapError(
-                f"bounds {bounds} at {resolution} m make {rows * columns} cells; at most "
-                f"{MAX_CELLS} are taken: choose a coarser resolution"
-            )
+            cells = f"{rows * columns} cells, more than {MAX_CELLS}"
+            raise MapError(f"bounds {bounds} make {cells}; choose a coarser resolution")
         empty = cls(np.zeros((rows, columns), bool), resolution, Pose(left, low, 0.0))
         return empty.with_blocked(obstacles)
 
 
 def footprint(vehicle: Vehicle) -> _collision.Body:
     """Return the vehicle's footprint as the collision kernels take it."""
+    instance(vehicle, Vehicle, "vehicle")
     (x_min, y_min), (x_max, y_max) = vehicle.footprint.tolist()
     return _collision.Body(x_min, y_min, x_max, y_max)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan.errors import MapError
-from energyplan.path import FloatArray, Path, Pose
+from energyplan.kinds import check_fields, checked, numbers
+from energyplan.path import FloatArray, Path, Pose, as_pose
 from energyplan.power.effects import with_weight
 from energyplan.terrain.surfaces import SurfaceMap
 
@@ -21,6 +22,15 @@ ORIGIN = Pose(0.0, 0.0, 0.0)
 
 STILL = 1e-6
 """Arc lengths below this count as turning on the spot [m]."""
+
+
+def extent_in_words(width: float, height: float, origin: Pose) -> str:
+    """Return where a raster of this size [m] lies."""
+    x, y, yaw = origin
+    if yaw == 0.0:
+        return f"x from {x:g} to {x + width:g} m and y from {y:g} to {y + height:g} m"
+    corner = f"{width:g} m by {height:g} m from its corner ({x:g}, {y:g})"
+    return f"{corner}, turned by {np.degrees(yaw):.1f} deg"
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +63,7 @@ class HeightMap:
     origin: Pose = ORIGIN
 
     def __post_init__(self) -> None:
+        check_fields(self, MapError)
         heights = np.array(self.heights, float, order="C")
         if heights.ndim != 2 or min(heights.shape) < 2 or not np.all(np.isfinite(heights)):
             raise MapError(
@@ -63,20 +74,18 @@ class HeightMap:
         object.__setattr__(self, "heights", heights)
         if not (np.isfinite(self.resolution) and self.resolution > 0):
             raise MapError(f"the resolution is {self.resolution} m; give a positive number")
-        origin = np.asarray(self.origin, float)
-        if origin.shape != (3,) or not np.all(np.isfinite(origin)):
-            raise MapError(f"the origin is {origin.tolist()}; give x, y [m] and yaw [rad]")
-        object.__setattr__(self, "origin", Pose(*(float(v) for v in origin)))
+        object.__setattr__(self, "origin", as_pose(self.origin, "the origin", MapError))
 
     def _locate(self, points: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the node below and to the left of each point, and the place in its square."""
-        offset = np.asarray(points, float) - np.array(self.origin[:2])
+        at = numbers(points, "points", MapError, last=2, words="x, y [m]")
+        offset = at - np.array(self.origin[:2])
         c, s = np.cos(self.origin.yaw), np.sin(self.origin.yaw)
         place = offset @ np.array([[c, -s], [s, c]]) / self.resolution
         last = np.array(self.heights.shape[::-1]) - 1
         if not np.all((place >= -1e-9) & (place <= last + 1e-9)):
-            off = np.any((place < -1e-9) | (place > last + 1e-9), axis=-1)
-            x, y = np.asarray(points, float)[off][0]
+            off = ~np.all((place >= -1e-9) & (place <= last + 1e-9), axis=-1)  # NaN too
+            x, y = at[off][0]
             raise MapError(
                 f"({x:.2f}, {y:.2f}) lies off the height map, which covers "
                 f"{self.describe_extent()}; give a larger raster"
@@ -87,12 +96,7 @@ class HeightMap:
     def describe_extent(self) -> str:
         """Return where heights are known, in words."""
         height, width = (np.array(self.heights.shape) - 1) * self.resolution
-        x, y, yaw = self.origin
-        if yaw == 0.0:
-            return f"x from {x:g} to {x + width:g} m and y from {y:g} to {y + height:g} m"
-        return (
-            f"{width:g} m by {height:g} m from ({x:g}, {y:g}), turned by {np.degrees(yaw):.1f} deg"
-        )
+        return extent_in_words(width, height, self.origin)
 
     def height(self, points: ArrayLike) -> FloatArray:
         """Return the height at world points (..., 2) [m].
@@ -146,11 +150,12 @@ class HeightMap:
         MapError
             If a pose lies off the raster.
         """
-        rows = np.asarray(poses, float)
+        rows = numbers(poses, "poses", MapError, last=3, words="x, y [m], yaw [rad]")
         steep = self.gradient(rows[..., :2])
         yaw = rows[..., 2]
         return np.asarray(np.arctan(steep[..., 0] * np.cos(yaw) + steep[..., 1] * np.sin(yaw)))
 
+    @checked(MapError)
     def rise(self, path: Path) -> float:
         """Return how much higher a path ends than it starts [m]."""
         ends = np.array([path.start[:2], path.end[:2]])

@@ -17,6 +17,7 @@ from energyplan.compilation import njit
 from energyplan.compilation.arrays import FloatTable, IntTable
 from energyplan.cost import EnergyCost
 from energyplan.errors import MapError
+from energyplan.kinds import check_fields, described
 from energyplan.path import FloatArray, Path
 from energyplan.power import PowerModel
 
@@ -31,6 +32,8 @@ _STRAIGHT = 1e-6
 
 
 def _area(geometry: BaseGeometry, name: str) -> BaseGeometry:
+    if not isinstance(geometry, BaseGeometry):
+        raise MapError(f"{name} is {described(geometry)}; give a shapely Polygon")
     if geometry.geom_type not in {"Polygon", "MultiPolygon"} or geometry.is_empty:
         raise MapError(f"{name} is a {geometry.geom_type}; give a polygon that is not empty")
     if not np.all(np.abs(geometry.bounds) <= FARTHEST):
@@ -71,6 +74,7 @@ class Surface:
     name: str = ""
 
     def __post_init__(self) -> None:
+        check_fields(self, MapError, f"surface {self.name!r}: ")
         _area(self.area, f"the area of surface {self.name!r}")
         if not self.name:
             object.__setattr__(self, "name", self.model.name)
@@ -111,6 +115,7 @@ class SurfaceMap:
     )
 
     def __post_init__(self) -> None:
+        check_fields(self, MapError)
         object.__setattr__(self, "surfaces", tuple(self.surfaces))
         keep_out = tuple(_area(a, f"keep-out area {k}") for k, a in enumerate(self.keep_out))
         object.__setattr__(self, "keep_out", keep_out)

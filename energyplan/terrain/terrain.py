@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import MapError
+from energyplan.kinds import check_fields, checked
 from energyplan.path import FloatArray, Path
 from energyplan.terrain.grid import OccupancyGrid
 from energyplan.terrain.heights import HeightMap
@@ -232,6 +233,7 @@ class Terrain:
     _tables: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_fields(self, MapError)
         if len(self.ground.surfaces) > _MOST_SURFACES:
             raise MapError(
                 f"there are {len(self.ground.surfaces)} surfaces, more than {_MOST_SURFACES}; "
@@ -367,6 +369,7 @@ class Terrain:
         """Return what a path consists of on this ground; see `path_pieces`."""
         return path_pieces(path, cost, self.surfaces, self.heights)
 
+    @checked()
     def price(self, path: Path, cost: EnergyCost) -> PathPrice:
         """Return what a path costs on this ground; see `path_price`."""
         return path_price(path, cost, self.surfaces, self.heights)

@@ -10,6 +10,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from energyplan import html
 from energyplan.errors import UnknownNameError, VehicleError
+from energyplan.kinds import ByValue, check_fields, checked, numbers
+from energyplan.vehicle.icr import LARGEST_EXTENT, TreadICR, predict_icr
+
+__all__ = [
+    "DEFAULT_ACCELERATION",
+    "GRAVITY",
+    "MotorLimits",
+    "TreadICR",
+    "Vehicle",
+    "predict_icr",
+    "wheel_loads",
+]
 
 GRAVITY = 9.81
 """Gravitational acceleration [m/s^2]."""
@@ -19,80 +31,13 @@ DEFAULT_ACCELERATION = 1.0
 """Acceleration of the treads where none is stated [m/s^2]: what small wheeled robots are commonly
 set to. A robot without a limit would reach any speed at once."""
 
-_LARGEST_EXTENT = 1e4  # [m]; with the load, far beyond any vehicle, and far from overflow
 _LARGEST_LOAD = 1e9  # [N]
+_OUTSIDE, _SLIPPING = 10.0, 90.0  # times a length that are another unit, such as centimetres
 
 
 def _require(condition: bool, message: str) -> None:
     if not condition:
         raise VehicleError(message)
-
-
-@dataclass(frozen=True)
-class TreadICR:
-    """Instantaneous centres of rotation of the two treads, in the body frame.
-
-    Parameters
-    ----------
-    left, right : float
-        Lateral distance of the left and of the right tread's ICR from the body's x axis [m],
-        both positive: the left one lies at ``y = +left``, the right one at ``y = -right``.
-    longitudinal : float
-        Their common x coordinate [m].
-
-    Raises
-    ------
-    VehicleError
-        If a value is not finite or the slip track is not positive.
-
-    References
-    ----------
-    Morales et al. (2010), section II.
-
-    Examples
-    --------
-    >>> TreadICR(left=0.5, right=0.25).slip_track
-    0.75
-    """
-
-    left: float
-    right: float
-    longitudinal: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("left", "right", "longitudinal"):
-            value = getattr(self, name)
-            _require(
-                bool(np.abs(value) <= _LARGEST_EXTENT),  # not of NaN
-                f"tread ICR {name} is {value}; give metres",
-            )
-        _require(
-            self.left + self.right > 0,
-            f"the slip track left + right is {self.left + self.right} m; it must be positive",
-        )
-
-    @classmethod
-    def symmetric(cls, offset: float) -> TreadICR:
-        """Return tread ICRs at equal lateral `offset` [m] on both sides."""
-        return cls(offset, offset)
-
-    @property
-    def slip_track(self) -> float:
-        """Distance between the two tread ICRs, ``B = left + right`` [m]."""
-        return self.left + self.right
-
-    @property
-    def half_track(self) -> float:
-        """Half the slip track [m]: the turn radius of a pivot about one tread's ICR."""
-        return 0.5 * self.slip_track
-
-    @property
-    def centre(self) -> tuple[float, float]:
-        """Body coordinates of the point midway between the tread ICRs [m].
-
-        Seen from this point every vehicle has symmetric tread ICRs.
-        """
-        return self.longitudinal, 0.5 * (self.left - self.right)
 
 
 @dataclass(frozen=True)
@@ -129,9 +74,11 @@ class MotorLimits:
     regeneration: float = np.inf
 
     def __post_init__(self) -> None:
+        check_fields(self, VehicleError, "motor limit ")
         for name, value in vars(self).items():
             _require(value >= 0, f"motor limit {name} is {value}; give a number >= 0")
-        _require(self.speed > 0, "motor limit speed is 0; the robot could not move")
+        for name in ("speed", "acceleration", "thermal_time"):
+            _require(getattr(self, name) > 0, f"motor limit {name} is 0; give a positive number")
         _require(
             self.peak_power >= self.continuous_power or np.isinf(self.continuous_power),
             f"peak_power {self.peak_power} W is below continuous_power "
@@ -172,26 +119,27 @@ def wheel_loads(
     >>> wheel_loads([(1, 1), (-1, 1), (1, -1), (-1, -1)], mass=4.0).round(2)
     array([9.81, 9.81, 9.81, 9.81])
     """
-    points = np.asarray(contacts, float)
+    points = numbers(contacts, "contacts", VehicleError, last=2, words="x, y [m]")
+    centre = numbers(cog, "cog", VehicleError, last=2, words="x, y [m]")
     balance = np.vstack([np.ones(len(points)), points.T])
     weight = mass * GRAVITY
-    _require(bool(np.isfinite(weight)), f"mass is {mass} kg, too much for a number; correct it")
-    target = weight * np.array([1.0, *np.asarray(cog, float)])
+    _require(bool(0 < weight < np.inf), f"mass is {mass} kg; give a positive number, not too large")
+    target = weight * np.array([1.0, *centre])
     loads, *_ = np.linalg.lstsq(balance, target, rcond=None)
     _require(
         bool(np.allclose(balance @ loads, target, atol=1e-9 * weight)),
-        f"the contacts cannot balance a centre of gravity at {tuple(np.asarray(cog))}",
+        f"the contacts cannot balance a centre of gravity at {tuple(centre.tolist())}",
     )
     _require(
         bool(np.all(loads >= 0)),
-        f"with the centre of gravity at {tuple(np.asarray(cog))} wheel {int(np.argmin(loads))} "
+        f"with the centre of gravity at {tuple(centre.tolist())} wheel {int(np.argmin(loads))} "
         "would lift off; check the sign and the unit [m]",
     )
     return np.asarray(loads)
 
 
-@dataclass(frozen=True)
-class Vehicle:
+@dataclass(frozen=True, eq=False)
+class Vehicle(ByValue):
     """A wheeled skid-steer robot.
 
     Parameters
@@ -250,6 +198,7 @@ class Vehicle:
     tracking_tolerance: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self, VehicleError)
         for name, width in (("contacts", 2), ("footprint", 2)):
             value = np.array(getattr(self, name), float)
             _require(
@@ -267,12 +216,24 @@ class Vehicle:
         )
         extent = np.max([np.max(np.abs(value)) for value in (self.contacts, self.footprint)])
         _require(
-            extent <= _LARGEST_EXTENT,  # not of NaN
+            extent <= LARGEST_EXTENT,  # not of NaN
             f"contacts or footprint reach {extent:g} m from the centre; give finite metres",
         )
         _require(
             bool(np.all((loads >= 0) & (loads <= _LARGEST_LOAD)) and np.any(loads > 0)),
             f"loads are {loads.tolist()}; give newtons from 0 to {_LARGEST_LOAD:g}, not all zero",
+        )
+        wide, body = (float(np.abs(value).max()) for value in (self.contacts, self.footprint))
+        _require(
+            wide <= _OUTSIDE * body,
+            f"a wheel stands {wide:g} m from the centre, the footprint reaches {body:g} m; give "
+            "both in metres",
+        )
+        reach = max(map(abs, (self.icr.left, self.icr.right, self.icr.longitudinal)))
+        _require(
+            reach <= _SLIPPING * wide,
+            f"a tread ICR lies {reach:g} m from the centre, the wheels at most {wide:g} m; give "
+            "both in metres",
         )
         sides = np.sign(self.contacts[:, 1])
         _require(
@@ -330,11 +291,13 @@ class Vehicle:
         """Return this vehicle with other tread ICRs."""
         return replace(self, icr=icr)
 
+    @checked(VehicleError)
     def with_mass(self, mass: float, cog: ArrayLike = (0.0, 0.0)) -> Vehicle:
         """Return this vehicle with wheel loads from another mass [kg] and centre of gravity [m]."""
         return replace(self, loads=wheel_loads(self.contacts, mass, cog))
 
     @classmethod
+    @checked(VehicleError)
     def from_geometry(
         cls,
         name: str,
@@ -438,31 +401,3 @@ class Vehicle:
         if name not in VEHICLE_PRESETS:
             raise UnknownNameError("vehicle preset", name, VEHICLE_PRESETS)
         return VEHICLE_PRESETS[name]()
-
-
-def predict_icr(wheelbase: float, track: float) -> float:
-    """Lateral tread ICR offset of a four-wheeled vehicle that was not measured.
-
-    Moment balance of a steady spin with equal point loads and isotropic Coulomb friction:
-    ``C = a_x + a_y^2 / a_x`` with half track ``a_x`` and half wheelbase ``a_y``.
-
-    Parameters
-    ----------
-    wheelbase, track : float
-        Distance between front and rear, and between left and right contacts [m].
-
-    Returns
-    -------
-    float
-        Lateral offset of each tread's ICR [m].
-
-    References
-    ----------
-    docs/theory, section 1.
-
-    Examples
-    --------
-    >>> round(predict_icr(0.475, 0.5), 4)
-    0.4756
-    """
-    return track / 2 + (wheelbase / 2) ** 2 / (track / 2)

@@ -148,7 +148,7 @@ def test_coefficients_never_lose_their_covariance_silently() -> None:
         ((SLIP, SLIP), [1.0, 1.0], None, "twice"),
         ((SLIP, TRACTION), [1.0], None, "one finite value each"),
         ((SLIP, TRACTION), [1.0, np.nan], None, "one finite value each"),
-        ((SLIP, TRACTION), [1.0, 1.0], np.eye(3), "2 x that"),
+        ((SLIP, TRACTION), [1.0, 1.0], np.eye(3), r"of shape \(2, 2\)"),
         ((SLIP, TRACTION), [1.0, 1.0], [[1.0, 2.0], [0.0, 1.0]], "symmetric"),
         ((SLIP, TRACTION), [1.0, 1.0], [[-1.0, 0.0], [0.0, 1.0]], "negative"),
     ],

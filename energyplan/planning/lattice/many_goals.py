@@ -10,12 +10,13 @@ from numpy.typing import ArrayLike
 
 from energyplan.compilation import njit
 from energyplan.errors import InvalidInputError
-from energyplan.path import FloatArray
+from energyplan.kinds import checked
+from energyplan.path import FloatArray, as_pose
 from energyplan.planning.budget import UNLIMITED, Budget
 from energyplan.planning.lattice import search_kernels as kernels
 from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.lattice.search import Search, coarse_lattice
-from energyplan.planning.problem import PlanningProblem, as_pose
+from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.ready import compiled
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.guide import no_distance
@@ -28,6 +29,7 @@ POLISH = 800
 """Attempts at each path."""
 
 
+@checked()
 def energies(
     problem: PlanningProblem,
     goals: ArrayLike,

@@ -16,7 +16,8 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
 
-from energyplan.errors import ModelError, PlanningError
+from energyplan.errors import InvalidInputError, ModelError, PlanningError
+from energyplan.kinds import checked
 from energyplan.path import Path
 from energyplan.planning.budget import Budget
 from energyplan.planning.contract import Candidate
@@ -33,6 +34,7 @@ from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.guide import regions_for
 
 
+@checked()
 def plan(
     problem: PlanningProblem,
     budget: Budget,
@@ -77,6 +79,11 @@ def plan(
     TimeLimitError
         If the budget was over before a first plan.
     """
+    if not (gap >= 0 and 0 < finest <= 1):
+        raise InvalidInputError(
+            f"gap is {gap} and finest is {finest}; give a gap of 0 or more, and a part of the "
+            "coarsest cells in (0, 1]"
+        )
     query = CompiledProblem(problem)
     led = _led_by(query)
     budget.beside(lambda: regions_for(led.setting))

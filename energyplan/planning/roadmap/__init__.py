@@ -15,6 +15,7 @@ from shapely.geometry.base import BaseGeometry
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import NoPathError, TimeLimitError
+from energyplan.kinds import checked
 from energyplan.path import Path, Pose, wrap_angle
 from energyplan.planning.budget import Budget
 from energyplan.planning.contract import Candidate
@@ -98,6 +99,7 @@ def price_edges(graph: Graph, cost: EnergyCost, surfaces: SurfaceMap | None = No
     return priced
 
 
+@checked()
 def plan(
     problem: PlanningProblem,
     budget: Budget,

@@ -1,0 +1,425 @@
+"""What a function or a dataclass may be given, read from its annotations.
+
+A name where an object is wanted, a text with a unit where a number is, one thing where a list is:
+such a value is refused where it enters, with what to give instead. Further in it would fail with
+an error that says nothing to whoever gave it.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields
+from functools import cache, wraps
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar, get_origin
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from energyplan.errors import InvalidInputError
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+SOURCES = {
+    "BaseGeometry": "a polygon of shapely",
+    "Battery": "Battery.preset(NAME)",
+    "BatteryModel": "Battery.preset(NAME)",
+    "DriveLog": "DriveLog.read(FILE)",
+    "EnergyCost": "EnergyCost(model)",
+    "Fleet": "read_fleet(FILE)",
+    "HeightMap": "read_heights(FILE)",
+    "Line": "live.follow(FILE)",
+    "Mission": "read_mission(FILE)",
+    "Motion": "Motion.from_twist(v, omega, icr)",
+    "OccupancyGrid": "read_map(FILE)",
+    "Path": "Path.from_poses(poses), or the path of a plan",
+    "PlanningProblem": "PlanningProblem(map, cost, start, goal)",
+    "PowerModel": "PowerModel.preset(NAME), read_model(FILE), or the model of an identification",
+    "SurfaceMap": "read_surfaces(FILE)",
+    "Trajectory": "speed.profile(path, model), or the trajectory of a plan's drive",
+    "TreadICR": "TreadICR.symmetric(METRES)",
+    "Vehicle": "Vehicle.preset(NAME) or read_vehicle(FILE)",
+}
+"""Where objects come from, for messages."""
+
+_TEXT = 60  # characters of a value that a message shows
+
+
+def described(value: object) -> str:
+    """Return a value in words, short enough for a message.
+
+    Examples
+    --------
+    >>> described("jackal"), described(np.zeros((2, 3))), described(int)
+    ("the text 'jackal'", 'an array of shape (2, 3)', 'the class int')
+    """
+    if value is None or isinstance(value, bool | Real):
+        return f"{value}"
+    if isinstance(value, str):
+        shown = value if len(value) <= _TEXT else f"{value[:_TEXT]}..."
+        return f"the text {shown!r}"
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    if isinstance(value, np.ndarray) and value.ndim:
+        return f"an array of shape {value.shape}"
+    if isinstance(value, list | tuple | dict) and len(repr(value)) <= _TEXT:
+        return repr(value)
+    name = type(value).__name__
+    return f"a{'n' if name[0] in 'AEIOU' else ''} {name}"
+
+
+def numbers(
+    value: ArrayLike,
+    name: str,
+    error: type[Exception] = InvalidInputError,
+    *,
+    last: int | None = None,
+    words: str = "numbers",
+) -> NDArray[np.float64]:
+    """Return numbers as an array of floats.
+
+    Parameters
+    ----------
+    value : array_like, shape (...)
+        The numbers.
+    name : str
+        What they are, for the message.
+    error : type
+        The error to raise.
+    last : int, optional
+        Length of the last axis.
+    words : str
+        What to give, for the message.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        The numbers; the array that was given, where it was one of floats.
+
+    Raises
+    ------
+    InvalidInputError
+        Or `error`: if they are texts, dates, complex, ragged, or have another last axis.
+
+    Examples
+    --------
+    >>> numbers([1, 2], "ds")
+    array([1., 2.])
+    """
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind not in "biufO":
+            raise TypeError
+        array = array.astype(float, copy=False)
+    except (TypeError, ValueError):
+        raise error(f"{name} is {described(value)}; give {words}") from None
+    if last is not None and (not array.ndim or array.shape[-1] != last):
+        raise error(f"{name} has shape {array.shape}; give {words} along the last axis")
+    return array
+
+
+# -- kinds of values ------------------------------------------------------------------------------
+
+
+class _Fault(NamedTuple):
+    place: str
+    value: object
+    words: str
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """A kind of values: what to give, what it takes, and of what kind its items are."""
+
+    words: str
+    fits: Callable[[object], bool]
+    items: _Kind | None = None
+
+    def wrong(self, value: object, place: str) -> _Fault | None:
+        """Return where a value is of another kind."""
+        if not self.fits(value):
+            return _Fault(place, value, self.words)
+        if self.items is None or not isinstance(value, list | tuple):
+            return None
+        faults = (self.items.wrong(item, f"{place}[{k}]") for k, item in enumerate(value))
+        return next(filter(None, faults), None)
+
+
+@dataclass(frozen=True)
+class _Either(_Kind):
+    """One of several kinds."""
+
+    kinds: tuple[_Kind, ...] = ()
+
+    def wrong(self, value: object, place: str) -> _Fault | None:
+        """Return where a value is of another kind than all of them."""
+        faults = [kind.wrong(value, place) for kind in self.kinds]
+        if None in faults:
+            return None
+        deeper = [fault for fault in faults if fault and fault.place != place]
+        return deeper[0] if deeper else _Fault(place, value, self.words)
+
+
+def _number(value: object) -> bool:
+    if isinstance(value, Real):
+        return not isinstance(value, bool)
+    return isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "iuf"
+
+
+def _whole(value: object) -> bool:
+    return _number(value) and (isinstance(value, Integral) or float(value).is_integer())  # type: ignore[arg-type]
+
+
+def _numeric(value: object) -> bool:
+    try:
+        numbers(value, "value")  # type: ignore[arg-type]
+    except InvalidInputError:
+        return False
+    return True
+
+
+def _several(value: object) -> bool:
+    named = isinstance(value, str | bytes) or hasattr(value, "keys")  # mappings, tables
+    return isinstance(value, Iterable) and not named
+
+
+_PLAIN = {
+    "float": _Kind("a number, in SI units", _number),
+    "int": _Kind("a whole number", _whole),
+    "bool": _Kind("True or False", lambda value: isinstance(value, bool | np.bool_)),
+    "str": _Kind("a text", lambda value: isinstance(value, str)),
+    "None": _Kind("", lambda value: value is None),
+    "ArrayLike": _Kind("numbers", _numeric),
+    "FloatArray": _Kind("numbers", _numeric),
+    "NDArray[np.float64]": _Kind("numbers", _numeric),
+}
+
+
+_FUNCTION = _Kind("a function", callable)
+
+
+def _in(value: object, texts: tuple[str, ...]) -> bool:
+    return isinstance(value, str) and value in texts
+
+
+def _of_class(wanted: type) -> _Kind | None:
+    name = wanted.__name__
+    if issubclass(wanted, Path):
+        return _Kind("the name of a file", lambda value: isinstance(value, os.PathLike))
+    if getattr(wanted, "_is_protocol", False):
+        members = [member for member in vars(wanted) if member[0] != "_"]
+        members += [member for member in inspect.get_annotations(wanted) if member not in members]
+        words = f"a {name}, which has {', '.join(members)}: {SOURCES.get(name, 'see its page')}"
+        return _Kind(words, lambda value: all(hasattr(value, member) for member in members))
+    if wanted.__module__.partition(".")[0] != "energyplan" or name == "Pose":
+        return None
+    source = f": {SOURCES[name]}" if name in SOURCES else ""
+    article = "an" if name[0] in "AEIOU" else "a"
+    return _Kind(f"{article} {name}{source}", lambda value: isinstance(value, wanted))
+
+
+def _kind(node: ast.expr, names: Mapping[str, Any]) -> _Kind | None:
+    """Return the kind that an annotation means; None where anything may be given."""
+    text = ast.unparse(node)
+    if text in _PLAIN:
+        return _PLAIN[text]
+    if isinstance(node, ast.BinOp):
+        either = _kind(node.left, names), _kind(node.right, names)
+        return None if None in either else _either(*either)  # type: ignore[arg-type]
+    if isinstance(node, ast.Subscript):
+        outer = ast.unparse(node.value)
+        inner = node.slice.elts[0] if isinstance(node.slice, ast.Tuple) else node.slice
+        if outer in ("Sequence", "tuple", "list", "Iterable"):
+            items = _kind(inner, names)
+            return _Kind(f"a list: {items.words}, ..." if items else "a list", _several, items)
+        if outer in ("Mapping", "dict"):
+            return _Kind("a mapping", lambda value: isinstance(value, Mapping))
+        if outer == "Literal":
+            texts = ast.literal_eval(node.slice)
+            texts = texts if isinstance(texts, tuple) else (texts,)
+            return _Kind(" or ".join(map(repr, texts)), lambda value: _in(value, texts))
+        return _FUNCTION if outer == "Callable" else None
+    found = names.get(text)
+    if found is None:  # known to type checkers only
+        found = getattr(importlib.import_module("energyplan"), text, None)
+    if get_origin(found) is Callable:
+        return _FUNCTION
+    return _of_class(found) if isinstance(found, type) else None
+
+
+def _either(*kinds: _Kind) -> _Kind:
+    alone = [kind.words for kind in kinds if kind.words and kind.items is None]
+    lists = [kind for kind in kinds if kind.items is not None]
+    several = ["a list of them" if k.items.words in alone else k.words for k in lists if k.items]
+    words = " or ".join((*alone, *several))
+    return _Either(words, lambda value: True, None, kinds)
+
+
+@cache
+def _kinds(owner: Callable[..., Any]) -> dict[str, _Kind]:
+    """Return the kinds of the parameters of a function, or of the fields of a dataclass."""
+    parts = reversed(owner.__mro__[:-1]) if isinstance(owner, type) else [owner]
+    found: dict[str, _Kind | None] = {}
+    for part in parts:
+        names = vars(importlib.import_module(part.__module__))
+        for name, text in inspect.get_annotations(part).items():
+            if isinstance(text, str):
+                found[name] = _kind(ast.parse(text, mode="eval").body, names)
+    if isinstance(owner, type):
+        built = {field.name for field in fields(owner) if field.init}
+        found = {name: kind for name, kind in found.items() if name in built}
+    return {name: kind for name, kind in found.items() if kind is not None and name != "return"}
+
+
+def _check(kind: _Kind, value: object, name: str, error: type[Exception], whose: str) -> None:
+    fault = kind.wrong(value, name)
+    if fault:
+        raise error(f"{whose}{fault.place} is {described(fault.value)}; give {fault.words}")
+
+
+def instance(
+    value: object, wanted: type, name: str, error: type[Exception] = InvalidInputError
+) -> None:
+    """Check that a value is of a class: quick, for what is called by the million.
+
+    Raises
+    ------
+    InvalidInputError
+        Or `error`: if it is not.
+
+    Examples
+    --------
+    >>> instance(3.0, float, "value")
+    """
+    if not isinstance(value, wanted):
+        kind = _of_class(wanted)
+        words = kind.words if kind else SOURCES.get(wanted.__name__, f"a {wanted.__name__}")
+        raise error(f"{name} is {described(value)}; give {words}")
+
+
+def check_fields(record: Any, error: type[Exception], whose: str = "") -> None:
+    """Check a dataclass's fields against their annotations, where it is built.
+
+    A number of NumPy becomes Python's, so that it is shown and saved as one.
+
+    Parameters
+    ----------
+    record : dataclass
+        The dataclass, in its ``__post_init__``.
+    error : type
+        The error to raise.
+    whose : str
+        What goes before the name of a field in the message, such as ``"task 'gate': "``.
+
+    Raises
+    ------
+    InvalidInputError
+        Or `error`: if a field holds another kind of value than its annotation says.
+
+    Examples
+    --------
+    >>> from energyplan.vehicle import TreadICR
+    >>> TreadICR(0.4, "0.4")
+    Traceback (most recent call last):
+    ...
+    energyplan.errors.VehicleError: right is the text '0.4'; give a number, in SI units
+    """
+    for name, kind in _kinds(type(record)).items():  # type: ignore[arg-type]
+        value = getattr(record, name)
+        if type(value) is float and kind is _PLAIN["float"]:
+            continue
+        _check(kind, value, name, error, whose)
+        if isinstance(value, np.generic | np.ndarray) and _number(value):
+            object.__setattr__(record, name, value.item())
+
+
+def checked(error: type[Exception] = InvalidInputError) -> Callable[[Function], Function]:
+    """Decorate a function so that its arguments are checked against its annotations.
+
+    Parameters
+    ----------
+    error : type
+        The error to raise.
+
+    Examples
+    --------
+    >>> @checked()
+    ... def double(value: "float") -> "float":
+    ...     return 2 * value
+    >>> double("2")
+    Traceback (most recent call last):
+    ...
+    energyplan.errors.InvalidInputError: value is the text '2'; give a number, in SI units
+    """
+
+    def decorate(function: Function) -> Function:
+        signature = inspect.signature(function)
+
+        @wraps(function)
+        def held(*args: Any, **options: Any) -> Any:
+            try:
+                given = signature.bind(*args, **options).arguments
+            except TypeError:
+                return function(*args, **options)  # Python's own words
+            for name, kind in _kinds(function).items():
+                if name not in given:
+                    continue
+                several = signature.parameters[name].kind is inspect.Parameter.VAR_KEYWORD
+                for key, value in given[name].items() if several else ((name, given[name]),):
+                    _check(kind, value, key, error, "")
+            return function(*args, **options)
+
+        return held  # type: ignore[return-value]
+
+    return decorate
+
+
+# -- equality -------------------------------------------------------------------------------------
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
+        if type(one) is not type(other):
+            return False
+        return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(_same(one[k], other[k]) for k in one)
+    if isinstance(one, tuple) and isinstance(other, tuple):
+        return len(one) == len(other) and all(map(_same, one, other))
+    return bool(one == other)
+
+
+def _key(value: object) -> object:
+    if isinstance(value, np.ndarray):
+        return value.shape, (value + 0.0).tobytes()  # of -0 as of 0
+    if isinstance(value, Mapping):
+        return frozenset((name, _key(item)) for name, item in value.items())
+    return tuple(map(_key, value)) if isinstance(value, tuple) else value
+
+
+class ByValue:
+    """Base of dataclasses with arrays among their fields: equal where all fields are.
+
+    Declare them with ``eq=False``: what `dataclass` writes cannot compare arrays.
+
+    Examples
+    --------
+    >>> from energyplan.path import Path, Pose
+    >>> Path(Pose(0, 0, 0), [1, 2], [0, 0]) == Path(Pose(0, 0, 0), [1, 2], [0, 0])
+    True
+    """
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        compared = [field.name for field in fields(self) if field.compare]  # type: ignore[arg-type]
+        return all(_same(getattr(self, name), getattr(other, name)) for name in compared)
+
+    def __hash__(self) -> int:
+        compared = [field.name for field in fields(self) if field.compare]  # type: ignore[arg-type]
+        return hash(tuple(_key(getattr(self, name)) for name in compared))
