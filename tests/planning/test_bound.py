@@ -14,14 +14,14 @@ from energyplan.cost.steering import StaticSteering
 from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.io.maps import read_map
 from energyplan.path import Path, Pose
-from energyplan.planning import PlanningProblem, plan
+from energyplan.planning import PlanningProblem, bound, plan
 from energyplan.planning.bound import EFFORT, corners, ends, lower_bound, one_line, outlines
 from energyplan.planning.bound.ends import MOST, NORMALS, Beyond, Section, to_gate
 from energyplan.planning.bound.gates import gate
 from energyplan.planning.bound.geodesic import Ends, ways_to_goal
 from energyplan.planning.bound.one_line import HEADINGS, Rates
 from energyplan.planning.bound.outlines import DETAILS, outline, sights
-from energyplan.planning.bound.sight import no_links, sight
+from energyplan.planning.bound.sight import Links, no_links, sight
 from energyplan.planning.bound.surface_excess import least_excess, least_steps
 from energyplan.planning.contract import ROUNDING
 from energyplan.planning.lattice.search import Search, lattice_for
@@ -874,3 +874,39 @@ def test_the_search_estimates_no_more_than_a_plan_and_hardly_less_than_the_way()
         found = plan(query.problem, effort=3_000)
         least = ways(grid, 0.3, start[:2], goal[:2]).least
         assert 226.0 * 0.96 * least < search.tree.h[0] < found.energy
+
+
+# -- what is kept of the lines between corners -----------------------------------------------------
+
+
+def test_lines_that_outgrow_their_room_in_one_search_are_known_to_the_next(monkeypatch):
+    """Both searches over corners go on with the same lines, wherever these came to lie."""
+    searched = bound.least_over_corners
+    seen: list[tuple[int, int]] = []
+
+    def watched(space, body, outline, paid, ends, ways, *rest):
+        links = ways.links
+        used = int(links.used[0])
+        assert used <= len(links.seen)
+        assert np.all(links.seen[:used] < len(outline.point))
+        found = searched(space, body, outline, paid, ends, ways, *rest)
+        seen.append((used, int(found.links.used[0])))
+        return found
+
+    monkeypatch.setattr(bound, "least_over_corners", watched)
+    monkeypatch.setattr(bound, "WAYS_SHARE", 1e-6)  # the ways leave most lines to be found
+    start, goal = free_poses(cluttered(2), 2, 5, COST.vehicle)
+    values = []
+    for _ in range(2):
+        query = CompiledProblem(PlanningProblem(cluttered(2), COST, start, goal))
+        values.append(lower_bound(query, np.inf, 1e9).value)
+        (first, grown), *_ = seen
+        assert grown > first
+
+        def cramped(corners: int, room: int = grown - 1) -> Links:
+            return no_links(corners)._replace(seen=np.zeros(room, np.int32))
+
+        # one too few for what the first of both searches finds
+        monkeypatch.setattr(outlines, "no_links", cramped)
+        seen.clear()
+    assert values[0] == values[1]

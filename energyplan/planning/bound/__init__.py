@@ -47,7 +47,7 @@ WAYS_SHARE = 0.6
 """Part of the steps that the shortest ways may take; the headings have what is left."""
 
 
-Spent = dict[int, NDArray[np.bool_]]
+Spent = dict[Sights, NDArray[np.bool_]]
 """The corners of outlines whose lines were counted as effort."""
 
 
@@ -163,7 +163,7 @@ def _among_obstacles(
         free,
         kernel.steering,
     )
-    paid = spent.setdefault(id(found), np.zeros(len(found.outline.point), bool))
+    paid = spent.setdefault(found, np.zeros(len(found.outline.point), bool))
     with found.lock:
         ways = ways_to_goal(
             kernel.space, found.outline, found.links, paid, ends, longest, WAYS_SHARE * effort
@@ -176,7 +176,9 @@ def _among_obstacles(
             least = least_over_corners(
                 kernel.space, true_body, found.outline, paid, ends, ways, rates, cost, left, steer
             )
+            # links that grew have moved
             found.links = least.links
+            ways = ways._replace(links=found.links)
             left -= least.steps
             value, final = max(value, float(least.value)), bool(least.final)
             if value >= cost or not final:
