@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
 import pytest
 from test_corridor import charger, corridor
 
 from energyplan.mission import Mission, Spreads, Task, evaluate
+from energyplan.mission.condition import Charge, Condition, as_good
+from energyplan.mission.energy import Estimate
 from energyplan.path import Pose
 
 SPREADS = replace(Spreads.none(), speed=0.1, dwell=0.2, waiting=1.0)
@@ -111,3 +114,41 @@ def test_half_a_turn_in_place_is_a_spin_where_a_window_presses(order):
     assert pressed.feasible
     assert pressed.task("turned").start <= 1.25 * radians
     assert pressed.energy == pytest.approx(calm.energy, rel=0.02)
+
+
+@pytest.mark.parametrize("spread", [0.25, 1.0])
+@pytest.mark.parametrize("kind", ["speed", "waiting", "dwell"])
+def test_the_bound_of_a_start_is_that_of_its_one_unknown(kind: str, spread: float) -> None:
+    """Of each kind alone: a normal time's quantile, by the durations that were planned."""
+    asked = replace(
+        rounds("given", waiting=30.0), spreads=replace(Spreads.none(), **{kind: spread})
+    )
+    report = evaluate(asked)
+    told = report.task("c")
+    drives = sum(leg.trajectory.duration for leg in report.legs[:3])
+    assert told.start == pytest.approx(drives + 3 * 30.0 + 60.0 + 40.0, rel=1e-6)
+    deviation = {
+        "speed": drives,  # one pace for all drives
+        "waiting": np.sqrt(3) * 30.0,  # before each task anew
+        "dwell": np.hypot(60.0, 40.0),
+    }[kind]
+    late = NormalDist().inv_cdf(0.95) * spread * deviation
+    assert told.start_upper - told.start == pytest.approx(late, rel=1e-3)
+
+
+def test_a_condition_is_as_good_as_another_only_in_every_respect() -> None:
+    def at(energy=100.0, time=50.0, late=3.0, soc=0.6, payload=0.0, node=1) -> Condition:
+        charge, known = Charge(soc), Estimate(energy, np.zeros(2))
+        lateness = late * np.array([0.6, 0.8])
+        return Condition(
+            node, payload, time, lateness, known, known, (0.0, 0.0), Charge(0.7), charge
+        )
+
+    assert as_good(at(), at())
+    assert as_good(at(90.0, 40.0, 2.0, 0.7), at())
+    for worse in (
+        at(energy=100.1), at(time=50.1), at(late=3.1), at(soc=0.59), at(payload=1.0), at(node=2)
+    ):  # fmt: skip
+        assert not as_good(worse, at())
+        if worse.payload == 0.0 and worse.node == 1:
+            assert as_good(at(), worse)

@@ -514,6 +514,27 @@ def test_the_shortest_way_agrees_with_a_visibility_graph(seed):
     assert bent >= 2
 
 
+def test_a_search_that_was_stopped_tells_no_corner_too_far_from_the_goal():
+    """Seen from the start, what is not settled lies beyond the frontier, wherever the map lies."""
+    known = 0
+    for origin in ((0.0, 0.0), (-7.0, 3.0)):
+        grid = OccupancyGrid(cluttered(3).occupied, 0.1, (*origin, 0.0))
+        near, far = (np.add(origin, at) for at in ((1.0, 1.0), np.array(grid.size) - 1.0))
+        full = ways(grid, 0.3, near, far)
+        point = outline(grid, 0.3, DETAILS[0]).point
+        straight = np.hypot(*(point - far).T)
+        away = np.hypot(*(point - near).T)
+        for effort in (1e4, 1e5, 3e5):
+            found = ways(grid, 0.3, near, far, effort=effort)
+            assert not found.final
+            assert np.all(found.to_goal <= full.to_goal + 1e-9)
+            least = np.maximum(straight, found.least - away)
+            settled = np.isclose(found.to_goal, full.to_goal, rtol=0.0, atol=1e-9)
+            assert np.all(settled | (found.to_goal >= least - 1e-9))
+            known += np.count_nonzero(least > straight + 0.01)
+    assert known > 100
+
+
 def test_gaps_that_the_disc_does_not_pass_are_closed_however_coarse_the_outline():
     for cells, passes in ((11, False), (12, False), (13, True)):
         occupied = np.zeros((120, 160), bool)
