@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, MissingChannelError, ModelError
 from energyplan.motion import Motion
@@ -257,3 +258,16 @@ def test_arcs_may_be_cheaper_than_straights_and_pivots_alike():
     towards = np.column_stack([np.cos(angle), np.sin(angle)]).T
     lost = (every @ towards).max(axis=0) / (kept @ towards).max(axis=0) - 1.0
     assert lost.max() <= corners.error * (1 + 1e-9) < 1e-2
+
+
+def test_steering_misses_the_minimum_by_no_more_than_it_says() -> None:
+    """Straight ahead nothing is cheaper than the straight line, as the model prices it."""
+    assert EnergyCost(MODEL).steering_error == 0.0
+    limited = with_vehicle(
+        MODEL.with_term(HOTEL, 50.0).with_term(VISCOUS_LOSS, 40.0), motor=MotorLimits(speed=3.0)
+    )
+    cost = EnergyCost(limited)
+    assert 0 < cost.steering_error < 0.01
+    straight = float(cost.segment_energy(2.0, 0.0))
+    found = float(steering.energy((0, 0, 0), (2.0, 0, 0), cost))
+    assert (1 - cost.steering_error) * straight <= found <= (1 + 1e-9) * straight
