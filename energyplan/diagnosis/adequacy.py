@@ -14,7 +14,7 @@ from energyplan.diagnosis.joint_fit import FinalFit
 from energyplan.diagnosis.result import Adequacy, EnergyPrediction
 from energyplan.fit.covariance import autocorrelation
 from energyplan.fit.drives.denoise import speed_noise
-from energyplan.fit.drives.linear import power_of
+from energyplan.fit.drives.linear import equations_of, is_lossy, power_of
 from energyplan.fit.drives.windows import SCALES, Drive
 from energyplan.fit.least_squares import Problem, RunSpread
 from energyplan.path import FloatArray
@@ -39,6 +39,13 @@ def predicted(model: PowerModel, drive: Drive) -> FloatArray:
     return drive.seen(power_of(whole, drive))
 
 
+def _accounted(model: PowerModel, drive: Drive) -> FloatArray:
+    """Power of a training drive by a model [W], with what its total shows of contacts that hold."""
+    if drive.fitted and drive.equations == 1 and is_lossy(drive, model.terms):
+        return equations_of(model, drive)[:, 0]
+    return predicted(model, drive)
+
+
 def adequacy(problem: Problem, fitted: FinalFit) -> Adequacy:
     """Compare what a model leaves of the training drives with their noise.
 
@@ -46,7 +53,9 @@ def adequacy(problem: Problem, fitted: FinalFit) -> Adequacy:
     scatter at rest where that is larger; how much of it lasts is told by the samples at rest. The
     residual is coloured where its means over half a second, two or eight seconds scatter by more
     than noise would by chance (Fisher's distribution, of as many means as are independent, and of
-    as many samples as told the noise), and by more than is as good as nothing.
+    as many samples as told the noise), and by more than is as good as nothing. What contacts hold
+    on a straight no model foretells: where losses make it cost, what the total shows of it is no
+    residual.
 
     Parameters
     ----------
@@ -62,7 +71,7 @@ def adequacy(problem: Problem, fitted: FinalFit) -> Adequacy:
     """
     residuals, rests, whites = [], [], []
     for drive in problem.drives:
-        residual = drive.power - predicted(fitted.model, drive)
+        residual = drive.power - _accounted(fitted.model, drive)
         residuals.append(residual)
         if len(residual) > 4:
             whites.append(speed_noise(drive.power))
@@ -201,7 +210,7 @@ def energies(
         One for each drive.
     """
     model = fitted.model
-    plain = problem.of_totals.with_factors([1.0] * len(problem.drives))
+    plain = problem.as_predicted
     design = plain.design(fitted.terms, None, model_values(model))
     values = np.array(model.coefficients)
     spread = RunSpread.of(design, values)

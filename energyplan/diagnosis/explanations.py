@@ -104,7 +104,8 @@ class Found:
 class Evaluated:
     """A set fitted as it is.
 
-    `shares` are those of the residual's variance, at each scale, that its past does not foretell.
+    `shares` are those of the residual's variance, at each scale, that its past does not foretell;
+    `odds` the logarithm of what it took from the likelihood that what contacts hold was not known.
     """
 
     counts: FloatArray
@@ -114,4 +115,5 @@ class Evaluated:
     problem: Problem
     sound: bool
     parts: tuple[Part, ...]
+    odds: float = 0.0
     gains: dict[int, Gain] = field(default_factory=dict)

@@ -98,7 +98,7 @@ class Search(Proposals):
         What the past of a residual foretells is no evidence against a set, and a fall of what lasts
         alone is none for it.
         """
-        return float(self.likelihood(one.fit.errors * one.shares, one.counts))
+        return float(self.likelihood(one.fit.errors * one.shares, one.counts)) - one.odds
 
     def _evaluate(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> Evaluated:
         """Fit a set as it is, losses included."""
@@ -120,7 +120,8 @@ class Search(Proposals):
         found = fit(design, errors)
         sound = self.rest.agrees(problem, parts, found)
         shares = innovations(design, residuals(design, found.values))
-        return Evaluated(design.evidence, shares, errors, found, problem, sound, tuple(parts))
+        odds = problem.odds(terms, found.values)
+        return Evaluated(design.evidence, shares, errors, found, problem, sound, tuple(parts), odds)
 
     def _gain(self, full: Evaluated, less: Evaluated, part: Part, looks: float) -> Gain:
         """Return what a part is worth in a set, against the set without it."""

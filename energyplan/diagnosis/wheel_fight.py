@@ -9,14 +9,8 @@ from scipy.optimize import brentq
 from scipy.stats import norm
 
 from energyplan.diagnosis.result import Evidence, FoundEffect
-from energyplan.fit.drives.linear import (
-    held_forces,
-    is_lossy,
-    losses_of,
-    lost_power,
-    preload,
-    slip_limit,
-)
+from energyplan.fit.drives.linear import held_forces, is_lossy, losses_of, slip_limit
+from energyplan.fit.drives.preload import lost_power, preload
 from energyplan.fit.drives.windows import BLOCK, Drive
 from energyplan.fit.least_squares import Problem
 from energyplan.path import FloatArray

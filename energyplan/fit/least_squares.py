@@ -273,6 +273,15 @@ class Problem:
         drives = [replace(drive, between=None) for drive in self.drives]
         return Problem(drives, self.vehicle, self.memory)
 
+    @property
+    def as_predicted(self) -> Problem:
+        """The drives as those to come are predicted: totals, no factor, nothing known of contacts.
+
+        What contacts hold is told by the power of a drive, which a prediction does not know.
+        """
+        drives = [replace(d, between=None, fitted=False, factor=1.0) for d in self.drives]
+        return Problem(drives, self.vehicle, self.memory)
+
     def delayed(self, late: Late) -> Problem:
         """Return the drives with their power taken to be logged late."""
         drives = [replace(drive, late=late) for drive in self.drives]
@@ -332,6 +341,15 @@ class Problem:
                 columns.append(drive.observed(found))
                 targets.append(drive.measured)
         return columns, targets
+
+    def odds(self, terms: Sequence[Term], values: FloatArray) -> float:
+        """Return what it took from the likelihood that what contacts hold was not known.
+
+        The sum, over stretches on which the total power told it, of the logarithm of the range of
+        powers that was possible over the error that it is known to (docs/theory, section 6).
+        """
+        lossy = [drive for drive in self.drives if is_lossy(drive, terms)]
+        return sum(linearise_drive(d, self.vehicle, terms, values, ()).odds for d in lossy)
 
     def design(
         self,

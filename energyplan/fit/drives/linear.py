@@ -10,21 +10,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from energyplan.fit.drives.columns import columns_of, field_of, of_equations
-from energyplan.fit.drives.late import ON_TIME, Late
-from energyplan.fit.drives.windows import MOMENT, Drive
+from energyplan.fit.drives.late import ON_TIME
+from energyplan.fit.drives.preload import at_rest, lost_power, preload, straights
+from energyplan.fit.drives.windows import Drive
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS, SLIP, PowerModel, Sides, Term
 from energyplan.vehicle import Vehicle
 
 _STEP = 1e-4
-_BISECTIONS = 16
-_INSIDE = 6  # bisections by which a moment differs from its limit
-_TOLD = 5.0  # noise that the largest moment exceeds where its size can be told
 
 
 @dataclass(frozen=True)
@@ -37,10 +33,13 @@ class Linear:
         Predicted power of each equation [W].
     columns : ndarray, shape (n, e, k)
         Its derivative by each coefficient [W per unit].
+    odds : float
+        Logarithm of what it took from the likelihood that what contacts hold was not known.
     """
 
     power: FloatArray
     columns: FloatArray
+    odds: float = 0.0
 
 
 def is_lossy(drive: Drive, terms: Sequence[Term]) -> bool:
@@ -78,11 +77,19 @@ def linearise_drive(
     held = drive.held
     losses = losses_of(drive, vehicle, terms, values)
     total = held_forces(drive, vehicle, terms, values)
-    fight = None
+    fight = held_by = power = None
+    limit = vehicle.slip_moment * slip_limit(terms, values)
     if drive.between is not None and is_lossy(drive, terms):
-        limit = vehicle.slip_moment * slip_limit(terms, values)
         fight = preload(drive, drive.between, vehicle, losses, total, limit)
         total = total + fight.forces
+    elif drive.fitted and losses:
+        power = _power(drive, vehicle, terms, values, losses, total)
+        shown = drive.observed(power)[:, 0]
+        held_by = straights(drive, vehicle, losses, total, limit, shown)
+        if held_by is not None:
+            total, power = total + held_by.forces, None
+    if power is None:
+        power = _power(drive, vehicle, terms, values, losses, total)
 
     rise = _rise(losses, drive, vehicle, total) if losses else None
     columns = []
@@ -96,20 +103,35 @@ def linearise_drive(
             acting = field_of(term, drive, vehicle, held=True)
             own = own + rise.left * acting.left[:, None] + rise.right * acting.right[:, None]
         columns.append(own)
-    power = np.zeros((len(drive.t), drive.equations))
-    if losses:
-        power = power + of_equations(lost_power(losses, held, vehicle, total), drive)
-    for term, value in zip(terms, values, strict=True):
-        if term.kind != "loss":
-            power = power + float(value) * columns_of(term, drive, vehicle)
     table = np.stack(columns, axis=-1) if columns else np.zeros((*power.shape, 0))
     if fight is not None:
         # The moment follows the coefficients so that the sides' difference stays as measured.
         table[:, 0] -= fight.share[:, None] * table[:, 1]
-        known, most = _at_rest(drive, power[:, 0], held_loss(vehicle, terms, values, drive))
+        known, most = at_rest(drive, power[:, 0], held_loss(vehicle, terms, values, drive))
         power[:, 0] += most
         table[known, 0] = 0.0
-    return Linear(drive.observed(power), drive.observed(table))
+    shown = drive.observed(table)
+    if held_by is not None:
+        return Linear(drive.observed(power), held_by.without(shown), held_by.odds)
+    return Linear(drive.observed(power), shown)
+
+
+def _power(
+    drive: Drive,
+    vehicle: Vehicle,
+    terms: Sequence[Term],
+    values: FloatArray,
+    losses: Sequence[tuple[Term, float]],
+    forces: Sides,
+) -> FloatArray:
+    """Power in each equation, before a log shows it late, shape (n, equations) [W]."""
+    power = np.zeros((len(drive.t), drive.equations))
+    if losses:
+        power = power + of_equations(lost_power(losses, drive.held, vehicle, forces), drive)
+    for term, value in zip(terms, values, strict=True):
+        if term.kind != "loss":
+            power = power + float(value) * columns_of(term, drive, vehicle)
+    return power
 
 
 def equations_of(model: PowerModel, drive: Drive) -> FloatArray:
@@ -122,7 +144,8 @@ def equations_of(model: PowerModel, drive: Drive) -> FloatArray:
 
 def power_of(model: PowerModel, drive: Drive) -> FloatArray:
     """Return the power of a drive by a model, with contacts that hold on a straight [W]."""
-    return equations_of(model, replace(drive, between=None, late=ON_TIME, factor=1.0))[:, 0]
+    alone = replace(drive, between=None, fitted=False, late=ON_TIME, factor=1.0)
+    return equations_of(model, alone)[:, 0]
 
 
 def held_loss(vehicle: Vehicle, terms: Sequence[Term], values: FloatArray, drive: Drive) -> float:
@@ -148,21 +171,6 @@ def held_loss(vehicle: Vehicle, terms: Sequence[Term], values: FloatArray, drive
     losses = losses_of(drive, vehicle, terms, values)
     still = Motion(np.array(0.0), np.array(0.0), drive.motion.icr)
     return float(lost_power(losses, still, vehicle, Sides(-push, push)).total)
-
-
-def _at_rest(drive: Drive, power: FloatArray, most: float) -> tuple[NDArray[np.bool_], FloatArray]:
-    """Return which samples at rest a held moment explains, and what it takes at each [W].
-
-    At rest the sides' difference is zero whatever contacts hold. What is drawn beyond the model, up
-    to what they can hold, is no evidence against it, nor for any coefficient.
-    """
-    rest = drive.holds & (drive.held.v_left == 0.0)  # which is that of both where contacts hold
-    early = replace(drive, late=Late(-drive.late.mean), factor=1.0)
-    beyond = uniform_filter1d(
-        np.asarray(early.seen(drive.power) / drive.factor) - power, drive.samples_in(MOMENT)
-    )
-    taken = np.where(rest, np.clip(beyond, 0.0, most), 0.0)
-    return rest & (beyond > 0.0) & (beyond < most), taken
 
 
 def losses_of(
@@ -198,113 +206,6 @@ def slip_limit(terms: Sequence[Term], values: FloatArray) -> float:
         if term.name == SLIP.name:
             return max(float(value), 0.0)
     return 0.0
-
-
-def lost_power(
-    losses: Sequence[tuple[Term, float]], motion: Motion, vehicle: Vehicle, forces: Sides
-) -> Sides:
-    """Power of each side that losses take [W]."""
-    whole = Sides(np.zeros(motion.shape), np.zeros(motion.shape))
-    for term, value in losses:
-        whole = whole + term.function(motion, vehicle, forces, **term.params) * value
-    return whole
-
-
-@dataclass(frozen=True)
-class Preload:
-    """The moment by which the sides push against each other while contacts hold.
-
-    Parameters
-    ----------
-    moment : ndarray, shape (n,)
-        The moment [N m]; zero where contacts slide.
-    share : ndarray, shape (n,)
-        By how much the total rises with it, over by how much the sides' difference does.
-    forces : Sides
-        Tread forces of the moment [N].
-    """
-
-    moment: FloatArray
-    share: FloatArray
-    forces: Sides
-
-
-def preload(
-    drive: Drive,
-    between: FloatArray,
-    vehicle: Vehicle,
-    losses: Sequence[tuple[Term, float]],
-    forces: Sides,
-    limit: float,
-) -> Preload:
-    """Find the moment between the sides from the measured difference of their powers.
-
-    Parameters
-    ----------
-    drive : Drive
-        The drive.
-    between : ndarray, shape (n,)
-        Measured power of its right side less that of the left one [W].
-    vehicle : Vehicle
-        The vehicle.
-    losses : sequence of tuple of Term and float
-        The losses that act, with their coefficients.
-    forces : Sides
-        Tread forces without the moment [N].
-    limit : float
-        Largest moment that contacts hold [N m].
-
-    Returns
-    -------
-    Preload
-        The moment, by bisection: the difference rises with it wherever losses take less than what
-        passes through them. Means over a moment of time, as sure as each sample is; zero where the
-        robot is too slow to tell.
-    """
-    at, motion = drive.holds, drive.holding
-    own = Sides(forces.left[at], forces.right[at])
-    sign = np.sign(motion.v_left + motion.v_right)
-    track = drive.motion.icr.slip_track
-    # As the model has it: in time with the motion, and without the run's own factor.
-    early = replace(drive, late=Late(-drive.late.mean), factor=1.0)
-    wanted = np.asarray(early.seen(between) / drive.factor)[at]
-
-    def powers(moment: FloatArray) -> Sides:
-        push = moment / track
-        acting = Sides(own.left - push, own.right + push)
-        through = Sides(acting.left * motion.v_left, acting.right * motion.v_right)
-        return through + lost_power(losses, motion, vehicle, acting)
-
-    if losses:
-        low, high = np.full(len(wanted), -limit), np.full(len(wanted), limit)
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (low + high)
-            both = powers(middle)
-            above = sign * (both.right - both.left - wanted) > 0.0
-            low, high = np.where(above, low, middle), np.where(above, middle, high)
-        found = 0.5 * (low + high)
-    else:
-        speed = motion.v_left + motion.v_right
-        still = powers(np.zeros(len(wanted)))
-        free = track * (wanted - still.right + still.left)
-        found = np.divide(free, speed, out=np.zeros(len(free)), where=speed != 0.0)
-        found = np.clip(found, -limit, limit)
-    step = max(1e-3 * limit, 1e-9)
-    ahead, behind = powers(found + step), powers(found - step)
-    rise = sign * ((ahead.right - ahead.left) - (behind.right - behind.left)) / (2 * step)
-    clear = rise * limit > _TOLD * drive.between_noise
-    inside = clear & (np.abs(found) < (1.0 - 2.0**-_INSIDE) * limit)
-    total = sign * (ahead.total - behind.total) / (2 * step)
-    weight, moment, share = (np.zeros(len(drive.t)) for _ in range(3))
-    weight[at] = np.where(clear, rise, 0.0) ** 2
-    moment[at] = found
-    share[at] = np.where(inside, total / np.where(inside, rise, 1.0), 0.0)
-    width = drive.samples_in(MOMENT)
-    sure = uniform_filter1d(weight, width)
-    smooth = uniform_filter1d(weight * moment, width) / np.where(sure > 0.0, sure, 1.0)
-    driving = at & ((drive.held.v_left != 0.0) | (drive.held.v_right != 0.0))
-    smooth = np.where(driving & (sure > 0.0), smooth, 0.0)
-    return Preload(smooth, share, Sides(-smooth / track, smooth / track))
 
 
 def _rise(

@@ -1,0 +1,318 @@
+"""What contacts that hold push the sides against each other by (private).
+
+While contacts hold, the moment between the sides is anything up to the limit of friction
+(docs/theory, section 6). Without losses it costs nothing. With them it does, and what it costs is
+told by the difference of the sides where both were logged, and by the total alone where not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from energyplan.fit.drives.late import Late
+from energyplan.fit.drives.windows import MOMENT, Drive
+from energyplan.motion import Motion
+from energyplan.path import FloatArray
+from energyplan.power import Sides, Term
+from energyplan.vehicle import Vehicle
+
+_BISECTIONS = 16
+_INSIDE = 6  # bisections by which a moment differs from its limit
+_TOLD = 5.0  # noise that the largest moment exceeds where its size can be told
+_STATIC = 1.5  # moment that contacts hold, over that of sliding, at most
+_FEW = 3  # moving windows that tell what a model misses
+_NOTHING = 0.01  # of the root mean square power, that a mean is known to at best
+_USUAL = 1  # scale of the windows that tell what a model misses: two seconds
+
+
+def lost_power(
+    losses: Sequence[tuple[Term, float]], motion: Motion, vehicle: Vehicle, forces: Sides
+) -> Sides:
+    """Power of each side that losses take [W]."""
+    whole = Sides(np.zeros(motion.shape), np.zeros(motion.shape))
+    for term, value in losses:
+        whole = whole + term.function(motion, vehicle, forces, **term.params) * value
+    return whole
+
+
+@dataclass(frozen=True)
+class Preload:
+    """The moment by which the sides push against each other while contacts hold.
+
+    Parameters
+    ----------
+    moment : ndarray, shape (n,)
+        The moment [N m]; zero where contacts slide.
+    share : ndarray, shape (n,)
+        By how much the total rises with it, over by how much the sides' difference does.
+    forces : Sides
+        Tread forces of the moment [N].
+    """
+
+    moment: FloatArray
+    share: FloatArray
+    forces: Sides
+
+
+def preload(
+    drive: Drive,
+    between: FloatArray,
+    vehicle: Vehicle,
+    losses: Sequence[tuple[Term, float]],
+    forces: Sides,
+    limit: float,
+) -> Preload:
+    """Find the moment between the sides from the measured difference of their powers.
+
+    Parameters
+    ----------
+    drive : Drive
+        The drive.
+    between : ndarray, shape (n,)
+        Measured power of its right side less that of the left one [W].
+    vehicle : Vehicle
+        The vehicle.
+    losses : sequence of tuple of Term and float
+        The losses that act, with their coefficients.
+    forces : Sides
+        Tread forces without the moment [N].
+    limit : float
+        Largest moment that contacts hold [N m].
+
+    Returns
+    -------
+    Preload
+        The moment, by bisection: the difference rises with it wherever losses take less than what
+        passes through them. Means over a moment of time, as sure as each sample is; zero where the
+        robot is too slow to tell.
+    """
+    at, motion = drive.holds, drive.holding
+    own = Sides(forces.left[at], forces.right[at])
+    sign = np.sign(motion.v_left + motion.v_right)
+    track = drive.motion.icr.slip_track
+    # As the model has it: in time with the motion, and without the run's own factor.
+    early = replace(drive, late=Late(-drive.late.mean), factor=1.0)
+    wanted = np.asarray(early.seen(between) / drive.factor)[at]
+
+    def powers(moment: FloatArray) -> Sides:
+        push = moment / track
+        acting = Sides(own.left - push, own.right + push)
+        through = Sides(acting.left * motion.v_left, acting.right * motion.v_right)
+        return through + lost_power(losses, motion, vehicle, acting)
+
+    if losses:
+        low, high = np.full(len(wanted), -limit), np.full(len(wanted), limit)
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            both = powers(middle)
+            above = sign * (both.right - both.left - wanted) > 0.0
+            low, high = np.where(above, low, middle), np.where(above, middle, high)
+        found = 0.5 * (low + high)
+    else:
+        speed = motion.v_left + motion.v_right
+        still = powers(np.zeros(len(wanted)))
+        free = track * (wanted - still.right + still.left)
+        found = np.divide(free, speed, out=np.zeros(len(free)), where=speed != 0.0)
+        found = np.clip(found, -limit, limit)
+    step = max(1e-3 * limit, 1e-9)
+    ahead, behind = powers(found + step), powers(found - step)
+    rise = sign * ((ahead.right - ahead.left) - (behind.right - behind.left)) / (2 * step)
+    clear = rise * limit > _TOLD * drive.between_noise
+    inside = clear & (np.abs(found) < (1.0 - 2.0**-_INSIDE) * limit)
+    total = sign * (ahead.total - behind.total) / (2 * step)
+    weight, moment, share = (np.zeros(len(drive.t)) for _ in range(3))
+    weight[at] = np.where(clear, rise, 0.0) ** 2
+    moment[at] = found
+    share[at] = np.where(inside, total / np.where(inside, rise, 1.0), 0.0)
+    width = drive.samples_in(MOMENT)
+    sure = uniform_filter1d(weight, width)
+    smooth = uniform_filter1d(weight * moment, width) / np.where(sure > 0.0, sure, 1.0)
+    driving = at & ((drive.held.v_left != 0.0) | (drive.held.v_right != 0.0))
+    smooth = np.where(driving & (sure > 0.0), smooth, 0.0)
+    return Preload(smooth, share, Sides(-smooth / track, smooth / track))
+
+
+def at_rest(drive: Drive, power: FloatArray, most: float) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Return which samples at rest a held moment explains, and what it takes at each [W].
+
+    At rest the sides' difference is zero whatever contacts hold. What is drawn beyond the model, up
+    to what they can hold, is no evidence against it, nor for any coefficient.
+    """
+    rest = drive.holds & (drive.held.v_left == 0.0)  # which is that of both where contacts hold
+    early = replace(drive, late=Late(-drive.late.mean), factor=1.0)
+    beyond = uniform_filter1d(
+        np.asarray(early.seen(drive.power) / drive.factor) - power, drive.samples_in(MOMENT)
+    )
+    taken = np.where(rest, np.clip(beyond, 0.0, most), 0.0)
+    return rest & (beyond > 0.0) & (beyond < most), taken
+
+
+@dataclass(frozen=True)
+class Straights:
+    """What contacts hold on each stretch on which they do, told by the total power alone.
+
+    A stretch holds nothing, or a moment that is as probable at any cost up to that of the limit of
+    friction. It is taken to hold one where the measured power is then more probable, the width of
+    that range counted (the Bayes factor, by Laplace's approximation).
+
+    Parameters
+    ----------
+    forces : Sides
+        Tread forces of the moments [N].
+    pattern : ndarray, shape (n,)
+        Cost of the largest moment as the log shows it, of stretches that hold less than that and
+        more than none [W]; else zero.
+    label : ndarray of int, shape (n,)
+        Stretch that each sample shows, as the log does.
+    odds : float
+        Logarithm of what it took from the likelihood that the moments were not known.
+    """
+
+    forces: Sides
+    pattern: FloatArray
+    label: NDArray[np.intp]
+    odds: float
+
+    def without(self, table: FloatArray) -> FloatArray:
+        """Take from columns, shape (n, ...), what an unknown moment would take up of them."""
+        at = np.flatnonzero(self.pattern)
+        if not len(at):
+            return table
+        table = np.array(table)
+        pattern, label = self.pattern[at], self.label[at]
+        count = int(label.max()) + 1
+        size = np.bincount(label, pattern**2, count)
+        flat = table.reshape(len(table), -1)
+        for k in range(flat.shape[1]):
+            share = np.bincount(label, pattern * flat[at, k], count) / np.maximum(size, 1e-300)
+            flat[at, k] -= share[label] * pattern
+        return flat.reshape(table.shape)
+
+
+def straights(
+    drive: Drive,
+    vehicle: Vehicle,
+    losses: Sequence[tuple[Term, float]],
+    forces: Sides,
+    limit: float,
+    power: FloatArray,
+) -> Straights | None:
+    """Find the moments between the sides from what a drive's total power shows beyond a model.
+
+    Parameters
+    ----------
+    drive : Drive
+        The drive.
+    vehicle : Vehicle
+        The vehicle.
+    losses : sequence of tuple of Term and float
+        The losses that act, with their coefficients.
+    forces : Sides
+        Tread forces without the moments [N].
+    limit : float
+        Moment at which contacts slide [N m]; the largest one that they hold is more, and differs
+        from one way of turning to the other.
+    power : ndarray, shape (n,)
+        Power by the model without the moments, as the log shows it [W].
+
+    Returns
+    -------
+    Straights or None
+        None where no stretch holds any.
+    """
+    at = np.flatnonzero(drive.holds)
+    if not len(at) or not limit > 0.0:
+        return None
+    limit *= _STATIC
+    label, shown = drive.stretches, drive.shown
+    count = int(label[-1]) + 1
+    held = _Held.of(drive, vehicle, losses, forces, slice(None))
+    ends = [held.cost(np.full(len(at), sign * limit)) for sign in (-1.0, 1.0)]
+    means = [np.bincount(label, end, count) for end in ends]
+    sign = np.where(means[1] >= means[0], 1.0, -1.0)
+    most = np.maximum(np.where(sign[label] > 0.0, ends[1], ends[0]), 0.0)
+
+    whole = np.zeros(len(drive.t))
+    whole[at] = most
+    pattern = np.asarray(drive.seen(whole))
+    size = np.bincount(shown, pattern**2, count)
+    total = np.bincount(shown, pattern, count)
+    width = np.divide(size, total, out=np.zeros(count), where=total > 0.0)
+    beyond = drive.power - power
+    share = np.bincount(shown, pattern * beyond, count) / np.maximum(size, 1e-300)
+    samples = np.divide(total**2, size, out=np.ones(count), where=size > 0.0)
+    error = _error(drive, beyond, samples)
+    taken = np.clip(share, 0.0, 1.0)
+    gain = 0.5 * (width / error) ** 2 * taken * (2.0 * share - taken)
+    odds = np.log(np.maximum(width / (np.sqrt(2.0 * np.pi) * error), 1e-300))
+    free = (odds > 0.0) & (gain > odds)
+    if not free.any():
+        return None
+    some = np.flatnonzero(free[label])
+    mine, pull = label[some], most[some]
+    wanted = taken * np.bincount(mine, pull**2, count)
+    few = _Held.of(drive, vehicle, losses, forces, some)
+    low, high = np.zeros(count), np.full(count, limit)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        found = np.bincount(mine, pull * few.cost((sign * middle)[mine]), count)
+        low, high = np.where(found < wanted, middle, low), np.where(found < wanted, high, middle)
+    moment = np.zeros(len(drive.t))
+    moment[at[some]] = (sign * np.where(taken < 1.0, 0.5 * (low + high), limit))[mine]
+    push = moment / drive.motion.icr.slip_track
+    inside = free & (taken < 1.0)
+    return Straights(
+        Sides(-push, push), np.where(inside[shown], pattern, 0.0), shown, float(odds[free].sum())
+    )
+
+
+@dataclass(frozen=True)
+class _Held:
+    """Samples at which contacts hold: their motion, forces, and what losses take without more."""
+
+    vehicle: Vehicle
+    losses: Sequence[tuple[Term, float]]
+    motion: Motion
+    forces: Sides
+    without: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        drive: Drive,
+        vehicle: Vehicle,
+        losses: Sequence[tuple[Term, float]],
+        forces: Sides,
+        some: slice | NDArray[np.intp],
+    ) -> _Held:
+        """Take some of the samples of a drive at which contacts hold."""
+        motion, own = drive.holding, Sides(forces.left[drive.holds], forces.right[drive.holds])
+        channels = {name: values[some] for name, values in motion.channels.items()}
+        motion = Motion(motion.v_left[some], motion.v_right[some], motion.icr, channels)
+        own = Sides(own.left[some], own.right[some])
+        return cls(vehicle, losses, motion, own, lost_power(losses, motion, vehicle, own).total)
+
+    def cost(self, moment: FloatArray) -> FloatArray:
+        """Power that losses take because of a moment between the sides [W]."""
+        push = moment / self.motion.icr.slip_track
+        acting = Sides(self.forces.left - push, self.forces.right + push)
+        lost = lost_power(self.losses, self.motion, self.vehicle, acting).total
+        return np.asarray(lost - self.without)
+
+
+def _error(drive: Drive, beyond: FloatArray, samples: FloatArray) -> FloatArray:
+    """Return the standard error of means over so many samples [W]: noise, and what is missed.
+
+    What a model misses is told by the usual size of means over two seconds: stretches make few.
+    """
+    windows = drive.windows[_USUAL]
+    moving = windows.mean(np.abs(drive.motion.v_left) + np.abs(drive.motion.v_right)) > 0.0
+    means = windows.mean(beyond)
+    usual = 1.4826 * float(np.median(np.abs(means[moving]))) if moving.sum() >= _FEW else 0.0
+    nothing = _NOTHING * float(np.sqrt(np.mean(drive.power**2)))
+    return np.asarray(np.sqrt(usual**2 + nothing**2 + drive.noise**2 / samples))
