@@ -11,6 +11,7 @@ from energyplan.fit.covariance import innovation_share
 from energyplan.fit.drives.denoise import Turning, quiet, reading_noise, turning
 from energyplan.motion import Motion
 from energyplan.power import HOTEL, effects
+from energyplan.power.effect_terms import DRAGGING_LEFT
 from energyplan.vehicle import TreadICR
 
 ICR = TreadICR(0.45, 0.45)
@@ -107,6 +108,34 @@ def test_copper_loss_on_a_total_with_slight_turns() -> None:
     for one in told.effects:
         true = {"copper_loss": 6e-4, "viscous_loss": 25.0}[one.name]
         assert abs(one.value - true) < 3.0 * one.std_error
+
+
+def test_a_dragging_side_beside_copper_loss_on_a_total_without_a_gyroscope() -> None:
+    # Two stretches turn by less than the wheels show. Taken for straight ones, what copper loss
+    # takes there was told as other ground, or as a drag of another kind.
+    model = PowerModel.preset("quadriga:full:concrete").with_term(effects.COPPER_LOSS, 4.5e-4)
+    model = model.with_term(DRAGGING_LEFT, 40.0)
+    slight = [
+        simulate.Setpoint(0.4992, 0.5008, hold=8.0), ("rest", 3.0),
+        simulate.Setpoint(-0.3992, -0.4008, hold=6.0),
+    ]  # fmt: skip
+    train, other = (
+        simulate.drive(
+            model, [*pattern, *slight], rate=10.0, power_noise=4.0, speed_noise=0.003,
+            measured="total", without={"x", "y", "yaw", "yaw_rate", "accel_x"}, seed=seed,
+        )
+        for seed, pattern in enumerate(
+            ([("spin", 20.0), ("straight", 16.0), ("spiral", 30.0), ("survey", 20.0)],
+             [("survey", 40.0), ("figure8", 20.0)])
+        )
+    )  # fmt: skip
+    told = diagnose(train, other, model.vehicle)
+    assert [one.name for one in told.effects] == ["copper_loss", "dragging_wheel_left"]
+    for one, true in zip(told.effects, (4.5e-4, 40.0), strict=True):
+        assert one.value == pytest.approx(true, rel=0.1)
+    # All that is probable holds both; which side drags has another name, and so has a side's gain.
+    assert sum("copper_loss" in one.effects for one in told.explanations) >= 2
+    assert told.effects[0].probability > 0.99
 
 
 def test_explanations_that_no_drive_tells_apart_share_their_probability() -> None:

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from energyplan import simulate
 from energyplan.fit import identify
 from energyplan.fit.drives.denoise import quiet
+from energyplan.fit.drives.late import Late
+from energyplan.fit.drives.linear import power_of
+from energyplan.fit.drives.windows import prepared
+from energyplan.fit.least_squares import Problem, fit
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
-from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel
+from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TRACTION, PowerModel, Term
+from energyplan.power.effects import COPPER_LOSS
+from energyplan.simulate import Setpoint
 
 MODEL = PowerModel.preset("quadriga:full:concrete").with_term(HOTEL, 30.0)
 ICR = MODEL.vehicle.icr
@@ -72,3 +82,59 @@ def test_a_gyroscope_without_noise_is_not_smoothed() -> None:
     clean = quiet(Motion(*wheels.T, ICR, {"yaw_rate": turn / ICR.slip_track}), t)
     at = np.arange(60, n)
     assert_allclose(np.sign(clean.omega[at]), np.sign(turn[at]))
+
+
+def _lossy(turn: float, loss: str, wide: bool = True, **options: Any) -> tuple[Problem, list[Term]]:
+    """Return a drive of which only the total is logged, and the terms of the robot.
+
+    On two stretches it turns by less than the noise of its wheels shows: friction is that of a
+    sharp turn, and what losses take because of it shows in the power alone.
+    """
+    model = PowerModel.preset("quadriga:full:concrete")
+    extra = {"copper_loss": (COPPER_LOSS, 4.5e-4), "regeneration": (REGENERATION_LOSS, 0.5)}[loss]
+    model = model.with_term(*extra)
+    turns = [("spiral", 30.0), ("survey", 20.0)] if wide else []
+    log = simulate.drive(
+        model,
+        [("rest", 3.0), ("spin", 20.0), ("straight", 16.0), *turns, ("rest", 3.0),
+         Setpoint(0.5 - turn, 0.5 + turn, hold=8.0), ("rest", 3.0),
+         Setpoint(-0.4 + turn, -0.4 - turn, hold=6.0)],
+        rate=10.0, power_noise=4.0, speed_noise=0.003, measured="total",
+        without={"x", "y", "yaw", "yaw_rate", "accel_x"}, **options,
+    )  # fmt: skip
+    return Problem(prepared([log], model.vehicle), model.vehicle), list(model.terms)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.4])
+@pytest.mark.parametrize("loss", ["copper_loss", "regeneration"])
+def test_what_contacts_hold_on_a_straight_is_told_by_the_total(loss: str, late: float) -> None:
+    problem, terms = _lossy(8e-4, loss, delays={"power": late})
+    problem = problem.delayed(Late(late))
+    design = problem.design(terms)
+    found = fit(design, problem.reference(design)).values
+    true = PowerModel.preset("quadriga:full:concrete").coefficients
+    size = {"copper_loss": 4.5e-4, "regeneration": 0.5}[loss]
+    assert_allclose(found, [*true, size], rtol=0.06)
+    # Each stretch's moment took a factor from the likelihood; without losses there is none.
+    assert problem.odds(terms, found) > 4.0
+    assert problem.odds(terms[:2], found[:2]) == 0.0
+    assert problem.odds(terms, np.array([*true, 0.0])) == 0.0
+
+
+def test_straight_lines_are_not_told_to_hold_anything() -> None:
+    problem, terms = _lossy(0.0, "copper_loss", wide=False)
+    true = PowerModel.preset("quadriga:full:concrete").coefficients
+    assert problem.odds(terms, np.array([*true, 4.5e-4])) == 0.0
+
+
+def test_a_prediction_knows_nothing_of_the_power_that_was_measured() -> None:
+    problem, terms = _lossy(8e-4, "copper_loss")
+    values = np.array([*PowerModel.preset("quadriga:full:concrete").coefficients, 4.5e-4])
+    model = PowerModel(problem.vehicle, tuple(terms), values)
+    (drive,) = problem.drives
+    assert drive.fitted
+    unseen = replace(drive, power=np.zeros(len(drive.t)), fields={})
+    assert_allclose(power_of(model, drive), power_of(model, unseen), rtol=0, atol=0)
+    for one, other in zip(problem.as_predicted.drives, problem.drives, strict=True):
+        assert not one.fitted
+        assert_allclose(one.power, other.power)
