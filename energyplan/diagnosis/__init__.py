@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from energyplan.diagnosis import advice as _advice
-from energyplan.diagnosis.adequacy import adequacy, energies, explains, holds
+from energyplan.diagnosis.adequacy import adequacy, energies, explains, holds, with_contacts
 from energyplan.diagnosis.averaging import FEWEST_RUNS, averaged, note_of
 from energyplan.diagnosis.change_points import change_time
 from energyplan.diagnosis.explanations import Found
@@ -324,7 +324,8 @@ class _Case:
         names = [effect.name for effect in found]
         used = [part.effect for part in chosen]
         errors = score(before), score(after)
-        held = holds(quality, errors[1].rmse)
+        known = score([with_contacts(told.model, one) for one in after])
+        held = holds(quality, known.rmse)
         advice = [
             *self.limits,
             *_advice.mimic_advice(left, names, mimics),
@@ -333,8 +334,8 @@ class _Case:
             *_advice.rival_advice(found, {entry.name: entry for entry in self.entries}),
             *_advice.mass_advice(fitted.model, names),
             *_advice.log_advice(used),
-            *_advice.worse_advice(names, *errors),
-            *([] if held or not found else _advice.unheld_advice(names, quality, errors[1])),
+            *_advice.worse_advice(names, *errors, known),
+            *([] if held or not found else _advice.unheld_advice(names, quality, known)),
             *_advice.change_advice(undated),
             *_advice.untested_advice(searched.untested, names),
             *(() if average is None else [note_of(average, names)]),
@@ -343,7 +344,7 @@ class _Case:
         ]
         verdict: Verdict = "no_effect"
         if found:
-            enough = explains(quality, errors[0].rmse, errors[1].rmse)
+            enough = explains(quality, errors[0].rmse, known.rmse)
             usual = {entry.name for entry in self.entries if entry.usual}
             enough &= quality.adequate or not usual.issuperset(names)
             verdict = "effect_found" if held and enough else "unexplained"

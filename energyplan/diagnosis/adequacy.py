@@ -19,6 +19,7 @@ from energyplan.fit.drives.windows import SCALES, Drive
 from energyplan.fit.least_squares import Problem, RunSpread
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel
+from energyplan.power.effect_terms import SLIP_CHANGE, TRACTION_CHANGE
 
 _FLOOR = 0.01
 """What is no more than this fraction of the root mean square power is as good as nothing."""
@@ -39,11 +40,29 @@ def predicted(model: PowerModel, drive: Drive) -> FloatArray:
     return drive.seen(power_of(whole, drive))
 
 
-def _accounted(model: PowerModel, drive: Drive) -> FloatArray:
-    """Power of a training drive by a model [W], with what its total shows of contacts that hold."""
-    if drive.fitted and drive.equations == 1 and is_lossy(drive, model.terms):
-        return equations_of(model, drive)[:, 0]
-    return predicted(model, drive)
+def shown_of_contacts(model: PowerModel, drive: Drive) -> FloatArray | None:
+    """Return what a drive's total shows of what contacts hold, beyond a prediction [W].
+
+    None where it shows nothing: without losses it costs nothing, and with the power of both sides a
+    model has a term for it. Nor where nobody knows when the robot changed.
+    """
+    changes = any(term.name in (SLIP_CHANGE.name, TRACTION_CHANGE.name) for term in model.terms)
+    undated = changes and "changed" not in drive.motion.channels
+    if undated or drive.equations > 1 or not is_lossy(drive, model.terms):
+        return None
+    told, alone = (
+        equations_of(model, replace(drive, fitted=fitted))[:, 0] for fitted in (True, False)
+    )
+    return told - alone if np.any(told != alone) else None
+
+
+def with_contacts(model: PowerModel, one: Prediction) -> Prediction:
+    """Return a prediction with what the drive's total shows of what contacts hold.
+
+    That is no prediction any more, but tells whether the model holds.
+    """
+    shown = shown_of_contacts(model, one.drive)
+    return one if shown is None else replace(one, power=one.power + shown)
 
 
 def adequacy(problem: Problem, fitted: FinalFit) -> Adequacy:
@@ -71,7 +90,8 @@ def adequacy(problem: Problem, fitted: FinalFit) -> Adequacy:
     """
     residuals, rests, whites = [], [], []
     for drive in problem.drives:
-        residual = drive.power - _accounted(fitted.model, drive)
+        one = Prediction(drive, predicted(fitted.model, drive))
+        residual = drive.power - with_contacts(fitted.model, one).power
         residuals.append(residual)
         if len(residual) > 4:
             whites.append(speed_noise(drive.power))
@@ -150,7 +170,7 @@ def holds(quality: Adequacy, error: float) -> bool:
     quality : Adequacy
         What the model leaves of the training drives.
     error : float
-        Its root mean square error on drives that took no part [W].
+        Its root mean square error on drives that took no part [W], what contacts hold known alike.
 
     Returns
     -------

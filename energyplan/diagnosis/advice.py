@@ -45,15 +45,27 @@ def adequacy_advice(quality: Adequacy, named: bool) -> list[str]:
     return [line if named else f"{line}, and no recorded channel explains it"]
 
 
-def worse_advice(effects: Sequence[str], before: Residual, after: Residual) -> list[str]:
-    """Say that the hold-out drives are predicted worse than without any effect."""
+def worse_advice(
+    effects: Sequence[str], before: Residual, after: Residual, known: Residual
+) -> list[str]:
+    """Say that the hold-out drives are predicted worse than without any effect, and why.
+
+    `known` is the error with what the total of these drives shows of what contacts hold.
+    """
     if not effects or after.rmse <= before.rmse:
         return []
     names = ", ".join(_plain(name) for name in effects)
-    return [
+    line = (
         f"the hold-out drives are predicted worse with {names} (rmse {after.rmse:.3g} W) than "
-        f"without ({before.rmse:.3g} W): they differ from the training drives; record more of both"
-    ]
+        f"without ({before.rmse:.3g} W): "
+    )
+    if known.rmse < before.rmse:
+        return [
+            f"{line}near straight driving their contacts hold a moment that costs power, which no "
+            f"prediction knows; with what their own power shows of it the rmse is {known.rmse:.3g} "
+            "W. Log yaw_rate, and the power of both sides"
+        ]
+    return [f"{line}they differ from the training drives; record more of both"]
 
 
 def unheld_advice(effects: Sequence[str], quality: Adequacy, after: Residual) -> list[str]:

@@ -136,6 +136,9 @@ def test_a_dragging_side_beside_copper_loss_on_a_total_without_a_gyroscope() -> 
     # All that is probable holds both; which side drags has another name, and so has a side's gain.
     assert sum("copper_loss" in one.effects for one in told.explanations) >= 2
     assert told.effects[0].probability > 0.99
+    # The other drive has such stretches, too: what they cost no model foretells, and is no reason
+    # not to believe what was found.
+    assert told.verdict == "effect_found"
 
 
 def test_explanations_that_no_drive_tells_apart_share_their_probability() -> None:

@@ -12,7 +12,8 @@ from energyplan.errors import DriveLogError
 from energyplan.fit.drives import windows
 from energyplan.fit.drives.columns import column, columns_of
 from energyplan.fit.drives.late import DELAYS, Late, lagged, least_late
-from energyplan.fit.drives.linear import held_loss, linearise_drive, preload
+from energyplan.fit.drives.linear import held_loss, linearise_drive
+from energyplan.fit.drives.preload import preload
 from energyplan.fit.drives.windows import (
     BLOCK,
     SCALES,

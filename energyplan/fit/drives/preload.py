@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from energyplan.fit.drives.denoise import speed_noise
 from energyplan.fit.drives.late import Late
 from energyplan.fit.drives.windows import MOMENT, Drive
 from energyplan.motion import Motion
@@ -24,8 +25,9 @@ from energyplan.vehicle import Vehicle
 _BISECTIONS = 16
 _INSIDE = 6  # bisections by which a moment differs from its limit
 _TOLD = 5.0  # noise that the largest moment exceeds where its size can be told
+_GAP = 2.0  # time for which contacts may slide within what is one stretch [s]
 _STATIC = 1.5  # moment that contacts hold, over that of sliding, at most
-_FEW = 3  # moving windows that tell what a model misses
+_FEW = 3  # moving windows, or samples, that tell a scatter
 _NOTHING = 0.01  # of the root mean square power, that a mean is known to at best
 _USUAL = 1  # scale of the windows that tell what a model misses: two seconds
 
@@ -229,7 +231,7 @@ def straights(
     if not len(at) or not limit > 0.0:
         return None
     limit *= _STATIC
-    label, shown = drive.stretches, drive.shown
+    label, shown = _stretches(drive), _shown(drive)
     count = int(label[-1]) + 1
     held = _Held.of(drive, vehicle, losses, forces, slice(None))
     ends = [held.cost(np.full(len(at), sign * limit)) for sign in (-1.0, 1.0)]
@@ -269,6 +271,41 @@ def straights(
     return Straights(
         Sides(-push, push), np.where(inside[shown], pattern, 0.0), shown, float(odds[free].sum())
     )
+
+
+def _stretches(drive: Drive) -> NDArray[np.intp]:
+    """Return the number of the stretch that each sample at which contacts hold belongs to.
+
+    Until the robot slides for long, stops or turns back. Half a second beside a turn is a stretch
+    of its own: the moment builds up while the robot begins to turn, and relaxes after.
+    """
+    if "stretches" not in drive.fields:
+        at = np.flatnonzero(drive.holds)
+        t, way = drive.t[at], np.sign(drive.held.v_left[at])  # which is that of both
+        slid = np.diff(t) > _GAP
+        turns = np.concatenate([[at[0] > 0], slid, [at[-1] < len(drive.t) - 1]])
+        starts = np.concatenate([[True], (np.diff(way) != 0.0) | slid])
+        whole = np.cumsum(starts) - 1
+        first = np.flatnonzero(starts)
+        last = np.append(first[1:], len(at)) - 1
+        long = t[last] - t[first] > 3.0 * MOMENT
+        begins = (long & turns[first])[whole] & (t - t[first][whole] < MOMENT)
+        ends = (long & turns[last + 1])[whole] & (t[last][whole] - t < MOMENT)
+        part = 3 * whole + np.where(begins, 0, np.where(ends, 2, 1))
+        drive.fields["stretches"] = np.unique(part, return_inverse=True)[1].astype(np.intp)
+    found: NDArray[np.intp] = drive.fields["stretches"]
+    return found
+
+
+def _shown(drive: Drive) -> NDArray[np.intp]:
+    """Return the stretch that each sample of the log shows: late, and until the next one."""
+    key = ("shown", drive.late.delay)
+    if key not in drive.fields:
+        at = np.flatnonzero(drive.holds)
+        seen = np.searchsorted(drive.t[at], drive.t - drive.late.delay, side="right") - 1
+        drive.fields[key] = _stretches(drive)[np.maximum(seen, 0)]
+    found: NDArray[np.intp] = drive.fields[key]
+    return found
 
 
 @dataclass(frozen=True)
@@ -315,4 +352,7 @@ def _error(drive: Drive, beyond: FloatArray, samples: FloatArray) -> FloatArray:
     means = windows.mean(beyond)
     usual = 1.4826 * float(np.median(np.abs(means[moving]))) if moving.sum() >= _FEW else 0.0
     nothing = _NOTHING * float(np.sqrt(np.mean(drive.power**2)))
-    return np.asarray(np.sqrt(usual**2 + nothing**2 + drive.noise**2 / samples))
+    if "noise" not in drive.fields:
+        drive.fields["noise"] = speed_noise(drive.power) if len(drive.power) > _FEW else 0.0
+    noise: float = drive.fields["noise"]
+    return np.asarray(np.sqrt(usual**2 + nothing**2 + noise**2 / samples))

@@ -39,8 +39,6 @@ BLOCK = 8.0
 MOMENT = 0.5
 """Time over which what contacts hold is taken for one [s]."""
 
-_GAP = 2.0  # time for which contacts may slide within what is one stretch [s]
-_DIFFERENCES = 4  # samples above which neighbours tell the noise
 _MUCH = 0.4  # share of all blocks that no drive may exceed to be left out as a whole
 _IDLE = 0.01  # share of the usual size of a block's columns below which it says nothing
 _MANY = 200_000  # samples that selection works on
@@ -74,8 +72,7 @@ class Drive:
         Yaw rate by which steering drifts about a straight [rad/s]: nothing tells which way, so that
         contacts are taken to hold there too.
     fitted : bool
-        Whether a model is fitted to it, so that its power may tell what contacts hold; never so of
-        a drive that is predicted.
+        Whether a model is fitted to it: only then its power may tell what contacts hold.
     fields : dict
         Forces of terms, kept for `field_of`.
     """
@@ -181,39 +178,6 @@ class Drive:
     def between_noise(self) -> float:
         """Noise of the measured difference of the sides [W]."""
         return 0.0 if self.between is None else speed_noise(self.between)
-
-    @cached_property
-    def noise(self) -> float:
-        """Noise of the measured power [W]."""
-        return speed_noise(self.power) if len(self.power) > _DIFFERENCES else 0.0
-
-    @cached_property
-    def stretches(self) -> NDArray[np.intp]:
-        """Number of the stretch that each sample at which contacts hold belongs to.
-
-        Until the robot slides for long, stops or turns back. Half a second beside a turn is a
-        stretch of its own: the moment builds up while the robot begins to turn, and relaxes after.
-        """
-        at = np.flatnonzero(self.holds)
-        t, way = self.t[at], np.sign(self.held.v_left[at])  # which is that of both
-        slid = np.diff(t) > _GAP
-        turns = np.concatenate([[at[0] > 0], slid, [at[-1] < len(self.t) - 1]])
-        starts = np.concatenate([[True], (np.diff(way) != 0.0) | slid])
-        whole = np.cumsum(starts) - 1
-        first = np.flatnonzero(starts)
-        last = np.append(first[1:], len(at)) - 1
-        long = t[last] - t[first] > 3.0 * MOMENT
-        begins = (long & turns[first])[whole] & (t - t[first][whole] < MOMENT)
-        ends = (long & turns[last + 1])[whole] & (t[last][whole] - t < MOMENT)
-        part = 3 * whole + np.where(begins, 0, np.where(ends, 2, 1))
-        return np.asarray(np.unique(part, return_inverse=True)[1], np.intp)
-
-    @cached_property
-    def shown(self) -> NDArray[np.intp]:
-        """Number of the stretch that each sample of the log shows: late, and until the next one."""
-        at = np.flatnonzero(self.holds)
-        seen = np.searchsorted(self.t[at], self.t - self.late.delay, side="right") - 1
-        return np.asarray(self.stretches[np.maximum(seen, 0)])
 
     def samples_in(self, time: float) -> int:
         """Return the odd number of samples closest to a time [s]."""
