@@ -84,6 +84,11 @@ def test_the_rates_of_wide_arcs_that_cost_little():
     assert 0 <= slack < 3e-6 * a
     # the arc that the table of 128 rays did not know
     assert 218 < least.metre < a and least.radian > 0.8 * beta
+    for unit in (1e-6, 1e6):  # nothing hangs on what a joule is
+        other = EnergyCost(replace(model, coefficients=unit * model.coefficients))
+        scaled = least_prices(Prices(other)).minorant(0.0)
+        assert scaled.metre == pytest.approx(unit * least.metre, rel=1e-6)
+        assert scaled.radian == pytest.approx(unit * least.radian, rel=1e-6)
 
 
 def test_prices_that_are_linear_in_the_octants_lose_nothing():

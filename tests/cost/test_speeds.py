@@ -38,6 +38,8 @@ def test_two_coefficients_make_a_cost(per_radian: float, icr: float | TreadICR) 
     metres = np.maximum(np.abs(ds - aside * dtheta), C * np.abs(dtheta))
     expected = 201.5 * metres + per_radian * np.abs(dtheta)
     assert_allclose(cost.segment_energy(ds, dtheta), expected, rtol=1e-9)
+    # its body is a square about the treads
+    assert_allclose(np.ptp(cost.vehicle.footprint, axis=0), 4 * C)
     # a metre takes a second unless another speed is given
     assert cost.model.vehicle.motor.speed == 1.0
     assert EnergyCost.from_coefficients(200.0, 1.0, icr, 0.4).model.vehicle.motor.speed == 0.4

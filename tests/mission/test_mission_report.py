@@ -22,6 +22,13 @@ def optional(report: MissionReport, names: str) -> MissionReport:
     return evaluate(replace(report.mission, tasks=tuple(tasks)))
 
 
+def test_a_notebook_tells_energy_and_charge_left() -> None:
+    report = evaluate(corridor(1e4, {"x": 20.0}, 5.0))
+    told = float(report._repr_html_().partition(" Wh, ends with ")[0].rpartition(" ")[2])
+    assert told == pytest.approx(report.energy / 3600, rel=0.02)
+    assert f"ends with {100 * report.soc_end:.0f} % of charge" in report._repr_html_()
+
+
 HEADLINES = [
     (1e6, "abc", "all 3 tasks can be done", True),
     (1e6, "", "all 3 tasks can be done", True),

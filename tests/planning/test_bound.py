@@ -514,6 +514,41 @@ def test_the_shortest_way_agrees_with_a_visibility_graph(seed):
     assert bent >= 2
 
 
+@pytest.mark.parametrize("origin", [(0.0, 0.0), (-7.0, 3.0)])
+def test_corners_are_linked_to_all_that_they_see_along_both_outlines(origin):
+    """What one obstacle hides is not looked for again: all the same, no line is missing."""
+    grid, radius = OccupancyGrid(cluttered(1).occupied, 0.1, (*origin, 0.0)), 0.3
+    drawn = outline(grid, radius, DETAILS[-1])
+    point, tiny = drawn.point, 1e-9
+    near, far = (np.add(origin, at) for at in ((1.0, 1.0), np.array(grid.size) - 1.0))
+    links = ways(grid, radius, near, far, detail=DETAILS[-1]).links
+    along = point[None] - point[:, None]  # from each corner to each other
+
+    def touches(to, corner):
+        sides = [
+            to[..., 0] * (end - point)[corner][..., 1] - to[..., 1] * (end - point)[corner][..., 0]
+            for end in (drawn.before, drawn.after)
+        ]
+        left = np.all([one >= -tiny for one in sides], axis=0)
+        return left | np.all([one <= tiny for one in sides], axis=0)
+
+    each = np.arange(len(point))
+    both = (
+        touches(along, each[:, None]) & touches(along, each[None]) & ~np.eye(len(point), dtype=bool)
+    )
+    compared = 0
+    for k in np.flatnonzero(links.first >= 0)[:40]:
+        seen = links.seen[links.first[k] : links.first[k] + links.number[k]]
+        free = [
+            v
+            for v in np.flatnonzero(both[k])
+            if sight(grid.space, drawn, *point[k], *point[v]).free
+        ]
+        assert set(seen.tolist()) == set(free)
+        compared += len(free)
+    assert compared > 100
+
+
 def test_a_search_that_was_stopped_tells_no_corner_too_far_from_the_goal():
     """Seen from the start, what is not settled lies beyond the frontier, wherever the map lies."""
     known = 0
