@@ -157,8 +157,8 @@ def _kernels(modules: tuple[str, ...]) -> list[Kernel]:
     """Return the kernels of some modules, or packages, as far as these are imported."""
     return [
         kernel
-        for name, kernel in KERNELS.items()
-        if kernel.declared is not None and any(name.startswith(f"{module}.") for module in modules)
+        for kernel in KERNELS.values()
+        if kernel.declared is not None and not kernel.within.isdisjoint(modules)
     ]
 
 

@@ -145,7 +145,12 @@ class Kernel(CPUDispatcher):
         options = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True}
         super().__init__(function, targetoptions={**options, "no_cpython_wrapper": self.inner})
         self.name = f"{function.__module__}.{function.__qualname__}"
+        parts = function.__module__.split(".")
+        self.within = frozenset(".".join(parts[: k + 1]) for k in range(len(parts)))
+        """Its module, and the packages that this is in."""
         self._announced = False
+        self.loaded = False
+        """Whether there is machine code for the declared types."""
         self._cache = KernelCache(function, self._missed, _load)
         self._compiler._customize_flags = Options  # type: ignore[attr-defined]
 
@@ -168,6 +173,7 @@ class Kernel(CPUDispatcher):
     def add_overload(self, cres: Any) -> None:
         """Note machine code, and how others come to it: by a copy, or by its address."""
         super().add_overload(cres)
+        self.loaded |= cres.signature.args == self.declared
         symbol = cres.fndesc.llvm_func_name
         if cres.metadata is not None and cres.signature.args == self.declared:  # not from disk
             lines = str(cres.library.get_function(symbol)).count("\n")
@@ -197,11 +203,11 @@ class Kernel(CPUDispatcher):
     @property
     def kept(self) -> bool:
         """Whether its machine code is loaded, or there is a file of it."""
-        return self.declared in self.overloads or self._cache.holds(self.declared, self.targetctx)
+        return self.loaded or self._cache.holds(self.declared, self.targetctx)
 
     def prepare(self) -> None:
         """Compile it for its declared types, or load it from disk."""
-        if self.declared is not None:
+        if self.declared is not None and not self.loaded:
             self._announced = True  # whoever compiles ahead says so
             self._compile(self.declared)
             self._announced = False

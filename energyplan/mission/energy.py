@@ -133,6 +133,7 @@ class Grounds:
             self._source_of.append(seen[key])
         self._known: dict[tuple[int, float], PowerModel] = {}
         self._directions: dict[tuple[int, float], FloatArray] = {}
+        self._idle: dict[tuple[int, float], Estimate] = {}
         self._models = sum(source.size for source in self._sources)
         self._unknowns = Unknowns.of(mission, self.driving_power)
         self._refuse_unfounded_bounds()
@@ -145,6 +146,7 @@ class Grounds:
         other = copy(self)
         other._mission = mission
         other._unknowns = Unknowns.of(mission, other.driving_power)
+        other._idle = {}
         return other
 
     @property
@@ -329,10 +331,13 @@ class Grounds:
 
     def idle(self, region: int, duration: float, payload: float) -> Estimate:
         """Return the energy of standing still for so long [s]."""
-        model = self.model(region, payload)
-        motion = _straight(model, 0.0)
+        key = (region, payload)
+        if key not in self._idle:
+            motion = _straight(self.model(region, payload), 0.0)
+            self._idle[key] = self._one(region, motion, np.ones(1), payload)
+        second = self._idle[key]
         # The residual is what the model misses while driving.
-        return replace(self._one(region, motion, np.array([duration]), payload), noise=0.0)
+        return Estimate(duration * second.mean, duration * second.sensitivity)
 
     def work(self, region: int, task: int, payload: float) -> Estimate:
         """Return the energy of doing a task, standing still with its tool."""

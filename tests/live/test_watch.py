@@ -265,9 +265,12 @@ FLAT = np.array([10.0, 10.0])
 TINY = Battery("tiny", CAPACITY / 10.0, np.array([0.0, 1.0]), FLAT, 0.0)
 
 
+CORRIDOR = OccupancyGrid(np.zeros((30, 350), bool), 0.1)
+
+
 def corridor(**changes: object) -> Mission:
     values = {
-        "model": MARBLE, "map": OccupancyGrid(np.zeros((30, 350), bool), 0.1), "battery": TINY,
+        "model": MARBLE, "map": CORRIDOR, "battery": TINY,
         "start": Pose(3.0, 1.5, 0.0), "planning_effort": 5_000, "reserve": 0.0,
         "confidence": 0.5,
         "tasks": (Task("near", Pose(8.0, 1.5, 0.0), dwell=2.0), Task("far", Pose(20.0, 1.5, 0.0))),

@@ -27,11 +27,15 @@ def tiny(energy: float) -> Battery:
     return Battery("tiny", energy / 10.0, np.array([0.0, 1.0]), ocv, 0.0)
 
 
+CORRIDOR = OccupancyGrid(np.zeros((30, 350), bool), 0.1)
+"""One map for all missions along it, so that each route is planned once."""
+
+
 def corridor(energy: float, tasks: dict[str, float], start: float, **changes: Any) -> Mission:
     """A mission along a corridor of 35 m with tasks at so many metres, at the expectation."""
     values: dict[str, Any] = {
         "model": PowerModel.preset("quadriga:empty:marble"),
-        "map": OccupancyGrid(np.zeros((30, 350), bool), 0.1),
+        "map": CORRIDOR,
         "battery": tiny(energy), "start": Pose(start, 1.5, 0.0), "planning_effort": 10_000,
         "tasks": tuple(Task(name, Pose(x, 1.5, 0.0)) for name, x in tasks.items()),
         "reserve": 0.0, "confidence": 0.5, "spreads": Spreads.none(),

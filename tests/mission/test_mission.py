@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
+from functools import cache
 from itertools import permutations
 from typing import Any
 
@@ -24,6 +25,7 @@ from energyplan.vehicle import Vehicle
 WH = 3600.0
 
 
+@cache
 def hall(width: float = 14.0, height: float = 10.0) -> OccupancyGrid:
     return OccupancyGrid(np.zeros((int(height * 10), int(width * 10)), bool), 0.1)
 

@@ -25,6 +25,10 @@ STEP = 2.0
 """Step of the simulator [s]."""
 
 
+CORRIDOR = OccupancyGrid(np.zeros((30, 700), bool), 0.1)
+"""One map for all missions along it, so that each route is planned once."""
+
+
 def corridor(tasks: dict[str, tuple[float, float, float]], **changes: Any) -> Mission:
     """Return a mission along a corridor: tasks by metres, duration [s] and power [W]."""
     residual = Residual(
@@ -34,7 +38,7 @@ def corridor(tasks: dict[str, tuple[float, float, float]], **changes: Any) -> Mi
     spread = np.diag((np.array([0.03, 0.03, 0.05]) * model.coefficients) ** 2)
     model = replace(model.with_coefficients(model.coefficients, spread), residual=residual)
     values: dict[str, Any] = {
-        "model": model, "map": OccupancyGrid(np.zeros((30, 700), bool), 0.1),
+        "model": model, "map": CORRIDOR,
         "battery": Battery.preset("quadriga"), "start": Pose(5.0, 1.5, 0.0), "speed": 0.5,
         "tasks": tuple(
             Task(name, Pose(x, 1.5, 0.0), dwell=dwell, power=power)

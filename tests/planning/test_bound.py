@@ -201,7 +201,9 @@ def exact_gauge(headings, direction):
     return float((np.cos(direction - normals) / support).max())
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "seed", [*range(2), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(2, 4))]
+)
 def test_a_line_costs_no_more_than_any_way_along_it(seed):
     rng = np.random.default_rng(seed)
     rates = Rates(200.0, 150.0, 0.0, rng.uniform(-3, 3), 0.0, static(200.0, 150.0, 0.4))
@@ -790,7 +792,9 @@ def test_no_path_over_surfaces_beats_the_bound(seed):
 # -- the whole bound -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "seed", [*range(2), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(2, 4))]
+)
 def test_no_path_of_a_small_robot_beats_the_bound(seed):
     # hardly any half track and a small body: next to nothing is relaxed, so that an unsound
     # bound shows
@@ -896,7 +900,9 @@ def test_no_plan_and_no_arc_of_a_random_model_beats_the_bound(seed):
     assert bound <= plan(problem, effort=1_000).energy * (1 + 1e-9)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(
+    "seed", [*range(3), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(3, 6))]
+)
 def test_no_plan_of_a_random_model_beats_the_bound_among_obstacles(seed):
     cost = random_model(seed)
     if cost is None:

@@ -272,7 +272,9 @@ def exhaustive(problem, worth, step=1.0, headings=8):
     return np.inf
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(
+    "seed", [*range(1), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(1, 3))]
+)
 def test_plans_lie_between_the_bound_and_an_exhaustive_search(seed):
     yard = OccupancyGrid(np.zeros((100, 100), bool), 0.1)
     problem = PlanningProblem(
