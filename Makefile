@@ -8,17 +8,19 @@ NIGHTLY_READY := $(VENV)/.nightly-ready
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 OUT ?= demo
 
-.PHONY: demo test nightly shuffled lint docs fuzz mutate lowest pictures loop bench lock clean
+.PHONY: demo test compiled nightly shuffled lint docs fuzz mutate lowest pictures loop bench lock clean
 
 demo: $(READY)
 	$(BIN)/energyplan demo --out $(OUT)
 
-# Kernels are compiled ahead, by both processors: else both processes of the tests compile each.
 # Bytecode is kept even where the environment says otherwise: the tests start many processes.
 test: export PYTHONDONTWRITEBYTECODE =
-test: $(READY) lint
-	$(BIN)/energyplan warmup
+test: $(READY) lint compiled
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+# Kernels are compiled ahead, by both processors: else both processes of the tests compile each.
+compiled: $(READY)
+	$(BIN)/energyplan warmup
 
 # Nightly: the larger cases of what the suite tries with smaller ones.
 nightly: $(NIGHTLY_READY)

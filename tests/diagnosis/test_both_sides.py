@@ -77,7 +77,9 @@ def test_which_side_drags_is_told_where_treads_are_always_as_fast_as_each_other(
     assert abs(total.values[2] - drag) > 0.5 * drag
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "seed", [*range(2), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(2, 4))]
+)
 def test_losses_of_each_side_are_found_on_robots_of_any_size(seed: int) -> None:
     rng = np.random.default_rng(10 + seed)
     model = _robot(rng)

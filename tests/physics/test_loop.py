@@ -176,6 +176,7 @@ def test_a_model_that_no_motor_could_drive_ends_the_loop(monkeypatch: pytest.Mon
         EngineDrives(switch_on(Robot.from_model(MODEL), [Effect("payload", 30.0)])),
         rounds=2,
         tolerance=0.0,
+        survey=10.0,
         effort=20_000,
     )
     (only,) = made.rounds
