@@ -47,6 +47,7 @@ from energyplan.fit.least_squares import PAPER, Problem
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
+from energyplan.logs.contradictions import refuse_one_side
 from energyplan.logs.plausible import yaw_rate_offset
 from energyplan.power import PowerModel, Residual
 from energyplan.power.effects import Effect, catalogue
@@ -125,7 +126,8 @@ def diagnose(
     DriveLogError
         If a drive is shorter than 16 s.
     NotIdentifiableError
-        If the robot never moves in the training drives, or draws no power.
+        If the robot never moves in the training drives, or draws no power, or a drive
+        lacks the speed or the power of one side.
 
     References
     ----------
@@ -148,6 +150,7 @@ def diagnose(
         raise InvalidInputError("a drive stands in train and in holdout; give it to one of them")
     entries = tuple(catalogue().values()) if effects is None else tuple(effects)
     _answerable(learned)
+    refuse_one_side([*learned, *held_out])
     check_long_enough([*learned, *held_out])
     report(0.0, "fitting the paper's model")
     vehicle = _with_icr(learned, vehicle)

@@ -25,6 +25,7 @@ from energyplan.fit.solvers import Bounds
 from energyplan.kinds import ByValue, checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
+from energyplan.logs.contradictions import refuse_one_side
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Term
@@ -199,7 +200,7 @@ def identify(
     ------
     NotIdentifiableError
         If the logs do not determine a coefficient, or cannot separate two; the message says what
-        to drive.
+        to drive. If the speed or the power of one side is missing.
     MissingChannelError
         If a term needs a channel that a log lacks.
     InvalidInputError
@@ -221,6 +222,7 @@ def identify(
     True
     """
     drives = _drives(logs)
+    refuse_one_side(drives)
     if not terms:
         raise InvalidInputError("no terms to identify; give at least one")
     if sum(log.duration for log in drives) < _SHORTEST:

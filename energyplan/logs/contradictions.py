@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from energyplan.errors import NotIdentifiableError
 from energyplan.logs.evidence import correlation, distance_ratio, yaw_rates
 from energyplan.path import FloatArray
+
+if TYPE_CHECKING:  # which imports this module
+    from energyplan.logs import DriveLog
 
 _POSE = {"x", "y", "yaw"}
 _ENOUGH = 20  # samples below which nothing is concluded
@@ -17,6 +21,7 @@ _SHARE = 0.05  # share of the samples in which it must
 _HANGS = 0.3  # time of a repeated reading from which the sensor hangs [s]
 _REPEATED = 0.01  # share of the driving that it must do so
 _STEPS = 0.05  # share of readings that repeat where a sensor reads in steps
+_LONG = 5.0  # time of driving straight in which no power stays the same [s]
 _FOLLOWS = 0.9  # correlation with a side's speed, of a robot that turns about the other
 _UNLIKE = 60.0  # ratio of both sides' powers that no ground explains
 
@@ -43,6 +48,7 @@ def find_contradictions(
     told = [
         _same(channels, "v_left", "v_right", yaw_rates(channels, runs)),
         *_dead(channels, yaw_rates(channels, runs)),
+        *_died(channels),
         _signs(channels, runs),
         _sides(channels, runs),
         _powers(channels),
@@ -87,18 +93,66 @@ def _dead(channels: Mapping[str, FloatArray], rates: Mapping[str, FloatArray]) -
                 f"v_{side} is {speed[0]:g} throughout while v_{other} changes: its encoder is "
                 f"dead, or the column another; map v_{side} to the speed of the {side} wheels"
             )
-        power = channels.get(f"p_{side}")
-        if power is None or power.any():
-            continue
+        power, drawn = channels.get(f"p_{side}"), channels.get(f"p_{other}")
         # Where both sides go ahead alike, neither returns power.
         ahead = np.abs(speed - theirs) < 0.1 * np.abs(speed + theirs)
-        if np.count_nonzero(ahead & (channels.get(f"p_{other}", power) > 0)) >= _ENOUGH:
+        if power is None or drawn is None or np.ptp(power) > 0.0 or np.ptp(drawn) == 0.0:
+            continue
+        if np.count_nonzero(ahead & (drawn > 0)) >= _ENOUGH:
             told.append(
-                f"p_{side} is 0 throughout while p_{other} is not, on straight lines too: its "
-                f"sensor is dead, or the column another; map p_{side} to the power of the {side} "
-                "motors, or log the battery's"
+                f"p_{side} is {power[0]:g} throughout while p_{other} is not, on straight lines "
+                f"too: its sensor is dead, or the column another; map p_{side} to the power of the "
+                f"{side} motors, or log the battery's"
             )
     return told
+
+
+def _died(channels: Mapping[str, FloatArray]) -> list[str]:
+    """Whether a side's power is the same from some time on, or up to it, while both go ahead."""
+    told = []
+    t, left, right = (channels[name] for name in ("t", "v_left", "v_right"))
+    ahead = np.abs(left - right) < 0.1 * np.abs(left + right)
+    time = np.gradient(t) * ahead
+    for side, other in (("left", "right"), ("right", "left")):
+        power, drawn = channels.get(f"p_{side}"), channels.get(f"p_{other}")
+        if power is None or drawn is None or np.ptp(power) == 0.0:
+            continue
+        starts = np.concatenate([[0], np.flatnonzero(np.diff(power)) + 1])
+        lasts = np.append(starts[1:], len(power)) - 1
+        changes = np.cumsum(np.diff(drawn, prepend=drawn[0]) != 0.0)
+        driven = np.add.reduceat(time * (drawn > 0), starts)
+        # What died stays dead; between others, such a stretch may be one of little power.
+        at_an_end = (starts == 0) | (lasts == len(power) - 1)
+        varied = changes[lasts] - changes[starts] >= _ENOUGH
+        long = np.flatnonzero(at_an_end & varied & (driven > _LONG))
+        if len(long):
+            first, last = t[starts[long[0]]], t[lasts[long[0]]]
+            told.append(
+                f"p_{side} stays at {power[starts[long[0]]]:g} from t = {first:.2f} to {last:.2f} "
+                f"s while p_{other} changes, on straight lines too: its sensor is dead there; "
+                "leave that stretch out"
+            )
+    return told
+
+
+def refuse_one_side(logs: Sequence[DriveLog]) -> None:
+    """Refuse logs that lack a side: what is identified from the other one is half of what is.
+
+    Parameters
+    ----------
+    logs : sequence of DriveLog
+        The drives.
+
+    Raises
+    ------
+    NotIdentifiableError
+        If the speed or the power of one side stays the same all along while the robot drives, or
+        the powers are no two powers in one unit.
+    """
+    for log in logs:
+        reasons = [*_dead(log.channels, yaw_rates(log.channels, log.runs)), _powers(log.channels)]
+        for reason in filter(None, reasons):
+            raise NotIdentifiableError(f"{log.name}: {reason}")
 
 
 def _signs(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:

@@ -11,7 +11,7 @@ import pytest
 
 import energyplan as ep
 from energyplan import simulate
-from energyplan.errors import DriveLogError
+from energyplan.errors import DriveLogError, NotIdentifiableError
 from energyplan.io.logs import read_log
 from energyplan.logs.consistency import Measures, check_consistency
 from energyplan.logs.evidence import gather
@@ -121,6 +121,14 @@ def dropping_out(made: Columns) -> Columns:
     return {**made, "p_left": made["p_left"] * there, "p_right": made["p_right"] * there}
 
 
+def dead(name: str, value: float = 0.0) -> Callable[[Columns], Columns]:
+    return lambda made: {**made, name: np.full(len(made["t"]), value)}
+
+
+def dying(made: Columns) -> Columns:
+    return {**made, "p_left": made["p_left"] * (made["t"] < 0.4 * made["t"][-1])}
+
+
 def at_its_end(made: Columns) -> Columns:
     most = {name: float(np.quantile(made[name], 0.7)) for name in ("p_left", "p_right")}
     return {**made, **{name: np.minimum(made[name], most[name]) for name in most}}
@@ -178,6 +186,11 @@ LOGS = {
     "z axis down": (pointing_down, r"NED.*y=NAME\[-m\]"),
     "power's sensors hang": (hanging, r"p_left hangs in .*driving"),
     "power's sensors drop out": (dropping_out, r"p_left drops out to 0"),
+    "a power's sensor dead": (dead("p_left"), r"p_left is 0 throughout .* sensor is dead"),
+    "a power's sensor stuck": (dead("p_right", 7.3), r"p_right is 7\.3 throughout"),
+    "a power's sensor dies": (dying, r"p_left stays at 0 from t = .* sensor is dead there"),
+    "an encoder dead": (
+        without(dead("v_left"), *POSE, "yaw_rate"), r"v_left is 0 throughout"),
     "power's sensors at their end": (at_its_end, r"p_right ends at .* end of its range"),
     "motor current for battery current": (motor_current, r"motor's current"),
 }  # fmt: skip
@@ -215,6 +228,28 @@ def test_a_mistake_with_the_log_is_caught_with_its_remedy(name: str) -> None:
         said = " | ".join(told(change(drive(seed)), OWN))
         assert said != ""
         assert re.search(remedy, said), said
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        pytest.param(dead("p_left"), "p_left is 0 throughout", id="sensor dead"),
+        pytest.param(dead("p_right", 7.3), r"p_right is 7\.3 throughout", id="sensor stuck"),
+        pytest.param(scaled(p_right=1e-3), r"p_right=NAME\[kW\]", id="side in kW"),
+        pytest.param(in_one_column("p_left", "p_right"), "one column", id="one column"),
+    ],
+)
+def test_nothing_is_identified_from_half_the_power(
+    change: Callable[[Columns], Columns], reason: str
+) -> None:
+    """K would come out at half of what it is, with a small standard error."""
+    log, whole = (
+        ep.DriveLog.from_columns(columns, "drive") for columns in (change(drive(1)), drive(2))
+    )
+    with pytest.raises(NotIdentifiableError, match=reason):
+        ep.identify([whole, log], ROBOT)
+    with pytest.raises(NotIdentifiableError, match=reason):
+        ep.diagnose(whole, log, ROBOT)
 
 
 @pytest.mark.parametrize("name", BATTERY)
