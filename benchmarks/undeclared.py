@@ -1,6 +1,7 @@
 """Kinds of effect that the catalogue does not have: what a diagnosis says of them.
 
     python benchmarks/undeclared.py COUNT FIRST [KIND...]    COUNT robots of each, from that seed on
+    python benchmarks/undeclared.py COUNT FIRST engine [KIND...]    the physics engine drives them
 
 A line a drive: the kind, the verdict, the noise and the residual, whether the residual is coloured,
 the hold-out's error and energy error before and after, the effects with their probabilities, and
@@ -11,12 +12,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from calibration import robot
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
 from energyplan.path import FloatArray
+from energyplan.physics import Engine, Robot, Run, Sensors, State
 from energyplan.power import Sides
 from energyplan.vehicle import GRAVITY
 
@@ -32,6 +35,11 @@ class Seen:
         self.K = model.coefficient("traction_resistance")
         self.v = 0.5 * (self.left + self.right)
         self.span = float(self.t[-1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self.forces = [
+                np.where(abs(v) > 0.02, p / v, 0.0)
+                for p, v in ((self.powers.left, self.left), (self.powers.right, self.right))
+            ]
 
     def drag(self, force: FloatArray) -> Sides:
         """Return the power of a resistance on both sides."""
@@ -167,10 +175,113 @@ def centripetal(d: Seen) -> Sides:
     return d.drag(2.0 * d.size * d.K * abs(d.v * (d.right - d.left)))
 
 
+def tyre_leaks(d: Seen) -> Sides:
+    """Let a left tyre lose its air."""
+    return Sides(0.9 * d.size * d.K * (1 - np.exp(-d.t / 60.0)) * abs(d.left), 0.0 * d.right)
+
+
+def gusts(d: Seen) -> Sides:
+    """Blow in gusts of some seconds from one direction."""
+    rng, step = np.random.default_rng(len(d.t)), float(np.median(np.diff(d.t)))
+    wind, gust = 0.0 * d.t, 0.0
+    for k in range(len(d.t)):
+        gust += step / 5.0 * -gust + np.sqrt(2 * step / 5.0) * rng.normal()
+        wind[k] = max(5.0 + 3.0 * gust, 0.0)
+    along = wind * np.cos(d.yaw - 0.7) + d.v
+    return d.body(d.size * d.K / 40.0 * along * abs(along))
+
+
+def motors_heat(d: Seen) -> Sides:
+    """Copper loss that grows with what has warmed the motors."""
+    step, more = float(np.median(np.diff(d.t))), []
+    usual = float(np.mean(np.square(d.forces)))
+    for force in d.forces:
+        warm, loss = 0.0, 0.0 * d.t
+        for k, square in enumerate(force**2 / usual):
+            warm += step / 40.0 * (square - warm)
+            loss[k] = 0.12 * d.size * d.K * (1 + warm) * square
+        more.append(loss)
+    return Sides(*more)
+
+
+def brake_sticks(d: Seen) -> Sides:
+    """Hold the left brake until the robot first reverses."""
+    freed = np.cumsum(d.left < -0.05) > 0
+    return Sides(0.8 * d.size * d.K * ~freed * abs(d.left), 0.0 * d.right)
+
+
+def regeneration_threshold(d: Seen) -> Sides:
+    """Take nothing back below a power."""
+    most = 0.5 * float(np.quantile(-np.minimum(d.powers.left, 0.0), 0.98))
+    return Sides(
+        *(np.where((p < 0) & (p > -most), -p, 0.0) for p in (d.powers.left, d.powers.right))
+    )
+
+
+def belt_slips(d: Seen) -> Sides:
+    """Lose speed between motor and tread beyond a force."""
+    limit = 0.5 * float(np.quantile(abs(np.concatenate(d.forces)), 0.98))
+    more = [
+        1.5 * d.size * np.clip(abs(f) - limit, 0.0, None) * abs(v)
+        for f, v in zip(d.forces, (d.left, d.right), strict=True)
+    ]
+    return Sides(*more)
+
+
+def wet_patch(d: Seen) -> Sides:
+    """Lay a wet patch on the way, which dries."""
+    middle = len(d.t) // 3
+    away = np.hypot(d.x - d.x[middle], d.y - d.y[middle])
+    less = -0.4 * d.size * np.exp(-((away / 2.0) ** 2) - d.t / 80.0)
+    return Sides(less * d.powers.left, less * d.powers.right)
+
+
+def resonance(d: Seen) -> Sides:
+    """Drag of chains that swing at one speed."""
+    at = 0.5 * float(np.quantile(abs(d.v), 0.95))
+    force = d.size * d.K * np.exp(-(((abs(d.v) - at) / (0.15 * at)) ** 2))
+    return d.drag(force)
+
+
+def battery_resists(d: Seen) -> Sides:
+    """Heat the battery by the square of all that is drawn."""
+    total = d.powers.left + d.powers.right
+    heat = 0.3 * d.size * total**2 / float(np.quantile(abs(total), 0.98))
+    return Sides(0.5 * heat, 0.5 * heat)
+
+
+def fan(d: Seen) -> Sides:
+    """Cool the drivers while the robot moves, and ten seconds more."""
+    moving = abs(d.left) + abs(d.right) > 0.02
+    last = np.maximum.accumulate(np.where(moving, d.t, -np.inf))
+    on = 0.25 * d.size * d.K * (d.t - last < 10.0)
+    return Sides(on, on)
+
+
+def mower(d: Seen) -> Sides:
+    """Cut while driving ahead, where nothing was cut before."""
+    cell = np.round(np.column_stack([d.x, d.y]) / 0.5).astype(int)
+    known, fresh = set[tuple[int, int]](), np.zeros(len(d.t), bool)
+    entered = (-1, -1)
+    for k, here in enumerate(map(tuple, cell.tolist())):
+        fresh[k] = here not in known or here == entered
+        if here not in known:
+            known.add(here)
+            entered = here
+    on = 0.4 * d.size * d.K * (fresh & (d.v > 0.02))
+    return Sides(on, on)
+
+
+def oil(d: Seen) -> Sides:
+    """Shear grease by the root of the speed."""
+    return Sides(*(0.6 * d.size * d.K * np.sqrt(abs(v) / 0.5) * abs(v) for v in (d.left, d.right)))
+
+
 KINDS: tuple[Callable[[Seen], Sides], ...] = (
     swinging_payload, gears_slip, tyres_warm, battery_sags, stuck_caster, cable, turning_wind,
     late_brake, dead_band, computer, rain, backlash, bent_axle, full_battery, cold_bearing, stripes,
-    hill, centripetal,
+    hill, centripetal, tyre_leaks, gusts, motors_heat, brake_sticks, regeneration_threshold,
+    belt_slips, wet_patch, resonance, battery_resists, fan, mower, oil,
 )  # fmt: skip
 
 
@@ -201,13 +312,65 @@ def driven(kind: Callable[[Seen], Sides], seed: int) -> tuple[list[DriveLog], Po
     return logs, model
 
 
+def engine_runs(seed: int) -> tuple[list[Run], PowerModel]:
+    """Return two drives of a random robot in the physics engine."""
+    model, runs = robot(np.random.default_rng([seed, 77])), []
+    for k, pattern in enumerate((simulate.IDENTIFICATION, simulate.VALIDATION)):
+        asked = simulate.drive(model, pattern, rate=20.0, seed=2 * seed + k)
+
+        def follow(state: State, asked: DriveLog = asked) -> tuple[float, float] | None:
+            if state.t > asked.t[-1]:
+                return None
+            left, right = (
+                float(np.interp(state.t, asked.t, asked.channel(f"v_{side}")))
+                for side in ("left", "right")
+            )
+            return left, right
+
+        runs.append(Engine(Robot.from_model(model)).drive(follow))
+    return runs, model
+
+
+def engine_driven(
+    kind: Callable[[Seen], Sides], seed: int, runs: list[Run], model: PowerModel
+) -> list[DriveLog]:
+    """Add a kind of effect to what the engine's motors took."""
+    rng = np.random.default_rng([seed, 78])
+    size = float(rng.uniform(0.7, 1.3))
+    noise = float(rng.uniform(0.01, 0.03)) * model.coefficient("traction_resistance")
+    logs = []
+    for k, run in enumerate(runs):
+        names = ("t", "v_left", "v_right", "x", "y", "yaw")
+        clean = DriveLog(
+            {name: getattr(run, name) for name in names}
+            | {"p_left": run.battery_left, "p_right": run.battery_right},
+            "clean",
+        )
+        more = kind(Seen(clean, model, size))
+        taken = replace(
+            run, battery_left=run.battery_left + more.left,
+            battery_right=run.battery_right + more.right,
+        )  # fmt: skip
+        sensors = Sensors(power_noise=noise, measured="sides" if rng.random() < 0.5 else "total",
+                          without={"accel_x"}, seed=2 * seed + k)  # fmt: skip
+        logs.append(sensors.log(taken, f"{kind.__name__} {seed}, drive {k + 1}"))
+    return logs
+
+
 def main(count: int, first: int, names: list[str]) -> None:
     """Print what is said of each kind."""
+    engine = names[:1] == ["engine"]
+    names = names[engine:]
+    driven_by = {seed: engine_runs(seed) for seed in range(first, first + count) if engine}
     for kind in KINDS:
         if names and kind.__name__ not in names:
             continue
         for seed in range(first, first + count):
-            logs, model = driven(kind, seed)
+            if engine:
+                runs, model = driven_by[seed]
+                logs = engine_driven(kind, seed, runs, model)
+            else:
+                logs, model = driven(kind, seed)
             told = diagnose(logs[0], logs[1], model.vehicle)
             left = told.adequacy
             effects = ", ".join(f"{one.name} {one.probability:.2f}" for one in told.effects)

@@ -298,9 +298,8 @@ class _Case:
         if fight is not None:
             fitted = replace(fitted, model=fight.model)
         quality = adequacy(best.problem, fitted)
-        present = presence(
-            searched, chosen, quality, self.mass_centre is not None or fight is not None
-        )
+        otherwise = self.mass_centre is not None or fight is not None
+        present = presence(searched, chosen, quality, left, otherwise)
         weighed = (
             averaged(best.problem, fitted, parts, len(self.entries), present.stranger)
             if choose else None
@@ -347,7 +346,7 @@ class _Case:
         ]
         verdict: Verdict = "no_effect"
         if found:
-            enough = explains(quality, errors[0].rmse, known.rmse)
+            enough = explains(quality, errors[0].rmse, known.rmse, present.stranger)
             usual = {entry.name for entry in self.entries if entry.usual}
             enough &= quality.adequate or not usual.issuperset(names)
             verdict = "effect_found" if held and enough else "unexplained"

@@ -122,6 +122,7 @@ def adequacy(problem: Problem, fitted: FinalFit) -> Adequacy:
     return Adequacy(
         noise, float(np.sqrt(np.mean(every**2))), most.noise, most.residual,
         bool(most.residual > most.limit), most.time,
+        tuple(max(one.residual**2 - one.noise**2, 0.0) for one in slow),
     )  # fmt: skip
 
 
@@ -181,7 +182,7 @@ def holds(quality: Adequacy, error: float) -> bool:
     return error <= _HOLDS * max(quality.residual, quality.noise)
 
 
-def explains(quality: Adequacy, before: float, after: float) -> bool:
+def explains(quality: Adequacy, before: float, after: float, stranger: float = 0.0) -> bool:
     """Tell whether what was found explains the error, where more is left than noise.
 
     Parameters
@@ -191,16 +192,19 @@ def explains(quality: Adequacy, before: float, after: float) -> bool:
     before, after : float
         Root mean square errors on drives that took no part, of the paper's model and of the model
         with what was found [W].
+    stranger : float
+        Probability that behind what was found is something else.
 
     Returns
     -------
     bool
         False where what is left is no noise, and the errors on other drives grew, or far more than
-        noise is left and they are still more than half: something else is there.
+        noise is left, or a stranger is more probable, and they are still more than half: something
+        else is there.
     """
     if quality.adequate:
         return True
-    gross = quality.residual > _GROSS * quality.noise
+    gross = quality.residual > _GROSS * quality.noise or stranger > 0.5
     return after <= (_EXPLAINED if gross else 1.0) * before
 
 

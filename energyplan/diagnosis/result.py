@@ -143,6 +143,9 @@ class Adequacy:
     time : float
         Of half a second, two and eight seconds the one over which means differ most from those of
         noise [s].
+    missing : tuple of float
+        Mean square of what is left beyond noise, of means over half a second, two and eight
+        seconds [W^2].
 
     Examples
     --------
@@ -161,6 +164,7 @@ class Adequacy:
     slow_residual: float
     coloured: bool
     time: float
+    missing: tuple[float, ...] = (0.0, 0.0, 0.0)
 
     @property
     def adequate(self) -> bool:
@@ -269,8 +273,8 @@ class Diagnosis:
     ----------
     verdict : {"effect_found", "no_effect", "unexplained"}
         The answer in a word. ``no_effect``: the paper's model leaves no more than noise.
-        ``unexplained``: it leaves more, and no entry of the catalogue helps, or what was found does
-        not hold on the hold-out drives.
+        ``unexplained``: it leaves more, and no entry of the catalogue helps, or behind what was
+        found is more probably something else, or it does not hold on the hold-out drives.
     effects : tuple of FoundEffect
         Those of the most probable explanation: the one that explains most first, last what nearly
         every robot has.
@@ -297,7 +301,7 @@ class Diagnosis:
         The sets of effects that these drives leave possible, the most probable one first.
     none_of_these : float
         Probability that none of them is right: that behind a name is something else, which the
-        catalogue lacks. Zero where `adequacy` misses nothing.
+        catalogue lacks. Zero where no more than noise is left, which depends on nothing.
     adequacy : Adequacy
         What is left, against noise.
     predictions : tuple of EnergyPrediction

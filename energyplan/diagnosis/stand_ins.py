@@ -15,9 +15,10 @@ import numpy as np
 
 from energyplan.diagnosis.explanations import Evaluated, Found
 from energyplan.diagnosis.part import Part
-from energyplan.diagnosis.proposals import RARE, Candidate
+from energyplan.diagnosis.proposals import WEIGHTS, Candidate
+from energyplan.diagnosis.residual import Dependence
 from energyplan.diagnosis.result import Adequacy
-from energyplan.fit.drives.windows import SCALES, Design
+from energyplan.fit.drives.windows import Design
 from energyplan.fit.least_squares import PAPER, weighted
 from energyplan.path import FloatArray
 
@@ -140,13 +141,17 @@ class Presence:
 
 
 def presence(
-    searched: Found, parts: Sequence[Part], quality: Adequacy, otherwise: bool
+    searched: Found,
+    parts: Sequence[Part],
+    quality: Adequacy,
+    left: Sequence[Dependence],
+    otherwise: bool,
 ) -> Presence:
     """Return the chances that effects are there, and do not stand in for what is missing.
 
-    Where more than noise is left, Bayes' rule: the odds before the data are those that such an
-    effect is there beside what is missing, against a stranger alone; a stranger is followed as well
-    as this by chance.
+    Where more than noise is left, a name is as probable as few effects of the catalogue, were they
+    not known, would be followed as well by another. What lasts counts for more, as in the
+    likelihood of explanations.
 
     Parameters
     ----------
@@ -156,30 +161,28 @@ def presence(
         Effects of the best one that are told.
     quality : Adequacy
         What they leave.
+    left : sequence of Dependence
+        What the rest still depends on.
     otherwise : bool
         Whether something was found by other means, which nothing stands in for.
 
     Returns
     -------
     Presence
-        Certain where no more than noise is left, and where nothing was chosen. What nearly every
-        robot has is no reason for what is still left: it counts for none.
+        Certain where noise is left that depends on nothing, and where nothing was chosen. What
+        nearly every robot has is not doubted, and is no reason for what is still left.
     """
-    if quality.adequate or not len(searched.followed):
+    depends = max((one.explained_variance for one in left if one.channel != "drive"), default=0.0)
+    if (quality.adequate and depends == 0.0) or not len(searched.followed):
         return Presence({}, 0.0)
-    scale = int(np.argmin(np.abs(np.array(SCALES) - quality.time)))
-    missing = max(quality.slow_residual**2 - quality.slow_noise**2, 0.0)
-    chances, least = {}, 1.0 if otherwise else 0.0
-    named = []
+    missing = np.maximum(quality.missing, depends * quality.slow_residual**2)
+    chances, named = dict[str, float](), list[float]()
     for part, gain in zip(searched.best.parts, searched.best.gains, strict=True):
         if part not in parts:
             continue
-        fall = max(float(gain.falls[scale]), 0.0)
-        share = fall / (fall + missing) if fall > 0.0 else 0.0
-        usual = part.effect.usual
-        odds = 1.0 if usual else len(searched.followed) * float(np.exp(RARE))
-        chance = odds / (odds + chance_to_stand_in(share, searched.followed))
-        chances[part.effect.name] = chance
-        if not usual:
-            named.append(chance)
-    return Presence(chances, 1.0 - min(named, default=least))
+        falls = np.maximum(gain.falls, 0.0)
+        share = float(WEIGHTS @ (falls / np.maximum(falls + missing, 1e-300)))
+        if not part.effect.usual:
+            chances[part.effect.name] = 1.0 - chance_to_stand_in(share, searched.followed)
+            named.append(chances[part.effect.name])
+    return Presence(chances, 1.0 - min(named, default=1.0 if otherwise else 0.0))
