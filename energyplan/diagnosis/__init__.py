@@ -47,7 +47,7 @@ from energyplan.fit.least_squares import PAPER, Problem
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
-from energyplan.logs.contradictions import refuse_one_side
+from energyplan.logs.one_side import refuse_one_side
 from energyplan.logs.plausible import yaw_rate_offset
 from energyplan.power import PowerModel, Residual
 from energyplan.power.effects import Effect, catalogue
@@ -126,8 +126,7 @@ def diagnose(
     DriveLogError
         If a drive is shorter than 16 s.
     NotIdentifiableError
-        If the robot never moves in the training drives, or draws no power, or a drive
-        lacks the speed or the power of one side.
+        If the robot never moves in training, or draws no power, or a drive lacks a side's.
 
     References
     ----------
@@ -298,8 +297,7 @@ class _Case:
         if fight is not None:
             fitted = replace(fitted, model=fight.model)
         quality = adequacy(best.problem, fitted)
-        otherwise = self.mass_centre is not None or fight is not None
-        present = presence(searched, chosen, quality, left, otherwise)
+        present = presence(searched, chosen, quality, left, bool(self.mass_centre or fight))
         weighed = (
             averaged(best.problem, fitted, parts, len(self.entries), present.stranger)
             if choose else None

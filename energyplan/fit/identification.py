@@ -25,7 +25,7 @@ from energyplan.fit.solvers import Bounds
 from energyplan.kinds import ByValue, checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
-from energyplan.logs.contradictions import refuse_one_side
+from energyplan.logs.one_side import refuse_one_side
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Term

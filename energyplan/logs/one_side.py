@@ -1,0 +1,158 @@
+"""Sides whose sensors are dead, or measure in another unit than the other's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from energyplan.errors import NotIdentifiableError
+from energyplan.logs.evidence import correlation, yaw_rates
+from energyplan.path import FloatArray
+
+if TYPE_CHECKING:  # which imports this module
+    from energyplan.logs import DriveLog
+
+_ENOUGH = 20  # samples below which nothing is concluded
+_LONG = 5.0  # time of driving straight in which no power stays the same [s]
+_FOLLOWS = 0.9  # correlation with a side's speed, of a robot that turns about the other
+_UNLIKE = 60.0  # ratio of both sides' powers that no ground explains
+
+
+def find_dead(channels: Mapping[str, FloatArray], rates: Mapping[str, FloatArray]) -> list[str]:
+    """Tell whether a side shows nothing all along while the robot drives.
+
+    Parameters
+    ----------
+    channels : mapping of str to ndarray, shape (n,)
+        Channels of a log.
+    rates : mapping of str to ndarray, shape (n,)
+        Yaw rates, by the channel that shows them [rad/s].
+
+    Returns
+    -------
+    list of str
+        What is told.
+    """
+    told = []
+    for side, other in (("left", "right"), ("right", "left")):
+        speed, theirs = channels[f"v_{side}"], channels[f"v_{other}"]
+        if np.ptp(speed) == 0.0 and np.count_nonzero(theirs) >= _ENOUGH and np.ptp(theirs) > 0.0:
+            if any(abs(correlation(rate, theirs)) > _FOLLOWS for rate in rates.values()):
+                continue  # it turns about the side that stands
+            told.append(
+                f"v_{side} is {speed[0]:g} throughout while v_{other} changes: its encoder is "
+                f"dead, or the column another; map v_{side} to the speed of the {side} wheels"
+            )
+        power, drawn = channels.get(f"p_{side}"), channels.get(f"p_{other}")
+        # Where both sides go ahead alike, neither returns power.
+        ahead = np.abs(speed - theirs) < 0.1 * np.abs(speed + theirs)
+        if power is None or drawn is None or np.ptp(power) > 0.0 or np.ptp(drawn) == 0.0:
+            continue
+        if np.count_nonzero(ahead & (drawn > 0)) >= _ENOUGH:
+            told.append(
+                f"p_{side} is {power[0]:g} throughout while p_{other} is not, on straight lines "
+                f"too: its sensor is dead, or the column another; map p_{side} to the power of the "
+                f"{side} motors, or log the battery's"
+            )
+    return told
+
+
+def find_dying(channels: Mapping[str, FloatArray]) -> list[str]:
+    """Tell whether a side's power is the same from some time on, or up to it, while both go ahead.
+
+    Parameters
+    ----------
+    channels : mapping of str to ndarray, shape (n,)
+        Channels of a log.
+
+    Returns
+    -------
+    list of str
+        What is told.
+    """
+    told = []
+    t, left, right = (channels[name] for name in ("t", "v_left", "v_right"))
+    ahead = np.abs(left - right) < 0.1 * np.abs(left + right)
+    time = np.gradient(t) * ahead
+    for side, other in (("left", "right"), ("right", "left")):
+        power, drawn = channels.get(f"p_{side}"), channels.get(f"p_{other}")
+        if power is None or drawn is None or np.ptp(power) == 0.0:
+            continue
+        starts = np.concatenate([[0], np.flatnonzero(np.diff(power)) + 1])
+        lasts = np.append(starts[1:], len(power)) - 1
+        changes = np.cumsum(np.diff(drawn, prepend=drawn[0]) != 0.0)
+        driven = np.add.reduceat(time * (drawn > 0), starts)
+        # What died stays dead; between others, such a stretch may be one of little power.
+        at_an_end = (starts == 0) | (lasts == len(power) - 1)
+        varied = changes[lasts] - changes[starts] >= _ENOUGH
+        long = np.flatnonzero(at_an_end & varied & (driven > _LONG))
+        if len(long):
+            first, last = t[starts[long[0]]], t[lasts[long[0]]]
+            told.append(
+                f"p_{side} stays at {power[starts[long[0]]]:g} from t = {first:.2f} to {last:.2f} "
+                f"s while p_{other} changes, on straight lines too: its sensor is dead there; "
+                "leave that stretch out"
+            )
+    return told
+
+
+def compare_powers(channels: Mapping[str, FloatArray]) -> str:
+    """Tell whether both sides' powers are two powers, in one unit.
+
+    Parameters
+    ----------
+    channels : mapping of str to ndarray, shape (n,)
+        Channels of a log.
+
+    Returns
+    -------
+    str
+        What is told; nothing where they are.
+    """
+    if not {"p_left", "p_right"} <= set(channels):
+        return ""
+    p_left, p_right = channels["p_left"], channels["p_right"]
+    apart = np.abs(np.abs(channels["v_left"]) - np.abs(channels["v_right"]))
+    unlike = apart > 0.2 * float(np.quantile(apart, 0.99))
+    drawing = unlike & (apart > 0) & ((p_left != 0) | (p_right != 0))
+    if np.count_nonzero(drawing) < _ENOUGH:
+        return ""
+    if np.array_equal(p_left[drawing], p_right[drawing]):
+        return (
+            "p_left and p_right are the same, though the sides go at different speeds: one column "
+            "was used for both; map each to its own, or map a total as power=NAME"
+        )
+    sizes = [float(np.median(np.abs(power[drawing]))) for power in (p_left, p_right)]
+    if min(sizes) > 0 and max(sizes) > _UNLIKE * min(sizes):
+        less, more = ("p_left", "p_right") if sizes[0] < sizes[1] else ("p_right", "p_left")
+        ratio = max(sizes) / min(sizes)
+        return (
+            f"{more} is {ratio:.3g} times as large as {less}: one side is in another unit, or the "
+            f"sensor of {less} is dead; map both in one unit, as in {less}=NAME[kW]"
+        )
+    return ""
+
+
+def refuse_one_side(logs: Sequence[DriveLog]) -> None:
+    """Refuse logs that lack a side: what is identified from the other one is half of what is.
+
+    Parameters
+    ----------
+    logs : sequence of DriveLog
+        The drives.
+
+    Raises
+    ------
+    NotIdentifiableError
+        If the speed or the power of one side stays the same all along while the robot drives, or
+        the powers are no two powers in one unit.
+    """
+    for log in logs:
+        reasons = [
+            *find_dead(log.channels, yaw_rates(log.channels, log.runs)),
+            compare_powers(log.channels),
+        ]
+        for reason in filter(None, reasons):
+            raise NotIdentifiableError(f"{log.name}: {reason}")
