@@ -233,9 +233,10 @@ def _kind(node: ast.expr, names: Mapping[str, Any]) -> _Kind | None:
         return None if None in either else _either(*either)  # type: ignore[arg-type]
     if isinstance(node, ast.Subscript):
         outer = ast.unparse(node.value)
-        inner = node.slice.elts[0] if isinstance(node.slice, ast.Tuple) else node.slice
+        parts = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
+        alike = {ast.unparse(part) for part in parts} - {"..."}
         if outer in ("Sequence", "tuple", "list", "Iterable"):
-            items = _kind(inner, names)
+            items = _kind(parts[0], names) if len(alike) == 1 else None  # of one kind
             return _Kind(f"a list: {items.words}, ..." if items else "a list", _several, items)
         if outer in ("Mapping", "dict"):
             return _Kind("a mapping", lambda value: isinstance(value, Mapping))

@@ -139,7 +139,10 @@ WRONG: list[tuple[Callable[[], object], str]] = [
         "the column of 'v_left' is 1",
     ),
     (lambda: ONLINE.update(0.0, None, 0.5, 100.0), "a sample holds .*None"),
-    (lambda: ep.PowerModel.paper(VEHICLE, 0.5, 118.0), "K is 0.5 N and mu is 118.0"),
+    (
+        lambda: ep.PowerModel.paper(VEHICLE, 0.5, 118.0),
+        "K is 0.5 N and mu is 118.0; they seem to be swapped",
+    ),
     (lambda: MODEL.with_term("hotel_load", 30), "term is the text 'hotel_load'; give a Term"),
     # shapes
     (lambda: HALL.footprint_free((2, 3), VEHICLE), r"poses has shape \(2,\); give x, y \[m\], yaw"),
@@ -181,6 +184,7 @@ def test_a_wrong_kind_of_value_is_refused_with_its_place(number: int) -> None:
 
 
 RIGHT: list[Callable[[], object]] = [
+    lambda: ep.simulate.drive(MODEL, "spiral", duration=40.0, changes=[(20.0, MODEL)]),
     lambda: ep.TreadICR(np.float32(0.5), np.int64(1)),
     lambda: ep.Path([0, 0, 0], pd.Series([1, 2], index=[5, 9]), (0, 0)),
     lambda: ep.Path.from_poses(pd.DataFrame({"x": [0, 1], "y": [0, 0], "yaw": [0, 0]})),

@@ -24,6 +24,11 @@ def read_logs(
     from energyplan.io.topics import topic_map_of
 
     bags = [path for path in paths if is_bag(path)]
+    if topics and topics != vehicle and not bags:  # a project has both
+        raise InvalidInputError(
+            f"{paths[0]} is no bag, so it has no topics; leave --topics out, and name its columns "
+            "with --columns"
+        )
     chosen = topics or topic_map_of(vehicle)
     if bags and chosen is None:
         raise InvalidInputError(

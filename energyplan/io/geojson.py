@@ -29,6 +29,10 @@ LINES = ("LineString", "MultiLineString")
 MAX_COORDINATES = 1_000_000
 """Most coordinates that a file of surfaces may hold."""
 
+SMALLEST = 0.1
+"""Extent of all shapes of a file [m] below which they are in another unit: ten kilometres are a
+tenth of a degree."""
+
 
 @checked(MapError)
 def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = None) -> SurfaceMap:
@@ -66,6 +70,8 @@ def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = No
     file = Path(path)
     _, features = read_features(file)
     known = dict(models or {})
+    if not features:
+        raise MapError(f"{file}: no features; draw a polygon for each ground, or leave it out")
     surfaces: list[Surface] = []
     keep_out: list[BaseGeometry] = []
     total = 0
@@ -88,6 +94,7 @@ def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = No
             known[name] = _model(file, k, name)
         label = properties.get("surface", properties.get("name", name))
         surfaces.append(Surface(area, known[name], str(label)))
+    _check_metres(file, [*(surface.area for surface in surfaces), *keep_out])
     return SurfaceMap(tuple(surfaces), tuple(keep_out))
 
 
@@ -142,6 +149,7 @@ def read_obstacles(path: str | Path, resolution: float = 0.05) -> OccupancyGrid:
             obstacles.append(_shape(feature["geometry"], place, (*AREAS, *LINES)))
     if not features:
         raise MapError(f"{file}: no features; draw a boundary and the obstacles within")
+    _check_metres(file, [*obstacles, *inside])
     bounds = shapely.total_bounds(np.array([*obstacles, *inside], object))
     left, low, right, high = (float(v) for v in bounds)
     try:
@@ -153,6 +161,16 @@ def read_obstacles(path: str | Path, resolution: float = 0.05) -> OccupancyGrid:
         raise MapError(f"{file}: {error}") from None
 
 
+def _check_metres(file: Path, shapes: Sequence[BaseGeometry]) -> None:
+    left, low, right, high = shapely.total_bounds(np.array(shapes, object))
+    extent = max(right - left, high - low)
+    if extent < SMALLEST:
+        raise MapError(
+            f"{file}: all shapes together reach over {extent:.2g} m only; if "
+            "they are in longitude and latitude, give metres in the map's frame"
+        )
+
+
 def _shape(geometry: Mapping[str, Any], place: str, kinds: Sequence[str]) -> BaseGeometry:
     """Return a geometry of one of these kinds, checked."""
     kind = geometry.get("type")
@@ -161,7 +179,8 @@ def _shape(geometry: Mapping[str, Any], place: str, kinds: Sequence[str]) -> Bas
     try:
         area = shapely.from_geojson(json.dumps(geometry))
     except (shapely.errors.GEOSException, ValueError, TypeError, RecursionError) as error:
-        raise MapError(f"{place}: malformed coordinates: {error}") from None
+        open_ring = "; repeat the first corner at the end" if "closed" in str(error) else ""
+        raise MapError(f"{place}: malformed coordinates: {error}{open_ring}") from None
     if area is None or area.is_empty:
         raise MapError(f"{place}: no coordinates; remove the feature or draw it")
     if not area.is_valid:

@@ -416,10 +416,10 @@ class PowerModel(ByValue):
         PowerModel
             A model of two terms: slip friction, traction resistance.
         """
-        if not (K >= 0 and 0 <= mu <= _LARGEST_MU):
+        if mu > _LARGEST_MU > K:
             raise ModelError(
-                f"K is {K} N and mu is {mu}; give a traction resistance of 0 N or more, then a "
-                f"friction coefficient from 0 to {_LARGEST_MU:g}"
+                f"K is {K} N and mu is {mu}; they seem to be swapped: give the traction "
+                "resistance, then the friction coefficient"
             )
         values = np.array([mu, K], float)
         cov = None if covariance is None else np.asarray(covariance, float)

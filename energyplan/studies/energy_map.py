@@ -158,9 +158,12 @@ class EnergyMap:
         return tuple(found)
 
     def areas(self, energy: float | None = None) -> tuple[Contour, ...]:
-        """Return `contours` in `STEPS` even steps up to an energy [J], else up to the farthest."""
+        """Return `contours` in `STEPS` even steps up to an energy [J].
+
+        Where none is given, or nothing lies beyond it, up to that of the farthest place.
+        """
         farthest = float(self.energy[np.isfinite(self.energy)].max(initial=0.0))
-        limit = farthest if energy is None else energy
+        limit = farthest if energy is None or np.isinf(self.complete_to) else energy
         levels = [limit * (k / STEPS) for k in range(1, STEPS + 1)]
         return self.contours(levels) if limit > 0 else ()
 
@@ -263,13 +266,16 @@ def energy_map(
         complete = min(complete, ways.frontier + lowest)
     if upper is not None:
         energies = upper.whole(energies)
+    cut = np.any(energies[np.isfinite(energies)] > energy)
+    if cut or np.isfinite(complete):
+        complete = min(complete, energy)
     return EnergyMap(
         energy=np.where(energies <= energy, energies, np.inf),
         resolution=spacing,
         origin=there.grid.origin,
         start=problem.start,
         back=target,
-        complete_to=min(complete, energy),
+        complete_to=complete,
         confidence=confidence,
     )
 

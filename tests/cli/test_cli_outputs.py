@@ -51,9 +51,9 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def folder(drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The working folder, with a copy of the drives."""
-    work = shutil.copytree(drives, tmp_path / "work")
-    monkeypatch.chdir(work)
-    return work
+    site = shutil.copytree(drives, tmp_path / "site")
+    monkeypatch.chdir(site)
+    return site
 
 
 def refused(folder: Path, capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
@@ -71,7 +71,7 @@ PLAN = ("plan", "--map", "office.yaml", "--model", "model.yaml", "--start", "1.2
         "3.9,2,90deg")  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["robot.yaml", "./robot.yaml", "../work/robot.yaml", "soft.yaml",
+@pytest.mark.parametrize("name", ["robot.yaml", "./robot.yaml", "../site/robot.yaml", "soft.yaml",
                                   "hard.yaml", "here/robot.yaml"])  # fmt: skip
 def test_an_output_that_is_an_input_by_any_name_is_refused(
     folder: Path, capsys: pytest.CaptureFixture[str], name: str

@@ -357,6 +357,13 @@ def test_surfaces_come_back_as_they_were_written(tmp_path):
     [
         ("{", "JSON"),
         ("[]", "FeatureCollection"),
+        (collection(), "no features; draw a polygon for each ground"),
+        (
+            collection(
+                feature(shapely.box(8.5, 47.1, 8.5001, 47.1001), model="quadriga:empty:marble")
+            ),
+            "longitude and latitude",
+        ),
         ("[" * 100_000, "JSON"),
         (collection({"type": "Feature", "geometry": None}), "feature 0 has no geometry"),
         (collection(feature(BOX)), "feature 0: no property"),
