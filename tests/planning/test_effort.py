@@ -180,7 +180,7 @@ def test_much_more_effort_is_better_and_effort_is_what_was_spent():
 
 @pytest.mark.parametrize("effort", [0, -5, np.nan])
 def test_no_effort_is_refused(effort):
-    with pytest.raises(InvalidInputError, match=r"effort is .*; give a number of units"):
+    with pytest.raises(InvalidInputError, match=r"effort is .*; give a (whole )?number"):
         plan(PROBLEM, effort=effort)
 
 

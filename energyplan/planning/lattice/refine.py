@@ -21,8 +21,11 @@ from energyplan.steering.kernels import MAX_SEGMENTS
 POSES = 60
 """Largest number of poses among which shortcuts are sought."""
 
-ATTEMPT, PAIR = 0.35, 0.08
-"""Units of work that an attempt counts as, and the square of the number of poses of a shortcut."""
+ATTEMPT = 0.35
+"""Units of work that an attempt counts as."""
+
+STEERED, TESTED = 0.04, 0.35
+"""Those of a pair of poses that a shortcut might join, and of the test of its motions."""
 
 APART = 150
 """How many poses apart those lie at most that a shortcut joins."""
@@ -106,15 +109,17 @@ class Refiner:
 
     def shortcut(self, budget: Budget) -> None:
         """Leave out the poses without which the path is cheaper."""
-        apart = min(self.count, APART)
-        budget.spend(PAIR * self.count * apart)
-        self.count = int(kernels.shortcut(self.chain, self.setting, self.count, apart, 0.0))
+        self._shortcut(APART, 0.0, budget)
 
     def with_fewer_stops(self, price: float, budget: Budget) -> Segments:
         """Return the motions that are cheapest where each costs so much more [J]."""
-        budget.spend(PAIR * self.count * self.count)
-        self.count = int(kernels.shortcut(self.chain, self.setting, self.count, self.count, price))
+        self._shortcut(self.count, price, budget)
         return self.segments
+
+    def _shortcut(self, apart: int, stop: float, budget: Budget) -> None:
+        left = kernels.shortcut(self.chain, self.setting, self.count, apart, stop)
+        self.count = int(left.poses)
+        budget.spend(STEERED * left.steered + TESTED * left.tested)
 
     def move_to(self, setting: KernelProblem, reach: float, budget: Budget) -> NDArray[np.bool_]:
         """Make the path free for another body; leave it as it is where that fails.

@@ -50,9 +50,27 @@ class Chain(NamedTuple):
     step: Floats
 
 
+class Shortened(NamedTuple):
+    """What is left of a chain.
+
+    Attributes
+    ----------
+    poses : int
+        How many poses.
+    steered, tested : int
+        Pairs of poses that were steered between, and those of which the motions were tested.
+    """
+
+    poses: int
+    steered: int
+    tested: int
+
+
 @njit
-def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int, stop: float) -> int:
-    """Keep those poses only by which the chain is cheapest, and return their number.
+def shortcut(
+    chain: Chain, setting: KernelProblem, count: int, reach: int, stop: float
+) -> Shortened:
+    """Keep those poses only by which the chain is cheapest.
 
     Dynamic programming over all pairs of poses at most `reach` apart in the chain; `cost` of the
     motions given must be filled in. Every motion costs `stop` more, except one given that goes on
@@ -64,6 +82,8 @@ def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int, stop:
     before = np.empty(count, np.int64)
     joined = np.empty(count, np.bool_)
     edge = np.empty(count)
+    steered = 0
+    tested = 0
     best[0] = 0.0
     before[0] = -1
     for j in range(1, count):
@@ -86,8 +106,10 @@ def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int, stop:
             dy = b.y - a.y
             if setting.least_metre * hypot(dx, dy) >= limit:
                 continue
+            steered += 1
             if steer_energy(dx, dy, a.yaw, b.yaw, setting.steering) >= limit:
                 continue
+            tested += 1
             cost, n = join(setting, a.x, a.y, a.yaw, b.x, b.y, b.yaw, limit, ds, dtheta)
             blocked = blocked + 1 if cost == inf else 0
             if cost + stop * (n - 1) < limit:
@@ -112,7 +134,7 @@ def shortcut(chain: Chain, setting: KernelProblem, count: int, reach: int, stop:
             if not joined[j]:
                 chain.ds[k - 1] = chain.ds[j - 1]
                 chain.dtheta[k - 1] = chain.dtheta[j - 1]
-    return n
+    return Shortened(n, steered, tested)
 
 
 @inner
