@@ -9,9 +9,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 from energyplan.cost import EnergyCost
-from energyplan.cost.speeds import asked_speed, cheapest_rate, last_within, slowest_rate
+from energyplan.cost.speeds import (
+    admissible_rate,
+    asked_speed,
+    cheapest_rate,
+    last_within,
+    slowest_rate,
+)
 from energyplan.cost.steering import _turn_table
 from energyplan.errors import InvalidInputError
+from energyplan.power import Sides
 from energyplan.vehicle import MotorLimits, TreadICR, Vehicle
 
 VEHICLE = Vehicle.preset("husky_a200")
@@ -111,3 +118,19 @@ def test_a_flat_edge_gets_a_corner_in_its_middle_that_is_hardly_cheaper(
     assert 0 < 1.0 - g[flat] / joules < 2e-8
     assert slope[flat - 1] < 0 < slope[flat]
     assert_allclose(slope[flat + 1] / joules, (5.0 / 3.0 - 1.0) / 1.5)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_the_power_of_either_motor_limits_the_rate(side: str) -> None:
+    """Constant forces: a side draws, or returns, its force times its speed."""
+    vehicle = replace(
+        VEHICLE, motor=MotorLimits(speed=50.0, continuous_power=40.0, regeneration=15.0)
+    )
+    x, y = np.array([1.0, 0.3, -0.5, 1.0]), np.array([0.2, 0.6, 0.1, -0.4])
+    travel = x - y if side == "left" else x + y
+    for force in (100.0, -100.0):
+        other = Sides(*(force * (side == name) + 0 * x for name in ("left", "right")))
+        power = force * travel
+        expected = np.where(power > 0, 40.0, 15.0) / np.abs(power)
+        found = admissible_rate(x, y, vehicle, lambda *_, other=other: other)
+        assert_allclose(found, expected, rtol=1e-9)
