@@ -299,7 +299,7 @@ class _Case:
         quality = adequacy(best.problem, fitted)
         present = presence(searched, chosen, quality, left, bool(self.mass_centre or fight))
         weighed = (
-            averaged(best.problem, fitted, parts, len(self.entries), present.stranger)
+            averaged(best.problem, fitted, parts, len(self.entries), present.doubt)
             if choose else None
         )  # fmt: skip
         told = fitted if weighed is None else weighed.fitted
