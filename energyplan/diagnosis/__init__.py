@@ -298,10 +298,7 @@ class _Case:
             fitted = replace(fitted, model=fight.model)
         quality = adequacy(best.problem, fitted)
         present = presence(searched, chosen, quality, left, bool(self.mass_centre or fight))
-        weighed = (
-            averaged(best.problem, fitted, parts, len(self.entries), present.doubt)
-            if choose else None
-        )  # fmt: skip
+        weighed = averaged(best.problem, fitted, parts, len(self.entries)) if choose else None
         told = fitted if weighed is None else weighed.fitted
         average = None if weighed is None else weighed.average
         after = [predict(told.model, parts, drive) for drive in self.held]

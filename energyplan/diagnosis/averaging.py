@@ -182,7 +182,6 @@ def averaged(
     fitted: FinalFit,
     parts: Sequence[Part] = (),
     tried: int = 1,
-    stranger: float = 0.0,
 ) -> Averaged | None:
     """Average an explanation with the paper's terms, by how well each predicts what it has not met.
 
@@ -203,8 +202,6 @@ def averaged(
         Its effects.
     tried : int
         Number of effects that they were picked out of.
-    stranger : float
-        Probability that one of them only stands in for what the catalogue lacks.
 
     Returns
     -------
@@ -213,7 +210,7 @@ def averaged(
         or the drives took no energy. One run without an effect that only some robots have is left
         as it is, and so are fewer than `FEWEST_RUNS` that the explanation foretells, block by block
         over two seconds, as well as runs are alike: then little is left that another motion could
-        bring to light, unless it stands in for something else.
+        bring to light.
     """
     count = len(problem.drives)
     picked = sum(bool(part.terms) and not part.effect.usual for part in parts)
@@ -239,7 +236,7 @@ def averaged(
     design = problem.design(fitted.terms, None, start, rounds=1)
     errors = problem.reference(design)
     foretold = errors[_SLOW] <= _NOTHING * problem.floor[_SLOW]
-    if count < FEWEST_RUNS and foretold and stranger == 0.0:
+    if count < FEWEST_RUNS and foretold:
         return None
     grams = weighted(design, errors)
     folds = {"run": windows.run} if count > 1 else {}
@@ -253,8 +250,6 @@ def averaged(
     ]
     # All must be foretold: runs that are to come, and motions and ground that are in them.
     handicap = picked * float(np.log(max(tried, 1)))
-    if stranger > 0.0 and count < FEWEST_RUNS:
-        handicap += max(float(np.log(stranger / max(1.0 - stranger, _EXACT))), 0.0)
     weight, worst = min(((one.weight(handicap), one) for one in compared), key=lambda pair: pair[0])
     missed = None
     if count >= FEWEST_RUNS:

@@ -139,11 +139,6 @@ class Presence:
         """Return the chance that an effect is there."""
         return self.chances.get(name, 1.0)
 
-    @property
-    def doubt(self) -> float:
-        """Probability that a name stands for something else; zero where no name is doubted."""
-        return self.stranger if self.chances else 0.0
-
 
 def presence(
     searched: Found,

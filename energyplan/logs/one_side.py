@@ -124,14 +124,26 @@ def compare_powers(channels: Mapping[str, FloatArray]) -> str:
             "p_left and p_right are the same, though the sides go at different speeds: one column "
             "was used for both; map each to its own, or map a total as power=NAME"
         )
-    sizes = [float(np.median(np.abs(power[drawing]))) for power in (p_left, p_right)]
-    if min(sizes) > 0 and max(sizes) > _UNLIKE * min(sizes):
-        less, more = ("p_left", "p_right") if sizes[0] < sizes[1] else ("p_right", "p_left")
-        ratio = max(sizes) / min(sizes)
-        return (
-            f"{more} is {ratio:.3g} times as large as {less}: one side is in another unit, or the "
-            f"sensor of {less} is dead; map both in one unit, as in {less}=NAME[kW]"
-        )
+    # On turns alone the inner side may take next to nothing, and on straights alone one side may be
+    # pushed along by the other.
+    ahead = (apart < 0.1 * (np.abs(channels["v_left"]) + np.abs(channels["v_right"]))) & (
+        (p_left != 0) | (p_right != 0)
+    )
+    if np.count_nonzero(ahead) < _ENOUGH:
+        return ""
+    sizes = [
+        [float(np.median(np.abs(power[some]))) for power in (p_left, p_right)]
+        for some in (drawing, ahead)
+    ]
+    for less, more in ((0, 1), (1, 0)):
+        if all(0 < _UNLIKE * size[less] < size[more] for size in sizes):
+            ratio = sizes[0][more] / sizes[0][less]
+            names = "p_left", "p_right"
+            return (
+                f"{names[more]} is {ratio:.3g} times as large as {names[less]}: one side is in "
+                f"another unit, or the sensor of {names[less]} is dead; map both in one unit, as "
+                f"in {names[less]}=NAME[kW]"
+            )
     return ""
 
 
