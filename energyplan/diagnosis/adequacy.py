@@ -234,7 +234,7 @@ def energies(
         One for each drive.
     """
     model = fitted.model
-    plain = problem.as_predicted
+    plain = problem.as_predicted.with_factors([1.0] * len(problem.drives))
     design = plain.design(fitted.terms, None, model_values(model))
     values = np.array(model.coefficients)
     spread = RunSpread.of(design, values)

@@ -216,7 +216,7 @@ def averaged(
     picked = sum(bool(part.terms) and not part.effect.usual for part in parts)
     if count < FEWEST_RUNS and not picked and (count == 1 or not parts):
         return None
-    plain = problem.as_predicted
+    plain = problem.as_predicted.with_factors([1.0] * count)
     values = np.array(fitted.model.coefficients)
     start = {t.name: float(v) for t, v in zip(fitted.terms, values, strict=True)}
     whole = plain.design(fitted.terms, None, start, rounds=1)

@@ -155,8 +155,11 @@ class Search(Proposals):
         )
 
     def _best_delay(self, parts: Sequence[Part], problem: Problem) -> Late:
-        """Return the time offset of the power at which a model predicts best."""
-        terms, problem = terms_of(parts), problem.of_totals
+        """Return the time offset of the power at which a model predicts best.
+
+        Nothing is taken as known of what contacts hold: beside a turn it would stand for a delay.
+        """
+        terms, problem = terms_of(parts), problem.as_predicted
 
         def loss(late: Late) -> float:
             design = problem.delayed(late).design(terms)
@@ -181,7 +184,7 @@ class Search(Proposals):
         if self.delay is None:
             return None
         best = self._best_of(pools)
-        totals = best.problem.of_totals.delayed(ON_TIME)
+        totals = best.problem.as_predicted.delayed(ON_TIME)
         found = self._best_delay(best.parts, totals)
         if min(max(abs(found.mean - one.mean), abs(found.lag - one.lag)) for one in pools) < _APART:
             return None

@@ -275,11 +275,11 @@ class Problem:
 
     @property
     def as_predicted(self) -> Problem:
-        """The drives as those to come are predicted: totals, no factor, nothing known of contacts.
+        """The totals of the drives as those to come are predicted: nothing known of contacts.
 
         What contacts hold is told by the power of a drive, which a prediction does not know.
         """
-        drives = [replace(d, between=None, fitted=False, factor=1.0) for d in self.drives]
+        drives = [replace(drive, between=None, fitted=False) for drive in self.drives]
         return Problem(drives, self.vehicle, self.memory)
 
     def delayed(self, late: Late) -> Problem:
