@@ -436,7 +436,7 @@ def test_a_corrected_model_takes_the_place_of_the_old_one():
 
 def test_variants_of_a_mission_share_its_routes():
     lines: list[str] = []
-    base = mission(TASKS)
+    base = mission(TASKS, map=hall.__wrapped__())  # on which nobody planned yet
     first = evaluate(base, progress=lines.append)
     planned = len(lines)
     again = evaluate(replace(base, soc=0.8), progress=lines.append)
