@@ -269,7 +269,8 @@ def _kinds(owner: Callable[..., Any]) -> dict[str, _Kind]:
     for part in parts:
         names = vars(importlib.import_module(part.__module__))
         for name, text in inspect.get_annotations(part).items():
-            if isinstance(text, str):
+            # of a choice among names alone the function says which it knows
+            if isinstance(text, str) and not text.startswith("Literal["):
                 found[name] = _kind(ast.parse(text, mode="eval").body, names)
     if isinstance(owner, type):
         built = {field.name for field in fields(owner) if field.init}
