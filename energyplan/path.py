@@ -38,10 +38,10 @@ class Pose(NamedTuple):
 def refuse_degrees(
     angles: FloatArray, name: str, error: type[InvalidInputError] = InvalidInputError
 ) -> None:
-    """Refuse angles that seem to be in degrees.
+    """Refuse yaws that seem to be in degrees.
 
-    An angle in radians beyond ten is hardly ever a whole or a half number; one in degrees mostly
-    is.
+    Yaws in radians are hardly ever whole or half numbers, all of them, beyond ten; those in degrees
+    mostly are.
 
     Parameters
     ----------
@@ -55,20 +55,17 @@ def refuse_degrees(
     Raises
     ------
     InvalidInputError
-        Or `error`: if one is such a number.
+        Or `error`: if all are such numbers.
 
     Examples
     --------
-    >>> refuse_degrees(np.array([1.0, 62.83]), "dtheta")
+    >>> refuse_degrees(np.array([1.0, 62.83]), "yaw")
     """
-    wide = np.abs(angles) >= _TURNED
-    if not wide.any():
-        return
-    odd = angles[wide & (2 * angles == np.round(2 * angles))]
-    if odd.size:
+    wide = angles[np.abs(angles) >= _TURNED]
+    if wide.size and np.all(2 * angles == np.round(2 * angles)):
         raise error(
-            f"{name} is {odd[0]:g} rad, which seems to be in degrees; give radians, such as "
-            f"math.radians({odd[0]:g})"
+            f"{name} is {wide[0]:g} rad, which seems to be in degrees; give radians, such as "
+            f"math.radians({wide[0]:g})"
         )
 
 
@@ -94,7 +91,8 @@ def as_pose(
     Raises
     ------
     InvalidInputError
-        Or `error`: if they are not three finite numbers, or the yaw seems to be in degrees.
+        Or `error`: if they are not three finite numbers, or the yaw of what is not yet a pose seems
+        to be in degrees.
 
     Examples
     --------
@@ -105,7 +103,8 @@ def as_pose(
     row = numbers(value, name, error, words=words)
     if row.shape != (3,) or not np.all(np.isfinite(row)):
         raise error(f"{name} is {described(value)}; give {words}, all finite")
-    refuse_degrees(row[2:], f"the yaw of {name}", error)
+    if not isinstance(value, Pose):  # the end of a path may have turned any number of times
+        refuse_degrees(row[2:], f"the yaw of {name}", error)
     return Pose(*(float(v) for v in row))
 
 
@@ -185,7 +184,6 @@ class Path(ByValue):
                 f"ds has shape {self.ds.shape} and dtheta {self.dtheta.shape}; "
                 "give one value of each per segment"
             )
-        refuse_degrees(self.dtheta, "dtheta", PathError)
 
     def __len__(self) -> int:
         return len(self.ds)

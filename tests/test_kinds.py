@@ -166,11 +166,18 @@ WRONG: list[tuple[Callable[[], object], str]] = [
     (lambda: ep.OccupancyGrid(np.zeros((3, 3), bool), 0.1, (0, 0, 90)), "seems to be in degrees"),
     (lambda: ep.steering.energy((0, 0, 0), (1, 1, 180), COST), "the yaw of goal is 180 rad"),
     (lambda: ep.steering.energy((0, 0, 0), (1e300, 1, 0), COST), "goal lies beyond"),
-    (lambda: ep.Path((0, 0, 0), [1.0], [90.0]), "dtheta is 90 rad"),
     (lambda: robot(track=40), "wheel stands 20"),
     (lambda: robot(icr=ep.TreadICR.symmetric(40)), "tread ICR lies 40 m"),
     (lambda: LINE.poses(1e-12), "segments"),
 ]
+
+
+def test_yaws_of_many_turns_are_no_degrees() -> None:
+    spun = ep.Path((2, 2, 0), [0.0], [40.0]).end
+    assert spun.yaw == 40.0
+    assert problem(start=spun).start.yaw == 40.0
+    unwrapped = [(0, 0, 9.7), (0, 0, 10.0), (0, 0, 10.3)]
+    assert np.all(ep.steering.energy((0, 0, 0), unwrapped, COST) > 0)
 
 
 @pytest.mark.parametrize("number", range(len(WRONG)))

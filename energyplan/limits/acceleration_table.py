@@ -104,8 +104,6 @@ class Runs:
             If the robot cannot even crawl along a run.
         """
         full = min(limits.motor.acceleration, UNLIMITED)
-        if full == 0:
-            raise InvalidInputError("the motors' acceleration limit is 0; the robot cannot start")
         bounds = (
             np.full_like(self.turn, limits.motor.speed),
             _ratio(limits.yaw_rate, np.abs(self.turn)),

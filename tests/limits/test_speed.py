@@ -454,9 +454,8 @@ def test_errors_name_the_remedy():
         profile(path, PAPER, duration=0.5)
     with pytest.raises(InvalidInputError, match="nothing limits the speed"):
         profile(path, PAPER, vehicle=replace(PAPER.vehicle, motor=MotorLimits()))
-    stuck = replace(PAPER.vehicle, motor=MotorLimits(speed=1.0, acceleration=0.0))
-    with pytest.raises(InvalidInputError, match="acceleration limit is 0"):
-        profile(path, PAPER, vehicle=stuck)
+    with pytest.raises(InvalidInputError, match="motor limit acceleration is 0"):
+        MotorLimits(speed=1.0, acceleration=0.0)
     assert profile(path, PAPER, lateral_acceleration=0.0).duration == pytest.approx(2.0)
     with pytest.raises(InfeasibleMotionError, match="limit of 0"):
         profile(Path(START, [1.0], [1.0]), PAPER, lateral_acceleration=0.0)
