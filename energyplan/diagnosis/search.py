@@ -49,6 +49,7 @@ WORTH = 0.004
 to less, and what is left of it looks like one effect or another."""
 
 _TRIED = 6  # neighbours of the best set that are fitted as they are
+_AS_GOOD = 1.5  # odds of two explanations up to which neither is the better one
 _COMPARED = 1e-3  # probability from which on explanations are held against each other
 _APART = 0.05  # delays that are worth sets of their own [s]
 _LATE = -float(np.log(len(DELAYS)))  # most logs' power is late: only the search for it counts
@@ -381,7 +382,9 @@ class Search(Proposals):
     def _classed(self, ranked: Sequence[Explanation]) -> list[Explanation]:
         """Say of each explanation which others these drives cannot tell it from.
 
-        Of those the one is first whose masses are most like the vehicle's.
+        Of those the one is first whose masses are most like the vehicle's; where these hardly tell
+        either, the one whose effects the catalogue has first: losses while returning power stand
+        before those while drawing, which divide all other sizes.
         """
         compared = [one for one in ranked if one.probability > _COMPARED]
         accounts = []
@@ -391,29 +394,24 @@ class Search(Proposals):
             accounts.append(Account(design, fit(design, errors), errors))
         number = classes(accounts, lambda e, n: float(self.likelihood(e, n)))
         share = np.array([one.probability for one in compared])
-        like = np.array(
-            [
-                likeness(one.problem.vehicle, one.parts, account.fit.values)
-                for one, account in zip(compared, accounts, strict=True)
-            ]
-        )
+        pairs = zip(compared, accounts, strict=True)
+        like = np.array([likeness(e.problem.vehicle, e.parts, a.fit.values) for e, a in pairs])
         for head in set(number):
-            same = np.array(number) == head
+            same = np.flatnonzero(np.array(number) == head)
             weighed = share[same] * like[same]
             if weighed.any():
                 share[same] = weighed * (share[same].sum() / weighed.sum())
-        told = [
-            replace(
-                one,
-                probability=float(share[k]) if k < len(compared) else one.probability,
-                alike=tuple(
-                    compared[j].names for j in range(len(compared))
-                    if k < len(compared) and j != k and number[j] == number[k]
-                ),
-            )
-            for k, one in enumerate(ranked)
-        ]  # fmt: skip
-        return sorted(told, key=lambda one: -round(one.probability, 3))
+            near = same[_AS_GOOD * share[same] >= share[same].max()]
+            share[near] = share[near].mean()
+        told = list(ranked)
+        for k, one in enumerate(compared):
+            alike = (j for j in range(len(compared)) if j != k and number[j] == number[k])
+            names = tuple(compared[j].names for j in alike)
+            told[k] = replace(one, probability=float(share[k]), alike=names)
+        order = {effect.name: k for k, effect in enumerate(self.effects)}
+        places = [sorted(order.get(name, -1) for name in one.names) for one in told]
+        shares = [-round(one.probability, 3) for one in told]
+        return [told[k] for k in sorted(range(len(told)), key=lambda k: (shares[k], places[k]))]
 
     def _refined(self, best: Explanation) -> Explanation:
         """Move the parameters that were searched on a grid to where the loss is least."""
