@@ -329,7 +329,7 @@ def check_fields(record: Any, error: type[Exception], whose: str = "") -> None:
     >>> TreadICR(0.4, "0.4")
     Traceback (most recent call last):
     ...
-    energyplan.errors.VehicleError: right is the text '0.4'; give a number, in SI units
+    energyplan.errors.VehicleError: tread ICR right is the text '0.4'; give a number, in SI units
     """
     for name, kind in _kinds(type(record)).items():  # type: ignore[arg-type]
         value = getattr(record, name)
@@ -351,7 +351,7 @@ def checked(error: type[Exception] = InvalidInputError) -> Callable[[Function], 
     Examples
     --------
     >>> @checked()
-    ... def double(value: "float") -> "float":
+    ... def double(value: float) -> float:
     ...     return 2 * value
     >>> double("2")
     Traceback (most recent call last):
