@@ -11,7 +11,7 @@ import ast
 import importlib
 import inspect
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import cache, wraps
 from numbers import Integral, Real
@@ -404,6 +404,10 @@ def _key(value: object) -> object:
     return tuple(map(_key, value)) if isinstance(value, tuple) else value
 
 
+def _compared(record: Any) -> Iterator[Any]:
+    return (getattr(record, field.name) for field in fields(record) if field.compare)
+
+
 class ByValue:
     """Base of dataclasses with arrays among their fields: equal where all fields are.
 
@@ -419,9 +423,7 @@ class ByValue:
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
-        compared = [field.name for field in fields(self) if field.compare]  # type: ignore[arg-type]
-        return all(_same(getattr(self, name), getattr(other, name)) for name in compared)
+        return all(map(_same, _compared(self), _compared(other)))
 
     def __hash__(self) -> int:
-        compared = [field.name for field in fields(self) if field.compare]  # type: ignore[arg-type]
-        return hash(tuple(_key(getattr(self, name)) for name in compared))
+        return hash(tuple(map(_key, _compared(self))))

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from energyplan.errors import NotIdentifiableError
 from energyplan.logs.evidence import correlation, yaw_rates
@@ -18,6 +19,11 @@ _ENOUGH = 20  # samples below which nothing is concluded
 _LONG = 5.0  # time of driving straight in which no power stays the same [s]
 _FOLLOWS = 0.9  # correlation with a side's speed, of a robot that turns about the other
 _UNLIKE = 60.0  # ratio of both sides' powers that no ground explains
+
+
+def _ahead(left: FloatArray, right: FloatArray) -> NDArray[np.bool_]:
+    """Tell where both sides go the same way, about as fast."""
+    return np.asarray(np.abs(left - right) < 0.1 * np.abs(left + right))
 
 
 def find_dead(channels: Mapping[str, FloatArray], rates: Mapping[str, FloatArray]) -> list[str]:
@@ -46,8 +52,7 @@ def find_dead(channels: Mapping[str, FloatArray], rates: Mapping[str, FloatArray
                 f"dead, or the column another; map v_{side} to the speed of the {side} wheels"
             )
         power, drawn = channels.get(f"p_{side}"), channels.get(f"p_{other}")
-        # Where both sides go ahead alike, neither returns power.
-        ahead = np.abs(speed - theirs) < 0.1 * np.abs(speed + theirs)
+        ahead = _ahead(speed, theirs)  # where neither side returns power
         if power is None or drawn is None or np.ptp(power) > 0.0 or np.ptp(drawn) == 0.0:
             continue
         if np.count_nonzero(ahead & (drawn > 0)) >= _ENOUGH:
@@ -74,8 +79,7 @@ def find_dying(channels: Mapping[str, FloatArray]) -> list[str]:
     """
     told = []
     t, left, right = (channels[name] for name in ("t", "v_left", "v_right"))
-    ahead = np.abs(left - right) < 0.1 * np.abs(left + right)
-    time = np.gradient(t) * ahead
+    time = np.gradient(t) * _ahead(left, right)
     for side, other in (("left", "right"), ("right", "left")):
         power, drawn = channels.get(f"p_{side}"), channels.get(f"p_{other}")
         if power is None or drawn is None or np.ptp(power) == 0.0:
@@ -124,16 +128,15 @@ def compare_powers(channels: Mapping[str, FloatArray]) -> str:
             "p_left and p_right are the same, though the sides go at different speeds: one column "
             "was used for both; map each to its own, or map a total as power=NAME"
         )
-    # On turns alone the inner side may take next to nothing, and on straights alone one side may be
-    # pushed along by the other.
-    ahead = (apart < 0.1 * (np.abs(channels["v_left"]) + np.abs(channels["v_right"]))) & (
-        (p_left != 0) | (p_right != 0)
-    )
-    if np.count_nonzero(ahead) < _ENOUGH:
+    # On turns alone the inner side may take next to nothing, and where both sides are as fast,
+    # straight on or on the spot, one may be pushed along by the other.
+    alike = _ahead(np.abs(channels["v_left"]), np.abs(channels["v_right"]))
+    alike &= (p_left != 0) | (p_right != 0)
+    if np.count_nonzero(alike) < _ENOUGH:
         return ""
     sizes = [
         [float(np.median(np.abs(power[some]))) for power in (p_left, p_right)]
-        for some in (drawing, ahead)
+        for some in (drawing, alike)
     ]
     for less, more in ((0, 1), (1, 0)):
         if all(0 < _UNLIKE * size[less] < size[more] for size in sizes):
