@@ -22,12 +22,15 @@ from concurrent.futures import (
 from dataclasses import dataclass, replace
 from importlib import import_module
 from multiprocessing import get_context
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from energyplan.errors import EnergyPlanError, MissingDependencyError
-from energyplan.mission import Mission, MissionReport, evaluate
-from energyplan.mission.foresight import routes_wanted
-from energyplan.mission.legs import Legs, RouteKey, known_routes, learn_routes
+
+# every worker imports this module, and what is run there may be anything: missions are imported
+# where they are evaluated
+if TYPE_CHECKING:
+    from energyplan.mission import Mission, MissionReport
+    from energyplan.mission.legs import RouteKey
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -206,6 +209,8 @@ def evaluate_variants(
     >>> sorted((one.index, one.value.feasible) for one in made)
     [(0, True), (1, True)]
     """
+    from energyplan.mission.legs import known_routes, learn_routes
+
     place = _place(_step, mission, executor, scheduler, workers)
     try:
         routes = known_routes(mission.map)
@@ -214,7 +219,8 @@ def evaluate_variants(
             if planned.ok:
                 routes |= planned.value[1]
         learn_routes(mission.map, routes)
-        common, late = place.broadcast(routes), dict[RouteKey, Any]()
+        common = place.broadcast(routes)
+        late: dict[RouteKey, Any] = {}
         items = ((changes, (common, dict(late))) for changes in variants)
         for outcome in _counted(_Flow(place, iter(enumerate(items))), progress):
             if outcome.ok:
@@ -229,6 +235,8 @@ def evaluate_variants(
 
 def _wanted(mission: Mission) -> list[tuple[int, int, bool]]:
     """Return the routes to plan first; none where the mission as such cannot be evaluated."""
+    from energyplan.mission.foresight import routes_wanted
+
     try:
         return routes_wanted(mission)
     except EnergyPlanError:
@@ -237,6 +245,9 @@ def _wanted(mission: Mission) -> list[tuple[int, int, bool]]:
 
 def _step(item: tuple[Any, Any], mission: Mission) -> tuple[Any, dict[RouteKey, Any]]:
     """Plan one route, or evaluate one variant; return what came of it, and the routes planned."""
+    from energyplan.mission import evaluate
+    from energyplan.mission.legs import Legs, known_routes, learn_routes
+
     asked, routes = item
     for told in routes:
         learn_routes(mission.map, told)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-import time
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from batch_items import deadly, picky, scaled, slow, square
 
 from energyplan import batch
 from energyplan.battery import Battery
@@ -20,35 +21,6 @@ from energyplan.mission.foresight import routes_wanted
 from energyplan.path import Pose
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
-
-
-def square(x: int) -> int:
-    return x * x
-
-
-def picky(x: int) -> int:
-    if x % 5 == 3:
-        raise ValueError(f"{x} is not to my taste")
-    return x
-
-
-def scaled(x: float, shared: np.ndarray) -> float:
-    return float(x * shared.sum())
-
-
-def deadly(x: int, marker: str) -> int:
-    """Kill the worker at item 7 the first time, and at item 11 every time."""
-    if x == 11:
-        os.kill(os.getpid(), signal.SIGKILL)
-    if x == 7 and not Path(marker).exists():
-        Path(marker).touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return x
-
-
-def slow(x: int, shared: str) -> tuple[int, int]:
-    time.sleep(0.1)
-    return x, os.getpid()
 
 
 def test_every_item_comes_back_once_with_progress():
@@ -147,19 +119,24 @@ def rooms() -> Mission:
     )  # fmt: skip
 
 
-@pytest.mark.slow
-def test_no_route_is_planned_twice_by_the_workers_of_a_cluster(tmp_path):
-    """Two workers plan some of them each, and both know all before the first variant."""
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    """Two workers on this machine; one that dies is replaced."""
     distributed = pytest.importorskip("distributed")
-    mission, variants = rooms(), [{"soc": 0.9 - 0.05 * k} for k in range(8)]
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-    ) as cluster:
-        with distributed.Client(cluster) as client:
-            client.run(note_routes, str(tmp_path))
-        outcomes = list(
-            batch.evaluate_variants(mission, variants, scheduler=cluster.scheduler_address)
-        )
+    ) as made:
+        yield made
+
+
+@pytest.mark.slow
+def test_no_route_is_planned_twice_by_the_workers_of_a_cluster(cluster, tmp_path):
+    """Two workers plan some of them each, and both know all before the first variant."""
+    mission, variants = rooms(), [{"soc": 0.9 - 0.05 * k} for k in range(8)]
+    with cluster.get_client() as client:
+        client.wait_for_workers(2)
+        client.run(note_routes, str(tmp_path))
+    outcomes = list(batch.evaluate_variants(mission, variants, scheduler=cluster.scheduler_address))
     assert all(outcome.ok for outcome in outcomes), [outcome.error for outcome in outcomes]
     notes = [file.name.split(" ", 2) for file in tmp_path.iterdir()]
     # a way back is the way there driven backwards, where that costs the same
@@ -189,17 +166,15 @@ def test_routes_that_were_learned_are_not_planned_again(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_dask_cluster_loses_a_worker_and_no_result():
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-    ) as cluster:
-        doomed = next(iter(cluster.workers.values())).process.pid
-        outcomes = []
-        for outcome in batch.run(slow, range(40), shared="x", scheduler=cluster.scheduler_address):
-            outcomes.append(outcome)
-            if len(outcomes) == 8:
-                os.kill(doomed, signal.SIGKILL)
+def test_a_dask_cluster_loses_a_worker_and_no_result(cluster):
+    with cluster.get_client() as client:
+        client.wait_for_workers(2)
+    doomed = next(iter(cluster.workers.values())).process.pid
+    outcomes = []
+    for outcome in batch.run(slow, range(40), shared="x", scheduler=cluster.scheduler_address):
+        outcomes.append(outcome)
+        if len(outcomes) == 8:
+            os.kill(doomed, signal.SIGKILL)
     assert sorted(o.index for o in outcomes) == list(range(40))
     assert all(o.ok for o in outcomes)
     assert sorted(o.value[0] for o in outcomes) == list(range(40))
