@@ -12,20 +12,16 @@ import typer
 from typer.models import CommandInfo
 
 from energyplan.cli import (
-    _cost,
+    _exports,
     _fitting,
     _loop,
     _mission,
     _planning,
     _range,
-    _rmf,
     _routes,
-    _serve,
-    _start,
-    _warmup,
     _watch,
 )
-from energyplan.cli.answers import INTERRUPTED, answer, give_up_stdout, warn
+from energyplan.cli.answers import INTERRUPTED, answer, give_up_stdout, progress, warn
 from energyplan.cli.app import app
 from energyplan.cli.options import Json, writes_folder
 from energyplan.errors import EnergyPlanError, MissingDependencyError, TimeLimitError
@@ -33,8 +29,7 @@ from energyplan.errors import EnergyPlanError, MissingDependencyError, TimeLimit
 __all__ = ["app", "main"]
 
 _COMMANDS = (
-    _start, _fitting, _planning, _routes, _range, _mission, _rmf, _cost, _loop, _serve, _warmup,
-    _watch,
+    _fitting, _planning, _routes, _range, _mission, _exports, _loop, _watch,
 )  # fmt: skip
 """Modules that register commands when they are imported."""
 
@@ -62,6 +57,71 @@ def demo(
     files = run(out, say=(lambda text: None) if json else warn)
     names = [str(name) for name in files]
     answer({"files": names}, [*names, f"open {out / 'index.html'} in a browser"], json=json)
+
+
+@app.command(epilog="Example: energyplan serve maps --port 8321")
+def serve(
+    folder: Annotated[Path, typer.Argument(help="Folder with maps, models, missions and logs.")],
+    host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port.")] = 8321,
+    token: Annotated[
+        str | None,
+        typer.Option(
+            envvar="ENERGYPLAN_TOKEN",
+            help="Secret that each request must carry; required for any other host.",
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Requests worked on at once. Default: one a core.")
+    ] = None,
+    waiting: Annotated[
+        int, typer.Option(min=0, help="Requests that may wait; further ones are refused.")
+    ] = 32,
+) -> None:
+    """Serve plans and missions over HTTP.
+
+    Also serves checks and diagnoses, and a page to try them on.
+    """
+    from energyplan.serve.server import run
+
+    run(folder, host, port, token, workers, waiting)
+
+
+@app.command(epilog="Example: energyplan warmup --json")
+def warmup(
+    processes: Annotated[
+        int | None,
+        typer.Option(min=1, help="Processes that share the work; by default all processors'."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Compile all kernels ahead.
+
+    In a container image or on a test machine, later commands then start at once.
+    """
+    from importlib import import_module
+
+    from energyplan.compilation import cache_folder, compile_kernels, kernel_modules
+
+    modules = kernel_modules()
+    with progress("compiling"):
+        for module in modules:
+            import_module(module)
+        made = compile_kernels(*modules, processes=processes)
+    document = {
+        "folder": str(cache_folder()),
+        "compiled": [kernel._asdict() for kernel in made.compiled],
+        "found": made.found,
+        "kept": made.kept,
+        "processes": made.processes,
+        "seconds": made.seconds,
+    }
+    text = (
+        f"{len(made.compiled)} kernels compiled in {made.seconds:.1f} s by {made.processes} "
+        f"process{'es' if made.processes > 1 else ''}, {made.found} found; "
+    )
+    where = f"kept in {cache_folder()}" if made.kept else "not kept: the next process compiles too"
+    answer(document, [text + where], json=json)
 
 
 def _place(command: CommandInfo) -> int:

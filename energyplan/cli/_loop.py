@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from energyplan.cli._planning import Effort, Heights, MapFile, Start, Surfaces, ground_of
-from energyplan.cli.answers import answer, progress, verdict
+from energyplan.cli.answers import answer, progress, verdict, write_report
 from energyplan.cli.app import app
 from energyplan.cli.inputs import parse_pose, read_logs
 from energyplan.cli.options import TABLES, Json, ModelName, OutModel, Report, Strict, writes
-from energyplan.cli.reports import write_report
 from energyplan.errors import InvalidInputError
 
 if TYPE_CHECKING:

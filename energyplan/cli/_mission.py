@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from energyplan.cli.answers import answer, progress, verdict
+from energyplan.cli.answers import answer, progress, verdict, write_report
 from energyplan.cli.app import app
 from energyplan.cli.options import Json, Report, Strict, writes_folder
-from energyplan.cli.reports import write_report
 from energyplan.errors import InvalidInputError
 
 if TYPE_CHECKING:

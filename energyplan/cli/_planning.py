@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn
 
 import typer
 
-from energyplan.cli.answers import NO, answer, progress, verdict, warn
+from energyplan.cli.answers import NO, answer, progress, verdict, warn, write_report
 from energyplan.cli.app import app
 from energyplan.cli.inputs import parse_pose
 from energyplan.cli.options import IMAGES, TABLES, Json, ModelName, Report, Strict, writes
-from energyplan.cli.reports import write_report
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, NoPathError
 
 if TYPE_CHECKING:

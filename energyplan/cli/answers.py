@@ -1,16 +1,22 @@
-"""What commands print: the answer, words beside it, progress."""
+"""What commands give: the answer, words beside it, progress, and reports."""
 
 from __future__ import annotations
 
 import json as jsonlib
 import os
+import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from energyplan.output.report import Page
+
 
 presets_used: ContextVar[dict[str, str]] = ContextVar("presets", default={})  # noqa: B039
 """Ready-made models that the command in hand uses, with their sources; never changed in place."""
@@ -89,3 +95,22 @@ def progress(text: str) -> Iterator[Any]:
             )
         finally:
             ended()
+
+
+_command: ContextVar[tuple[str, tuple[str | Path, ...]]] = ContextVar("command", default=("", ()))
+"""The command in hand as a shell takes it, and what it was given to read."""
+
+
+def remember_command(words: Sequence[str], inputs: Sequence[str | Path]) -> None:
+    """Keep the command in hand, and what it was given to read, for its report."""
+    _command.set((shlex.join(words), tuple(inputs)))
+
+
+def write_report(page: Page, file: Path) -> None:
+    """Write a report, with the command and the files read at its end."""
+    from energyplan.io.files import atomic_write, files_behind
+
+    call, inputs = _command.get()
+    read = dict.fromkeys(source for value in inputs for source in files_behind(value))
+    page.made_from(call=call, files=read)
+    atomic_write(file, page.html())

@@ -12,9 +12,8 @@ from typing import Annotated, Any, TypeVar
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from energyplan.cli.answers import presets_used, say
+from energyplan.cli.answers import presets_used, remember_command, say
 from energyplan.cli.options import OUTPUTS
-from energyplan.cli.reports import remember_command
 from energyplan.errors import InvalidInputError
 
 _PROJECT, _ARGUMENTS = "energyplan.project", "energyplan.given"
