@@ -30,7 +30,7 @@ from energyplan.errors import EnergyPlanError, MissingDependencyError
 # where they are evaluated
 if TYPE_CHECKING:
     from energyplan.mission import Mission, MissionReport
-    from energyplan.mission.legs import RouteKey
+    from energyplan.mission.foresight import RouteKey
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -209,7 +209,7 @@ def evaluate_variants(
     >>> sorted((one.index, one.value.feasible) for one in made)
     [(0, True), (1, True)]
     """
-    from energyplan.mission.legs import known_routes, learn_routes
+    from energyplan.mission.foresight import known_routes, learn_routes
 
     place = _place(_step, mission, executor, scheduler, workers)
     try:
@@ -246,7 +246,8 @@ def _wanted(mission: Mission) -> list[tuple[int, int, bool]]:
 def _step(item: tuple[Any, Any], mission: Mission) -> tuple[Any, dict[RouteKey, Any]]:
     """Plan one route, or evaluate one variant; return what came of it, and the routes planned."""
     from energyplan.mission import evaluate
-    from energyplan.mission.legs import Legs, known_routes, learn_routes
+    from energyplan.mission.foresight import known_routes, learn_routes
+    from energyplan.mission.legs import Legs
 
     asked, routes = item
     for told in routes:

@@ -150,16 +150,16 @@ def test_no_route_is_planned_twice_by_the_workers_of_a_cluster(cluster, tmp_path
 
 
 def test_routes_that_were_learned_are_not_planned_again(monkeypatch):
-    from energyplan.mission import legs
+    from energyplan.mission import foresight, legs
 
     mission = rooms()
     first = evaluate(mission)
-    routes = legs.known_routes(mission.map)
+    routes = foresight.known_routes(mission.map)
     other = replace(mission, map=OccupancyGrid(mission.map.occupied, 0.1))
     wanted = routes_wanted(other)
-    assert legs.known_routes(other.map) == {}  # guesses are no routes
+    assert foresight.known_routes(other.map) == {}  # guesses are no routes
     assert len({frozenset(route) for route in wanted}) == len(wanted)
-    legs.learn_routes(other.map, routes)
+    foresight.learn_routes(other.map, routes)
     assert routes_wanted(other) == []
     monkeypatch.setattr(legs, "plan", None)
     assert evaluate(other).energy == first.energy

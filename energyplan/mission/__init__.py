@@ -16,7 +16,6 @@ import numpy as np
 from energyplan.battery import Battery
 from energyplan.errors import MissionError
 from energyplan.kinds import checked
-from energyplan.mission.account import charger_reports, doubts, leg_reports, timeline
 from energyplan.mission.condition import Attempt, Condition
 from energyplan.mission.energy import Estimate
 from energyplan.mission.given_order import Course, best_course
@@ -32,11 +31,15 @@ from energyplan.mission.report import (
     Stop,
     TaskReport,
     Timeline,
+    charger_reports,
+    doubts,
+    leg_reports,
+    timeline,
 )
 from energyplan.mission.simulation import Walk
-from energyplan.mission.spreads import Spreads
 from energyplan.mission.tasks import Charger, Task
 from energyplan.mission.types import Mission
+from energyplan.mission.unknowns import Spreads
 
 __all__ = [
     "Charger", "ChargerReport", "Doubt", "LegReport", "Mission", "MissionReport", "Remedy",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable
 from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
@@ -12,11 +12,12 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 import shapely
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitError
-from energyplan.mission.bounds import shortest_ways
 from energyplan.mission.energy import Estimate, Grounds
 from energyplan.mission.types import Mission
 from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
@@ -25,12 +26,19 @@ from energyplan.planning.driven import drive_path
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
+from energyplan.vehicle import Vehicle
 
 _PERIOD = 0.1
 """Largest time between two samples of a leg [s]."""
 
 _PLANNING = 20.0
 """Time for all routes of a mission, where it does not say otherwise [s]."""
+
+_CELLS = 30_000
+"""Most cells of the coarse grid."""
+
+_OCTILE = np.cos(np.pi / 8)
+"""Least distance over way along the eight directions of a grid."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +78,7 @@ class Leg:
 
 
 @dataclass(frozen=True)
-class _Route:
+class Route:
     """A way that was planned, and how it is timed by each model that was asked."""
 
     path: Path
@@ -79,7 +87,7 @@ class _Route:
     timed: dict[Hashable, Trajectory] = field(default_factory=dict)
 
 
-_routes: WeakKeyDictionary[OccupancyGrid, dict[bytes, dict[tuple[Pose, Pose, bool], _Route]]] = (
+PLANNED: WeakKeyDictionary[OccupancyGrid, dict[bytes, dict[tuple[Pose, Pose, bool], Route]]] = (
     WeakKeyDictionary()
 )
 """Routes by map, and by everything else that decides them: variants of a mission share them."""
@@ -259,14 +267,14 @@ class Legs:
             self._legs[key] = self._priced(self._route(start, goal, hurried), payload, hurried)
         return self._legs[key]
 
-    def _route(self, start: int, goal: int, hurried: bool) -> _Route:
+    def _route(self, start: int, goal: int, hurried: bool) -> Route:
         """Plan from node to node, for the payload at the start of the mission."""
         key = self.poses[start], self.poses[goal], hurried
         if key not in self._routes:
             self._routes[key] = self._planned(start, goal, hurried)
         return self._routes[key]
 
-    def _known_routes(self) -> dict[tuple[Pose, Pose, bool], _Route]:
+    def _known_routes(self) -> dict[tuple[Pose, Pose, bool], Route]:
         """Return the routes that were planned before with the same map, costs and planner."""
         mission = self.mission
         cost, surfaces = self.cost(mission.payload)
@@ -279,7 +287,7 @@ class Legs:
             _shaped(mission.heights),
             self._speed, mission.planner, self._planning_time, mission.planning_effort,
         )  # fmt: skip
-        known = _routes.setdefault(mission.map, {})
+        known = PLANNED.setdefault(mission.map, {})
         key = hashlib.sha256(repr(asked).encode()).digest()
         routes = known.pop(key, {})
         known[key] = routes
@@ -287,17 +295,17 @@ class Legs:
             del known[next(iter(known))]
         return routes
 
-    def _planned(self, start: int, goal: int, hurried: bool) -> _Route:
+    def _planned(self, start: int, goal: int, hurried: bool) -> Route:
         mission = self.mission
         here, there = self.poses[start], self.poses[goal]
         cost, _ = self.cost(mission.payload)
         still = Path(here, np.zeros(0), np.zeros(0), cost.icr.longitudinal)
         if here == there:
-            return _Route(still)
+            return Route(still)
         back = self._routes.get((there, here, hurried))
         if back is not None and self._symmetric:
             way = still if back.trouble else back.path.reversed()
-            return _Route(way, back.trouble, back.detail)
+            return Route(way, back.trouble, back.detail)
         if self._progress is not None:
             quickly = ", in a hurry" if hurried else ""
             self._progress(f"planning from {self.names[start]} to {self.names[goal]}{quickly}")
@@ -306,12 +314,12 @@ class Legs:
             try:
                 limit, effort = patience * self._planning_time, mission.planning_effort
                 effort = None if effort is None else patience * effort
-                return _Route(plan(problem, mission.planner, limit, effort=effort).path)
+                return Route(plan(problem, mission.planner, limit, effort=effort).path)
             except TimeLimitError as error:
                 last = str(error)
             except PlanningError as error:
-                return _Route(still, "no_path", str(error))
-        return _Route(still, "time", last)
+                return Route(still, "no_path", str(error))
+        return Route(still, "time", last)
 
     @property
     def _planning_time(self) -> float:
@@ -335,7 +343,7 @@ class Legs:
             for c in ((cost,) if surfaces is None else surfaces.costs(cost))
         )
 
-    def _priced(self, route: _Route, payload: float, hurried: bool) -> Leg:
+    def _priced(self, route: Route, payload: float, hurried: bool) -> Leg:
         grounds, path = self.grounds, route.path
         nothing = grounds.nothing
         if route.trouble:
@@ -354,7 +362,7 @@ class Legs:
             grounds.estimate(trajectory, payload),
         )
 
-    def _timed(self, route: _Route, payload: float, hurried: bool) -> Trajectory:
+    def _timed(self, route: Route, payload: float, hurried: bool) -> Trajectory:
         """Return the route's trajectory, as a plan of the same route is driven."""
         mission = self.mission
         cost, surfaces = self.cost(payload)
@@ -367,77 +375,6 @@ class Legs:
                 route.path, cost, surfaces, mission.heights, grid=mission.free_map, period=_PERIOD
             ).trajectory
         return route.timed[key]
-
-
-class GuessedLegs(Legs):
-    """Legs that plan nothing: a route that is not known is guessed without obstacles, and noted.
-
-    Parameters
-    ----------
-    mission : Mission
-        The mission.
-    """
-
-    def __init__(self, mission: Mission) -> None:
-        super().__init__(mission)
-        self._guessed: dict[tuple[Pose, Pose, bool], _Route] = {}
-        self.wanted: list[tuple[int, int, bool]] = []
-
-    def planned(self, start: int, goal: int, hurried: bool = False) -> bool:
-        """Tell whether the route from node to node is known or guessed."""
-        guess = self.poses[start], self.poses[goal], hurried
-        return guess in self._guessed or super().planned(start, goal, hurried)
-
-    def _route(self, start: int, goal: int, hurried: bool) -> _Route:
-        here, there = self.poses[start], self.poses[goal]
-        way, back = (here, there, hurried), (there, here, hurried)
-        if here == there or way in self._routes:
-            return super()._route(start, goal, hurried)
-        if way not in self._guessed:
-            cost, _ = self.cost(self.mission.payload)
-            if not (self._symmetric and (back in self._guessed or back in self._routes)):
-                self.wanted.append((start, goal, hurried))
-            self._guessed[way] = _Route(steering.path(here, there, cost))
-        return self._guessed[way]
-
-
-RouteKey = tuple[bytes, Pose, Pose, bool]
-"""What decides a route on a map, its start, its goal, and whether it is driven in a hurry."""
-
-
-def known_routes(grid: OccupancyGrid) -> dict[RouteKey, _Route]:
-    """Return the routes that were planned on a map in this process, to be learned in another one.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        The map.
-
-    Returns
-    -------
-    dict
-        The routes by what decides them.
-    """
-    return {
-        (digest, *pair): route
-        for digest, routes in _routes.get(grid, {}).items()
-        for pair, route in routes.items()
-    }
-
-
-def learn_routes(grid: OccupancyGrid, routes: Mapping[RouteKey, _Route]) -> None:
-    """Take in routes that were planned elsewhere.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        The map.
-    routes : mapping
-        As from `known_routes`.
-    """
-    known = _routes.setdefault(grid, {})
-    for (digest, here, there, hurried), route in routes.items():
-        known.setdefault(digest, {}).setdefault((here, there, hurried), route)
 
 
 def _shaped(heights: HeightMap | None) -> object:
@@ -457,3 +394,57 @@ def _told(model: PowerModel) -> tuple[object, ...]:
 
 def _stuck(path: Path, nothing: Estimate, trouble: str, detail: str) -> Leg:
     return Leg(path, None, np.zeros(0), np.zeros(0), replace(nothing, mean=np.inf), trouble, detail)
+
+
+def shortest_ways(grid: OccupancyGrid, vehicle: Vehicle, points: FloatArray) -> FloatArray:
+    """Return how far the robot's origin travels at least from point to point.
+
+    The largest disc about the origin inside the footprint moves over cells that are coarse enough
+    for a quick search; a coarse cell is open if the disc fits at any place in it. The way along
+    eight directions is at most 1.08 times the shortest; what the cells blur is taken off.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        Obstacles.
+    vehicle : Vehicle
+        The vehicle, for its footprint.
+    points : ndarray, shape (n, 2)
+        Points in the world [m].
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Lengths [m]; infinite where no disc gets from one to the other.
+    """
+    rows, columns = grid.shape
+    stride = max(int(np.ceil(np.sqrt(rows * columns / _CELLS))), 1)
+    (x_min, y_min), (x_max, y_max) = vehicle.footprint.tolist()
+    radius = max(min(-x_min, x_max, -y_min, y_max), 0.0)
+    slack = 0.71 * grid.resolution
+    padded = np.pad(grid.clearance + slack >= radius, ((0, -rows % stride), (0, -columns % stride)))
+    shape = (padded.shape[0] // stride, stride, padded.shape[1] // stride, stride)
+    open_cells = np.any(padded.reshape(shape), axis=(1, 3))
+    cells = np.floor(grid.to_cells(points) / stride).astype(int)
+    index = cells[:, 1] * open_cells.shape[1] + cells[:, 0]
+    spacing = stride * grid.resolution
+    ways = dijkstra(_graph(open_cells), directed=False, indices=index)[:, index] * spacing
+    straight = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    return np.asarray(np.maximum(_OCTILE * ways - 2 * np.sqrt(2) * spacing, straight))
+
+
+def _graph(free: np.ndarray) -> csr_array:
+    """Join open cells that touch, corners included; lengths in cells."""
+    rows, columns = free.shape
+    # older releases of SciPy want 32 bits; there are no more than `_CELLS` cells
+    number = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
+    start, end, length = [], [], []
+    for dr, dc in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        a = (slice(0, rows - dr), slice(max(-dc, 0), columns - max(dc, 0)))
+        b = (slice(dr, rows), slice(max(dc, 0), columns - max(-dc, 0)))
+        both = free[a] & free[b]
+        start.append(number[a][both])
+        end.append(number[b][both])
+        length.append(np.full(int(both.sum()), np.hypot(dr, dc)))
+    pairs = (np.concatenate(start), np.concatenate(end))
+    return csr_array((np.concatenate(length), pairs), shape=(rows * columns,) * 2)

@@ -1,15 +1,30 @@
-"""What a robot does on a mission, and where it charges."""
+"""What a robot does on a mission, and where it charges; checks of what a mission is built from."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from energyplan.errors import MissionError
+from energyplan.errors import InvalidInputError, MissionError
 from energyplan.kinds import check_fields
-from energyplan.mission.checks import checked_pose, require
-from energyplan.path import Pose
+from energyplan.path import Pose, as_pose
+
+
+def require(condition: object, message: str, *place: str | int) -> None:
+    """Refuse a value that is out of its range; `place` leads to it."""
+    if not condition:
+        raise MissionError(message, place)
+
+
+def checked_pose(value: ArrayLike, whose: str, *place: str | int) -> Pose:
+    """Return three finite numbers as a pose; `place` leads to it."""
+    try:
+        return as_pose(value, f"{whose}: the pose")
+    except InvalidInputError as error:
+        raise MissionError(str(error), place) from None
+
 
 LONGEST = 1e8
 """Longest time that a task may take [s]: three years."""

@@ -15,10 +15,9 @@ from energyplan import html
 from energyplan.battery import BatteryModel
 from energyplan.errors import MissionError
 from energyplan.kinds import check_fields, checked, described
-from energyplan.mission.checks import checked_pose, require
 from energyplan.mission.remedies import Remedy
-from energyplan.mission.spreads import Spreads
-from energyplan.mission.tasks import Charger, Task
+from energyplan.mission.tasks import Charger, Task, checked_pose, require
+from energyplan.mission.unknowns import Spreads
 from energyplan.path import Pose
 from energyplan.planning.problem import nearest_free
 from energyplan.power import PowerModel

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
-from energyplan.mission.bounds import shortest_ways
+from energyplan.mission.legs import shortest_ways
 from energyplan.path import Pose
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
