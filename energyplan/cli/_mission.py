@@ -143,7 +143,7 @@ def mission(
 
 def _requested(file: Path, requests: Path) -> Mission:
     """Return a mission with the tasks of Open-RMF's requests."""
-    from energyplan.io.requests import read_mission_for
+    from energyplan.io.fleet import read_mission_for
     from energyplan.openrmf.tasks import read_requests, tasks_of
 
     asked = read_requests(requests)

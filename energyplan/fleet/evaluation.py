@@ -10,9 +10,8 @@ import numpy as np
 from energyplan.errors import MissionError
 from energyplan.fleet.bound import least_energy
 from energyplan.fleet.exact import Solution, is_small, solve
-from energyplan.fleet.problem import Sources
+from energyplan.fleet.problem import Docks, Sources
 from energyplan.fleet.report import FleetReport, LeftOut, RobotReport
-from energyplan.fleet.schedule import Docks
 from energyplan.fleet.search import solve_by_search
 from energyplan.fleet.types import Fleet
 from energyplan.kinds import checked

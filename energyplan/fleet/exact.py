@@ -17,8 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.fleet.problem import RobotProblem, Status, arrive, begin, charge, do_task, end
-from energyplan.fleet.schedule import run
+from energyplan.fleet.problem import RobotProblem, Status, arrive, begin, charge, do_task, end, run
 from energyplan.path import FloatArray
 
 MOST_ASSIGNMENTS = 300_000

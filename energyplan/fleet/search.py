@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from energyplan.fleet.exact import Solution, best_tour
-from energyplan.fleet.problem import RobotProblem
-from energyplan.fleet.schedule import run
+from energyplan.fleet.problem import RobotProblem, run
 from energyplan.mission.routing import constraint_solver
 from energyplan.path import FloatArray
 

@@ -14,7 +14,7 @@ import yaml
 from energyplan import cli
 from energyplan.battery import Battery
 from energyplan.errors import InvalidInputError, MissionError
-from energyplan.io.requests import read_mission_for
+from energyplan.io.fleet import read_mission_for
 from energyplan.openrmf import (
     fleet_config,
     power_error,
