@@ -14,8 +14,7 @@ from energyplan.errors import EnergyPlanError, InvalidInputError
 from energyplan.fit.online import OnlineIdentifier
 from energyplan.kinds import checked
 from energyplan.live.events import Changed, Done, Ended, Event, Learned, Reassessed, Trouble
-from energyplan.live.lines import Line, Restart
-from energyplan.live.samples import Header, Sample, read_samples
+from energyplan.live.samples import Header, Line, Restart, Sample, read_samples
 from energyplan.logs.columns import Column
 from energyplan.mission import Mission, evaluate
 from energyplan.motion import Motion
