@@ -43,14 +43,15 @@ from energyplan.output import documents
 from energyplan.path import Pose, Trajectory
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import planners as known_planners
-from energyplan.serve.guard import Guard, problem
 from energyplan.serve.requests import (
     CheckRequest,
     DiagnoseRequest,
+    Guard,
     IdentifyRequest,
     MissionRequest,
     PlanRequest,
     RangeRequest,
+    problem,
 )
 from energyplan.serve.store import KINDS, Store, UnknownFileError
 from energyplan.serve.work import BusyError, Job, Pool
