@@ -20,8 +20,8 @@ from energyplan.errors import (
 )
 from energyplan.path import Path
 from energyplan.planning import PLANNERS, PlanningProblem, plan
+from energyplan.planning.scene.closure import check_way, none_found
 from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.planning.scene.reachability import check_way, none_found
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid, SurfaceMap
 from energyplan.vehicle import Vehicle

@@ -27,16 +27,17 @@ from energyplan.planning.lattice.way_along import way_along
 from energyplan.planning.parallel import Work, do_together, side_by_side
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene import closure_kernels
-from energyplan.planning.scene.closure import Closure, closure
+from energyplan.planning.scene.closure import (
+    Closure,
+    check_closer,
+    check_configurations,
+    closure,
+    none_found,
+)
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.guide import TURNS, distance_to_go, places_for, reached, regions_for
 from energyplan.planning.scene.guide_kernels import DistanceToGo
 from energyplan.planning.scene.motions import KernelProblem
-from energyplan.planning.scene.reachability import (
-    check_closer,
-    check_configurations,
-    none_found,
-)
 
 FIRST_WEIGHT = 2.0
 """Weight of the search for the first path."""

@@ -8,6 +8,8 @@
    closed, or nothing is gained any more.
 4. The shortest of all that was found is made shorter in a part of what is left. It is the answer
    where length is asked for, and a plan of least energy takes no more: the work is the same.
+5. The path gets wide arcs where the power makes them cheaper, and of paths of one cost it is the
+   quicker: a single spin stands for pivots to and fro.
 """
 
 from __future__ import annotations
@@ -16,20 +18,22 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
 
+import numpy as np
+
+from energyplan import steering
+from energyplan.cost.steering import StaticSteering
 from energyplan.errors import InvalidInputError, ModelError, PlanningError
 from energyplan.kinds import checked
-from energyplan.path import Path
+from energyplan.path import FloatArray, Path
 from energyplan.planning.budget import Budget
 from energyplan.planning.contract import Candidate
 from energyplan.planning.lattice.bounding import Bounding
-from energyplan.planning.lattice.fewer_motions import with_fewer_motions
 from energyplan.planning.lattice.improvement import Improvement, is_length
 from energyplan.planning.lattice.portfolio import SAME
 from energyplan.planning.lattice.stops import SHARE, least_driven, stops_count, stops_of
 from energyplan.planning.lattice.tight_ends import ways_out
-from energyplan.planning.lattice.wide_arcs import with_wide_arcs
 from energyplan.planning.parallel import Work, do_together
-from energyplan.planning.problem import PlanningProblem
+from energyplan.planning.problem import PlanningProblem, objective_weights
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.guide import regions_for
 
@@ -179,4 +183,115 @@ def _led_by(query: CompiledProblem) -> CompiledProblem:
 def _finished(query: CompiledProblem, paths: list[Path]) -> Path:
     """Return the best of some paths with arcs and spins where these are better."""
     # what the tables made of the cost of a known path is not what the models make of it
-    return with_fewer_motions(query, with_wide_arcs(query, min(paths, key=query.value)))
+    return _with_fewer_motions(query, _with_wide_arcs(query, min(paths, key=query.value)))
+
+
+_ROUNDING = 1e-9
+"""Distance [m] or angle [rad] up to which two count as one."""
+
+
+def _with_fewer_motions(query: CompiledProblem, path: Path) -> Path:
+    """Return a path of the same cost in which a single spin stands for pivots that end in place.
+
+    A spin and pivots of the same turning cost the same where only the turning counts. The spin is
+    driven at once; each pivot begins and ends with a stop.
+
+    Parameters
+    ----------
+    query : CompiledProblem
+        The problem.
+    path : Path
+        A path that is free.
+
+    Returns
+    -------
+    Path
+        The path, with as few motions as that gives; free, and no dearer.
+    """
+    ahead, lateral = query.problem.cost.icr.centre
+    ds, dtheta = path.ds, path.dtheta
+    first = 0
+    while first < len(ds):
+        x, y, yaw = path.vertices.T
+        centre = np.column_stack([
+            x + ahead * np.cos(yaw) - lateral * np.sin(yaw),
+            y + ahead * np.sin(yaw) + lateral * np.cos(yaw),
+        ])  # fmt: skip
+        away = np.hypot(*(centre[first + 2 :] - centre[first]).T)
+        for last in (np.flatnonzero(away <= _ROUNDING) + first + 2)[::-1]:
+            turn = float(dtheta[first:last].sum())
+            # turning back and forth is not what a spin does
+            if np.abs(dtheta[first:last]).sum() > abs(turn) + _ROUNDING:
+                continue
+            fewer = Path(
+                path.start,
+                np.concatenate([ds[:first], [lateral * turn], ds[last:]]),
+                np.concatenate([dtheta[:first], [turn], dtheta[last:]]),
+                path.longitudinal,
+            )
+            free = query.grid.path_free(fewer, query.problem.robot)
+            if free and query.value(fewer) <= query.value(path) * (1.0 + SAME):
+                path, ds, dtheta = fewer, fewer.ds, fewer.dtheta
+                break
+        first += 1
+    return path
+
+
+_MOST_POSES = 20
+"""Poses of the path that are joined, any two of them."""
+
+
+def _with_wide_arcs(query: CompiledProblem, path: Path) -> Path:
+    """Return a path that costs no more, with arcs where these are cheaper.
+
+    The kernels join poses by straight lines and pivots, which are best where the power is piecewise
+    linear. Where wide arcs cost less, exact steering for the model itself joins some poses of the
+    finished path once more.
+
+    Parameters
+    ----------
+    query : CompiledProblem
+        The problem.
+    path : Path
+        A path that is free.
+
+    Returns
+    -------
+    Path
+        The path itself where straight lines and pivots are best, or where the ground is not even
+        and of one kind, or energy is not all that counts.
+    """
+    problem = query.problem
+    cost = problem.cost
+    even = problem.surfaces is None and problem.heights is None
+    if not even or set(objective_weights(problem.objective)) != {"energy"} or len(path) == 0:
+        return path
+    if isinstance(cost.steering_parameters, StaticSteering):
+        return path
+    chosen = np.unique(np.linspace(0, len(path), _MOST_POSES).round().astype(int))
+    poses = path.vertices[chosen]
+    spent = np.concatenate([[0.0], np.cumsum(cost.segment_energy(path.ds, path.dtheta, 0.0))])
+    least = steering.energy(poses[:, None], poses[None, :], cost)
+    best = np.full(len(poses), np.inf)
+    best[0] = 0.0
+    parts: list[tuple[FloatArray, FloatArray]] = []
+    whole: list[list[int]] = [[]]
+    for j in range(1, len(poses)):
+        kept = slice(chosen[j - 1], chosen[j])
+        best[j] = best[j - 1] + spent[chosen[j]] - spent[chosen[j - 1]]
+        parts.append((path.ds[kept], path.dtheta[kept]))
+        whole.append([*whole[j - 1], len(parts) - 1])
+        totals = best[:j] + least[:j, j]
+        for i in np.argsort(totals, kind="stable"):
+            if totals[i] >= best[j] * (1.0 - 1e-6):
+                break
+            joined = steering.path(poses[i], poses[j], cost)
+            if problem.terrain.obstacles.path_free(joined, problem.robot):
+                best[j] = totals[i]
+                parts.append((joined.ds, joined.dtheta))
+                whole[j] = [*whole[i], len(parts) - 1]
+                break
+    ds, dtheta = (np.concatenate([parts[k][n] for k in whole[-1]]) for n in (0, 1))
+    found = Path(path.start, ds, dtheta, path.longitudinal)
+    free = problem.terrain.obstacles.path_free(found, problem.robot)
+    return found if free and query.value(found) < query.value(path) else path

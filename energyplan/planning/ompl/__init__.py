@@ -38,8 +38,8 @@ from energyplan.planning.ompl.parts import (
     set_parameters,
 )
 from energyplan.planning.problem import Plan, PlanningProblem
+from energyplan.planning.scene.closure import check_way
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
-from energyplan.planning.scene.reachability import check_way
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_path
 from energyplan.terrain import OccupancyGrid, SurfaceMap
 from energyplan.vehicle import Vehicle

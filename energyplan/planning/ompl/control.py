@@ -33,9 +33,9 @@ from energyplan.planning.ompl.parts import (
     set_parameters,
 )
 from energyplan.planning.problem import PlanningProblem
+from energyplan.planning.scene.closure import check_way
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.motions import connection, drive, free_energy, join
-from energyplan.planning.scene.reachability import check_way
 from energyplan.steering.kernels import MAX_SEGMENTS
 
 RAYS = 360
