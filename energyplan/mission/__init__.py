@@ -37,9 +37,8 @@ from energyplan.mission.report import (
     timeline,
 )
 from energyplan.mission.simulation import Walk
-from energyplan.mission.tasks import Charger, Task
+from energyplan.mission.tasks import Charger, Spreads, Task
 from energyplan.mission.types import Mission
-from energyplan.mission.unknowns import Spreads
 
 __all__ = [
     "Charger", "ChargerReport", "Doubt", "LegReport", "Mission", "MissionReport", "Remedy",
