@@ -96,8 +96,34 @@ def test_time_over(name):
 
 
 def test_the_lattice_planner_says_how_near_it_got():
-    with pytest.raises(TimeLimitError, match=r"nearest to the goal at \(2.00, 2.00\)"):
+    with pytest.raises(TimeLimitError, match=r"reached is \(2.00, 2.00\), 6.00 m from it"):
         plan(OPEN, time_limit=1e-6)
+
+
+def slit(room_left: float) -> PlanningProblem:
+    """A wall of 0.2 m with a gap that a robot of 0.5 m by 1.2 m gets through only sideways."""
+    robot = Vehicle.from_geometry("wide", mass=80.0, wheelbase=0.3, track=1.0, length=0.5, width=1.2)
+    occupied = np.zeros((200, 300), bool)
+    occupied[:, 145:155] = True
+    wide = round((0.5 + room_left) / 0.02)
+    occupied[100 - wide // 2 : 100 - wide // 2 + wide, 145:155] = False
+    cost = EnergyCost(PowerModel.paper(robot, K=47.0, mu=0.4))
+    return PlanningProblem(OccupancyGrid(occupied, 0.02), cost, (1.2, 1.5, 0), (4.8, 2.5, 0))
+
+
+@pytest.mark.parametrize(
+    ("room_left", "done"),
+    [(0.04, "free poses join start and goal"), (0.0, "do not join start and goal")],
+)
+def test_the_lattice_planner_says_what_it_did_before_it_searched(room_left, done):
+    """Where motions along free poses take all effort, how far these lead is told."""
+    problem = slit(room_left)
+    with pytest.raises(TimeLimitError, match=done) as told:
+        plan(problem, effort=1000)
+    assert "0 places" not in str(told.value)
+    x, y = numbers_after(str(told.value), "was reached")
+    assert np.hypot(x - 4.8, y - 2.5) < np.hypot(1.2 - 4.8, 1.5 - 2.5)
+    assert f"{np.hypot(x - 4.8, y - 2.5):.2f} m from it" in str(told.value)
 
 
 def test_an_ompl_planner_says_how_near_it_got():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cached_property, partial
-from math import log
+from math import hypot, log
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +23,7 @@ from energyplan.planning.lattice.shortest import shortest_way
 from energyplan.planning.lattice.slots import slot_work, way_through_slots
 from energyplan.planning.lattice.tight_ends import Ends, ways_out
 from energyplan.planning.lattice.turning import Turned, ways_with_turns
-from energyplan.planning.lattice.way_along import way_along
+from energyplan.planning.lattice.way_along import led_along, way_along
 from energyplan.planning.parallel import Work, do_together, side_by_side
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene import closure_kernels
@@ -144,6 +144,7 @@ class Improvement:
         self.begun: set[Sought] = set()
         self.bounding = Bounding(query)
         self._through_slots = False
+        self._led: list[tuple[float, float]] = []
         self.kept = 0.0
 
     @property
@@ -241,12 +242,24 @@ class Improvement:
             pairs = zip(open_ones, states, strict=True)
             open_ones = [one for one, state in pairs if state != kernels.EXHAUSTED]
             turn *= 2
-        last = every[-1].search
-        (x, y), cell = last.nearest, last.lattice.cell
-        places = sum(int(one.search.tree.counts[2]) for one in every)
-        raise TimeLimitError(
-            f"no path was found in {self.budget.name}: {places} places were searched in cells "
-            f"down to {cell:.3g} m, the one nearest to the goal at ({x:.2f}, {y:.2f}); give more "
+        raise self._over(tested, [one.search for one in every])
+
+    def _over(self, tested: bool, searches: list[Search]) -> TimeLimitError:
+        """Return the error that says what was done, and how near to the goal that led."""
+        places = sum(int(one.tree.counts[2]) for one in searches)
+        if places:
+            cell = searches[-1].lattice.cell
+            done = f"{places} places were searched in cells down to {cell:.3g} m"
+        elif tested:
+            done = "free poses join start and goal, but motions along them do not yet"
+        else:
+            done = "the free poses that were tested do not join start and goal"
+        goal = self.query.problem.goal
+        nearest = [*self._led, *(one.nearest for one in searches)]
+        left, x, y = min((hypot(goal.x - x, goal.y - y), x, y) for x, y in nearest)
+        return TimeLimitError(
+            f"no path was found in {self.budget.name}: {done}; the place nearest to the goal that "
+            f"was reached is ({x:.2f}, {y:.2f}), {left:.2f} m from it; give more "
             f"{self.budget.remedy}"
         )
 
@@ -431,9 +444,10 @@ class Improvement:
 
     def _enter_way(self, penalty: float) -> bool:
         """Enter the way that a guide knows, if it is one; tell whether it is."""
-        way = way_along(self.ends.between(self.setting), self.field(penalty), self.budget)
-        self._enter(way)
-        return way is not None
+        led = led_along(self.ends.between(self.setting), self.field(penalty), self.budget)
+        self._led.append((led.x, led.y))
+        self._enter(led.motions)
+        return led.motions is not None
 
     def field(self, penalty: float) -> DistanceToGo:
         """Return the distance to go, with tight places counted longer."""

@@ -85,13 +85,40 @@ class Joined(NamedTuple):
     tried: int
 
 
+class Led(NamedTuple):
+    """How far motions along the way to go lead.
+
+    Attributes
+    ----------
+    motions : Segments or None
+        The motions, free of collisions; None where poses are not joined, or nothing leads to the
+        goal.
+    x, y : float
+        The place that they lead to [m].
+    """
+
+    motions: Segments | None
+    x: float
+    y: float
+
+
 def way_along(
     setting: KernelProblem,
     to_go: DistanceToGo,
     budget: Budget,
     chain: NDArray[np.int64] | None = None,
 ) -> Segments | None:
-    """Return motions along the way to go.
+    """Return motions along the way to go, as `led_along` does, or None if they do not lead there."""
+    return led_along(setting, to_go, budget, chain).motions
+
+
+def led_along(
+    setting: KernelProblem,
+    to_go: DistanceToGo,
+    budget: Budget,
+    chain: NDArray[np.int64] | None = None,
+) -> Led:
+    """Find motions along the way to go.
 
     Parameters
     ----------
@@ -106,9 +133,8 @@ def way_along(
 
     Returns
     -------
-    Segments or None
-        The motions, free of collisions; None where poses are not joined, or nothing leads to the
-        goal.
+    Led
+        The motions, and where they lead.
     """
     chain = chain_along(to_go, setting) if chain is None else chain
     poses = poses_along(to_go.places, setting, chain)
@@ -130,9 +156,10 @@ def way_along(
                 break
         else:
             break
+    x, y = poses[at, :2].tolist() if len(poses) else (setting.start_x, setting.start_y)
     if at < end or not parts:
-        return None
-    return Segments(*(np.concatenate([part[n] for part in parts]) for n in range(2)))
+        return Led(None, x, y)
+    return Led(Segments(*(np.concatenate([part[n] for part in parts]) for n in range(2))), x, y)
 
 
 def _across(
