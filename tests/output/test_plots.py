@@ -1,11 +1,14 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely
 from matplotlib.axes import Axes
-from matplotlib.text import Text
+from matplotlib.quiver import Quiver
+from matplotlib.text import Annotation, Text
 
 from energyplan import simulate
 from energyplan.battery import Battery
@@ -14,7 +17,8 @@ from energyplan.output import plots
 from energyplan.output.report import image
 from energyplan.path import Path, Pose
 from energyplan.power import PowerModel
-from energyplan.terrain import OccupancyGrid
+from energyplan.terrain import OccupancyGrid, SurfaceMap
+from energyplan.terrain.surfaces import Surface
 
 MODEL = PowerModel.preset("quadriga:empty:marble")
 
@@ -68,6 +72,15 @@ def test_route_ends_where_the_path_ends() -> None:
     assert line.get_ydata()[-1] == pytest.approx(path.end.y)
 
 
+def test_the_last_arrow_has_the_heading_at_the_end() -> None:
+    """Also after a turn on the spot, where the path goes no further."""
+    path = Path(Pose(1, 2, 0), [2.0, 0.0], [0.0, 1.2])
+    ax = plots.figure().axes[0]
+    plots.route(ax, path, "route")
+    arrows = next(one for one in ax.collections if isinstance(one, Quiver))
+    assert (arrows.U[-1], arrows.V[-1]) == pytest.approx((np.cos(1.2), np.sin(1.2)))
+
+
 def test_breakdown_bars_add_up() -> None:
     ax = plots.figure().axes[0]
     plots.breakdown(ax, {"a": {"slip": 1000.0, "roll": 500.0}, "b": {"slip": 200.0}})
@@ -108,6 +121,36 @@ def test_names_on_a_map_stay_apart_and_within(crowded: MissionReport) -> None:
         assert frame.x0 <= box.x0 and box.x1 <= frame.x1
         assert frame.y0 <= box.y0 and box.y1 <= frame.y1
         assert not any(box.overlaps(other) for other in boxes[:k])
+
+
+def test_names_on_a_map_leave_its_marks_free(crowded: MissionReport) -> None:
+    figure = plots.mission_map(crowded)
+    figure.draw_without_rendering()
+    ax = figure.axes[0]
+    for note in ax.texts:
+        box = Text.get_window_extent(note)
+        for other in ax.texts:
+            assert isinstance(other, Annotation)
+            x, y = ax.transData.transform(other.xy)
+            away = max(box.x0 - x, x - box.x1, box.y0 - y, y - box.y1)
+            assert away * 72 / figure.dpi > 5.0  # half of a mark and its edge [points]
+
+
+@pytest.mark.parametrize("sides", [(16, 24), (24, 16), (8, 40)])
+def test_the_legend_of_a_map_with_colours_is_within_the_picture(
+    crowded: MissionReport, sides: tuple[int, int]
+) -> None:
+    """The bar of colours below, and a map of any shape, leave room for the legend above."""
+    high, wide = sides
+    hall = OccupancyGrid(np.zeros((10 * high, 10 * wide), bool), 0.1)
+    ground = SurfaceMap([Surface(shapely.box(0, 0, 0.5 * wide, high), MODEL, "marble")])
+    mission = replace(crowded.mission, map=hall, surfaces=ground)
+    figure = plots.mission_map(replace(crowded, mission=mission))
+    image(figure, ".png")
+    legend = figure.axes[0].get_legend()
+    assert legend is not None
+    box = legend.get_window_extent()
+    assert figure.bbox.y1 >= box.y1 > box.y0 >= figure.axes[0].get_window_extent().y1 - 1.0
 
 
 def test_nothing_lies_over_the_charge_or_outside_the_picture(crowded: MissionReport) -> None:

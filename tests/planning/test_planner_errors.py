@@ -102,7 +102,9 @@ def test_the_lattice_planner_says_how_near_it_got():
 
 def slit(room_left: float) -> PlanningProblem:
     """A wall of 0.2 m with a gap that a robot of 0.5 m by 1.2 m gets through only sideways."""
-    robot = Vehicle.from_geometry("wide", mass=80.0, wheelbase=0.3, track=1.0, length=0.5, width=1.2)
+    robot = Vehicle.from_geometry(
+        "wide", mass=80.0, wheelbase=0.3, track=1.0, length=0.5, width=1.2
+    )
     occupied = np.zeros((200, 300), bool)
     occupied[:, 145:155] = True
     wide = round((0.5 + room_left) / 0.02)

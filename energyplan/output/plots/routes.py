@@ -41,6 +41,12 @@ from energyplan.output.plots.style import (
 )
 from energyplan.output.plots.style import label as style_label
 
+TOP = (0.5, 1.0)
+"""Where a map lies in the room left by a bar of colours: else no room is made for what is above."""
+
+MARK = 5.0
+"""Half of the room that the mark of a place takes, its edge included [points]."""
+
 
 def occupancy(ax: Axes, grid: OccupancyGrid) -> Axes:
     """Draw a map's occupied cells.
@@ -109,7 +115,7 @@ def energy_map(found: EnergyMap, grid: OccupancyGrid, levels: int = 8) -> Figure
     ways = "to get there" if found.back is None else "to get there and back"
     sure = "" if found.confidence is None else f", with {100 * found.confidence:g} %"
     label = f"energy {ways}{sure} [kJ]"
-    made.colorbar(image, ax=ax, label=label, location="bottom", aspect=40)
+    made.colorbar(image, ax=ax, label=label, location="bottom", aspect=40, panchor=TOP)
     return made
 
 
@@ -133,6 +139,7 @@ def route(
     if arrows:
         along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
         marks = np.searchsorted(along, np.linspace(0, along[-1], 8)).clip(0, len(poses) - 1)
+        marks[-1] = len(poses) - 1  # after a turn on the spot
         ax.quiver(
             poses[marks, 0], poses[marks, 1], np.cos(poses[marks, 2]), np.sin(poses[marks, 2]),
             color=color, angles="xy", scale=30, width=0.004, zorder=3,
@@ -233,7 +240,7 @@ def mission_map(report: MissionReport) -> Figure:
     drawn.set_array(line.power[:-1][moving])
     ax.add_collection(drawn)
     made.set_figheight(made.get_figheight() + 0.7)
-    made.colorbar(drawn, ax=ax, label="power [W]", location="bottom", aspect=40)
+    made.colorbar(drawn, ax=ax, label="power [W]", location="bottom", aspect=40, panchor=TOP)
     verdicts = {task.name: task.verdict == "reachable" for task in report.tasks}
     places = [("start", mission.start, "s", BLACK)]
     for task in mission.tasks:
@@ -241,18 +248,19 @@ def mission_map(report: MissionReport) -> Figure:
         places.append((task.name, task.pose, "o" if good else "X", GREEN if good else RED))
     places += [(charger.name, charger.pose, "P", BLUE) for charger in mission.chargers]
     for _, pose, marker, color in places:
-        ax.plot(pose.x, pose.y, marker, color=color, ms=8, mec="white", zorder=5)
+        ax.plot(pose.x, pose.y, marker, color=color, ms=2 * MARK - 2, mec="white", zorder=5)
     _name_places(made, {name: (pose.x, pose.y) for name, pose, *_ in places}, points)
     return made
 
 
 def _name_places(figure: Figure, places: Mapping[str, tuple[float, float]], line: Any) -> None:
-    """Write names beside places: off the line, off each other, within the axes where possible."""
+    """Write names beside places: off marks, lines and each other, within the axes if possible."""
     ax = figure.axes[0]
     marks = list(places.values())
     notes = [
         ax.annotate(
             name, at, xytext=(0, 0), textcoords="offset points", fontsize="small", zorder=6,
+            va="bottom",
             bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1},
             arrowprops={"arrowstyle": "-", "lw": 0.6, "color": "0.4", "shrinkA": 0},
         )
@@ -267,7 +275,8 @@ def _name_places(figure: Figure, places: Mapping[str, tuple[float, float]], line
     steps = np.linspace(0.0, 1.0, 50)[:, None, None]  # closer than a name is high
     between = drawn[:-1] + steps * np.diff(drawn, axis=0)
     busy_x, busy_y = np.vstack([between.reshape(-1, 2), ax.transData.transform(marks)]).T.copy()
-    taken: list[Any] = []
+    half = MARK * scale
+    taken: list[Any] = [(at - half, at + half) for at in ax.transData.transform(marks)]
     turns = np.arange(16) * np.pi / 8 + np.pi / 4
     for note, at in zip(notes, marks, strict=True):
         box = note.get_window_extent()

@@ -108,7 +108,7 @@ def way_along(
     budget: Budget,
     chain: NDArray[np.int64] | None = None,
 ) -> Segments | None:
-    """Return motions along the way to go, as `led_along` does, or None if they do not lead there."""
+    """Return motions along the way to go, as `led_along` does; None if they do not lead there."""
     return led_along(setting, to_go, budget, chain).motions
 
 
