@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cached_property, partial
-from math import hypot, log
+from math import log
 from typing import NamedTuple
 
 import numpy as np
 
 from energyplan.compilation import compile_kernels
-from energyplan.errors import TimeLimitError
 from energyplan.path import Path
 from energyplan.planning.budget import PACE, Budget
 from energyplan.planning.lattice import search_kernels as kernels
@@ -33,6 +32,7 @@ from energyplan.planning.scene.closure import (
     check_configurations,
     closure,
     none_found,
+    none_in_time,
 )
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.guide import TURNS, distance_to_go, places_for, reached, regions_for
@@ -242,26 +242,15 @@ class Improvement:
             pairs = zip(open_ones, states, strict=True)
             open_ones = [one for one, state in pairs if state != kernels.EXHAUSTED]
             turn *= 2
-        raise self._over(tested, [one.search for one in every])
-
-    def _over(self, tested: bool, searches: list[Search]) -> TimeLimitError:
-        """Return the error that says what was done, and how near to the goal that led."""
-        places = sum(int(one.tree.counts[2]) for one in searches)
-        if places:
-            cell = searches[-1].lattice.cell
+        if places := sum(int(one.search.tree.counts[2]) for one in every):
+            cell = every[-1].search.lattice.cell
             done = f"{places} places were searched in cells down to {cell:.3g} m"
         elif tested:
             done = "free poses join start and goal, but motions along them do not yet"
         else:
             done = "the free poses that were tested do not join start and goal"
-        goal = self.query.problem.goal
-        nearest = [*self._led, *(one.nearest for one in searches)]
-        left, x, y = min((hypot(goal.x - x, goal.y - y), x, y) for x, y in nearest)
-        return TimeLimitError(
-            f"no path was found in {self.budget.name}: {done}; the place nearest to the goal that "
-            f"was reached is ({x:.2f}, {y:.2f}), {left:.2f} m from it; give more "
-            f"{self.budget.remedy}"
-        )
+        near = [*self._led, *(one.search.nearest for one in every)]
+        raise none_in_time(self.query, self.budget, done, near)
 
     def _closed(self, setting: KernelProblem) -> Closure:
         """Look closer at what the poses tested leave open.

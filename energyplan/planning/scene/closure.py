@@ -7,13 +7,13 @@ or there may be one.
 
 from __future__ import annotations
 
-from math import ceil, floor, log2, pi, sqrt
+from math import ceil, floor, hypot, log2, pi, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.errors import NoPathError
+from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.planning.budget import Budget
 from energyplan.planning.scene.closure_kernels import (
     Chain,
@@ -334,6 +334,30 @@ def none_found(query: CompiledProblem, cell: float, near: tuple[float, float]) -
         "lattice planner's option finest halves them)"
     )
     return NoPathError(_told(query, why, near), resolution=cell)
+
+
+def none_in_time(
+    query: CompiledProblem, budget: Budget, done: str, near: list[tuple[float, float]]
+) -> TimeLimitError:
+    """Return the error that says that none was found before a budget was over.
+
+    Parameters
+    ----------
+    query : CompiledProblem
+        The problem.
+    budget : Budget
+        What was spent.
+    done : str
+        What was done.
+    near : list of tuple of float
+        Places that were reached, x and y [m]; the one nearest to the goal is named.
+    """
+    goal = query.problem.goal
+    left, x, y = min((hypot(goal.x - x, goal.y - y), x, y) for x, y in near)
+    return TimeLimitError(
+        f"no path was found in {budget.name}: {done}; the place nearest to the goal that was "
+        f"reached is ({x:.2f}, {y:.2f}), {left:.2f} m from it; give more {budget.remedy}"
+    )
 
 
 def _told(query: CompiledProblem, why: str, near: tuple[float, float]) -> str:
