@@ -195,6 +195,19 @@ def a_row_for_each_message(at: At, folder: Path) -> Path:
     return csv(rows.sort_values("__time"), folder / "plotjuggler.csv")
 
 
+def stamps_in_two_columns(at: At, folder: Path) -> Path:
+    """As stamps of ROS messages are flattened."""
+    seconds = np.floor(EPOCH + at.t)
+    return csv({
+        "header.stamp.sec": seconds.astype(int),
+        "header.stamp.nanosec": np.round((EPOCH + at.t - seconds) * 1e9).astype(int),
+        "wheel_left.velocity": at.left / at.robot.radius,
+        "wheel_right.velocity": at.right / at.robot.radius,
+        "battery.voltage": at.volts, "battery.current": -at.amps,
+        "imu.angular_velocity.z": at.yaw_rate,
+    }, folder / "stamps.csv")  # fmt: skip
+
+
 def date_and_time_of_day(at: At, folder: Path) -> Path:
     frame = at.house().assign(t=at.stamps.strftime("%H:%M:%S.%f")).rename(columns={"t": "time"})
     return csv({"date": at.stamps.strftime("%d.%m.%Y"), **frame}, folder / "clock.csv")
@@ -392,9 +405,10 @@ Writer = Callable[[At, Path], Path]
 READ: tuple[Writer, ...] = (
     four_wheels_in_rpm, four_motors, german, utf16, byte_order_mark, units_in_a_second_row,
     remarks_before_the_names, words_for_nothing, two_recordings, coarse_stamps,
-    a_row_for_each_message, date_and_time_of_day, american_dates, aligned_by_spaces, newest_first,
-    units_in_names, rostopic_echo, encoders_of_four_wheels, encoders_and_a_satellite_receiver,
-    encoders_from_row_to_row, encoders_that_tell_a_rate, status_topic, flight_controller,
+    a_row_for_each_message, stamps_in_two_columns, date_and_time_of_day, american_dates,
+    aligned_by_spaces, newest_first, units_in_names, rostopic_echo, encoders_of_four_wheels,
+    encoders_and_a_satellite_receiver, encoders_from_row_to_row, encoders_that_tell_a_rate,
+    status_topic, flight_controller,
 )  # fmt: skip
 """Logs from which the right coefficients must come."""
 REFUSED: dict[Writer, str] = {

@@ -21,6 +21,7 @@ from energyplan.path import FloatArray
 
 _SOME = 20_000  # readings that suffice
 _ENOUGH = 20  # of them
+_ONE_WAY = 0.9  # mean sign of the steps of readings that go one way
 _ALIKE = 0.9  # correlation from which a speed of the robot is that of its treads
 _BETTER = 0.05  # share of what is explained, from which on another direction is believed
 _EARTH = 6_371_008.8  # mean radius [m]
@@ -89,6 +90,8 @@ def counted_columns(
         others[_AHEAD] = column_from("v_left", ahead[0], unit.unit if unit else None)
     named = encoders["v_left"].unit
     kinds = (named,) if named else (TOTAL, SINCE if _whole(table, encoders) else RATE)
+    if not named and all(_goes_on(table.columns[one.name]) for one in encoders.values()):
+        kinds = (TOTAL,)
     read = {kind: _read(table, others, encoders, kind) for kind in kinds}
     kind = max(kinds, key=lambda one: _likeness(read[one]))
     channels = _turned(read[kind])
@@ -116,6 +119,13 @@ def counted_columns(
     if turned:
         assumed["direction"] = f"{' and '.join(turned)} count backwards"
     return Counted(made, assumed)
+
+
+def _goes_on(values: FloatArray) -> bool:
+    """Tell whether readings go one way all along, as no speed does: those of a counter."""
+    steps = np.diff(values[np.isfinite(values)][:_SOME])
+    steps = steps[steps != 0.0]
+    return len(steps) >= _ENOUGH and abs(float(np.mean(np.sign(steps)))) > _ONE_WAY
 
 
 def _whole(table: Table, encoders: Mapping[str, Guess]) -> bool:

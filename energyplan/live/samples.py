@@ -17,8 +17,9 @@ from typing import BinaryIO
 from energyplan.errors import DriveLogError
 from energyplan.kinds import instance
 from energyplan.live.events import Trouble
-from energyplan.logs.checks import LIMITS, needed_channels
+from energyplan.logs.checks import needed_channels
 from energyplan.logs.columns import Column, own_columns, parse_columns
+from energyplan.logs.reach import LIMITS
 
 _BLOCK = 1 << 16
 MAX_LINE = 1 << 16

@@ -13,47 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from energyplan.errors import DriveLogError
 from energyplan.kinds import described, numbers
 from energyplan.logs.align import Series, align, gap_limit
+from energyplan.logs.glitches import find_glitches
+from energyplan.logs.reach import ANY, LIMITS, likely_unit
 from energyplan.path import FloatArray
 
 Place = Callable[[int], str]
 
-LIMITS = {
-    "t": (-1e11, 1e11, "s"),
-    "v_left": (-20.0, 20.0, "m/s"),
-    "v_right": (-20.0, 20.0, "m/s"),
-    "p_left": (-5e4, 5e4, "W"),
-    "p_right": (-5e4, 5e4, "W"),
-    "power": (-1e5, 1e5, "W"),
-    "voltage": (0.0, 1500.0, "V"),
-    "current": (-2000.0, 2000.0, "A"),
-    "x": (-1e8, 1e8, "m"),
-    "y": (-1e8, 1e8, "m"),
-    "yaw": (-1e6, 1e6, "rad"),
-    "yaw_rate": (-20.0, 20.0, "rad/s"),
-    "slope": (-1.2, 1.2, "rad"),
-    "accel_x": (-200.0, 200.0, "m/s^2"),
-    "temperature": (-100.0, 300.0, "degC"),
-    "payload": (0.0, 1e5, "kg"),
-}
-"""Range in which a reading is possible at all, by channel."""
-_OTHER_UNIT = {
-    "s": "ns",
-    "rad": "deg",
-    "rad/s": "deg/s",
-    "m/s": "km/h",
-    "V": "mV",
-    "A": "mA",
-    "W": "mW",
-}
-_SPEED_UNITS = {
-    "km/h": 1 / 3.6,
-    "cm/s": 1e-2,
-    "mm/s": 1e-3,
-    "rad/s*WHEEL_RADIUS": 0.15,
-    "rpm*WHEEL_RADIUS": 0.015,
-    "deg/s*WHEEL_RADIUS": 0.0025,
-}
-_USUAL_SPEED = 0.7  # of robots that skid, as they are driven [m/s]
 _STRAY = 0.01  # share of readings out of range that is taken for glitches, not for a wrong unit
 _BRIDGE = 1.0  # longest hole in a further channel that is bridged by interpolation [s]
 _RECORDING = 20  # rows from which a stretch counts as a recording of its own
@@ -61,17 +26,6 @@ _PAUSE = 10.0  # time between recordings whose clocks begin anew [s]
 _LATE = 0.01  # share of the rows that may come late
 _LATEST = 5.0  # how late they may come [s]
 _SPARSE = 0.1  # share of rows that may be set aside for want of a further channel
-
-
-def _likely_unit(name: str, unit: str, values: FloatArray) -> str:
-    """Guess the unit of readings that are impossible in the library's."""
-    if name not in ("v_left", "v_right"):
-        return _OTHER_UNIT.get(unit, "*0.001")
-    size = float(np.nanquantile(np.abs(values), 0.9))
-    likely = {key: factor * size for key, factor in _SPEED_UNITS.items()}
-    near = sorted(likely, key=lambda key: abs(np.log(max(likely[key], 1e-300) / _USUAL_SPEED)))
-    text = "] or [".join(near[:3])
-    return f"{text}], or, if these are the motors' rates, divide by the gear ratio, as in [*0.033"
 
 
 @dataclass(frozen=True)
@@ -269,7 +223,10 @@ def clean(columns: Mapping[str, ArrayLike], label: str, place: Place) -> Cleaned
         raise DriveLogError(f"{label}: channels have shapes {shapes}; give rows of equal length")
     cleaner = _Cleaner(channels, label, place)
     for name in channels:
+        if cleaner.many_strays(name):
+            cleaner.blank_glitches(name)  # several in a short log are no other unit
         cleaner.blank_strays(name)
+        cleaner.blank_glitches(name)
     cleaner.join(needed)
     for name in needed:
         cleaner.drop(
@@ -314,21 +271,36 @@ class _Cleaner:
             self.channels = {name: values[~lost] for name, values in self.channels.items()}
             self.rows = self.rows[~lost]
 
+    def strays(self, name: str) -> NDArray[np.bool_]:
+        """Tell which readings are impossible."""
+        low, high, _ = LIMITS.get(name, ANY)
+        return np.asarray((self.channels[name] < low) | (self.channels[name] > high))
+
+    def many_strays(self, name: str) -> bool:
+        """Tell whether more readings are impossible than glitches are."""
+        stray = self.strays(name)
+        return bool(np.count_nonzero(stray) > max(1.0, _STRAY * len(stray)))
+
     def blank_strays(self, name: str) -> None:
         """Blank the few readings that are impossible; many of them mean a wrong unit."""
-        low, high, unit = LIMITS.get(name, (-1e30, 1e30, "in its unit"))
-        values = self.channels[name]
-        stray = (values < low) | (values > high)
-        count = int(np.count_nonzero(stray))
-        if count > max(1.0, _STRAY * len(values)):
+        low, high, unit = LIMITS.get(name, ANY)
+        values, stray = self.channels[name], self.strays(name)
+        if self.many_strays(name):
+            count = int(np.count_nonzero(stray))
             value = float(values[stray][0])
             raise DriveLogError(
                 f"{self.label}, {self.where(stray)}: {name} is {value:g} {unit}, which no robot "
                 f"reaches; {count} of {len(values)} readings are outside {low:g} to {high:g} "
-                f"{unit}; name its unit, as in {name}=NAME[{_likely_unit(name, unit, values)}]"
+                f"{unit}; name its unit, as in {name}=NAME[{likely_unit(name, unit, values)}]"
             )
         self.note(stray, f"{name} is outside {low:g} to {high:g} {unit}; blanked")
         values[stray] = np.nan
+
+    def blank_glitches(self, name: str) -> None:
+        """Blank readings that stand out."""
+        lost = find_glitches(name, self.channels[name])
+        self.note(lost, f"{name} stands out for one reading or two; blanked")
+        self.channels[name][lost] = np.nan
 
     def join(self, needed: Collection[str]) -> None:
         """Bring channels that stand in rows of their own to those of the left tread speed."""

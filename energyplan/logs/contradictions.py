@@ -8,13 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from energyplan.logs.evidence import correlation, distance_ratio, yaw_rates
-from energyplan.logs.one_side import compare_powers, find_dead, find_dying
+from energyplan.logs.one_side import compare_powers, find_dead, find_dying, find_false_speeds
 from energyplan.path import FloatArray
 
 _POSE = {"x", "y", "yaw"}
 _ENOUGH = 20  # samples below which nothing is concluded
-_TURNS = 0.3  # yaw rate over a second that no robot has which is driven straight [rad/s]
-_SHARE = 0.05  # share of the samples in which it must
 _HANGS = 0.3  # time of a repeated reading from which the sensor hangs [s]
 _REPEATED = 0.01  # share of the driving that it must do so
 _STEPS = 0.05  # share of readings that repeat where a sensor reads in steps
@@ -40,10 +38,9 @@ def find_contradictions(
         What contradicts each other, and what would mend it.
     """
     told = [
-        _same(channels, "v_left", "v_right", yaw_rates(channels, runs)),
+        *find_false_speeds(channels, runs),
         *find_dead(channels, yaw_rates(channels, runs)),
         *find_dying(channels),
-        _signs(channels, runs),
         _sides(channels, runs),
         compare_powers(channels),
         _unsigned(channels),
@@ -53,46 +50,6 @@ def find_contradictions(
         _distance(channels, runs),
     ]
     return [text for text in told if text]
-
-
-def _same(
-    channels: Mapping[str, FloatArray], left: str, right: str, rates: Mapping[str, FloatArray]
-) -> str:
-    """Whether one column was taken for both speeds: they are equal while the robot turns."""
-    if not np.array_equal(channels[left], channels[right]):
-        return ""
-    second = max(int(1.0 / float(np.median(np.diff(channels["t"])))), 1)
-    turning = []
-    for name, rate in rates.items():
-        mean = rate[: len(rate) // second * second].reshape(-1, second).mean(axis=1)
-        if len(mean) and np.mean(np.abs(mean) > _TURNS) > _SHARE:
-            turning.append(name)
-    if not turning:
-        return ""
-    return (
-        f"{left} and {right} are the same while {turning[0]} shows that the robot turns: one "
-        "column was used for both sides; map each to its own"
-    )
-
-
-def _signs(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
-    """Whether speeds lost their sign: on the spot both treads seem to go the same way."""
-    left, right = channels["v_left"], channels["v_right"]
-    top = float(np.quantile(left + right, 0.99))
-    if min(left.min(), right.min()) < -0.02 * top or np.array_equal(left, right):
-        return ""
-    equal = (np.abs(right - left) < 0.15 * (left + right)) & (left + right > 0.2 * top)
-    for name, rate in yaw_rates(channels, runs).items():
-        spinning = equal & (
-            np.abs(rate) > max(_TURNS, 0.5 * float(np.quantile(np.abs(rate), 0.99)))
-        )
-        if np.count_nonzero(spinning) > max(_ENOUGH, 0.5 * _SHARE * len(left)):
-            return (
-                f"{name} shows that the robot spins where both treads seem to go forwards: the "
-                "tread speeds lost their sign; log them with it, for unsigned speeds show "
-                "neither turns nor reversing"
-            )
-    return ""
 
 
 def _unsigned(channels: Mapping[str, FloatArray]) -> str:

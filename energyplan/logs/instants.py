@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,13 @@ _TIME = (
     r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
 )
 _DAY = 86400.0
+_SECONDS = re.compile(r"(.*?)[\W_]*(?<![a-z])(?:secs?|seconds?)", re.IGNORECASE)
+_FRACTIONS = {
+    r"n(?:ano)?secs?|nanoseconds?|ns": 1e-9,
+    r"(?:u|micro)secs?|microseconds?|us": 1e-6,
+    r"(?:m|milli)secs?|milliseconds?|ms": 1e-3,
+}
+"""Names of what is counted beside the whole seconds of a stamp, and its size [s]."""
 
 
 @dataclass(frozen=True)
@@ -130,6 +138,31 @@ def over_midnight(seconds: FloatArray) -> FloatArray:
     counted = seconds.copy()
     counted[known] += _DAY * days
     return counted
+
+
+def whole_stamps(numbers: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return the stamps that stand in two columns each: whole seconds, and what is beyond them.
+
+    So stamps of ROS messages do, as ``header.stamp.sec`` and ``header.stamp.nanosec``.
+
+    Examples
+    --------
+    >>> whole_stamps({"stamp.secs": np.array([7.0]), "stamp.nsecs": np.array([5e8])})
+    {'stamp [s]': array([7.5])}
+    """
+    made: dict[str, FloatArray] = {}
+    for name, seconds in numbers.items():
+        match = _SECONDS.fullmatch(name.strip())
+        if match is None:
+            continue
+        for words, size in _FRACTIONS.items():
+            beside = re.compile(rf"{re.escape(match[1])}[\W_]*(?:{words})", re.IGNORECASE)
+            rest = [numbers[other] for other in numbers if beside.fullmatch(other.strip())]
+            # What is beyond whole seconds is less than one; else it is a clock of its own.
+            if len(rest) == 1 and np.all((rest[0] * size < 1.0) | np.isnan(rest[0])):
+                made.setdefault(f"{match[1] or 'stamp'} [s]", seconds + size * rest[0])
+                break
+    return {name: values for name, values in made.items() if name not in numbers}
 
 
 def _since_1970(read: pd.Series[Any]) -> FloatArray:

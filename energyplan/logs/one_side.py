@@ -1,4 +1,4 @@
-"""Sides whose sensors are dead, or measure in another unit than the other's."""
+"""Sides whose sensors are dead, are one for both, lost signs, or measure in different units."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:  # which imports this module
 _ENOUGH = 20  # samples below which nothing is concluded
 _LONG = 5.0  # time of driving straight in which no power stays the same [s]
 _FOLLOWS = 0.9  # correlation with a side's speed, of a robot that turns about the other
+_TURNS = 0.3  # yaw rate over a second that no robot has which is driven straight [rad/s]
+_SHARE = 0.05  # share of the samples in which it must
 _UNLIKE = 60.0  # ratio of both sides' powers that no ground explains
 
 
@@ -52,14 +54,15 @@ def find_dead(channels: Mapping[str, FloatArray], rates: Mapping[str, FloatArray
                 f"dead, or the column another; map v_{side} to the speed of the {side} wheels"
             )
         power, drawn = channels.get(f"p_{side}"), channels.get(f"p_{other}")
-        ahead = _ahead(speed, theirs)  # where neither side returns power
+        # Straight on and on the spot neither side returns power.
+        ahead = _ahead(np.abs(speed), np.abs(theirs))
         if power is None or drawn is None or np.ptp(power) > 0.0 or np.ptp(drawn) == 0.0:
             continue
         if np.count_nonzero(ahead & (drawn > 0)) >= _ENOUGH:
             told.append(
-                f"p_{side} is {power[0]:g} throughout while p_{other} is not, on straight lines "
-                f"too: its sensor is dead, or the column another; map p_{side} to the power of the "
-                f"{side} motors, or log the battery's"
+                f"p_{side} is {power[0]:g} throughout while p_{other} is not, also where both go "
+                f"as fast: its sensor is dead, or the column another; map p_{side} to the power of "
+                f"the {side} motors, or log the battery's"
             )
     return told
 
@@ -100,6 +103,63 @@ def find_dying(channels: Mapping[str, FloatArray]) -> list[str]:
                 "leave that stretch out"
             )
     return told
+
+
+def find_false_speeds(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> list[str]:
+    """Tell whether the speeds are not those of two sides: one column twice, or without signs.
+
+    Parameters
+    ----------
+    channels : mapping of str to ndarray, shape (n,)
+        Channels of a log.
+    runs : sequence of slice
+        Stretches without a gap.
+
+    Returns
+    -------
+    list of str
+        What is told.
+    """
+    rates = yaw_rates(channels, runs)
+    return [text for text in (_same(channels, rates), _signs(channels, rates)) if text]
+
+
+def _same(channels: Mapping[str, FloatArray], rates: Mapping[str, FloatArray]) -> str:
+    """Whether one column was taken for both speeds: they are equal while the robot turns."""
+    if not np.array_equal(channels["v_left"], channels["v_right"]):
+        return ""
+    second = max(int(1.0 / float(np.median(np.diff(channels["t"])))), 1)
+    turning = []
+    for name, rate in rates.items():
+        mean = rate[: len(rate) // second * second].reshape(-1, second).mean(axis=1)
+        if len(mean) and np.mean(np.abs(mean) > _TURNS) > _SHARE:
+            turning.append(name)
+    if not turning:
+        return ""
+    return (
+        f"v_left and v_right are the same while {turning[0]} shows that the robot turns: one "
+        "column was used for both sides; map each to its own"
+    )
+
+
+def _signs(channels: Mapping[str, FloatArray], rates: Mapping[str, FloatArray]) -> str:
+    """Whether speeds lost their sign: on the spot both treads seem to go the same way."""
+    left, right = channels["v_left"], channels["v_right"]
+    top = float(np.quantile(left + right, 0.99))
+    if min(left.min(), right.min()) < -0.02 * top or np.array_equal(left, right):
+        return ""
+    equal = (np.abs(right - left) < 0.15 * (left + right)) & (left + right > 0.2 * top)
+    for name, rate in rates.items():
+        spinning = equal & (
+            np.abs(rate) > max(_TURNS, 0.5 * float(np.quantile(np.abs(rate), 0.99)))
+        )
+        if np.count_nonzero(spinning) > max(_ENOUGH, 0.5 * _SHARE * len(left)):
+            return (
+                f"{name} shows that the robot spins where both treads seem to go forwards: the "
+                "tread speeds lost their sign; log them with it, for unsigned speeds show "
+                "neither turns nor reversing"
+            )
+    return ""
 
 
 def compare_powers(channels: Mapping[str, FloatArray]) -> str:
@@ -161,12 +221,13 @@ def refuse_one_side(logs: Sequence[DriveLog]) -> None:
     Raises
     ------
     NotIdentifiableError
-        If the speed or the power of one side stays the same all along while the robot drives, or
-        the powers are no two powers in one unit.
+        If the speed or the power of one side stays the same all along while the robot drives, the
+        powers are no two powers in one unit, or the speeds are one column or have no signs.
     """
     for log in logs:
         reasons = [
             *find_dead(log.channels, yaw_rates(log.channels, log.runs)),
+            *find_false_speeds(log.channels, log.runs),
             compare_powers(log.channels),
         ]
         for reason in filter(None, reasons):

@@ -13,6 +13,8 @@ from energyplan.errors import DriveLogError
 from energyplan.logs._smooth import derivative
 from energyplan.logs.align import gap_limit
 from energyplan.logs.contradictions import find_contradictions, turning_against
+from energyplan.logs.evidence import yaw_rates
+from energyplan.logs.one_side import find_dead
 from energyplan.path import FloatArray
 
 if TYPE_CHECKING:  # which imports this module
@@ -210,12 +212,13 @@ def find_doubts(
     DriveLogError
         If channels contradict each other.
     """
-    return [
-        *_check_time(channels["t"], runs, label),
-        *_check_turning(channels, runs, label),
-        *_check_power(channels, power, runs, label),
-        *find_contradictions(channels, power, runs),
-    ]
+    told = _check_time(channels["t"], runs, label)
+    contradictions = find_contradictions(channels, power, runs)
+    if not find_dead(channels, yaw_rates(channels, runs)):
+        # One side alone seems to turn or to draw the wrong way.
+        told += _check_turning(channels, runs, label)
+        told += _check_power(channels, power, runs, label)
+    return [*told, *contradictions]
 
 
 def _check_time(t: FloatArray, runs: Sequence[slice], label: str) -> list[str]:

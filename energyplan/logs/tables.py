@@ -24,7 +24,7 @@ from energyplan.logs.dialect import (
     Dialect,
     find_dialect,
 )
-from energyplan.logs.instants import Instants, instants_of, over_midnight
+from energyplan.logs.instants import Instants, instants_of, over_midnight, whole_stamps
 from energyplan.logs.units import split_unit
 from energyplan.path import FloatArray
 
@@ -453,4 +453,5 @@ class _Columns:
             for name, values in numbers.items()
             if not name.startswith(UNNAMED) or np.isfinite(values).any()
         }
+        numbers = {**whole_stamps(numbers), **numbers}
         return Table(file.name, numbers, self._text, self._first, self._unit, error)

@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from foreign_logs import (
     LOADER,
@@ -143,6 +144,20 @@ def test_what_was_done_to_rows_is_told(tmp_path: Path) -> None:
     assert any("2 recordings in one file" in warning for warning in log.warnings)
     assert [item.count for item in log.set_aside] == [1]  # the second line of names
     assert np.diff(log.t).max() == pytest.approx(10.0)
+
+
+def test_counters_of_a_robot_that_goes_ahead_alone_are_counters(tmp_path: Path) -> None:
+    """A falling power had followed the counts themselves, as if these were a speed."""
+    t = np.arange(0.0, 30.0, 0.1)
+    speed = 0.55 * (1 - np.exp(-t)) + 0.01 * np.sin(3 * t)
+    counts = np.round(np.cumsum(speed) * 0.1 / 0.00025)
+    power = 80.0 - t + np.random.default_rng(1).normal(0, 8, len(t))
+    file = tmp_path / "ahead.csv"
+    frame = {"t": t, "power": power, "encoder_left": counts, "encoder_right": counts + 7}
+    pd.DataFrame(frame).to_csv(file, index=False)
+    known = Given(**{**ROVER.measures, "counts_per_revolution": 2 * np.pi * ROVER.radius / 0.00025})
+    log = ep.DriveLog.read(file, dict(start(file, known).project.columns), others=False)
+    np.testing.assert_allclose(log.channel("v_left")[5:], speed[5:], atol=0.03)
 
 
 def rows(*parts: tuple[float, float, int]) -> dict[str, np.ndarray]:

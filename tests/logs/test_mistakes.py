@@ -237,9 +237,11 @@ def test_a_mistake_with_the_log_is_caught_with_its_remedy(name: str) -> None:
         pytest.param(dead("p_right", 7.3), r"p_right is 7\.3 throughout", id="sensor stuck"),
         pytest.param(scaled(p_right=1e-3), r"p_right=NAME\[kW\]", id="side in kW"),
         pytest.param(in_one_column("p_left", "p_right"), "one column", id="one column"),
+        pytest.param(in_one_column("v_left", "v_right"), "one column", id="one speed for both"),
+        pytest.param(unsigned, "lost their sign", id="speeds without signs"),
     ],
 )
-def test_nothing_is_identified_from_half_the_power(
+def test_nothing_is_identified_from_half_of_what_is_needed(
     change: Callable[[Columns], Columns], reason: str
 ) -> None:
     """K would come out at half of what it is, with a small standard error."""
@@ -250,6 +252,45 @@ def test_nothing_is_identified_from_half_the_power(
         ep.identify([whole, log], ROBOT)
     with pytest.raises(NotIdentifiableError, match=reason):
         ep.diagnose(whole, log, ROBOT)
+
+
+@pytest.mark.parametrize(("name", "value"), [("p_left", 0.0), ("p_right", 40.0), ("v_right", 0.3)])
+def test_a_side_that_is_dead_is_not_told_as_another_mistake(name: str, value: float) -> None:
+    """Turning mostly one way, sides seem to be swapped, or the other's power to be negative."""
+    made = drive(1)
+    turn = made["v_right"] > made["v_left"] + 0.05
+    one_way = {key: values[turn | (made["v_right"] == 0.0)] for key, values in made.items()}
+    said = told(dead(name, value)(one_way), OWN)
+    assert any(f"{name} is {value:g} throughout" in text for text in said), said
+
+
+@pytest.mark.parametrize("count", [3, 12])
+@pytest.mark.parametrize(
+    ("name", "value"), [("v_left", 15.0), ("p_right", 2e4), ("p_right", 1e9), ("yaw_rate", -18.0)]
+)
+def test_readings_that_stand_out_are_set_aside(name: str, value: float, count: int) -> None:
+    """Three speeds of 15 m/s among 800 readings moved the friction by forty standard errors."""
+    made = drive(1)
+    rows = np.random.default_rng(count).choice(len(made["t"]), count, replace=False)
+    values = made[name].copy()
+    values[rows] = value
+    log = ep.DriveLog.from_columns({**made, name: values}, "drive")
+    assert sum(item.count for item in log.set_aside if "blanked" in item.reason) == count
+    clean = ep.identify(ep.DriveLog.from_columns(made, "drive"), ROBOT)
+    found = ep.identify(log, ROBOT).model.coefficients
+    error = [clean.std_error[term.name] for term in clean.model.terms]
+    assert np.all(np.abs(found - clean.model.coefficients) < error)
+
+
+def test_what_lasts_is_no_glitch() -> None:
+    """A robot that creeps and drives ten times as fast for a second; a motor that starts."""
+    made = drive(1)
+    first = np.flatnonzero(made["v_left"] > 0.1)[40]
+    for name in ("v_left", "v_right"):
+        made[name] = 0.1 * made[name]
+        made[name][first : first + 20] *= 10.0
+    made["p_left"][first] = 5.0 * made["p_left"].max()
+    assert not ep.DriveLog.from_columns(made, "drive").set_aside
 
 
 @pytest.mark.parametrize("name", BATTERY)
