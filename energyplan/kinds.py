@@ -11,7 +11,7 @@ import ast
 import importlib
 import inspect
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cache, wraps
 from numbers import Integral, Real
@@ -379,51 +379,3 @@ def checked(error: type[Exception] = InvalidInputError) -> Callable[[Function], 
         return held  # type: ignore[return-value]
 
     return decorate
-
-
-# -- equality -------------------------------------------------------------------------------------
-
-
-def _same(one: Any, other: Any) -> bool:
-    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
-        if type(one) is not type(other):
-            return False
-        return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        return one.keys() == other.keys() and all(_same(one[k], other[k]) for k in one)
-    if isinstance(one, tuple) and isinstance(other, tuple):
-        return len(one) == len(other) and all(map(_same, one, other))
-    return bool(one == other)
-
-
-def _key(value: object) -> object:
-    if isinstance(value, np.ndarray):
-        return value.shape, (value + 0.0).tobytes()  # of -0 as of 0
-    if isinstance(value, Mapping):
-        return frozenset((name, _key(item)) for name, item in value.items())
-    return tuple(map(_key, value)) if isinstance(value, tuple) else value
-
-
-def _compared(record: Any) -> Iterator[Any]:
-    return (getattr(record, field.name) for field in fields(record) if field.compare)
-
-
-class ByValue:
-    """Base of dataclasses with arrays among their fields: equal where all fields are.
-
-    Declare them with ``eq=False``: what `dataclass` writes cannot compare arrays.
-
-    Examples
-    --------
-    >>> from energyplan.path import Path, Pose
-    >>> Path(Pose(0, 0, 0), [1, 2], [0, 0]) == Path(Pose(0, 0, 0), [1, 2], [0, 0])
-    True
-    """
-
-    def __eq__(self, other: object) -> bool:
-        if type(other) is not type(self):
-            return NotImplemented
-        return all(map(_same, _compared(self), _compared(other)))
-
-    def __hash__(self) -> int:
-        return hash(tuple(map(_key, _compared(self))))

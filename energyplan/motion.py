@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan.errors import InvalidInputError, MissingChannelError
-from energyplan.kinds import ByValue, checked, instance, numbers
+from energyplan.kinds import checked, instance, numbers
 from energyplan.path import FloatArray, Trajectory
+from energyplan.records import ByValue
 from energyplan.vehicle import TreadICR
 
 CHANNELS = {
@@ -88,9 +89,6 @@ class Motion(ByValue):
         object.__setattr__(self, "v_right", _broadcast(right, shape))
         wide = {name: _broadcast(value, shape) for name, value in others.items()}
         object.__setattr__(self, "channels", MappingProxyType(wide))
-
-    def __getstate__(self) -> dict[str, object]:
-        return {**vars(self), "channels": dict(self.channels)}
 
     @property
     def shape(self) -> tuple[int, ...]:

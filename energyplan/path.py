@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from energyplan.errors import InvalidInputError, PathError
-from energyplan.kinds import ByValue, checked, described, numbers
+from energyplan.kinds import checked, described, numbers
+from energyplan.records import ByValue
 
 if TYPE_CHECKING:
     import pandas as pd

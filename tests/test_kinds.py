@@ -6,7 +6,9 @@ import inspect
 import math
 import pickle
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,7 +17,13 @@ import shapely
 
 import energyplan as ep
 from energyplan import kinds, live
+from energyplan.diagnosis.result import Evidence, FoundEffect
 from energyplan.errors import EnergyPlanError, InvalidInputError
+from energyplan.fleet.types import Fleet, Robot
+from energyplan.io.project import Project
+from energyplan.logs.columns import Column
+from energyplan.physics.effects import Effect
+from energyplan.terrain.costs import CostMap
 
 VEHICLE = ep.Vehicle.preset("quadriga:full")
 MODEL = ep.PowerModel.preset("quadriga:full:concrete")
@@ -247,6 +255,56 @@ def test_records_that_differ_in_one_number_are_not_equal() -> None:
     assert dataclasses.replace(MODEL, covariance=np.eye(2)) != MODEL
     lossy = dataclasses.replace(MODEL.vehicle, drive_efficiency=0.9)
     assert dataclasses.replace(MODEL, vehicle=lossy) != MODEL
+
+
+HELD: list[Callable[[], object]] = [
+    *ALIKE,
+    lambda: ep.OccupancyGrid(np.zeros((9, 9), bool), 0.1, unknown=np.eye(9, dtype=bool)),
+    lambda: ep.HeightMap(np.zeros((9, 9)), 0.1),
+    lambda: CostMap(np.zeros((9, 9)), 0.1),
+    lambda: LOG,
+    lambda: mission(payload_models={"a": {10.0: MODEL}}, confidence=0.5),
+    lambda: Fleet([Robot("one", mission(confidence=0.5))], {}),
+    lambda: FoundEffect(
+        "hotel_load", "P_0", 40.2, "W", 0.6, Evidence(0.42, 0.06, 1e-8), details={"phase": 0.1}
+    ),
+    lambda: Effect.parse("tilted_plane=0.05,direction=1.57"),
+    lambda: Project("a", VEHICLE, {"t": Column("time")}, defaults={"mass": 3.0}),
+]
+COPIES: dict[str, Callable[[Any], Any]] = {
+    "copy": copy.copy,
+    "deepcopy": copy.deepcopy,
+    "pickle": lambda record: pickle.loads(pickle.dumps(record)),
+    "replace": dataclasses.replace,
+}
+
+
+def parts(value: object) -> Iterator[object]:
+    """Give the arrays and mappings of a field, with those within."""
+    if isinstance(value, Mapping | np.ndarray):
+        yield value
+    for item in value.values() if isinstance(value, Mapping) else ():
+        yield from parts(item)
+
+
+def writable(part: object) -> bool:
+    return part.flags.writeable if isinstance(part, np.ndarray) else isinstance(part, dict)
+
+
+@cache
+def built(number: int) -> Any:
+    return HELD[number]()
+
+
+@pytest.mark.parametrize("way", COPIES)
+@pytest.mark.parametrize("number", range(len(HELD)))
+def test_what_nobody_writes_to_stays_so_in_a_copy(number: int, way: str) -> None:
+    record = built(number)
+    again = COPIES[way](record)
+    for field in dataclasses.fields(record):
+        before, after = getattr(record, field.name), getattr(again, field.name)
+        for was, part in zip(parts(before), parts(after), strict=True):
+            assert writable(was) or not writable(part), field.name
 
 
 def test_sources_name_public_things() -> None:

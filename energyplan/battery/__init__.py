@@ -12,8 +12,9 @@ from energyplan.battery._kernel import Circuit, discharge
 from energyplan.battery._tables import CHEMISTRIES, PRESETS
 from energyplan.battery.model import BatteryModel, BatteryRun, BrownOut
 from energyplan.errors import BatteryError, UnknownNameError
-from energyplan.kinds import ByValue, check_fields, checked, numbers
+from energyplan.kinds import check_fields, checked, numbers
 from energyplan.path import FloatArray
+from energyplan.records import ByValue
 
 __all__ = ["Battery", "BatteryModel", "BatteryRun", "BrownOut"]
 
@@ -178,10 +179,9 @@ class Battery(ByValue):
         if low <= self.temperature <= high:
             return ""
         known = f"at {low:g} degC only" if low == high else f"from {low:g} to {high:g} degC"
-        nearest = low if self.temperature < low else high
         return (
             f"battery {self.name}: its capacity is known {known}; at {self.temperature:g} degC "
-            f"that of {nearest:g} degC is used, which may be too much"
+            f"that of {np.clip(self.temperature, low, high):g} degC is used, which may be too much"
         )
 
     @property

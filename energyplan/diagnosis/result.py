@@ -12,6 +12,7 @@ from energyplan.diagnosis.holdout import ErrorInterval
 from energyplan.diagnosis.residual import Dependence
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual
+from energyplan.records import ReadOnly
 
 Verdict = Literal["effect_found", "no_effect", "unexplained"]
 
@@ -43,7 +44,7 @@ class Evidence:
 
 
 @dataclass(frozen=True)
-class FoundEffect:
+class FoundEffect(ReadOnly):
     """An effect that was found.
 
     Parameters
@@ -89,9 +90,6 @@ class FoundEffect:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "details", MappingProxyType(dict(self.details)))
-
-    def __getstate__(self) -> dict[str, object]:
-        return {**vars(self), "details": dict(self.details)}
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from energyplan.fit.least_squares import Problem
 from energyplan.fit.regression import Method, PowerRegression
 from energyplan.fit.residuals import statistics
 from energyplan.fit.solvers import Bounds
-from energyplan.kinds import ByValue, checked
+from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
 from energyplan.logs.one_side import refuse_one_side
@@ -30,6 +30,7 @@ from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Term
 from energyplan.power.effects import catalogue
+from energyplan.records import ByValue
 from energyplan.vehicle import TreadICR, Vehicle
 
 __all__ = ["ICREstimate", "Identification", "fit_icr", "fit_residual", "icr_from_spin", "identify"]
@@ -85,6 +86,10 @@ class Identification(ByValue):
     def __post_init__(self) -> None:
         if self.model.covariance is None or self.model.residual is None:
             raise ModelError("an identified model needs its covariance and its residual")
+        if self.icr_covariance is not None:
+            known = np.array(self.icr_covariance, float)
+            known.setflags(write=False)
+            object.__setattr__(self, "icr_covariance", known)
 
     def _repr_html_(self) -> str:
         """Return the coefficients as a table, for notebooks."""

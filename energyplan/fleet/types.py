@@ -9,6 +9,7 @@ from types import MappingProxyType
 from energyplan.errors import MissionError
 from energyplan.mission import Charger, Mission, Task
 from energyplan.path import Pose
+from energyplan.records import ReadOnly
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class RobotState:
 
 
 @dataclass(frozen=True)
-class Fleet:
+class Fleet(ReadOnly):
     """Robots that share tasks and chargers.
 
     Parameters

@@ -16,11 +16,12 @@ from energyplan.io.config import ProjectFile, plain_vehicle, read_vehicle
 from energyplan.io.files import atomic_write
 from energyplan.io.topics import TopicMap
 from energyplan.logs.columns import Column, column_from
+from energyplan.records import ReadOnly
 from energyplan.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
-class Project:
+class Project(ReadOnly):
     """How a robot's logs are read, and the robot.
 
     Parameters

@@ -26,6 +26,7 @@ from energyplan.logs.tables import read_table, table_of
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import Sides
+from energyplan.records import ReadOnly
 from energyplan.vehicle import TreadICR
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ _EPOCH = 1e6  # times beyond are those of a calendar, not of a drive [s]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DriveLog:
+class DriveLog(ReadOnly):
     """One drive: named channels over time.
 
     `from_columns` and `read` correct what can be corrected, and count it; this takes no faults.
@@ -102,9 +103,6 @@ class DriveLog:
         object.__setattr__(self, "channels", MappingProxyType(arrays))
         object.__setattr__(self, "set_aside", tuple(self.set_aside))
         object.__setattr__(self, "warnings", tuple(self.warnings))
-
-    def __getstate__(self) -> dict[str, object]:
-        return {**vars(self), "channels": dict(self.channels)}
 
     def __len__(self) -> int:
         return len(self.t)

@@ -87,8 +87,8 @@ def known_routes(grid: OccupancyGrid) -> dict[RouteKey, Route]:
     """
     return {
         (digest, *pair): route
-        for digest, routes in PLANNED.get(grid, {}).items()
-        for pair, route in routes.items()
+        for digest, routes in dict(PLANNED.get(grid, {})).items()
+        for pair, route in dict(routes).items()
     }
 
 

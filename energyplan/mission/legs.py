@@ -291,8 +291,8 @@ class Legs:
         key = hashlib.sha256(repr(asked).encode()).digest()
         routes = known.pop(key, {})
         known[key] = routes
-        if len(known) > _REMEMBERED:
-            del known[next(iter(known))]
+        for oldest in list(known)[:-_REMEMBERED]:
+            known.pop(oldest, None)  # another thread may have been quicker
         return routes
 
     def _planned(self, start: int, goal: int, hurried: bool) -> Route:

@@ -21,6 +21,7 @@ from energyplan.path import Pose
 from energyplan.planning.problem import nearest_free
 from energyplan.power import PowerModel
 from energyplan.power.effects import reads_slope
+from energyplan.records import ReadOnly
 from energyplan.terrain import OccupancyGrid, knows_ground, laid_out, on_laid_ground
 from energyplan.vehicle import Vehicle
 
@@ -32,7 +33,7 @@ ReturnRule = Literal["start", "charger", "any"]
 
 
 @dataclass(frozen=True, eq=False)
-class Mission:
+class Mission(ReadOnly):
     """Tasks to do with one battery.
 
     Parameters
@@ -179,9 +180,9 @@ class Mission:
                 object.__setattr__(self, name, value)
 
     def __getstate__(self) -> dict[str, object]:
-        plain = {key: dict(value) for key, value in self.payload_models.items()}
-        kept = {key: value for key, value in vars(self).items() if key != "free_map"}
-        return {**kept, "payload_models": plain}
+        state = super().__getstate__()
+        state.pop("free_map", None)
+        return state
 
     def _check_names(self) -> None:
         seen = {"start"}

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from energyplan.errors import InvalidInputError, UnknownNameError
 from energyplan.physics.robot import Border, Robot
+from energyplan.records import ReadOnly
 from energyplan.vehicle import GRAVITY
 
 FULL_EFFORT = 0.5
@@ -202,7 +203,7 @@ EFFECTS: Mapping[str, Kind] = MappingProxyType(_EFFECTS)
 
 
 @dataclass(frozen=True)
-class Effect:
+class Effect(ReadOnly):
     """An effect that the engine can switch on, and its size.
 
     Parameters
@@ -243,9 +244,6 @@ class Effect:
         if not np.all(np.isfinite([self.size, *values.values()])):
             raise InvalidInputError(f"the effect {self.name} = {self.size} is not a finite number")
         object.__setattr__(self, "details", MappingProxyType(values))
-
-    def __getstate__(self) -> dict[str, object]:
-        return {**vars(self), "details": dict(self.details)}
 
     def on(self, robot: Robot) -> Robot:
         """Return a robot with this effect switched on."""

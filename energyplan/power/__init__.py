@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from energyplan import html
 from energyplan.errors import ModelError, UnknownNameError
-from energyplan.kinds import ByValue, check_fields, checked, instance, numbers
+from energyplan.kinds import check_fields, checked, instance, numbers
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power.terms import (
@@ -37,6 +37,7 @@ from energyplan.power.terms import (
     Term,
     tread_forces,
 )
+from energyplan.records import ByValue
 from energyplan.vehicle import Vehicle
 
 __all__ = [

@@ -9,9 +9,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from energyplan.kinds import ByValue
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
+from energyplan.records import ByValue
 from energyplan.vehicle import Vehicle
 
 Kind = Literal["force", "power", "loss"]

@@ -11,11 +11,12 @@ from numpy.typing import ArrayLike
 
 from energyplan import html
 from energyplan.errors import InvalidInputError
-from energyplan.kinds import ByValue, checked
+from energyplan.kinds import checked
 from energyplan.path import FloatArray
 from energyplan.planning import Plan, Planner, PlanningProblem, plan
 from energyplan.planning.contract import priced_plan
 from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.records import ByValue
 
 SHARES = (0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 """Values of a second that are tried, in units of the power of the drive of least energy."""

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from energyplan.errors import MapError
 from energyplan.path import FloatArray, Path, Pose
+from energyplan.records import ReadOnly
 from energyplan.terrain.grid import OccupancyGrid
 from energyplan.terrain.heights import ORIGIN
 
@@ -17,7 +18,7 @@ PIECE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class CostMap:
+class CostMap(ReadOnly):
     """Costs of cells from 0 (none) to 1 (the highest).
 
     Parameters

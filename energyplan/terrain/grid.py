@@ -15,11 +15,12 @@ from energyplan import html
 from energyplan.errors import MapError
 from energyplan.kinds import check_fields, checked, instance, numbers
 from energyplan.path import FloatArray, Path, Pose, as_pose
+from energyplan.records import ReadOnly
 from energyplan.terrain import _distance
 from energyplan.terrain import collision as _collision
 from energyplan.terrain.heights import ORIGIN, extent_in_words
 from energyplan.terrain.surfaces import FARTHEST
-from energyplan.terrain.updates import place_of_patch, updated_space, window_of
+from energyplan.terrain.updates import new_space, place_of_patch, updated_space, window_of
 from energyplan.vehicle import Vehicle
 
 BoolArray = NDArray[np.bool_]
@@ -45,7 +46,7 @@ def _frozen_bool(value: ArrayLike, name: str) -> BoolArray:
 
 
 @dataclass(frozen=True, eq=False)
-class OccupancyGrid:
+class OccupancyGrid(ReadOnly):
     """A grid of square cells that are occupied, unknown or free.
 
     Parameters
@@ -145,15 +146,12 @@ class OccupancyGrid:
         metres.setflags(write=False)
         return metres
 
-    @cached_property
+    @property
     def space(self) -> _collision.Space:
-        """The blocked cells, their distances and the frame, as kernels take them."""
-        x, y, yaw = self.origin
-        return _collision.Space(
-            _collision.next_blocked(self.blocked),
-            _distance.clearance(self.blocked),
-            x, y, yaw, float(np.cos(yaw)), float(np.sin(yaw)), float(self.resolution),
-        )  # fmt: skip
+        """The blocked cells, their distances and the frame; of several threads the first's."""
+        found = vars(self).get("space") or new_space(self.blocked, self.origin, self.resolution)
+        kept: _collision.Space = vars(self).setdefault("space", found)
+        return kept
 
     @checked(MapError)
     def updated(

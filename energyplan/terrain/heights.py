@@ -12,6 +12,7 @@ from energyplan.errors import MapError
 from energyplan.kinds import check_fields, checked, numbers
 from energyplan.path import FloatArray, Path, Pose, as_pose
 from energyplan.power.effects import with_weight
+from energyplan.records import ReadOnly
 from energyplan.terrain.surfaces import SurfaceMap
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ def extent_in_words(width: float, height: float, origin: Pose) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class HeightMap:
+class HeightMap(ReadOnly):
     """Heights at the nodes of a square grid, bilinear in between.
 
     Parameters

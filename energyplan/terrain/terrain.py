@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
@@ -249,13 +250,9 @@ class Terrain:
     ) -> Terrain:
         """Return the ground made of these; the map remembers those last seen, and their tables."""
         known: list[Terrain] = grid.__dict__.setdefault("_terrains", [])
-        for k, ground in enumerate(known):
-            if ground.surfaces is surfaces and ground.heights is heights:
-                known.append(known.pop(k))
-                return ground
-        ground = cls(grid, surfaces, heights)
-        known.append(ground)
-        del known[:-_KEPT]
+        same = (g for g in tuple(known) if g.surfaces is surfaces and g.heights is heights)
+        ground = next(same, None) or cls(grid, surfaces, heights)
+        known[:] = [*(g for g in known if g is not ground), ground][-_KEPT:]
         return ground
 
     def remember(self, key: Hashable, make: Callable[[], Made]) -> Made:
@@ -273,12 +270,13 @@ class Terrain:
         object
             The table.
         """
-        if key not in self._tables:
-            made = make()
-            while len(self._tables) >= _TABLES:
-                del self._tables[next(iter(self._tables))]
-            self._tables[key] = made
-        found: Made = self._tables[key]
+        with suppress(KeyError):
+            known: Made = self._tables[key]
+            return known
+        made = make()
+        for oldest in list(self._tables)[: 1 - _TABLES]:
+            self._tables.pop(oldest, None)  # another thread may have been quicker
+        found: Made = self._tables.setdefault(key, made)
         return found
 
     def updated(

@@ -104,7 +104,8 @@ class _Former(NamedTuple):
 class Tables:
     """What was made of a map's blocked cells, and what was made of them before they changed.
 
-    Of each table only the last one is kept, however often the map changes.
+    Of each table only the last one is kept, however often the map changes. Where several threads
+    ask for one at once, all get the one that was made first.
     """
 
     made: dict[Hashable, Any] = field(default_factory=dict)
@@ -136,7 +137,7 @@ class Tables:
         if key not in self.made:
             old = self.former.pop(key, None)
             keep = old is not None and update is not None
-            self.made[key] = update(old.table, old.window) if keep else make()  # type: ignore[misc, union-attr]
+            self.made.setdefault(key, update(old.table, old.window) if keep else make())  # type: ignore[misc, union-attr]
         found: Made = self.made[key]
         return found
 
@@ -145,9 +146,10 @@ class Tables:
         if window is None:
             return Tables(dict(self.made), dict(self.former))
         former = {
-            key: _Former(old.table, old.window.joined(window)) for key, old in self.former.items()
+            key: _Former(old.table, old.window.joined(window))
+            for key, old in dict(self.former).items()
         }
-        former.update({key: _Former(table, window) for key, table in self.made.items()})
+        former.update({key: _Former(table, window) for key, table in dict(self.made).items()})
         return Tables({}, former)
 
 
@@ -156,16 +158,27 @@ _tables: dict[int, Tables] = {}
 
 def tables_of(space: Space) -> Tables:
     """Return the tables of a map; they live as long as its clearances."""
-    name = id(space.clearance)
-    if name not in _tables:
-        _keep(space, Tables())
-    return _tables[name]
+    return _tables.get(id(space.clearance)) or _kept(space, Tables())
 
 
-def _keep(space: Space, tables: Tables) -> None:
+def _kept(space: Space, tables: Tables) -> Tables:
+    """Return the tables that are kept for a map: these, if no other thread was earlier."""
     name = id(space.clearance)
-    _tables[name] = tables
-    weakref.finalize(space.clearance, _tables.pop, name, None)
+    kept = _tables.setdefault(name, tables)
+    if kept is tables:
+        weakref.finalize(space.clearance, _tables.pop, name, None)
+    return kept
+
+
+def new_space(
+    blocked: NDArray[np.bool_], origin: tuple[float, float, float], resolution: float
+) -> Space:
+    """Return the blocked cells, their distances and the frame, as kernels take them."""
+    x, y, yaw = origin
+    return Space(
+        next_blocked(blocked), _distance.clearance(blocked),
+        x, y, yaw, float(np.cos(yaw)), float(np.sin(yaw)), float(resolution),
+    )  # fmt: skip
 
 
 def updated_space(space: Space, blocked: NDArray[np.bool_], window: Window | None) -> Space:
@@ -191,7 +204,7 @@ def updated_space(space: Space, blocked: NDArray[np.bool_], window: Window | Non
         following[rows] = next_blocked(np.ascontiguousarray(blocked[rows]))
         _update_clearance(clearance, blocked, window)
     made = space._replace(next_blocked=following, clearance=clearance)
-    _keep(made, tables_of(space).after(window))
+    _kept(made, tables_of(space).after(window))
     return made
 
 

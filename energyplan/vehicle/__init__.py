@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from energyplan import html
 from energyplan.errors import UnknownNameError, VehicleError
-from energyplan.kinds import ByValue, check_fields, checked, numbers
+from energyplan.kinds import check_fields, checked, numbers
+from energyplan.records import ByValue
 from energyplan.vehicle.icr import LARGEST_EXTENT, TreadICR, predict_icr
 
 __all__ = [

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+
 import numpy as np
 import pytest
 
+from energyplan.battery import Battery
 from energyplan.cost import EnergyCost
 from energyplan.errors import NoPathError, TimeLimitError
+from energyplan.mission import Mission, Task, evaluate
 from energyplan.planning import PlanningProblem, parallel, plan
 from energyplan.planning.budget import Budget
+from energyplan.planning.lattice.many_goals import energies
 from energyplan.planning.parallel import side_by_side
 from energyplan.power import PowerModel
-from energyplan.terrain import OccupancyGrid
+from energyplan.terrain import OccupancyGrid, Terrain, grid
+from energyplan.terrain.updates import tables_of
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 
@@ -109,3 +118,72 @@ def test_works_that_ask_for_much_share_what_the_others_leave():
     parallel.do_together(budget, [work(1000), work(10), work(500), work(0)])
     assert taken == [45, 10, 45, 0]
     assert budget.over
+
+
+def at_once(work: list[Callable[[], object]]) -> list[object]:
+    """Return what comes of work that as many threads do at the same time."""
+    begin = Barrier(len(work))
+
+    def run(one: Callable[[], object]) -> object:
+        begin.wait(60)
+        return one()
+
+    usual = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(len(work)) as pool:
+            return list(pool.map(run, work))
+    finally:
+        sys.setswitchinterval(usual)
+
+
+def test_what_threads_ask_for_at_once_is_the_same_as_alone():
+    """A map's tables are made by whoever comes first; none of it may show in a result."""
+    pose, goals = (1, 4, 0), [(3, 5, 1), (11, 1, 2)]
+
+    def work(grid: OccupancyGrid) -> list[Callable[[], object]]:
+        def route() -> object:
+            found = plan(PlanningProblem(grid, COST, pose, goals[0]), effort=300)
+            return found.path, found.energy, found.lower_bound
+
+        def reached() -> object:
+            return energies(PlanningProblem(grid, COST, pose, goals[0]), goals, effort=50).tobytes()
+
+        def mission() -> object:
+            tasks = [Task("a", goals[0])]
+            asked = Mission(
+                model=COST.model, map=grid, battery=Battery.preset("quadriga"), start=pose,
+                tasks=tasks, confidence=0.5, planning_effort=100,
+            )  # fmt: skip
+            return evaluate(asked).timeline.soc.tobytes()
+
+        return [route, reached, mission, route]
+
+    alone = [one() for one in work(rooms(0.9))]
+    for _ in range(5):
+        assert at_once(work(rooms(0.9))) == alone
+
+
+def test_threads_share_what_was_made_first(monkeypatch):
+    """What is told by its identity is one thing, however many threads make it."""
+    both = Barrier(2)
+
+    def slow(make: Callable[..., object] = object) -> Callable[..., object]:
+        def made(*given: object) -> object:
+            both.wait(60)  # neither is quicker
+            return make(*given)
+
+        return made
+
+    hall = rooms(0.9)
+    tables = tables_of(hall.space)
+    one, other = at_once([lambda: tables.get("table", slow())] * 2)
+    assert one is other
+    ground = Terrain(hall)
+    one, other = at_once([lambda: ground.remember("table", slow())] * 2)
+    assert one is other
+    monkeypatch.setattr(grid, "new_space", slow(grid.new_space))
+    fresh = OccupancyGrid(hall.occupied, 0.05)
+    _ = fresh.blocked
+    one, other = at_once([lambda: fresh.space] * 2)
+    assert one is other

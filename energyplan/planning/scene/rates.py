@@ -172,12 +172,13 @@ def least_prices(objective: Prices, steepest: float = 0.0, worth: float = 0.0) -
     key = id(surfaces), steepest, worth, weights
     kept = _known.setdefault(objective.cost, {})
     # surfaces hold the costs last asked for, so that a cost must not hold surfaces
-    if key not in kept or (surfaces is not None and kept[key].surfaces() is not surfaces):
+    known = kept.get(key)
+    if known is None or (surfaces is not None and known.surfaces() is not surfaces):
         if len(kept) >= _REMEMBERED:
             kept.clear()
         whose = ref(surfaces) if surfaces is not None else _nothing
-        kept[key] = _Remembered(whose, {}, {})
-    return LeastPrices(objective, steepest, worth, kept[key])
+        known = kept[key] = _Remembered(whose, {}, {})
+    return LeastPrices(objective, steepest, worth, known)
 
 
 def _nothing() -> None:

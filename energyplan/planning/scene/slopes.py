@@ -185,12 +185,14 @@ def priced(
     """
     weights = objective_weights(objective.objective)
     key = steepest, tuple(sorted(weights.items())), id(objective.surfaces)
-    known = _tables.setdefault(objective.cost, {})
-    if key not in known:
-        if len(known) >= _REMEMBERED:
-            known.clear()
-        known[key] = objective.surfaces, _priced(objective, ds, dtheta, travel, steepest)
-    return known[key][1]
+    kept = _tables.setdefault(objective.cost, {})
+    known = kept.get(key)
+    if known is None:
+        if len(kept) >= _REMEMBERED:
+            kept.clear()
+        known = objective.surfaces, _priced(objective, ds, dtheta, travel, steepest)
+        kept[key] = known
+    return known[1]
 
 
 def _priced(
