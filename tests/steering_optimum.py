@@ -31,6 +31,10 @@ class Corners:
     behind: float
 
 
+def _towards(heading: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.array([np.cos(heading), np.sin(heading)])
+
+
 def _range_optimum(
     d: NDArray[np.float64], turn: float, lo: float, hi: float, corners: Corners, cell: float
 ) -> float:
@@ -44,33 +48,25 @@ def _range_optimum(
         n = 2 * max(int(np.ceil((b - a) / (2 * cell))), FEWEST // 2) if b > a else 0
         edges += list(np.linspace(a, b, n + 1)[1:]) if n else []
         net += [flow] * n
-    edges_ = np.array(edges)
-    width, middle, flow_ = np.diff(edges_), 0.5 * (edges_[1:] + edges_[:-1]), np.array(net)
+    edges_, flow_ = np.array(edges), np.array(net)
+    width, middle = np.diff(edges_), 0.5 * (edges_[1:] + edges_[:-1])
     n = len(width)
-    columns: list[tuple[float, float, float, int, float, float]] = []  # cost, x, y, cell, net, pass
-    outward = corners.left if sign > 0 else corners.right
-    back = corners.right if sign > 0 else corners.left
-    for j in range(n):
-        ux, uy = np.cos(sign * middle[j]), np.sin(sign * middle[j])
-        chord = np.sinc(width[j] / (2 * np.pi))
-        for m, g in outward:
-            columns.append((g, m * chord * ux, m * chord * uy, j, 1.0, 1.0))
-        for m, g in back:
-            columns.append((g, m * chord * ux, m * chord * uy, j, -1.0, 1.0))
-    for heading in edges_:
-        ux, uy = np.cos(sign * heading), np.sin(sign * heading)
-        columns.append((corners.ahead, ux, uy, -1, 0.0, 0.0))
-        columns.append((corners.behind, -ux, -uy, -1, 0.0, 0.0))
-    table = np.array([(c[0], c[1], c[2], c[4], c[5]) for c in columns])
-    cells = np.array([c[3] for c in columns])
-    turning = np.flatnonzero(cells >= 0)
-    rows = np.concatenate([np.zeros(len(table)), np.ones(len(table)), cells[turning] + 2])
-    cols = np.concatenate([np.arange(len(table)), np.arange(len(table)), turning])
-    values = np.concatenate([table[:, 1], table[:, 2], table[turning, 3]])
-    equal = coo_matrix((values, (rows.astype(int), cols)), shape=(n + 2, len(table)))
-    passes = coo_matrix((-table[turning, 4], (cells[turning], turning)), shape=(n, len(table)))
+    outward, back = (corners.left, corners.right)[:: 1 if sign > 0 else -1]
+    m, g = np.array([*outward, *back]).T
+    net_turn = np.repeat([1.0, -1.0], [len(outward) * n, len(back) * n])
+    # a column for each element in each cell, then one for each way ahead and behind
+    arcs = np.sinc(width / (2 * np.pi)) * _towards(sign * middle)
+    ahead = _towards(sign * edges_)
+    xy = np.hstack([*(m_ * arcs for m_ in m), ahead, -ahead])
+    cost = np.concatenate([np.repeat(g, n), np.repeat([corners.ahead, corners.behind], n + 1)])
+    cells, turning, columns = np.tile(np.arange(n), len(m)), len(m) * n, len(cost)
+    rows = np.concatenate([np.repeat([0, 1], columns), cells + 2])
+    cols = np.concatenate([np.arange(columns), np.arange(columns), np.arange(turning)])
+    values = np.concatenate([xy.ravel(), net_turn])
+    equal = coo_matrix((values, (rows, cols)), shape=(n + 2, columns))
+    passes = coo_matrix((-np.ones(turning), (cells, np.arange(turning))), shape=(n, columns))
     found = linprog(
-        table[:, 0],
+        cost,
         A_eq=equal,
         b_eq=np.concatenate([d, flow_ * width]),
         A_ub=passes if n else None,

@@ -71,9 +71,10 @@ def random_pairs(n: int, seed: int, reach: tuple[float, float]) -> tuple[np.ndar
 # -- against independent optima ----------------------------------------------------------------
 
 
-def test_closed_form_agrees_with_a_linear_program() -> None:
+@pytest.mark.parametrize("pairs", [5, pytest.param(16, marks=pytest.mark.nightly)])
+def test_closed_form_agrees_with_a_linear_program(pairs: int) -> None:
     rng = np.random.default_rng(11)
-    for _ in range(16):
+    for _ in range(pairs):
         c = math.exp(rng.uniform(math.log(0.2), math.log(4.0)))
         distance = math.exp(rng.uniform(math.log(0.05), math.log(100.0)))
         bearing, turn = rng.uniform(-np.pi, np.pi, 2)
@@ -85,13 +86,14 @@ def test_closed_form_agrees_with_a_linear_program() -> None:
         assert (1 - 1e-3) * program <= found <= (1 + 1e-9) * program
 
 
-def test_hotel_load_agrees_with_a_linear_program() -> None:
+@pytest.mark.parametrize("pairs", [3, pytest.param(5, marks=pytest.mark.nightly)])
+def test_hotel_load_agrees_with_a_linear_program(pairs: int) -> None:
     cost = COSTS["hotel load"]
     C, a, kappa = cost.half_track, 2 * 110.0, 80.0 / 1.2
     b = a * C + 0.431 * FULL.vehicle.slip_moment
     corners = tuple((m, b + kappa * (C + abs(m))) for m in (-C, 0.0, C))
     rng = np.random.default_rng(12)
-    for _ in range(5):
+    for _ in range(pairs):
         distance = math.exp(rng.uniform(math.log(0.05), math.log(20.0)))
         bearing, turn = rng.uniform(-np.pi, np.pi, 2)
         d = distance * np.array([math.cos(bearing), math.sin(bearing)])
@@ -122,8 +124,9 @@ LOPSIDED = (
 )
 
 
+@pytest.mark.parametrize("pairs", [2, pytest.param(4, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("hotel", [0.0, 80.0])
-def test_lopsided_costs_agree_with_a_linear_program(hotel: float) -> None:
+def test_lopsided_costs_agree_with_a_linear_program(hotel: float, pairs: int) -> None:
     """Left and right, forwards and backwards all cost different."""
     cost = EnergyCost(LOPSIDED.with_term(HOTEL, hotel))
     C = cost.half_track
@@ -132,7 +135,7 @@ def test_lopsided_costs_agree_with_a_linear_program(hotel: float) -> None:
     )
     ahead, behind = cost.segment_energy([1.0, -1.0], 0.0)
     rng = np.random.default_rng(14)
-    for _ in range(4):
+    for _ in range(pairs):
         distance = math.exp(rng.uniform(math.log(0.05), math.log(10.0)))
         bearing, turn = rng.uniform(-np.pi, np.pi, 2)
         d = distance * np.array([math.cos(bearing), math.sin(bearing)])
