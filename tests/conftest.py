@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+from collections.abc import Generator
 from math import isfinite
 from pathlib import Path
 
@@ -17,6 +19,17 @@ settings.register_profile("varied")
 settings.load_profile("repeatable")
 
 collect_ignore = ["fuzz", "mutation.py"]  # scripts for the night
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Collect tests without looking for garbage, and never look for it among them."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(scope="session")

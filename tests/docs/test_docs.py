@@ -31,6 +31,7 @@ import energyplan as ep
 from energyplan import cli, simulate
 from energyplan.cli._fitting import log as log_commands
 from energyplan.io.trajectory import write_log, write_path, write_trajectory
+from energyplan.planning import Budget
 from energyplan.power import HOTEL
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -166,12 +167,28 @@ def command_lines(page: Path) -> Iterator[list[str]]:
 pytestmark = pytest.mark.usefixtures("counted")
 
 
+ENOUGH = 3000
+"""Units of work of a plan on a page; readers are asked for more, for better routes."""
+
+
+@pytest.fixture
+def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have plans do no more work than is enough for a route, whatever effort a page asks for."""
+    original = Budget.__init__
+
+    def init(self: Budget, time_limit: float = float("inf"), *, effort: int | None = None) -> None:
+        original(self, time_limit, effort=effort and min(effort, ENOUGH))
+
+    monkeypatch.setattr(Budget, "__init__", init)
+
+
 @pytest.fixture(autouse=True)
 def nothing_is_served(monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands that serve would not end; the tests of the service let them."""
     monkeypatch.setattr("energyplan.serve.server.run", lambda *arguments: None)
 
 
+@pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize("page", pages("python"))
 def test_python_blocks_run(
     page: Path, material: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
@@ -259,6 +276,7 @@ def after_demo(page: Path) -> bool:
     return "demo/" in page.read_text()
 
 
+@pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize("page", [p for p in pages("sh") if not after_demo(p.values[0])])
 def test_command_lines_run(
     page: Path,
@@ -312,6 +330,7 @@ EXAMPLES = [
 ]
 
 
+@pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda line: line.split()[1])
 def test_examples_of_the_help_run(
     example: str,

@@ -320,8 +320,8 @@ def test_energy_against_time_where_the_way_down_pays_for_itself():
         HALL, EnergyCost(MODEL.with_term(VISCOUS_LOSS, 80.0)), (2, 6, 0), (14, 6, 0),
         heights=plane(-0.4, 0.0),
     )  # fmt: skip
-    front = pareto(problem, effort=6_000)
-    assert len(front.points) > 2
+    front = pareto(problem, [0.0, 30.0, 120.0], effort=2_000)
+    assert len(front.points) == 3
     assert np.all(np.diff(front.energy) > 0)
     assert front.energy[0] < 0
     for point in front.points:
@@ -480,12 +480,12 @@ def test_payload_is_lifted_too():
 def test_bounds_of_a_mission_hold_on_slopes():
     from energyplan.mission.legs import Legs
 
-    poses = [Pose(4, 3, 0.0), Pose(12, 9, 2.0), Pose(7, 9, -1.0)]
+    poses = [Pose(4, 3, 0.0), Pose(12, 9, 2.0)]
     tasks = tuple(Task(f"t{k}", pose) for k, pose in enumerate(poses))
     legs = Legs(mission(at_battery().model, heights=hills(8, 0.6), tasks=tasks))
     bounds = legs.lower_bounds(0.0)
-    for i in range(4):
-        for j in range(4):
+    for i in range(3):
+        for j in range(3):
             assert bounds[i, j] <= legs.leg(i, j, 0.0).energy.mean + 1e-6
     assert bounds[0, 2] > 500
 

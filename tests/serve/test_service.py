@@ -39,7 +39,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("data")
     for name in ("warehouse.yaml", "warehouse.png", "warehouse_surfaces.geojson"):
         shutil.copy(ROOT / "maps" / name, place)
-    shutil.copy(ROOT / "examples" / "mission_warehouse.yaml", place)
+    (place / "round.yaml").write_text(
+        f"model: {MODEL}\nmap: room.yaml\nbattery: quadriga\nstart: [1, 2, 0]\n"
+        "coefficient_spread: 5 %\nplanning_effort: 1000\ntasks:\n- {name: look, pose: [4, 2, 0]}\n"
+        "- {name: wash, pose: [2, 3, 0], dwell: 2 h, power: 450 W, required: false}\n"
+    )
     truth = ep.PowerModel.preset("quadriga:full:marble").with_term(HOTEL, 40.0)
     for seed, name in enumerate(("a.csv", "b.csv")):
         write_log(simulate.validation_drive(truth, seed=seed, power_noise=5.0), place / name)
@@ -83,17 +87,17 @@ def test_no_path_is_an_answer(client: TestClient) -> None:
 
 
 def test_a_mission_by_file_and_by_content_agree(client: TestClient, folder: Path) -> None:
-    by_file = client.post("/api/mission", json={"mission": "mission_warehouse.yaml"})
+    by_file = client.post("/api/mission", json={"mission": "round.yaml"})
     import yaml
 
-    content = yaml.safe_load((folder / "mission_warehouse.yaml").read_text())
+    content = yaml.safe_load((folder / "round.yaml").read_text())
     by_content = client.post("/api/mission", json={"document": content})
     assert by_file.status_code == by_content.status_code == 200, by_content.text
     verdicts = [
         [(task["name"], task["verdict"]) for task in answer.json()["tasks"]]
         for answer in (by_file, by_content)
     ]
-    assert verdicts[0] == verdicts[1]
+    assert verdicts[0] == verdicts[1] == [("look", "reachable"), ("wash", "unreachable")]
     assert len(by_file.json()["timeline"]["t"]) == len(by_file.json()["timeline"]["soc"])
     assert not list(folder.glob(".mission*"))
 

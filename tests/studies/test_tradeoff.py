@@ -46,10 +46,13 @@ def test_the_front_of_a_straight_drive_is_the_closed_form():
     assert front.least_energy(front.duration) == pytest.approx(front.energy, rel=1e-4)
 
 
-def test_no_drive_beats_another_and_none_is_below_its_bound():
+@pytest.mark.parametrize(
+    "values", [[0.0, 20.0, 60.0, 200.0], pytest.param(None, marks=pytest.mark.nightly)]
+)
+def test_no_drive_beats_another_and_none_is_below_its_bound(values):
     problem = PlanningProblem(walled(), STIFF, (1.5, 2, 0), (10.5, 6, 2.0))
-    front = pareto(problem, effort=10_000)
-    assert len(front.points) >= 5
+    front = pareto(problem, values, effort=2_000)
+    assert len(front.points) >= 4
     assert np.all(np.diff(front.energy) > 0)
     assert np.all(np.diff(front.duration) < 0)
     assert np.all(front.least_energy(front.duration) <= front.energy)
@@ -65,13 +68,13 @@ def test_no_drive_beats_another_and_none_is_below_its_bound():
         assert total <= others.min() * (1 + 1e-9)
         assert problem.map.path_free(point.plan.path, problem.robot)
     # the usual plan is its end of least energy
-    alone = plan(problem, effort=10_000)
+    alone = plan(problem, effort=2_000)
     assert front.energy[0] <= alone.energy * 1.01
 
 
 def test_without_a_price_of_speed_only_routes_can_differ():
-    """In the open, where the straight way is best at both, one drive is left."""
-    front = pareto(replace(AHEAD, cost=EnergyCost(MODEL)), [0.0, 100.0, 1000.0], effort=15_000)
+    """In the open, where the straight way is best at both, one drive is left of all values'."""
+    front = pareto(replace(AHEAD, cost=EnergyCost(MODEL)), effort=15_000)
     assert len(front.points) == 1
     assert front.duration[0] == pytest.approx(8 / TOP)
 
