@@ -22,7 +22,7 @@ from energyplan.cli import (
     _watch,
 )
 from energyplan.cli.answers import INTERRUPTED, answer, give_up_stdout, progress, warn
-from energyplan.cli.app import app
+from energyplan.cli.app import app, misuse
 from energyplan.cli.options import Json, writes_folder
 from energyplan.errors import EnergyPlanError, MissingDependencyError, TimeLimitError
 
@@ -148,7 +148,7 @@ def main() -> None:
         code = _silent("the answer cannot be written: the disk is full") if full else 0
         code = code or _fail(str(error), 2)
     except typer.TyperException as error:
-        code = _fail(error.format_message(), error.exit_code)
+        code = _fail(misuse(error), error.exit_code)
     if code == INTERRUPTED:  # typer turns Ctrl-C into an exit with this code
         _fail("interrupted; files are as they were", code)
     sys.exit(code)

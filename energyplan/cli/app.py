@@ -6,6 +6,7 @@ import math
 import select
 import sys
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -18,6 +19,22 @@ from energyplan.errors import InvalidInputError
 
 _PROJECT, _ARGUMENTS = "energyplan.project", "energyplan.given"
 """Where the context of a command keeps the project's file, and the arguments as they were given."""
+
+
+def misuse(error: typer.TyperException) -> str:
+    """Say what is wrong with the words of a command, the value given, and where to look."""
+    message = error.format_message().removesuffix(".")
+    if (context := getattr(error, "ctx", None)) is None:
+        return message
+    names = getattr(getattr(error, "param", None), "opts", ())
+    words = context.meta.get(_ARGUMENTS, [])
+    for word, following in pairwise([*words, ""]):
+        name, joined, value = word.partition("=")
+        if name in names:
+            given = value if joined else following
+            wrong, _, _ = message.partition(", unable to parse")
+            message = wrong.replace("Input should be", f"{given!r} should be")
+    return f"{message}; see {context.command_path} --help"
 
 
 class Command(TyperCommand):

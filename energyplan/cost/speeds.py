@@ -46,7 +46,7 @@ def asked_speed(asked: float | str | None, vehicle: Vehicle) -> float | None:
     Raises
     ------
     InvalidInputError
-        If what is asked is neither a positive number nor `CHEAPEST`.
+        If what is asked is neither a positive number nor `CHEAPEST`, or above what motors can do.
     """
     if asked is None:
         usual = vehicle.driving_speed
@@ -60,6 +60,11 @@ def asked_speed(asked: float | str | None, vehicle: Vehicle) -> float | None:
     if not 0 < speed < np.inf:
         raise InvalidInputError(
             f"speed {asked!r} is neither metres per second > 0 nor {CHEAPEST!r}; write it like 0.6"
+        )
+    if speed > vehicle.motor.speed:
+        raise InvalidInputError(
+            f"speed {speed:g} m/s is more than the treads of {vehicle.name} can do; give "
+            f"{vehicle.motor.speed:g} m/s at most"
         )
     return speed
 

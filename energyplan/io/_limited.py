@@ -108,7 +108,7 @@ def read_features(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     try:
         document = json.loads(content)
     except (ValueError, RecursionError) as error:
-        raise MapError(f"{file}: not valid JSON: {error}") from None
+        raise MapError(f"{file}: not valid JSON: {error}; give a GeoJSON file") from None
     features = document.get("features") if isinstance(document, dict) else None
     if not isinstance(document, dict) or not isinstance(features, list):
         raise MapError(f"{file}: give a GeoJSON FeatureCollection with a list of features")

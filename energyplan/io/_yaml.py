@@ -83,11 +83,22 @@ class Document:
         try:
             return schema.model_validate(self.data)
         except ValidationError as problem:
-            first = problem.errors(include_url=False)[0]
+            every = problem.errors(include_url=False)
+            first = every[0]
+            if first["type"] == "missing":  # perhaps since it is misspelt
+                extra = [one for one in every if one["type"] == "extra_forbidden"]
+                first = min(extra, key=lambda one: len(one["loc"]), default=first)
             message = str(first["msg"]).removeprefix("Value error, ")
             if first["type"] == "extra_forbidden":
                 message = f"there is no such key; the keys are {_keys(schema, first['loc'])}"
-            elif first["type"] != "missing" and not isinstance(first["input"], dict | list):
+            elif first["type"] == "missing":
+                message = "this key is missing; give it a value"
+            elif first["type"] == "too_short":
+                message = (
+                    f"the list has {first['ctx']['actual_length']} items; give at least "
+                    + str(first["ctx"]["min_length"])
+                )
+            elif not isinstance(first["input"], dict | list):
                 message = f"{message}, not {str(first['input'])[:60]!r}"
             raise self.fail((*loc, *first["loc"]), message) from None
 

@@ -258,7 +258,10 @@ def test_unknown_names_list_the_known_ones(run: Run, spiral: Path) -> None:
 
 def test_wrong_usage_is_one_line(run: Run) -> None:
     assert_refused(run("identify", "--nonsense"), "--nonsense")
-    assert_refused(run("plan"), "--map")
+    assert_refused(run("plan"), "--map", "see energyplan plan --help")
+    assert_refused(run("plna"), "Did you mean 'plan'", "see energyplan --help")
+    assert_refused(run("range", "--from", "2,2,0", "--energy", "5kJ"), "'5kJ' should be a valid")
+    assert_refused(run("serve", ".", "--port=99999"), "'99999' should be less than")
 
 
 def test_what_a_log_cannot_tell_is_an_error_not_a_number(run: Run, tmp_path: Path) -> None:

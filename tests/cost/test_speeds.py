@@ -33,6 +33,8 @@ def test_what_is_asked_is_a_speed_the_cheapest_or_the_usual_one() -> None:
     for wrong in ("0", -1.0, "inf", "nan", "as fast as it goes", "zigzag", ""):
         with pytest.raises(InvalidInputError, match="metres per second"):
             asked_speed(wrong, VEHICLE)
+    with pytest.raises(InvalidInputError, match="give 1 m/s at most"):
+        asked_speed("90", VEHICLE)
 
 
 @pytest.mark.parametrize("per_radian", [0.0, 0.4, 90.0])

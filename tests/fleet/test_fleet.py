@@ -191,7 +191,7 @@ def test_a_file_gives_each_robot_what_it_has_the_skills_for() -> None:
         ("needs: [arm]", "needs: [wings]", r"line \d+, tasks\.1\.needs: no robot has wings"),
         ("skills: [arm]", "colour: red", r"robots\.0\.colour: a robot has no such key"),
         ("places: 1", "places: 0", r"chargers\.0\.places"),
-        ("robots:", "robot:", "robots: Field required"),
+        ("robots:", "robot:", "robots: this key is missing"),
         ("pose: [16.0, 7.2, 0]", "pose: [0, 0, 0]", r"tasks\.1\.pose: task 'turn the valve'"),
     ],
 )
