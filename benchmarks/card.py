@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import linprog
 from scipy.stats import norm
 
 import energyplan as ep
@@ -128,6 +129,29 @@ def two_terms(rest: list[ep.DriveLog], unseen: ep.DriveLog, vehicle: ep.Vehicle)
     return fit_residual(model, unseen).energy_error
 
 
+def with_hindsight(folder: Path) -> float:
+    """Mean relative error of the paper's two terms, chosen for these very runs' energies.
+
+    The least that any K and mu reach that hold for all runs of a ground, whatever they are learned
+    from: a linear program. What is left is what the runs differ in.
+    """
+    vehicle = ep.Vehicle.preset("husky_a200")
+    logs = [read_husky(file) for file in sorted(folder.glob("pro_*.csv"))]
+    logs = [log for log in logs if log.duration >= SHORTEST]
+    one, both = (
+        np.array([1.0 + fit_residual(model, log).energy_error for log in logs])
+        for model in (ep.PowerModel.paper(vehicle, K=1.0, mu=0.0),
+                      ep.PowerModel.paper(vehicle, K=1.0, mu=1.0))
+    )  # fmt: skip
+    X, identity = np.stack([one, both - one], axis=1), np.eye(len(logs))
+    found = linprog(
+        np.append(np.zeros(2), np.full(len(logs), 1.0 / len(logs))),
+        A_ub=np.block([[X, -identity], [-X, -identity]]),
+        b_ub=np.repeat([1.0, -1.0], len(logs)),
+    )
+    return float(found.fun)
+
+
 def exact_worse(made: list[Run]) -> float:
     """Return how many runs an exact prediction is expected to lose by a point to two terms.
 
@@ -144,9 +168,9 @@ def exact_worse(made: list[Run]) -> float:
 def runs_table(folder: Path, only: Sequence[str] = ()) -> str:
     """Return the table of grounds with runs that were left out, as Markdown."""
     lines = [
-        "| ground | runs | two terms | with diagnosis | change | worse by a point "
-        "| of an exact one | largest | in the 90 % interval |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| ground | runs | two terms | with diagnosis | change | two terms with hindsight "
+        "| worse by a point | of an exact one | largest | in the 90 % interval |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for ground in (*sorted(folder.glob("borealtc/*/")), *sorted(folder.glob("vulpi/*/"))):
         if only and ground.name not in only:
@@ -161,6 +185,7 @@ def runs_table(folder: Path, only: Sequence[str] = ()) -> str:
             f"| {ground.name.lower().replace('_', ' ')} | {len(made)} "
             f"| {100 * before.mean():.1f} % | {100 * after.mean():.1f} % "
             f"| {100 * (after.mean() / before.mean() - 1):+.0f} % "
+            f"| {100 * with_hindsight(ground):.1f} % "
             f"| {np.count_nonzero(after > before + POINT)} | {exact_worse(made):.1f} "
             f"| {100 * after.max():.0f} % "
             f"| {sum(run.within for run in made)} of {len(made)} |"

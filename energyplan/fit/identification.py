@@ -342,7 +342,8 @@ def _draw_at_rest(drives: Sequence[Drive], powers: Sequence[FloatArray]) -> list
         return []
     return [
         f"at rest the robot draws {mean:.1f} W that no term explains: a constant load, or a "
-        "sensor offset; it makes the other coefficients wrong"
+        "sensor offset; it makes the other coefficients wrong: add hotel_load to the terms "
+        "(--terms slip_friction,traction_resistance,hotel_load), or let diagnose find out"
     ]
 
 

@@ -26,7 +26,8 @@ _WORDS = {
                 "strom", "courant", "corriente"},
     "time": {"t", "time", "timestamp", "stamp", "sec", "secs", "seconds", "clock", "elapsed",
              "zeit", "uhrzeit", "zeitstempel", "temps", "tiempo", "epoch", "utc"},
-    "yaw": {"yaw", "heading", "theta", "psi", "hdg", "gierwinkel", "cap", "rumbo"},
+    "yaw": {"yaw", "heading", "theta", "psi", "hdg", "course", "azimuth", "gierwinkel",
+            "kurs", "cap", "rumbo"},
     "turn": {"gyro", "angular", "yawrate", "wz", "gz", "gyr", "omega", "drehrate", "gierrate"},
     "accel": {"acc", "accel", "acceleration", "ax"},
     "temperature": {"temp", "temperature"},
@@ -266,6 +267,8 @@ def guess(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, Guess]
     >>> found = guess(["Time [ms]", "velL", "velR", "gyro_z", "cmd_vel_left"])
     >>> {channel: one.name for channel, one in found.items()}
     {'t': 'Time [ms]', 'v_left': 'velL', 'v_right': 'velR', 'yaw_rate': 'gyro_z'}
+    >>> list(guess(["Zeit", "Kurs [deg]"]))
+    ['t', 'yaw']
     """
     left = [name for name in names if name not in taken]
     groups = _groups(left)

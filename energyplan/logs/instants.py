@@ -141,7 +141,7 @@ def over_midnight(seconds: FloatArray) -> FloatArray:
 
 
 def whole_stamps(numbers: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return the stamps that stand in two columns each: whole seconds, and what is beyond them.
+    """Join stamps that stand in two columns each: whole seconds, and what is beyond them.
 
     So stamps of ROS messages do, as ``header.stamp.sec`` and ``header.stamp.nanosec``.
 
@@ -151,18 +151,21 @@ def whole_stamps(numbers: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     {'stamp [s]': array([7.5])}
     """
     made: dict[str, FloatArray] = {}
+    parts: set[str] = set()
     for name, seconds in numbers.items():
         match = _SECONDS.fullmatch(name.strip())
-        if match is None:
+        joined = f"{match[1] or 'stamp'} [s]" if match else ""
+        if match is None or joined in (*made, *numbers):
             continue
         for words, size in _FRACTIONS.items():
             beside = re.compile(rf"{re.escape(match[1])}[\W_]*(?:{words})", re.IGNORECASE)
-            rest = [numbers[other] for other in numbers if beside.fullmatch(other.strip())]
+            rest = [other for other in numbers if beside.fullmatch(other.strip())]
             # What is beyond whole seconds is less than one; else it is a clock of its own.
-            if len(rest) == 1 and np.all((rest[0] * size < 1.0) | np.isnan(rest[0])):
-                made.setdefault(f"{match[1] or 'stamp'} [s]", seconds + size * rest[0])
+            if len(rest) == 1 and not np.any(numbers[rest[0]] * size >= 1.0):
+                made[joined] = seconds + size * numbers[rest[0]]
+                parts |= {name, rest[0]}
                 break
-    return {name: values for name, values in made.items() if name not in numbers}
+    return {**made, **{name: values for name, values in numbers.items() if name not in parts}}
 
 
 def _since_1970(read: pd.Series[Any]) -> FloatArray:

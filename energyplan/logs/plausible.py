@@ -25,6 +25,7 @@ LARGEST_OFFSET = 2.0
 _SUFFICIENT = 200_000  # samples that tell a time offset as well as more would
 _ENOUGH = 20  # samples below which nothing is concluded
 _TURNING = 0.05  # difference of the tread speeds from which the robot surely turns [m/s]
+_DIGITS = 4  # different speeds below which no step is concluded
 _MOVING = 0.03  # tread speed from which it surely moves [m/s]
 
 
@@ -313,8 +314,27 @@ def _offset_warning(offset: Offset) -> str:
     return (
         f"{offset.channel} {way} the tread speeds by {abs(offset.seconds):.3f} s (explained "
         f"variance {offset.before:.3f} as logged, {offset.explained:.3f} once shifted); "
-        f"DriveLog.shifted({offset.channel}={-offset.seconds:.3f}) puts it right"
+        f"diagnose allows for it, and DriveLog.shifted({offset.channel}={-offset.seconds:.3f}) "
+        "puts it right"
     )
+
+
+def _check_steps(left: FloatArray, right: FloatArray) -> list[str]:
+    """Tell of speeds with so few digits that a steady speed is not known, however long it lasts."""
+    speeds = np.abs(np.concatenate([left, right]))
+    speeds = speeds[speeds > _MOVING]
+    values = np.unique(np.round(speeds, 9))
+    if not _DIGITS <= len(values) <= len(speeds) / 4:
+        return []
+    step = float(min(values[0], np.diff(values).min()))
+    usual = float(np.median(speeds))
+    if step < 0.1 * usual or np.any(np.abs(values / step - np.round(values / step)) > 0.02):
+        return []
+    return [
+        f"the tread speeds come in steps of {step:.3g} m/s, where {usual:.2g} m/s is usual: a "
+        f"steady speed, and with it the power parameters, may be wrong by "
+        f"{50 * step / usual:.0f} %; log more digits"
+    ]
 
 
 def _check_power(
@@ -335,6 +355,7 @@ def _check_power(
         return ["the robot hardly moves; its power parameters cannot be found"]
     if not np.any(power):
         return ["power is zero all along"]
+    told += _check_steps(left, right)
     sides = [name for name in ("p_left", "p_right") if {"p_left", "p_right"} <= set(channels)]
     flipped = [name for name in sides if _dragging(channels, name)]
     if len(flipped) != 1:

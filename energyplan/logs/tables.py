@@ -453,5 +453,4 @@ class _Columns:
             for name, values in numbers.items()
             if not name.startswith(UNNAMED) or np.isfinite(values).any()
         }
-        numbers = {**whole_stamps(numbers), **numbers}
-        return Table(file.name, numbers, self._text, self._first, self._unit, error)
+        return Table(file.name, whole_stamps(numbers), self._text, self._first, self._unit, error)

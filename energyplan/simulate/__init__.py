@@ -18,7 +18,14 @@ from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Pose, Trajectory
 from energyplan.power import PowerModel
-from energyplan.simulate._patterns import PATTERNS, Brief, Schedule, Setpoint, schedule
+from energyplan.simulate._patterns import (
+    PATTERNS,
+    Brief,
+    Schedule,
+    Setpoint,
+    figure8_time,
+    schedule,
+)
 from energyplan.vehicle import GRAVITY
 
 __all__ = ["PATTERNS", "Setpoint", "drive", "identification_drive", "validation_drive"]
@@ -38,6 +45,8 @@ VALIDATION: tuple[tuple[str, float], ...] = (
     ("survey", 13.0), ("rest", 2.0),
 )  # fmt: skip
 
+_SPEED = 0.75  # [m/s]
+_ACCELERATION = 0.3  # [m/s^2]
 _STEP = 0.05  # longest step of the pose integration [s]
 _NODES = 0.5 + 0.5 * np.array([-(0.6**0.5), 0.0, 0.6**0.5])  # Gauss-Legendre, order six
 _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
@@ -49,8 +58,8 @@ def drive(
     pattern: str | Sequence[Part] | Trajectory,
     *,
     duration: float | None = None,
-    speed: float = 0.75,
-    accel_limit: float = 0.3,
+    speed: float = _SPEED,
+    accel_limit: float = _ACCELERATION,
     rate: float = 20.0,
     power_noise: float = 0.0,
     speed_noise: float = 0.0,
@@ -189,7 +198,7 @@ def identification_drive(model: PowerModel, **options: Any) -> DriveLog:
     Returns
     -------
     DriveLog
-        A drive of 150 s, or of `duration`.
+        A drive of 150 s, longer for a robot that turns or speeds up slowly; or of `duration`.
 
     Examples
     --------
@@ -197,7 +206,7 @@ def identification_drive(model: PowerModel, **options: Any) -> DriveLog:
     >>> identification_drive(model).duration
     150.0
     """
-    return drive(model, IDENTIFICATION, **options)
+    return drive(model, _in_time(IDENTIFICATION, model, **options), **options)
 
 
 @checked()
@@ -214,7 +223,7 @@ def validation_drive(model: PowerModel, **options: Any) -> DriveLog:
     Returns
     -------
     DriveLog
-        A drive of 120 s, or of `duration`.
+        A drive of 120 s, longer for a robot that turns or speeds up slowly; or of `duration`.
 
     Examples
     --------
@@ -222,7 +231,26 @@ def validation_drive(model: PowerModel, **options: Any) -> DriveLog:
     >>> validation_drive(model).duration
     120.0
     """
-    return drive(model, VALIDATION, **options)
+    return drive(model, _in_time(VALIDATION, model, **options), **options)
+
+
+def _in_time(
+    parts: Sequence[tuple[str, float]],
+    model: PowerModel,
+    *,
+    speed: float = _SPEED,
+    accel_limit: float = _ACCELERATION,
+    duration: float | None = None,
+    **_: Any,
+) -> list[tuple[str, float]]:
+    """Return the parts, as much longer as a wide or a slow robot needs to get through them."""
+    longer = 1.0
+    if duration is None and speed > 0 and accel_limit > 0:
+        figure8 = next(time for label, time in parts if label == "figure8")
+        # Circles of about the least duration would be spins.
+        circles = 1.5 * figure8_time(model.vehicle, speed, accel_limit)
+        longer = max(1.0, circles / figure8, (speed / accel_limit) / (_SPEED / _ACCELERATION))
+    return [(label, longer * time) for label, time in parts]
 
 
 def _check(

@@ -168,6 +168,11 @@ def spiral(brief: Brief) -> list[Setpoint]:
     ]
 
 
+def figure8_time(vehicle: Vehicle, speed: float, accel_limit: float) -> float:
+    """Return the least duration of a figure-8, whose circles are spins then [s]."""
+    return 2 * (np.pi * vehicle.icr.slip_track / speed + speed / accel_limit)
+
+
 def figure8(brief: Brief) -> list[Setpoint]:
     """Draw a circle to the left, then one to the right, each of a full turn."""
     s, limit, track = brief.speed, brief.accel_limit, brief.vehicle.icr.slip_track
@@ -177,7 +182,7 @@ def figure8(brief: Brief) -> list[Setpoint]:
     root = time**2 - 2 * np.pi * track / limit
     difference = 2 * limit * (time - float(np.sqrt(root))) if min(time, root) > 0 else np.inf
     if difference > 2 * s:
-        need = 2 * (np.pi * track / s + s / limit)
+        need = figure8_time(brief.vehicle, s, limit)
         raise InvalidInputError(
             f"a figure-8 at {s:g} m/s takes this robot {need:.1f} s or more, "
             f"not {brief.duration:g} s"

@@ -24,6 +24,7 @@ from foreign_logs import (
     encoders_alone,
     four_motors,
     numbered_axes,
+    stamps_in_two_columns,
     torques,
     two_recordings,
     units_in_names,
@@ -158,6 +159,12 @@ def test_counters_of_a_robot_that_goes_ahead_alone_are_counters(tmp_path: Path) 
     known = Given(**{**ROVER.measures, "counts_per_revolution": 2 * np.pi * ROVER.radius / 0.00025})
     log = ep.DriveLog.read(file, dict(start(file, known).project.columns), others=False)
     np.testing.assert_allclose(log.channel("v_left")[5:], speed[5:], atol=0.03)
+
+
+def test_stamps_in_two_columns_serve(tmp_path: Path) -> None:
+    made = start(stamps_in_two_columns(sensors(ROVER), tmp_path), Given(**ROVER.measures))
+    assert made.project.columns["t"].source == "header.stamp [s]"
+    assert not any("serve for nothing" in note for note in made.notes)
 
 
 def rows(*parts: tuple[float, float, int]) -> dict[str, np.ndarray]:

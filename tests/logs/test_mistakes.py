@@ -293,6 +293,16 @@ def test_what_lasts_is_no_glitch() -> None:
     assert not ep.DriveLog.from_columns(made, "drive").set_aside
 
 
+@pytest.mark.parametrize(("step", "told_of"), [(0.1, True), (0.01, False)])
+def test_speeds_with_too_few_digits_are_told(step: float, told_of: bool) -> None:
+    """A Husky's steady speed of 0.24 m/s, read as 0.2, made its resistance a sixth too large."""
+    made = drive(1)
+    for name in ("v_left", "v_right"):
+        made[name] = step * np.round(0.7 * made[name] / step)
+    warnings = ep.DriveLog.from_columns(made, "drive").warnings
+    assert any("come in steps of 0.1 m/s" in text for text in warnings) == told_of
+
+
 @pytest.mark.parametrize("name", BATTERY)
 def test_a_mistake_with_the_battery_is_caught_with_its_remedy(name: str) -> None:
     change, remedy = BATTERY[name]

@@ -14,7 +14,7 @@ from energyplan.path import Path, Pose, Trajectory
 from energyplan.power import HOTEL, SLIP, PowerModel
 from energyplan.power.effects import GRADE, LINEAR_INERTIA
 from energyplan.simulate import PATTERNS, Setpoint, drive, identification_drive, validation_drive
-from energyplan.vehicle import GRAVITY, TreadICR
+from energyplan.vehicle import GRAVITY, TreadICR, Vehicle
 
 
 @pytest.fixture(scope="module")
@@ -215,3 +215,17 @@ def test_further_channels_reach_the_terms_and_the_log(model):
 def test_impossible_requests_are_refused(model, options, error, words):
     with pytest.raises(error, match=words):
         drive(model, **{"pattern": "spiral", **options})
+
+
+@pytest.mark.parametrize(
+    ("options", "wide"), [({}, True), ({"speed": 0.5}, True), ({"accel_limit": 0.1}, False)]
+)
+def test_wide_and_slow_robots_get_the_time_they_need(model, options, wide):
+    """A machine of two tonnes could not draw the figure-8 of a drive to identify it from."""
+    machine = Vehicle.from_geometry(
+        "machine", mass=2000, wheelbase=1.4, track=1.6, length=2.6, width=2.0
+    )
+    robot = PowerModel.paper(machine, K=600.0, mu=0.7) if wide else model
+    for make, least in ((identification_drive, 150.0), (validation_drive, 120.0)):
+        assert make(robot, **options).duration > least
+        assert make(robot, duration=700.0, **options).duration == pytest.approx(700.0)
