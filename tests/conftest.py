@@ -32,6 +32,10 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.enable()
 
 
+def pytest_unconfigure() -> None:
+    gc.unfreeze()  # what leaves garbage is told as the process ends
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder of recorded drives and maps beside the checkout; skips where it is absent."""

@@ -167,7 +167,7 @@ def command_lines(page: Path) -> Iterator[list[str]]:
 pytestmark = pytest.mark.usefixtures("counted")
 
 
-ENOUGH = 3000
+ENOUGH = 5000
 """Units of work of a plan on a page; readers are asked for more, for better routes."""
 
 

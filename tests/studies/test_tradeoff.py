@@ -35,7 +35,7 @@ def walled():
 def test_the_front_of_a_straight_drive_is_the_closed_form():
     """At speed v: 8 m of ``2 K + 2 B v + P / v``; the best v for w is ``((P + w) / 2 B)^(1/2)``."""
     values = [0.0, 20.0, 60.0, 150.0, 1000.0]
-    front = pareto(AHEAD, values, effort=15_000)
+    front = pareto(AHEAD, values, effort=3_000)
     speed = np.minimum(np.sqrt((IDLE + np.array(values)) / (2 * VISCOUS)), TOP)
     assert front.duration == pytest.approx(8 / speed, rel=1e-4)
     assert front.energy == pytest.approx(8 * (226 + 2 * VISCOUS * speed + IDLE / speed), rel=1e-4)
@@ -86,7 +86,7 @@ def test_grounds_trade_routes_against_time():
     ground.raster(OPEN)  # compile first
     cost = EnergyCost(MODEL)
     problem = PlanningProblem(OPEN, cost, (2, 5, 0), (10, 5, 0), surfaces=ground)
-    front = pareto(problem, [0.0, 2000.0], effort=25_000)
+    front = pareto(problem, [0.0, 2000.0], effort=8_000)
     assert len(front.points) == 2
     around, through = (point.plan for point in front.points)
     assert through.length == pytest.approx(8, rel=0.01)
@@ -97,7 +97,7 @@ def test_grounds_trade_routes_against_time():
 @pytest.mark.parametrize("planner", ["roadmap", "bitstar"])
 def test_other_planners_trade_as_well(planner):
     problem = PlanningProblem(walled(), STIFF, (1.5, 2, 0), (10.5, 6, 2.0))
-    front = pareto(problem, [0.0, 200.0], planner, effort=30_000)
+    front = pareto(problem, [0.0, 200.0], planner, effort=10_000)
     assert len(front.points) == 2
     assert front.points[0].plan.planner == planner
     assert np.all(front.least_energy(front.duration) <= front.energy)
@@ -114,7 +114,7 @@ def test_what_cannot_be_traded_is_refused():
 
 
 def test_picture_of_a_front():
-    front = energyplan.pareto(AHEAD, [0.0, 60.0, 1000.0], effort=15_000)
+    front = energyplan.pareto(AHEAD, [0.0, 60.0, 1000.0], effort=2_000)
     ax = plots.figure().axes[0]
     assert plots.pareto(ax, front) is ax
     assert isinstance(ax, Axes)
