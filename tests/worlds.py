@@ -20,3 +20,10 @@ def free_poses(grid, count, seed, vehicle):
     rng = np.random.default_rng(seed)
     poses = rng.uniform((0, 0, -np.pi), (*grid.size, np.pi), (400, 3))
     return poses[grid.footprint_free(poses, vehicle)][:count]
+
+
+def walled(door):
+    """Return a room of 10 m by 8 m with a wall across it, with or without a door at the top."""
+    occupied = np.zeros((80, 100), bool)
+    occupied[: 60 if door else 80, 48:52] = True
+    return OccupancyGrid(occupied, 0.1)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -244,18 +246,14 @@ def plan(
     """
     from energyplan.output import documents, text
     from energyplan.planning import plan as run
-    from energyplan.planning.ready import compiling
 
     _writable(out)
     problem = problem_of(
         map_file, model, parse_pose(start), parse_pose(goal), surfaces, heights, battery, objective,
         speed, tolerance, clearance, keepout, costmap, costmap_weight,
     )  # fmt: skip
-    try:
-        with progress("planning"), compiling(problem):
-            made = run(problem, planner=planner, time_limit=time_limit, effort=effort)
-    except NoPathError as error:
-        no_path(error, json, strict)
+    with planning(problem, json, strict):
+        made = run(problem, planner=planner, time_limit=time_limit, effort=effort)
     told = driven(made, trajectory)
     if out:
         write_plans(out, problem, plan=made)
@@ -298,7 +296,6 @@ def compare(
     """
     from energyplan.output import documents, text
     from energyplan.output.pages import comparison_page
-    from energyplan.planning.ready import compiling
     from energyplan.studies.comparison import compare as run
 
     _writable(out)
@@ -306,11 +303,8 @@ def compare(
         map_file, model, parse_pose(start), parse_pose(goal), surfaces, heights, battery, objective,
         speed, tolerance, clearance, keepout,
     )  # fmt: skip
-    try:
-        with progress("planning"), compiling(problem):
-            made = run(problem, planner=planner, time_limit=time_limit, effort=effort)
-    except NoPathError as error:
-        no_path(error, json, strict)
+    with planning(problem, json, strict):
+        made = run(problem, planner=planner, time_limit=time_limit, effort=effort)
     best, shortest = driven(made.energy_optimal, trajectory), driven(made.shortest, None)
     if out:
         write_plans(out, problem, least_energy=made.energy_optimal, shortest=made.shortest)
@@ -347,12 +341,18 @@ def write_plans(out: Path, problem: PlanningProblem, **plans: Plan) -> None:
         write_path(next(iter(plans.values())).path, out)
 
 
-def no_path(error: NoPathError, json: bool, strict: bool) -> NoReturn:
-    """Answer that there is no path."""
+@contextmanager
+def planning(problem: PlanningProblem, json: bool, strict: bool) -> Iterator[None]:
+    """Show progress, compile what planning may call, and answer where there is no path."""
     from energyplan.output import documents, text
+    from energyplan.planning.ready import compiling
 
-    answer(documents.no_path(error), text.no_path(error), json=json)
-    raise typer.Exit(NO if strict else 0)
+    try:
+        with progress("planning"), compiling(problem):
+            yield
+    except NoPathError as error:
+        answer(documents.no_path(error), text.no_path(error), json=json)
+        raise typer.Exit(NO if strict else 0) from None
 
 
 def _draw(problem: PlanningProblem, paths: dict[str, Any], file: Path) -> None:

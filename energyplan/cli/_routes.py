@@ -23,7 +23,7 @@ from energyplan.cli._planning import (
     TimeLimit,
     driven,
     model_without_map,
-    no_path,
+    planning,
     problem_of,
     write_plans,
 )
@@ -31,7 +31,7 @@ from energyplan.cli.answers import answer, progress
 from energyplan.cli.app import app
 from energyplan.cli.inputs import parse_pose
 from energyplan.cli.options import Json, ModelName, Strict, writes
-from energyplan.errors import InvalidInputError, NoPathError
+from energyplan.errors import InvalidInputError
 
 
 @app.command(
@@ -71,7 +71,6 @@ def replan(
     """
     from energyplan.io.trajectory import read_path
     from energyplan.output import documents, text
-    from energyplan.planning.ready import compiling
     from energyplan.planning.replanning import replan as run
 
     here = parse_pose(start)
@@ -87,13 +86,8 @@ def replan(
             speed, None, clearance, keepout,
         )  # fmt: skip
         problem = replace(problem, map=before.map)
-    try:
-        with progress("planning"), compiling(problem):
-            made = run(
-                problem, former, start=here, map=now.map, time_limit=time_limit, effort=effort
-            )
-    except NoPathError as error:
-        no_path(error, json, strict)
+    with planning(problem, json, strict):
+        made = run(problem, former, start=here, map=now.map, time_limit=time_limit, effort=effort)
     told = driven(made, trajectory)
     if out:
         write_plans(out, replace(now, goal=former.end), plan=made)

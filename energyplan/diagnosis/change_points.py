@@ -126,12 +126,15 @@ def lines(effect: Effect, drives: Sequence[Drive]) -> Iterator[Part]:
     Part
         Eight directions, five offsets each, so that both sides hold a fifth of the samples.
     """
-    x = np.concatenate([drive.motion.channels["x"] for drive in drives])
-    y = np.concatenate([drive.motion.channels["y"] for drive in drives])
     for direction in np.arange(8) * np.pi / 8:
-        along = x * np.cos(direction) + y * np.sin(direction)
-        for offset in np.quantile(along, [0.2, 0.35, 0.5, 0.65, 0.8]):
+        for offset in np.quantile(_along(direction, drives), [0.2, 0.35, 0.5, 0.65, 0.8]):
             yield Part(effect, (("direction", float(direction)), ("offset", float(offset))))
+
+
+def _along(direction: float, drives: Sequence[Drive]) -> FloatArray:
+    """Return how far along a direction each sample lies [m]."""
+    x, y = (np.concatenate([drive.motion.channels[name] for drive in drives]) for name in "xy")
+    return np.asarray(x * np.cos(direction) + y * np.sin(direction))
 
 
 def crosses(params: Mapping[str, float], drives: Sequence[Drive]) -> bool:
@@ -149,13 +152,7 @@ def crosses(params: Mapping[str, float], drives: Sequence[Drive]) -> bool:
     bool
         False where a moment beyond the line would have to tell of all the ground there.
     """
-    direction, offset = params["direction"], params["offset"]
-    beyond = [
-        d.motion.channels["x"] * np.cos(direction) + d.motion.channels["y"] * np.sin(direction)
-        > offset
-        for d in drives
-    ]
-    share = float(np.mean(np.concatenate(beyond)))
+    share = float(np.mean(_along(params["direction"], drives) > params["offset"]))
     return _LEAST_SIDE <= share <= 1.0 - _LEAST_SIDE
 
 

@@ -6,6 +6,7 @@ import json
 import os
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,7 @@ def atomic_write(path: str | Path, content: bytes | str) -> Path:
     """
     file = Path(path)
     data = content.encode() if isinstance(content, str) else content
-    try:
+    with _writing(file):
         file.parent.mkdir(parents=True, exist_ok=True)
         target = _regular(file)
         mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
@@ -67,12 +68,19 @@ def atomic_write(path: str | Path, content: bytes | str) -> Path:
             Path(name).replace(target)
         finally:
             Path(name).unlink(missing_ok=True)
+    return file
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Say of what goes wrong that a file or folder cannot be written."""
+    try:
+        yield
     except (OSError, ValueError) as problem:
         reason = problem.strerror if isinstance(problem, OSError) else problem
         raise InvalidInputError(
-            f"{str(file)!r} cannot be written: {reason}; choose another place"
+            f"{str(path)!r} cannot be written: {reason}; choose another place"
         ) from None
-    return file
 
 
 def _regular(file: Path) -> Path:
@@ -116,18 +124,13 @@ def check_output(path: str | Path, suffixes: Sequence[str] = ()) -> None:
         raise InvalidInputError(
             f"{str(file)!r} cannot be written: its name must end with {' or '.join(suffixes)}"
         )
-    try:
+    with _writing(file):
         target = _regular(file)
         if not target.parent.is_dir():
             raise ValueError(f"there is no folder {str(file.parent)!r}")
         if target.exists() and not os.access(target, os.W_OK):
             raise ValueError("it is protected against writing")
         _probe(target.parent)
-    except (OSError, ValueError) as problem:
-        reason = problem.strerror if isinstance(problem, OSError) else problem
-        raise InvalidInputError(
-            f"{str(file)!r} cannot be written: {reason}; choose another place"
-        ) from None
 
 
 def check_output_folder(path: str | Path) -> None:
@@ -151,18 +154,13 @@ def check_output_folder(path: str | Path) -> None:
     ...
     """
     folder = Path(path)
-    try:
+    with _writing(folder):
         there = folder.resolve()
         while not there.exists() and there != there.parent:
             there = there.parent
         if not there.is_dir():
             raise ValueError(f"{str(there)!r} is no folder")
         _probe(there)
-    except (OSError, ValueError) as problem:
-        reason = problem.strerror if isinstance(problem, OSError) else problem
-        raise InvalidInputError(
-            f"{str(folder)!r} cannot be written: {reason}; choose another place"
-        ) from None
 
 
 def _probe(folder: Path) -> None:

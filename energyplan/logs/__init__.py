@@ -19,6 +19,7 @@ from energyplan.errors import DriveLogError, MissingChannelError
 from energyplan.kinds import checked
 from energyplan.logs._resample import block_bounds, interval_means, shift
 from energyplan.logs._smooth import derivative
+from energyplan.logs.align import time_weights
 from energyplan.logs.checks import Place, SetAside, clean, find_runs, needed_channels
 from energyplan.logs.columns import Column, choose_columns, parse_columns
 from energyplan.logs.plausible import find_doubts
@@ -279,12 +280,7 @@ class DriveLog(ReadOnly):
     @cached_property
     def weights(self) -> FloatArray:
         """Time that each sample stands for [s]: the trapezoidal rule, gaps left out."""
-        weights = np.zeros(len(self))
-        for run in self.runs:
-            half = 0.5 * np.diff(self.t[run])
-            weights[run][:-1] += half
-            weights[run][1:] += half
-        return weights
+        return time_weights(self.t, self.runs)
 
     @property
     def energy(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +41,29 @@ def gap_limit(t: FloatArray) -> float:
     steps = np.diff(t)
     # The lower median: of two steps, one may be the gap.
     return max(4.0 * float(np.quantile(steps, 0.5, method="lower")), 0.2)
+
+
+def time_weights(t: FloatArray, runs: Iterable[slice]) -> FloatArray:
+    """Return the time that each sample stands for [s]: the trapezoidal rule, gaps left out.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Time [s].
+    runs : iterable of slice
+        Stretches without a gap.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Times [s].
+    """
+    weights = np.zeros(len(t))
+    for run in runs:
+        half = 0.5 * np.diff(t[run])
+        weights[run][:-1] += half
+        weights[run][1:] += half
+    return weights
 
 
 def align(series: Series, clock: FloatArray) -> Aligned:

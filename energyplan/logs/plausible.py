@@ -13,7 +13,7 @@ from energyplan.errors import DriveLogError
 from energyplan.logs._smooth import derivative
 from energyplan.logs.align import gap_limit
 from energyplan.logs.contradictions import find_contradictions, turning_against
-from energyplan.logs.evidence import yaw_rates
+from energyplan.logs.evidence import correlation, yaw_rates
 from energyplan.logs.one_side import find_dead
 from energyplan.path import FloatArray
 
@@ -269,14 +269,14 @@ def _check_turning(
         rate = channels[name]
         if name == "yaw":
             rate = derivative(t, np.unwrap(rate), runs, 0.5)
-            if abs(_alike(rate, difference)) < 0.5:
+            if abs(correlation(rate, difference)) < 0.5:
                 degrees = derivative(t, np.unwrap(channels[name], period=360.0), runs, 0.5)
-                rate = degrees if abs(_alike(degrees, difference)) > 0.5 else rate
+                rate = degrees if abs(correlation(degrees, difference)) > 0.5 else rate
         if not np.any(rate):
             told.append(f"{name} never changes, though the tread speeds say that the robot turns")
             continue
         product = float(rate @ difference)
-        alike = _alike(rate, difference)
+        alike = correlation(rate, difference)
         offset = find_offset(name, t, rate, [difference], _enough(runs), centred=False)
         shifted = offset is not None and offset.certain
         sign = (
@@ -301,12 +301,6 @@ def _check_turning(
                 "cannot be trusted"
             )
     return told
-
-
-def _alike(one: FloatArray, other: FloatArray) -> float:
-    """Correlation through the origin."""
-    norm = float(np.sqrt((one @ one) * (other @ other)))
-    return float(one @ other) / norm if norm > 0 else 0.0
 
 
 def _offset_warning(offset: Offset) -> str:
@@ -373,7 +367,7 @@ def _check_power(
         arcs = np.abs(np.abs(right) - np.abs(left)) > 0.15 * effort
         lean = (np.abs(right) ** 2 - np.abs(left) ** 2)[arcs & moving]
         excess = (channels["p_right"] - channels["p_left"])[arcs & moving]
-        if len(lean) >= _ENOUGH and _alike(lean, excess) < -0.5:
+        if len(lean) >= _ENOUGH and correlation(lean, excess) < -0.5:
             told.append(
                 "p_left and p_right seem to be swapped: in arcs the outer, faster tread must draw "
                 "the more"
@@ -398,7 +392,7 @@ def _dragging(channels: Mapping[str, FloatArray], side: str) -> bool:
     if not np.any(y) or not np.any(speed):
         return False
     gram, cross = X @ X.T, X @ y
-    alike = _alike(X[0], X[1])
+    alike = correlation(X[0], X[1])
     if abs(alike) > 0.97:
         # Not to be told apart. In spins and on the outer side both draw; on the inner side, who
         # knows.

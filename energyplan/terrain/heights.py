@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from energyplan.errors import MapError
 from energyplan.kinds import check_fields, checked, numbers
@@ -77,8 +77,11 @@ class HeightMap(ReadOnly):
             raise MapError(f"the resolution is {self.resolution} m; give a positive number")
         object.__setattr__(self, "origin", as_pose(self.origin, "the origin", MapError))
 
-    def _locate(self, points: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the node below and to the left of each point, and the place in its square."""
+    def _locate(self, points: ArrayLike) -> tuple[NDArray[np.int_], FloatArray]:
+        """Return the node below and to the left of each point, and the place in its square.
+
+        Both are columns and rows, shape (2, ...).
+        """
         at = numbers(points, "points", MapError, last=2, words="x, y [m]")
         offset = at - np.array(self.origin[:2])
         c, s = np.cos(self.origin.yaw), np.sin(self.origin.yaw)
@@ -91,8 +94,8 @@ class HeightMap(ReadOnly):
                 f"({x:.2f}, {y:.2f}) lies off the height map, which covers "
                 f"{self.describe_extent()}; give a larger raster"
             )
-        node = np.clip(np.floor(place), 0, last - 1)
-        return node, place - node
+        node = np.clip(np.floor(place), 0, last - 1).astype(int)
+        return np.moveaxis(node, -1, 0), np.moveaxis(place - node, -1, 0)
 
     def describe_extent(self) -> str:
         """Return where heights are known, in words."""
@@ -107,9 +110,7 @@ class HeightMap(ReadOnly):
         MapError
             If a point lies off the raster.
         """
-        node, part = self._locate(points)
-        i, j = node[..., 1].astype(int), node[..., 0].astype(int)
-        x, y = part[..., 0], part[..., 1]
+        (j, i), (x, y) = self._locate(points)
         h = self.heights
         low = h[i, j] * (1 - x) + h[i, j + 1] * x
         high = h[i + 1, j] * (1 - x) + h[i + 1, j + 1] * x
@@ -123,9 +124,7 @@ class HeightMap(ReadOnly):
         MapError
             If a point lies off the raster.
         """
-        node, part = self._locate(points)
-        i, j = node[..., 1].astype(int), node[..., 0].astype(int)
-        x, y = part[..., 0], part[..., 1]
+        (j, i), (x, y) = self._locate(points)
         h = self.heights
         along = (h[i, j + 1] - h[i, j]) * (1 - y) + (h[i + 1, j + 1] - h[i + 1, j]) * y
         across = (h[i + 1, j] - h[i, j]) * (1 - x) + (h[i + 1, j + 1] - h[i, j + 1]) * x

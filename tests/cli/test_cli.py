@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import run as run_command
 from PIL import Image
 
 import energyplan as ep
-from energyplan import cli, simulate
+from energyplan import simulate
 from energyplan.html import number
 from energyplan.io.bag_fields import bag_fields
 from energyplan.io.bundled import bundled
@@ -41,15 +42,8 @@ class Result:
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    def call(*arguments: object) -> Result:
-        monkeypatch.setattr("sys.argv", ["energyplan", *(str(a) for a in arguments)])
-        with pytest.raises(SystemExit) as left:
-            cli.main()
-        printed = capsys.readouterr()
-        return Result(int(left.value.code or 0), printed.out, printed.err)
-
-    return call
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    return lambda *arguments: Result(*run_command(capsys, *arguments))
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from commands import run
 
 import energyplan as ep
 from energyplan import cli, simulate
@@ -21,16 +22,6 @@ from energyplan.io.trajectory import write_log
 pytestmark = pytest.mark.usefixtures("counted")
 
 MODEL = ep.PowerModel.preset("quadriga:full:marble")
-
-
-def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    """Run a command; return its exit code and what it printed."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sys.argv", ["energyplan", *map(str, arguments)])
-        with pytest.raises(SystemExit) as left:
-            cli.main()
-    printed = capsys.readouterr()
-    return int(left.value.code or 0), printed.out, printed.err
 
 
 @pytest.fixture(scope="module")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from commands import run as run_command
 
-from energyplan import cli
 from energyplan.io.config import write_model
 from energyplan.io.maps import write_map
 from energyplan.io.nav2_lattice import read_lattice
@@ -24,15 +25,8 @@ MODEL = "quadriga:empty:concrete"
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["energyplan", *(str(a) for a in arguments)])
-        with pytest.raises(SystemExit) as left:
-            cli.main()
-        printed = capsys.readouterr()
-        return int(left.value.code or 0), printed.out, printed.err
-
-    return call
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    return partial(run_command, capsys)
 
 
 @pytest.fixture

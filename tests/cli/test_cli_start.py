@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from commands import run
 from own_robot import MODEL, RADIUS, ROBOT, bag, drive
 
 import energyplan as ep
-from energyplan import cli, simulate
+from energyplan import simulate
 from energyplan.io.logs import read_log
 from energyplan.io.project import read_project
 from energyplan.io.robot import Given
@@ -22,16 +23,6 @@ from energyplan.power.presets import MODEL_PRESETS
 pytestmark = pytest.mark.usefixtures("counted")
 
 MEASURES = ("--track", 0.4, "--wheelbase", 0.62, "--mass", 30)
-
-
-def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    """Run a command; return its exit code and what it printed."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sys.argv", ["energyplan", *map(str, arguments)])
-        with pytest.raises(SystemExit) as left:
-            cli.main()
-    printed = capsys.readouterr()
-    return int(left.value.code or 0), printed.out, printed.err
 
 
 def table(log: ep.DriveLog, style: str) -> pd.DataFrame:

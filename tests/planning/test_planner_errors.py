@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from worlds import walled
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import (
@@ -30,15 +31,8 @@ COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 USED = sorted(PLANNERS)
 
 
-def room(door: bool) -> OccupancyGrid:
-    """10 m by 8 m with a wall across it, with or without a door of 2 m at the top."""
-    occupied = np.zeros((80, 100), bool)
-    occupied[: 60 if door else 80, 48:52] = True
-    return OccupancyGrid(occupied, 0.1)
-
-
-OPEN = PlanningProblem(room(True), COST, (2, 2, 0.3), (8, 2, 0))
-SHUT = replace(OPEN, map=room(False))
+OPEN = PlanningProblem(walled(True), COST, (2, 2, 0.3), (8, 2, 0))
+SHUT = replace(OPEN, map=walled(False))
 
 
 def numbers_after(message: str, words: str) -> list[float]:
@@ -130,7 +124,7 @@ def test_the_lattice_planner_says_what_it_did_before_it_searched(room_left, done
 
 def test_an_ompl_planner_says_how_near_it_got():
     """A gap that a disc inside the footprint passes and the robot does not."""
-    occupied = room(True).occupied.copy()
+    occupied = walled(True).occupied.copy()
     occupied[67:, 48:52] = True
     narrow = replace(OPEN, map=OccupancyGrid(occupied, 0.1))
     with pytest.raises(TimeLimitError, match="as near to the goal as") as told:

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from worlds import walled
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
@@ -24,13 +25,6 @@ from energyplan.vehicle import TreadICR
 
 MODEL = PowerModel.preset("quadriga:empty:concrete")
 COST = EnergyCost(MODEL)
-
-
-def walled(door: bool) -> OccupancyGrid:
-    """A room of 10 m by 8 m with a wall across it, with or without a door at the top."""
-    occupied = np.zeros((80, 100), bool)
-    occupied[: 60 if door else 80, 48:52] = True
-    return OccupancyGrid(occupied, 0.1)
 
 
 def problem(**changes):

@@ -25,6 +25,7 @@ from energyplan.fit.drives.denoise import quiet, speed_noise
 from energyplan.fit.drives.late import ON_TIME, Late, lagged
 from energyplan.fit.drives.window_kernels import block_grams
 from energyplan.logs import DriveLog
+from energyplan.logs.align import time_weights
 from energyplan.logs.checks import find_runs
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
@@ -197,12 +198,7 @@ class Drive:
     @cached_property
     def weights(self) -> FloatArray:
         """Time that each sample stands for [s]; gaps count for nothing."""
-        weights = np.zeros(len(self.t))
-        for run in self.runs:
-            half = 0.5 * np.diff(self.t[run])
-            weights[run][:-1] += half
-            weights[run][1:] += half
-        return weights
+        return time_weights(self.t, self.runs)
 
     def seen(self, power: FloatArray) -> FloatArray:
         """Return a predicted power, shape (n, ...), as the log shows it: late, and by the factor.
