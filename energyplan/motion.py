@@ -32,6 +32,21 @@ CHANNELS = {
 """Channels that a motion may carry beside its tread speeds."""
 
 
+def _common_shape(arrays: Mapping[str, FloatArray]) -> tuple[int, ...]:
+    """Return the shape of all arrays together.
+
+    Raises
+    ------
+    InvalidInputError
+        If they have none.
+    """
+    try:
+        return np.broadcast_shapes(*{array.shape for array in arrays.values()})
+    except ValueError:
+        shapes = {name: value.shape for name, value in arrays.items()}
+        raise InvalidInputError(f"channels do not broadcast together: {shapes}") from None
+
+
 def _broadcast(array: FloatArray, shape: tuple[int, ...]) -> FloatArray:
     """Return a read-only view of this shape: `numpy.broadcast_to`, quicker where it is trivial."""
     if array.shape == shape:
@@ -78,13 +93,7 @@ class Motion(ByValue):
         left, right = numbers(self.v_left, "v_left"), numbers(self.v_right, "v_right")
         others = {name: numbers(value, name) for name, value in self.channels.items()}
         instance(self.icr, TreadICR, "icr")
-        arrays = (left, right, *others.values())
-        try:
-            shape = np.broadcast_shapes(*{array.shape for array in arrays})
-        except ValueError:
-            shapes = {"v_left": left.shape, "v_right": right.shape}
-            shapes |= {name: value.shape for name, value in others.items()}
-            raise InvalidInputError(f"channels do not broadcast together: {shapes}") from None
+        shape = _common_shape({"v_left": left, "v_right": right, **others})
         object.__setattr__(self, "v_left", _broadcast(left, shape))
         object.__setattr__(self, "v_right", _broadcast(right, shape))
         wide = {name: _broadcast(value, shape) for name, value in others.items()}
@@ -160,12 +169,11 @@ class Motion(ByValue):
         Motion
             Motion with ``v_left = v - left omega`` and ``v_right = v + right omega``.
         """
-        twist = cls(
-            numbers(v, "v"), numbers(omega, "omega"), icr,
-            {name: numbers(value, name) for name, value in channels.items()},
-        )  # fmt: skip
-        speed, rate = twist.v_left, twist.v_right
-        return cls(speed - icr.left * rate, speed + icr.right * rate, icr, twist.channels)
+        speed, rate = numbers(v, "v"), numbers(omega, "omega")
+        instance(icr, TreadICR, "icr")
+        _common_shape({"v": speed, "omega": rate})
+        known = {name: numbers(value, name) for name, value in channels.items()}
+        return cls(speed - icr.left * rate, speed + icr.right * rate, icr, known)
 
     @classmethod
     @checked()

@@ -43,6 +43,8 @@ def test_missing_channel_is_named() -> None:
 def test_shapes_that_do_not_broadcast_are_refused() -> None:
     with pytest.raises(InvalidInputError, match="slope"):
         Motion(np.zeros(3), np.zeros(3), ICR, {"slope": np.zeros(4)})
+    with pytest.raises(InvalidInputError, match=r"'v': \(3,\), 'omega': \(4,\)"):
+        Motion.from_twist(np.zeros(3), np.zeros(4), ICR)
 
 
 def test_motion_travels_between_processes() -> None:

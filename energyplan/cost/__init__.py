@@ -22,13 +22,13 @@ from numpy.typing import ArrayLike
 
 from energyplan.cost import direction_table, steering
 from energyplan.cost.bounds import LowerBound, lower_bound
-from energyplan.cost.coefficients import static_model
 from energyplan.cost.direction_table import Corners, DirectionTable
 from energyplan.cost.driving import SteadyDriving
 from energyplan.errors import InvalidInputError, ModelError
 from energyplan.kinds import checked
 from energyplan.path import FloatArray, Path
-from energyplan.vehicle import TreadICR
+from energyplan.power import SLIP, TRACTION, PowerModel
+from energyplan.vehicle import MotorLimits, TreadICR, Vehicle
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ class EnergyCost(SteadyDriving):
         >>> [round(float(e), 6) for e in cost.segment_energy([1.0, 0.0, 0.5], [0.0, 1.0, 1.0])]
         [200.0, 200.0, 200.0]
         """
-        return cls(static_model(per_metre, per_radian, icr, speed))
+        return cls(_static_model(per_metre, per_radian, icr, speed))
 
     # -- energy ---------------------------------------------------------------------------------
 
@@ -290,3 +290,27 @@ class EnergyCost(SteadyDriving):
     def steering_parameters(self) -> steering.Steering:
         """What steering reads."""
         return steering.steering_of(self.gauge, self._corners, self.icr)
+
+
+def _static_model(
+    per_metre: float, per_radian: float, icr: float | TreadICR, speed: float
+) -> PowerModel:
+    """Return the paper's model with these coefficients; see `EnergyCost.from_coefficients`."""
+    if not (np.isfinite(per_metre) and per_metre > 0):
+        raise InvalidInputError(f"per_metre is {per_metre}; give joules per metre > 0")
+    if not (np.isfinite(per_radian) and per_radian >= 0):
+        raise InvalidInputError(f"per_radian is {per_radian}; give joules per radian >= 0")
+    treads = icr if isinstance(icr, TreadICR) else TreadICR.symmetric(icr)
+    width = treads.slip_track
+    vehicle = Vehicle.from_geometry(
+        "coefficients",
+        mass=1.0,
+        wheelbase=width,
+        track=width,
+        length=2 * width,
+        width=2 * width,
+        icr=treads,
+        motor=MotorLimits(speed=speed),
+    )
+    mu = per_radian / vehicle.slip_moment
+    return PowerModel(vehicle, (SLIP, TRACTION), np.array([mu, per_metre / 2]), name="coefficients")

@@ -261,14 +261,11 @@ def _share(points: Points, model: PowerModel, limits: Limits, rate: FloatArray) 
     part = np.array([0.0, 0.5, 1.0])
     edge = np.maximum(part * (1 - 2e-9) + 1e-9, 0.0)
 
-    def between(value: FloatArray) -> FloatArray:
-        return np.asarray(value[:-1, None] + np.diff(value)[:, None] * edge)
-
-    known = {"slope": np.zeros(()), **{k: between(c) for k, c in points.channels.items()}}
+    known = {"slope": np.zeros(()), **{k: inside(c, edge) for k, c in points.channels.items()}}
 
     def values(factor: float) -> list[FloatArray]:
         motion = Motion.from_twist(
-            between(v), between(omega), model.vehicle.icr,
+            inside(v, edge), inside(omega, edge), model.vehicle.icr,
             accel=factor * accel[:, None], yaw_accel=factor * spin[:, None], **known,
         )  # fmt: skip
         return limits.loads(model, motion).values
@@ -282,6 +279,11 @@ def _share(points: Points, model: PowerModel, limits: Limits, rate: FloatArray) 
         left = np.where(within, np.maximum(left, 1.0), np.minimum(left, 1.0))
         share = np.minimum(share, left.min(axis=1))
     return share
+
+
+def inside(value: FloatArray, part: FloatArray) -> FloatArray:
+    """Return values at parts of each cell, straight between its ends, shape (n - 1, parts)."""
+    return np.asarray(value[:-1, None] + np.diff(value)[:, None] * part)
 
 
 def subdivided(low: float, high: float, step: float) -> FloatArray:

@@ -22,8 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from energyplan import html
 from energyplan.errors import InvalidInputError
 from energyplan.kinds import checked
-from energyplan.limits._check import Excess, LimitedDrive
-from energyplan.limits._scale import SpeedScale, largest_scale
+from energyplan.limits._check import Excess, LimitedDrive, SpeedScale, largest_scale
 from energyplan.limits.drive import Drive, Ground
 from energyplan.limits.motor import ROUNDING, Limits, largest_within, relative
 from energyplan.motion import Motion

@@ -22,7 +22,7 @@ import numpy as np
 
 from energyplan.errors import InfeasibleMotionError
 from energyplan.limits._windows import PARTS, Basis, Fine, Rows, Window, Windows, placed
-from energyplan.limits.curve import Curve
+from energyplan.limits.curve import Curve, inside
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 
@@ -236,12 +236,9 @@ class Thermal:
         v, omega = self.forward * rate, self.turn * rate
         part = np.clip(np.linspace(0, 1, 2 * PARTS + 1), 1e-6, 1 - 1e-6)
 
-        def between(value: FloatArray) -> FloatArray:
-            return np.asarray(value[:-1, None] + np.diff(value)[:, None] * part)
-
-        known = {"slope": np.zeros(()), **{k: between(c) for k, c in self.channels.items()}}
+        known = {"slope": np.zeros(()), **{k: inside(c, part) for k, c in self.channels.items()}}
         motion = Motion.from_twist(
-            between(v), between(omega), self.model.vehicle.icr,
+            inside(v, part), inside(omega, part), self.model.vehicle.icr,
             accel=np.diff(v)[:, None] / safe, yaw_accel=np.diff(omega)[:, None] / safe, **known,
         )  # fmt: skip
         forces = self.model.forces(motion)

@@ -11,8 +11,7 @@ from random_models import SIZES, random_model
 
 from energyplan.cost import EnergyCost
 from energyplan.cost.bounds import SLACK, Infimum
-from energyplan.planning.scene.prices import Prices
-from energyplan.planning.scene.rates import least_prices
+from energyplan.planning.scene.prices import Prices, least_prices
 from energyplan.power import HOTEL, PowerModel, Term
 from energyplan.power.effects import catalogue, term, with_weight
 from energyplan.terrain import Surface, SurfaceMap

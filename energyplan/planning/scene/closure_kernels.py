@@ -14,7 +14,7 @@ import numpy as np
 
 from energyplan.compilation import inner, njit
 from energyplan.compilation.arrays import Flags, Ints, Words
-from energyplan.planning.scene.field import STEP_COLUMNS, STEP_ROWS
+from energyplan.planning.scene.field import STEP_COLUMNS, STEP_ROWS, longer_ints
 from energyplan.planning.scene.free_space_kernels import shrunk
 from energyplan.planning.scene.guide_kernels import HEADINGS, RIM, Places
 from energyplan.terrain.collision import Body, Space, pose_free
@@ -109,14 +109,6 @@ def _spread(bits: np.uint64, mask: np.uint64) -> np.uint64:
         if wider == bits:
             return bits
         bits = wider
-
-
-@inner
-def _longer(values: Ints) -> Ints:
-    out = np.empty(2 * len(values), np.int64)
-    for k in range(len(values)):
-        out[k] = values[k]
-    return out
 
 
 @njit
@@ -265,7 +257,7 @@ def places_reached(passable: Words, across: int, start: int, begin: int) -> Flag
     out = np.zeros(len(passable), np.bool_)
     rows = STEP_ROWS
     columns = STEP_COLUMNS
-    queue = np.empty(1024, np.int64)
+    queue = np.empty(1024, np.int32)
     reached[start] = _spread(np.uint64(1) << np.uint64(begin), passable[start])
     queue[0] = start
     size = 1
@@ -279,7 +271,7 @@ def places_reached(passable: Words, across: int, start: int, begin: int) -> Flag
             if fresh != 0:
                 reached[there] |= fresh
                 if size == len(queue):
-                    queue = _longer(queue)
+                    queue = longer_ints(queue)
                 queue[size] = there
                 size += 1
     return out

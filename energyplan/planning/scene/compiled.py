@@ -21,8 +21,7 @@ from energyplan.path import FloatArray, Path, Pose
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene import slopes as _slopes
 from energyplan.planning.scene.motions import DIRECTIONS, LEVEL, Hills, KernelProblem, free_energy
-from energyplan.planning.scene.prices import Prices
-from energyplan.planning.scene.rates import LeastPrices, Minorant, least_prices
+from energyplan.planning.scene.prices import LeastPrices, Minorant, Prices, least_prices
 from energyplan.terrain import OccupancyGrid, Terrain
 from energyplan.terrain.collision import Body, pose_free
 
