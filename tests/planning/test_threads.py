@@ -14,10 +14,10 @@ from energyplan.battery import Battery
 from energyplan.cost import EnergyCost
 from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.mission import Mission, Task, evaluate
-from energyplan.planning import PlanningProblem, parallel, plan
-from energyplan.planning.budget import Budget
+from energyplan.planning import PlanningProblem, plan
+from energyplan.planning import budget as budgets
+from energyplan.planning.budget import Budget, side_by_side
 from energyplan.planning.lattice.many_goals import energies
-from energyplan.planning.parallel import side_by_side
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid, Terrain, grid
 from energyplan.terrain.updates import tables_of
@@ -41,7 +41,7 @@ def test_with_effort_a_plan_does_not_depend_on_the_threads(monkeypatch, effort):
     problem = PlanningProblem(rooms(0.9), COST, (1, 4, 0), (11, 1, 2))
     made = []
     for threads in (1, 2, 5):
-        monkeypatch.setattr(parallel, "workers", lambda threads=threads: threads)
+        monkeypatch.setattr(budgets, "workers", lambda threads=threads: threads)
         made.append(plan(problem, effort=effort))
     for other in made[1:]:
         assert np.array_equal(other.path.ds, made[0].path.ds)
@@ -113,9 +113,9 @@ def test_works_that_ask_for_much_share_what_the_others_leave():
             own.spend(own.left)
             return own.spent
 
-        return parallel.Work(run, units, taken.append)
+        return budgets.Work(run, units, taken.append)
 
-    parallel.do_together(budget, [work(1000), work(10), work(500), work(0)])
+    budgets.do_together(budget, [work(1000), work(10), work(500), work(0)])
     assert taken == [45, 10, 45, 0]
     assert budget.over
 

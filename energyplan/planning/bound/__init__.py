@@ -22,7 +22,7 @@ from energyplan.planning.bound.one_line import Rates
 from energyplan.planning.bound.outlines import DETAILS, Sights, sights
 from energyplan.planning.bound.sight import Outline
 from energyplan.planning.bound.surface_excess import certain_regions, least_excess
-from energyplan.planning.parallel import workers
+from energyplan.planning.budget import workers
 from energyplan.planning.scene.compiled import MARGIN, SHORT_TRACK, CompiledProblem
 from energyplan.planning.scene.guide import inscribed
 from energyplan.planning.scene.motions import KernelProblem, free_energy

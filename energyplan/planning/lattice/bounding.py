@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from energyplan.planning.bound import Bound, Spent, lower_bound
-from energyplan.planning.budget import Budget
-from energyplan.planning.parallel import Work
+from energyplan.planning.budget import Budget, Work
 from energyplan.planning.scene.compiled import CompiledProblem
 
 FIRST = 250

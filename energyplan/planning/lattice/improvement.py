@@ -11,7 +11,7 @@ import numpy as np
 
 from energyplan.compilation import compile_kernels
 from energyplan.path import Path
-from energyplan.planning.budget import PACE, Budget
+from energyplan.planning.budget import PACE, Budget, Work, do_together, side_by_side
 from energyplan.planning.lattice import search_kernels as kernels
 from energyplan.planning.lattice.bounding import Bounding
 from energyplan.planning.lattice.portfolio import Portfolio
@@ -23,7 +23,6 @@ from energyplan.planning.lattice.slots import slot_work, way_through_slots
 from energyplan.planning.lattice.tight_ends import Ends, ways_out
 from energyplan.planning.lattice.turning import Turned, ways_with_turns
 from energyplan.planning.lattice.way_along import led_along, way_along
-from energyplan.planning.parallel import Work, do_together, side_by_side
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene import closure_kernels
 from energyplan.planning.scene.closure import (

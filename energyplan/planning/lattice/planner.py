@@ -25,14 +25,13 @@ from energyplan.cost.steering import StaticSteering
 from energyplan.errors import InvalidInputError, ModelError, PlanningError
 from energyplan.kinds import checked
 from energyplan.path import FloatArray, Path
-from energyplan.planning.budget import Budget
+from energyplan.planning.budget import Budget, Work, do_together
 from energyplan.planning.contract import Candidate
 from energyplan.planning.lattice.bounding import Bounding
 from energyplan.planning.lattice.improvement import Improvement, is_length
 from energyplan.planning.lattice.portfolio import SAME
 from energyplan.planning.lattice.stops import SHARE, least_driven, stops_count, stops_of
 from energyplan.planning.lattice.tight_ends import ways_out
-from energyplan.planning.parallel import Work, do_together
 from energyplan.planning.problem import PlanningProblem, objective_weights
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.guide import regions_for

@@ -10,9 +10,8 @@ from functools import partial
 
 import numpy as np
 
-from energyplan.planning.budget import Budget
+from energyplan.planning.budget import Budget, Work, do_together
 from energyplan.planning.lattice.refine import Refiner
-from energyplan.planning.parallel import Work, do_together
 from energyplan.planning.scene.compiled import Segments
 from energyplan.planning.scene.motions import KernelProblem
 

@@ -15,11 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from energyplan.path import FloatArray, Path, Pose
-from energyplan.planning.budget import Budget
+from energyplan.planning.budget import Budget, Work
 from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.lattice.search import Search, lattice_for
 from energyplan.planning.lattice.way_along import way_along
-from energyplan.planning.parallel import Work
 from energyplan.planning.scene.compiled import Segments
 from energyplan.planning.scene.guide import (
     TURNS,

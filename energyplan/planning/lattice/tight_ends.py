@@ -18,10 +18,9 @@ import numpy as np
 
 from energyplan.errors import PlanningError
 from energyplan.path import Path, Pose
-from energyplan.planning.budget import Budget
+from energyplan.planning.budget import Budget, side_by_side
 from energyplan.planning.lattice import escape_kernels as kernels
 from energyplan.planning.lattice.refine import Refiner
-from energyplan.planning.parallel import side_by_side
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.motions import KernelProblem, motion_cost, steering_cost

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.compilation.arrays import SingleTable
-from energyplan.planning.parallel import workers
+from energyplan.planning.budget import workers
 from energyplan.planning.scene import free_space_kernels as kernels
 from energyplan.terrain.collision import Body, Space
 from energyplan.terrain.updates import Window
