@@ -17,9 +17,8 @@ from numpy.typing import ArrayLike
 from energyplan import html
 from energyplan.errors import DriveLogError, MissingChannelError
 from energyplan.kinds import checked
-from energyplan.logs._resample import block_bounds, interval_means, shift
 from energyplan.logs._smooth import derivative
-from energyplan.logs.align import time_weights
+from energyplan.logs.align import block_bounds, interval_means, shift, time_weights
 from energyplan.logs.checks import Place, SetAside, clean, find_runs, needed_channels
 from energyplan.logs.columns import Column, choose_columns, parse_columns
 from energyplan.logs.plausible import find_doubts
