@@ -12,8 +12,8 @@ from energyplan.cost import EnergyCost
 from energyplan.io.maps import read_map
 from energyplan.path import Path
 from energyplan.planning import Budget, PlanningProblem, plan
+from energyplan.planning.lattice.improvement import ROUNDS
 from energyplan.planning.lattice.portfolio import Portfolio
-from energyplan.planning.lattice.rounds import ROUNDS
 from energyplan.planning.lattice.search import EXPANSION, Search, lattice_for
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.guide import distance_to_go
