@@ -13,7 +13,10 @@ Each robot has a size, parameters and sensors of its own: powers of both sides, 
 of the battery; 100, 20, 10 or 2 readings a second; steps of speed and power; a late power; long
 standstill; a gyroscope and a pose, or neither. Odd seeds fit one number, the temperature at which
 stated probabilities are true; even ones judge it. Effects that no power can tell apart count as
-one, and so do explanations that the report says these drives cannot tell apart.
+one, and so do explanations that the report says these drives cannot tell apart. A border that the
+first drive never crosses is not hidden in it. Sizes are those that powers tell: of a border, with
+the sign of the side that the report calls beyond; of a resistance backwards beside a force that
+pulls one way, which together are one of them beside another resistance, that one.
 """
 
 from __future__ import annotations
@@ -31,6 +34,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
+from energyplan.diagnosis import FoundEffect
 from energyplan.power import HOTEL, REGENERATION_LOSS
 from energyplan.power import effects as known
 from energyplan.power.effect_terms import (
@@ -101,12 +105,29 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Hidden:
-    """A random robot's two drives, the sizes of the effects that they hide, and what it is."""
+    """A random robot's two drives, the sizes of the effects that they hide, and what it is.
+
+    `direction` is that of a border.
+    """
 
     logs: tuple[DriveLog, DriveLog]
     vehicle: Vehicle
     sizes: dict[str, float]
     kind: str
+    direction: float
+
+    def size(self, effect: FoundEffect) -> float:
+        """Return the size of an effect that powers tell."""
+        if effect.name == "surface_border":
+            apart = float(effect.details["direction"]) - self.direction
+            return self.sizes[effect.name] * float(np.sign(np.cos(apart)))
+        if {"reverse_drag", "towing_force"} <= set(self.sizes):
+            # A pull is a force of both sides together, a resistance one of each.
+            back = self.sizes["reverse_drag"] - self.sizes["towing_force"]
+            return {"reverse_drag": back, "towing_force": -back}.get(
+                effect.name, self.sizes[effect.name]
+            )
+        return self.sizes[effect.name]
 
 
 def robot(rng: np.random.Generator, sizes: tuple[float, float] = SIZES["usual"]) -> PowerModel:
@@ -144,9 +165,10 @@ def hidden(seed: int, robots: str = "any", fewest: int = 1, most: int = 3) -> Hi
         "stribeck_friction": (replace(STRIBECK, params={"slip_speed": 0.08}), 0.4 * mu),
         "left_turn_drag_left": (LEFT_TURN_DRAG_LEFT, 0.5 * K),
     }  # fmt: skip
-    posed = rng.random() >= 0.25
+    posed, direction, offset = rng.random() >= 0.25, 0.0, 0.3
     if posed:  # what depends on the place or the heading
-        line = replace(SLIP_BEYOND, params={"direction": float(rng.uniform(-3, 3)), "offset": 0.3})
+        direction = float(rng.uniform(-3, 3))
+        line = replace(SLIP_BEYOND, params={"direction": direction, "offset": offset})
         choices["surface_border"] = (line, 0.3 * mu * side)
         choices["tilted_plane"] = (known.GRADE, float(np.radians(3.0)))
     sizes, ground = {}, {}
@@ -185,9 +207,14 @@ def hidden(seed: int, robots: str = "any", fewest: int = 1, most: int = 3) -> Hi
         logs.append(stepped(log, step, names[measured]))
     if delay:
         sizes["time_offset"] = delay
+    if "surface_border" in sizes:
+        place = {name: logs[0].channels[name] for name in ("x", "y")}
+        beyond = place["x"] * np.cos(direction) + place["y"] * np.sin(direction) > offset
+        if beyond.all() or not beyond.any():
+            del sizes["surface_border"]
     told = "with" if posed else "without"
     words = f"{kind}, {vehicle.mass:.0f} kg, {measured} at {rate:g} Hz, {told} pose"
-    return Hidden((logs[0], logs[1]), vehicle, sizes, words)
+    return Hidden((logs[0], logs[1]), vehicle, sizes, words, direction)
 
 
 def case(seed: int, robots: str, fewest: int, most: int) -> Outcome:
@@ -213,7 +240,7 @@ def case(seed: int, robots: str, fewest: int, most: int) -> Outcome:
     if told.none_of_these > 0.0:
         stated[STRANGER] = told.none_of_these
     covered = tuple(
-        bool(abs(effect.value - sizes[effect.name]) <= 1.96 * effect.std_error)
+        bool(abs(effect.value - made.size(effect)) <= 1.96 * effect.std_error)
         for effect in told.effects if effect.name in sizes
     )  # fmt: skip
     oracle = diagnose(

@@ -18,7 +18,7 @@ from energyplan.diagnosis.averaging import FEWEST_RUNS, averaged, note_of
 from energyplan.diagnosis.change_points import change_time
 from energyplan.diagnosis.explanations import Found
 from energyplan.diagnosis.holdout import ErrorInterval, Prediction, interval, predict, score
-from energyplan.diagnosis.joint_fit import FinalFit, final_fit, size_error
+from energyplan.diagnosis.joint_fit import FinalFit, final_fit, size_error, size_spread
 from energyplan.diagnosis.mass_centre import MassCentre, find_mass_centre
 from energyplan.diagnosis.mimics import smooth_part, without_mimics
 from energyplan.diagnosis.part import Part
@@ -308,7 +308,8 @@ class _Case:
         if any(part.effect.acts == "change" for part in parts):
             foretold = [predict(told.model, parts, drive, dated=False) for drive in self.held]
             undated = score(foretold)
-        found = self._found(chosen, fitted, searched, after, present)
+        others = self._explanations(searched, 1.0 - present.stranger)
+        found = self._found(chosen, fitted, searched, after, present, others)
         if fight is not None and entry is not None:
             found = (*found, fight.effect(entry))
         unexplained = tuple(
@@ -364,7 +365,7 @@ class _Case:
             withdrawn=tuple(mimics),
             predictions_before=tuple(one.power for one in before),
             predictions_after=tuple(one.power for one in after),
-            explanations=self._explanations(searched, 1.0 - present.stranger),
+            explanations=others,
             none_of_these=present.stranger,
             adequacy=quality,
             predictions=energies(best.problem, told, foretold),
@@ -418,6 +419,7 @@ class _Case:
         searched: Found,
         after: Sequence[Prediction],
         present: Presence,
+        others: Sequence[Explanation],
     ) -> tuple[FoundEffect, ...]:
         model, errors = fitted.model, fitted.errors
         found = []
@@ -440,6 +442,9 @@ class _Case:
                         details[f"time in {one.drive.name}"] = one.change
             value = entry.value(model) if entry.terms else Late.of(part.params).mean
             error = size_error(entry, model) if entry.terms else errors["late"]
+            some = [one for one in others if entry.name in one.effects]
+            share = [one.probability for one in some]
+            error = float(np.hypot(error, size_spread(entry, [m.model for m in some], share, value)))
             gain = searched.best.gains[searched.best.parts.index(part)]
             found.append(
                 FoundEffect(

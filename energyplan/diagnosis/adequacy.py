@@ -19,7 +19,7 @@ from energyplan.fit.drives.windows import SCALES, Drive
 from energyplan.fit.least_squares import Problem, RunSpread
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel
-from energyplan.power.effect_terms import SLIP_CHANGE, TRACTION_CHANGE
+from energyplan.power.effect_terms import SLIP_CHANGE, TRACTION_CHANGE, WHEEL_FIGHT
 
 _FLOOR = 0.01
 """What is no more than this fraction of the root mean square power is as good as nothing."""
@@ -41,19 +41,25 @@ def predicted(model: PowerModel, drive: Drive) -> FloatArray:
 
 
 def shown_of_contacts(model: PowerModel, drive: Drive) -> FloatArray | None:
-    """Return what a drive's total shows of what contacts hold, beyond a prediction [W].
+    """Return what the powers of a drive show of what contacts hold, beyond a prediction [W].
 
-    None where it shows nothing: without losses it costs nothing, and with the power of both sides a
-    model has a term for it. Nor where nobody knows when the robot changed.
+    None where they show nothing: without losses it costs nothing. Nor where nobody knows when the
+    robot changed. With the power of both sides a model may have a term for its mean, which what
+    they show replaces.
     """
     changes = any(term.name in (SLIP_CHANGE.name, TRACTION_CHANGE.name) for term in model.terms)
     undated = changes and "changed" not in drive.motion.channels
-    if undated or drive.equations > 1 or not is_lossy(drive, model.terms):
+    if undated or not is_lossy(drive, model.terms):
         return None
-    told, alone = (
-        equations_of(model, replace(drive, fitted=fitted))[:, 0] for fitted in (True, False)
-    )
+    shown = _without_fight(model) if drive.equations > 1 else model
+    told = equations_of(shown, replace(drive, fitted=True))[:, 0]
+    alone = equations_of(model, replace(drive, between=None, fitted=False))[:, 0]
     return told - alone if np.any(told != alone) else None
+
+
+def _without_fight(model: PowerModel) -> PowerModel:
+    keep = [k for k, term in enumerate(model.terms) if term.name != WHEEL_FIGHT.name]
+    return PowerModel(model.vehicle, [model.terms[k] for k in keep], model.coefficients[keep])
 
 
 def with_contacts(model: PowerModel, one: Prediction) -> Prediction:

@@ -58,6 +58,9 @@ class Gain:
         Root of the fall of the mean square error, over the root mean square power.
     falls : ndarray, shape (scales,)
         Fall of the cross-validated mean square error of the total power, at each scale [W^2].
+    lasting : float
+        Fall of the cross-validated loss without the block that shows most of it: an effect is more
+        than one event.
     """
 
     improvement: float
@@ -66,6 +69,7 @@ class Gain:
     weight: float
     share: float
     falls: FloatArray
+    lasting: float
 
 
 @dataclass(frozen=True)

@@ -136,3 +136,34 @@ def size_error(effect: Effect, model: PowerModel) -> float:
             ends.append(effect.value(replace(model, coefficients=moved)))
         gradient[k] = (ends[0] - ends[1]) / (2 * step)
     return float(np.sqrt(max(float(gradient @ model.covariance @ gradient), 0.0)))
+
+
+def size_spread(
+    effect: Effect, models: Sequence[PowerModel], probabilities: Sequence[float], size: float
+) -> float:
+    """Return by how much the size of an effect differs among explanations that have it.
+
+    Which of them is right is not known either: of two efficiencies that powers cannot tell apart,
+    one divides the sizes of all other effects (docs/theory, section 6).
+
+    Parameters
+    ----------
+    effect : Effect
+        The effect.
+    models : sequence of PowerModel
+        The models of these explanations.
+    probabilities : sequence of float
+        Theirs.
+    size : float
+        The size that is told.
+
+    Returns
+    -------
+    float
+        Root mean square difference from that size.
+    """
+    share = np.array(probabilities)
+    if not effect.terms or effect.acts == "log" or not share.any():
+        return 0.0
+    apart = np.array([effect.value(model) - size for model in models])
+    return float(np.sqrt(share @ apart**2 / share.sum()))

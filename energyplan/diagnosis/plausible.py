@@ -22,7 +22,7 @@ _MASS = 0.4  # standard deviation of the logarithm of a robot's mass over that o
 _USUAL = 0.99  # quantile over the samples: single ones may be noise of a speed's derivative
 
 
-def likeness(vehicle: Vehicle, parts: Sequence[Part], values: FloatArray) -> float:
+def likeness(vehicle: Vehicle, parts: Sequence[Part], found: Fit) -> float:
     """Return how likely the masses that effects find are, by the vehicle's own.
 
     Powers tell forces and masses over an efficiency (docs/theory, section 6): of two explanations
@@ -34,7 +34,7 @@ def likeness(vehicle: Vehicle, parts: Sequence[Part], values: FloatArray) -> flo
         The vehicle.
     parts : sequence of Part
         The effects.
-    values : ndarray, shape (k,)
+    found : Fit
         Coefficients of the paper's terms and of theirs.
 
     Returns
@@ -42,13 +42,14 @@ def likeness(vehicle: Vehicle, parts: Sequence[Part], values: FloatArray) -> flo
     float
         At most one, which is that of effects that tell no mass of the robot.
     """
-    found, at = 0.0, len(PAPER)
+    apart, at = 0.0, len(PAPER)
     for part in parts:
         if part.effect.of_mass is not None and part.effect.of_mass[0] > 0.0:
-            apart = np.log(max(float(values[at]), 1e-9 * vehicle.mass) / vehicle.mass)
-            found += (apart / _MASS) ** 2
+            mass = max(float(found.values[at]), 1e-9 * vehicle.mass)
+            known = float(found.covariance[at, at]) / mass**2  # a mass that noise hides tells none
+            apart += np.log(mass / vehicle.mass) ** 2 / (_MASS**2 + known)
         at += len(part.terms)
-    return float(np.exp(-0.5 * found))
+    return float(np.exp(-0.5 * apart))
 
 
 def drivable(problem: Problem, terms: Sequence[Term], model: PowerModel) -> bool:

@@ -135,10 +135,11 @@ class Search(Proposals):
             for by in (scale, FLOOR**2 / floor)
         )
         _, error = difference(less.fit.losses, full.fit.losses)
+        gaps = less.fit.losses - full.fit.losses
         return Gain(
             float(falls), error / len(SCALES), self._p_value(full, part, looks),
             self.score(full) - self.score(less), float(np.sqrt(max(shares, 0.0))),
-            fall[: len(SCALES)],
+            fall[: len(SCALES)], float(np.sum(gaps) - np.max(gaps)),
         )  # fmt: skip
 
     def _p_value(self, full: Evaluated, part: Part, looks: float) -> float:
@@ -149,7 +150,8 @@ class Search(Proposals):
 
     def _acceptable(self, gain: Gain, prior: float) -> bool:
         return (
-            gain.improvement > max(WORTHWHILE, gain.error)
+            gain.improvement > WORTHWHILE
+            and gain.lasting > 0.0
             and gain.share > WORTH
             and gain.p_value < _CHANCE
             and gain.weight + prior > 0.0
@@ -395,7 +397,7 @@ class Search(Proposals):
         number = classes(accounts, lambda e, n: float(self.likelihood(e, n)))
         share = np.array([one.probability for one in compared])
         pairs = zip(compared, accounts, strict=True)
-        like = np.array([likeness(e.problem.vehicle, e.parts, a.fit.values) for e, a in pairs])
+        like = np.array([likeness(e.problem.vehicle, e.parts, a.fit) for e, a in pairs])
         for head in set(number):
             same = np.flatnonzero(np.array(number) == head)
             weighed = share[same] * like[same]
@@ -460,7 +462,7 @@ class Search(Proposals):
             rest = [other for other in parts if other is not part]
             gains.append(self._gain(full, self._fitted(problem, rest), part, 1.0))
         one = Explanation(tuple(parts), 1.0, problem, tuple(gains))
-        return Found((one,), tuple(self.untested), np.array([]))
+        return Found((self._refined(one),), tuple(self.untested), np.array([]))
 
 
 def _errors(problem: Problem, parts: Sequence[Part]) -> FloatArray:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from energyplan.fit.drives.readings import reading_covariance
 from energyplan.fit.drives.windows import Design, window_means
 from energyplan.fit.least_squares import Fit, Problem, RunSpread, fit
 from energyplan.path import FloatArray
@@ -56,8 +57,8 @@ def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None =
     Returns
     -------
     JointFit
-        The covariance is the jackknife's over blocks, by Student's distribution, and that of runs
-        that differ as a whole.
+        The covariance is the jackknife's over blocks, by Student's distribution, that of runs that
+        differ as a whole, and that of sensors that read in steps.
     """
     errors = problem.reference(problem.design(terms))
     design = problem.design(terms, errors)
@@ -67,10 +68,10 @@ def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None =
     moved = further(dict(zip(names, found.values.tolist(), strict=True))) if further else ()
     if moved:
         columns = [np.stack(column, axis=-1) for column in zip(*moved, strict=True)]
-        wide = fit(design.joined(window_means(problem.drives, columns)), errors).reported
-        covariance, rest = wide[:count, :count], wide[count:, count:]
-    else:
-        rest = np.zeros((0, 0))
+        design = design.joined(window_means(problem.drives, columns))
+        covariance = fit(design, errors).reported
+    covariance = covariance + reading_covariance(problem, terms, found.values, design, errors)
+    covariance, rest = covariance[:count, :count], covariance[count:, count:]
     plain = problem.of_totals.with_factors([1.0] * len(problem.drives))
     spread = RunSpread.of(plain.design(terms), found.values)
     if spread is not None:

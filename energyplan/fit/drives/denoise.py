@@ -25,6 +25,9 @@ _KEPT_SQUARE = 0.6231  # mean square of that share of standard normal values
 _AGREES = 0.7  # correlation of another sensor of the turn with the wheels, from which it is one
 _RESTING = 20  # samples at rest that tell an offset
 _SHORTEST = 7  # samples in a stretch below which nothing is smoothed
+_HARMONICS = np.arange(1.0, 9.0)  # of the rounding error, of which the higher ones are nothing
+_LATTICE = 1e-3  # of a step, by which readings lie beside a whole number of them
+_FEWEST = 8  # readings that tell a step
 
 
 @dataclass(frozen=True)
@@ -218,6 +221,61 @@ def _turn(
             filled = np.interp(np.arange(len(turn)), np.flatnonzero(told), average[told])
             turn = np.where(near & (turn == 0.0), filled, turn)
     return turn
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Steps of a sensor.
+
+    Parameters
+    ----------
+    size : float
+        Between neighbouring readings; zero of a sensor without steps.
+    error : float
+        Standard deviation, over steady states, of the mean of readings of one.
+    """
+
+    size: float = 0.0
+    error: float = 0.0
+
+    @classmethod
+    def of(cls, values: FloatArray) -> Steps:
+        """Return the steps of readings.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n,)
+            The readings.
+
+        Returns
+        -------
+        Steps
+            The mean reading of a value is periodic in it: each harmonic of the rounding error is
+            damped by the noise, as of a dithered quantiser.
+
+        References
+        ----------
+        Widrow and Kollar (2008), Quantization Noise, chapters 4 and 19.
+        """
+        levels = np.unique(values)
+        gaps = np.diff(levels)
+        gaps = gaps[gaps > 1e-9 * np.max(np.abs(levels), initial=0.0)]
+        if len(levels) < 2 or len(values) < _FEWEST or not len(gaps):
+            return cls()
+        size = float(np.min(gaps))
+        if np.any(np.abs(gaps / size - np.round(gaps / size)) > _LATTICE * gaps / size):
+            return cls()
+        noise = np.sqrt(max(reading_noise(values) ** 2 - size**2 / 12.0, 0.0))
+        damped = np.exp(-((2.0 * np.pi * _HARMONICS * noise / size) ** 2))
+        return cls(size, float(np.sqrt(np.sum(0.5 * (size / (np.pi * _HARMONICS)) ** 2 * damped))))
+
+    def states(self, values: FloatArray) -> NDArray[np.int64]:
+        """Return the number of the step that each value lies in."""
+        return np.asarray(np.round(values / self.size), np.int64)
+
+
+NO_STEPS = Steps()
+"""Of a sensor without steps."""
 
 
 def speed_noise(values: FloatArray) -> float:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from energyplan.errors import DriveLogError
-from energyplan.fit.drives.denoise import quiet, speed_noise
+from energyplan.fit.drives.denoise import NO_STEPS, Steps, quiet, speed_noise
 from energyplan.fit.drives.late import ON_TIME, Late, lagged
 from energyplan.fit.drives.window_kernels import block_grams
 from energyplan.logs import DriveLog
@@ -74,6 +74,8 @@ class Drive:
         contacts are taken to hold there too.
     fitted : bool
         Whether a model is fitted to it: only then its power may tell what contacts hold.
+    steps : Steps
+        Of the speeds' sensors.
     fields : dict
         Forces of terms, kept for `field_of`.
     """
@@ -89,19 +91,22 @@ class Drive:
     breakaway: float = 0.0
     drift: float = 0.0
     fitted: bool = False
+    steps: Steps = NO_STEPS
     fields: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
     def of(cls, log: DriveLog, vehicle: Vehicle) -> Drive:
         """Prepare a log."""
         t = np.asarray(log.t - log.t[0])
-        motion = quiet(log.motion(vehicle.icr), t)
+        read = log.motion(vehicle.icr)
+        motion = quiet(read, t)
         steps = 0.5 * np.diff(t) * (np.abs(motion.v[1:]) + np.abs(motion.v[:-1]))
         distance = np.concatenate([[0.0], np.cumsum(steps)])
         sides = log.sides
         return cls(
             log.name, t, motion.with_channels(t=t, distance=distance), log.power, log.battery_side,
             between=None if sides is None else np.asarray(sides.right - sides.left),
+            steps=Steps.of(np.concatenate([read.v_left, read.v_right])),
         )  # fmt: skip
 
     @classmethod
