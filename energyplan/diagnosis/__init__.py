@@ -442,9 +442,7 @@ class _Case:
                         details[f"time in {one.drive.name}"] = one.change
             value = entry.value(model) if entry.terms else Late.of(part.params).mean
             error = size_error(entry, model) if entry.terms else errors["late"]
-            some = [one for one in others if entry.name in one.effects]
-            share = [one.probability for one in some]
-            error = float(np.hypot(error, size_spread(entry, [m.model for m in some], share, value)))
+            error = float(np.hypot(error, size_spread(entry, value, others)))
             gain = searched.best.gains[searched.best.parts.index(part)]
             found.append(
                 FoundEffect(

@@ -59,8 +59,8 @@ class Gain:
     falls : ndarray, shape (scales,)
         Fall of the cross-validated mean square error of the total power, at each scale [W^2].
     lasting : float
-        Fall of the cross-validated loss without the block that shows most of it: an effect is more
-        than one event.
+        Fall of the cross-validated loss without the block that shows most of it. Where blocks
+        differ much in what is left of them, the standard error exceeds the fall that many show.
     """
 
     improvement: float

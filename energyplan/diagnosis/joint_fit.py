@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from energyplan.diagnosis.part import Part
+from energyplan.diagnosis.result import Explanation
 from energyplan.fit.drives.late import Late
 from energyplan.fit.drives.linear import equations_of
 from energyplan.fit.joint import joint_fit
@@ -138,9 +139,7 @@ def size_error(effect: Effect, model: PowerModel) -> float:
     return float(np.sqrt(max(float(gradient @ model.covariance @ gradient), 0.0)))
 
 
-def size_spread(
-    effect: Effect, models: Sequence[PowerModel], probabilities: Sequence[float], size: float
-) -> float:
+def size_spread(effect: Effect, size: float, explanations: Sequence[Explanation]) -> float:
     """Return by how much the size of an effect differs among explanations that have it.
 
     Which of them is right is not known either: of two efficiencies that powers cannot tell apart,
@@ -150,20 +149,19 @@ def size_spread(
     ----------
     effect : Effect
         The effect.
-    models : sequence of PowerModel
-        The models of these explanations.
-    probabilities : sequence of float
-        Theirs.
     size : float
         The size that is told.
+    explanations : sequence of Explanation
+        What may be the reason.
 
     Returns
     -------
     float
-        Root mean square difference from that size.
+        Root mean square difference from that size; zero of what no model holds.
     """
-    share = np.array(probabilities)
+    some = [one for one in explanations if effect.name in one.effects]
+    share = np.array([one.probability for one in some])
     if not effect.terms or effect.acts == "log" or not share.any():
         return 0.0
-    apart = np.array([effect.value(model) - size for model in models])
+    apart = np.array([effect.value(one.model) - size for one in some])
     return float(np.sqrt(share @ apart**2 / share.sum()))

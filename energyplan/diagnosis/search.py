@@ -151,7 +151,7 @@ class Search(Proposals):
     def _acceptable(self, gain: Gain, prior: float) -> bool:
         return (
             gain.improvement > WORTHWHILE
-            and gain.lasting > 0.0
+            and (gain.improvement > gain.error or gain.lasting > 0.0)
             and gain.share > WORTH
             and gain.p_value < _CHANCE
             and gain.weight + prior > 0.0

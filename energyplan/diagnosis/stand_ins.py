@@ -22,7 +22,6 @@ from energyplan.fit.drives.windows import Design
 from energyplan.fit.least_squares import PAPER, weighted
 from energyplan.path import FloatArray
 
-_ALIKE = 1e-3  # share that is not followed, of what is as good as another name for the same
 _ALMOST = 1e-9  # share of a column's square that the model's own columns leave of it, and is none
 
 
@@ -110,15 +109,14 @@ def chance_to_stand_in(share: float, known: FloatArray) -> float:
     share : float
         Part that an effect explains of what it and the missing cause make together.
     known : ndarray
-        What `followed` returns. Effects that another one is the same as are left out: a cause that
-        is followed so well leaves nothing, and more than noise is left.
+        What `followed` returns.
 
     Returns
     -------
     float
         One where nothing is explained, zero where nothing is left.
     """
-    at = np.concatenate([[0.0], known[known < 1.0 - _ALIKE], [1.0]])
+    at = np.concatenate([[0.0], known, [1.0]])
     return float(np.interp(share, at, np.linspace(1.0, 0.0, len(at))))
 
 

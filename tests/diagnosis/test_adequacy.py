@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 
 from energyplan import DriveLog, PowerModel, simulate
-from energyplan.diagnosis.adequacy import adequacy
+from energyplan.diagnosis.adequacy import adequacy, predicted, shown_of_contacts
 from energyplan.diagnosis.joint_fit import final_fit
+from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.result import Adequacy
 from energyplan.fit.drives.windows import prepared
 from energyplan.fit.least_squares import Problem
 from energyplan.path import FloatArray
+from energyplan.power.effects import COPPER_LOSS, catalogue
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")
 CLEAN = simulate.drive(ROBOT, simulate.IDENTIFICATION, rate=10.0, measured="total")
@@ -45,3 +49,23 @@ def test_what_lasts_is_coloured_though_it_is_less_than_noise(period: float) -> N
 def test_what_is_as_good_as_nothing_is_no_colour() -> None:
     noise = np.random.default_rng(5).normal(0.0, 0.003 * SIZE, len(CLEAN))
     assert judged(noise + 0.006 * SIZE * np.sin(2 * np.pi * CLEAN.t / 6.0)).adequate
+
+
+@pytest.mark.parametrize("measured", ["sides", "total"])
+def test_what_contacts_hold_on_straights_is_no_residual(measured: Literal["sides", "total"]) -> None:
+    truth = ROBOT.with_term(COPPER_LOSS, 0.002)
+    log = simulate.drive(
+        truth, simulate.IDENTIFICATION, rate=10.0, measured=measured, power_noise=3.0,
+        speed_noise=0.003, noise={"yaw_rate": 0.01}, seed=3,
+    )  # fmt: skip
+    problem = Problem(prepared([log], ROBOT.vehicle), ROBOT.vehicle)
+    fitted = final_fit(problem, [Part(catalogue()["copper_loss"])])
+    (drive,) = problem.drives
+    known = shown_of_contacts(fitted.model, drive)
+    assert known is not None
+    left = drive.power - predicted(fitted.model, drive)
+    straight = drive.holds & (drive.held.v_left != 0.0)
+    before, after = (float(np.sqrt(np.mean(r[straight] ** 2))) for r in (left, left - known))
+    noise = 3.0 * np.sqrt(drive.equations)
+    assert before > 3.0 * noise
+    assert after < 0.5 * before  # what is left are moments at which a turn begins or ends

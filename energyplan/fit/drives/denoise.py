@@ -26,6 +26,7 @@ _AGREES = 0.7  # correlation of another sensor of the turn with the wheels, from
 _RESTING = 20  # samples at rest that tell an offset
 _SHORTEST = 7  # samples in a stretch below which nothing is smoothed
 _HARMONICS = np.arange(1.0, 9.0)  # of the rounding error, of which the higher ones are nothing
+_NOISES = np.linspace(0.0, 1.0, 101)  # over the step: more of it averages rounding out
 _LATTICE = 1e-3  # of a step, by which readings lie beside a whole number of them
 _FEWEST = 8  # readings that tell a step
 
@@ -250,8 +251,8 @@ class Steps:
         Returns
         -------
         Steps
-            The mean reading of a value is periodic in it: each harmonic of the rounding error is
-            damped by the noise, as of a dithered quantiser.
+            The mean reading of a value errs periodically with it: noise damps each harmonic of the
+            rounding error, as of a dithered quantiser.
 
         References
         ----------
@@ -265,9 +266,12 @@ class Steps:
         size = float(np.min(gaps))
         if np.any(np.abs(gaps / size - np.round(gaps / size)) > _LATTICE * gaps / size):
             return cls()
-        noise = np.sqrt(max(reading_noise(values) ** 2 - size**2 / 12.0, 0.0))
-        damped = np.exp(-((2.0 * np.pi * _HARMONICS * noise / size) ** 2))
-        return cls(size, float(np.sqrt(np.sum(0.5 * (size / (np.pi * _HARMONICS)) ** 2 * damped))))
+        # Noise and rounding make all of the readings' square error: the mean's, and their scatter.
+        damped = np.exp(-((2.0 * np.pi * np.outer(_NOISES, _HARMONICS)) ** 2))
+        square = 0.5 * damped @ (np.pi * _HARMONICS) ** -2.0
+        scatter = _NOISES**2 + square[0] - square
+        left = np.interp((reading_noise(values) / size) ** 2, scatter, square)
+        return cls(size, size * float(np.sqrt(left)))
 
     def states(self, values: FloatArray) -> NDArray[np.int64]:
         """Return the number of the step that each value lies in."""

@@ -36,9 +36,7 @@ def _covariance_of(sources: Sequence[tuple[NDArray[np.int64], FloatArray]]) -> F
     return np.asarray(sums.T @ sums)
 
 
-def moved_by(
-    drives: Sequence[Drive], design: Design, errors: FloatArray
-) -> list[FloatArray]:
+def moved_by(drives: Sequence[Drive], design: Design, errors: FloatArray) -> list[FloatArray]:
     """Return what one watt more in a sample of each equation does to the coefficients.
 
     Parameters
@@ -60,9 +58,7 @@ def moved_by(
     unit = np.linalg.pinv(normal * np.outer(scale, scale), 1e-12, hermitian=True)
     inverse = unit * np.outer(scale, scale)
     found = [np.zeros((len(drive.t), drive.equations, len(normal))) for drive in drives]
-    for k, (table, error, count) in enumerate(
-        zip(design.rows, errors, design.counts, strict=True)
-    ):
+    for k, (table, error, count) in enumerate(zip(design.rows, errors, design.counts, strict=True)):
         step, first = table[:, :-1] @ inverse / (error * count), 0
         for drive, table_of in zip(drives, found, strict=True):
             windows = drive.windows[k % len(SCALES)]
@@ -149,9 +145,7 @@ def _rise_with_speed(
     ends = []
     for factor in (1.0 + _SHARE, 1.0 - _SHARE):
         motion = drive.motion
-        faster = replace(
-            motion, v_left=factor * motion.v_left, v_right=factor * motion.v_right
-        )
+        faster = replace(motion, v_left=factor * motion.v_left, v_right=factor * motion.v_right)
         moved = replace(
             drive, motion=faster, breakaway=factor * drive.breakaway, drift=factor * drive.drift,
             fitted=False, fields={},

@@ -98,15 +98,14 @@ class Drive:
     def of(cls, log: DriveLog, vehicle: Vehicle) -> Drive:
         """Prepare a log."""
         t = np.asarray(log.t - log.t[0])
-        read = log.motion(vehicle.icr)
-        motion = quiet(read, t)
+        motion = quiet(log.motion(vehicle.icr), t)
         steps = 0.5 * np.diff(t) * (np.abs(motion.v[1:]) + np.abs(motion.v[:-1]))
         distance = np.concatenate([[0.0], np.cumsum(steps)])
         sides = log.sides
         return cls(
             log.name, t, motion.with_channels(t=t, distance=distance), log.power, log.battery_side,
             between=None if sides is None else np.asarray(sides.right - sides.left),
-            steps=Steps.of(np.concatenate([read.v_left, read.v_right])),
+            steps=Steps.of(np.concatenate([log.channel("v_left"), log.channel("v_right")])),
         )  # fmt: skip
 
     @classmethod

@@ -1,0 +1,54 @@
+"""Sizes of effects: what explanations differ in, and masses that tell which is right."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from energyplan import PowerModel
+from energyplan.diagnosis.joint_fit import size_spread
+from energyplan.diagnosis.part import Part
+from energyplan.diagnosis.plausible import likeness
+from energyplan.diagnosis.result import Explanation
+from energyplan.fit.least_squares import Fit
+from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS
+from energyplan.power.effect_terms import DRAGGING_LEFT
+from energyplan.power.effects import catalogue
+
+ROBOT = PowerModel.preset("quadriga:full:concrete")
+DRAG = catalogue()["dragging_wheel_left"]
+
+
+def explanation(probability: float, drag: float | None, loss: bool) -> Explanation:
+    """A drag behind one of two losses that powers cannot tell apart."""
+    model = ROBOT.with_term(DRIVE_LOSS if loss else REGENERATION_LOSS, 0.3)
+    names = ["drive_efficiency" if loss else "regeneration_efficiency"]
+    if drag is not None:
+        model, names = model.with_term(DRAGGING_LEFT, drag), [*names, DRAG.name]
+    return Explanation(tuple(names), probability, model)
+
+
+def test_the_error_of_a_size_holds_what_explanations_differ_in() -> None:
+    told = [explanation(0.5, 40.0, False), explanation(0.3, 30.0, True)]
+    spread = size_spread(DRAG, 40.0, [*told, explanation(0.2, None, False)])
+    assert spread == pytest.approx(np.sqrt(0.3 / 0.8) * 10.0)
+    assert size_spread(DRAG, 40.0, told[:1]) == 0.0
+    assert size_spread(catalogue()["time_offset"], 0.3, told) == 0.0
+
+
+def test_a_mass_that_noise_hides_tells_nothing() -> None:
+    part = Part(catalogue()["linear_inertia"])
+
+    def of(mass: float, error: float) -> float:
+        found = Fit(
+            np.array([0.5, 100.0, mass]), np.zeros(1), np.diag([0.0, 0.0, error**2]), np.zeros(3),
+            9, np.ones(3),
+        )  # fmt: skip
+        return likeness(ROBOT.vehicle, [part], found)
+
+    own = ROBOT.vehicle.mass
+    assert of(own, 0.0) == 1.0
+    assert of(0.5 * own, 0.01 * own) < 0.3
+    # Half of a mass is a vote of 20 to 1 where both are known, and next to none where neither is.
+    assert of(0.02 * own, 0.001 * own) > 20.0 * of(0.01 * own, 0.0005 * own)
+    assert of(0.02 * own, 0.1 * own) < 1.2 * of(0.01 * own, 0.05 * own)
