@@ -59,7 +59,7 @@ def shown_of_contacts(model: PowerModel, drive: Drive) -> FloatArray | None:
 
 def _without_fight(model: PowerModel) -> PowerModel:
     keep = [k for k, term in enumerate(model.terms) if term.name != WHEEL_FIGHT.name]
-    return PowerModel(model.vehicle, [model.terms[k] for k in keep], model.coefficients[keep])
+    return PowerModel(model.vehicle, tuple(model.terms[k] for k in keep), model.coefficients[keep])
 
 
 def with_contacts(model: PowerModel, one: Prediction) -> Prediction:

@@ -52,7 +52,9 @@ def test_what_is_as_good_as_nothing_is_no_colour() -> None:
 
 
 @pytest.mark.parametrize("measured", ["sides", "total"])
-def test_what_contacts_hold_on_straights_is_no_residual(measured: Literal["sides", "total"]) -> None:
+def test_what_contacts_hold_on_straights_is_no_residual(
+    measured: Literal["sides", "total"],
+) -> None:
     truth = ROBOT.with_term(COPPER_LOSS, 0.002)
     log = simulate.drive(
         truth, simulate.IDENTIFICATION, rate=10.0, measured=measured, power_noise=3.0,
