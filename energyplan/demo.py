@@ -266,8 +266,8 @@ def _limits(demo: _Demo, made: Comparison) -> None:
     fast = check(trajectory.scaled(1.5), model)
     page.paragraph(
         f"The route, timed to the motors' limits, takes {trajectory.duration:.0f} s and is "
-        f"{'feasible' if report.feasible else 'not feasible'}. Driven 1.5 times as fast it is "
-        f"{'feasible' if fast.feasible else 'not'}: {fast.reason}"
+        f"{'feasible' if report.feasible else 'not feasible'}. "
+        f"At 1.5 times the speed: {fast.reason}."
     )
     region = feasible_region(model, np.linspace(-3, 3, 181), np.linspace(0.05, 1.4, 109))
     figure = plots.figure()

@@ -161,7 +161,7 @@ def diagnosis_pictures(told: Diagnosis, holdout: Sequence[DriveLog]) -> Iterator
     }
     yield Picture(
         "power",
-        plots.prediction(log, both, f"Hold-out drive {log.name}"),
+        plots.prediction(log, both, f"Hold-out drive: {log.name}"),
         "Power and energy of a drive that was not fitted to, before and after.",
     )
 

@@ -193,7 +193,8 @@ class HeightMap(ReadOnly):
         c, s = np.cos(yaw), np.sin(yaw)
         at = x + c * along - s * across, y + s * along + c * across
         lines = ax.contour(*at, self.heights, levels, colors="0.6", linewidths=0.7, zorder=1)
-        ax.clabel(lines, fontsize="x-small", fmt="%g m")
+        # on a steep slope names of all lines would lie on each other
+        ax.clabel(lines, list(lines.levels)[::2], fontsize="x-small", fmt="%g m")
         return ax
 
 

@@ -60,7 +60,7 @@ def energies(
     Returns
     -------
     ndarray, shape (n,)
-        Costs in the unit of the objective [J for energy]; infinite where no path was found.
+        Costs in the unit of the objective [J for energy]; infinite where no path was found in time.
 
     Raises
     ------
@@ -68,6 +68,16 @@ def energies(
         If start or a goal cannot be; the message names the pose.
     InvalidInputError
         If the goals have another shape.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> cost = ep.EnergyCost(ep.PowerModel.preset("quadriga:empty:marble"))
+    >>> problem = ep.PlanningProblem(hall, cost, (1, 2, 0), (5, 2, 0))
+    >>> [round(float(joules)) for joules in energies(problem, [(3, 2, 0), (5, 2, 0)], effort=9000)]
+    [360, 720]
     """
     rows = np.asarray(goals, float)
     if rows.ndim != 2 or rows.shape[1] != 3:

@@ -81,6 +81,18 @@ def plan(
         If it is proven that there is no path, or if there is none on the finest lattice.
     TimeLimitError
         If the budget was over before a first plan.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> cost = ep.EnergyCost(ep.PowerModel.preset("quadriga:empty:marble"))
+    >>> problem = ep.PlanningProblem(hall, cost, (1, 2, 0), (5, 2, 0))
+    >>> from energyplan.planning import Budget
+    >>> found = plan(problem, Budget(effort=2000))
+    >>> print(f"{found.path.length:.2f} m, {cost.energy(found.path):.0f} J")
+    4.00 m, 720 J
     """
     if not (gap >= 0 and 0 < finest <= 1):
         raise InvalidInputError(

@@ -218,6 +218,19 @@ def refine(query: CompiledProblem, segments: Segments, budget: Budget, seed: int
     -------
     Segments
         Motions that cost no more.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> cost = ep.EnergyCost(ep.PowerModel.preset("quadriga:empty:marble"))
+    >>> problem = ep.PlanningProblem(hall, cost, (1, 2, 0), (5, 2, 0))
+    >>> from energyplan.planning import Budget
+    >>> to_and_fro = Segments(np.array([2.0, -1.0, 3.0]), np.zeros(3))
+    >>> straight = refine(CompiledProblem(problem), to_and_fro, Budget(effort=1000))
+    >>> [round(float(ds), 6) for ds in straight.ds]
+    [4.0]
     """
     refiner = Refiner(query.setting, segments, seed)
     refiner.shortcut(budget)
