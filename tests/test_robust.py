@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import signal
 import subprocess
 import sys
@@ -286,3 +287,42 @@ def test_the_package_runs_as_a_program() -> None:
     )
     assert done.returncode == 0, done
     assert "energyplan [OPTIONS] COMMAND" in done.stdout
+
+
+# -- odd surroundings ---------------------------------------------------------------------------
+
+
+PLANNED = r"""
+from dataclasses import replace
+import numpy as np
+import energyplan as ep
+model = replace(ep.PowerModel.preset("quadriga:full:concrete"), name="gro\u00df \u2603")
+again = ep.read_model(ep.write_model(model, "model.yaml"))
+hall = ep.OccupancyGrid(np.zeros((60, 60), bool), 0.1)
+problem = ep.PlanningProblem(hall, ep.EnergyCost(again), (2, 3, 0), (4, 2, 1))
+print(ep.plan(problem, effort=200).path.ds.tobytes().hex(), again.name == model.name)
+"""
+
+
+def test_a_plan_does_not_depend_on_where_and_how_python_runs(tmp_path: Path) -> None:
+    """No asserts or docstrings, warnings as errors, another time zone, a locale of bytes."""
+    odd = {
+        "PYTHONOPTIMIZE": "2", "PYTHONWARNINGS": "error", "TZ": "Pacific/Chatham",
+        "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0",
+    }  # fmt: skip
+    folder = tmp_path / "a folder of mine ☃"
+    folder.mkdir()
+    told = [
+        subprocess.run(
+            [sys.executable, "-c", PLANNED],
+            cwd=folder,
+            env=os.environ | more,
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+        for more in ({}, odd)
+    ]
+    assert [one.stderr for one in told] == ["", ""]
+    assert told[0].stdout.endswith(" True\n")
+    assert told[0].stdout == told[1].stdout

@@ -38,6 +38,15 @@ def test_the_unit_of_a_series_does_not_matter() -> None:
         assert autocorrelation(unit * series, [slice(0, 4000)]).repeats == pytest.approx(repeats)
 
 
+def test_what_a_fit_took_of_slow_noise_is_added_where_it_matters() -> None:
+    """A line takes a share of a hundred samples of noise, and next to nothing of ten thousand."""
+    for count, matters in ((100, True), (10_000, False)):
+        series, pieces = autoregression(0.5, count), [slice(0, count)]
+        line = np.linspace(-1.0, 1.0, count)[:, None]
+        plain, found = autocorrelation(series, pieces), autocorrelation(series, pieces, line)
+        assert np.array_equal(found.rho, plain.rho) != matters
+
+
 def test_the_time_scale_of_an_autoregression_is_the_area_under_its_correlation() -> None:
     """``sum a^k`` over all lags, of both signs, is ``(1 + a) / (1 - a)`` samples."""
     found = correlation_time(autoregression(0.8, 20_000), 0.1, [slice(0, 20_000)])

@@ -66,6 +66,21 @@ def test_without_forgetting_it_is_the_batch_solution(p: int) -> None:
     np.testing.assert_allclose(matrices[kernel.COVARIANCE], np.linalg.inv(information), rtol=1e-9)
 
 
+def test_a_robot_that_hardly_moves_teaches_nothing() -> None:
+    """What hardly is depends on how it moves otherwise: one that is always slow is learned from."""
+    settings, period = np.array([1e18, 30.0, np.inf, 0.0]), np.full(400, 0.05)
+    driving, creeping = np.full((400, 1), 20.0), np.full((400, 1), 1.0)
+    state = _state(1)
+    kernel.advance_all(driving, 24.0 * np.ones(400), period, *state, settings)
+    learned, noise = state[1].copy(), state[3][kernel.VARIANCE]
+    kernel.advance_all(creeping, np.full(400, 9.0), period, *state, settings)
+    np.testing.assert_array_equal(state[1], learned)
+    assert state[3][kernel.VARIANCE] == noise
+    slow = _state(1)
+    kernel.advance_all(creeping, np.full(400, 9.0), period, *slow, settings)
+    assert slow[1][kernel.COEFFICIENTS, 0] > 1.0
+
+
 def test_compiled_kernel_is_the_plain_one() -> None:
     rng = np.random.default_rng(0)
     settings = np.array([60.0, 30.0, 30.0, 0.01])

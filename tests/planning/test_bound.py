@@ -22,14 +22,14 @@ from energyplan.planning.bound.geodesic import Ends, ways_to_goal
 from energyplan.planning.bound.one_line import HEADINGS, Rates
 from energyplan.planning.bound.outlines import DETAILS, outline, sights
 from energyplan.planning.bound.sight import Links, no_links, sight
-from energyplan.planning.bound.surface_excess import least_excess, least_steps
+from energyplan.planning.bound.surface_excess import _certain_regions, least_excess, least_steps
 from energyplan.planning.contract import ROUNDING
 from energyplan.planning.lattice.search import Search, lattice_for
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.guide import distance_to_go
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import term
-from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
+from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap, Terrain
 from energyplan.terrain.collision import Body
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
@@ -665,6 +665,29 @@ def two_grounds(area, cheap="quadriga:empty:marble", grid=None):
     grid = OccupancyGrid(np.zeros((100, 200), bool), 0.1) if grid is None else grid
     surfaces = SurfaceMap((Surface(area, PowerModel.preset(cheap)),))
     return PlanningProblem(grid, COST, (2.0, 5.0, 0.0), (18.0, 5.0, 0.0), surfaces)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_cells_that_an_edge_of_a_surface_crosses_are_of_no_certain_ground(seed):
+    rng = np.random.default_rng(seed)
+    grid = OccupancyGrid(np.zeros((24, 32), bool), 0.25, (1.0, -2.0, 0.4 * seed))
+    boxes = shapely.box(0.0, 0.0, *rng.uniform(0.5, 4.0, (2, 6)))
+    corner, angle = grid.to_world(rng.uniform(-4, 30, (6, 2))), rng.uniform(0, 90, 6)
+    placed = [
+        shapely.affinity.rotate(shapely.affinity.translate(boxes[k], *corner[k]), angle[k])
+        for k in range(6)
+    ]
+    surfaces = SurfaceMap(tuple(Surface(box, COST.model) for box in placed))
+    region = np.broadcast_to(Terrain(grid, surfaces).regions, grid.shape)
+    found = _certain_regions(surfaces, grid, region)
+    column, row = np.meshgrid(np.arange(32), np.arange(24))
+    corners = np.stack([column, row], -1)[:, :, None] + [(0, 0), (1, 0), (1, 1), (0, 1)]
+    cells = shapely.polygons(grid.to_world(corners.reshape(-1, 2)).reshape(24, 32, 4, 2))
+    edges = shapely.union_all(shapely.boundary(np.array(placed)))
+    away = shapely.distance(cells, edges)
+    assert np.all(found[away == 0.0] == -1)
+    assert np.array_equal(found[away > 0.25], region[away > 0.25])
+    assert len(np.unique(found)) > 3
 
 
 def test_a_dear_strip_that_must_be_crossed_is_charged():

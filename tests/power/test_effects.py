@@ -10,7 +10,7 @@ import pytest
 from energyplan import EnergyCost
 from energyplan.errors import MissingChannelError, ModelError, UnknownNameError
 from energyplan.motion import Motion
-from energyplan.power import PowerModel, Term, effects, tread_forces
+from energyplan.power import TRACTION, PowerModel, Term, effects, tread_forces
 from energyplan.power.effect_terms import (
     DRAGGING_LEFT,
     DRAGGING_RIGHT,
@@ -319,3 +319,26 @@ def test_regressors_scale_with_the_icr_as_virtual_work_says() -> None:
         motion = Motion.from_twist(0.4, 0.3, icr, accel=0.2, yaw_accel=0.1)
         model = PowerModel(vehicle, (LINEAR_INERTIA, ANGULAR_INERTIA), np.array([100.0, 10.0]))
         assert float(model.power(motion)) == pytest.approx(100 * 0.2 * 0.4 + 10 * 0.1 * 0.3)
+
+
+EVERY = {one.name: one for effect in catalogue().values() for one in effect.terms}
+
+
+@pytest.mark.parametrize("name", sorted(EVERY))
+def test_what_changes_its_sign_with_the_sides_may_be_of_either_sign(name: str) -> None:
+    """A robot whose sides change places is a robot, too: bounds that hold for one hold for it."""
+    rng, one = np.random.default_rng(0), EVERY[name]
+    left, right = rng.uniform(-1.0, 1.0, (2, 40))
+    told = {channel: rng.uniform(0.1, 1.0, 40) for channel in (*one.channels, "accel_x")}
+    turning = {channel: -told[channel] for channel in told if channel.startswith("yaw_")}
+    powers = [
+        PowerModel(VEHICLE, (TRACTION, one), np.array([80.0, size])).power(motion)
+        for motion in (
+            Motion(left, right, VEHICLE.icr, told),
+            Motion(right, left, VEHICLE.icr, told | turning),
+        )
+        for size in (0.5, 0.6)
+    ]
+    change, mirrored = powers[1] - powers[0], powers[3] - powers[2]
+    if np.abs(change).max() > 0 and np.allclose(change, -mirrored, rtol=1e-9):
+        assert one.bounds[0] == -one.bounds[1]

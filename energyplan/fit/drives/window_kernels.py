@@ -27,10 +27,3 @@ def block_grams(table: AnyTable, block: AnyInts, count: int) -> FloatBlock:
             for j in range(i):
                 total[b, j, i] = total[b, i, j]
     return total
-
-
-def block_grams_reference(table: AnyTable, block: AnyInts, count: int) -> FloatBlock:
-    """Return the same in NumPy: what tests hold `block_grams` against."""
-    total = np.zeros((count, table.shape[1], table.shape[1]))
-    np.add.at(total, block, np.einsum("ni,nj->nij", table, table))
-    return total
