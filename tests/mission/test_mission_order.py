@@ -276,6 +276,22 @@ def test_a_charger_is_visited_only_where_it_pays():
     assert low.energy == 1 + 9 + 9 + 9 + 4
 
 
+@pytest.mark.parametrize("near", [2, 3])
+def test_a_far_task_is_reached_from_charger_to_charger(near):
+    """There and back over both chargers in a row, whichever of them is listed first."""
+    far = 5 - near
+    at = np.array([0.0, 8.0, 3.0, 6.0] if near == 2 else [0.0, 8.0, 6.0, 3.0])
+    way = np.abs(at[:, None] - at)
+    p = replace(
+        problem(0, 1, budget=4.0, chargers=2), energy=lambda load: way,
+        finish=lambda load: way[:, 0], time=way, finish_time=way[:, 0], service=np.zeros(1),
+        service_time=np.zeros(1), capacity=np.full(2, 4.0), required=np.ones(1, bool),
+    )  # fmt: skip
+    found = solve_exactly(p)
+    assert found.stops == (near, far, 1, far, near)
+    assert found.energy == 16.0
+
+
 def test_required_tasks_come_before_any_prize():
     energy = np.full((3, 3), 5.0)
     np.fill_diagonal(energy, 0.0)
