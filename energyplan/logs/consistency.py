@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import isfinite, log, pi
+from typing import Any
 
 import numpy as np
 
@@ -129,6 +130,10 @@ class _State:
     evidence: Evidence
     known: Measures
 
+    def seeing(self, **values: Any) -> _State:
+        """Return the state with other evidence."""
+        return replace(self, evidence=replace(self.evidence, **values))
+
 
 @dataclass(frozen=True)
 class _Mistake:
@@ -144,17 +149,13 @@ def _speeds(factor: float) -> Callable[[_State], _State]:
     """Undo tread speeds that are too large by the inverse of a factor."""
 
     def undo(state: _State) -> _State:
-        evidence = state.evidence
-        return replace(
-            state,
-            evidence=replace(
-                evidence,
-                slip_track=evidence.slip_track * factor,
-                distance=evidence.distance * factor,
-                top_speed=evidence.top_speed * factor,
-                force=evidence.force / factor,
-                inertia=evidence.inertia / factor**2,
-            ),
+        seen = state.evidence
+        return state.seeing(
+            slip_track=seen.slip_track * factor,
+            distance=seen.distance * factor,
+            top_speed=seen.top_speed * factor,
+            force=seen.force / factor,
+            inertia=seen.inertia / factor**2,
         )
 
     return undo
@@ -162,51 +163,35 @@ def _speeds(factor: float) -> Callable[[_State], _State]:
 
 def _gyro(factor: float) -> Callable[[_State], _State]:
     def undo(state: _State) -> _State:
-        evidence = state.evidence
-        turned = evidence.slip_track if evidence.from_pose else evidence.slip_track / factor
-        return replace(
-            state,
-            evidence=replace(evidence, slip_track=turned, rotation=evidence.rotation * factor),
-        )
+        seen = state.evidence
+        turned = seen.slip_track if seen.from_pose else seen.slip_track / factor
+        return state.seeing(slip_track=turned, rotation=seen.rotation * factor)
 
     return undo
 
 
 def _heading(factor: float) -> Callable[[_State], _State]:
     def undo(state: _State) -> _State:
-        evidence = state.evidence
-        turned = evidence.slip_track / factor if evidence.from_pose else evidence.slip_track
-        return replace(
-            state,
-            evidence=replace(evidence, slip_track=turned, rotation=evidence.rotation / factor),
-        )
+        seen = state.evidence
+        turned = seen.slip_track / factor if seen.from_pose else seen.slip_track
+        return state.seeing(slip_track=turned, rotation=seen.rotation / factor)
 
     return undo
 
 
 def _pose(factor: float) -> Callable[[_State], _State]:
-    def undo(state: _State) -> _State:
-        return replace(
-            state, evidence=replace(state.evidence, distance=state.evidence.distance / factor)
-        )
-
-    return undo
+    return lambda state: state.seeing(distance=state.evidence.distance / factor)
 
 
 def _time(factor: float) -> Callable[[_State], _State]:
     def undo(state: _State) -> _State:
-        evidence = state.evidence
-        turned = evidence.slip_track * factor if evidence.from_pose else evidence.slip_track
-        return replace(
-            state,
-            evidence=replace(
-                evidence,
-                step=evidence.step * factor,
-                distance=evidence.distance * factor,
-                rotation=evidence.rotation * factor,
-                slip_track=turned,
-                inertia=evidence.inertia * factor,
-            ),
+        seen = state.evidence
+        return state.seeing(
+            step=seen.step * factor,
+            distance=seen.distance * factor,
+            rotation=seen.rotation * factor,
+            slip_track=seen.slip_track * factor if seen.from_pose else seen.slip_track,
+            inertia=seen.inertia * factor,
         )
 
     return undo
@@ -214,15 +199,11 @@ def _time(factor: float) -> Callable[[_State], _State]:
 
 def _power(factor: float) -> Callable[[_State], _State]:
     def undo(state: _State) -> _State:
-        evidence = state.evidence
-        return replace(
-            state,
-            evidence=replace(
-                evidence,
-                force=evidence.force * factor,
-                electric=evidence.electric * factor,
-                inertia=evidence.inertia * factor,
-            ),
+        seen = state.evidence
+        return state.seeing(
+            force=seen.force * factor,
+            electric=seen.electric * factor,
+            inertia=seen.inertia * factor,
         )
 
     return undo
@@ -232,9 +213,9 @@ def _electricity(factor: float) -> Callable[[_State], _State]:
     """Undo a voltage or a current that is too large by the inverse of a factor."""
 
     def undo(state: _State) -> _State:
-        evidence = state.evidence
-        if isfinite(evidence.electric):  # the power was measured beside them
-            return replace(state, evidence=replace(evidence, electric=evidence.electric / factor))
+        electric = state.evidence.electric
+        if isfinite(electric):  # the power was measured beside them
+            return state.seeing(electric=electric / factor)
         return _power(factor)(state)
 
     return undo

@@ -7,7 +7,7 @@ told by the difference of the sides where both were logged, and by the total alo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -108,13 +108,12 @@ def preload(
         return through + lost_power(losses, motion, vehicle, acting)
 
     if losses:
-        low, high = np.full(len(wanted), -limit), np.full(len(wanted), limit)
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (low + high)
-            both = powers(middle)
-            above = sign * (both.right - both.left - wanted) > 0.0
-            low, high = np.where(above, low, middle), np.where(above, middle, high)
-        found = 0.5 * (low + high)
+
+        def too_large(moment: FloatArray) -> NDArray[np.bool_]:
+            both = powers(moment)
+            return np.asarray(sign * (both.right - both.left - wanted) > 0.0)
+
+        found = _bisected(too_large, np.full(len(wanted), -limit), np.full(len(wanted), limit))
     else:
         speed = motion.v_left + motion.v_right
         still = powers(np.zeros(len(wanted)))
@@ -137,6 +136,17 @@ def preload(
     driving = at & ((drive.held.v_left != 0.0) | (drive.held.v_right != 0.0))
     smooth = np.where(driving & (sure > 0.0), smooth, 0.0)
     return Preload(smooth, share, Sides(-smooth / track, smooth / track))
+
+
+def _bisected(
+    too_large: Callable[[FloatArray], NDArray[np.bool_]], low: FloatArray, high: FloatArray
+) -> FloatArray:
+    """Return the largest moments, between bounds, that are not too large."""
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        above = too_large(middle)
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    return 0.5 * (low + high)
 
 
 def at_rest(drive: Drive, power: FloatArray, most: float) -> tuple[NDArray[np.bool_], FloatArray]:
@@ -259,13 +269,13 @@ def straights(
     mine, pull = label[some], most[some]
     wanted = taken * np.bincount(mine, pull**2, count)
     few = _Held.of(drive, vehicle, losses, forces, some)
-    low, high = np.zeros(count), np.full(count, limit)
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        found = np.bincount(mine, pull * few.cost((sign * middle)[mine]), count)
-        low, high = np.where(found < wanted, middle, low), np.where(found < wanted, high, middle)
+
+    def too_large(most: FloatArray) -> NDArray[np.bool_]:
+        return ~(np.bincount(mine, pull * few.cost((sign * most)[mine]), count) < wanted)
+
+    found = _bisected(too_large, np.zeros(count), np.full(count, limit))
     moment = np.zeros(len(drive.t))
-    moment[at[some]] = (sign * np.where(taken < 1.0, 0.5 * (low + high), limit))[mine]
+    moment[at[some]] = (sign * np.where(taken < 1.0, found, limit))[mine]
     push = moment / drive.motion.icr.slip_track
     inside = free & (taken < 1.0)
     return Straights(
