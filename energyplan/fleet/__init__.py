@@ -5,8 +5,7 @@ Each robot's battery is then run over what it does, as `energyplan.mission` does
 """
 
 from energyplan.fleet.evaluation import evaluate_fleet
-from energyplan.fleet.report import FleetReport, LeftOut, RobotReport
-from energyplan.fleet.types import Fleet, Robot, RobotState
+from energyplan.fleet.types import Fleet, FleetReport, LeftOut, Robot, RobotReport, RobotState
 
 __all__ = [
     "Fleet", "FleetReport", "LeftOut", "Robot", "RobotReport", "RobotState", "evaluate_fleet",

@@ -11,9 +11,8 @@ from energyplan.errors import MissionError
 from energyplan.fleet.bound import least_energy
 from energyplan.fleet.exact import Solution, is_small, solve
 from energyplan.fleet.problem import Docks, Sources
-from energyplan.fleet.report import FleetReport, LeftOut, RobotReport
 from energyplan.fleet.search import solve_by_search
-from energyplan.fleet.types import Fleet
+from energyplan.fleet.types import Fleet, FleetReport, LeftOut, RobotReport
 from energyplan.kinds import checked
 from energyplan.mission import Stop
 from energyplan.mission.condition import Condition

@@ -270,8 +270,8 @@ def straights(
     wanted = taken * np.bincount(mine, pull**2, count)
     few = _Held.of(drive, vehicle, losses, forces, some)
 
-    def too_large(most: FloatArray) -> NDArray[np.bool_]:
-        return ~(np.bincount(mine, pull * few.cost((sign * most)[mine]), count) < wanted)
+    def too_large(held: FloatArray) -> NDArray[np.bool_]:
+        return ~(np.bincount(mine, pull * few.cost((sign * held)[mine]), count) < wanted)
 
     found = _bisected(too_large, np.zeros(count), np.full(count, limit))
     moment = np.zeros(len(drive.t))
