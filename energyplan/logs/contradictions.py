@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from energyplan.logs.evidence import correlation, distance_ratio, yaw_rates
+from energyplan.logs.held import POWERS, held_periods
 from energyplan.logs.one_side import compare_powers, find_dead, find_dying, find_false_speeds
 from energyplan.path import FloatArray
 
@@ -97,8 +98,9 @@ def _repeats(channels: Mapping[str, FloatArray], power: FloatArray) -> list[str]
     least = max(5, round(_HANGS / float(np.median(np.diff(t)))))
     turned = np.append(False, np.diff(effort) != 0.0)
     told = []
-    for name in ("p_left", "p_right", "power", "current"):
-        if name not in channels:
+    seldom = held_periods(channels)
+    for name in POWERS:
+        if name not in channels or name in seldom:
             continue
         values = channels[name]
         starts = np.flatnonzero(np.append(True, np.diff(values) != 0.0))

@@ -14,6 +14,7 @@ from energyplan.logs._smooth import derivative
 from energyplan.logs.align import gap_limit
 from energyplan.logs.contradictions import find_contradictions, turning_against
 from energyplan.logs.evidence import correlation, yaw_rates
+from energyplan.logs.held import held_periods
 from energyplan.logs.one_side import find_dead
 from energyplan.path import FloatArray
 
@@ -350,6 +351,12 @@ def _check_power(
     if not np.any(power):
         return ["power is zero all along"]
     told += _check_steps(left, right)
+    told += [
+        f"{name} is read every {period:.2g} s only, and repeated from row to row between: it is "
+        f"{0.5 * period:.2g} s late in the mean, which diagnose allows for; log it as often as the "
+        "speeds"
+        for name, period in held_periods(channels).items()
+    ]
     sides = [name for name in ("p_left", "p_right") if {"p_left", "p_right"} <= set(channels)]
     flipped = [name for name in sides if _dragging(channels, name)]
     if len(flipped) != 1:

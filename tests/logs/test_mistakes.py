@@ -293,6 +293,18 @@ def test_what_lasts_is_no_glitch() -> None:
     assert not ep.DriveLog.from_columns(made, "drive").set_aside
 
 
+def test_powers_that_are_held_between_readings_are_told() -> None:
+    """A Warthog's are read once a second, so half a second late in the mean."""
+    made = drive(1)
+    last = np.arange(len(made["t"])) // 20 * 20  # once a second
+    for name in ("p_left", "p_right"):
+        made[name] = made[name][last]
+    warnings = ep.DriveLog.from_columns(made, "drive").warnings
+    for name in ("p_left", "p_right"):
+        assert any(f"{name} is read every 1 s only" in text for text in warnings), warnings
+    assert not any("hangs" in text for text in warnings)
+
+
 @pytest.mark.parametrize(("step", "told_of"), [(0.1, True), (0.01, False)])
 def test_speeds_with_too_few_digits_are_told(step: float, told_of: bool) -> None:
     """A Husky's steady speed of 0.24 m/s, read as 0.2, made its resistance a sixth too large."""
