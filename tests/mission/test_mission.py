@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from energyplan.battery import Battery
 from energyplan.errors import MissionError
 from energyplan.mission import Charger, Mission, MissionReport, Spreads, Task, evaluate
+from energyplan.mission.foresight import routes_wanted
 from energyplan.path import Pose
 from energyplan.power import HOTEL, PowerModel, Residual
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
@@ -492,3 +493,19 @@ def test_bad_tasks_are_refused(changes, place):
     with pytest.raises(MissionError) as caught:
         replace(TASKS[0], **changes)
     assert caught.value.place == place
+
+
+@pytest.mark.parametrize("order", ["given", "free"])
+def test_without_obstacles_the_routes_foreseen_are_those_planned(order: str) -> None:
+    hall = OccupancyGrid(np.zeros((60, 60), bool), 0.2)
+    places = {"a": (10.5, 10.5, 0), "b": (1.5, 10.5, 0), "c": (10.5, 1.5, 0)}
+    asked = Mission(
+        PowerModel.preset("quadriga:empty:marble"), hall, Battery.preset("quadriga"),
+        Pose(1.5, 1.5, 0.0), tuple(Task(name, place) for name, place in places.items()),
+        order=order, confidence=0.5, planning_effort=150,
+    )  # fmt: skip
+    told: list[str] = []
+    nodes = ("start", *places)
+    foreseen = [f"planning from {nodes[s]} to {nodes[g]}" for s, g, _ in routes_wanted(asked)]
+    evaluate(asked, told.append)
+    assert sorted(foreseen) == sorted(line for line in told if line.startswith("planning"))
