@@ -20,8 +20,8 @@ CHEAPEST = "cheapest"
 _UNLIMITED = 1e6  # tread speed [m/s] beyond which a power limit is not looked for
 _SLOWEST = 0.05  # slowest tread speed, as a fraction of the vehicle's limit
 _SCAN = 25  # rates tried before the best is refined
-_PARTS = 8  # parts in which an interval is cut at once: the calls cost more than the numbers
-_CUT = 18  # how often: 8^-18 is below what numbers resolve
+_PARTS = 8  # parts in which an interval is cut first, all at once
+_CUTS = 64  # how often it is cut, at least by half: 2^-60 is below what numbers resolve
 _SAME = 1e-13  # part by which forces may differ by rounding
 _AT_ONCE = 1 << 18  # numbers in an array of rates to try
 _INVERSE_GOLDEN = 0.5 * (5**0.5 - 1)
@@ -107,16 +107,15 @@ def admissible_rate(
         left, right = force.left * rate * (x - y), force.right * rate * (x + y)
         return [np.maximum(left, right), -np.minimum(left, right)]
 
-    def bearable(drawn: FloatArray, returned: FloatArray) -> FloatArray:
-        slack = 1.0 + 1e-12
-        return np.asarray(
-            (drawn <= slack * motor.continuous_power) & (returned <= slack * motor.regeneration)
-        )
+    def used(drawn: FloatArray, returned: FloatArray) -> FloatArray:
+        parts = ((drawn, motor.continuous_power), (returned, motor.regeneration))
+        left, right = (_relative(value, (1.0 + 1e-12) * most) for value, most in parts)
+        return np.asarray(np.maximum(left, right))
 
     high = np.minimum(limit, _UNLIMITED / (np.abs(x) + np.abs(y)))
     force = forces(x, y, high)
     drawn, returned = powers(force, x, y, high)
-    bad = np.logical_not(bearable(drawn, returned))
+    bad = np.logical_not(used(drawn, returned) <= 1)
     if not np.any(bad):
         return limit
     limit = np.array(limit)
@@ -140,25 +139,32 @@ def admissible_rate(
     if np.any(moved):
         x, y, high = x[moved], y[moved], high[moved]
 
-        def within(rate: FloatArray) -> FloatArray:
-            return bearable(*powers(forces(x, y, rate), x, y, rate))
+        def use(rate: FloatArray) -> FloatArray:
+            return used(*powers(forces(x, y, rate), x, y, rate))
 
-        found[moved] = last_within(within, np.zeros(len(high)), high)
+        found[moved] = last_within(use, np.zeros(len(high)), high)
     limit[bad] = found
     return limit
 
 
+def _relative(value: FloatArray, limit: float) -> FloatArray:
+    """Return a value over its limit; over a limit of zero, infinite where it is positive."""
+    if limit > 0:
+        return np.asarray(value / limit)
+    return np.where(value > 0, np.inf, 0.0)
+
+
 def last_within(
-    within: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray
+    use: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray
 ) -> FloatArray:
     """Return the largest values up to which all that are tried are within limits.
 
     Parameters
     ----------
-    within : callable
-        Whether values of shape (m, n) are within.
+    use : callable
+        Use of the limits at values of shape (m, n); within them up to 1.
     low, high : ndarray, shape (n,)
-        Values that are within, and values that are not.
+        Values that are within, and values that are not; not negative.
 
     Returns
     -------
@@ -166,11 +172,32 @@ def last_within(
         The values, within, to the last bit or two.
     """
     parts = np.arange(1, _PARTS).reshape(-1, *[1] * np.ndim(low)) / _PARTS
-    for _ in range(_CUT):
-        cuts = low + (high - low) * parts
-        first = np.logical_and.accumulate(within(cuts), axis=0).sum(axis=0, keepdims=True)
+    cuts = low + (high - low) * parts
+    below, above = np.full(np.shape(low), np.nan), use(high[None])[0]
+    for _ in range(_CUTS):
+        used = use(cuts)
+        first = np.logical_and.accumulate(~(used > 1), axis=0).sum(axis=0, keepdims=True)
+        going = high - low > 2 * np.spacing(high)
         edges = np.concatenate([low[None], cuts, high[None]])
-        low, high = (np.take_along_axis(edges, first + end, axis=0)[0] for end in (0, 1))
+        uses = np.concatenate([below[None], used, above[None]])
+        (low, below), (high, above) = (
+            [
+                np.where(going, np.take_along_axis(table, first + end, axis=0)[0], former)
+                for table, former in zip((edges, uses), formers, strict=True)
+            ]
+            for end, formers in enumerate(((low, below), (high, above)))
+        )
+        width = high - low
+        if not np.any(width > 2 * np.spacing(high)):
+            break
+        # where a straight line between both ends says, close on either side of it, and half-way
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = (1.0 - below) / (above - below)
+            guess = low + width * np.where((share >= 0) & (share <= 1), share, 0.5)
+            near = np.fmax(np.minimum(0.25, width / high) * width, 8 * np.spacing(high))
+        cuts = np.sort(
+            [np.fmax(guess - near, low), low + 0.5 * width, np.fmin(guess + near, high)], axis=0
+        )
     return low
 
 

@@ -234,6 +234,6 @@ def largest_within(
     first = np.argmax(exceeded, axis=0)
     low = np.where(first > 0, parts[first - 1], 0.0) * top
     high = parts[first] * top
-    low = last_within(lambda values: np.logical_not(use(values) > 1), low, high)
+    low = last_within(use, low, high)
     result = np.where(first > 0, low, 0.0)
     return np.where(never, top, result)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from energyplan.cost.speeds import (
 )
 from energyplan.cost.steering import _turn_table
 from energyplan.errors import InvalidInputError
+from energyplan.path import FloatArray
 from energyplan.power import Sides
 from energyplan.vehicle import MotorLimits, TreadICR, Vehicle
 
@@ -66,14 +68,39 @@ def test_coefficients_that_no_cost_has_are_refused(
         EnergyCost.from_coefficients(*coefficients, 0.5)
 
 
-def test_the_last_value_within_limits_is_found_to_the_last_bits() -> None:
-    ends = np.array([0.1, 1.0 / 3.0, 0.77, 1.0 - 1e-9])
-    found = last_within(lambda x: x <= ends, np.zeros(4), np.ones(4))
-    assert np.all(found <= ends)
+@pytest.mark.parametrize(
+    ("law", "most"),
+    [
+        (lambda x, end: np.where(x <= end, 0.0, np.inf), 200),  # only on which side it is
+        (lambda x, end: np.maximum(x / end, 1.0 + 9.0 * (x - end)), 200),  # bent where it ends
+        (lambda x, end: np.maximum(0.7 * x / end, 1.0 + 9.0 * (x - end)), 60),
+        (lambda x, end: (x / end) ** 3, 40),
+    ],
+    ids=["step", "bent there", "bent", "power"],
+)
+def test_the_last_value_within_limits_is_found_to_the_last_bits(
+    law: Callable[[FloatArray, FloatArray], FloatArray], most: int
+) -> None:
+    ends, tried = np.array([0.1, 1.0 / 3.0, 0.77, 1.0 - 1e-9]), []
+
+    def use(x: FloatArray) -> FloatArray:
+        tried.append(len(x))
+        return law(x, ends)
+
+    found = last_within(use, np.zeros(4), np.ones(4))
+    assert np.all(law(found, ends) <= 1)
     assert_allclose(found, ends, rtol=1e-14)
-    # what lies beyond a gap of what is allowed is out of reach
-    parted = last_within(lambda x: (x <= 0.3) | (x > 0.6), np.zeros(1), np.ones(1))
+    assert sum(tried) <= most
+    alone = [last_within(lambda x, end=end: law(x, end), np.zeros(1), np.ones(1)) for end in ends]
+    assert found.tolist() == np.concatenate(alone).tolist()
+
+
+def test_what_lies_beyond_a_gap_of_what_is_allowed_is_out_of_reach() -> None:
+    parted = last_within(
+        lambda x: np.where((x <= 0.3) | (x > 0.6), 0.5, 1.5), np.zeros(1), np.ones(1)
+    )
     assert_allclose(parted, 0.3, rtol=1e-12)
+    assert last_within(lambda x: 2.0 + x, np.zeros(1), np.zeros(1)) == 0.0
 
 
 def test_the_cheapest_rate_is_the_least_of_a_range_or_its_end() -> None:
