@@ -12,7 +12,6 @@ import typer
 from typer.models import CommandInfo
 
 from energyplan.cli import (
-    _exports,
     _fitting,
     _loop,
     _mission,
@@ -29,7 +28,7 @@ from energyplan.errors import EnergyPlanError, MissingDependencyError, TimeLimit
 __all__ = ["app", "main"]
 
 _COMMANDS = (
-    _fitting, _planning, _routes, _range, _mission, _exports, _loop, _watch,
+    _fitting, _planning, _routes, _range, _mission, _loop, _watch,
 )  # fmt: skip
 """Modules that register commands when they are imported."""
 

@@ -1,8 +1,8 @@
-"""Whether the body gets from start to goal where the poses that were tested do not join them.
+"""Whether there is a way at all, and what can be said for certain if none was found.
 
-What the poses tested leave open is looked at closer, along one way after the other that may lead
-through. So it is proven that no way exists, or that none leads over poses that lie close together,
-or there may be one.
+Where the poses that were tested do not join start and goal, what they leave open is looked at
+closer, along one way after the other that may lead through. So it is proven that no way exists, or
+that none leads over poses that lie close together, or there may be one.
 """
 
 from __future__ import annotations
