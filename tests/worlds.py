@@ -1,7 +1,8 @@
-"""Maps with boxes at random, and free poses on them."""
+"""Maps with boxes at random or a wall, free poses on them, and a battery of any size."""
 
 import numpy as np
 
+from energyplan.battery import Battery
 from energyplan.terrain import OccupancyGrid
 
 
@@ -27,3 +28,9 @@ def walled(door):
     occupied = np.zeros((80, 100), bool)
     occupied[: 60 if door else 80, 48:52] = True
     return OccupancyGrid(occupied, 0.1)
+
+
+def tiny(energy):
+    """Return an ideal battery that holds so much energy [J] at 10 V."""
+    flat = np.array([10.0, 10.0])
+    return Battery("tiny", energy / 10.0, np.array([0.0, 1.0]), flat, 0.0)

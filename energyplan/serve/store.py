@@ -105,15 +105,17 @@ class Store:
 
     def model(self, name: str) -> Any:
         """Return a power model: a file of the folder, or a preset."""
-        if name.endswith(KINDS["models"]):
-            return self._read("models", name, read_model)
-        return read_model(_preset(name))
+        return self._or_preset("models", name, read_model)
 
     def vehicle(self, name: str) -> Any:
         """Return a vehicle: a file of the folder, or a preset."""
+        return self._or_preset("vehicles", name, read_vehicle)
+
+    def _or_preset(self, kind: str, name: str, read: Callable[[Path | str], T]) -> T:
+        """Return what a file of the folder holds, or a preset."""
         if name.endswith(KINDS["models"]):
-            return self._read("vehicles", name, read_vehicle)
-        return read_vehicle(_preset(name))
+            return self._read(kind, name, read)
+        return read(_preset(name))
 
     def save(self, name: str, content: bytes) -> Path:
         """Write a new file, whole or not at all.

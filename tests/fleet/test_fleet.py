@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from worlds import tiny
 
 from energyplan import cli
-from energyplan.battery import Battery
 from energyplan.errors import MissionError
 from energyplan.fleet import Fleet, Robot, RobotState, evaluate_fleet
 from energyplan.io.fleet import read_fleet
@@ -26,12 +26,6 @@ METRE = 180.0
 HALL = OccupancyGrid(np.zeros((30, 350), bool), 0.1)
 TASKS = tuple(Task(name, Pose(x, 1.5, 0.0)) for name, x in (("a", 6.0), ("b", 12.0), ("c", 30.0)))
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def tiny(energy: float) -> Battery:
-    """An ideal battery that holds so much energy [J] at 10 V."""
-    flat = np.array([10.0, 10.0])
-    return Battery("tiny", energy / 10.0, np.array([0.0, 1.0]), flat, 0.0)
 
 
 def robot(name: str, x: float, energy: float = 1e5, **changes: Any) -> Robot:

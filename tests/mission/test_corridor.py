@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from worlds import tiny
 
-from energyplan.battery import Battery
 from energyplan.mission import Charger, Mission, Spreads, Task, evaluate
 from energyplan.mission.order import OrderProblem, solve_exactly
 from energyplan.path import Pose
@@ -19,12 +19,6 @@ from energyplan.terrain import HeightMap, OccupancyGrid
 
 METRE = 180.0
 """Energy of a metre [J]: 90 N on each side."""
-
-
-def tiny(energy: float) -> Battery:
-    """An ideal battery that holds so much energy [J] at 10 V."""
-    ocv = np.array([10.0, 10.0])
-    return Battery("tiny", energy / 10.0, np.array([0.0, 1.0]), ocv, 0.0)
 
 
 CORRIDOR = OccupancyGrid(np.zeros((30, 350), bool), 0.1)

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_corridor import METRE, charger, corridor, tiny
+from test_corridor import METRE, charger, corridor
+from worlds import tiny
 
 from energyplan.mission import Mission, Task, evaluate
 from energyplan.path import Pose

@@ -9,8 +9,9 @@ from typing import get_args
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
-from test_corridor import METRE, charger, corridor, tiny
+from test_corridor import METRE, charger, corridor
 from troubled_missions import trials
+from worlds import tiny
 
 from energyplan.battery import BatteryRun
 from energyplan.errors import MissionError

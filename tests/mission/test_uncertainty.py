@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_corridor import METRE, corridor, tiny
+from test_corridor import METRE, corridor
 from test_remedies import Bucket
 from uncertain_missions import missions, simulated
+from worlds import tiny
 
 from energyplan.battery import Battery
 from energyplan.errors import MissionError
