@@ -13,10 +13,10 @@ Each robot has a size, parameters and sensors of its own: powers of both sides, 
 of the battery; 100, 20, 10 or 2 readings a second; steps of speed and power; a late power; long
 standstill; a gyroscope and a pose, or neither. Odd seeds fit one number, the temperature at which
 stated probabilities are true; even ones judge it. Effects that no power can tell apart count as
-one, and so do explanations that the report says these drives cannot tell apart. A border that the
-first drive never crosses is not hidden in it. Sizes are those that powers tell: of a border, with
-the sign of the side that the report calls beyond; of a resistance backwards beside a force that
-pulls one way, which together are one of them beside another resistance, that one.
+one, and so do explanations that the report says these drives cannot tell apart. A border that no
+wheel of the first drive crosses is not hidden in it. Sizes are those that powers tell: of a border,
+with the sign of the side that the report calls beyond; of a resistance backwards beside a force
+that pulls one way, which together are one of them beside another resistance, that one.
 """
 
 from __future__ import annotations
@@ -209,8 +209,9 @@ def hidden(seed: int, robots: str = "any", fewest: int = 1, most: int = 3) -> Hi
         sizes["time_offset"] = delay
     if "surface_border" in sizes:
         place = {name: logs[0].channels[name] for name in ("x", "y")}
-        beyond = place["x"] * np.cos(direction) + place["y"] * np.sin(direction) > offset
-        if beyond.all() or not beyond.any():
+        along = place["x"] * np.cos(direction) + place["y"] * np.sin(direction) - offset
+        wheels = float(np.max(np.hypot(*vehicle.contacts.T)))
+        if along.max() < -wheels or along.min() > wheels:
             del sizes["surface_border"]
     told = "with" if posed else "without"
     words = f"{kind}, {vehicle.mass:.0f} kg, {measured} at {rate:g} Hz, {told} pose"
