@@ -15,6 +15,7 @@ from energyplan import cli
 from energyplan.errors import MissionError
 from energyplan.fleet import Fleet, Robot, RobotState, evaluate_fleet
 from energyplan.io.fleet import read_fleet
+from energyplan.io.maps import write_map
 from energyplan.mission import Charger, Mission, Task, evaluate
 from energyplan.path import Pose
 from energyplan.power import PowerModel
@@ -200,9 +201,15 @@ def test_what_is_wrong_with_a_file_is_told_with_its_line(
 
 
 def test_the_command_tells_who_does_what_and_who_takes_over(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file = ROOT / "examples" / "fleet_warehouse.yaml"
+    """The example in a hall without walls; the example itself stands in the documentation."""
+    text = (ROOT / "examples" / "fleet_warehouse.yaml").read_text()
+    text = text.replace("map: warehouse.yaml", "map: hall.yaml")
+    text = text.replace("surfaces: warehouse_surfaces.geojson\n", "")
+    write_map(OccupancyGrid(np.zeros((65, 115), bool), 0.2), tmp_path / "hall.yaml")
+    file = tmp_path / "fleet.yaml"
+    file.write_text(text)
     words = ["energyplan", "fleet", str(file), "--json", "--fail", "alpha@100"]
     monkeypatch.setattr("sys.argv", words)
     with pytest.raises(SystemExit) as left:
