@@ -247,9 +247,10 @@ def _in_time(
     longer = 1.0
     if duration is None and speed > 0 and accel_limit > 0:
         figure8 = next(time for label, time in parts if label == "figure8")
-        # Circles of about the least duration would be spins.
-        circles = 1.5 * figure8_time(model.vehicle, speed, accel_limit)
-        longer = max(1.0, circles / figure8, (speed / accel_limit) / (_SPEED / _ACCELERATION))
+        least = figure8_time(model.vehicle, speed, accel_limit)
+        # In the least time circles are spins.
+        turns = 1.0 if least < figure8 else 1.5 * least / figure8
+        longer = max(1.0, turns, (speed / accel_limit) / (_SPEED / _ACCELERATION))
     return [(label, longer * time) for label, time in parts]
 
 
