@@ -58,7 +58,8 @@ def test_two_coefficients_make_a_cost(per_radian: float, icr: float | TreadICR) 
 
 @pytest.mark.parametrize(
     ("coefficients", "words"),
-    [((0.0, 1.0), "per_metre is 0"), ((np.inf, 1.0), "per_metre is inf"),
+    [((0.0, 1.0), "per_metre is 0"), ((-1.0, 1.0), "per_metre is -1"),
+     ((np.inf, 1.0), "per_metre is inf"),
      ((1.0, -1e-9), "per_radian is -1e-09"), ((1.0, np.nan), "per_radian is nan")],
 )  # fmt: skip
 def test_coefficients_that_no_cost_has_are_refused(
