@@ -246,11 +246,14 @@ def _in_time(
     """Return the parts, as much longer as a wide or a slow robot needs to get through them."""
     longer = 1.0
     if duration is None and speed > 0 and accel_limit > 0:
-        figure8 = next(time for label, time in parts if label == "figure8")
-        least = figure8_time(model.vehicle, speed, accel_limit)
-        # In the least time circles are spins.
-        turns = 1.0 if least < figure8 else 1.5 * least / figure8
-        longer = max(1.0, turns, (speed / accel_limit) / (_SPEED / _ACCELERATION))
+        ramp = speed / accel_limit
+        least = {
+            "figure8": figure8_time(model.vehicle, speed, accel_limit),
+            "spiral": 10 * ramp, "spin": 6 * ramp, "straight": 6 * ramp,
+        }  # fmt: skip
+        # In the least time circles are spins, and nothing is steady.
+        shares = [least[label] / time for label, time in parts if label in least]
+        longer = 1.0 if max(shares) <= 1.0 else 1.5 * max(shares)
     return [(label, longer * time) for label, time in parts]
 
 
