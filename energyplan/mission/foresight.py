@@ -63,7 +63,7 @@ class GuessedLegs(Legs):
         if way not in self._guessed:
             cost, _ = self.cost(self.mission.payload)
             if not (self._symmetric and (back in self._guessed or back in self._routes)):
-                self.wanted.append((start, goal, hurried))
+                self.wanted.append((*self._plan_between(start, goal), hurried))
             self._guessed[way] = Route(steering.path(here, there, cost))
         return self._guessed[way]
 

@@ -295,6 +295,15 @@ class Legs:
             known.pop(oldest, None)  # another thread may have been quicker
         return routes
 
+    def _plan_between(self, start: int, goal: int) -> tuple[int, int]:
+        """Return the nodes from and to which a route is planned.
+
+        Where costs are symmetric, one plan serves both ways. Which one it is depends on the poses
+        alone, so that a mission is the same whatever was planned on its map before.
+        """
+        turned = self._symmetric and self.poses[goal] < self.poses[start]
+        return (goal, start) if turned else (start, goal)
+
     def _planned(self, start: int, goal: int, hurried: bool) -> Route:
         mission = self.mission
         here, there = self.poses[start], self.poses[goal]
@@ -302,8 +311,8 @@ class Legs:
         still = Path(here, np.zeros(0), np.zeros(0), cost.icr.longitudinal)
         if here == there:
             return Route(still)
-        back = self._routes.get((there, here, hurried))
-        if back is not None and self._symmetric:
+        if self._plan_between(start, goal) != (start, goal):
+            back = self._route(goal, start, hurried)
             way = still if back.trouble else back.path.reversed()
             return Route(way, back.trouble, back.detail)
         if self._progress is not None:

@@ -509,3 +509,21 @@ def test_without_obstacles_the_routes_foreseen_are_those_planned(order: str) -> 
     foreseen = [f"planning from {nodes[s]} to {nodes[g]}" for s, g, _ in routes_wanted(asked)]
     evaluate(asked, told.append)
     assert sorted(foreseen) == sorted(line for line in told if line.startswith("planning"))
+
+
+def test_a_mission_is_the_same_after_one_the_other_way() -> None:
+    cells = np.zeros((60, 60), bool)
+    cells[20:24, :40] = cells[38:42, 22:] = cells[28:31, 28:31] = True
+    ends = Pose(1.5, 1.5, 0.0), Pose(10.5, 10.5, 1.0)
+
+    def told(hall: OccupancyGrid, start: Pose, goal: Pose) -> list[float]:
+        mission = Mission(
+            PowerModel.preset("quadriga:empty:marble"), hall, Battery.preset("quadriga"),
+            start, (Task("there", goal),), confidence=0.5, planning_effort=150,
+        )  # fmt: skip
+        return evaluate(mission).timeline.soc.tolist()
+
+    alone = [told(OccupancyGrid(cells, 0.2), *pair) for pair in (ends, ends[::-1])]
+    hall = OccupancyGrid(cells, 0.2)
+    one_after_the_other = [told(hall, *pair) for pair in (ends, ends[::-1])]
+    assert one_after_the_other == alone
