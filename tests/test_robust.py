@@ -304,10 +304,15 @@ print(ep.plan(problem, effort=200).path.ds.tobytes().hex(), again.name == model.
 """
 
 
-def test_a_plan_does_not_depend_on_where_and_how_python_runs(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "optimised", ["0", pytest.param("2", marks=pytest.mark.nightly)]
+)  # the latter compiles every module of every library anew
+def test_a_plan_does_not_depend_on_where_and_how_python_runs(
+    optimised: str, tmp_path: Path
+) -> None:
     """No asserts or docstrings, warnings as errors, another time zone, a locale of bytes."""
     odd = {
-        "PYTHONOPTIMIZE": "2", "PYTHONWARNINGS": "error", "TZ": "Pacific/Chatham",
+        "PYTHONOPTIMIZE": optimised, "PYTHONWARNINGS": "error", "TZ": "Pacific/Chatham",
         "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0",
     }  # fmt: skip
     folder = tmp_path / "a folder of mine ☃"
