@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from energyplan.diagnosis.fitted_sets import WORTHWHILE
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import terms_of
 from energyplan.diagnosis.residual import Dependence
-from energyplan.diagnosis.search import WORTHWHILE
 from energyplan.fit.least_squares import Fit, Problem, difference, fit
 from energyplan.power.effects import Effect, empirical_term
 

@@ -32,9 +32,11 @@ RARE = -6.0
 OF_LOG = -1.0
 """What is added for an effect of the log: the robot is the first suspect."""
 
+PAIRED = 24
+"""Effects of which all pairs are tried."""
+
 _FINE = 0.1  # part of the floor that likelihoods count as nothing
 _NEAR = 4.0  # logarithm of the odds at which a replacement is a rival
-_PAIRED = 24  # effects of which all pairs are tried
 _BEAM = 8  # sets that grow
 _EXACT = 6  # sets that are worth a closer look
 _FOLDS = 40  # most folds
@@ -296,7 +298,7 @@ class Proposals:
         for one in ranked:
             (new,) = set(one) - set(start)
             best.setdefault(candidates[new].name, new)
-        chosen = list(best.values())[:_PAIRED]
+        chosen = list(best.values())[:PAIRED]
         score(tuple(sorted({*start, *pair})) for pair in combinations(chosen, 2))
         for size in range(2, limit):
             level = [one for one in known if len(one) == len(start) + size]

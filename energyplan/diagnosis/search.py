@@ -8,28 +8,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
 from energyplan.diagnosis.change_points import mark_changes
-from energyplan.diagnosis.evidence import Account, classes, innovations, residuals
-from energyplan.diagnosis.explanations import Evaluated, Explanation, Found, Gain
+from energyplan.diagnosis.evidence import Account, classes
+from energyplan.diagnosis.explanations import Evaluated, Explanation, Found
+from energyplan.diagnosis.fitted_sets import LATE, WORTHWHILE, FittedSets
 from energyplan.diagnosis.part import Part
-from energyplan.diagnosis.plausible import Rest, likeness
+from energyplan.diagnosis.plausible import likeness
 from energyplan.diagnosis.proposals import (
     OF_LOG,
+    PAIRED,
     RARE,
     Candidate,
-    Proposals,
     Set,
     terms_of,
-    with_changes,
 )
 from energyplan.diagnosis.settling import Make, settled
 from energyplan.diagnosis.stand_ins import followed_in
-from energyplan.fit.drives.late import DELAYS, ON_TIME, Late, least_late
-from energyplan.fit.drives.windows import SCALES, Drive
-from energyplan.fit.least_squares import FLOOR, Problem, difference, fit
+from energyplan.fit.drives.late import ON_TIME, Late, least_late
+from energyplan.fit.drives.windows import Drive
+from energyplan.fit.least_squares import Problem, fit
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL
 from energyplan.power.effects import Effect
@@ -37,25 +38,13 @@ from energyplan.power.effects import Effect
 SIGNIFICANCE = 0.01
 """Chance that a channel is called a reason where it is none, over all channels together."""
 
-_CHANCE = 0.05
-"""Chance of an effect's coefficients, over all candidates together, that is accepted of one that
-predicts unseen blocks better and outweighs its prior: three gates, each of which it must pass."""
-
-WORTHWHILE = 0.05
-"""Smallest fall of the cross-validated error, mean over the scales, that is worth an effect."""
-
-WORTH = 0.004
-"""Smallest part of the root mean square power that is worth an effect: no model of a robot is true
-to less, and what is left of it looks like one effect or another."""
-
 _TRIED = 6  # neighbours of the best set that are fitted as they are
 _AS_GOOD = 1.5  # odds of two explanations up to which neither is the better one
 _COMPARED = 1e-3  # probability from which on explanations are held against each other
 _APART = 0.05  # delays that are worth sets of their own [s]
-_LATE = -float(np.log(len(DELAYS)))  # most logs' power is late: only the search for it counts
 
 
-class Search(Proposals):
+class Search(FittedSets):
     """Joint search over a catalogue.
 
     Parameters
@@ -82,80 +71,7 @@ class Search(Proposals):
     ) -> None:
         super().__init__(problem, effects, limit, judged)
         self.progress = progress
-        self.rest = Rest(problem)
-        self.evaluated: dict[tuple[Set, Late], Evaluated] = {}
         self.followed: FloatArray = np.array([])
-
-    def _best_of(self, pools: Mapping[Late, tuple[list[Candidate], list[Set]]]) -> Evaluated:
-        every = [
-            self._evaluate(chosen, candidates, late)
-            for late, (candidates, sets) in pools.items() for chosen in sets
-        ]  # fmt: skip
-        return max(every, key=self.score)
-
-    def score(self, one: Evaluated) -> float:
-        """Return the logarithm of an evaluated set's likelihood, that of its innovations.
-
-        What the past of a residual foretells is no evidence against a set, and a fall of what lasts
-        alone is none for it.
-        """
-        return float(self.likelihood(one.fit.errors * one.shares, one.counts)) - one.odds
-
-    def _evaluate(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> Evaluated:
-        """Fit a set as it is, losses included."""
-        key = (chosen, late)
-        if key not in self.evaluated:
-            parts = tuple(candidates[one].part for one in chosen)
-            marked = next(
-                (candidates[one].marked for one in chosen if candidates[one].marked), None
-            )
-            problem = self.problem if marked is None else with_changes(self.problem, marked)
-            problem = problem.delayed(late)
-            self.evaluated[key] = self._fitted(problem, parts)
-        return self.evaluated[key]
-
-    def _fitted(self, problem: Problem, parts: Sequence[Part]) -> Evaluated:
-        terms = terms_of(parts)
-        design = problem.design(terms, self.errors)
-        errors = problem.reference(design)
-        found = fit(design, errors)
-        sound = self.rest.agrees(problem, parts, found)
-        shares = innovations(design, residuals(design, found.values))
-        odds = problem.odds(terms, found.values)
-        return Evaluated(design.evidence, shares, errors, found, problem, sound, tuple(parts), odds)
-
-    def _gain(self, full: Evaluated, less: Evaluated, part: Part, looks: float) -> Gain:
-        """Return what a part is worth in a set, against the set without it."""
-        floor = self.problem.floor
-        scale = 1.0 / (less.errors + floor)
-        # What shows in one equation alone is no less worth for it.
-        fall = less.fit.errors - full.fit.errors
-        falls, shares = (
-            (fall * by).reshape(-1, len(SCALES)).mean(axis=1).max()
-            for by in (scale, FLOOR**2 / floor)
-        )
-        _, error = difference(less.fit.losses, full.fit.losses)
-        gaps = less.fit.losses - full.fit.losses
-        return Gain(
-            float(falls), error / len(SCALES), self._p_value(full, part, looks),
-            self.score(full) - self.score(less), float(np.sqrt(max(shares, 0.0))),
-            fall[: len(SCALES)], float(np.sum(gaps) - np.max(gaps)),
-        )  # fmt: skip
-
-    def _p_value(self, full: Evaluated, part: Part, looks: float) -> float:
-        """Chance of a part's coefficients being this far from zero, over all candidates."""
-        own = {term.name for term in part.terms}
-        which = [k for k, term in enumerate(terms_of(full.parts)) if term.name in own]
-        return min(full.fit.p_value(which) * looks, 1.0) if which else 0.0
-
-    def _acceptable(self, gain: Gain, prior: float) -> bool:
-        return (
-            gain.improvement > WORTHWHILE
-            and (gain.improvement > gain.error or gain.lasting > 0.0)
-            and gain.share > WORTH
-            and gain.p_value < _CHANCE
-            and gain.weight + prior > 0.0
-        )
 
     def _best_delay(self, parts: Sequence[Part], problem: Problem) -> Late:
         """Return the time offset of the power at which a model predicts best.
@@ -233,6 +149,7 @@ class Search(Proposals):
         what else it needs.
         """
         for _ in range(self.limit):
+            self._redelay(weighed, pools)
             chosen, late = max(weighed, key=lambda key: weighed[key])
             now, candidates = tuple(sorted(chosen)), pools[late]
             one = self._evaluate(now, candidates, late)
@@ -248,13 +165,70 @@ class Search(Proposals):
             sets = [tuple(sorted(some)) for some in trials]
             sets = [some for some in sets if self._compatible(candidates, some)]
             scores = self._scores(design, candidates, sets, one.errors)
+            pairs = self._pairs(now, sets, scores, candidates)
+            scores = np.append(scores, self._scores(design, candidates, pairs, one.errors))
+            sets += pairs
             before = set(weighed)
             tried = [sets[k] for k in np.argsort(-scores, kind="stable")[:_TRIED]]
+            tried += self._losses(sets, scores, candidates, one)
             for some in [*tried, *self._settled_lines(sets, scores, candidates, one)]:
+                if set(now) < set(some):
+                    self._fit_from(now, some, candidates, late)
                 reduced = self._reduced(some, candidates, late)
                 weighed[(frozenset(reduced), late)] = self._posterior(reduced, candidates, late)
             if max(weighed, key=lambda key: weighed[key]) in before:
                 return
+
+    def _pairs(
+        self, now: Set, sets: Sequence[Set], scores: FloatArray, candidates: Sequence[Candidate]
+    ) -> list[Set]:
+        """Return a set with two further effects, of those that add most to it: they may mask."""
+        best: dict[str, int] = {}
+        for k in np.argsort(-scores, kind="stable"):
+            if set(now) < set(sets[k]):
+                (new,) = set(sets[k]) - set(now)
+                best.setdefault(candidates[new].name, new)
+        pairs = combinations(list(best.values())[:PAIRED], 2)
+        some = (tuple(sorted({*now, *pair})) for pair in pairs)
+        return [one for one in some if self._compatible(candidates, one)]
+
+    def _losses(
+        self, sets: Sequence[Set], scores: FloatArray, candidates: Sequence[Candidate],
+        now: Evaluated,
+    ) -> list[Set]:  # fmt: skip
+        """Return the best set with each loss.
+
+        How much a loss explains, the quick search cannot see: it takes for linear what multiplies
+        all other forces.
+        """
+        found: dict[str, Set] = {}
+        names = {part.effect.name for part in now.parts}
+        for k in np.argsort(-scores, kind="stable"):
+            for one in (candidates[j] for j in sets[k]):
+                if one.name not in names and any(t.kind == "loss" for t in one.part.terms):
+                    found.setdefault(one.name, sets[k])
+        return [chosen for name, chosen in found.items() if name not in names]
+
+    def _redelay(
+        self,
+        weighed: dict[tuple[frozenset[int], Late], float],
+        pools: Mapping[Late, list[Candidate]],
+    ) -> None:
+        """Weigh the best set at each other time offset, too.
+
+        Each offset has a pool of its own. A set of which one pool has only a part may be found in
+        that of an offset that it does not need.
+        """
+        chosen, found = max(weighed, key=lambda key: weighed[key])
+        wanted = [pools[found][k] for k in sorted(chosen)]
+        for late, candidates in pools.items():
+            same = [
+                k for k, one in enumerate(candidates)
+                if any((one.part, one.marked) == (other.part, other.marked) for other in wanted)
+            ]  # fmt: skip
+            if late != found and len(same) == len(wanted):
+                reduced = self._reduced(tuple(same), candidates, late)
+                weighed[(frozenset(reduced), late)] = self._posterior(reduced, candidates, late)
 
     def _settled_lines(
         self, sets: Sequence[Set], scores: FloatArray, candidates: list[Candidate], now: Evaluated
@@ -291,42 +265,6 @@ class Search(Proposals):
         """Give each run the factor by which it differs as a whole: else long runs decide."""
         return self.problem.levelled(terms_of(nuisance))
 
-    def _posterior(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> float:
-        one = self._evaluate(chosen, candidates, late)
-        prior = sum(candidates[k].prior for k in chosen)
-        if late != ON_TIME:
-            prior += _LATE
-        return self.score(one) + prior
-
-    def _reduced(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> Set:
-        """Take out what earns no place, the worst first."""
-        now = chosen
-        while now:
-            full = self._evaluate(now, candidates, late)
-            looks = {
-                k: 1.0 if candidates[k].part.effect.usual else float(len(self.effects)) for k in now
-            }
-            chance = {k: self._p_value(full, candidates[k].part, looks[k]) for k in now}
-            weak = max(now, key=lambda k: chance[k])
-            if chance[weak] < _CHANCE:
-                gains = {
-                    k: self._gain(
-                        full,
-                        self._evaluate(tuple(j for j in now if j != k), candidates, late),
-                        candidates[k].part,
-                        looks[k],
-                    )
-                    for k in now
-                }
-                full.gains.update(gains)
-                poor = [k for k in now if not self._acceptable(gains[k], candidates[k].prior)]
-                if full.sound and not poor:
-                    return now
-                # Nonsense that fits: what explains least is the culprit.
-                weak = min(poor or now, key=lambda k: gains[k].weight + candidates[k].prior)
-            now = tuple(k for k in now if k != weak)
-        return now
-
     def _explained(
         self,
         weighed: dict[tuple[frozenset[int], Late], float],
@@ -352,15 +290,16 @@ class Search(Proposals):
                 still = self._evaluate(numbers, candidates, ON_TIME) if pools.get(ON_TIME) else one
                 late = Part(self.delay, offset.params)
                 gain = self._gain(one, still, late, 1.0)
-                if gain.weight + _LATE < 0.0 or gain.improvement < WORTHWHILE:
+                if gain.weight + LATE < 0.0 or gain.improvement < WORTHWHILE:
                     continue
                 place = sum(other.weight > gain.weight for other in gains)
                 usual = sum(part.effect.usual for part in parts)
                 place = min(place, len(parts) - usual)
                 parts.insert(place, late)
                 gains.insert(place, gain)
+            problem = one.problem.starting_from(terms_of(one.parts), one.fit.values)
             explanations.append(
-                Explanation(tuple(parts), float(probability), one.problem, tuple(gains))
+                Explanation(tuple(parts), float(probability), problem, tuple(gains))
             )
         # Variants of the same effects are one explanation: that of the best of them.
         joined: dict[frozenset[str], Explanation] = {}

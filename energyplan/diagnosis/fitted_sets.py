@@ -1,0 +1,192 @@
+"""Sets of effects fitted as they are, losses included, and what an effect earns in one (private).
+
+The quick search proposes sets. Which effects of a set have a place in it is decided here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from energyplan.diagnosis.evidence import innovations, residuals
+from energyplan.diagnosis.explanations import Evaluated, Gain
+from energyplan.diagnosis.part import Part
+from energyplan.diagnosis.plausible import Rest
+from energyplan.diagnosis.proposals import (
+    RARE,
+    Candidate,
+    Proposals,
+    Set,
+    terms_of,
+    with_changes,
+)
+from energyplan.fit.drives.late import DELAYS, ON_TIME, Late
+from energyplan.fit.drives.windows import SCALES, Drive
+from energyplan.fit.least_squares import FLOOR, Problem, difference, fit
+from energyplan.power.effects import Effect
+
+_CHANCE = 0.05
+"""Chance of an effect's coefficients, over all candidates together, that is accepted of one that
+predicts unseen blocks better and outweighs its prior: three gates, each of which it must pass."""
+
+WORTHWHILE = 0.05
+"""Smallest fall of the cross-validated error, mean over the scales, that is worth an effect."""
+
+WORTH = 0.004
+"""Smallest part of the root mean square power that is worth an effect: no model of a robot is true
+to less, and what is left of it looks like one effect or another."""
+
+LATE = -float(np.log(len(DELAYS)))
+"""Logarithm of the odds of a delay before the data: most logs' power is late, so that only the
+search for it counts."""
+
+
+class FittedSets(Proposals):
+    """Sets of a catalogue's effects, each fitted once.
+
+    Parameters
+    ----------
+    problem : Problem
+        Training drives.
+    effects : sequence of Effect
+        The catalogue.
+    limit : int
+        Largest number of effects.
+    judged : sequence of Drive
+        Drives that are to be predicted: of them counts only which channels they carry.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        effects: Sequence[Effect],
+        limit: int,
+        judged: Sequence[Drive] = (),
+    ) -> None:
+        super().__init__(problem, effects, limit, judged)
+        self.rest = Rest(problem)
+        self.evaluated: dict[tuple[Set, Late], Evaluated] = {}
+
+    def _best_of(self, pools: Mapping[Late, tuple[list[Candidate], list[Set]]]) -> Evaluated:
+        every = [
+            self._evaluate(chosen, candidates, late)
+            for late, (candidates, sets) in pools.items() for chosen in sets
+        ]  # fmt: skip
+        return max(every, key=self.score)
+
+    def score(self, one: Evaluated) -> float:
+        """Return the logarithm of an evaluated set's likelihood, that of its innovations.
+
+        What the past of a residual foretells is no evidence against a set, and a fall of what lasts
+        alone is none for it.
+        """
+        return float(self.likelihood(one.fit.errors * one.shares, one.counts)) - one.odds
+
+    def _evaluate(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> Evaluated:
+        """Fit a set as it is, losses included."""
+        key = (chosen, late)
+        if key not in self.evaluated:
+            parts = tuple(candidates[one].part for one in chosen)
+            marked = next(
+                (candidates[one].marked for one in chosen if candidates[one].marked), None
+            )
+            problem = self.problem if marked is None else with_changes(self.problem, marked)
+            problem = problem.delayed(late)
+            self.evaluated[key] = self._fitted(problem, parts)
+        return self.evaluated[key]
+
+    def _fitted(
+        self, problem: Problem, parts: Sequence[Part], start: Mapping[str, float] | None = None
+    ) -> Evaluated:
+        terms = terms_of(parts)
+        design = problem.design(terms, self.errors, start)
+        errors = problem.reference(design)
+        found = fit(design, errors)
+        sound = self.rest.agrees(problem, parts, found)
+        shares = innovations(design, residuals(design, found.values))
+        odds = problem.odds(terms, found.values)
+        return Evaluated(design.evidence, shares, errors, found, problem, sound, tuple(parts), odds)
+
+    def _gain(self, full: Evaluated, less: Evaluated, part: Part, looks: float) -> Gain:
+        """Return what a part is worth in a set, against the set without it."""
+        floor = self.problem.floor
+        scale = 1.0 / (less.errors + floor)
+        # What shows in one equation alone is no less worth for it.
+        fall = less.fit.errors - full.fit.errors
+        falls, shares = (
+            (fall * by).reshape(-1, len(SCALES)).mean(axis=1).max()
+            for by in (scale, FLOOR**2 / floor)
+        )
+        _, error = difference(less.fit.losses, full.fit.losses)
+        gaps = less.fit.losses - full.fit.losses
+        return Gain(
+            float(falls), error / len(SCALES), self._p_value(full, part, looks),
+            self.score(full) - self.score(less), float(np.sqrt(max(shares, 0.0))),
+            fall[: len(SCALES)], float(np.sum(gaps) - np.max(gaps)),
+        )  # fmt: skip
+
+    def _p_value(self, full: Evaluated, part: Part, looks: float) -> float:
+        """Chance of a part's coefficients being this far from zero, over all candidates."""
+        own = {term.name for term in part.terms}
+        which = [k for k, term in enumerate(terms_of(full.parts)) if term.name in own]
+        return min(full.fit.p_value(which) * looks, 1.0) if which else 0.0
+
+    def _acceptable(self, gain: Gain, prior: float) -> bool:
+        return (
+            gain.improvement > WORTHWHILE
+            and (gain.improvement > gain.error or gain.lasting > 0.0)
+            and gain.share > WORTH
+            and gain.p_value < _CHANCE
+            and gain.weight + prior > 0.0
+        )
+
+    def _posterior(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> float:
+        one = self._evaluate(chosen, candidates, late)
+        prior = sum(candidates[k].prior for k in chosen)
+        if late != ON_TIME:
+            prior += LATE
+        return self.score(one) + prior
+
+    def _reduced(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> Set:
+        """Take out what earns no place, the worst first."""
+        now = chosen
+        while now:
+            full = self._evaluate(now, candidates, late)
+            looks = {
+                k: 1.0 if candidates[k].part.effect.usual else float(len(self.effects)) for k in now
+            }
+            chance = {k: self._p_value(full, candidates[k].part, looks[k]) for k in now}
+            weak = max(now, key=lambda k: chance[k])
+            if chance[weak] < _CHANCE:
+                gains = {
+                    k: self._gain(
+                        full,
+                        self._evaluate(tuple(j for j in now if j != k), candidates, late),
+                        candidates[k].part,
+                        looks[k],
+                    )
+                    for k in now
+                }
+                full.gains.update(gains)
+                poor = [k for k in now if not self._acceptable(gains[k], candidates[k].prior)]
+                if full.sound and not poor:
+                    return now
+                # Nonsense that fits: what explains least is the culprit.
+                weak = min(poor or now, key=lambda k: gains[k].weight + candidates[k].prior)
+            now = tuple(k for k in now if k != weak)
+        return now
+
+    def _fit_from(
+        self, part: Set, chosen: Set, candidates: Sequence[Candidate], late: Late
+    ) -> None:
+        """Fit a set again from the coefficients of a part of it that explains more.
+
+        That is no smaller than what the whole can explain: a fit with losses has ended elsewhere.
+        """
+        less, full = (self._evaluate(some, candidates, late) for some in (part, chosen))
+        if self.score(full) < self.score(less) + RARE:
+            known = full.problem.starting_from(terms_of(less.parts), less.fit.values)
+            again = self._fitted(full.problem, full.parts, known.memory)
+            if self.score(again) > self.score(full):
+                self.evaluated[chosen, late] = again
