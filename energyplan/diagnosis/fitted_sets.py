@@ -108,6 +108,11 @@ class FittedSets(Proposals):
         odds = problem.odds(terms, found.values)
         return Evaluated(design.evidence, shares, errors, found, problem, sound, tuple(parts), odds)
 
+    def _coefficients(self, one: Evaluated) -> dict[str, float]:
+        """Return the coefficients of an evaluated set, by name of their term."""
+        pairs = zip(terms_of(one.parts), one.fit.values.tolist(), strict=True)
+        return {term.name: value for term, value in pairs}
+
     def _gain(self, full: Evaluated, less: Evaluated, part: Part, looks: float) -> Gain:
         """Return what a part is worth in a set, against the set without it."""
         floor = self.problem.floor
@@ -186,7 +191,6 @@ class FittedSets(Proposals):
         """
         less, full = (self._evaluate(some, candidates, late) for some in (part, chosen))
         if self.score(full) < self.score(less) + RARE:
-            known = full.problem.starting_from(terms_of(less.parts), less.fit.values)
-            again = self._fitted(full.problem, full.parts, known.memory)
+            again = self._fitted(full.problem, full.parts, self._coefficients(less))
             if self.score(again) > self.score(full):
                 self.evaluated[chosen, late] = again

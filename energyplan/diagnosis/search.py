@@ -207,7 +207,7 @@ class Search(FittedSets):
             for one in (candidates[j] for j in sets[k]):
                 if one.name not in names and any(t.kind == "loss" for t in one.part.terms):
                     found.setdefault(one.name, sets[k])
-        return [chosen for name, chosen in found.items() if name not in names]
+        return list(found.values())
 
     def _redelay(
         self,
@@ -297,7 +297,7 @@ class Search(FittedSets):
                 place = min(place, len(parts) - usual)
                 parts.insert(place, late)
                 gains.insert(place, gain)
-            problem = one.problem.starting_from(terms_of(one.parts), one.fit.values)
+            problem = one.problem.starting_from(self._coefficients(one))
             explanations.append(
                 Explanation(tuple(parts), float(probability), problem, tuple(gains))
             )

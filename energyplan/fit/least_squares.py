@@ -265,10 +265,9 @@ class Problem:
             drives.append(drive.with_channels(changed=np.full(len(drive.t), float(state))))
         return Problem(drives, self.vehicle, self.memory)
 
-    def starting_from(self, terms: Sequence[Term], values: FloatArray) -> Problem:
-        """Return the drives, for fits that begin with these coefficients of some terms."""
-        found = {t.name: float(v) for t, v in zip(terms, values, strict=True)}
-        return Problem(self.drives, self.vehicle, found)
+    def starting_from(self, known: Mapping[str, float]) -> Problem:
+        """Return the drives, for fits that begin with these coefficients, by name of their term."""
+        return Problem(self.drives, self.vehicle, known)
 
     @cached_property
     def of_totals(self) -> Problem:
