@@ -40,7 +40,7 @@ shuffled: $(READY)
 lowest: $(READY)
 	$(PYTHON) -m venv --clear build/lowest
 	$(BIN)/uv pip install --quiet --python build/lowest/bin/python --resolution lowest-direct \
-		--all-extras --group test -r pyproject.toml 'httpx<0.28'
+		--all-extras --group test -r pyproject.toml 'httpx>=0.27,<0.28'
 	$(BIN)/uv pip install --quiet --python build/lowest/bin/python --no-deps .
 	build/lowest/bin/python -m pytest -n 2 --dist worksteal tests
 

@@ -5,9 +5,14 @@ copy of the checkout, and the tests of its package that reach the changed functi
 ones first. A change that no test notices survives: it is printed with its difference. `make mutate`
 runs it.
 
-No place is changed where nothing can come of it: annotations, what is written into an error,
-decorators that only make a function faster, and whether `zip` watches over lengths, which differ
-only by a fault of the program. No text is compared by the alphabet, as nobody would.
+Tests are given processor time, not time by the clock, so that a loaded machine finds what an idle
+one finds. Tests that are cut off decide nothing: their change is counted as cut, not as noticed.
+
+Some places are not changed, and how many they are is printed by rule: annotations, what is written
+into an error, decorators that only make a function faster, and whether `zip` watches over lengths,
+which differ only by a fault of the program; texts compared by the alphabet, and `is` in place of
+`==`, as nobody would. No change is left out of the score because it seems to mean the same: whether
+a survivor changes only the work or the rounding is for its reader to judge.
 """
 
 from __future__ import annotations
@@ -16,22 +21,30 @@ import argparse
 import ast
 import cProfile
 import json
+import math
 import os
 import random
+import resource
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from difflib import unified_diff
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 from cosmic_ray.commands.init import _all_work_items
-from cosmic_ray.mutating import mutate_and_test
-from cosmic_ray.work_item import TestOutcome, WorkerOutcome
+from cosmic_ray.mutating import use_mutation
+from cosmic_ray.plugins import get_operator
+from cosmic_ray.work_item import MutationSpec
 
 ROOT = Path(__file__).resolve().parents[1]
 TESTS = {
@@ -44,8 +57,17 @@ TESTS = {
 }  # fmt: skip
 """What is changed, below the package, and the tests that should notice."""
 
-LONGEST = 300.0
-"""Time that the tests of a change may take [s]; longer counts as noticed."""
+SLOWER = 5.0
+"""How much more processor time the tests of a change may take than without it."""
+
+COMPILING = 120.0
+"""Processor time that the tests of a change may take besides, as kernels are compiled anew [s]."""
+
+WAITING = 20.0
+"""Time by the clock after which tests are cut that wait, in units of their processor time."""
+
+NOTICED, CUT, SURVIVED = "noticed", "cut off", "not noticed"
+"""What may become of a change."""
 
 
 UNSEEN = ("_Eq_Is$", "_NotEq_IsNot$", "_Is_Eq$", "_IsNot_NotEq$")
@@ -65,8 +87,19 @@ class Score(NamedTuple):
     """What became of the changes of a module."""
 
     module: str
-    noticed: int
-    tried: int
+    became: Counter[str]
+    spared: Counter[str]
+
+    def __str__(self) -> str:
+        spared = ", ".join(f"{count} {rule}" for rule, count in sorted(self.spared.items()))
+        return f"{self.module}: {_told(self.became)}; places spared: {spared or 'none'}"
+
+
+def _told(became: Counter[str]) -> str:
+    """Return how many changes were noticed, of how many, and what became of the others."""
+    tried = became.total()
+    others = "".join(f", {became[end]} {end}" for end in (SURVIVED, CUT))
+    return f"{became[NOTICED]} of {tried} noticed ({became[NOTICED] / max(tried, 1):.0%}){others}"
 
 
 def _texts(tree: ast.Module) -> list[Span]:
@@ -159,7 +192,7 @@ def _record(out: Path, tests: Sequence[str]) -> int:
 
 def _tests_of(
     place: tuple[int, int], file: Path, tree: ast.Module, reaches: list[Reach]
-) -> list[str]:
+) -> list[Reach]:
     """Return the tests to run where this place is changed, quick ones first.
 
     They are those that call the function; all where none is seen to: outside of functions, and in
@@ -179,38 +212,79 @@ def _tests_of(
         outer = next(node for node in around if node.lineno == first)
         line = min([first, *(d.lineno for d in outer.decorator_list)])
         chosen = [reach for reach in reaches if f"{file}:{line}" in reach.calls] or reaches
-    return [reach.test for reach in sorted(chosen, key=lambda reach: reach.took)]
+    return sorted(chosen, key=lambda reach: reach.took)
+
+
+def try_tests(command: Sequence[str], allowed: float) -> str:
+    """Run tests with so much processor time [s]; return whether one noticed the change.
+
+    A failure decides only within this time, as a process of the tests may have been cut off too.
+    """
+
+    def limited() -> None:
+        seconds = math.ceil(allowed)
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+    # bytecode of one change may be as old as the source of the next
+    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+    tests = subprocess.Popen(
+        command,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+        preexec_fn=limited,
+    )
+    waits = threading.Timer(WAITING * allowed, os.killpg, [tests.pid, signal.SIGKILL])
+    waits.start()
+    _, status, used = os.wait4(tests.pid, 0)
+    waits.cancel()
+    tests.returncode = ended = os.waitstatus_to_exitcode(status)
+    with suppress(ProcessLookupError):
+        os.killpg(tests.pid, signal.SIGKILL)  # what the tests began and left
+    if ended == pytest.ExitCode.OK:
+        return SURVIVED
+    within = used.ru_utime + used.ru_stime < allowed
+    decided = ended != pytest.ExitCode.NO_TESTS_COLLECTED and ended != -signal.SIGKILL
+    return NOTICED if within and decided else CUT
+
+
+def _rule(mutation: MutationSpec, silent: list[Span], texts: list[Span]) -> str | None:
+    """Return the rule by which a place is not changed, if any."""
+    place, name = mutation.start_pos, f"{mutation.operator_name}$"
+    if any(word in name for word in UNSEEN):
+        return "is for =="
+    if any(a <= place < b for a, b in silent):
+        return "without effect"
+    if mutation.operator_name.endswith(ORDER) and any(a <= place < b for a, b in texts):
+        return "text by the alphabet"
+    return None
 
 
 def try_module(copy: Path, module: Path, reaches: list[Reach], mutations: int, seed: int) -> Score:
     """Change a module of a copy in some places; print those that no test notices."""
     os.chdir(copy)
-    tree = ast.parse(module.read_text(encoding="utf-8"))
+    before = module.read_text(encoding="utf-8")
+    tree = ast.parse(before)
     silent, texts = _silent(tree), _texts(tree)
-    wanted = [
-        item
-        for item in _all_work_items([module], {})
-        if not any(word in f"{item.mutations[0].operator_name}$" for word in UNSEEN)
-        and not any(a <= item.mutations[0].start_pos < b for a, b in silent)
-        and not (
-            item.mutations[0].operator_name.endswith(ORDER)
-            and any(a <= item.mutations[0].start_pos < b for a, b in texts)
-        )
-    ]
-    chosen = random.Random(seed).sample(wanted, min(mutations, len(wanted)))
-    # what noticed the last change is tried first
-    command = f"{sys.executable} -m pytest -x -q --failed-first @tests.txt"
-    noticed = 0
-    for item in chosen:
-        tests = _tests_of(item.mutations[0].start_pos, copy / module, tree, reaches)
-        Path("tests.txt").write_text("\n".join(tests), encoding="utf-8")
-        result = mutate_and_test(item.mutations, command, LONGEST)
-        seen = result.test_outcome != TestOutcome.SURVIVED
-        noticed += seen and result.worker_outcome == WorkerOutcome.NORMAL
-        if not seen:
-            sys.stdout.write(f"not noticed:\n{result.diff}\n")
-            sys.stdout.flush()
-    return Score(str(module), noticed, len(chosen))
+    places = [item.mutations[0] for item in _all_work_items([module], {})]
+    rules = [_rule(place, silent, texts) for place in places]
+    wanted = [place for place, rule in zip(places, rules, strict=True) if rule is None]
+    score = Score(str(module), Counter(), Counter(rule for rule in rules if rule is not None))
+    for place in random.Random(f"{seed} {module}").sample(wanted, min(mutations, len(wanted))):
+        tests = _tests_of(place.start_pos, copy / module, tree, reaches)
+        Path("tests.txt").write_text("\n".join(test.test for test in tests), encoding="utf-8")
+        # what noticed the last change is tried first
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "--failed-first", "@tests.txt"]
+        with use_mutation(place.module_path, get_operator(place.operator_name)(), place.occurrence):
+            after = module.read_text(encoding="utf-8")
+            end = try_tests(command, COMPILING + SLOWER * sum(test.took for test in tests))
+        score.became[end] += 1
+        if end != NOTICED:
+            lines = unified_diff(before.split("\n"), after.split("\n"), lineterm="")
+            print(f"{end}: {module}\n" + "\n".join([*lines][2:]) + "\n", flush=True)
+    return score
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -245,11 +319,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             ]
             reaches = _reaches(copy, tests) if asked_for else []
             for module in asked_for:
-                score = try_module(copy, module, reaches, asked.mutations, asked.seed)
-                scores.append(score)
-                print(f"{score.module}: {score.noticed} of {score.tried} noticed", flush=True)
-    noticed, tried = sum(s.noticed for s in scores), sum(s.tried for s in scores)
-    print(f"in all {noticed} of {tried} changes noticed: {100 * noticed / max(tried, 1):.0f} %")
+                scores.append(try_module(copy, module, reaches, asked.mutations, asked.seed))
+                print(scores[-1], flush=True)
+    print(f"in all {_told(sum((score.became for score in scores), Counter()))}")
 
 
 if __name__ == "__main__":
