@@ -1,0 +1,36 @@
+"""What the nightly run makes of tests that fail, pass, crash, never end or wait."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("cosmic_ray", reason="nightly requirement")
+
+import mutation
+
+CHILD = "import subprocess, sys; code = subprocess.call([sys.executable, '-c', 'while True: pass'])"
+"""A process of the tests that is cut off before they are."""
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("body", "end"),
+    [
+        ("pass", mutation.SURVIVED),
+        ("assert False", mutation.NOTICED),
+        ("import os; os.abort()", mutation.NOTICED),
+        ("while True: pass", mutation.CUT),
+        ("import time; time.sleep(1e6)", mutation.CUT),
+        (f"{CHILD}; assert code == 0", mutation.CUT),
+    ],
+)
+def test_only_a_failure_within_the_time_is_noticed(
+    body: str, end: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mutation, "WAITING", 3.0)
+    tests = tmp_path / "test_it.py"
+    tests.write_text(f"def test():\n    {body}\n")
+    assert mutation.try_tests([sys.executable, "-m", "pytest", "-q", str(tests)], 5.0) == end
