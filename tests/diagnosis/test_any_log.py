@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
+from by_day import by_day
 
 from energyplan import DriveLog, diagnose, identify, simulate
 from energyplan.errors import EnergyPlanError, NotIdentifiableError
@@ -85,46 +86,63 @@ STRANGE: dict[str, Callable[[Channels], Channels]] = {
 }
 
 
-BY_DAY = "a sample every two seconds", "gaps", "holes", "standstill", "no power", "one power dead"
-"""Strange logs that judge by day, too; at night all of them do."""
+def _strange(name: str) -> DriveLog | None:
+    """Return a strange log; None where it is refused, by its name."""
+    sound = simulate.identification_drive(MODEL, seed=1, **NOISE)
+    try:
+        return DriveLog.from_columns(STRANGE[name](dict(sound.channels)), name)
+    except EnergyPlanError as problem:
+        assert name in str(problem)
+        return None
+
+
+@pytest.fixture(autouse=True)
+def no_nan_on_its_way() -> Iterator[None]:
+    """NumPy warns where one is made."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        yield
+
+
+@pytest.mark.parametrize("name", STRANGE)
+def test_any_log_is_identified_or_refused_by_a_named_error(name: str) -> None:
+    log = _strange(name)
+    if log is None:
+        return
+    try:
+        found = identify(log, MODEL.vehicle)
+    except EnergyPlanError as problem:
+        assert len(str(problem)) > 30
+        return
+    assert np.all(np.isfinite(found.model.coefficients))
+
+
+def _answered(train: DriveLog, unseen: DriveLog) -> None:
+    try:
+        told = diagnose(train, unseen, MODEL.vehicle)
+    except EnergyPlanError as problem:
+        assert len(str(problem)) > 30
+        return
+    assert np.isfinite(told.before.rmse) and np.isfinite(told.after.rmse)
+    assert np.all(np.isfinite(told.model.coefficients))
+
+
+REFUSED = "two samples", "ten seconds", "constant speed", "standstill", "one power dead"
+"""Logs that take no time to try: there is an error, or little to be searched."""
 
 
 @pytest.mark.parametrize(
-    ("judges", "name"),
-    [
-        *((False, name) for name in STRANGE),
-        *((True, name) for name in BY_DAY),
-        *(
-            pytest.param(True, name, marks=pytest.mark.nightly)
-            for name in sorted(set(STRANGE) - set(BY_DAY))
-        ),
-    ],
+    "name", by_day(STRANGE, (*REFUSED, "spin only", "holes", "pose that never changes"))
 )
-def test_any_log_has_an_answer_or_a_named_error(judges: bool, name: str) -> None:
-    sound = simulate.identification_drive(MODEL, seed=1, **NOISE)
-    other = simulate.validation_drive(MODEL, seed=2, **NOISE)
-    channels = STRANGE[name](dict(sound.channels))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", RuntimeWarning)  # NumPy's: a NaN on its way
-        try:
-            log = DriveLog.from_columns(channels, name)
-        except EnergyPlanError as problem:
-            assert name in str(problem)
-            return
-        try:
-            if not judges:
-                found = identify(log, MODEL.vehicle)
-                assert np.all(np.isfinite(found.model.coefficients))
-        except EnergyPlanError as problem:
-            assert len(str(problem)) > 30
-        train, unseen = (sound, log) if judges else (log, other)
-        try:
-            told = diagnose(train, unseen, MODEL.vehicle)
-        except EnergyPlanError as problem:
-            assert len(str(problem)) > 30
-            return
-        assert np.isfinite(told.before.rmse) and np.isfinite(told.after.rmse)
-        assert np.all(np.isfinite(told.model.coefficients))
+def test_any_log_is_learned_from_or_refused_by_a_named_error(name: str) -> None:
+    if (log := _strange(name)) is not None:
+        _answered(log, simulate.validation_drive(MODEL, seed=2, **NOISE))
+
+
+@pytest.mark.parametrize("name", by_day(STRANGE, (*REFUSED, "no power", "gaps")))
+def test_any_log_judges_or_is_refused_by_a_named_error(name: str) -> None:
+    if (log := _strange(name)) is not None:
+        _answered(simulate.identification_drive(MODEL, seed=1, **NOISE), log)
 
 
 def test_a_robot_that_only_stands_is_told_so() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from by_day import by_day
 
 from energyplan import DriveLog, diagnose, simulate
 from energyplan.fit.breakaway import with_breakaway
@@ -77,9 +78,7 @@ def test_which_side_drags_is_told_where_treads_are_always_as_fast_as_each_other(
     assert abs(total.values[2] - drag) > 0.5 * drag
 
 
-@pytest.mark.parametrize(
-    "seed", [*range(2), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(2, 4))]
-)
+@pytest.mark.parametrize("seed", by_day(range(4), [0]))
 def test_losses_of_each_side_are_found_on_robots_of_any_size(seed: int) -> None:
     rng = np.random.default_rng(10 + seed)
     model = _robot(rng)
@@ -255,14 +254,11 @@ def _equations(log: DriveLog, vehicle: Vehicle) -> int:
     return with_breakaway(problem, ()).drives[0].equations
 
 
-def test_motors_that_return_nothing_are_found_at_the_end_of_what_is_possible() -> None:
+@pytest.mark.parametrize("seed", by_day(range(2), [0]))
+def test_motors_that_return_nothing_are_found_at_the_end_of_what_is_possible(seed: int) -> None:
     model = PowerModel.preset("quadriga:full:concrete")
     truth = model.with_term(REGENERATION_LOSS, 1.0)
-    values = []
-    for seed in range(2):
-        train = simulate.identification_drive(truth, seed=seed, **NOISE)
-        told = diagnose(train, simulate.validation_drive(truth, seed=9, **NOISE), model.vehicle)
-        values += [e.value for e in told.effects if e.name == "regeneration_efficiency"]
-    assert len(values) == 2
-    assert max(values) <= 1.0
-    assert min(values) > 0.95
+    train = simulate.identification_drive(truth, seed=seed, **NOISE)
+    told = diagnose(train, simulate.validation_drive(truth, seed=9, **NOISE), model.vehicle)
+    (value,) = (e.value for e in told.effects if e.name == "regeneration_efficiency")
+    assert 0.95 < value <= 1.0
