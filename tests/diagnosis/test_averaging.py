@@ -218,3 +218,4 @@ def test_the_diagnosis_says_what_its_model_is_made_of() -> None:
     assert low < one.energy < high
     power = told.predictions_after[0]
     assert one.energy == pytest.approx(float(logs[5].weights @ power), rel=1e-9)
+    assert one.measured == pytest.approx(logs[5].energy, rel=1e-3)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from by_day import by_day
 
 from energyplan import diagnose, identify, simulate
 from energyplan.fit import fit_residual
@@ -33,7 +34,7 @@ def _robot(seed: int) -> PowerModel:
 
 
 @pytest.mark.parametrize("tau", [0.0, 1.0], ids=["white", "correlated"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", by_day(range(4), [0, 3]))
 def test_three_ways_to_the_same_terms_agree_within_their_errors(seed: int, tau: float) -> None:
     model = _robot(seed)
     K = model.coefficient("traction_resistance")
@@ -77,14 +78,20 @@ def _agree(train: list[DriveLog], unseen: DriveLog, vehicle: Vehicle) -> None:
             assert getattr(errors, name) == pytest.approx(getattr(left, name), rel=1e-9), name
 
 
-@pytest.mark.parametrize("count", [1, 4])
-@pytest.mark.parametrize("measured", ["sides", "total", "battery"])
-def test_identify_and_diagnose_are_one_core(measured: Any, count: int) -> None:
+@pytest.mark.parametrize(
+    "case",
+    by_day(
+        ["sides 1", "sides 4", "total 1", "total 4", "battery 1", "battery 4"],
+        ["sides 1", "total 4", "battery 1"],
+    ),
+)
+def test_identify_and_diagnose_are_one_core(case: str) -> None:
+    measured, count = case.split()
     model = _robot(2)
     model = replace(model, vehicle=replace(model.vehicle, drive_efficiency=0.8))
     noise: dict[str, Any] = {"power_noise": 8.0, "speed_noise": 0.005, "correlation_time": 0.5}
     noise["measured"] = measured
-    logs = [simulate.identification_drive(model, seed=k, **noise) for k in range(count)]
+    logs = [simulate.identification_drive(model, seed=k, **noise) for k in range(int(count))]
     # A pause in the record, over which no energy is counted.
     parts = {k: np.delete(v, slice(700, 900)) for k, v in logs[0].channels.items()}
     logs[0] = DriveLog(parts)

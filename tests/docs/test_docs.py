@@ -31,7 +31,6 @@ import energyplan as ep
 from energyplan import cli, simulate
 from energyplan.cli._fitting import log as log_commands
 from energyplan.io.trajectory import write_log, write_path, write_trajectory
-from energyplan.planning import Budget
 from energyplan.power import HOTEL
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -165,21 +164,6 @@ def command_lines(page: Path) -> Iterator[list[str]]:
 
 
 pytestmark = pytest.mark.usefixtures("counted")
-
-
-ENOUGH = 5000
-"""Units of work of a plan on a page; readers are asked for more, for better routes."""
-
-
-@pytest.fixture
-def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have plans do no more work than is enough for a route, whatever effort a page asks for."""
-    original = Budget.__init__
-
-    def init(self: Budget, time_limit: float = float("inf"), *, effort: int | None = None) -> None:
-        original(self, time_limit, effort=effort and min(effort, ENOUGH))
-
-    monkeypatch.setattr(Budget, "__init__", init)
 
 
 @pytest.fixture(autouse=True)
