@@ -5,6 +5,7 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
+from by_day import by_day
 from random_models import random_model
 from worlds import cluttered, free_poses
 
@@ -82,7 +83,7 @@ def patched(rng, grid):
 @pytest.mark.parametrize("drawn", ["squares", "polygons", "either"])
 def test_an_outline_brought_up_to_date_is_the_one_of_a_new_map(drawn, monkeypatch):
     monkeypatch.setattr(outlines, "SQUARE", 32)
-    for seed in range(4):
+    for seed in range(2):
         grid = cluttered(seed)
         runs = np.count_nonzero(np.diff(grid.blocked, axis=1)) // 2
         most = {"squares": 0, "polygons": 10_000, "either": runs}[drawn]
@@ -146,7 +147,7 @@ def test_lines_through_obstacles_are_closed_and_others_open():
     assert sight(space, corners, *low[0], *low[1]).free
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", by_day(range(6), range(3)))
 def test_no_path_beats_the_bound(seed):
     grid = cluttered(seed)
     poses = free_poses(grid, 8, seed, COST.vehicle)
@@ -201,9 +202,7 @@ def exact_gauge(headings, direction):
     return float((np.cos(direction - normals) / support).max())
 
 
-@pytest.mark.parametrize(
-    "seed", [*range(2), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(2, 4))]
-)
+@pytest.mark.parametrize("seed", by_day(range(4), range(2)))
 def test_a_line_costs_no_more_than_any_way_along_it(seed):
     rng = np.random.default_rng(seed)
     rates = Rates(200.0, 150.0, 0.0, rng.uniform(-3, 3), 0.0, static(200.0, 150.0, 0.4))
@@ -815,9 +814,7 @@ def test_no_path_over_surfaces_beats_the_bound(seed):
 # -- the whole bound -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "seed", [*range(2), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(2, 4))]
-)
+@pytest.mark.parametrize("seed", by_day(range(4), range(2)))
 def test_no_path_of_a_small_robot_beats_the_bound(seed):
     # hardly any half track and a small body: next to nothing is relaxed, so that an unsound
     # bound shows
@@ -897,7 +894,7 @@ def arc_problem(cost, length, radius):
     return PlanningProblem(room, cost, arc.start, arc.end), cost.energy(arc)
 
 
-@pytest.mark.parametrize("radius", [8.0, 30.0, -100.0])
+@pytest.mark.parametrize("radius", by_day([8.0, 30.0, -100.0], [8.0, -100.0]))
 def test_where_turning_gets_cheaper_with_the_radius_no_arc_beats_bound_or_plan(radius):
     model = PowerModel.preset("quadriga:empty:concrete")
     mobilised = replace(term("friction_mobilisation"), params={"radius": 10.0})
@@ -923,9 +920,7 @@ def test_no_plan_and_no_arc_of_a_random_model_beats_the_bound(seed):
     assert bound <= plan(problem, effort=1_000).energy * (1 + 1e-9)
 
 
-@pytest.mark.parametrize(
-    "seed", [*range(3), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(3, 6))]
-)
+@pytest.mark.parametrize("seed", by_day(range(6), range(2)))
 def test_no_plan_of_a_random_model_beats_the_bound_among_obstacles(seed):
     cost = random_model(seed)
     if cost is None:
