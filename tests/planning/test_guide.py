@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from by_day import by_day
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -144,7 +145,7 @@ def test_regions_join_what_is_joined(made):
         assert len(np.unique(pairs[:, 0])) == len(np.unique(pairs[:, 1])) == len(pairs)
 
 
-@pytest.mark.parametrize("penalty", [1.0, 8.0])
+@pytest.mark.parametrize("penalty", by_day([1.0, 8.0], [8.0]))
 @pytest.mark.parametrize("kind", ["rooms", "clutter", "maze", "aslant"])
 def test_few_regions_tell_what_all_places_tell(kind, penalty, monkeypatch):
     """Looked at are the places near the shortest ways between regions; against all of them."""
@@ -219,7 +220,7 @@ def test_a_way_follows_the_guide_through_a_gap_that_a_lattice_misses():
 
 
 @pytest.mark.parametrize("penalty", [1.0, 8.0])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", by_day(range(4), range(2)))
 def test_with_little_work_the_way_is_looked_at_all_the_same(seed, penalty):
     """On a map far larger than what may be looked at."""
     rng = np.random.default_rng(seed)
