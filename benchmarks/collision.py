@@ -19,8 +19,9 @@ from shapely import affinity
 from energyplan.io.bundled import bundled
 from energyplan.io.maps import read_map
 from energyplan.path import Path, Pose
-from energyplan.terrain import OccupancyGrid, _distance
+from energyplan.terrain import OccupancyGrid
 from energyplan.terrain import collision as _collision
+from energyplan.terrain.updates import distance_to_blocked
 from energyplan.vehicle import Vehicle
 
 
@@ -54,7 +55,7 @@ def bodies(vehicle: Vehicle, poses: np.ndarray) -> list[shapely.Geometry]:
 
 def prepare(blocked: np.ndarray) -> None:
     """Compute what the collision kernels need to know of a map."""
-    _distance.clearance(blocked)
+    distance_to_blocked(blocked)
     _collision.next_blocked(blocked)
 
 

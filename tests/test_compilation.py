@@ -657,6 +657,6 @@ def test_who_starts_in_an_obstacle_is_told_so_at_once(planner: str, tmp_path: Pa
     assert told == "told", found.stderr
     assert set(modules) <= {
         "energyplan.terrain.collision",
-        "energyplan.terrain._distance",
+        "energyplan.terrain.updates",
         "energyplan.cost.direction_table",
     }

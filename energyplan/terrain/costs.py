@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from energyplan.errors import MapError
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.records import ReadOnly
+from energyplan.terrain.frame import ORIGIN
 from energyplan.terrain.grid import OccupancyGrid
-from energyplan.terrain.heights import ORIGIN
 
 PIECE = 0.25
 """Length of the pieces of a path that pay for the cell under their middle [cells]."""
@@ -64,11 +64,7 @@ class CostMap(ReadOnly):
     def at(self, points: ArrayLike) -> FloatArray:
         """Return the cost at world points (..., 2) [m]; 0 outside."""
         frame: OccupancyGrid = self.__dict__["_frame"]
-        cells = np.floor(frame.to_cells(points)).astype(int)
-        rows, columns = self.costs.shape
-        inside = np.all((cells >= 0) & (cells < np.array([columns, rows])), axis=-1)
-        column, row = np.moveaxis(np.where(inside[..., None], cells, 0), -1, 0)
-        return np.where(inside, self.costs[row, column], 0.0)
+        return frame.values_at(self.costs, points)
 
     def along(self, path: Path) -> float:
         """Return the costs along a path, times the metres of its reference point [m].
@@ -85,9 +81,4 @@ class CostMap(ReadOnly):
 
     def over(self, grid: OccupancyGrid) -> FloatArray:
         """Return the costs at the centres of a map's cells, shape (rows, columns)."""
-        rows, columns = grid.shape
-        out = np.empty((rows, columns))
-        for row in range(rows):
-            middle = np.column_stack([np.arange(columns) + 0.5, np.full(columns, row + 0.5)])
-            out[row] = self.at(grid.to_world(middle))
-        return out
+        return np.stack([self.at(grid.centres(row)) for row in range(grid.shape[0])])

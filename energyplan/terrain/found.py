@@ -16,8 +16,8 @@ from energyplan.path import FloatArray, Pose
 from energyplan.power import PowerModel
 from energyplan.power.effect_terms import SLIP_BEYOND, TILT_X, TILT_Y, TRACTION_BEYOND
 from energyplan.power.effects import reads_slope, with_weight
-from energyplan.terrain.heights import HeightMap, with_weights
-from energyplan.terrain.surfaces import Surface, SurfaceMap
+from energyplan.terrain.heights import HeightMap
+from energyplan.terrain.surfaces import Surface, SurfaceMap, with_weights
 
 _TILTS, _BEYOND = (TILT_X.name, TILT_Y.name), (SLIP_BEYOND.name, TRACTION_BEYOND.name)
 

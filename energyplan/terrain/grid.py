@@ -1,4 +1,4 @@
-"""Where the robot goes: occupancy grids with footprint collision, surfaces and heights."""
+"""Where the robot goes: occupancy grids, and whether a footprint is free on them."""
 
 from __future__ import annotations
 
@@ -16,11 +16,15 @@ from energyplan.errors import MapError
 from energyplan.kinds import check_fields, checked, instance, numbers
 from energyplan.path import FloatArray, Path, Pose, as_pose
 from energyplan.records import ReadOnly
-from energyplan.terrain import _distance
 from energyplan.terrain import collision as _collision
-from energyplan.terrain.heights import ORIGIN, extent_in_words
-from energyplan.terrain.surfaces import FARTHEST
-from energyplan.terrain.updates import new_space, place_of_patch, updated_space, window_of
+from energyplan.terrain.frame import FARTHEST, ORIGIN, extent_in_words, from_raster, to_raster
+from energyplan.terrain.updates import (
+    distance_to_blocked,
+    new_space,
+    place_of_patch,
+    updated_space,
+    window_of,
+)
 from energyplan.vehicle import Vehicle
 
 BoolArray = NDArray[np.bool_]
@@ -244,15 +248,13 @@ class OccupancyGrid(ReadOnly):
             offset = np.subtract(mask.origin, self.origin)
             if np.abs(offset[:2]).max() < 1e-6 * self.resolution and abs(offset[2]) < 1e-9:
                 return replace(self, occupied=self.occupied | mask.occupied)
-        rows, columns = self.shape
         near = np.sqrt(0.5) * self.resolution / mask.resolution
         # so wide that no clearance counts that is one to the edge
         rim = int(np.ceil(near)) + 2
-        far = _distance.clearance(np.pad(mask.occupied, 2 * rim))
+        far = distance_to_blocked(np.pad(mask.occupied, 2 * rim))
         touched = np.zeros(self.shape, bool)
-        for row in range(rows):
-            middle = np.column_stack([np.arange(columns) + 0.5, np.full(columns, row + 0.5)])
-            at = mask.to_cells(self.to_world(middle)) + 2.0 * rim
+        for row in range(len(touched)):
+            at = mask.to_cells(self.centres(row)) + 2.0 * rim
             cell = np.floor(at).astype(int)
             inside = np.all((cell >= rim) & (cell < np.array(far.shape[::-1]) - rim), axis=1)
             column, line = np.where(inside[:, None], cell, 0).T
@@ -267,8 +269,7 @@ class OccupancyGrid(ReadOnly):
             instance(area, BaseGeometry, "an area", MapError)
             if not np.isfinite(shapely.get_coordinates(area)).all():
                 raise MapError("an area has a corner that is not finite; correct it")
-        touched = np.zeros(self.shape, bool)
-        rows, columns = self.shape
+        touched, (rows, columns) = np.zeros(self.shape, bool), self.shape
         for geometry in (g for g in geometries if not g.is_empty):
             cells = shapely.transform(geometry, self.to_cells)
             left, low, right, high = cells.bounds
@@ -284,25 +285,22 @@ class OccupancyGrid(ReadOnly):
 
     def to_cells(self, points: ArrayLike) -> FloatArray:
         """Return world points (..., 2) [m] as (column, row): cell (0, 0) is the unit square."""
-        at = numbers(points, "points", MapError, last=2, words="x, y [m]")
-        offset = at - np.array(self.origin[:2])
-        space_c, space_s = np.cos(self.origin.yaw), np.sin(self.origin.yaw)
-        turned = offset @ np.array([[space_c, -space_s], [space_s, space_c]])
-        return np.asarray(turned / self.resolution)
+        return to_raster(points, self.origin, self.resolution)
 
     def to_world(self, cells: ArrayLike) -> FloatArray:
         """Return (column, row) coordinates (..., 2) as world points [m]: undoes `to_cells`."""
-        at = numbers(cells, "cells", MapError, last=2, words="column, row") * self.resolution
-        space_c, space_s = np.cos(self.origin.yaw), np.sin(self.origin.yaw)
-        turned = at @ np.array([[space_c, space_s], [-space_s, space_c]])
-        return np.asarray(turned + np.array(self.origin[:2]))
+        return from_raster(cells, self.origin, self.resolution)
+
+    def centres(self, row: int) -> FloatArray:
+        """Return the centres of the cells of a row as world points [m], shape (columns, 2)."""
+        columns = np.arange(self.shape[1]) + 0.5
+        return self.to_world(np.column_stack([columns, np.full(len(columns), row + 0.5)]))
 
     def inside(self, points: ArrayLike) -> BoolArray:
         """Tell which world points (..., 2) [m] lie on the map."""
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows lies on no map
             cells = self.to_cells(points)
-        rows, columns = self.shape
-        return np.asarray(np.all((cells >= 0) & (cells <= np.array([columns, rows])), axis=-1))
+        return np.asarray(np.all((cells >= 0) & (cells <= self.shape[::-1]), axis=-1))
 
     def describe_extent(self) -> str:
         """Return where the map lies, in words."""
@@ -310,10 +308,14 @@ class OccupancyGrid(ReadOnly):
 
     def clearance_at(self, points: ArrayLike) -> FloatArray:
         """Return the clearance of the cells that hold world points (..., 2) [m]; 0 off the map."""
-        cells, (rows, columns) = np.floor(self.to_cells(points)).astype(int), self.shape
-        on_map = np.all((cells >= 0) & (cells < np.array([columns, rows])), axis=-1)
-        column, row = np.clip(cells[..., 0], 0, columns - 1), np.clip(cells[..., 1], 0, rows - 1)
-        return np.where(on_map, self.clearance[row, column], 0.0)
+        return self.values_at(self.clearance, points)
+
+    def values_at(self, table: NDArray[np.floating], points: ArrayLike) -> FloatArray:
+        """Return a table's values (rows, columns) at world points (..., 2) [m]; 0 off the map."""
+        cells = np.floor(self.to_cells(points)).astype(int)
+        on_map = np.all((cells >= 0) & (cells < self.shape[::-1]), axis=-1)
+        column, row = np.moveaxis(np.where(on_map[..., None], cells, 0), -1, 0)
+        return np.where(on_map, table[row, column], 0.0)
 
     def footprint_free(self, poses: ArrayLike, vehicle: Vehicle) -> BoolArray:
         """Tell at which poses the vehicle's footprint is free.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,27 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from energyplan.errors import MapError
 from energyplan.kinds import check_fields, checked, numbers
 from energyplan.path import FloatArray, Path, Pose, as_pose
-from energyplan.power.effects import with_weight
 from energyplan.records import ReadOnly
-from energyplan.terrain.surfaces import SurfaceMap
+from energyplan.terrain.frame import ORIGIN, extent_in_words, from_raster, to_raster
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-ORIGIN = Pose(0.0, 0.0, 0.0)
-"""Where a raster starts unless it says otherwise: the world's origin, unturned."""
-
 STILL = 1e-6
 """Arc lengths below this count as turning on the spot [m]."""
-
-
-def extent_in_words(width: float, height: float, origin: Pose) -> str:
-    """Return where a raster of this size [m] lies."""
-    x, y, yaw = origin
-    if yaw == 0.0:
-        return f"x from {x:g} to {x + width:g} m and y from {y:g} to {y + height:g} m"
-    corner = f"{width:g} m by {height:g} m from its corner ({x:g}, {y:g})"
-    return f"{corner}, turned by {np.degrees(yaw):.1f} deg"
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,14 +69,11 @@ class HeightMap(ReadOnly):
 
         Both are columns and rows, shape (2, ...).
         """
-        at = numbers(points, "points", MapError, last=2, words="x, y [m]")
-        offset = at - np.array(self.origin[:2])
-        c, s = np.cos(self.origin.yaw), np.sin(self.origin.yaw)
-        place = offset @ np.array([[c, -s], [s, c]]) / self.resolution
+        place = to_raster(points, self.origin, self.resolution)
         last = np.array(self.heights.shape[::-1]) - 1
         if not np.all((place >= -1e-9) & (place <= last + 1e-9)):
             off = ~np.all((place >= -1e-9) & (place <= last + 1e-9), axis=-1)  # NaN too
-            x, y = at[off][0]
+            x, y = np.asarray(points, float)[off][0]
             raise MapError(
                 f"({x:.2f}, {y:.2f}) lies off the height map, which covers "
                 f"{self.describe_extent()}; give a larger raster"
@@ -188,28 +172,10 @@ class HeightMap(ReadOnly):
 
     def contours(self, ax: Axes, levels: int = 8) -> Axes:
         """Draw lines of equal height [m] on matplotlib's axes, beneath everything else."""
-        across, along = np.indices(self.heights.shape) * self.resolution
-        x, y, yaw = self.origin
-        c, s = np.cos(yaw), np.sin(yaw)
-        at = x + c * along - s * across, y + s * along + c * across
-        lines = ax.contour(*at, self.heights, levels, colors="0.6", linewidths=0.7, zorder=1)
+        rows, columns = np.indices(self.heights.shape)
+        at = from_raster(np.stack([columns, rows], axis=-1), self.origin, self.resolution)
+        x, y = np.moveaxis(at, -1, 0)
+        lines = ax.contour(x, y, self.heights, levels, colors="0.6", linewidths=0.7, zorder=1)
         # on a steep slope names of all lines would lie on each other
         ax.clabel(lines, list(lines.levels)[::2], fontsize="x-small", fmt="%g m")
         return ax
-
-
-def with_weights(surfaces: SurfaceMap) -> SurfaceMap:
-    """Return surfaces whose models hold their vehicle's weight; see `effects.with_weight`.
-
-    Examples
-    --------
-    >>> from shapely import box
-    >>> from energyplan.power import PowerModel
-    >>> from energyplan.terrain import Surface, SurfaceMap
-    >>> marble = Surface(box(0, 0, 1, 1), PowerModel.preset("quadriga:empty:marble"), "marble")
-    >>> [surface] = with_weights(SurfaceMap((marble,))).surfaces
-    >>> "grade" in [term.name for term in surface.model.terms]
-    True
-    """
-    heavy = (replace(s, model=with_weight(s.model)) for s in surfaces.surfaces)
-    return replace(surfaces, surfaces=tuple(heavy))

@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import ceil
-from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
@@ -20,12 +19,9 @@ from energyplan.errors import MapError
 from energyplan.kinds import check_fields, described
 from energyplan.path import FloatArray, Path
 from energyplan.power import PowerModel
-
-if TYPE_CHECKING:
-    from energyplan.terrain.grid import OccupancyGrid
-
-FARTHEST = 1e7
-"""Largest coordinate of maps and surfaces [m]; beyond it rounding would blur collisions."""
+from energyplan.power.effects import with_weight
+from energyplan.terrain.frame import FARTHEST
+from energyplan.terrain.grid import OccupancyGrid
 
 _STRAIGHT = 1e-6
 """Turns below this are clipped as straight lines [rad]."""
@@ -268,6 +264,23 @@ class SurfaceMap:
         region = self.region_at(p[line] + middle[:, None] * d[line, 0])
         np.add.at(out, (line, region), cuts[line, place + 1] - cuts[line, place])
         return out
+
+
+def with_weights(surfaces: SurfaceMap) -> SurfaceMap:
+    """Return surfaces whose models hold their vehicle's weight; see `effects.with_weight`.
+
+    Examples
+    --------
+    >>> from shapely import box
+    >>> from energyplan.power import PowerModel
+    >>> from energyplan.terrain import Surface, SurfaceMap
+    >>> marble = Surface(box(0, 0, 1, 1), PowerModel.preset("quadriga:empty:marble"), "marble")
+    >>> [surface] = with_weights(SurfaceMap((marble,))).surfaces
+    >>> "grade" in [term.name for term in surface.model.terms]
+    True
+    """
+    heavy = (replace(s, model=with_weight(s.model)) for s in surfaces.surfaces)
+    return replace(surfaces, surfaces=tuple(heavy))
 
 
 def _rim(area: BaseGeometry) -> tuple[FloatArray, FloatArray]:

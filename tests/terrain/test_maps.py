@@ -10,8 +10,9 @@ from shapely import affinity
 
 from energyplan.errors import MapError
 from energyplan.path import Path, Pose
-from energyplan.terrain import OccupancyGrid, _distance, footprint
+from energyplan.terrain import OccupancyGrid, footprint
 from energyplan.terrain import collision as _collision
+from energyplan.terrain.updates import distance_to_blocked
 from energyplan.vehicle import Vehicle
 
 VEHICLE = Vehicle.preset("quadriga")
@@ -130,8 +131,8 @@ def test_clearance_is_exact():
         fine[2 * row : 2 * row + 3, 2 * column : 2 * column + 3] = True
     fine[[0, -1], :] = fine[:, [0, -1]] = True
     expected = ndimage.distance_transform_edt(~fine)[1::2, 1::2] / 2
-    assert np.allclose(_distance.clearance(blocked), expected, atol=1e-5)
-    assert np.allclose(_distance.clearance(np.zeros((4, 9), bool)).max(), 2.0 - 0.5)
+    assert np.allclose(distance_to_blocked(blocked), expected, atol=1e-5)
+    assert np.allclose(distance_to_blocked(np.zeros((4, 9), bool)).max(), 2.0 - 0.5)
 
 
 def test_kernels_agree_with_plain_python():
@@ -145,7 +146,7 @@ def test_kernels_agree_with_plain_python():
     assert np.array_equal(
         _collision.next_blocked.py_func(grid.blocked), _collision.next_blocked(grid.blocked)
     )
-    assert np.allclose(_distance.clearance.py_func(grid.blocked), _distance.clearance(grid.blocked))
+    assert np.allclose(distance_to_blocked.py_func(grid.blocked), distance_to_blocked(grid.blocked))
     for pose, turn in zip(poses, rng.uniform(-2, 2, 60), strict=True):
         args = (space, body, *pose, 0.4, turn, 0.1)
         assert _collision.motion_free.py_func(*args) == _collision.motion_free(*args)

@@ -21,6 +21,7 @@ from energyplan.planning.problem import objective_weights
 from energyplan.planning.scene.prices import Prices
 from energyplan.power.effects import reads_slope
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
+from energyplan.terrain.frame import from_raster
 
 BINS = 65
 """Slopes in the price tables of the kernels; odd, so that level ground is one of them."""
@@ -78,9 +79,8 @@ def _steepest(grid: OccupancyGrid, heights: HeightMap, radius: float) -> float:
     near = maximum_filter(may_be.view(np.uint8), size=2 * reach + 1, mode="constant")
     nodes = heights.heights.shape
     i, j = np.indices((nodes[0] - 1, nodes[1] - 1))
-    middle = np.stack([j + 0.5, i + 0.5], axis=-1) * heights.resolution
-    c, s = np.cos(heights.origin.yaw), np.sin(heights.origin.yaw)
-    place = grid.to_cells(middle @ np.array([[c, s], [-s, c]]) + np.array(heights.origin[:2]))
+    middle = np.stack([j + 0.5, i + 0.5], axis=-1)
+    place = grid.to_cells(from_raster(middle, heights.origin, heights.resolution))
     rows, columns = grid.shape
     beyond = np.any((place < -reach) | (place > np.array([columns, rows]) + reach), axis=-1)
     column = np.clip(place[..., 0].astype(int), 0, columns - 1)
