@@ -13,11 +13,10 @@ from typer.models import CommandInfo
 
 from energyplan.cli import (
     _fitting,
+    _interop,
     _loop,
     _mission,
     _planning,
-    _range,
-    _routes,
     _watch,
 )
 from energyplan.cli.answers import INTERRUPTED, answer, give_up_stdout, progress, warn
@@ -28,7 +27,7 @@ from energyplan.errors import EnergyPlanError, MissingDependencyError, TimeLimit
 __all__ = ["app", "main"]
 
 _COMMANDS = (
-    _fitting, _planning, _routes, _range, _mission, _loop, _watch,
+    _fitting, _planning, _interop, _mission, _loop, _watch,
 )  # fmt: skip
 """Modules that register commands when they are imported."""
 

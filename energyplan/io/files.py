@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from energyplan.errors import InvalidInputError
-from energyplan.io._yaml import load
+from energyplan.io._documents import load
 from energyplan.io.bundled import bundle
 
 _PROBE = bytes(1 << 16)  # what a place must be able to take before work for it begins

@@ -14,8 +14,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidat
 
 from energyplan.battery import Battery
 from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
-from energyplan.io._limited import beside
-from energyplan.io._yaml import Checked, Document, Loc, load, parse
+from energyplan.io._documents import Checked, Document, Loc, beside, load, parse
 from energyplan.io.amounts import amount
 from energyplan.io.bundled import bundled
 from energyplan.io.config import read_model, read_vehicle

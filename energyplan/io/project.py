@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from energyplan.errors import ConfigError, DriveLogError
-from energyplan.io._yaml import load
+from energyplan.io._documents import load
 from energyplan.io.config import ProjectFile, plain_vehicle, read_vehicle
 from energyplan.io.files import atomic_write
 from energyplan.io.topics import TopicMap

@@ -18,10 +18,8 @@ from energyplan.errors import MissionError
 from energyplan.kinds import checked
 from energyplan.mission.condition import Attempt, Condition
 from energyplan.mission.energy import Estimate
-from energyplan.mission.given_order import Course, best_course
 from energyplan.mission.legs import Legs
-from energyplan.mission.order_refinement import best_stops
-from energyplan.mission.remedies import Remedy
+from energyplan.mission.order_refinement import Course, best_course, best_stops
 from energyplan.mission.report import (
     ChargerReport,
     Doubt,
@@ -37,7 +35,7 @@ from energyplan.mission.report import (
     timeline,
 )
 from energyplan.mission.simulation import Walk
-from energyplan.mission.tasks import Charger, Spreads, Task
+from energyplan.mission.tasks import Charger, Remedy, Spreads, Task
 from energyplan.mission.types import Mission
 
 __all__ = [

@@ -11,8 +11,8 @@ import pandas as pd
 from energyplan import html
 from energyplan.errors import UnknownNameError
 from energyplan.mission.condition import Condition
-from energyplan.mission.remedies import Remedy
 from energyplan.mission.simulation import Walk
+from energyplan.mission.tasks import Remedy
 from energyplan.mission.types import Mission
 from energyplan.path import FloatArray, Path, Pose, Trajectory
 

@@ -15,8 +15,7 @@ from energyplan import html
 from energyplan.battery import BatteryModel
 from energyplan.errors import MissionError
 from energyplan.kinds import check_fields, checked, described
-from energyplan.mission.remedies import Remedy
-from energyplan.mission.tasks import Charger, Spreads, Task, checked_pose, require
+from energyplan.mission.tasks import Charger, Remedy, Spreads, Task, checked_pose, require
 from energyplan.path import Pose
 from energyplan.planning.problem import nearest_free
 from energyplan.power import PowerModel

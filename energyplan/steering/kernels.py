@@ -12,17 +12,20 @@ Contract
 ``steer_energies(starts, goals, cost, out)``
     The first one over rows of poses.
 
-Other costs are solved by `energyplan.steering.polygon`, with the same contract.
+Other costs are solved by `energyplan.steering.polygon`, with the same contract. Whoever goes along
+an arc takes its step from `arc_end`.
 """
 
 from __future__ import annotations
 
 import math
+from math import cos, sin
 from typing import NamedTuple
 
 from energyplan.compilation import inner, njit
 from energyplan.compilation.arrays import Floats, FloatTable
 from energyplan.cost.steering import StaticSteering
+from energyplan.path import Pose
 from energyplan.steering import static_words as words
 from energyplan.steering.static_words import Word, best_word
 
@@ -251,3 +254,31 @@ def steer_path(
         dtheta[i] *= side
         ds[i] = C * ds[i] + cost.lateral * dtheta[i]
     return n
+
+
+@inner
+def chord_factor(dtheta: float) -> float:
+    """Length of the chord of an arc, in units of the arc's length."""
+    half = 0.5 * dtheta
+    return sin(half) / half if half != 0.0 else 1.0
+
+
+@inner
+def arc_end(pose: Pose, ds: float, dtheta: float) -> Pose:
+    """Return where the motion ends that turns by `dtheta` over the arc length `ds`.
+
+    Parameters
+    ----------
+    pose : Pose
+        Where it starts. The arc is that of the point whose position the pose is.
+    ds, dtheta : float
+        Signed arc length [m] and signed turn [rad].
+
+    Returns
+    -------
+    Pose
+        The end; the yaw is the sum of the turns, not wrapped.
+    """
+    middle = pose.yaw + 0.5 * dtheta
+    chord = ds * chord_factor(dtheta)
+    return Pose(pose.x + chord * cos(middle), pose.y + chord * sin(middle), pose.yaw + dtheta)

@@ -7,7 +7,7 @@ from scipy.optimize import linprog
 from scipy.sparse import diags_array, vstack
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
-from energyplan.limits import _timing_kernels
+from energyplan.limits import _timing
 from energyplan.limits._timing import Course
 from energyplan.limits.economy import cheapest
 from energyplan.limits.feasibility import check
@@ -117,12 +117,12 @@ def test_phases_are_laid_alike_compiled_and_plain():
     length, cruise = rng.uniform(0.05, 2, runs), rng.uniform(0.2, 1, runs) * square[-1]
     nodes = np.append(0.0, rng.uniform(0, 0.2, runs)) * (rng.random(runs + 1) > 0.3)
     plain = nodes.copy()
-    _timing_kernels.limit_corners(square, climb, descent, length, nodes)
-    _timing_kernels.limit_corners.py_func(square, climb, descent, length, plain)
+    _timing.limit_corners(square, climb, descent, length, nodes)
+    _timing.limit_corners.py_func(square, climb, descent, length, plain)
     assert np.allclose(nodes, plain, rtol=1e-14)
     tables = square, up, down, climb, descent, length, nodes, cruise
-    run, rows = _timing_kernels.lay_phases(*tables)
-    run_plain, rows_plain = _timing_kernels.lay_phases.py_func(*tables)
+    run, rows = _timing.lay_phases(*tables)
+    run_plain, rows_plain = _timing.lay_phases.py_func(*tables)
     assert np.array_equal(run, run_plain)
     assert np.allclose(rows, rows_plain, rtol=1e-12, atol=1e-15)
     _at, rate, gain, time = rows
@@ -136,7 +136,7 @@ def test_phases_are_laid_alike_compiled_and_plain():
 def test_interpolation_is_that_of_numpy():
     known, value = np.array([0.0, 0.5, 0.5, 2.0]), np.array([1.0, 2.0, 2.0, 5.0])
     for x in (-1.0, 0.0, 0.2, 0.5, 1.1, 2.0, 3.0):
-        assert _timing_kernels.interpolate(x, known, value) == np.interp(x, known, value)
+        assert _timing.interpolate(x, known, value) == np.interp(x, known, value)
 
 
 def test_the_cheapest_acceleration_is_that_of_a_full_search():

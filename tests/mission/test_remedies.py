@@ -16,7 +16,7 @@ from worlds import tiny
 from energyplan.battery import BatteryRun
 from energyplan.errors import MissionError
 from energyplan.mission import Mission, Remedy, Spreads, Task, evaluate
-from energyplan.mission.remedies import RemedyKind
+from energyplan.mission.tasks import RemedyKind
 from energyplan.path import FloatArray, Pose
 from energyplan.power import HOTEL, PowerModel
 

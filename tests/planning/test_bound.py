@@ -18,9 +18,8 @@ from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, bound, plan
 from energyplan.planning.bound import EFFORT, corners, ends, lower_bound, one_line, outlines
 from energyplan.planning.bound.ends import MOST, NORMALS, Beyond, Section, to_gate
-from energyplan.planning.bound.gates import gate
 from energyplan.planning.bound.geodesic import Ends, ways_to_goal
-from energyplan.planning.bound.one_line import HEADINGS, Rates
+from energyplan.planning.bound.one_line import HEADINGS, Rates, gate
 from energyplan.planning.bound.outlines import DETAILS, outline, sights
 from energyplan.planning.bound.sight import Links, no_links, sight
 from energyplan.planning.bound.surface_excess import _certain_regions, least_excess, least_steps

@@ -16,7 +16,7 @@ from energyplan.planning.scene.guide import (
     distance_to_go,
 )
 from energyplan.planning.scene.motions import KernelProblem, drive
-from energyplan.steering.arcs import arc_end
+from energyplan.steering.kernels import arc_end
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
 

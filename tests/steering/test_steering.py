@@ -19,8 +19,7 @@ from energyplan.motion import Motion
 from energyplan.path import Path, Pose
 from energyplan.power import HOTEL, PowerModel, Sides, Term, tread_forces
 from energyplan.power.effects import VISCOUS_LOSS
-from energyplan.steering.arcs import arc_end
-from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy, steer_path
+from energyplan.steering.kernels import MAX_SEGMENTS, arc_end, steer_energy, steer_path
 from energyplan.steering.polygon import polygon_energies
 from energyplan.vehicle import MotorLimits, TreadICR
 

@@ -21,9 +21,8 @@ from energyplan.compilation.arrays import (
     ShortIntTable,
 )
 from energyplan.planning.bound.ends import Section, from_start, no_tables, to_end
-from energyplan.planning.bound.gates import gate
 from energyplan.planning.bound.geodesic import Ends, Ways
-from energyplan.planning.bound.one_line import HEADINGS, Rates, along_line, pass_gate
+from energyplan.planning.bound.one_line import HEADINGS, Rates, along_line, gate, pass_gate
 from energyplan.planning.bound.sight import Links, Outline, linked, side
 from energyplan.planning.scene.field import (
     angle_between,

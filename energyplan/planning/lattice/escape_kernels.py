@@ -17,7 +17,7 @@ from energyplan.compilation import inner, njit
 from energyplan.compilation.arrays import Floats, Ints, ShortInts
 from energyplan.path import Pose
 from energyplan.planning.scene.field import pop, push, slot_of
-from energyplan.steering.arcs import arc_end
+from energyplan.steering.kernels import arc_end
 from energyplan.terrain.collision import Body, Space, motion_free, pose_free
 
 KINDS = 8

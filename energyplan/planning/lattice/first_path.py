@@ -11,8 +11,7 @@ from energyplan.compilation import compile_kernels
 from energyplan.path import Path
 from energyplan.planning.budget import Budget, side_by_side
 from energyplan.planning.lattice import search_kernels as kernels
-from energyplan.planning.lattice.bounding import Bounding
-from energyplan.planning.lattice.portfolio import Portfolio
+from energyplan.planning.lattice.portfolio import Bounding, Portfolio
 from energyplan.planning.lattice.search import Search, lattice_for
 from energyplan.planning.lattice.slots import way_through_slots
 from energyplan.planning.lattice.tight_ends import Ends, ways_out

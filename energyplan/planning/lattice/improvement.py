@@ -11,9 +11,8 @@ import numpy as np
 
 from energyplan.planning.budget import PACE, Budget, Work, do_together
 from energyplan.planning.lattice import search_kernels as kernels
-from energyplan.planning.lattice.bounding import Bounding
 from energyplan.planning.lattice.first_path import FIRST_WEIGHT, PENALTY, FirstPath
-from energyplan.planning.lattice.portfolio import Portfolio
+from energyplan.planning.lattice.portfolio import Bounding, Portfolio
 from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.lattice.search import EXPANSION, Search, lattice_for
 from energyplan.planning.lattice.slots import slot_work

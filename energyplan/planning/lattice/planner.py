@@ -27,9 +27,8 @@ from energyplan.kinds import checked
 from energyplan.path import FloatArray, Path
 from energyplan.planning.budget import Budget, Work, do_together
 from energyplan.planning.contract import Candidate
-from energyplan.planning.lattice.bounding import Bounding
 from energyplan.planning.lattice.improvement import Improvement, is_length
-from energyplan.planning.lattice.portfolio import SAME
+from energyplan.planning.lattice.portfolio import SAME, Bounding
 from energyplan.planning.lattice.stops import SHARE, least_driven, stops_count, stops_of
 from energyplan.planning.lattice.tight_ends import ways_out
 from energyplan.planning.problem import PlanningProblem, objective_weights

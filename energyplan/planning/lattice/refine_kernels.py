@@ -15,8 +15,7 @@ from energyplan.compilation import inner, njit
 from energyplan.compilation.arrays import Flags, Floats, FloatTable, Words
 from energyplan.path import Pose
 from energyplan.planning.scene.motions import KernelProblem, join, motion_cost
-from energyplan.steering.arcs import arc_end
-from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy
+from energyplan.steering.kernels import MAX_SEGMENTS, arc_end, steer_energy
 
 HOPELESS = 8
 """Poses in a row from which no shortcut is free, after which those before are not tried."""

@@ -22,7 +22,7 @@ from energyplan.planning.scene.motions import (
     motion_cost,
     price,
 )
-from energyplan.steering.arcs import arc_end
+from energyplan.steering.kernels import arc_end
 from energyplan.terrain.collision import in_cells, motion_free
 
 RUNNING, FOUND, EXHAUSTED, FULL = 0, 1, 2, 3

@@ -24,7 +24,7 @@ from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.motions import KernelProblem, motion_cost, steering_cost
-from energyplan.steering.arcs import arc_end
+from energyplan.steering.kernels import arc_end
 from energyplan.terrain.collision import motion_free
 
 TURN = 0.2

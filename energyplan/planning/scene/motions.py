@@ -23,8 +23,13 @@ from energyplan.compilation import inner, njit
 from energyplan.compilation.arrays import READONLY, ByteTable, Floats, FloatTable
 from energyplan.cost.steering import StaticSteering
 from energyplan.path import Pose
-from energyplan.steering.arcs import arc_end, chord_factor
-from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy, steer_path
+from energyplan.steering.kernels import (
+    MAX_SEGMENTS,
+    arc_end,
+    chord_factor,
+    steer_energy,
+    steer_path,
+)
 from energyplan.terrain.collision import Body, Space, in_cells, motion_free
 
 DIRECTIONS = 128
