@@ -56,13 +56,15 @@ class GuessedLegs(Legs):
 
     def _route(self, start: int, goal: int, hurried: bool) -> Route:
         here, there = self.poses[start], self.poses[goal]
+        first, last = self._plan_between(start, goal)
         way, back = (here, there, hurried), (there, here, hurried)
-        if here == there or way in self._routes:
+        planned = self.poses[first], self.poses[last], hurried
+        if here == there or way in self._routes or planned in self._routes:
             return super()._route(start, goal, hurried)
         if way not in self._guessed:
             cost, _ = self.cost(self.mission.payload)
-            if not (self._symmetric and (back in self._guessed or back in self._routes)):
-                self.wanted.append((*self._plan_between(start, goal), hurried))
+            if not (self._symmetric and back in self._guessed):
+                self.wanted.append((first, last, hurried))
             self._guessed[way] = Route(steering.path(here, there, cost))
         return self._guessed[way]
 

@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 from energyplan.battery import Battery
 from energyplan.errors import MissionError
 from energyplan.mission import Charger, Mission, MissionReport, Spreads, Task, evaluate
-from energyplan.mission.foresight import routes_wanted
+from energyplan.mission.foresight import GuessedLegs, routes_wanted
+from energyplan.mission.legs import Legs
 from energyplan.path import Pose
 from energyplan.power import HOTEL, PowerModel, Residual
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
@@ -527,3 +528,20 @@ def test_a_mission_is_the_same_after_one_the_other_way() -> None:
     hall = OccupancyGrid(cells, 0.2)
     one_after_the_other = [told(hall, *pair) for pair in (ends, ends[::-1])]
     assert one_after_the_other == alone
+
+
+def test_the_way_back_of_a_known_route_is_not_guessed() -> None:
+    cells = np.zeros((60, 60), bool)
+    cells[20:24, :40] = True  # without it the way is a straight line
+    asked = Mission(
+        PowerModel.preset("quadriga:empty:marble"), OccupancyGrid(cells, 0.2),
+        Battery.preset("quadriga"), Pose(1.5, 1.5, 0.0), (Task("there", Pose(1.5, 10.5, 0.0)),),
+        confidence=0.5, planning_effort=150,
+    )  # fmt: skip
+    [(first, last, hurried)] = routes_wanted(asked)
+    assert not GuessedLegs(asked).leg(last, first, 0.0).path.length > 12.0
+    Legs(asked).leg(first, last, 0.0)
+    legs = GuessedLegs(asked)
+    assert legs.leg(last, first, 0.0).path.length > 12.0
+    assert (hurried, legs.wanted) == (False, [])
+    assert legs.planned(last, first)

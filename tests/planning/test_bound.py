@@ -20,7 +20,7 @@ from energyplan.planning.bound import EFFORT, corners, ends, lower_bound, one_li
 from energyplan.planning.bound.ends import MOST, NORMALS, Beyond, Section, to_gate
 from energyplan.planning.bound.geodesic import Ends, ways_to_goal
 from energyplan.planning.bound.one_line import HEADINGS, Rates, gate
-from energyplan.planning.bound.outlines import DETAILS, outline, sights
+from energyplan.planning.bound.outlines import DETAILS, _sights, sights
 from energyplan.planning.bound.sight import Links, no_links, sight
 from energyplan.planning.bound.surface_excess import _certain_regions, least_excess, least_steps
 from energyplan.planning.contract import ROUNDING
@@ -35,6 +35,11 @@ from energyplan.terrain.collision import Body
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 SPACING = 2 * np.pi / HEADINGS
 MAPS = pathlib.Path(__file__).resolve().parents[2] / "maps"
+
+
+def outline(grid, radius, detail=DETAILS[0]):
+    """Return an outline that was drawn for this call alone."""
+    return _sights(grid, radius, detail).outline
 
 
 def nearly_a_point(metre, radian, half_track=0.01, size=0.05):

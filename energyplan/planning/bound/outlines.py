@@ -119,28 +119,6 @@ def sights(grid: OccupancyGrid, radius: float, detail: Detail) -> Sights:
     return tables_of(grid.space).get(key, lambda: _sights(grid, radius, detail), update)
 
 
-def outline(grid: OccupancyGrid, radius: float, detail: Detail = DETAILS[0]) -> Outline:
-    """Return an outline that lies within the obstacles grown by `radius`, and its convex corners.
-
-    It is simplified, which moves it by at most a tolerance, so the obstacles grow by that less.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        The map.
-    radius : float
-        Radius of the disc [m].
-    detail : Detail
-        How finely to draw it.
-
-    Returns
-    -------
-    Outline
-        The corners and edges, in the world.
-    """
-    return _sights(grid, radius, detail).outline
-
-
 def _sights(
     grid: OccupancyGrid,
     radius: float,

@@ -20,7 +20,7 @@ BOUND_FIRST = 250
 """Units of work for the bound in the first round; four times as many in every other one since."""
 
 BOUND_WORTH = 1e-3
-"""Part by which a step must raise the bound for another one in the next rounds to be worth its work."""
+"""Part by which a step must raise the bound for another one in the next rounds to be worth it."""
 
 BOUND_FAIR = 1000
 """Units of work below which a step is not judged by that."""
