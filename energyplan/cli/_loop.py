@@ -294,12 +294,10 @@ def design(
 
 
 def _document(file: Path) -> dict[str, Any]:
-    try:
-        found = jsonlib.loads(file.read_text(encoding="utf-8"))
-    except OSError as problem:
-        raise InvalidInputError(f"{file} cannot be read: {problem.strerror}") from None
-    except ValueError:
-        found = None
+    from energyplan.io.documents import MAX_JSON, read_json
+
+    remedy = "give what diagnose --json printed"
+    found = read_json(file, MAX_JSON, InvalidInputError, remedy)
     if not isinstance(found, dict):
-        raise InvalidInputError(f"{file} is no JSON document; give what diagnose --json printed")
+        raise InvalidInputError(f"{file} is no JSON document; {remedy}")
     return found

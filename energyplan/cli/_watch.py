@@ -118,7 +118,7 @@ def watch(
 
 def _number(option: str, kind: str, text: str) -> float:
     """Return the amount that an option gives."""
-    from energyplan.io.amounts import UNITS, amount
+    from energyplan.io.documents import UNITS, amount
 
     try:
         return float(amount(kind, text))

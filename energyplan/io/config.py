@@ -13,7 +13,7 @@ import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from energyplan.errors import ConfigError, InvalidInputError, ModelError, UnknownNameError
-from energyplan.io._documents import Checked, Document, load
+from energyplan.io.documents import Checked, Document, load
 from energyplan.io.files import atomic_write, is_file
 from energyplan.kinds import checked
 from energyplan.path import FloatArray

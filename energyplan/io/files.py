@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from energyplan.errors import InvalidInputError
-from energyplan.io._documents import load
 from energyplan.io.bundled import bundle
+from energyplan.io.documents import load
 
 _PROBE = bytes(1 << 16)  # what a place must be able to take before work for it begins
 _LARGEST_JSON = 1 << 25  # bytes of a file of surfaces that is searched for names of files

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from energyplan.errors import MissionError
 from energyplan.fleet import Fleet, Robot
-from energyplan.io._documents import Checked, Document, Loc, load
+from energyplan.io.documents import Checked, Document, Loc, load
 from energyplan.io.mission import MissionReader
 from energyplan.kinds import checked
 from energyplan.mission import Mission

@@ -12,7 +12,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from energyplan.errors import EnergyPlanError, MapError
-from energyplan.io._documents import beside, read_features
+from energyplan.io.documents import beside, read_features
 from energyplan.io.files import atomic_write
 from energyplan.kinds import checked
 from energyplan.power import PowerModel

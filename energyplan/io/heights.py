@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from energyplan.errors import MapError
-from energyplan.io._documents import read_bytes
+from energyplan.io.documents import read_bytes
 from energyplan.kinds import checked
 from energyplan.path import Pose
 from energyplan.terrain.grid import MAX_CELLS

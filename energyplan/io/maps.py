@@ -15,7 +15,7 @@ from PIL import Image, UnidentifiedImageError
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from energyplan.errors import MapError
-from energyplan.io._documents import Checked, beside, load, read_bytes
+from energyplan.io.documents import Checked, beside, load, read_bytes
 from energyplan.io.files import atomic_write
 from energyplan.io.geojson import read_obstacles
 from energyplan.kinds import checked

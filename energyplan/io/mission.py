@@ -14,10 +14,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidat
 
 from energyplan.battery import Battery
 from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
-from energyplan.io._documents import Checked, Document, Loc, beside, load, parse
-from energyplan.io.amounts import amount
 from energyplan.io.bundled import bundled
 from energyplan.io.config import read_model, read_vehicle
+from energyplan.io.documents import Checked, Document, Loc, amount, beside, load, parse
 from energyplan.io.files import is_file
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.heights import read_heights

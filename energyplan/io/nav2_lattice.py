@@ -12,7 +12,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from energyplan.errors import MapError
-from energyplan.io._documents import read_bytes
+from energyplan.io.documents import read_bytes
 from energyplan.io.files import atomic_write
 from energyplan.path import Path as Motion
 from energyplan.path import Pose, wrap_angle

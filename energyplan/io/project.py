@@ -11,8 +11,8 @@ from typing import Any
 import yaml
 
 from energyplan.errors import ConfigError, DriveLogError
-from energyplan.io._documents import load
 from energyplan.io.config import ProjectFile, plain_vehicle, read_vehicle
+from energyplan.io.documents import load
 from energyplan.io.files import atomic_write
 from energyplan.io.topics import TopicMap
 from energyplan.logs.columns import Column, column_from

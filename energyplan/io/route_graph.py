@@ -12,7 +12,7 @@ import networkx as nx
 import numpy as np
 
 from energyplan.errors import MapError
-from energyplan.io._documents import read_features
+from energyplan.io.documents import read_features
 from energyplan.io.files import atomic_write
 
 RouteGraph = Any

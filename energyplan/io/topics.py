@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from energyplan.errors import ConfigError, UnknownNameError
-from energyplan.io._documents import Checked, Document, Loc, load
+from energyplan.io.documents import Checked, Document, Loc, load
 
 _FIELD = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)\s*(?:\[([^\[\]]+)\])?\Z")
 

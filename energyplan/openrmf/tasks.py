@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from energyplan.errors import MissionError
+from energyplan.io.documents import read_bytes
 
 _MAX_BYTES = 1 << 20
 _KINDS = "patrol, delivery, compose, go_to_place"
@@ -41,13 +42,7 @@ def read_requests(path: str | Path) -> list[dict[str, Any]]:
     ['patrol']
     """
     file = Path(path)
-    try:
-        with file.open("rb") as stream:
-            content = stream.read(_MAX_BYTES + 1)
-    except OSError as problem:
-        raise MissionError(f"{file} cannot be read: {problem.strerror or problem}") from None
-    if len(content) > _MAX_BYTES:
-        raise MissionError(f"{file} is larger than {_MAX_BYTES >> 10} KiB; that is no task list")
+    content = read_bytes(file, _MAX_BYTES, MissionError, "that is no task list")
     try:
         text = content.decode("utf-8-sig")
         try:

@@ -13,7 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from energyplan.errors import EnergyPlanError, MapError
+from energyplan.errors import ConfigError, EnergyPlanError, MapError
+from energyplan.io.documents import read_json
 from energyplan.io.geojson import read_surfaces, write_surfaces
 from energyplan.io.maps import read_map, write_map
 from energyplan.path import Pose
@@ -268,6 +269,21 @@ def test_missing_and_strange_files(tmp_path):
         read_map(tmp_path / "folder.yaml")
     with pytest.raises(MapError, match="cannot be read: embedded null"):
         read_map("a\0.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[" * 100_000, "no JSON"),
+        ("[1", "no JSON"),
+        ("[" + 200_000 * " " + "]", "larger than 128 KiB"),
+    ],
+)
+def test_json_of_any_depth_and_size_is_refused_by_name(tmp_path, text, told):
+    file = tmp_path / "report.json"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=rf"report\.json is {told}.*; give another"):
+        read_json(file, 1 << 17, ConfigError, "give another")
 
 
 FUZZ = settings(

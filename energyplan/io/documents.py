@@ -1,6 +1,6 @@
-"""Files that may be hostile: bounded size, and nothing outside their folder.
+"""What files hold that may be hostile: bounded size, nothing outside their folder.
 
-Complaints about a YAML document name its line.
+Complaints about a YAML document name its line. An amount may have a unit.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import json
 import re
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
+from math import radians
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any, TypeVar, get_args
 
@@ -17,11 +18,16 @@ from pydantic import BaseModel, ValidationError, ValidationInfo, field_validator
 
 from energyplan.errors import InvalidInputError, MapError
 
-MAX_TEXT = 2**26
-"""Largest GeoJSON file that is read [bytes]."""
+MAX_JSON = 2**26
+"""Largest JSON file that is read [bytes]."""
 
 
-def read_bytes(file: Path, limit: int) -> bytes:
+def read_bytes(
+    file: Path,
+    limit: int,
+    error: type[InvalidInputError] = MapError,
+    remedy: str = "crop or coarsen it",
+) -> bytes:
     """Return a file's content.
 
     Parameters
@@ -30,6 +36,10 @@ def read_bytes(file: Path, limit: int) -> bytes:
         The file.
     limit : int
         Largest size [bytes].
+    error : type
+        Error to raise.
+    remedy : str
+        What to do about a larger file.
 
     Returns
     -------
@@ -38,19 +48,27 @@ def read_bytes(file: Path, limit: int) -> bytes:
 
     Raises
     ------
-    MapError
-        If it cannot be read or is larger.
+    InvalidInputError
+        As the given `error`: it cannot be read, or is larger.
     """
     try:
         with file.open("rb") as stream:
             content = stream.read(limit + 1)
-    except OSError as error:
-        raise MapError(f"{file}: cannot be read: {error.strerror or error}") from None
-    except ValueError as error:
-        raise MapError(f"{str(file)!r}: no usable file name: {error}") from None
+    except (OSError, ValueError) as problem:
+        reason = getattr(problem, "strerror", None) or problem
+        raise error(f"{str(file)!r} cannot be read: {reason}") from None
     if len(content) > limit:
-        raise MapError(f"{file}: larger than {limit} bytes; crop or coarsen it")
+        raise error(f"{file} is larger than {limit >> 10} KiB; {remedy}")
     return content
+
+
+def read_json(file: Path, limit: int, error: type[InvalidInputError], remedy: str) -> Any:
+    """Return what a JSON file holds; parameters and errors as in `read_bytes`."""
+    content = read_bytes(file, limit, error, remedy)
+    try:
+        return json.loads(content)
+    except (ValueError, RecursionError) as problem:
+        raise error(f"{file} is no JSON: {problem}; {remedy}") from None
 
 
 def beside(file: Path, key: str, name: str) -> Path:
@@ -113,11 +131,7 @@ def read_features(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     MapError
         If it is not a GeoJSON FeatureCollection; the message names the feature.
     """
-    content = read_bytes(file, MAX_TEXT)
-    try:
-        document = json.loads(content)
-    except (ValueError, RecursionError) as error:
-        raise MapError(f"{file}: not valid JSON: {error}; give a GeoJSON file") from None
+    document = read_json(file, MAX_JSON, MapError, "give a GeoJSON file of a part of it")
     features = document.get("features") if isinstance(document, dict) else None
     if not isinstance(document, dict) or not isinstance(features, list):
         raise MapError(f"{file}: give a GeoJSON FeatureCollection with a list of features")
@@ -141,6 +155,8 @@ _MAX_DEPTH = 40
 _TEXT = re.compile(r"[-+]?0[0-9_]+|[-+]?[0-9_]+(:[0-9_.]+)+|[0-9]{4}-[0-9][0-9]?-[0-9].*")
 """What YAML 1.1 takes for a number of base 8 or 60, or for a date; it stays what is written."""
 _PLAIN = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
+
+NO_CONFIGURATION = "that is no configuration"
 
 Loc = tuple[int | str, ...]
 M = TypeVar("M", bound=BaseModel)
@@ -257,26 +273,20 @@ def load(path: str | Path, error: type[InvalidInputError]) -> Document:
         As the given `error`: the file is missing, too large, no YAML, or names a key twice.
     """
     file = Path(path)
-    try:
-        with file.open("rb") as stream:
-            content = stream.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as problem:
-        reason = problem.strerror if isinstance(problem, OSError) else problem
-        raise error(f"{str(file)!r} cannot be read: {reason}") from None
-    return parse(content, file.name, error)
+    return parse(read_bytes(file, MAX_BYTES, error, NO_CONFIGURATION), file.name, error)
 
 
 def parse(content: bytes | str, source: str, error: type[InvalidInputError]) -> Document:
     """Parse one YAML document that holds a mapping; as `load`, from memory."""
     if len(content) > MAX_BYTES:
-        raise error(f"{source} is larger than {MAX_BYTES >> 10} KiB; that is no configuration")
+        raise error(f"{source} is larger than {MAX_BYTES >> 10} KiB; {NO_CONFIGURATION}")
     lines: dict[Loc, int] = {}
     builder = _Builder(source, error, lines)
     try:
         root = yaml.compose(content, Loader=yaml.SafeLoader)
         data = None if root is None else builder.build(root, ())
     except RecursionError:
-        raise error(f"{source} is nested too deeply; that is no configuration") from None
+        raise error(f"{source} is nested too deeply; {NO_CONFIGURATION}") from None
     except yaml.MarkedYAMLError as problem:
         mark = problem.problem_mark
         line = "" if mark is None else f", line {mark.line + 1}"
@@ -332,3 +342,53 @@ class _Builder:
             self._lines[(*loc, key)] = line
             found[key] = self.build(item, (*loc, key))
         return found
+
+
+UNITS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "min": 60.0, "h": 3600.0},
+    "power": {"W": 1.0, "kW": 1e3},
+    "charge": {"C": 1.0, "Ah": 3600.0},
+    "energy": {"J": 1.0, "Wh": 3600.0, "kWh": 3.6e6},
+    "mass": {"kg": 1.0, "g": 1e-3},
+    "fraction": {"%": 0.01},
+    "speed": {"m/s": 1.0, "km/h": 1 / 3.6},
+    "temperature": {"C": 1.0},
+    "angle": {"rad": 1.0, "deg": radians(1.0)},
+}
+_AMOUNT = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z/%]*)\s*")
+
+
+def amount(kind: str, value: Any) -> Any:
+    """Read ``5 min``, ``20 %`` or a plain number in SI units.
+
+    Parameters
+    ----------
+    kind : str
+        What it is an amount of: a key of `UNITS`.
+    value : object
+        What a file or a person gave.
+
+    Returns
+    -------
+    object
+        The number in SI units; what is no number with a unit comes back as it is.
+
+    Raises
+    ------
+    ValueError
+        If it has a unit of something else.
+
+    Examples
+    --------
+    >>> amount("time", "5 min"), amount("fraction", 0.2)
+    (300.0, 0.2)
+    """
+    if not isinstance(value, str):
+        return value
+    found = _AMOUNT.fullmatch(value)
+    units = UNITS[kind]
+    if value == "inf" or found is None:
+        return value
+    if found[2] and found[2] not in units:
+        raise ValueError(f"the unit of a {kind} is one of {', '.join(units)}, or none for SI")
+    return float(found[1]) * units.get(found[2], 1.0)
