@@ -20,16 +20,15 @@ from energyplan.path import FloatArray, Trajectory
 from energyplan.physics.design import Explanation, design
 from energyplan.physics.driving import Driven, drive
 from energyplan.physics.engine import require_mujoco
-from energyplan.physics.learning import (
-    Found,
+from energyplan.physics.interval import (
     Steered,
     asked_energy,
     interval,
-    learn,
     overhead,
     ratio,
     retold,
 )
+from energyplan.physics.learning import Found, learn
 from energyplan.physics.robot import Ground, Robot
 from energyplan.physics.sensors import Sensors
 from energyplan.planning import Plan, PlanningProblem, plan

@@ -75,7 +75,7 @@ LIBRARY = (
     "limits.feasibility", "limits.speed", "live", "logs", "mission", "openrmf", "output.plots",
     "output.report", "path", "physics", "planning", "planning.ompl", "planning.roadmap", "power",
     "power.effects", "ros", "serve", "simulate", "steering", "studies", "terrain", "vehicle",
-    "physics.design", "physics.learning", "physics.manoeuvres",
+    "physics.design", "physics.interval", "physics.manoeuvres",
     "planning.replanning", "planning.roadmap.planned",
     "studies.comparison", "studies.control_set", "studies.doubt",
 )  # fmt: skip
