@@ -184,6 +184,28 @@ def test_joules_of_another_size_scale_the_bound(factor):
     assert list(bound(factor)) == pytest.approx(list(bound(1.0)), rel=1e-6)
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_in_a_mirror_or_turned_round_the_bound_is_the_same(seed):
+    grid = cluttered(seed)
+    width, height = grid.size
+    cells = np.array(grid.occupied)
+    images = [
+        (cells, lambda x, y, yaw: (x, y, yaw)),
+        (cells[::-1], lambda x, y, yaw: (x, height - y, -yaw)),
+        (cells[:, ::-1], lambda x, y, yaw: (width - x, y, np.pi - yaw)),
+        (cells.T, lambda x, y, yaw: (y, x, np.pi / 2 - yaw)),
+        (cells[::-1, ::-1], lambda x, y, yaw: (width - x, height - y, yaw + np.pi)),
+    ]
+    poses = free_poses(grid, 4, seed, COST.vehicle)
+    for pair in zip(poses[::2], poses[1::2], strict=True):
+        values = []
+        for seen, image in images:
+            ends = (image(*pose) for pose in pair)
+            problem = PlanningProblem(OccupancyGrid(seen, grid.resolution), COST, *ends)
+            values.append(lower_bound(CompiledProblem(problem), 1e4).value)
+        assert values == pytest.approx([values[0]] * len(images), rel=1e-9)
+
+
 def test_bound_is_close_around_one_pillar():
     occupied = np.zeros((200, 300), bool)
     occupied[60:140, 140:160] = True
@@ -725,6 +747,26 @@ def test_straight_across_a_dear_strip_hardly_a_joule_is_missing(friction):
     # up to six cells at the edges are not sure to be dear
     assert straight - 6 * 0.1 * 2 * (113.0 - 90.0) - 1e-6 <= found.value <= straight * (1 + 1e-9)
     assert found.final
+
+
+@pytest.mark.parametrize(("lateral", "reach"), [(0.0, 1), (0.08, 2), (0.15, 3)])
+@pytest.mark.parametrize("edge", [8.0, 8.05])
+def test_of_a_dear_strip_all_is_charged_but_what_may_touch_its_edges(lateral, reach, edge):
+    """At each edge the cells that it touches, and as many as the treads reach aside and one."""
+    marble, dear = (PowerModel.preset(f"quadriga:empty:{g}") for g in ("marble", "concrete"))
+    icr = replace(dear.vehicle.icr, left=dear.vehicle.icr.right + 2 * lateral)
+    marble, dear = (replace(m, vehicle=replace(m.vehicle, icr=icr)) for m in (marble, dear))
+    grid = OccupancyGrid(np.zeros((100, 200), bool), 0.1)
+    cheap = shapely.difference(shapely.box(-1, -1, 21, 11), shapely.box(edge, -2, edge + 4, 12))
+    ends = (2.0, 5.0, 0.0), (18.0, 5.0, 0.0)
+    surfaces = SurfaceMap((Surface(cheap, marble),))
+    query = CompiledProblem(PlanningProblem(grid, EnergyCost(dear), *ends, surfaces))
+    touched = 1 if edge == 8.0 else 0.5  # half a cell of the strip, where the edge crosses it
+    charged = 4.0 - 2 * 0.1 * (reach + touched)
+    per_metre = 2.0 * float(
+        dear.coefficient("traction_resistance") - marble.coefficient("traction_resistance")
+    )
+    assert least_excess(query, 0.3, 1e6) == pytest.approx(charged * per_metre)
 
 
 def test_a_dear_strip_with_a_way_around_it_is_not_charged():
