@@ -12,14 +12,19 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Annotated, Any, TypeVar
 
+import numba
+import numpy as np
 import pytest
+from numpy.typing import NDArray
+from typing_extensions import TypeAliasType
 
 import energyplan
 from energyplan import cli
 from energyplan.compilation import cache_folder, kernel_modules
 from energyplan.compilation.cache import source_digest
-from energyplan.compilation.kernel import KERNELS
+from energyplan.compilation.kernel import KERNELS, _numba_type
 from energyplan.compilation.pool import Pool
 
 PACKAGE = Path(energyplan.__file__).parent
@@ -361,7 +366,7 @@ def test_an_error_ends_the_others_at_once(many: Path, tmp_path: Path) -> None:
 CODE = """
 import hashlib
 from energyplan.compilation import shortcuts
-from energyplan.compilation.kernel import KERNELS
+from energyplan.compilation.kernel import KERNELS, _numba_type
 shortcuts.TRIED = {tried}
 import energyplan.limits.motor_kernels
 for kernel in [k for name, k in KERNELS.items() if name.endswith({kernels})]:
@@ -495,6 +500,19 @@ def test_every_kernel_has_one_signature() -> None:
     assert [kernel.name for kernel in KERNELS.values() if kernel.declared is None] == []
 
 
+@pytest.mark.parametrize("number", [np.float64, np.float32, np.int8, np.bool_])
+def test_annotations_mean_the_same_with_each_kind_of_alias(number: type[np.generic]) -> None:
+    """`NDArray` has become an alias by the ``type`` statement, where Python has that."""
+    number_type = TypeVar("number_type", bound=np.generic)
+    of_statement = TypeAliasType(
+        "Array", np.ndarray[Any, np.dtype[number_type]], type_params=(number_type,)
+    )
+    plain = np.ndarray[Any, np.dtype[number]]
+    expected = numba.types.Array(numba.np.numpy_support.from_dtype(np.dtype(number)), 2, "C")
+    for array in (NDArray[number], plain, of_statement[number]):
+        assert _numba_type(Annotated[array, 2]) == expected
+
+
 def test_warmup_compiles_and_tells_what(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -519,7 +537,7 @@ import numpy as np
 import shapely
 import energyplan as ep
 from numba.core import event
-from energyplan.compilation.kernel import KERNELS
+from energyplan.compilation.kernel import KERNELS, _numba_type
 from energyplan.mission.legs import compiling
 from energyplan.planning import ready
 from energyplan.planning.lattice.many_goals import energies

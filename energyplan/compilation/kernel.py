@@ -252,7 +252,8 @@ def _numba_type(annotation: Any) -> Any:
     if get_origin(annotation) is Annotated:
         array, *about = get_args(annotation)
         if about and isinstance(about[0], int):
-            dtype = np.dtype(get_args(get_args(array)[1])[0])
+            number = get_args(array)[-1]  # of an alias from NumPy 2.5 on, before that of a dtype
+            dtype = np.dtype(*(get_args(number) or [number]))
             array_of: Any = types.Array
             return array_of(
                 numpy_support.from_dtype(dtype),

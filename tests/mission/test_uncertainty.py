@@ -65,9 +65,11 @@ def test_each_unknown_costs_what_its_spread_says() -> None:
             assert report.energy_upper == pytest.approx(report.energy, rel=1e-6)
 
 
-def test_health_and_temperature_count_by_what_the_battery_then_holds() -> None:
+@pytest.mark.parametrize("health", [0.8, 0.97, 1.0])
+def test_health_and_temperature_count_by_what_the_battery_then_holds(health: float) -> None:
+    """What it holds is in proportion to its health, which is never better than new."""
     pack = replace(
-        tiny(1e5), health=0.8, temperature=0.0, derating_temperature=np.array([-20.0, 20.0]),
+        tiny(1e5), health=health, temperature=0.0, derating_temperature=np.array([-20.0, 20.0]),
         derating_factor=np.array([0.5, 0.9]),
     )  # fmt: skip
     asked = corridor(
@@ -75,7 +77,7 @@ def test_health_and_temperature_count_by_what_the_battery_then_holds() -> None:
         spreads=replace(Spreads.none(), health=0.04, temperature=7.0), coefficient_spread=1e-9,
     )  # fmt: skip
     told = {doubt.source: doubt.energy for doubt in evaluate(asked).uncertainty}
-    assert told["health of the battery"] == pytest.approx(0.05 * 40 * METRE, rel=1e-3)
+    assert told["health of the battery"] == pytest.approx(0.04 / health * 40 * METRE, rel=1e-3)
     assert told["temperature of the battery"] == pytest.approx(0.1 * 40 * METRE, rel=1e-3)
 
 
