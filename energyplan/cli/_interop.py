@@ -273,10 +273,7 @@ def rmf(
         Path | None,
         typer.Option("--map", help="Also measure how wrong Open-RMF's estimate is on this map."),
     ] = None,
-    surfaces: Annotated[
-        Path | None,
-        typer.Option(help="Areas of other ground: GeoJSON polygons, each with a model."),
-    ] = None,
+    surfaces: Surfaces = None,
     routes: Annotated[
         int, typer.Option(min=4, help="Number of random routes to measure the error on.")
     ] = 20,

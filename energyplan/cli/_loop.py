@@ -84,10 +84,7 @@ def drive(
     effect: Effects = None,
     hidden: Hidden = None,
     truth: Truth = None,
-    surfaces: Annotated[
-        Path | None,
-        typer.Option(help="Areas of other ground: GeoJSON polygons, each with a model."),
-    ] = None,
+    surfaces: Surfaces = None,
     heights: Annotated[
         Path | None, typer.Option(help="Heights of the ground: an ESRI ASCII grid.")
     ] = None,

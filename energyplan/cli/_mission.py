@@ -19,6 +19,13 @@ from energyplan.errors import InvalidInputError
 if TYPE_CHECKING:
     from energyplan.mission import Mission
 
+EachEffort = Annotated[
+    int | None,
+    typer.Option(
+        help="Work to spend on each route instead of time: the same answer on any machine."
+    ),
+]
+
 
 @app.command(
     name="range",
@@ -193,12 +200,7 @@ def mission(
         str | None, typer.Option(help="What must be left at the end. Default: 20 %.")
     ] = None,
     back: Annotated[bool, typer.Option("--return", help="Return to the start.")] = False,
-    effort: Annotated[
-        int | None,
-        typer.Option(
-            help="Work to spend on each route instead of time: the same answer on any machine."
-        ),
-    ] = None,
+    effort: EachEffort = None,
     report: Report = None,
     trajectories: Annotated[
         Path | None,
@@ -285,12 +287,7 @@ def fleet(
             help="Suppose that this robot fails at this time [s]: who takes over?",
         ),
     ] = None,
-    effort: Annotated[
-        int | None,
-        typer.Option(
-            help="Work to spend on each route instead of time: the same answer on any machine."
-        ),
-    ] = None,
+    effort: EachEffort = None,
     json: Json = False,
     strict: Strict = False,
 ) -> None:

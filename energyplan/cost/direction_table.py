@@ -70,6 +70,12 @@ def element_energy(
 SPECIAL = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1)], float)
 """Special directions (x, y): straight, spin left and right, then the pivots."""
 
+MOST_CORNERS = 40
+"""Largest number of corners of the cheapest mixtures for either turning direction."""
+
+OUTSIDE = 1e-7
+"""Fraction by which a corner that is left out may lie outside of the others."""
+
 
 @dataclass(frozen=True)
 class DirectionTable:
@@ -135,13 +141,8 @@ class DirectionTable:
             equal and pivot >= straight * (1 - 1e-9) and np.all(self.values >= least * (1 - 1e-9))
         )
 
-    def corners(self, most: int = 40) -> Corners:
+    def corners(self) -> Corners:
         """Return the corners of the cheapest mixtures.
-
-        Parameters
-        ----------
-        most : int
-            Largest number of corners for either turning direction.
 
         Returns
         -------
@@ -151,7 +152,7 @@ class DirectionTable:
         """
         points = self.directions / self.values[:, None]
         points[len(SPECIAL) :] *= 1.0 - 1e-12  # special directions win ties
-        chosen, error = _simplify(_convex_hull(points), most)
+        chosen, error = _simplify(_convex_hull(points))
         turns = np.abs(chosen[:, 1]) > 1e-9 * np.abs(chosen[:, 0])
         left, right = (chosen[turns & (side * chosen[:, 1] > 0)] for side in (1, -1))
         return Corners(left, right, error)
@@ -261,12 +262,12 @@ def scan_ratios(even: int) -> FloatArray:
     return np.concatenate([[0.0], inner, [1.0]])
 
 
-def _simplify(hull: FloatArray, most: int, tolerance: float = 1e-7) -> tuple[FloatArray, float]:
+def _simplify(hull: FloatArray) -> tuple[FloatArray, float]:
     """Drop vertices of a convex polygon about the origin; return the rest and the error made.
 
     The error is the largest fraction by which a dropped vertex lies outside of what is left. The
-    vertex that lies farthest outside is taken back first, until none lies outside by more than the
-    tolerance, or `most` of a turning direction are kept.
+    vertex that lies farthest outside is taken back first, until none lies outside by more than
+    `OUTSIDE`, or `MOST_CORNERS` of a turning direction are kept.
     """
     # Vertices in special directions stay: the motions there are simple, and both halves alike.
     x, y = np.abs(hull.T)
@@ -297,8 +298,8 @@ def _simplify(hull: FloatArray, most: int, tolerance: float = 1e-7) -> tuple[Flo
     while waiting:
         excess, i, middle, j = heappop(waiting)
         half = float(side[middle % n])
-        full = half != 0.0 and count[half] >= most
-        if -excess <= tolerance or (full and np.isfinite(excess)):
+        full = half != 0.0 and count[half] >= MOST_CORNERS
+        if -excess <= OUTSIDE or (full and np.isfinite(excess)):
             error = max(error, -excess)
             continue
         keep.add(middle % n)

@@ -185,9 +185,9 @@ def counted(cost: EnergyCost, surfaces: SurfaceMap | None = None) -> Counted:
     return Counted(cost.model.battery_side(), surfaces)
 
 
-def drive_plan(problem: PlanningProblem, path: Path, tolerance: float | None = None) -> DrivenPath:
+def drive_plan(problem: PlanningProblem, path: Path) -> DrivenPath:
     """Time a path of a problem, and integrate what driving it takes; see `drive_path`."""
     return drive_path(
-        path, problem.cost, problem.surfaces, problem.heights, tolerance=tolerance,
+        path, problem.cost, problem.surfaces, problem.heights,
         grid=problem.terrain.obstacles, body=problem.robot,
     )  # fmt: skip
