@@ -120,6 +120,32 @@ def wrap_angle(angle: ArrayLike) -> FloatArray:
     return np.asarray(np.pi - np.mod(np.pi - np.asarray(angle, float), 2 * np.pi))
 
 
+def point_ahead(pose: ArrayLike, distance: ArrayLike) -> FloatArray:
+    """Return the point that lies ahead of a pose, along its heading.
+
+    Parameters
+    ----------
+    pose : array_like, shape (..., 3)
+        Poses x, y [m], yaw [rad].
+    distance : array_like, shape (...)
+        How far ahead [m]; negative behind.
+
+    Returns
+    -------
+    ndarray, shape (..., 2)
+        Points x, y [m].
+
+    Examples
+    --------
+    >>> point_ahead([(1.0, 2.0, 0.0), (1.0, 2.0, np.pi)], 0.5)
+    array([[1.5, 2. ],
+           [0.5, 2. ]])
+    """
+    rows = np.asarray(pose, float)
+    heading = np.stack([np.cos(rows[..., 2]), np.sin(rows[..., 2])], axis=-1)
+    return np.asarray(rows[..., :2] + np.asarray(distance, float)[..., None] * heading)
+
+
 def _frozen(value: ArrayLike, name: str, shape: tuple[int, ...] | None = None) -> FloatArray:
     array = np.array(numbers(value, name, PathError), ndmin=1)
     if not np.all(np.isfinite(array)):
@@ -212,6 +238,11 @@ class Path(ByValue):
         return np.column_stack([origin + offset[0] + moved - offset, yaw])
 
     @property
+    def points(self) -> FloatArray:
+        """Places of the reference point at the ends of the segments, shape (n + 1, 2) [m]."""
+        return point_ahead(self.vertices, self.longitudinal)
+
+    @property
     def end(self) -> Pose:
         """Pose of the body frame at the end; yaw unwrapped."""
         return Pose(*(float(v) for v in self.vertices[-1]))
@@ -293,8 +324,8 @@ class Path(ByValue):
             raise PathError(f"poses have shape {rows.shape}; give rows of x, y, yaw")
         yaw = rows[0, 2] + np.concatenate([[0.0], np.cumsum(wrap_angle(np.diff(rows[:, 2])))])
         dtheta = np.diff(yaw)
-        point = rows[:, :2] + longitudinal * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
-        step = np.diff(point, axis=0)
+        turned = np.column_stack([rows[:, :2], yaw])
+        step = np.diff(point_ahead(turned, longitudinal), axis=0)
         mid = 0.5 * (yaw[:-1] + yaw[1:])
         along = step[:, 0] * np.cos(mid) + step[:, 1] * np.sin(mid)
         across = -step[:, 0] * np.sin(mid) + step[:, 1] * np.cos(mid)

@@ -22,7 +22,7 @@ from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
 from energyplan.limits.motor_kernels import cut_intervals, piece_nodes
 from energyplan.motion import Motion
-from energyplan.path import FloatArray, Path, Trajectory
+from energyplan.path import FloatArray, Path, Trajectory, point_ahead
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, SurfaceMap
 
@@ -107,10 +107,7 @@ class Ground:
         lever = self.model.vehicle.icr.longitudinal
         if not lever:
             return poses
-        moved = poses.copy()
-        moved[..., 0] += lever * np.cos(poses[..., 2])
-        moved[..., 1] += lever * np.sin(poses[..., 2])
-        return moved
+        return np.concatenate([point_ahead(poses, lever), poses[..., 2:]], axis=-1)
 
 
 class Pieces(NamedTuple):

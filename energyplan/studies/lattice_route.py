@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from energyplan.errors import NoPathError
-from energyplan.path import FloatArray, Path, Pose, as_pose, wrap_angle
+from energyplan.path import FloatArray, Path, Pose, as_pose, point_ahead, wrap_angle
 from energyplan.planning.problem import PlanningProblem
 from energyplan.studies.control_set import ControlSet, Penalties, Primitive
 
@@ -61,8 +61,9 @@ class Lattice:
 
     def _poses(self, points: FloatArray, yaw: float) -> FloatArray:
         """Return the poses of the body whose reference point is at some points."""
-        ahead = self.problem.cost.icr.longitudinal * np.array([np.cos(yaw), np.sin(yaw)])
-        return np.column_stack([points - ahead, np.full(len(points), yaw)])
+        poses = np.column_stack([points, np.full(len(points), yaw)])
+        poses[:, :2] = point_ahead(poses, -self.problem.cost.icr.longitudinal)
+        return poses
 
     def _free_at(self, yaw: float) -> NDArray[np.bool_]:
         poses = self._poses(self._middle.reshape(-1, 2), yaw)
@@ -133,8 +134,7 @@ class Lattice:
         return self._pose(self._state(as_pose(pose, "a pose")))
 
     def _state(self, pose: Pose) -> int:
-        ahead = self.problem.cost.icr.longitudinal
-        point = pose.x + ahead * np.cos(pose.yaw), pose.y + ahead * np.sin(pose.yaw)
+        point = point_ahead(pose, self.problem.cost.icr.longitudinal)
         grid = self.problem.terrain.obstacles
         cell = grid.to_cells(point) * grid.resolution / self.controls.resolution
         rows, columns, _ = self.shape

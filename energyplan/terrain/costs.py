@@ -73,9 +73,7 @@ class CostMap(ReadOnly):
         nothing.
         """
         fine = path.subdivide(PIECE * self.resolution)
-        poses = fine.vertices
-        offset = fine.longitudinal * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
-        points = poses[:, :2] + offset
+        points = fine.points
         middle = 0.5 * (points[:-1] + points[1:])
         return float(np.sum(np.abs(fine.ds) * self.at(middle)))
 

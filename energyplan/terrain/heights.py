@@ -158,8 +158,7 @@ class HeightMap(ReadOnly):
             If the path leaves the raster.
         """
         yaw = path.vertices[:, 2]
-        heading = np.column_stack([np.cos(yaw), np.sin(yaw)])
-        point = path.vertices[:, :2] + path.longitudinal * heading
+        point = path.points
         rise = np.diff(self.height(point))
         moves = np.abs(path.ds) > STILL
         middle = np.column_stack([0.5 * (point[1:] + point[:-1]), 0.5 * (yaw[1:] + yaw[:-1])])

@@ -224,11 +224,9 @@ class SurfaceMap:
             rows add up to 1.
         """
         out = np.zeros((len(path), len(self.surfaces) + 1))
-        vertices = path.vertices
+        points, yaw = path.points, path.vertices[:, 2]
         for k, (ds, dtheta) in enumerate(zip(path.ds, path.dtheta, strict=True)):
-            x, y, yaw = vertices[k]
-            start = np.array([x, y]) + path.longitudinal * np.array([np.cos(yaw), np.sin(yaw)])
-            arc = _Arc(start, float(yaw), float(ds), float(dtheta))
+            arc = _Arc(points[k], float(yaw[k]), float(ds), float(dtheta))
             cuts = np.unique(np.concatenate([[0.0, 1.0], arc.crossings(*self._edges)]))
             regions = self.region_at(arc.points(0.5 * (cuts[:-1] + cuts[1:])))
             np.add.at(out[k], regions, np.diff(cuts))

@@ -16,7 +16,7 @@ from shapely.geometry.base import BaseGeometry
 from energyplan.cost import EnergyCost
 from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.kinds import checked
-from energyplan.path import Path, Pose, wrap_angle
+from energyplan.path import Path, Pose, point_ahead, wrap_angle
 from energyplan.planning.budget import Budget
 from energyplan.planning.contract import Candidate
 from energyplan.planning.lattice.refine import refine as refine_motions
@@ -253,8 +253,8 @@ def _farthest(query: CompiledProblem, places: Sequence[tuple[float, float]]) -> 
 
 def _reference(problem: PlanningProblem, pose: Pose) -> tuple[float, float]:
     """Return where the reference point is at a pose."""
-    lon = problem.cost.icr.longitudinal
-    return float(pose.x + lon * np.cos(pose.yaw)), float(pose.y + lon * np.sin(pose.yaw))
+    x, y = point_ahead(pose, problem.cost.icr.longitudinal).tolist()
+    return x, y
 
 
 def _with_ends(

@@ -11,7 +11,7 @@ import numpy as np
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, NoPathError
-from energyplan.path import Path, Pose, wrap_angle
+from energyplan.path import Path, Pose, point_ahead, wrap_angle
 from energyplan.planning.budget import UNLIMITED, Budget
 from energyplan.planning.roadmap.energy_graph import Graph, State, energy_graph, positions
 from energyplan.planning.scene.prices import Prices
@@ -185,7 +185,8 @@ class Roadmap:
         yaw = self.yaw(state)
         x, y = self._places[state.source]
         forward = state.gear * along - self.cost.icr.longitudinal
-        return Pose(float(x + forward * np.cos(yaw)), float(y + forward * np.sin(yaw)), yaw)
+        x, y = point_ahead((x, y, yaw), forward).tolist()
+        return Pose(x, y, yaw)
 
     def retune(self, here: State, ahead: State, radius: float) -> None:
         """Let the turn from one state to the next be driven with another radius [m]."""
@@ -272,7 +273,8 @@ class Roadmap:
         x, y = self._places[source]
         first = self.yaw(sequence[0]) if sequence else (goal_yaw or 0.0)
         yaw = first if start_yaw is None else start_yaw
-        start = Pose(x - lon * np.cos(yaw), y - lon * np.sin(yaw), yaw)
+        start_x, start_y = point_ahead((x, y, yaw), -lon).tolist()
+        start = Pose(start_x, start_y, yaw)
         ds: list[float] = []
         dtheta: list[float] = []
         cut = 0.0

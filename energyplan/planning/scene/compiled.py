@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
 from energyplan.errors import ModelError, PlanningError
-from energyplan.path import FloatArray, Path, Pose
+from energyplan.path import FloatArray, Path, Pose, point_ahead
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene import slopes as _slopes
 from energyplan.planning.scene.motions import DIRECTIONS, LEVEL, Hills, KernelProblem, free_energy
@@ -129,8 +129,7 @@ class CompiledProblem:
         """Return what the height at a pose is worth; only differences mean something."""
         if self.terrain.heights is None:
             return 0.0
-        ahead = self.problem.cost.icr.longitudinal
-        point = pose.x + ahead * np.cos(pose.yaw), pose.y + ahead * np.sin(pose.yaw)
+        point = point_ahead(pose, self.problem.cost.icr.longitudinal)
         return self._priced.worth * float(self.terrain.height_at(point))
 
     def potential(self, goal: Pose) -> float:
