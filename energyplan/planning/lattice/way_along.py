@@ -26,6 +26,7 @@ from energyplan.planning.scene.guide_kernels import (
     RIM,
     DistanceToGo,
     Places,
+    heading_of,
     node_at,
     to_and_fro,
 )
@@ -260,19 +261,19 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
     # cost of being at a place with a heading, before and after the turn there
     cost = np.empty(HEADINGS)
     came = np.empty((count, HEADINGS), np.int64)
-    first = int((setting.start_yaw - space.yaw) / turn + HEADINGS * 64.5) % HEADINGS
-    last = int((setting.goal_yaw - space.yaw) / turn + HEADINGS * 64.5) % HEADINGS
+    first = heading_of(space, setting.start_yaw)
+    last = heading_of(space, setting.goal_yaw)
     for h in range(HEADINGS):
         off = abs(h - first)
         cost[h] = per_turn * min(off, HEADINGS - off)
     for k in range(count):
-        arc = places.arcs[chain[k]]
+        free = places.masks[places.home[chain[k]]]
         if k > 0:
             row = places.home[chain[k]] // across - places.home[chain[k - 1]] // across
             column = places.home[chain[k]] % across - places.home[chain[k - 1]] % across
             length = setting.least_metre * places.spacing * hypot(row, column)
             way = atan2(row, column) / turn
-            shared = arc & places.arcs[chain[k - 1]]
+            shared = free & places.masks[places.home[chain[k - 1]]]
             for h in range(HEADINGS):
                 if shared & (np.uint64(1) << np.uint64(h)) == 0:
                     cost[h] = inf
@@ -282,19 +283,18 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
                 cost[h] += length * aside[int(aslant + 0.5)]
         for h in range(HEADINGS):
             came[k, h] = h
-            if arc & (np.uint64(1) << np.uint64(h)) == 0 and k > 0:
+            if free & (np.uint64(1) << np.uint64(h)) == 0 and k > 0:
                 cost[h] = inf
         for way in range(2):
             for n in range(2 * HEADINGS):
                 h = n % HEADINGS if way == 0 else HEADINGS - 1 - n % HEADINGS
                 g = (h + 1) % HEADINGS if way == 0 else (h + HEADINGS - 1) % HEADINGS
-                free = arc & (np.uint64(1) << np.uint64(g)) != 0
-                if free and cost[h] + per_turn < cost[g]:
+                turns = free & (np.uint64(1) << np.uint64(g)) != 0
+                if turns and cost[h] + per_turn < cost[g]:
                     cost[g] = cost[h] + per_turn
                     came[k, g] = came[k, h]
     best = inf
     heading = last
-    arc = places.arcs[chain[count - 1]]
     for h in range(HEADINGS):
         off = abs(h - last)
         total = cost[h] + per_turn * min(off, HEADINGS - off)

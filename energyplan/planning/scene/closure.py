@@ -7,7 +7,7 @@ that none leads over poses that lie close together, or there may be one.
 
 from __future__ import annotations
 
-from math import ceil, floor, hypot, log2, pi, sqrt
+from math import ceil, hypot, log2, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +23,14 @@ from energyplan.planning.scene.closure_kernels import (
 )
 from energyplan.planning.scene.compiled import MARGIN, CompiledProblem
 from energyplan.planning.scene.guide import TURNS, distance_to_go, places_for, reached
-from energyplan.planning.scene.guide_kernels import HEADINGS, RIM, DistanceToGo, Places, place_of
+from energyplan.planning.scene.guide_kernels import (
+    HEADINGS,
+    RIM,
+    DistanceToGo,
+    Places,
+    heading_of,
+    place_of,
+)
 from energyplan.planning.scene.motions import KernelProblem
 from energyplan.terrain.collision import Body
 
@@ -96,10 +103,7 @@ class _Closer:
         self.may, self.free = self.places.masks.copy(), self.places.masks.copy()
         self.known = self.tested.copy()
         self.ends = [
-            (
-                int(place_of(self.places, space, x, y)),
-                floor((yaw - space.yaw) * (HEADINGS / (2.0 * pi)) + 0.5) % HEADINGS,
-            )
+            (int(place_of(self.places, space, x, y)), heading_of(space, yaw))
             for x, y, yaw in (
                 (kernel.start_x, kernel.start_y, kernel.start_yaw),
                 (kernel.goal_x, kernel.goal_y, kernel.goal_yaw),

@@ -228,6 +228,12 @@ def place_of(places: Places, space: Space, x: float, y: float) -> int:
     return (row + RIM) * across + column + RIM
 
 
+@inner
+def heading_of(space: Space, yaw: float) -> int:
+    """Return the heading of a place that is nearest to a yaw, from 0 to `HEADINGS` - 1."""
+    return floor((yaw - space.yaw) * (HEADINGS / (2.0 * pi)) + 0.5) % HEADINGS
+
+
 @njit
 def node_at(to_go: DistanceToGo, space: Space, x: float, y: float, yaw: float) -> int:
     """Return the node of a pose, or of the one next to it that is nearest to the goal; or -1.
@@ -236,7 +242,7 @@ def node_at(to_go: DistanceToGo, space: Space, x: float, y: float, yaw: float) -
     """
     places = to_go.places
     place = place_of(places, space, x, y)
-    h = floor((yaw - space.yaw) * (HEADINGS / (2.0 * pi)) + 0.5) % HEADINGS
+    h = heading_of(space, yaw)
     bit = np.uint64(1) << np.uint64(h)
     if places.masks[place] & bit != 0:
         for node in range(places.first[place], places.first[place + 1]):
