@@ -43,35 +43,25 @@ def start(
     out: Annotated[
         Path, typer.Option(callback=writes(*YAML), help="Write the project to this YAML file.")
     ],
-    wheel_radius: Annotated[
-        float | None, typer.Option(metavar="M", help="Radius of the wheels.")
-    ] = None,
+    wheel_radius: Annotated[float | None, typer.Option(help="Radius of the wheels [m].")] = None,
     track: Annotated[
         float | None,
-        typer.Option(
-            metavar="M", help="Distance between the left and the right wheels' contact points."
-        ),
+        typer.Option(help="Distance between the left and the right wheels' contact points [m]."),
     ] = None,
     wheelbase: Annotated[
         float | None,
-        typer.Option(
-            metavar="M", help="Distance between the front and the rear wheels' contact points."
-        ),
+        typer.Option(help="Distance between the front and the rear wheels' contact points [m]."),
     ] = None,
     mass: Annotated[
         float | None,
-        typer.Option(metavar="KG", help="Mass of the robot as it drives, payload included."),
+        typer.Option(help="Mass of the robot as it drives, payload included [kg]."),
     ] = None,
     counts_per_revolution: Annotated[
         float | None,
         typer.Option(metavar="N", help="What an encoder counts while the wheel turns once."),
     ] = None,
-    length: Annotated[
-        float | None, typer.Option(metavar="M", help="Length of the footprint.")
-    ] = None,
-    width: Annotated[
-        float | None, typer.Option(metavar="M", help="Width of the footprint.")
-    ] = None,
+    length: Annotated[float | None, typer.Option(help="Length of the footprint [m].")] = None,
+    width: Annotated[float | None, typer.Option(help="Width of the footprint [m].")] = None,
     name: Annotated[str, typer.Option(help="Name of the robot.")] = "",
     like: Annotated[
         str | None,

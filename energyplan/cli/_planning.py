@@ -305,7 +305,9 @@ def compare(
     )  # fmt: skip
     with planning(problem, json, strict):
         made = run(problem, planner=planner, time_limit=time_limit, effort=effort)
-    best, shortest = driven(made.energy_optimal, trajectory), driven(made.shortest, None)
+    best = driven(made.energy_optimal, trajectory)
+    one = made.shortest.path == made.energy_optimal.path
+    shortest = best if one else driven(made.shortest, None)
     if out:
         write_plans(out, problem, least_energy=made.energy_optimal, shortest=made.shortest)
     if plot:

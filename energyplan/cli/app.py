@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import select
 import sys
 from collections.abc import Callable
@@ -26,7 +27,9 @@ def misuse(error: typer.TyperException) -> str:
     message = error.format_message().removesuffix(".")
     if (context := getattr(error, "ctx", None)) is None:
         return message
-    names = getattr(getattr(error, "param", None), "opts", ())
+    param = getattr(error, "param", None)
+    names = getattr(param, "opts", ())
+    unit = re.search(r"\[(.+?)\]", getattr(param, "help", None) or "")
     words = context.meta.get(_ARGUMENTS, [])
     for word, following in pairwise([*words, ""]):
         name, joined, value = word.partition("=")
@@ -34,6 +37,8 @@ def misuse(error: typer.TyperException) -> str:
             given = value if joined else following
             wrong, _, _ = message.partition(", unable to parse")
             message = wrong.replace("Input should be", f"{given!r} should be")
+            if unit and message.endswith("a valid number"):
+                message += f" in {unit.group(1)}, without the unit"
     return f"{message}; see {context.command_path} --help"
 
 

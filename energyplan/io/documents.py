@@ -154,6 +154,15 @@ MAX_NODES = 50_000
 _MAX_DEPTH = 40
 _TEXT = re.compile(r"[-+]?0[0-9_]+|[-+]?[0-9_]+(:[0-9_.]+)+|[0-9]{4}-[0-9][0-9]?-[0-9].*")
 """What YAML 1.1 takes for a number of base 8 or 60, or for a date; it stays what is written."""
+_TELLING = {
+    "a map of map_server": {"image", "resolution"},
+    "a mission": {"tasks", "battery"},
+    "a fleet": {"robots"},
+    "a power model": {"terms"},
+    "a vehicle": {"mass", "track"},
+    "a project": {"vehicle", "columns"},
+}
+"""Keys by which a file shows what it is."""
 _PLAIN = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
 
 NO_CONFIGURATION = "that is no configuration"
@@ -227,8 +236,9 @@ class Document:
             message = str(first["msg"]).removeprefix("Value error, ")
             if first["type"] == "extra_forbidden":
                 message = f"there is no such key; the keys are {_keys(schema, first['loc'])}"
+                message += self._another_kind(schema)
             elif first["type"] == "missing":
-                message = "this key is missing; give it a value"
+                message = "this key is missing; give it a value" + self._another_kind(schema)
             elif first["type"] == "too_short":
                 message = (
                     f"the list has {first['ctx']['actual_length']} items; give at least "
@@ -237,6 +247,12 @@ class Document:
             elif not isinstance(first["input"], dict | list):
                 message = f"{message}, not {str(first['input'])[:60]!r}"
             raise self.fail((*loc, *first["loc"]), message) from None
+
+    def _another_kind(self, schema: type[BaseModel]) -> str:
+        """Say what else the file seems to be, if anything."""
+        strange = set(self.data) - set(schema.model_fields)
+        kinds = [kind for kind, keys in _TELLING.items() if keys & strange and keys <= {*self.data}]
+        return f"; this file seems to be {kinds[0]}" if kinds else ""
 
 
 def _keys(schema: type[BaseModel], loc: tuple[int | str, ...]) -> str:

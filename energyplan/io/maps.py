@@ -90,6 +90,8 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
         return _read_movingai(file)
     if file.suffix == ".geojson":
         return read_obstacles(file)
+    if file.is_dir():
+        raise MapError(f"{str(file)!r} is a folder; give the map's .yaml in it")
     if file.suffix not in {".yaml", ".yml"}:
         raise MapError(
             f"{file}: unknown kind of map {file.suffix!r}; give a map_server .yaml, a MovingAI "
@@ -281,6 +283,8 @@ def write_map(grid: OccupancyGrid, path: str | Path) -> None:
     4
     """
     file = Path(path)
+    if file.is_dir():
+        raise MapError(f"{str(file)!r} is a folder; give the map's .yaml in it")
     if file.suffix not in {".yaml", ".yml"}:
         raise MapError(f"{file}: name the map something.yaml; its image stands beside it")
     pixels = np.where(grid.occupied, 0, 254).astype(np.uint8)

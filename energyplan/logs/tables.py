@@ -188,6 +188,8 @@ def _reading(file: Path, error: type[InvalidInputError]) -> Iterator[None]:
 
 def _suffix(file: Path, error: type[InvalidInputError]) -> str:
     suffix = {".pq": ".parquet"}.get(file.suffix.lower(), file.suffix.lower())
+    if file.is_dir():
+        raise error(f"{str(file)!r} is a folder; give a .csv, .csv.gz or .parquet file in it")
     if suffix not in (".csv", ".tsv", ".txt", ".dat", ".gz", ".parquet"):
         raise error(f"{file} is of an unknown type; give a .csv, .csv.gz or .parquet file")
     return suffix

@@ -254,8 +254,26 @@ def test_wrong_usage_is_one_line(run: Run) -> None:
     assert_refused(run("identify", "--nonsense"), "--nonsense")
     assert_refused(run("plan"), "--map", "see energyplan plan --help")
     assert_refused(run("plna"), "Did you mean 'plan'", "see energyplan --help")
-    assert_refused(run("range", "--from", "2,2,0", "--energy", "5kJ"), "'5kJ' should be a valid")
+    assert_refused(run("range", "--from", "2,2,0", "--energy", "5kJ"), "'5kJ' should be a valid number in J")
     assert_refused(run("serve", ".", "--port=99999"), "'99999' should be less than")
+
+
+def test_a_file_of_another_kind_or_a_folder_is_named(run: Run, tmp_path: Path) -> None:
+    asked = ("--start", "2,2,0", "--goal", "4,2,0", "--model")
+    grid, mission = bundled("office.yaml"), bundled("mission_warehouse.yaml")
+    assert_refused(run("plan", "--map", grid, *asked, grid), "line 1", "seems to be a map")
+    assert_refused(run("plan", "--map", mission, *asked, "warthog:grass"), "seems to be a mission")
+    assert_refused(run("fleet", mission), "robots", "seems to be a mission")
+    assert_refused(run("identify", "a.csv", "--vehicle", grid), "seems to be a map")
+    assert_refused(run("plan", "--map", tmp_path, *asked, "warthog:grass"), "is a folder")
+    assert_refused(run("identify", tmp_path, "--vehicle", "quadriga"), "is a folder")
+
+
+def test_the_same_route_twice_is_told_of_once(run: Run) -> None:
+    result = run("compare", "--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
+                 "--start", "1.2,2,90deg", "--goal", "1.2,2,90deg", "--effort", 100)  # fmt: skip
+    assert result.code == 0
+    assert result.err.count("cannot be timed") == 1
 
 
 def test_what_a_log_cannot_tell_is_an_error_not_a_number(run: Run, tmp_path: Path) -> None:
