@@ -41,13 +41,10 @@ def main(file: str) -> None:
         name: drive(profile(plan.path, model, vehicle=slow), Robot.from_model(model), model).run
         for name, plan in (("least energy", made.energy_optimal), ("shortest", made.shortest))
     }
-    figure = Figure(figsize=(plots.WIDTH, 4.3), dpi=110, layout="constrained")
-    ax = figure.subplots()
-    rows, columns = grid.shape
-    x0, y0 = grid.origin[:2]
-    extent = (x0, x0 + columns * grid.resolution, y0, y0 + rows * grid.resolution)
-    ax.imshow(grid.blocked, origin="lower", extent=extent, cmap="Greys", vmax=1.6)
-    ax.set(aspect="equal", xticks=[], yticks=[], xlim=extent[:2], ylim=extent[2:])
+    figure = Figure(figsize=(plots.WIDTH, 4.3), dpi=110)
+    ax = plots.occupancy(figure.add_axes((0.01, 0.12, 0.98, 0.8)), grid)
+    ax.set(xlabel="", ylabel="", xticks=[], yticks=[])
+    ax.set_title("driven in a physics engine, without the model", loc="left", fontsize="medium")
     ax.set_autoscale_on(False)
     (low_x, low_y), (high_x, high_y) = vehicle.footprint
     boxes, lines, labels = {}, {}, {}

@@ -63,6 +63,17 @@ def test_a_constant_channel_is_one_bin() -> None:
     assert np.asarray(ax.get_lines()[1].get_ydata()) == pytest.approx([24.5])
 
 
+@pytest.mark.parametrize("free", [False, True])
+def test_what_a_map_does_not_know_is_not_drawn_as_free(free: bool) -> None:
+    cells = np.zeros((3, 4, 6), bool)
+    cells[0, :, 0] = cells[1, :, :2] = True
+    grid = OccupancyGrid(cells[0], 0.1, unknown=cells[1] & ~cells[0], unknown_is_free=free)
+    (shown,) = plots.occupancy(plots.figure().axes[0], grid).get_images()
+    greys = np.ma.filled(shown.get_array().astype(float), 1.0)
+    assert (np.diff(greys[:, :3]) > 0.1).all()
+    assert (greys[:, 2:] == 1.0).all()
+
+
 def test_route_ends_where_the_path_ends() -> None:
     path = Path(Pose(1, 2, 0), [1.0, 0.5], [0.0, 1.0])
     ax = plots.figure().axes[0]

@@ -44,12 +44,15 @@ from energyplan.output.plots.style import label as style_label
 TOP = (0.5, 1.0)
 """Where a map lies in the room left by a bar of colours: else no room is made for what is above."""
 
+OCCUPIED, UNKNOWN = 0.25, 0.85
+"""Greys of cells, from black to white."""
+
 MARK = 5.0
 """Half of the room that the mark of a place takes, its edge included [points]."""
 
 
 def occupancy(ax: Axes, grid: OccupancyGrid) -> Axes:
-    """Draw a map's occupied cells.
+    """Draw a map's occupied cells, and those of which it knows nothing in a light grey.
 
     Examples
     --------
@@ -61,8 +64,11 @@ def occupancy(ax: Axes, grid: OccupancyGrid) -> Axes:
     """
     x, y, yaw = (float(v) for v in grid.origin)
     rows, columns = grid.occupied.shape
+    shade = np.where(grid.occupied, OCCUPIED, np.nan)
+    if grid.unknown is not None:
+        shade[grid.unknown & ~grid.occupied] = UNKNOWN
     image = ax.imshow(
-        np.ma.masked_where(~grid.occupied, np.full(grid.occupied.shape, 0.25)),
+        np.ma.masked_invalid(shade),
         cmap="gray", vmin=0, vmax=1, origin="lower", interpolation="nearest", zorder=2,
         extent=(0.0, columns * grid.resolution, 0.0, rows * grid.resolution),
     )  # fmt: skip
