@@ -254,7 +254,9 @@ def test_wrong_usage_is_one_line(run: Run) -> None:
     assert_refused(run("identify", "--nonsense"), "--nonsense")
     assert_refused(run("plan"), "--map", "see energyplan plan --help")
     assert_refused(run("plna"), "Did you mean 'plan'", "see energyplan --help")
-    assert_refused(run("range", "--from", "2,2,0", "--energy", "5kJ"), "'5kJ' should be a valid number in J")
+    assert_refused(
+        run("range", "--from", "2,2,0", "--energy", "5kJ"), "'5kJ' should be a valid number in J"
+    )
     assert_refused(run("serve", ".", "--port=99999"), "'99999' should be less than")
 
 
