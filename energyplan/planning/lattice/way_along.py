@@ -267,13 +267,13 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
         off = abs(h - first)
         cost[h] = per_turn * min(off, HEADINGS - off)
     for k in range(count):
-        free = places.masks[places.home[chain[k]]]
+        free = either_way(places, int(chain[k]))
         if k > 0:
             row = places.home[chain[k]] // across - places.home[chain[k - 1]] // across
             column = places.home[chain[k]] % across - places.home[chain[k - 1]] % across
             length = setting.least_metre * places.spacing * hypot(row, column)
             way = atan2(row, column) / turn
-            shared = free & places.masks[places.home[chain[k - 1]]]
+            shared = free & either_way(places, int(chain[k - 1]))
             for h in range(HEADINGS):
                 if shared & (np.uint64(1) << np.uint64(h)) == 0:
                     cost[h] = inf
@@ -333,6 +333,14 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
     poses[kept, 1] = setting.start_y
     poses[kept, 2] = setting.start_yaw
     return poses[: kept + 1][::-1].copy()
+
+
+@inner
+def either_way(places: Places, node: int) -> np.uint64:
+    """Return the free headings of a node and those opposite: the way is as long facing either."""
+    arc = places.arcs[node]
+    half = np.uint64(HEADINGS // 2)
+    return places.masks[places.home[node]] & (arc | arc << half | arc >> half)
 
 
 @inner
