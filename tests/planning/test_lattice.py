@@ -187,6 +187,15 @@ def test_narrow_corridor_is_driven_although_a_spin_does_not_fit():
     assert found.gap < 0.03
 
 
+def test_where_the_work_for_many_goals_ends_paths_found_by_then_count():
+    hall = OccupancyGrid(np.zeros((80, 100), bool), 0.1)
+    problem = PlanningProblem(hall, COST, (2, 2, 0), (2, 2, 0))
+    goals = [(3.0, 2.0, 0.0), (2.0, 5.0, 1.5)]
+    soon, late = (energies(problem, goals, effort=effort) for effort in (600, 60_000))
+    assert np.isfinite(soon).all()
+    assert (soon >= late - 1e-6).all()
+
+
 def test_one_to_many_energies_match_single_plans():
     grid = cluttered(1)
     start, *goals = free_poses(grid, 7, 5, COST.vehicle)

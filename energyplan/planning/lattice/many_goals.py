@@ -102,11 +102,12 @@ def energies(
     status = kernels.RUNNING
     while missing and status == kernels.RUNNING and not budget.over:
         status = search.run(budget, stop_at_first=False, expansions=STRIDE)
+        ended = status != kernels.RUNNING or budget.over
         reached = search.frontier
         for k in missing.copy():
             cost, node = attach(search.tree, settings[k], lattice, 6.0 * lattice.cell)
             # nothing that is still open can better it by more than the lattice is coarse
-            if cost <= reached or (np.isfinite(cost) and status != kernels.RUNNING):
+            if cost <= reached or (np.isfinite(cost) and ended):
                 missing.remove(k)
                 out[k] = cost
                 if refined:

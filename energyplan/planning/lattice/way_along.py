@@ -340,7 +340,7 @@ def either_way(places: Places, node: int) -> np.uint64:
     """Return the free headings of a node and those opposite: the way is as long facing either."""
     arc = places.arcs[node]
     half = np.uint64(HEADINGS // 2)
-    return places.masks[places.home[node]] & (arc | arc << half | arc >> half)
+    return np.uint64(places.masks[places.home[node]] & (arc | arc << half | arc >> half))
 
 
 @inner
