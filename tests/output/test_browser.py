@@ -11,7 +11,7 @@ import json
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +43,7 @@ addEventListener("load", () => setTimeout(() => {
   const box = (e) => e.getBoundingClientRect();
   const kept = (e) => e.closest(".scroll");
   parent.postMessage({
-    width: innerWidth, scroll: root.scrollWidth, height: root.scrollHeight,
+    view: name, width: innerWidth, scroll: root.scrollWidth, height: root.scrollHeight,
     cut: [...document.body.querySelectorAll("*")].filter(
       (e) => !kept(e) && box(e).width > 0 && box(e).right > innerWidth + 1
     ).map((e) => e.outerHTML.slice(0, 80)),
@@ -53,12 +53,16 @@ addEventListener("load", () => setTimeout(() => {
 }, 300));
 </script>"""
 FRAME = """<!doctype html><html><head><title>-</title></head><body style="margin:0">
-<iframe style="border:0" width="{width}" height="844" src="{source}"></iframe>
+{frames}
 <pre id="told"></pre><script>
+const told = {{}};
 addEventListener("message", (m) => {{
-  document.getElementById("told").textContent = JSON.stringify(m.data);
+  told[m.data.view] = m.data;
+  document.getElementById("told").textContent = JSON.stringify(told);
 }});
 </script></body></html>"""
+VIEW = """<iframe style="border:0;position:absolute;top:0" name="{name}" width="{width}"
+ height="844" src="{source}"></iframe>"""
 
 
 def chromium(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -76,20 +80,33 @@ def chromium(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     )  # fmt: skip
 
 
-def shown(page: Path, width: int, folder: Path) -> dict[str, Any]:
-    """Show a page at a width; return what its probe found, and the console's lines."""
-    probed = folder / "probed.html"
-    probed.write_text(page.read_text().replace("</body>", PROBE + "</body>"))
+def shown(views: Mapping[str, tuple[Path, int]], folder: Path) -> dict[str, dict[str, Any]]:
+    """Show pages at widths, all of them at once.
+
+    Returns what the probe of each view found, and the lines on the console that it is the source
+    of.
+    """
+    frames = ""
+    for name, (page, width) in views.items():
+        probed = folder / f"{name}.html"
+        probed.write_text(page.read_text().replace("</body>", PROBE + "</body>"))
+        frames += VIEW.format(name=name, width=width, source=probed.as_uri())
     frame = folder / "frame.html"
-    frame.write_text(FRAME.format(width=width, source=probed.as_uri()))
+    frame.write_text(FRAME.format(frames=frames))
     result = chromium(
         folder, "--window-size=1400,1000", "--virtual-time-budget=5000", "--dump-dom",
         frame.as_uri(),
     )  # fmt: skip
-    told = re.search(r'<pre id="told">(.*?)</pre>', result.stdout, re.DOTALL)
-    assert told is not None and told[1], f"the page told nothing: {result.stderr[-2000:]}"
-    console = [line for line in result.stderr.splitlines() if "CONSOLE" in line]
-    return {**json.loads(html.unescape(told[1])), "console": console}
+    found = re.search(r'<pre id="told">(.*?)</pre>', result.stdout, re.DOTALL)
+    assert found is not None and found[1], f"no page told anything: {result.stderr[-2000:]}"
+    told: dict[str, dict[str, Any]] = json.loads(html.unescape(found[1]))
+    assert set(told) == set(views)
+    lines = [line for line in result.stderr.splitlines() if "CONSOLE" in line]
+    assert [line for line in lines if not any(f"{name}.html" in line for name in views)] == []
+    return {
+        name: {**told[name], "console": [line for line in lines if f"{name}.html" in line]}
+        for name in views
+    }
 
 
 @pytest.fixture(scope="module")
@@ -131,32 +148,35 @@ def pages(
     yield files
 
 
-@pytest.mark.parametrize("width", [PHONE, DESKTOP])
-@pytest.mark.parametrize("name", ["diagnosis", "comparison", "mission"])
-def test_a_report_is_sound_in_a_browser(
-    pages: dict[str, Path], name: str, width: int, tmp_path: Path
-) -> None:
-    told = shown(pages[name], width, tmp_path)
-    assert told["console"] == []
-    assert told["width"] == width
-    assert told["scroll"] <= width, told["cut"]
-    assert told["cut"] == []
-    assert 844 < told["height"] < 6000
-    assert (told["images"], told["broken"]) == (3 if name == "comparison" else 2, 0)
+def test_reports_are_sound_in_a_browser(pages: dict[str, Path], tmp_path: Path) -> None:
+    wanted = {
+        f"{name}-{width}": (page, width) for name, page in pages.items()
+        for width in (PHONE, DESKTOP)
+    }  # fmt: skip
+    for view, told in shown(wanted, tmp_path).items():
+        width = wanted[view][1]
+        assert told["console"] == [], view
+        assert told["width"] == width, view
+        assert told["scroll"] <= width, (view, told["cut"])
+        assert told["cut"] == [], view
+        assert 844 < told["height"] < 6000, view
+        pictures = 3 if view.startswith("comparison") else 2
+        assert (told["images"], told["broken"]) == (pictures, 0), view
 
 
 def test_the_probe_would_see_errors_and_overflow(tmp_path: Path) -> None:
-    page = tmp_path / "bad.html"
+    page = tmp_path / "written.html"
     page.write_text(
         "<!doctype html><html><body><p style='width:800px'>wide</p>"
         "<script>console.error('seen'); absent.field;</script></body></html>"
     )
-    told = shown(page, PHONE, tmp_path)
-    assert told["scroll"] > PHONE
-    assert len(told["cut"]) == 1
-    assert [re.search("seen|not defined", line)[0] for line in told["console"]] == [
-        "seen", "not defined",
-    ]  # fmt: skip
+    told = shown({"bad": (page, PHONE), "worse": (page, PHONE)}, tmp_path)
+    for view in told.values():
+        assert view["scroll"] > PHONE
+        assert len(view["cut"]) == 1
+        assert [re.search("seen|not defined", line)[0] for line in view["console"]] == [
+            "seen", "not defined",
+        ]  # fmt: skip
 
 
 def test_print_takes_the_pictures(pages: dict[str, Path], tmp_path: Path) -> None:
