@@ -16,6 +16,7 @@ _POSE = {"x", "y", "yaw"}
 _ENOUGH = 20  # samples below which nothing is concluded
 _HANGS = 0.3  # time of a repeated reading from which the sensor hangs [s]
 _REPEATED = 0.01  # share of the driving that it must do so
+_CALM = 0.33  # share of the driving, in which speeds change least, that counts as steady
 _STEPS = 0.05  # share of readings that repeat where a sensor reads in steps
 
 
@@ -90,13 +91,18 @@ def _repeats(channels: Mapping[str, FloatArray], power: FloatArray) -> list[str]
     """Whether a power that changes with every sample stays the same for a while in driving.
 
     A sensor that hangs, one that drops out and one at the end of its range all repeat a reading to
-    the last bit. One that reads in steps does so all the time.
+    the last bit. One that reads in steps does so all the time, or wherever the robot goes steadily.
     """
     t = channels["t"]
     effort = np.abs(channels["v_left"]) + np.abs(channels["v_right"])
     moving = effort > 0.15 * float(np.quantile(effort, 0.95))
     least = max(5, round(_HANGS / float(np.median(np.diff(t)))))
     turned = np.append(False, np.diff(effort) != 0.0)
+    change = sum(
+        np.abs(np.diff(v, prepend=v[0])) for v in (channels["v_left"], channels["v_right"])
+    )
+    calm = float(np.quantile(change[moving], _CALM)) if np.any(moving) else 0.0
+    steady = moving & (change <= calm)
     told = []
     seldom = held_periods(channels)
     for name in POWERS:
@@ -117,6 +123,9 @@ def _repeats(channels: Mapping[str, FloatArray], power: FloatArray) -> list[str]
         if np.mean(turned[np.repeat(hangs, counts)]) < 0.5:
             continue  # without noise, all that is driven steadily repeats
         held = values[starts[hangs]]
+        repeats = np.append(False, np.diff(values) == 0.0)
+        if np.ptp(held) > 0.0 and np.mean(repeats[steady]) > 0.5:
+            continue
         if np.all(held == held[0]) and held[0] == 0.0:
             what = "drops out to 0"
         elif np.all(held == held[0]) and held[0] in (values.max(), values.min()):
@@ -125,7 +134,8 @@ def _repeats(channels: Mapping[str, FloatArray], power: FloatArray) -> list[str]
             what = "hangs"
         share = lost / np.count_nonzero(moving)
         told.append(
-            f"{name} {what} in {share:.0%} of the driving, first at {t[starts[hangs][0]]:.6g} s: "
+            f"{name} {what} in {share:.0%} of the driving, first {t[starts[hangs][0]] - t[0]:.6g} "
+            "s into the log: "
             "it repeats a reading where others change with every sample; mend the sensor, or "
             "leave such stretches out"
         )

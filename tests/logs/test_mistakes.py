@@ -359,3 +359,13 @@ def test_real_drives_raise_no_alarm(shared_data: Path) -> None:
         alarms += [f"{log.name}: {text}" for text in log.warnings if any(w in text for w in words)]
     assert count > 90
     assert alarms == []
+
+
+def test_a_current_in_steps_on_a_steady_drive_does_not_hang() -> None:
+    """A reading a second, of a machine that keeps its speed: the step is wider than the noise."""
+    log = simulate.drive(
+        MODEL, simulate.IDENTIFICATION, duration=300.0, rate=1.0, speed_noise=0.01, speed=1.2,
+        accel_limit=0.4, measured="battery",
+    )  # fmt: skip
+    seen = {**log.channels, "current": np.round(log.channel("current"), 2)}
+    assert not any("hangs" in text for text in ep.DriveLog.from_columns(seen).warnings)
