@@ -177,7 +177,29 @@ def words_for_nothing(at: At, folder: Path) -> Path:
 def two_recordings(at: At, folder: Path) -> Path:
     """The second with its own line of names, and its own clock."""
     second = At(drive(at.robot, seed=9), at.robot).house()
-    return csv(at.house(), csv(second, folder / "both.csv"), head=at.house().to_csv(index=False))
+    return csv(second, folder / "both.csv", head=at.house().to_csv(index=False))
+
+
+def a_part_twice(at: At, folder: Path) -> Path:
+    """As a logger writes that loses its connection and sends its buffer again."""
+    house = at.house()
+    return csv(pd.concat([house[:600], house[500:]]), folder / "twice.csv")
+
+
+def stamps_in_whole_seconds(at: At, folder: Path) -> Path:
+    stamps = at.stamps.strftime("%I:%M:%S %p")
+    return csv(at.house().assign(t=stamps).rename(columns={"t": "Time"}), folder / "seconds.csv")
+
+
+def sides_in_turn(at: At, folder: Path) -> Path:
+    """Each row holds the power of one side; at rest, of both."""
+    even = np.arange(len(at.t)) % 2 == 0
+    rest = (np.abs(at.left) < 0.01) & (np.abs(at.right) < 0.01)
+    return csv({
+        "t": at.t, "v_left": at.left, "v_right": at.right, "yaw_rate": at.yaw_rate,
+        "p_left": np.where(even | rest, at.p_left, np.nan),
+        "p_right": np.where(~even | rest, at.p_right, np.nan),
+    }, folder / "in_turn.csv")  # fmt: skip
 
 
 def coarse_stamps(at: At, folder: Path) -> Path:
@@ -405,6 +427,7 @@ Writer = Callable[[At, Path], Path]
 READ: tuple[Writer, ...] = (
     four_wheels_in_rpm, four_motors, german, utf16, byte_order_mark, units_in_a_second_row,
     remarks_before_the_names, words_for_nothing, two_recordings, coarse_stamps,
+    a_part_twice, stamps_in_whole_seconds, sides_in_turn,
     a_row_for_each_message, stamps_in_two_columns, date_and_time_of_day, american_dates,
     aligned_by_spaces, newest_first, units_in_names, rostopic_echo, encoders_of_four_wheels,
     encoders_and_a_satellite_receiver, encoders_from_row_to_row, encoders_that_tell_a_rate,

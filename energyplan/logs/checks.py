@@ -22,6 +22,7 @@ Place = Callable[[int], str]
 _STRAY = 0.01  # share of readings out of range that is taken for glitches, not for a wrong unit
 _BRIDGE = 1.0  # longest hole in a further channel that is bridged by interpolation [s]
 _RECORDING = 20  # rows from which a stretch counts as a recording of its own
+_TOGETHER = 0.8  # share of a channel's rows that hold the others too, from which rows are whole
 _PAUSE = 10.0  # time between recordings whose clocks begin anew [s]
 _LATE = 0.01  # share of the rows that may come late
 _LATEST = 5.0  # how late they may come [s]
@@ -176,12 +177,13 @@ def join_rows(channels: Mapping[str, FloatArray], needed: Collection[str]) -> Jo
     fewest = min(np.count_nonzero(known[name]) for name in needed)
     whole = np.count_nonzero(np.all([known[name] for name in needed], axis=0))
     t = channels["t"][clock]
-    if fewest < _RECORDING or 2 * whole > fewest or len(t) < 2 or np.any(np.diff(t) <= 0):
+    apart = whole < _TOGETHER * fewest
+    if fewest < _RECORDING or not apart or len(t) < 2 or np.any(np.diff(t) <= 0):
         return None
     found, how = {"t": t}, {}
     for name, values in channels.items():
         there = np.flatnonzero(known["t"] & known[name])
-        if name == "t" or np.count_nonzero(known[name][clock]) > 0.5 * min(len(there), len(clock)):
+        if name == "t" or np.count_nonzero(known[name][clock]) > _TOGETHER * len(clock):
             found.setdefault(name, values[clock])
             continue
         own, readings = channels["t"][there], values[there]
@@ -329,6 +331,10 @@ class _Cleaner:
             self.pick(np.arange(len(self.rows))[::-1])
             self.warnings.append("the rows stand newest first; they are read backwards")
         if np.any(np.diff(self.channels["t"]) < 0):
+            again = self.seen_before()
+            if np.all(np.diff(self.channels["t"][~again]) > 0):
+                self.drop(again, "the row repeats an earlier one; left out")
+        if np.any(np.diff(self.channels["t"]) < 0):
             self.restart()
         if np.any(np.diff(self.channels["t"]) < 0):
             self.sort()
@@ -344,6 +350,14 @@ class _Cleaner:
                 "follow each other, give each a file of its own; else sort the rows by time, and "
                 "drop those with a time of another row"
             )
+
+    def seen_before(self) -> NDArray[np.bool_]:
+        """Tell which rows repeat an earlier one with its time, as where a part stands twice."""
+        table = np.nan_to_num(np.column_stack(list(self.channels.values())), nan=np.inf)
+        _, first = np.unique(table, axis=0, return_index=True)
+        again = np.ones(len(table), bool)
+        again[first] = False
+        return again
 
     def pick(self, rows: NDArray[np.intp]) -> None:
         """Keep some rows, in their order."""
@@ -388,12 +402,20 @@ class _Cleaner:
         self.pick(np.argsort(t, kind="stable"))
 
     def average(self) -> None:
-        """Average rows of one time, as of stamps in whole seconds."""
+        """Average rows of one time, unless they come so evenly that their times are known."""
         t = self.channels["t"]
         if np.any(np.diff(t) < 0):
             return
         first = np.flatnonzero(np.append(True, np.diff(t) > 0))
         sizes = np.diff(np.append(first, len(t)))
+        if len(first) >= _RECORDING and np.median(sizes) > 1:
+            # Of stamps in whole seconds: rows of a steady rate lie on a line.
+            rows, step = np.arange(len(t)), float(np.median(np.diff(t[first])))
+            line = np.polynomial.Polynomial.fit(rows, t, 1)(rows)
+            if np.max(np.abs(line - t)) < step:
+                self.note(np.repeat(sizes, sizes) > 1, "the row's time is that of another; spread")
+                self.channels["t"] = line
+                return
         if len(first) < _RECORDING or np.max(sizes) > max(8, 8 * float(np.median(sizes))):
             return  # the clock stood still
         self.note(np.repeat(sizes, sizes) > 1, "the row's time is that of another; averaged")
