@@ -191,6 +191,25 @@ def stamps_in_whole_seconds(at: At, folder: Path) -> Path:
     return csv(at.house().assign(t=stamps).rename(columns={"t": "Time"}), folder / "seconds.csv")
 
 
+def topics_named_for_power(at: At, folder: Path) -> Path:
+    wheel = "/joint_states/{}_wheel/velocity".format
+    return csv({
+        "Time": EPOCH + at.t, wheel("left"): at.left / at.robot.radius,
+        wheel("right"): at.right / at.robot.radius, "/power/battery/voltage": at.volts,
+        "/power/battery/current": -at.amps, "/odom/pose/pose/position.x": at.log.channel("x"),
+        "/odom/pose/pose/position.y": at.log.channel("y"), "/imu/angular_velocity.z": at.yaw_rate,
+    }, folder / "paths.csv")  # fmt: skip
+
+
+def bare_names_in_thousandths(at: At, folder: Path) -> Path:
+    """Sides with no more than their name, and units that the weight alone tells."""
+    return csv({
+        "ts": at.nanoseconds // 1000, "left_cmd": 1.1 * at.left, "left_meas": at.left,
+        "right_cmd": 1.1 * at.right, "right_meas": at.right, "v_batt": np.round(1e3 * at.volts),
+        "i_batt": np.round(1e3 * at.amps), "Drehrate [Grad/s]": DEG * at.yaw_rate,
+    }, folder / "bare.csv")  # fmt: skip
+
+
 def sides_in_turn(at: At, folder: Path) -> Path:
     """Each row holds the power of one side; at rest, of both."""
     even = np.arange(len(at.t)) % 2 == 0
@@ -427,7 +446,8 @@ Writer = Callable[[At, Path], Path]
 READ: tuple[Writer, ...] = (
     four_wheels_in_rpm, four_motors, german, utf16, byte_order_mark, units_in_a_second_row,
     remarks_before_the_names, words_for_nothing, two_recordings, coarse_stamps,
-    a_part_twice, stamps_in_whole_seconds, sides_in_turn,
+    topics_named_for_power, bare_names_in_thousandths, a_part_twice, stamps_in_whole_seconds,
+    sides_in_turn,
     a_row_for_each_message, stamps_in_two_columns, date_and_time_of_day, american_dates,
     aligned_by_spaces, newest_first, units_in_names, rostopic_echo, encoders_of_four_wheels,
     encoders_and_a_satellite_receiver, encoders_from_row_to_row, encoders_that_tell_a_rate,

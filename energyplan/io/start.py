@@ -35,6 +35,7 @@ from energyplan.path import FloatArray
 _SOME = 20_000  # readings that suffice to tell a unit
 _FASTEST_TURN = 3.0  # yaw rate that hardly a robot reaches that skids [rad/s]
 _FULL_TURN = 6.5  # [rad]; headings beyond are unwrapped, or degrees
+_HIGHEST_VOLTAGE = 1000.0  # of a battery, beyond which readings are millivolts [V]
 _NEEDED = {"t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current"}
 _RATES = {"rad/s": 1.0, "rpm": pi / 30, "deg/s": pi / 180}
 
@@ -231,6 +232,15 @@ def _with_units(
         )
         if channel in free and _size(table, columns[channel]) > most  # else these are no degrees
     ]
+    if "voltage" in free and _size(table, columns["voltage"]) > _HIGHEST_VOLTAGE:
+        choices.append(_Choice(("voltage",), ("mV",)))
+    # A thousand is more than robots' resistances differ by: their weight tells which it is.
+    electric = (("current",), ("power",), ("p_left", "p_right"))
+    choices += [
+        _Choice(channels, ("A", "mA") if channels == ("current",) else ("W", "mW", "kW"))
+        for channels in electric
+        if set(channels) <= free
+    ]
     if {"x", "y"} <= free:
         choices.append(_Choice(("x", "y"), ("m", "mm", "cm")))
     clock = columns["t"]
@@ -279,7 +289,10 @@ def _with_units(
             continue
         one = made[channel]
         written = f"{unit}{radius:.6g}" if unit.endswith("*") else unit
-        plain = written in ("m/s", "rad", "rad/s", "m") and channel not in ("v_left", "v_right")
+        plain = written in ("m/s", "rad", "rad/s", "m", "A", "W") and channel not in (
+            "v_left",
+            "v_right",
+        )
         plain = plain or written == "m/s"
         made[channel] = _column(channel, one.source, "" if plain else written, one.plus, one.times)
     return made

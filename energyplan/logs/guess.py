@@ -18,14 +18,15 @@ _WORDS = {
         "rate", "spd", "w", "velocities", "speeds", "angvel", "rotation",
         "geschwindigkeit", "geschw", "vitesse", "roue", "velocidad", "rueda",
     },
-    "power": {"p", "power", "watt", "watts", "pwr", "leistung", "puissance", "potencia"},
+    "power": {"p", "pw", "power", "watt", "watts", "pwr", "leistung", "puissance", "potencia"},
     "voltage": {"u", "volt", "volts", "voltage", "vbat", "vbatt", "ubat", "vbus", "spannung",
                 "tension"},
     "current": {"i", "cur", "curr", "current", "amp", "amps", "ampere", "amperes", "currents",
                 "ibat", "ibatt", "ibus",
                 "strom", "courant", "corriente"},
     "time": {"t", "time", "timestamp", "stamp", "sec", "secs", "seconds", "clock", "elapsed",
-             "zeit", "uhrzeit", "zeitstempel", "temps", "tiempo", "epoch", "utc"},
+             "zeit", "uhrzeit", "zeitstempel", "temps", "tiempo", "epoch", "utc", "ts",
+             "datetime", "tstamp", "millis", "micros", "nanos"},
     "yaw": {"yaw", "heading", "theta", "psi", "hdg", "course", "azimuth", "gierwinkel",
             "kurs", "cap", "rumbo"},
     "turn": {"gyro", "angular", "yawrate", "wz", "gz", "gyr", "omega", "drehrate", "gierrate"},
@@ -53,6 +54,21 @@ _PLACES = {
     **{f"{side}{place}": side for place in "frbm" for side in "lr" if f"{side}{place}" != "rl"},
 }  # fmt: skip
 """Words that tell which of a side's wheels, and what they tell of the side."""
+_MEASURED = {
+    "meas",
+    "measured",
+    "actual",
+    "act",
+    "feedback",
+    "fb",
+    "real",
+    "side",
+    "sensor",
+    "state",
+}
+"""Words that say that a reading is one, and not of what."""
+_BATTERY = {"battery", "bat", "batt", "batterie", "bus", "bms", "pack"}
+_ELECTRIC = ("power", "voltage", "current")
 _TOLD_BY_UNIT = {"power": "power", "voltage": "voltage", "current": "current", "v_left": "speed"}
 
 
@@ -123,9 +139,16 @@ def _score(channel: str, name: str) -> float:
     has = {kind: bool(said & names) for kind, names in _WORDS.items()}
     for quantity, kind in _TOLD_BY_UNIT.items():
         has[kind] = has[kind] or unit_in(quantity, name) is not None
+    if "v" in said and said & _BATTERY:
+        has["voltage"], has["speed"] = True, bool(said & (_WORDS["speed"] - {"v", "w"}))
+    # Of several quantities, as where topics are named for one, the name ends with its own.
+    ends = [kind for kind in ("speed", *_ELECTRIC) if told[-1:] and told[-1] in _WORDS[kind]]
+    if len(ends) == 1 and len(told[-1]) > 1:
+        has |= {kind: kind in ends for kind in ("speed", *_ELECTRIC)}
     if name.strip() == channel:
         return 10.0
-    asked = bool(said & _NOT_MEASURED) or told[-1:] == ["status"]
+    other = _NOT_MEASURED - {"position"} if channel in ("x", "y") else _NOT_MEASURED
+    asked = bool(said & other) or told[-1:] == ["status"]
     asked = asked or ("input" in said and not (has["voltage"] or has["current"]))
     quantity, _, side = channel.partition("_")
     sided = has["left"] != has["right"]
@@ -139,14 +162,15 @@ def _score(channel: str, name: str) -> float:
         kinds = {"v": "speed", "p": "power", "voltage": "voltage", "current": "current"}
         electric = has["power"] or has["voltage"] or has["current"]
         if quantity == "v":
-            return 0.0 if electric else 2.0 * has["speed"]
+            bare = said <= _WORDS[side] | _MEASURED and not electric
+            return 0.0 if electric else 2.0 * has["speed"] or 1.0 * bare
         own = 0.5 * bool(said & {"motor", "phase", "iq"})  # a motor's, not what it draws
         return (2.0 - own) * has[kinds[quantity]]
     if sided and not (said & {"x", "y"}):
         return 0.0
     if channel in ("power", "voltage", "current"):
-        others = [kind for kind in ("power", "voltage", "current") if kind != channel]
-        whole = 0.5 * bool(said & {"battery", "total", "bus", "bms", "batt", "gesamt", "batterie"})
+        others = [kind for kind in _ELECTRIC if kind != channel]
+        whole = 0.5 * bool(said & (_BATTERY | {"total", "gesamt"}))
         return (2.0 + whole) * has[channel] * (not any(has[other] for other in others))
     if channel in ("x", "y"):
         place = said & {"pos", "pose", "position", "odom", "odometry", "slam", "gps", "map"}

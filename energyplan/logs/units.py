@@ -52,6 +52,7 @@ _ALIASES = {
     "mps": "m/s", "m s-1": "m/s", "m s^-1": "m/s", "meters/s": "m/s", "kmh": "km/h",
     "kph": "km/h", "kmph": "km/h",
     "radian": "rad", "radians": "rad", "degree": "deg", "degrees": "deg", "\u00b0": "deg",
+    "grad": "deg", "grad/s": "deg/s", "tr/min": "rpm", "umdr/min": "rpm", "rad/sek": "rad/s",
     "rads": "rad/s", "radps": "rad/s", "rad s-1": "rad/s", "rad s^-1": "rad/s",
     "radians/s": "rad/s", "rad/sec": "rad/s", "\u00b0/s": "deg/s", "dps": "deg/s",
     "degrees/s": "deg/s", "deg/sec": "deg/s", "1/min": "rpm", "r/min": "rpm", "u/min": "rpm",
