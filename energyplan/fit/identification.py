@@ -25,7 +25,7 @@ from energyplan.fit.solvers import Bounds
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
-from energyplan.logs.one_side import refuse_one_side
+from energyplan.logs.one_side import find_lost_sign, refuse_one_side
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Term
@@ -205,7 +205,7 @@ def identify(
     ------
     NotIdentifiableError
         If the logs do not determine a coefficient, or cannot separate two; the message says what
-        to drive. If the speed or the power of one side is missing.
+        to drive. If the speed or the power of one side is missing, or both powers lost their sign.
     MissingChannelError
         If a term needs a channel that a log lacks.
     InvalidInputError
@@ -238,6 +238,11 @@ def identify(
         raise NotIdentifiableError(
             f"{drives[0].name}: the measured power is zero throughout; check its channel"
         )
+    if not any(term.kind == "loss" for term in terms):  # which may be that of the sign
+        for log in drives:
+            lost = find_lost_sign(log.channels)
+            if lost:
+                raise NotIdentifiableError(f"{log.name}: {lost}; terms without it would be wrong")
     warnings: list[str] = []
     estimate = _find_icr(drives, vehicle, icr, warnings)
     settled = icr if isinstance(icr, TreadICR) else estimate.icr if estimate else vehicle.icr

@@ -9,7 +9,13 @@ import numpy as np
 
 from energyplan.logs.evidence import correlation, distance_ratio, yaw_rates
 from energyplan.logs.held import POWERS, held_periods
-from energyplan.logs.one_side import compare_powers, find_dead, find_dying, find_false_speeds
+from energyplan.logs.one_side import (
+    compare_powers,
+    find_dead,
+    find_dying,
+    find_false_speeds,
+    find_lost_sign,
+)
 from energyplan.path import FloatArray
 
 _POSE = {"x", "y", "yaw"}
@@ -45,46 +51,13 @@ def find_contradictions(
         *find_dying(channels),
         _sides(channels, runs),
         compare_powers(channels),
-        _unsigned(channels),
+        find_lost_sign(channels),
         *_repeats(channels, power),
         _course(channels, runs),
         _motor_current(channels, power),
         _distance(channels, runs),
     ]
     return [text for text in told if text]
-
-
-def _unsigned(channels: Mapping[str, FloatArray]) -> str:
-    """Whether both sides' powers lost their sign: the inner side of an arc should return power.
-
-    In arcs a force of slip F and a resistance K give the outer side (F + K) v, the inner one
-    (K - F) v. Without its sign, the latter looks as if F and K were exchanged. On straight lines
-    the resistance alone remains: there it is seen which of the two it is.
-    """
-    if not {"p_left", "p_right"} <= set(channels):
-        return ""
-    left, right = channels["v_left"], channels["v_right"]
-    difference = right - left
-    turns = np.abs(difference) > 0.2 * float(np.quantile(np.abs(difference), 0.95))
-    straight = np.abs(difference) < 0.01 * np.abs(left + right)
-    for name, speed, outwards in (("p_left", left, -1.0), ("p_right", right, 1.0)):
-        power = channels[name]
-        along = outwards * np.sign(difference) * speed
-        inner = turns & (along < 0.0)
-        if min(np.count_nonzero(inner), np.count_nonzero(straight)) < _ENOUGH:
-            return ""
-        if np.mean(power[inner] < 0.0) > 0.02:
-            return ""
-        X = np.stack([along[turns], np.abs(speed[turns])], axis=1)
-        slip, resistance = np.linalg.lstsq(X, power[turns], rcond=None)[0]
-        seen = float(np.median(power[straight] / np.abs(speed[straight])))
-        if not (0.0 < 1.5 * slip < resistance and seen < np.sqrt(slip * resistance)):
-            return ""
-    return (
-        "p_left and p_right are never negative, and in arcs the inner side seems to be held back "
-        "far more than on straight lines: the sensors show what it returns as power drawn. Log "
-        "signed currents, or let diagnose find unsigned_power; identify takes it for resistance"
-    )
 
 
 def _repeats(channels: Mapping[str, FloatArray], power: FloatArray) -> list[str]:
@@ -98,9 +71,8 @@ def _repeats(channels: Mapping[str, FloatArray], power: FloatArray) -> list[str]
     moving = effort > 0.15 * float(np.quantile(effort, 0.95))
     least = max(5, round(_HANGS / float(np.median(np.diff(t)))))
     turned = np.append(False, np.diff(effort) != 0.0)
-    change = sum(
-        np.abs(np.diff(v, prepend=v[0])) for v in (channels["v_left"], channels["v_right"])
-    )
+    speeds = np.stack([channels["v_left"], channels["v_right"]])
+    change = np.abs(np.diff(speeds, prepend=speeds[:, :1])).sum(axis=0)
     calm = float(np.quantile(change[moving], _CALM)) if np.any(moving) else 0.0
     steady = moving & (change <= calm)
     told = []

@@ -20,6 +20,7 @@ _LONG = 5.0  # time of driving straight in which no power stays the same [s]
 _FOLLOWS = 0.9  # correlation with a side's speed, of a robot that turns about the other
 _TURNS = 0.3  # yaw rate over a second that no robot has which is driven straight [rad/s]
 _SHARE = 0.05  # share of the samples in which it must
+_DRAGGED = 1.3  # times the resistance of straight lines, which no side on the inside draws
 _UNLIKE = 60.0  # ratio of both sides' powers that no ground explains
 
 
@@ -208,6 +209,57 @@ def compare_powers(channels: Mapping[str, FloatArray]) -> str:
                 f"in {names[less]}=NAME[kW]"
             )
     return ""
+
+
+def find_lost_sign(channels: Mapping[str, FloatArray]) -> str:
+    """Tell whether both sides' powers lost their sign.
+
+    In arcs a force of slip F and a resistance K give the outer side (F + K) v, the inner one
+    (K - F) v, which it returns where F is the larger. Without its sign, that looks as if F and K
+    were exchanged. On straight lines the resistance alone remains: there it is seen which of the
+    two it is. An inner side that is held back more than a straight line costs is pushed by the
+    other.
+
+    Parameters
+    ----------
+    channels : mapping of str to ndarray, shape (n,)
+        Channels of a log.
+
+    Returns
+    -------
+    str
+        What is told; nothing where the powers have their sign, or nothing tells.
+    """
+    if not {"p_left", "p_right"} <= set(channels):
+        return ""
+    left, right = channels["v_left"], channels["v_right"]
+    difference = right - left
+    turns = np.abs(difference) > 0.2 * float(np.quantile(np.abs(difference), 0.95))
+    straight = np.abs(difference) < 0.01 * np.abs(left + right)
+    judged = 0
+    for name, speed, outwards in (("p_left", left, -1.0), ("p_right", right, 1.0)):
+        power = channels[name]
+        along = outwards * np.sign(difference) * speed
+        inner = turns & (along < 0.0)
+        if min(np.count_nonzero(inner), np.count_nonzero(straight)) < _ENOUGH:
+            continue  # a robot that turns one way alone
+        if np.mean(power[inner] < 0.0) > 0.02:
+            return ""
+        some, size = turns | straight, np.abs(speed)
+        X = np.stack([along * turns, size * turns, size * ~turns, np.ones(len(size))], axis=1)
+        slip, resistance, seen, _ = np.linalg.lstsq(X[some], power[some], rcond=None)[0]
+        exchanged = 0.0 < 1.5 * slip < resistance and seen < np.sqrt(slip * resistance)
+        pushed = 0.0 < _DRAGGED * seen < resistance - slip
+        if not (exchanged or pushed):
+            return ""
+        judged += 1
+    if not judged:
+        return ""
+    return (
+        "p_left and p_right are never negative, and in arcs the inner side seems to be held back "
+        "far more than on straight lines: the sensors show what it returns as power drawn. Log "
+        "signed currents, or let diagnose find unsigned_power"
+    )
 
 
 def refuse_one_side(logs: Sequence[DriveLog]) -> None:

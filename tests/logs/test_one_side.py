@@ -1,9 +1,13 @@
-"""Sides in different units are told from sides of which one takes next to nothing on turns."""
+"""Sides in different units, and powers without sign, are told from what arcs make of sides."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+import energyplan as ep
+from energyplan import simulate
+from energyplan.errors import NotIdentifiableError
 from energyplan.logs.one_side import compare_powers
 
 
@@ -25,3 +29,16 @@ def test_an_inner_side_that_takes_next_to_nothing_is_in_no_other_unit() -> None:
 
 def test_a_side_in_kilowatts_is_told() -> None:
     assert "map both in one unit, as in p_left=NAME[kW]" in compare_powers(_channels(1e-3))
+
+
+def test_powers_without_sign_are_refused_where_the_robot_turns_one_way_alone() -> None:
+    """The inner side of left turns is held back more than a straight line costs."""
+    model = ep.PowerModel.preset("quadriga:full:concrete")
+    parts = (("straight", 20.0), ("figure8", 30.0), ("rest", 3.0))
+    log = simulate.drive(model, parts, power_noise=5.0, speed_noise=0.005, seed=1)
+    left = log.channel("v_right") >= log.channel("v_left")
+    channels = {name: values[left] for name, values in log.channels.items()}
+    assert ep.identify(ep.DriveLog.from_columns(channels), model.vehicle).model
+    lost = {name: np.abs(channels[name]) for name in ("p_left", "p_right")}
+    with pytest.raises(NotIdentifiableError, match="Log signed currents"):
+        ep.identify(ep.DriveLog.from_columns({**channels, **lost}), model.vehicle)
