@@ -81,7 +81,7 @@ class Command(TyperCommand):
             follows = args[k + 1 :]
             bare = current is not None and word == current
             if bare and (not follows or follows[0].startswith("-")):
-                spread.append(word)  # without a value: the parser says so
+                raise InvalidInputError(f"{word} is given without a value")
         return super().parse_args(ctx, spread)
 
     def invoke(self, ctx: Any) -> Any:

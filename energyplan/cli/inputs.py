@@ -20,9 +20,13 @@ def read_logs(
 ) -> list[DriveLog]:
     """Read drive logs; of bags the vehicle tells the topic map where none is given."""
     from energyplan.io.bags import is_bag
+    from energyplan.io.files import same_file
     from energyplan.io.logs import read_log
     from energyplan.io.topics import topic_map_of
 
+    for k, path in enumerate(paths):
+        if any(same_file(path, other) for other in paths[:k]):
+            raise InvalidInputError(f"{path} is given twice; each drive counts once")
     bags = [path for path in paths if is_bag(path)]
     if topics and topics != vehicle and not bags:  # a project has both
         raise InvalidInputError(

@@ -202,7 +202,7 @@ def refuse_overwriting(outputs: Sequence[str | Path], inputs: Iterable[str | Pat
     """
     written = [Path(output) for output in outputs]
     for k, output in enumerate(written):
-        if any(_same(output, other) for other in written[:k]):
+        if any(same_file(output, other) for other in written[:k]):
             raise InvalidInputError(
                 f"{str(output)!r} is to be written twice; give every output a file of its own"
             )
@@ -211,15 +211,31 @@ def refuse_overwriting(outputs: Sequence[str | Path], inputs: Iterable[str | Pat
     for source in inputs:
         for file in files_behind(source):
             for output in written:
-                if _same(output, file):
-                    told = "" if _same(file, Path(source)) else f" (it belongs to {source})"
+                if same_file(output, file):
+                    told = "" if same_file(file, Path(source)) else f" (it belongs to {source})"
                     raise InvalidInputError(
                         f"{str(output)!r} is read{told}, and would be lost; write to another file"
                     )
 
 
-def _same(one: Path, other: Path) -> bool:
-    """Whether two names mean one file."""
+def same_file(one: Path, other: Path) -> bool:
+    """Whether two names mean one file, through links too.
+
+    Parameters
+    ----------
+    one, other : Path
+        The names; there need not be such files.
+
+    Returns
+    -------
+    bool
+        Whether they do.
+
+    Examples
+    --------
+    >>> same_file(Path("drive.csv"), Path("./drive.csv"))
+    True
+    """
     try:
         if one.exists() and other.exists():
             return one.samefile(other)

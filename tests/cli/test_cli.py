@@ -260,6 +260,13 @@ def test_wrong_usage_is_one_line(run: Run) -> None:
     assert_refused(run("serve", ".", "--port=99999"), "'99999' should be less than")
 
 
+def test_a_log_given_twice_and_a_list_without_values_are_refused(run: Run, spiral: Path) -> None:
+    again = spiral.parent / ".." / spiral.parent.name / spiral.name
+    assert_refused(run("identify", spiral, again, "--vehicle", "quadriga:full"), "given twice")
+    for rest in ((), ("--vehicle", "quadriga:full")):
+        assert_refused(run("diagnose", spiral, "--holdout", *rest), "--holdout", "without a value")
+
+
 def test_a_file_of_another_kind_or_a_folder_is_named(run: Run, tmp_path: Path) -> None:
     asked = ("--start", "2,2,0", "--goal", "4,2,0", "--model")
     grid, mission = bundled("office.yaml"), bundled("mission_warehouse.yaml")
