@@ -44,7 +44,7 @@ def main(file: str) -> None:
     figure = Figure(figsize=(plots.WIDTH, 4.3), dpi=110)
     ax = plots.occupancy(figure.add_axes((0.01, 0.12, 0.98, 0.8)), grid)
     ax.set(xlabel="", ylabel="", xticks=[], yticks=[])
-    ax.set_title("driven in a physics engine, without the model", loc="left", fontsize="medium")
+    ax.set_title("driven in a physics engine", loc="left", fontsize="medium")
     ax.set_autoscale_on(False)
     (low_x, low_y), (high_x, high_y) = vehicle.footprint
     boxes, lines, labels = {}, {}, {}
