@@ -16,7 +16,8 @@ from energyplan.fit.covariance import autocorrelation
 from energyplan.fit.drives.denoise import speed_noise
 from energyplan.fit.drives.linear import equations_of, is_lossy, power_of
 from energyplan.fit.drives.windows import SCALES, Drive
-from energyplan.fit.least_squares import Problem, RunSpread
+from energyplan.fit.least_squares import Problem
+from energyplan.fit.run_spread import RunSpread
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel
 from energyplan.power.effect_terms import SLIP_CHANGE, TRACTION_CHANGE, WHEEL_FIGHT
@@ -288,5 +289,5 @@ def plain_columns(problem: Problem, fitted: FinalFit, drive: Drive) -> FloatArra
             changed=drive.motion.channels.get("changed", np.ones(len(drive.t)))
         )
     one = Problem([replace(drive, between=None)], problem.vehicle)
-    columns, _ = one.tables(fitted.terms, np.array(fitted.model.coefficients))
-    return columns[0][:, 0]
+    about = one.tables(fitted.terms, np.array(fitted.model.coefficients))
+    return about.columns[0][:, 0]

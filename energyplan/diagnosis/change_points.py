@@ -28,7 +28,8 @@ _MARGIN = 6  # windows before the first and after the last time that is tried
 def _window_grams(problem: Problem, terms: Sequence[Term], values: FloatArray) -> list[FloatArray]:
     """Cumulative Gram matrices over half-second windows of [columns, paper's columns, power]."""
     sums = []
-    for drive, table, target in zip(problem.drives, *problem.tables(terms, values), strict=True):
+    about = problem.tables(terms, values)
+    for drive, table, target in zip(problem.drives, about.columns, about.targets, strict=True):
         windows = drive.windows[0]
         table, target = table[:, 0], target[:, 0]  # of the total
         paper = [drive.seen(column(term, drive, problem.vehicle)) for term in PAPER]

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.stats import f as fisher
 
 from energyplan.diagnosis.evidence import innovations, residuals
 from energyplan.diagnosis.explanations import Evaluated, Gain
@@ -21,6 +22,7 @@ from energyplan.diagnosis.proposals import (
     terms_of,
     with_changes,
 )
+from energyplan.fit.drives.denoise import speed_noise
 from energyplan.fit.drives.late import DELAYS, ON_TIME, Late
 from energyplan.fit.drives.windows import SCALES, Drive
 from energyplan.fit.least_squares import FLOOR, Problem, difference, fit
@@ -34,8 +36,12 @@ WORTHWHILE = 0.05
 """Smallest fall of the cross-validated error, mean over the scales, that is worth an effect."""
 
 WORTH = 0.004
-"""Smallest part of the root mean square power that is worth an effect: no model of a robot is true
-to less, and what is left of it looks like one effect or another."""
+"""Part of the root mean square power from which on an effect is worth its place whatever else is
+missing. A smaller one is where it is more than what its set leaves beyond noise: what a model does
+not have looks like one effect or another of at most that size."""
+
+_BY_CHANCE = 1e-3  # that noise alone leaves something of a set, over all scales
+_FEWEST = 4  # samples that tell no noise
 
 LATE = -float(np.log(len(DELAYS)))
 """Logarithm of the odds of a delay before the data: most logs' power is late, so that only the
@@ -137,11 +143,27 @@ class FittedSets(Proposals):
         which = [k for k, term in enumerate(terms_of(full.parts)) if term.name in own]
         return min(full.fit.p_value(which) * looks, 1.0) if which else 0.0
 
-    def _acceptable(self, gain: Gain, prior: float) -> bool:
+    def _missing(self, one: Evaluated) -> float:
+        """Return what a set leaves beyond noise, over the root mean square power.
+
+        Of means of the total power at each scale, whichever leaves most. By chance noise alone
+        leaves nothing in all but one of a thousand sets.
+        """
+        noise, power = [], []
+        for drive in one.problem.drives:
+            noise.append(speed_noise(drive.power) ** 2 if len(drive.power) > _FEWEST else 0.0)
+            power.append(float(np.mean(drive.power**2)))
+        samples = float(sum(len(drive.t) for drive in one.problem.drives))
+        means = one.counts[: len(SCALES)]
+        limit = fisher.isf(_BY_CHANCE / len(SCALES), means, samples) * np.median(noise)
+        left = one.fit.errors[: len(SCALES)] - limit * means / samples
+        return float(np.sqrt(max(left.max(), 0.0) / max(np.mean(power), 1e-300)))
+
+    def _acceptable(self, gain: Gain, prior: float, full: Evaluated) -> bool:
         return (
             gain.improvement > WORTHWHILE
             and (gain.improvement > gain.error or gain.lasting > 0.0)
-            and gain.share > WORTH
+            and (gain.share > WORTH or gain.share > self._missing(full))
             and gain.p_value < _CHANCE
             and gain.weight + prior > 0.0
         )
@@ -174,7 +196,7 @@ class FittedSets(Proposals):
                     for k in now
                 }
                 full.gains.update(gains)
-                poor = [k for k in now if not self._acceptable(gains[k], candidates[k].prior)]
+                poor = [k for k in now if not self._acceptable(gains[k], candidates[k].prior, full)]
                 if full.sound and not poor:
                     return now
                 # Nonsense that fits: what explains least is the culprit.

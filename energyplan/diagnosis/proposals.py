@@ -18,13 +18,10 @@ from energyplan.diagnosis.change_points import lines, mark_changes
 from energyplan.diagnosis.part import Part
 from energyplan.fit.drives.late import Late
 from energyplan.fit.drives.windows import Design, Drive, channels_of
-from energyplan.fit.least_squares import PAPER, Problem, fit, solve
+from energyplan.fit.least_squares import FINE, PAPER, WEIGHTS, Problem, evidence_of, fit, solve
 from energyplan.path import FloatArray
 from energyplan.power import Term
 from energyplan.power.effects import Effect
-
-WEIGHTS = np.array([1.0, 2.0, 3.0]) / 6.0
-"""Say of each scale: what lasts adds up to energy."""
 
 RARE = -6.0
 """Logarithm of the odds of an effect before the data, against its absence."""
@@ -35,7 +32,6 @@ OF_LOG = -1.0
 PAIRED = 24
 """Effects of which all pairs are tried."""
 
-_FINE = 0.1  # part of the floor that likelihoods count as nothing
 _NEAR = 4.0  # logarithm of the odds at which a replacement is a rival
 _BEAM = 8  # sets that grow
 _EXACT = 6  # sets that are worth a closer look
@@ -57,12 +53,20 @@ class Candidate:
         Logarithm of its odds before the data.
     marked : Problem or None
         The drives with the times of a change; None where nothing changes.
+    settled : bool
+        Whether its parameters were moved from a grid's to where a set fits best.
     """
 
     part: Part
     columns: tuple[int, ...]
     prior: float
     marked: Problem | None = None
+    settled: bool = False
+
+    @property
+    def always(self) -> bool:
+        """Whether nearly every robot has it, whatever its parameters."""
+        return self.part.effect.usual and not self.part.params
 
     @cached_property
     def terms(self) -> tuple[str, ...]:
@@ -168,8 +172,8 @@ class Proposals:
         ndarray, shape (...)
             Normal likelihood, a weighted mean over the scales: each alone is one.
         """
-        count = np.tile(WEIGHTS, len(windows) // len(WEIGHTS)) * windows
-        floor = (_FINE * self.problem.floor[: len(windows)]).reshape(
+        count = evidence_of(windows)
+        floor = (FINE * self.problem.floor[: len(windows)]).reshape(
             -1, *[1] * (np.ndim(errors) - 1)
         )
         fall = np.log(np.maximum(errors, 0.0) + floor + 1e-300)
@@ -213,8 +217,7 @@ class Proposals:
         marked = next((one.marked for one in candidates if one.marked is not None), None)
         if marked is not None:
             problem = with_changes(problem, marked)
-        columns, targets = problem.tables(terms, values)
-        return Design.of(problem.drives, columns, targets).with_folds(_FOLDS)
+        return problem.design_about(terms, values).with_folds(_FOLDS)
 
     def _scores(
         self,
@@ -421,7 +424,7 @@ class Proposals:
         trials = [
             tuple(sorted({*best, new} - {old}))
             for old in best for new in range(len(candidates))
-            if new not in best and not candidates[old].part.effect.usual
+            if new not in best and not candidates[old].always
         ]  # fmt: skip
         trials = [one for one in dict.fromkeys(trials) if self._compatible(candidates, one)]
         if not trials:

@@ -150,6 +150,7 @@ class Search(FittedSets):
         """
         for _ in range(self.limit):
             self._redelay(weighed, pools)
+            self._settle_best(weighed, pools)
             chosen, late = max(weighed, key=lambda key: weighed[key])
             now, candidates = tuple(sorted(chosen)), pools[late]
             one = self._evaluate(now, candidates, late)
@@ -160,7 +161,7 @@ class Search(FittedSets):
             trials = [{*now, new} for new in others]
             trials += [
                 {*now, new} - {old} for old in now for new in others
-                if not candidates[old].part.effect.usual
+                if not candidates[old].always
             ]  # fmt: skip
             sets = [tuple(sorted(some)) for some in trials]
             sets = [some for some in sets if self._compatible(candidates, some)]
@@ -230,13 +231,50 @@ class Search(FittedSets):
                 reduced = self._reduced(tuple(same), candidates, late)
                 weighed[(frozenset(reduced), late)] = self._posterior(reduced, candidates, late)
 
+    def _settle_best(
+        self,
+        weighed: dict[tuple[frozenset[int], Late], float],
+        pools: Mapping[Late, list[Candidate]],
+    ) -> None:
+        """Move the parameters of the best set, which a grid has, to where it fits best.
+
+        What a value of the grid beside the true one leaves would look like one effect or another.
+        """
+        chosen, late = max(weighed, key=lambda key: weighed[key])
+        candidates = pools[late]
+        one = self._evaluate(tuple(sorted(chosen)), candidates, late)
+        moved: Set | None = None
+        for k in sorted(chosen):
+            if candidates[k].part.params and not candidates[k].settled:
+                moved = self._settle(k, moved or tuple(sorted(chosen)), candidates, one) or moved
+        if moved is not None:
+            reduced = self._reduced(moved, candidates, late)
+            weighed[(frozenset(reduced), late)] = self._posterior(reduced, candidates, late)
+
+    def _settle(
+        self, k: int, chosen: Set, candidates: list[Candidate], now: Evaluated
+    ) -> Set | None:
+        """Return a set with a candidate's parameters moved to where it fits best, if it does.
+
+        What is moved becomes a further candidate, as probable before the data as it was.
+        """
+        part = candidates[k].part
+        made = self._moved([candidates[j].part for j in chosen], chosen.index(k), now.problem)
+        better = settled(part, made, now.errors)
+        if better is None:
+            return None
+        last = max(one.columns[-1] for one in candidates if one.columns)
+        columns = tuple(range(last + 1, last + 1 + len(part.terms)))
+        part = made(better)[0][chosen.index(k)]
+        candidates.append(replace(candidates[k], part=part, columns=columns, settled=True))
+        return tuple(sorted({*chosen, len(candidates) - 1} - {k}))
+
     def _settled_lines(
         self, sets: Sequence[Set], scores: FloatArray, candidates: list[Candidate], now: Evaluated
     ) -> list[Set]:
         """Return the best set with each effect of a place, its line moved to where it fits best.
 
-        Lines of a grid lie up to half a step beside the border, and tell only part of it. The line
-        becomes a further candidate, as probable before the data as each of the grid.
+        Lines of a grid lie up to half a step beside the border, and tell only part of it.
         """
         found: list[Set] = []
         names = {part.effect.name for part in now.parts}
@@ -249,16 +287,9 @@ class Search(FittedSets):
             if chosen is None or any(candidates[k].marked for k in chosen):
                 continue
             (line,) = own & set(chosen)
-            parts = [candidates[k].part for k in chosen]
-            made = self._moved(parts, chosen.index(line), now.problem)
-            better = settled(candidates[line].part, made, now.errors)
-            if better is None:
-                continue
-            moved = made(better)[0][chosen.index(line)]
-            last = max(one.columns[-1] for one in candidates if one.columns)
-            columns = tuple(range(last + 1, last + 1 + len(moved.terms)))
-            candidates.append(Candidate(moved, columns, candidates[line].prior))
-            found.append(tuple(sorted({*chosen, len(candidates) - 1} - {line})))
+            moved = self._settle(line, chosen, candidates, now)
+            if moved is not None:
+                found.append(moved)
         return found
 
     def _levelled(self, nuisance: Sequence[Part]) -> Problem:

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 from energyplan.diagnosis.change_points import crosses
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import terms_of
-from energyplan.fit.least_squares import Problem, fit
+from energyplan.fit.least_squares import ROUNDS, Problem, fit
 from energyplan.path import FloatArray
 
 Make = Callable[[FloatArray], tuple[list[Part], Problem]]
@@ -19,6 +19,9 @@ Make = Callable[[FloatArray], tuple[list[Part], Problem]]
 
 def settled(part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
     """Move the parameters of a part to where the loss is least.
+
+    While they move, losses are linear about the coefficients found where they start; the outcome is
+    taken where the fit with losses as they are finds it better, too.
 
     Parameters
     ----------
@@ -34,14 +37,21 @@ def settled(part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
     ndarray or None
         The parameters; None where those of the grid are as good.
     """
+    trial, case = made(np.array([value for _, value in part.params]))
+    terms = terms_of(trial)
+    found_there = fit(case.design(terms, errors), errors).values.tolist()
+    known = dict(zip((term.name for term in terms), found_there, strict=True))
 
-    def loss(values: FloatArray) -> float:
+    def fitted(values: FloatArray, rounds: int) -> float:
         trial, case = made(values)
         if part.effect.acts == "place":
             named = zip((key for key, _ in part.params), values.tolist(), strict=True)
             if not crosses(dict(named), case.drives):
                 return np.inf
-        return fit(case.design(terms_of(trial), errors), errors).loss
+        return fit(case.design(terms_of(trial), errors, known, rounds), errors).loss
+
+    def loss(values: FloatArray) -> float:
+        return fitted(values, 1)
 
     start, span = np.array([value for _, value in part.params]), _span(part)
     inside = (
@@ -61,7 +71,8 @@ def settled(part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
             "fatol": 1e-4,
         },
     )
-    return np.asarray(found.x) if found.fun < loss(start) else None
+    better = found.fun < loss(start) and fitted(found.x, ROUNDS) < fitted(start, ROUNDS)
+    return np.asarray(found.x) if better else None
 
 
 def _is_delay(part: Part) -> bool:

@@ -15,11 +15,11 @@ import numpy as np
 
 from energyplan.diagnosis.explanations import Evaluated, Found
 from energyplan.diagnosis.part import Part
-from energyplan.diagnosis.proposals import WEIGHTS, Candidate
+from energyplan.diagnosis.proposals import Candidate
 from energyplan.diagnosis.residual import Dependence
 from energyplan.diagnosis.result import Adequacy
 from energyplan.fit.drives.windows import Design
-from energyplan.fit.least_squares import PAPER, weighted
+from energyplan.fit.least_squares import PAPER, WEIGHTS, weighted
 from energyplan.path import FloatArray
 
 _ALMOST = 1e-9  # share of a column's square that the model's own columns leave of it, and is none

@@ -13,7 +13,8 @@ import numpy as np
 
 from energyplan.fit.drives.readings import reading_covariance
 from energyplan.fit.drives.windows import Design, window_means
-from energyplan.fit.least_squares import Fit, Problem, RunSpread, fit
+from energyplan.fit.least_squares import Fit, Problem, fit
+from energyplan.fit.run_spread import RunSpread
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Term
 
@@ -95,7 +96,7 @@ def _within(problem: Problem, terms: Sequence[Term], design: Design, errors: Flo
     ends = values > most
     while np.any(values[ends] > most[ends]):
         values[ends] = most[ends]
-        about = Design.of(problem.drives, *problem.tables(terms, values))
+        about = problem.design_about(terms, values)
         values[~ends] = fit(about.fixed(ends, most), errors).values
         ends |= values > most
     return replace(found, values=values)

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.stats import f as fisher
 from scipy.stats import norm
 from scipy.stats import t as student
@@ -21,18 +20,27 @@ from energyplan.fit.drives.columns import columns_of
 from energyplan.fit.drives.late import Late
 from energyplan.fit.drives.linear import is_lossy, linearise_drive
 from energyplan.fit.drives.windows import SCALES, Design, Drive, window_means
+from energyplan.fit.run_spread import RunSpread
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, Term
 from energyplan.vehicle import Vehicle
 
 PAPER = (SLIP, TRACTION)
+WEIGHTS = np.array([1.0, 2.0, 3.0]) / 6.0
+"""Say of each scale: what lasts adds up to energy."""
+
+FINE = 0.1
+"""Part of the floor that likelihoods count as nothing."""
+
 FLOOR = 0.01
 """Error that is not worth an effect, as a fraction of the root mean square power."""
 
 _SLIP_LAW = 0.05  # part of the sides' difference that no law of sliding friction foretells
-_LOSS_ROUNDS = 12
+ROUNDS = 12
+"""Most steps of a fit with losses."""
+
 _WATCHED = 3  # full steps that may raise the loss before it is lower
-_SETTLED = 1e-6  # relative fall of the loss that is none
+_SETTLED = 1e-3  # fall of the negative logarithm of the likelihood that is none
 _RUNS = 6  # drives from which on each has a factor before effects are looked for
 _LEVELLING = 4  # rounds in which factors of runs and coefficients settle
 
@@ -92,6 +100,11 @@ def solve(gram: FloatArray, weight: FloatArray | None = None) -> FloatArray:
     moment = gram[..., :-1, -1] / scale
     ridge = 1e-9 * np.eye(normal.shape[-1])
     return np.asarray(np.linalg.solve(normal + ridge, moment[..., None])[..., 0] / scale)
+
+
+def evidence_of(windows: FloatArray) -> FloatArray:
+    """Return how many windows each scale counts for in a likelihood: a weighted mean over them."""
+    return np.asarray(np.tile(WEIGHTS, len(windows) // len(WEIGHTS)) * windows)
 
 
 def left_out(total: FloatArray, grams: FloatArray, fold: np.ndarray) -> FloatArray:
@@ -155,75 +168,29 @@ def _stretch(deviations: FloatArray) -> FloatArray:
     return np.asarray(student.ppf(0.975, freedom) / norm.ppf(0.975))
 
 
-@dataclass(frozen=True)
-class RunSpread:
-    """How much runs differ as a whole, each by a factor of its power.
-
-    Parameters
-    ----------
-    deviation : float
-        Standard deviation of the factor between runs, beyond the scatter within them.
-    factors : tuple of float
-        Factor of each run, shrunk towards 1 as far as its own scatter leaves it open.
-    excess, variances : ndarray, shape (drives,)
-        Each run's own estimate of its factor, less 1, and the variance of that.
-    """
-
-    deviation: float
-    factors: tuple[float, ...]
-    excess: FloatArray
-    variances: FloatArray
-
-    @classmethod
-    def of(cls, design: Design, values: FloatArray) -> RunSpread | None:
-        """Compare runs by their longest windows (Paule's and Mandel's estimate).
-
-        Parameters
-        ----------
-        design : Design
-            Columns and power.
-        values : ndarray, shape (k,)
-            Coefficients that all runs share.
-
-        Returns
-        -------
-        RunSpread or None
-            None where there are fewer than three runs.
-
-        References
-        ----------
-        Paule and Mandel (1982), J. Res. NBS 87, 377-385.
-        """
-        table, owner = design.longest
-        count = int(owner.max()) + 1
-        if count < 3:
-            return None
-        predicted, measured = table[:, :-1] @ values, table[:, -1]
-        square = np.bincount(owner, predicted**2, count)
-        product = np.bincount(owner, predicted * measured, count)
-        excess = product / np.maximum(square, 1e-300) - 1.0
-        scatter = measured - predicted * (1.0 + excess[owner])
-        windows = np.bincount(owner, minlength=count)
-        freedom = max(float(np.sum(np.maximum(windows - 1, 0))), 1.0)
-        noise = float(scatter @ scatter) / freedom
-        variances = np.maximum(noise / np.maximum(square, 1e-300), 1e-12)
-
-        def misfit(between: float) -> float:
-            weight = 1.0 / (variances + between)
-            return float(weight @ (excess - weight @ excess / weight.sum()) ** 2) - (count - 1)
-
-        between = 0.0
-        if misfit(0.0) > 0.0:
-            most = 2.0 * float(np.var(excess, ddof=1)) + 1e-12
-            between = float(brentq(misfit, 0.0, most)) if misfit(most) < 0.0 else most
-        shrunk = excess * between / (between + variances)
-        return cls(float(np.sqrt(between)), tuple((1.0 + shrunk).tolist()), excess, variances)
-
-
 def difference(one: FloatArray, other: FloatArray) -> tuple[float, float]:
     """Sum of the paired differences of block losses, and its standard error."""
     gap = one - other
     return float(gap.sum()), float(np.sqrt(len(gap)) * gap.std(ddof=1))
+
+
+@dataclass(frozen=True)
+class Tables:
+    """Columns of terms on drives, linearised about coefficients.
+
+    Parameters
+    ----------
+    columns : list of ndarray, shape (n, equations, k)
+        Of each drive.
+    targets : list of ndarray, shape (n, equations)
+        Power that they are to explain [W].
+    odds : float
+        Logarithm of what it took from the likelihood that what contacts hold was not known.
+    """
+
+    columns: list[FloatArray]
+    targets: list[FloatArray]
+    odds: float
 
 
 class Problem:
@@ -326,25 +293,29 @@ class Problem:
             problem = self.with_factors(spread.factors)
         return problem
 
-    def tables(
-        self, terms: Sequence[Term], values: FloatArray
-    ) -> tuple[list[FloatArray], list[FloatArray]]:
+    def tables(self, terms: Sequence[Term], values: FloatArray) -> Tables:
         """Return, for each drive, the columns of the terms and the power they are to explain.
 
-        Shapes (n, equations, k) and (n, equations). Where a loss depends on the forces, and so on
-        the other coefficients, both are linearised about `values`.
+        Where a loss depends on the forces, and so on the other coefficients, both are linearised
+        about `values`.
         """
-        columns, targets = [], []
+        columns, targets, odds = [], [], 0.0
         for drive in self.drives:
             if is_lossy(drive, terms):
                 about = linearise_drive(drive, self.vehicle, terms, values)
                 columns.append(about.columns)
                 targets.append(drive.measured - about.power + about.columns @ values)
+                odds += about.odds
             else:
                 found = np.stack([columns_of(t, drive, self.vehicle) for t in terms], axis=-1)
                 columns.append(drive.observed(found))
                 targets.append(drive.measured)
-        return columns, targets
+        return Tables(columns, targets, odds)
+
+    def design_about(self, terms: Sequence[Term], values: FloatArray) -> Design:
+        """Return the design of some terms, losses linearised about `values`."""
+        about = self.tables(terms, values)
+        return Design.of(self.drives, about.columns, about.targets)
 
     def odds(self, terms: Sequence[Term], values: FloatArray) -> float:
         """Return what it took from the likelihood that what contacts hold was not known.
@@ -360,11 +331,13 @@ class Problem:
         terms: Sequence[Term],
         errors: FloatArray | None = None,
         start: Mapping[str, float] | None = None,
-        rounds: int = _LOSS_ROUNDS,
+        rounds: int = ROUNDS,
     ) -> Design:
         """Return the design of some terms: Gauss-Newton where they are not linear.
 
-        Steps may raise the loss for a while (watchdog technique), and are halved after that.
+        Steps may make the drives less likely for a while (watchdog technique), and are halved
+        after that. What it takes from the likelihood that what contacts hold is not known counts:
+        else a loss that leaves more of it open would seem to fit better.
 
         Parameters
         ----------
@@ -387,33 +360,46 @@ class Problem:
             start = self.memory if names <= set(self.memory) else self._start(terms, errors)
         values = np.array([start.get(term.name, 0.0) for term in terms])
         if not any(is_lossy(drive, terms) for drive in self.drives):
-            return Design.of(self.drives, *self.tables(terms, values))
+            return self.design_about(terms, values)
         best: tuple[float, FloatArray, Design] | None = None
         step, watched = values, 0
         for _ in range(rounds):
-            design = Design.of(self.drives, *self.tables(terms, values))
+            about = self.tables(terms, values)
+            design = Design.of(self.drives, about.columns, about.targets)
             scale = np.ones(len(design.rows)) if errors is None else errors
             gram = weighted(design, scale).sum(axis=0)
-            signed = np.append(values, -1.0)
-            loss = float(signed @ gram @ signed)
-            if best is not None and not loss < best[0]:
+            least = solve(gram)
+            misfit = self._misfit(design, gram, scale, values) + about.odds
+            if best is not None and not misfit < best[0]:
                 # The losses turned out otherwise than they seemed from where it started. Some full
                 # steps may lead out of there (the watchdog technique); else the step was too far.
                 watched += 1
                 step = 0.5 * (step + best[1]) if watched > _WATCHED else step
-                values = step if watched > _WATCHED else solve(gram)
+                values = step if watched > _WATCHED else least
                 if np.allclose(values, best[1], rtol=1e-4):
                     break
                 continue
-            settled = best is not None and loss > (1.0 - _SETTLED) * best[0]
-            best, watched = (loss, values, design), 0
-            step = values = solve(gram)
+            hoped = self._misfit(design, gram, scale, least) + about.odds
+            settled = misfit - hoped < _SETTLED or (
+                best is not None and best[0] - misfit < _SETTLED
+            )
+            best, watched = (misfit, values, design), 0
+            step = values = least
             if settled or np.allclose(values, best[1], rtol=1e-4):
                 break
         if best is None:
-            return Design.of(self.drives, *self.tables(terms, values))
+            return self.design_about(terms, values)
         self.memory |= {t.name: float(v) for t, v in zip(terms, best[1], strict=True)}
         return best[2]
+
+    def _misfit(
+        self, design: Design, gram: FloatArray, scale: FloatArray, values: FloatArray
+    ) -> float:
+        """Return the negative logarithm of the likelihood of coefficients."""
+        signed = np.append(values, -1.0)
+        nothing = float(np.sum(FINE * self.floor[: len(scale)] / scale))
+        loss = max(float(signed @ gram @ signed), 0.0) + nothing + 1e-300
+        return 0.5 * float(evidence_of(design.evidence).sum()) * float(np.log(loss))
 
     def _start(self, terms: Sequence[Term], errors: FloatArray | None) -> dict[str, float]:
         linear = [term for term in terms if term.kind != "loss"]
