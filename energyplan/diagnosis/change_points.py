@@ -21,8 +21,7 @@ from energyplan.power.effects import Effect
 from energyplan.vehicle import Vehicle
 
 _SWEEPS = 3
-_LEAST_SIDE = 0.1  # share of the samples on either side of a line, of which it tells
-_MARGIN = 6  # windows before the first and after the last time that is tried
+_LEAST_SIDE = 0.1  # share of the samples on either side of a line, or of a time, of which it tells
 
 
 def _window_grams(problem: Problem, terms: Sequence[Term], values: FloatArray) -> list[FloatArray]:
@@ -83,7 +82,8 @@ def mark_changes(problem: Problem, terms: Sequence[Term], errors: FloatArray) ->
         for k, part in enumerate(sums):
             others_total = sum((totals[j] for j in range(len(sums)) if j != k), 0.0 * totals[k])
             others_after = sum((afters[j] for j in range(len(sums)) if j != k), 0.0 * totals[k])
-            times = np.arange(_MARGIN, len(part) - _MARGIN)
+            margin = int(np.ceil(_LEAST_SIDE * len(part)))
+            times = np.arange(margin, len(part) - margin)
             if not len(times):
                 continue  # too short to have changed within
             late = part[-1] - part[times]

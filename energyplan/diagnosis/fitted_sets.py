@@ -159,13 +159,22 @@ class FittedSets(Proposals):
         left = one.fit.errors[: len(SCALES)] - limit * means / samples
         return float(np.sqrt(max(left.max(), 0.0) / max(np.mean(power), 1e-300)))
 
-    def _acceptable(self, gain: Gain, prior: float, full: Evaluated) -> bool:
+    def _acceptable(self, gain: Gain, one: Candidate, full: Evaluated, less: Evaluated) -> bool:
+        """Tell whether an effect earns its place in a set, given the set with and without it.
+
+        However small, an effect is needed where the others are impossible without it.
+        """
+        large = gain.improvement > WORTHWHILE and (
+            gain.share > WORTH or gain.share > self._missing(full)
+        )
+        # Where or when something changes was searched with all blocks: the block that shows most of
+        # it is not foretold by the others.
+        searched = one.part.effect.acts in ("change", "place")
         return (
-            gain.improvement > WORTHWHILE
-            and (gain.improvement > gain.error or gain.lasting > 0.0)
-            and (gain.share > WORTH or gain.share > self._missing(full))
+            (large or not less.sound)
+            and (gain.lasting > 0.0 or (gain.improvement > gain.error and not searched))
             and gain.p_value < _CHANCE
-            and gain.weight + prior > 0.0
+            and gain.weight + one.prior > 0.0
         )
 
     def _posterior(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> float:
@@ -186,17 +195,16 @@ class FittedSets(Proposals):
             chance = {k: self._p_value(full, candidates[k].part, looks[k]) for k in now}
             weak = max(now, key=lambda k: chance[k])
             if chance[weak] < _CHANCE:
-                gains = {
-                    k: self._gain(
-                        full,
-                        self._evaluate(tuple(j for j in now if j != k), candidates, late),
-                        candidates[k].part,
-                        looks[k],
-                    )
+                less = {
+                    k: self._evaluate(tuple(j for j in now if j != k), candidates, late)
                     for k in now
                 }
+                gains = {k: self._gain(full, less[k], candidates[k].part, looks[k]) for k in now}
                 full.gains.update(gains)
-                poor = [k for k in now if not self._acceptable(gains[k], candidates[k].prior, full)]
+                poor = [
+                    k for k in now
+                    if not self._acceptable(gains[k], candidates[k], full, less[k])
+                ]  # fmt: skip
                 if full.sound and not poor:
                     return now
                 # Nonsense that fits: what explains least is the culprit.
