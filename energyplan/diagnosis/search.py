@@ -227,7 +227,8 @@ class Search(FittedSets):
                 k for k, one in enumerate(candidates)
                 if any((one.part, one.marked) == (other.part, other.marked) for other in wanted)
             ]  # fmt: skip
-            if late != found and len(same) == len(wanted):
+            known = (frozenset(same), late) in weighed
+            if late != found and len(same) == len(wanted) and not known:
                 reduced = self._reduced(tuple(same), candidates, late)
                 weighed[(frozenset(reduced), late)] = self._posterior(reduced, candidates, late)
 

@@ -11,13 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from energyplan import PowerModel, diagnose, simulate
+from energyplan import DriveLog, PowerModel, diagnose, simulate
+from energyplan.diagnosis.change_points import mark_changes
+from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.search import Search
 from energyplan.fit.drives.late import ON_TIME, Late
 from energyplan.fit.drives.windows import prepared
-from energyplan.fit.least_squares import Problem
+from energyplan.fit.least_squares import PAPER, Problem
 from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, TOWED_DRAG
-from energyplan.power.effects import catalogue
+from energyplan.power.effects import VISCOUS_LOSS, WARM_UP, catalogue
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")
 NAMES = ("copper_loss", "dragging_wheel_left", "towed_drag")
@@ -67,6 +69,77 @@ def test_pairs_hold_the_set_and_two_effects_more(search: Search) -> None:
     candidates = search._candidates(None)
     singles = [(0, 1), (0, 2), (1,)]
     assert search._pairs((0,), singles, np.zeros(3), candidates) == [(0, 1, 2)]
+
+
+def one_drive(model: PowerModel, names: tuple[str, ...], disturbed: float = 0.0) -> Search:
+    """Return a search over some effects, on a drive with a power that none of them has."""
+    log = simulate.drive(
+        model, simulate.IDENTIFICATION, rate=10.0, speed=0.7, power_noise=1.0, measured="total",
+        without={"accel_x"},
+    )  # fmt: skip
+    size = disturbed * float(np.sqrt(np.mean(log.power**2)))
+    swing = np.sqrt(2.0) * size * np.sin(2.0 * np.pi * log.t / 23.0)
+    log = DriveLog({**log.channels, "power": log.power + swing}, log.name)
+    problem = Problem(prepared([log], ROBOT.vehicle), ROBOT.vehicle)
+    made = Search(problem, [catalogue()[name] for name in names], lambda *_: None, 4)
+    made.errors = problem.reference(problem.design(ROBOT.terms))
+    return made
+
+
+@pytest.mark.parametrize("disturbed", [0.0, 0.01])
+def test_a_small_effect_is_one_where_less_than_it_is_missing(disturbed: float) -> None:
+    search = one_drive(ROBOT.with_term(VISCOUS_LOSS, 2.5), ("viscous_loss",), disturbed)
+    candidates = search._candidates(None)
+    one = search._evaluate((0,), candidates, ON_TIME)
+    less = search._evaluate((), candidates, ON_TIME)
+    gain = replace(search._gain(one, less, candidates[0].part, 1.0), share=0.003)
+    sure = replace(gain, improvement=1.0, lasting=1.0, p_value=0.0, weight=20.0)
+    assert search._missing(one) == pytest.approx(disturbed, rel=0.4, abs=1e-3)
+    assert search._acceptable(sure, candidates[0], one, less) == (disturbed == 0.0)
+    # Small or not, it stays where the others are impossible without it.
+    assert search._acceptable(sure, candidates[0], one, replace(less, sound=False))
+
+
+def test_what_one_block_alone_shows_of_a_change_is_none(search: Search) -> None:
+    candidate = search._candidates(None)[0]
+    one = search._evaluate((0,), search._candidates(None), ON_TIME)
+    less = search._evaluate((), search._candidates(None), ON_TIME)
+    gain = replace(search._gain(one, less, candidate.part, 1.0), lasting=-0.1, improvement=1.0)
+    gain = replace(gain, error=0.5, share=0.1, p_value=0.0, weight=40.0)
+    for name, accepted in (
+        ("payload_change", False),
+        ("surface_border", False),
+        ("towed_drag", True),
+    ):
+        part = Part(catalogue()[name])
+        assert search._acceptable(gain, replace(candidate, part=part), one, less) == accepted
+
+
+def test_a_change_leaves_a_tenth_of_a_drive_on_either_side() -> None:
+    search = one_drive(ROBOT, ("viscous_loss",))
+    drive = search.problem.drives[0]
+    late = drive.t > 0.94 * drive.t[-1]
+    drive = replace(drive, power=drive.power * np.where(late, 1.5, 1.0))
+    problem = Problem([drive], ROBOT.vehicle)
+    marked = mark_changes(problem, PAPER, problem.reference(problem.design(PAPER)))
+    assert 0.09 < float(np.mean(marked.drives[0].motion.channels["changed"])) < 0.91
+
+
+def test_values_between_those_of_a_grid_are_found_while_a_set_grows() -> None:
+    warm = replace(WARM_UP, params={"time_constant": 57.0})
+    search = one_drive(ROBOT.with_term(warm, 50.0), ("warm_up",))
+    candidates = search._candidates(None)
+    sets = [(k,) for k in range(len(candidates))]
+    weighed = {
+        (frozenset(one), ON_TIME): search._posterior(one, candidates, ON_TIME) for one in sets
+    }
+    before = max(weighed.values())
+    search._settle_best(weighed, {ON_TIME: candidates})
+    assert len(candidates) == len(sets) + 1
+    assert dict(candidates[-1].part.params)["time_constant"] == pytest.approx(57.0, rel=0.05)
+    assert max(weighed.values()) > before
+    search._settle_best(weighed, {ON_TIME: candidates})  # and stays there
+    assert len(candidates) == len(sets) + 1
 
 
 @pytest.mark.nightly

@@ -121,6 +121,16 @@ def test_what_contacts_hold_on_a_straight_is_told_by_the_total(loss: str, late: 
     assert problem.odds(terms, np.array([*true, 0.0])) == 0.0
 
 
+def test_a_fit_with_losses_that_starts_where_it_ends_is_settled() -> None:
+    problem, terms = _lossy(8e-4, "copper_loss")
+    errors = problem.reference(problem.design(terms))
+    there = fit(problem.design(terms, errors), errors).values
+    start = {term.name: float(v) for term, v in zip(terms, there, strict=True)}
+    few, many = (problem.design(terms, errors, start, rounds) for rounds in (2, 12))
+    for one, other in zip(few.rows, many.rows, strict=True):
+        assert_allclose(one, other)
+
+
 def test_straight_lines_are_not_told_to_hold_anything() -> None:
     problem, terms = _lossy(0.0, "copper_loss", wide=False)
     true = PowerModel.preset("quadriga:full:concrete").coefficients
