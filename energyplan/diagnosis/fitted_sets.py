@@ -49,19 +49,7 @@ search for it counts."""
 
 
 class FittedSets(Proposals):
-    """Sets of a catalogue's effects, each fitted once.
-
-    Parameters
-    ----------
-    problem : Problem
-        Training drives.
-    effects : sequence of Effect
-        The catalogue.
-    limit : int
-        Largest number of effects.
-    judged : sequence of Drive
-        Drives that are to be predicted: of them counts only which channels they carry.
-    """
+    """Sets of a catalogue's effects, each fitted once; its parameters are those of `Proposals`."""
 
     def __init__(
         self,

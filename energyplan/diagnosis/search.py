@@ -49,16 +49,10 @@ class Search(FittedSets):
 
     Parameters
     ----------
-    problem : Problem
-        Training drives.
-    effects : sequence of Effect
-        The catalogue.
+    problem, effects, limit, judged
+        As of `Proposals`.
     progress : callable
         Called with a fraction in [0, 1] and what is being done.
-    limit : int
-        Largest number of effects.
-    judged : sequence of Drive
-        Drives that are to be predicted: of them counts only which channels they carry.
     """
 
     def __init__(
