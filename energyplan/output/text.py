@@ -335,7 +335,7 @@ def fleet(told: FleetReport) -> list[str]:
             f"the end {100 * robot.soc_end:.0f} %, at least {100 * robot.soc_end_lower:.0f} %"
         )
         lines += [
-            f"  {stop.arrival:.0f} s {stop.kind} {stop.name}"
+            f"  {stop.arrival:.0f} s {stop.kind}: {stop.name}"
             + (f" until {stop.departure:.0f} s" if stop.departure > stop.arrival else "")
             for stop in robot.route[1:]
         ]
