@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 import importlib
 import inspect
 import pkgutil
@@ -180,6 +181,25 @@ def test_no_module_imports_private_parts_of_another_package() -> None:
             if private and here[: private[0]] != parts[: private[0]]:
                 reached.append(f"{file.relative_to(ROOT)}: {module} {name}")
     assert reached == []
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    """What is imported for types alone, or within a function, makes none."""
+    files = sorted((ROOT / "energyplan").rglob("*.py"))
+    names = {f: ".".join(f.relative_to(ROOT).with_suffix("").parts) for f in files}
+    modules = {name.removesuffix(".__init__") for name in names.values()}
+    needed: dict[str, set[str]] = {}
+    for file, name in names.items():
+        needed[name.removesuffix(".__init__")] = {
+            module if (module := f"{node.module}.{alias.name}") in modules else str(node.module)
+            for node in ast.parse(file.read_text()).body
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("energyplan")
+            for alias in node.names
+        }
+    try:
+        graphlib.TopologicalSorter(needed).prepare()
+    except graphlib.CycleError as error:
+        pytest.fail(f"a circle: {' -> '.join(error.args[1])}")
 
 
 def test_no_module_is_long() -> None:
