@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -189,6 +190,19 @@ def a_part_twice(at: At, folder: Path) -> Path:
 def stamps_in_whole_seconds(at: At, folder: Path) -> Path:
     stamps = at.stamps.strftime("%I:%M:%S %p")
     return csv(at.house().assign(t=stamps).rename(columns={"t": "Time"}), folder / "seconds.csv")
+
+
+def json_lines(at: At, folder: Path) -> Path:
+    """An object a row, with objects in it; one row is empty."""
+    file = folder / "telemetry.jsonl"
+    rows = (
+        {"stamp": EPOCH + t, "wheels": {"left": left, "right": right},
+         "battery": {"voltage": volts, "current": amps}, "imu": {"gyro": [0.0, 0.0, rate]}}
+        for t, left, right, volts, amps, rate in zip(
+            at.t, at.left, at.right, at.volts, at.amps, at.yaw_rate, strict=True)
+    )  # fmt: skip
+    file.write_text("\n".join(["", *map(json.dumps, rows)]))
+    return file
 
 
 def topics_named_for_power(at: At, folder: Path) -> Path:
@@ -446,8 +460,8 @@ Writer = Callable[[At, Path], Path]
 READ: tuple[Writer, ...] = (
     four_wheels_in_rpm, four_motors, german, utf16, byte_order_mark, units_in_a_second_row,
     remarks_before_the_names, words_for_nothing, two_recordings, coarse_stamps,
-    topics_named_for_power, bare_names_in_thousandths, a_part_twice, stamps_in_whole_seconds,
-    sides_in_turn,
+    json_lines, topics_named_for_power, bare_names_in_thousandths, a_part_twice,
+    stamps_in_whole_seconds, sides_in_turn,
     a_row_for_each_message, stamps_in_two_columns, date_and_time_of_day, american_dates,
     aligned_by_spaces, newest_first, units_in_names, rostopic_echo, encoders_of_four_wheels,
     encoders_and_a_satellite_receiver, encoders_from_row_to_row, encoders_that_tell_a_rate,

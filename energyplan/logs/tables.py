@@ -25,6 +25,7 @@ from energyplan.logs.dialect import (
     find_dialect,
 )
 from energyplan.logs.instants import Instants, instants_of, over_midnight, whole_stamps
+from energyplan.logs.json_lines import read_json_lines
 from energyplan.logs.units import split_unit
 from energyplan.path import FloatArray
 
@@ -41,6 +42,11 @@ MAX_CELLS = 100_000_000
 """Most cells that are read."""
 _AHEAD = MAX_HEADER + (1 << 16)  # bytes that are looked at to learn how a table is written
 _CHUNK = 200_000  # rows parsed at once
+_SUFFIXES = {
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".gz"), ".csv"),
+    **dict.fromkeys((".jsonl", ".ndjson"), ".jsonl"),
+    **dict.fromkeys((".parquet", ".pq"), ".parquet"),
+}
 _INTERRUPTED = "Calling read(nbytes) on source failed"
 """What the parser makes of Ctrl-C at the moment when it asks for bytes; errors it passes on."""
 
@@ -122,7 +128,13 @@ def read_table(path: str | Path, error: type[InvalidInputError]) -> Table:
         if _suffix(file, error) == ".parquet":
             return _read_parquet(file, error)
         with file.open("rb") as raw:
-            return _read_csv(io.BufferedReader(_Guarded(raw, file, error)), file, error)
+            stream = io.BufferedReader(_Guarded(raw, file, error))
+            if _suffix(file, error) == ".jsonl":
+                frame = read_json_lines(stream, file, MAX_CELLS, error)
+                columns = _Columns(list(map(str, frame)), 1, "line")
+                columns.add(frame)
+                return columns.table(file, error)
+            return _read_csv(stream, file, error)
 
 
 def table_of(frame: Any, error: type[InvalidInputError]) -> Table:
@@ -166,7 +178,7 @@ def column_names(path: str | Path, error: type[InvalidInputError]) -> list[str]:
     """
     file = Path(path)
     with _reading(file, error):
-        if _suffix(file, error) == ".parquet":
+        if _suffix(file, error) in (".parquet", ".jsonl"):
             raise error(f"{file} is no CSV file")
         with file.open("rb") as raw:
             stream = io.BufferedReader(_Guarded(raw, file, error))
@@ -187,11 +199,11 @@ def _reading(file: Path, error: type[InvalidInputError]) -> Iterator[None]:
 
 
 def _suffix(file: Path, error: type[InvalidInputError]) -> str:
-    suffix = {".pq": ".parquet"}.get(file.suffix.lower(), file.suffix.lower())
+    suffix = _SUFFIXES.get(file.suffix.lower())
     if file.is_dir():
         raise error(f"{str(file)!r} is a folder; give a .csv, .csv.gz or .parquet file in it")
-    if suffix not in (".csv", ".tsv", ".txt", ".dat", ".gz", ".parquet"):
-        raise error(f"{file} is of an unknown type; give a .csv, .csv.gz or .parquet file")
+    if suffix is None:
+        raise error(f"{file} is of an unknown type; give a .csv, .csv.gz, .jsonl or .parquet file")
     return suffix
 
 
