@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from by_day import by_day
 
 from energyplan import DriveLog, diagnose, identify, simulate
 from energyplan.errors import EnergyPlanError
@@ -83,9 +84,7 @@ def finite(document: Any) -> bool:
     return not isinstance(document, float) or bool(np.isfinite(document))
 
 
-@pytest.mark.parametrize(
-    "seed", [*range(5), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(5, 80))]
-)
+@pytest.mark.parametrize("seed", by_day(range(80), range(5)))
 def test_each_command_answers_or_refuses_by_name(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
     mass = float(rng.choice([1.0, 3.0, 60.0, 470.0, 5000.0]))

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from by_day import by_day
 from test_corridor import METRE, charger, corridor
 from worlds import tiny
 
@@ -97,9 +98,7 @@ def drawn(seed: int, order: str) -> Mission:
 
 
 @pytest.mark.parametrize("order", ["given", "free"])
-@pytest.mark.parametrize(
-    "seed", [*range(6), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(6, 20))]
-)
+@pytest.mark.parametrize("seed", by_day(range(20), range(4)))
 def test_the_best_of_all_tours_is_found(seed: int, order: str) -> None:
     asked = drawn(seed, order)
     best, report = enumerated(asked), evaluate(asked)

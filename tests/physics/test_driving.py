@@ -8,6 +8,7 @@ from pathlib import Path as File
 
 import numpy as np
 import pytest
+from by_day import by_day
 
 import energyplan as ep
 from energyplan import cli
@@ -82,9 +83,11 @@ def fought(made: Driven) -> float:
     return -float(braking[straight].sum()) * run.period / made.energy_taken
 
 
-@pytest.mark.parametrize(
-    "seed", [*range(4), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(4, 30))]
-)
+LIGHT, USUAL, HEAVY = 3, 1, 10
+"""Seeds of robots of 7, 53 and 408 kg."""
+
+
+@pytest.mark.parametrize("seed", by_day(range(30), [LIGHT, USUAL, HEAVY]))
 def test_robots_of_any_size_follow_without_hunting(seed: int) -> None:
     asked, model = any_route(seed)
     made = drive(asked, Robot.from_model(model), model)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from by_day import by_day
 from scipy.optimize import fsolve
 
 import energyplan as ep
@@ -183,9 +184,7 @@ def jumping(hold: float, top: float, rng: np.random.Generator, duration: float =
     return controller
 
 
-@pytest.mark.parametrize(
-    "seed", [*range(8), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(8, 108))]
-)
+@pytest.mark.parametrize("seed", by_day(range(108), range(4)))
 def test_every_joule_is_accounted_for_whatever_is_commanded(seed: int) -> None:
     rng = np.random.default_rng(seed)
     robot = any_robot(rng)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from by_day import by_day
 from shapely import box
 
 import energyplan as ep
@@ -90,15 +92,11 @@ def true_model(effect: Effect) -> ep.PowerModel:
 
 
 @pytest.mark.parametrize(
-    "fork",
-    [
-        pytest.param(one(0.75), marks=() if one is forks.dragging else pytest.mark.nightly)
-        for one in forks.FORKS
-    ],
-    ids=lambda fork: fork.name,
+    "made", by_day(forks.FORKS, [forks.dragging]), ids=lambda made: made.__name__
 )
-def test_who_knows_the_effect_takes_another_way(fork: forks.Fork) -> None:
+def test_who_knows_the_effect_takes_another_way(made: Callable[[float], forks.Fork]) -> None:
     """Without the engine: the routes of two models, both by the one that is right."""
+    fork = made(0.75)
     speed = SPEED_SHARE * VEHICLE.motor.speed
     problem, true = fork.problem(MODEL), true_model(fork.effects[0])
     right, taken = believed(problem, true, speed), []

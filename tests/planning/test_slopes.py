@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from by_day import by_day
 from numpy.testing import assert_allclose
 
 from energyplan import cli
@@ -272,9 +273,7 @@ def exhaustive(problem, worth, step=1.0, headings=8):
     return np.inf
 
 
-@pytest.mark.parametrize(
-    "seed", [*range(1), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(1, 3))]
-)
+@pytest.mark.parametrize("seed", by_day(range(3), [0]))
 def test_plans_lie_between_the_bound_and_an_exhaustive_search(seed):
     yard = OccupancyGrid(np.zeros((100, 100), bool), 0.1)
     problem = PlanningProblem(
