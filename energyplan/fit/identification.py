@@ -205,7 +205,7 @@ def identify(
     ------
     NotIdentifiableError
         If the logs do not determine a coefficient, or cannot separate two; the message says what
-        to drive. If the speed or the power of one side is missing, or both powers lost their sign.
+        to drive. If the speed or the power of one side is missing.
     MissingChannelError
         If a term needs a channel that a log lacks.
     InvalidInputError
@@ -238,12 +238,12 @@ def identify(
         raise NotIdentifiableError(
             f"{drives[0].name}: the measured power is zero throughout; check its channel"
         )
-    if not any(term.kind == "loss" for term in terms):  # which may be that of the sign
-        for log in drives:
-            lost = find_lost_sign(log.channels)
-            if lost:
-                raise NotIdentifiableError(f"{log.name}: {lost}; terms without it would be wrong")
     warnings: list[str] = []
+    if not any(term.kind == "loss" for term in terms):  # which may be that of the sign
+        lost = {log.name: find_lost_sign(log.channels) for log in drives}
+        warnings += [
+            f"{name}: {text}; these terms are wrong" for name, text in lost.items() if text
+        ]
     estimate = _find_icr(drives, vehicle, icr, warnings)
     settled = icr if isinstance(icr, TreadICR) else estimate.icr if estimate else vehicle.icr
     vehicle = vehicle.with_icr(settled)

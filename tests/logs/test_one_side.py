@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 import energyplan as ep
 from energyplan import simulate
-from energyplan.errors import NotIdentifiableError
 from energyplan.logs.one_side import compare_powers
 
 
@@ -31,14 +29,15 @@ def test_a_side_in_kilowatts_is_told() -> None:
     assert "map both in one unit, as in p_left=NAME[kW]" in compare_powers(_channels(1e-3))
 
 
-def test_powers_without_sign_are_refused_where_the_robot_turns_one_way_alone() -> None:
+def test_powers_without_sign_are_told_where_the_robot_turns_one_way_alone() -> None:
     """The inner side of left turns is held back more than a straight line costs."""
     model = ep.PowerModel.preset("quadriga:full:concrete")
     parts = (("straight", 20.0), ("figure8", 30.0), ("rest", 3.0))
     log = simulate.drive(model, parts, power_noise=5.0, speed_noise=0.005, seed=1)
     left = log.channel("v_right") >= log.channel("v_left")
     channels = {name: values[left] for name, values in log.channels.items()}
-    assert ep.identify(ep.DriveLog.from_columns(channels), model.vehicle).model
+    found = ep.identify(ep.DriveLog.from_columns(channels), model.vehicle)
+    assert not any("Log signed currents" in text for text in found.warnings)
     lost = {name: np.abs(channels[name]) for name in ("p_left", "p_right")}
-    with pytest.raises(NotIdentifiableError, match="Log signed currents"):
-        ep.identify(ep.DriveLog.from_columns({**channels, **lost}), model.vehicle)
+    found = ep.identify(ep.DriveLog.from_columns({**channels, **lost}), model.vehicle)
+    assert any("Log signed currents" in text for text in found.warnings)
