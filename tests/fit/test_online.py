@@ -336,3 +336,36 @@ def test_physics_engine(shared_data, drive: str) -> None:
     loaded = OnlineIdentifier(Vehicle.preset("quadriga:full"))
     [change] = loaded.run(DriveLog.read(folder / f"load_change_{drive}.csv.gz"))
     assert when < change.t < when + 10.0
+
+
+@pytest.mark.parametrize("ticks", [3, 4, 11, 32, 45])
+def test_a_change_is_told_by_the_score_test_of_the_window_that_shows_it_best(ticks: int) -> None:
+    """Windows of 4, 8, 16 and 32 ticks back from the last, by linear algebra of another library."""
+    rng, p = np.random.default_rng(ticks), 3
+    ring = np.zeros((kernel.LONGEST + 1, p + p * p + 1))
+    for row in ring[: min(ticks, kernel.LONGEST)]:
+        phi = rng.normal(size=(5, p))
+        row[:] = [*rng.normal(size=p), *(phi.T @ phi).ravel(), rng.uniform(1, 9)]
+    root = rng.normal(size=(p, p))
+    covariance, repeats, variance = root @ root.T, 1.7, 2.3
+    matrices, vectors = np.stack([np.eye(p), covariance]), np.zeros((2, p))
+    scalars = np.zeros(kernel.SCALARS)
+    scalars[[kernel.TICKS, kernel.REPEATS, kernel.VARIANCE]] = ticks, repeats, variance
+    kernel.look(matrices, vectors, ring, scalars)
+    last_first = [ring[k % kernel.LONGEST] for k in range(ticks - 1, -1, -1)]
+    best, expected = 0.0, (0.0, 0.0, 0.0)
+    shift = np.zeros(p)
+    for size in (4, 8, 16, 32):
+        if size > ticks:
+            break
+        summed = np.sum(last_first[:size], axis=0)
+        score, window = summed[:p], summed[p:-1].reshape(p, p)
+        chance = repeats * window + window @ covariance @ window
+        statistic = score @ np.linalg.solve(chance, score)
+        if statistic > best:
+            best, shift = statistic, np.linalg.solve(np.eye(p) + window / repeats, score / repeats)
+            material = np.sqrt(shift @ window @ shift * variance / summed[-1])
+            expected = (statistic, 0.25 * size, material)
+    found = scalars[[kernel.STATISTIC, kernel.STRETCH, kernel.MATERIAL]]
+    assert found == pytest.approx(expected, rel=1e-4)
+    assert vectors[kernel.SHIFT] == pytest.approx(shift, rel=1e-9)
