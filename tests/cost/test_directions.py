@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
+from energyplan.cost import direction_table
 from energyplan.cost.direction_table import (
     SPECIAL,
     DirectionTable,
@@ -113,10 +114,13 @@ def outside(points, chosen):
 
 
 @pytest.mark.parametrize("most", [3, 8, 40])
-def test_corners_are_those_of_a_hull_and_leave_out_what_they_say(most: int) -> None:
+def test_corners_are_those_of_a_hull_and_leave_out_what_they_say(
+    most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(direction_table, "MOST_CORNERS", most)
     table = tabulate(smooth, 1e-5)
     points = table.directions / table.values[:, None]
-    corners = table.corners(most)
+    corners = table.corners()
     straight = points[:2]
     chosen = np.vstack([corners.left, corners.right, straight])
     assert np.all(corners.left[:, 1] > 0)

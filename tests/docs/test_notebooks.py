@@ -29,7 +29,6 @@ def show(value: object) -> str:
     return str(made() if made else repr(value))
 
 
-@pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
 def test_a_notebook_runs(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
