@@ -15,6 +15,7 @@ from typing import Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError, ValidationInfo, field_validator
+from pydantic_core import ErrorDetails
 
 from energyplan.errors import InvalidInputError, MapError
 
@@ -229,13 +230,20 @@ class Document:
             return schema.model_validate(self.data)
         except ValidationError as problem:
             every = problem.errors(include_url=False)
-            first = every[0]
-            if first["type"] == "missing":  # perhaps since it is misspelt
-                extra = [one for one in every if one["type"] == "extra_forbidden"]
-                first = min(extra, key=lambda one: len(one["loc"]), default=first)
+            places = [self._keys_of(one) for one in every]
+            # Where one of several kinds may stand, what is wrong within the kind that stands there.
+            depth = len(places[0])
+            which = max(
+                (k for k, place in enumerate(places) if place[:depth] == places[0]),
+                key=lambda k: len(places[k]),
+            )
+            if every[which]["type"] == "missing":  # perhaps since it is misspelt
+                extra = [k for k, one in enumerate(every) if one["type"] == "extra_forbidden"]
+                which = min(extra, key=lambda k: len(places[k]), default=which)
+            first, place = every[which], places[which]
             message = str(first["msg"]).removeprefix("Value error, ")
             if first["type"] == "extra_forbidden":
-                message = f"there is no such key; the keys are {_keys(schema, first['loc'])}"
+                message = f"there is no such key; the keys are {_keys(schema, place)}"
                 message += self._another_kind(schema)
             elif first["type"] == "missing":
                 message = "this key is missing; give it a value" + self._another_kind(schema)
@@ -246,7 +254,23 @@ class Document:
                 )
             elif not isinstance(first["input"], dict | list):
                 message = f"{message}, not {str(first['input'])[:60]!r}"
-            raise self.fail((*loc, *first["loc"]), message) from None
+            raise self.fail((*loc, *place), message) from None
+
+    def _keys_of(self, problem: ErrorDetails) -> Loc:
+        """Return where in the document a problem is, without the names of kinds that may stand."""
+        here: Any = self.data
+        found: list[int | str] = []
+        *_, last = problem["loc"] or ("",)
+        for part in problem["loc"]:
+            held: dict[Any, Any] = here if isinstance(here, dict) else {}
+            if isinstance(here, list):
+                held = dict(enumerate(here))
+            if part in held:
+                here = held[part]
+            elif part != last or problem["type"] != "missing":
+                continue
+            found.append(part)
+        return tuple(found)
 
     def _another_kind(self, schema: type[BaseModel]) -> str:
         """Say what else the file seems to be, if anything."""
@@ -371,6 +395,8 @@ UNITS: dict[str, dict[str, float]] = {
     "temperature": {"C": 1.0},
     "angle": {"rad": 1.0, "deg": radians(1.0)},
 }
+_BARE = {"charge": (1000.0, "Ah")}
+"""Below how much a plain number is doubted, and the unit that was meant: no robot has so little."""
 _AMOUNT = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z/%]*)\s*")
 
 
@@ -392,13 +418,18 @@ def amount(kind: str, value: Any) -> Any:
     Raises
     ------
     ValueError
-        If it has a unit of something else.
+        If it has a unit of something else, or none where it is so little that one was forgotten.
 
     Examples
     --------
     >>> amount("time", "5 min"), amount("fraction", 0.2)
     (300.0, 0.2)
     """
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        least, unit = _BARE.get(kind, (0.0, ""))
+        if 0.0 < value < least:
+            si = next(iter(UNITS[kind]))
+            raise ValueError(f"{value:g} has no unit, and would be {si}; write {value:g} {unit}")
     if not isinstance(value, str):
         return value
     found = _AMOUNT.fullmatch(value)

@@ -243,8 +243,8 @@ def test_a_topic_map_of_ones_own(tmp_path, bags, drive):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("channels: {v_left: {topic: a, field: 'b['}}\n", "channels.v_left.0.field: write a field"),
-        ("channels: {v_left: {topic: a}}\n", "v_left.0.field: this key is missing"),
+        ("channels: {v_left: {topic: a, field: 'b['}}\n", "channels.v_left.field: write a field"),
+        ("channels: {v_left: {topic: a}}\n", "v_left.field: this key is missing"),
         ("channels: {v_left: {topic: a, field: b, gain: 2}}\n", "no such key"),
         ("name: x\n", "channels: this key is missing"),
     ],
