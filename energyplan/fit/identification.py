@@ -242,7 +242,7 @@ def identify(
     if not any(term.kind == "loss" for term in terms):  # which may be that of the sign
         lost = {log.name: find_lost_sign(log.channels) for log in drives}
         warnings += [
-            f"{name}: {text}; these terms are wrong" for name, text in lost.items() if text
+            f"{name}: {text}; if so, these terms are wrong" for name, text in lost.items() if text
         ]
     estimate = _find_icr(drives, vehicle, icr, warnings)
     settled = icr if isinstance(icr, TreadICR) else estimate.icr if estimate else vehicle.icr

@@ -34,7 +34,6 @@ set to. A robot without a limit would reach any speed at once."""
 
 _LARGEST_LOAD = 1e9  # [N]
 _OUTSIDE, _SLIPPING = 10.0, 90.0  # times a length that are another unit, such as centimetres
-_LIGHT = 0.1  # mass over the footprint below which its lengths are in another unit [kg/m^2]
 
 
 def _require(condition: bool, message: str) -> None:
@@ -230,12 +229,6 @@ class Vehicle(ByValue):
             wide <= _OUTSIDE * body,
             f"a wheel stands {wide:g} m from the centre, the footprint reaches {body:g} m; give "
             "both in metres",
-        )
-        long, across = np.ptp(self.footprint, axis=0)
-        _require(
-            self.mass >= _LIGHT * long * across,
-            f"the footprint is {long:g} m long and {across:g} m wide for {self.mass:g} kg; give "
-            "lengths in metres and loads in newtons",
         )
         reach = max(map(abs, (self.icr.left, self.icr.right, self.icr.longitudinal)))
         _require(
