@@ -6,7 +6,6 @@ import gc
 from collections.abc import Generator
 from math import isfinite
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -60,28 +59,3 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> None:
         original(self, time_limit, effort=effort)
 
     monkeypatch.setattr(Budget, "__init__", init)
-
-
-ENOUGH = 5000
-"""Units of work of a plan on a page; readers are asked for more, for better routes."""
-
-
-@pytest.fixture
-def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have pages do no more than shows that they work, whatever they ask for.
-
-    Plans do no more work than is enough for a route. Loops go round once, without a designed
-    drive: each round and each drive has all drives so far diagnosed.
-    """
-    from energyplan import physics  # not for every test
-
-    budget, loop = Budget.__init__, physics.close_loop
-
-    def init(self: Budget, time_limit: float = float("inf"), *, effort: int | None = None) -> None:
-        budget(self, time_limit, effort=effort and min(effort, ENOUGH))
-
-    def once(*given: Any, **options: Any) -> object:
-        return loop(*given, **options | {"rounds": 1, "survey": 0.0})
-
-    monkeypatch.setattr(Budget, "__init__", init)
-    monkeypatch.setattr(physics, "close_loop", once)

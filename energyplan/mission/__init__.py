@@ -16,10 +16,10 @@ import numpy as np
 from energyplan.battery import Battery
 from energyplan.errors import MissionError
 from energyplan.kinds import checked
+from energyplan.mission.choice import Course, best_course, best_stops
 from energyplan.mission.condition import Attempt, Condition
 from energyplan.mission.energy import Estimate
 from energyplan.mission.legs import Legs
-from energyplan.mission.order_refinement import Course, best_course, best_stops
 from energyplan.mission.report import (
     ChargerReport,
     Doubt,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from energyplan import steering
+from energyplan.mission.choice import best_course, best_stops
 from energyplan.mission.legs import PLANNED, Legs, Route
-from energyplan.mission.order_refinement import best_course, best_stops
 from energyplan.mission.simulation import Walk
 from energyplan.mission.types import Mission
 from energyplan.path import Pose

@@ -28,9 +28,10 @@ import test_paths
 import yaml
 
 import energyplan as ep
-from energyplan import cli, simulate
+from energyplan import cli, physics, simulate
 from energyplan.cli._fitting import log as log_commands
 from energyplan.io.trajectory import write_log, write_path, write_trajectory
+from energyplan.planning import Budget
 from energyplan.power import HOTEL
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -164,6 +165,29 @@ def command_lines(page: Path) -> Iterator[list[str]]:
 
 
 pytestmark = pytest.mark.usefixtures("counted")
+
+
+ENOUGH = 5000
+"""Units of work of a plan on a page; readers are asked for more, for better routes."""
+
+
+@pytest.fixture
+def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have pages do no more than shows that they work, whatever they ask for.
+
+    Plans do no more work than is enough for a route. Loops go round once, without a designed
+    drive: each round and each drive has all drives so far diagnosed.
+    """
+    budget, loop = Budget.__init__, physics.close_loop
+
+    def init(self: Budget, time_limit: float = float("inf"), *, effort: int | None = None) -> None:
+        budget(self, time_limit, effort=effort and min(effort, ENOUGH))
+
+    def once(*given: Any, **options: Any) -> object:
+        return loop(*given, **options | {"rounds": 1, "survey": 0.0})
+
+    monkeypatch.setattr(Budget, "__init__", init)
+    monkeypatch.setattr(physics, "close_loop", once)
 
 
 @pytest.fixture(autouse=True)

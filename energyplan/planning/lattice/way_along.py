@@ -266,14 +266,16 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
     for h in range(HEADINGS):
         off = abs(h - first)
         cost[h] = per_turn * min(off, HEADINGS - off)
+    free = np.uint64(0)
     for k in range(count):
+        free_before = free
         free = either_way(places, int(chain[k]))
         if k > 0:
             row = places.home[chain[k]] // across - places.home[chain[k - 1]] // across
             column = places.home[chain[k]] % across - places.home[chain[k - 1]] % across
             length = setting.least_metre * places.spacing * hypot(row, column)
             way = atan2(row, column) / turn
-            shared = free & either_way(places, int(chain[k - 1]))
+            shared = free & free_before
             for h in range(HEADINGS):
                 if shared & (np.uint64(1) << np.uint64(h)) == 0:
                     cost[h] = inf
