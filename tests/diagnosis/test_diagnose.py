@@ -22,7 +22,6 @@ from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.fit import fit_residual
 from energyplan.fit.drives import windows as _design
 from energyplan.fit.drives.denoise import quiet, speed_noise
-from energyplan.fit.drives.linear import linearise_drive
 from energyplan.fit.drives.window_kernels import block_grams
 from energyplan.fit.drives.windows import Design, Drive
 from energyplan.fit.least_squares import Fit, Problem, fit, solve, weighted
@@ -473,20 +472,6 @@ def test_very_many_samples_are_thinned_and_tell_the_same(monkeypatch: pytest.Mon
     thin = diagnose(train, unseen, VEHICLE, effects=FEW).effects
     assert [effect.name for effect in whole] == [effect.name for effect in thin] == ["hotel_load"]
     assert thin[0].value == pytest.approx(25.0, abs=3 * thin[0].std_error)
-
-
-def test_losses_linearise_as_the_model_itself_does() -> None:
-    terms = (SLIP, TRACTION, HOTEL, COPPER_LOSS, LINEAR_INERTIA)
-    values = np.array([0.6, 110.0, 20.0, 3e-4, 150.0])
-    drive = _problem(duration=120.0).of_totals.drives[0]
-    about = linearise_drive(drive, VEHICLE, terms, values)
-    model = PowerModel(VEHICLE, terms, values)
-    assert about.power[:, 0] == pytest.approx(model.power(drive.motion), rel=1e-9, abs=1e-9)
-    for k, value in enumerate(values):
-        step = 1e-4 * value * np.eye(len(values))[k]
-        ends = (model.with_coefficients(values + by).power(drive.motion) for by in (step, -step))
-        slope = np.subtract(*ends) / (2e-4 * value)
-        assert about.columns[:, 0, k] == pytest.approx(slope, rel=1e-4, abs=1e-3)
 
 
 def test_noise_is_measured_and_taken_out_without_moving_the_truth() -> None:

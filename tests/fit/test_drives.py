@@ -13,13 +13,13 @@ from energyplan import simulate
 from energyplan.fit import identify
 from energyplan.fit.drives.denoise import quiet
 from energyplan.fit.drives.late import Late
-from energyplan.fit.drives.linear import power_of
-from energyplan.fit.drives.windows import prepared
+from energyplan.fit.drives.linear import linearise_drive, power_of
+from energyplan.fit.drives.windows import Drive, prepared
 from energyplan.fit.least_squares import Problem, fit
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
-from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TRACTION, PowerModel, Term
-from energyplan.power.effects import COPPER_LOSS
+from energyplan.power import DRIVE_LOSS, HOTEL, REGENERATION_LOSS, SLIP, TRACTION, PowerModel, Term
+from energyplan.power.effects import COPPER_LOSS, LINEAR_INERTIA
 from energyplan.simulate import Setpoint
 
 MODEL = PowerModel.preset("quadriga:full:concrete").with_term(HOTEL, 30.0)
@@ -119,6 +119,24 @@ def test_what_contacts_hold_on_a_straight_is_told_by_the_total(loss: str, late: 
     assert problem.odds(terms, found) > 4.0
     assert problem.odds(terms[:2], found[:2]) == 0.0
     assert problem.odds(terms, np.array([*true, 0.0])) == 0.0
+
+
+@pytest.mark.parametrize("loss", [(COPPER_LOSS, 3e-4), (DRIVE_LOSS, 0.2), (REGENERATION_LOSS, 0.5)])
+def test_derivatives_with_losses_are_those_of_the_models_power(loss: tuple[Term, float]) -> None:
+    rng = np.random.default_rng(4)
+    accel = rng.normal(0.0, 1.0, 40)  # where it brakes, sides return power
+    motion = Motion(*rng.normal(0.0, 0.6, (2, 40)), ICR, {"accel": accel})
+    model = PowerModel.preset("quadriga:full:concrete")
+    for term, value in ((HOTEL, 20.0), (LINEAR_INERTIA, 150.0), loss):
+        model = model.with_term(term, value)
+    values = model.coefficients
+    about = linearise_drive(Drive.at(motion), model.vehicle, model.terms, values)
+    assert_allclose(about.power[:, 0], model.power(motion))
+    for k, value in enumerate(values):
+        step = 1e-5 * value * np.eye(len(values))[k]
+        ends = (model.with_coefficients(values + by).power(motion) for by in (step, -step))
+        slope = np.subtract(*ends) / (2e-5 * value)
+        assert_allclose(about.columns[:, 0, k], slope, rtol=1e-5, atol=1e-6 * np.max(np.abs(slope)))
 
 
 def test_a_fit_with_losses_that_starts_where_it_ends_is_settled() -> None:

@@ -26,10 +26,9 @@ from energyplan.planning.bound.one_line import HEADINGS, Rates, along_line, gate
 from energyplan.planning.bound.sight import Links, Outline, linked, side
 from energyplan.planning.scene.field import (
     angle_between,
-    longer_floats,
-    longer_ints,
     pop,
     push,
+    with_room,
 )
 from energyplan.terrain.collision import Body, Space
 
@@ -195,9 +194,8 @@ def least_over_corners(
     of_link = _unused(len(links.seen))
     of_start = _unused(n)
     of_goal = _unused(n)
-    room = 1 << 12
-    heap_f = np.empty(room)
-    heap_node = np.empty(room, np.int32)
+    heap_f = np.empty(1 << 12)
+    heap_node = np.empty(1 << 12, np.int32)
     count = 0
     size = 0
     steps = 0.0
@@ -276,10 +274,7 @@ def least_over_corners(
             steps += 300.0
             f = better + rates.metre * rest
             if f < limit:
-                if size + 1 >= room:
-                    room *= 2
-                    heap_f = longer_floats(heap_f)
-                    heap_node = longer_ints(heap_node)
+                heap_f, heap_node = with_room(heap_f, heap_node, size)
                 lines.waiting[line] = True
                 size = push(heap_f, heap_node, size, f, line)
         line = -1

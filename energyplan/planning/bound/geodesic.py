@@ -10,7 +10,7 @@ import numpy as np
 from energyplan.compilation import inner, njit
 from energyplan.compilation.arrays import Flags, Floats
 from energyplan.planning.bound.sight import Links, Outline, linked, side, sight
-from energyplan.planning.scene.field import longer_floats, longer_ints, pop, push
+from energyplan.planning.scene.field import pop, push, with_room
 from energyplan.terrain.collision import Space
 
 
@@ -124,19 +124,15 @@ def ways_to_goal(
     steps = _seen_from(space, outline, ux, uy, ends.goal_x, ends.goal_y, limit, from_start)
     steps += _seen_from(space, outline, ends.goal_x, ends.goal_y, ux, uy, limit, at_goal)
     direct = sight(space, outline, ux, uy, ends.goal_x, ends.goal_y).free
-    room = 1 << 12
-    heap_f = np.empty(room)
-    heap_node = np.empty(room, np.int32)
+    heap_f = np.empty(1 << 12)
+    heap_node = np.empty(1 << 12, np.int32)
     size = 0
     for v in range(n):
         settled[v] = False
         to_goal[v] = at_goal[v]
         f = at_goal[v] + hypot(outline.point[v, 0] - ux, outline.point[v, 1] - uy)
         if f < limit:
-            if size + 1 >= room:
-                room *= 2
-                heap_f = longer_floats(heap_f)
-                heap_node = longer_ints(heap_node)
+            heap_f, heap_node = with_room(heap_f, heap_node, size)
             size = push(heap_f, heap_node, size, f, v)
     least = hypot(ends.goal_x - ux, ends.goal_y - uy) if direct else inf
     frontier = limit
@@ -169,10 +165,7 @@ def ways_to_goal(
             to_goal[v] = there
             f = there + hypot(outline.point[v, 0] - ux, outline.point[v, 1] - uy)
             if f < limit:
-                if size + 1 >= room:
-                    room *= 2
-                    heap_f = longer_floats(heap_f)
-                    heap_node = longer_ints(heap_node)
+                heap_f, heap_node = with_room(heap_f, heap_node, size)
                 size = push(heap_f, heap_node, size, f, v)
     for v in range(n):
         if not settled[v]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from energyplan.compilation import inner, njit
 from energyplan.compilation.arrays import Floats, FloatTable, Ints, ShortInts
-from energyplan.planning.scene.field import longer_floats, longer_ints, pop, push
+from energyplan.planning.scene.field import longer_ints, pop, push, with_room
 from energyplan.terrain.collision import Space, in_cells
 from energyplan.terrain.updates import Window
 
@@ -378,9 +378,8 @@ def linked(space: Space, outline: Outline, links: Links, k: int) -> Links:
     depth = np.empty(DIRECTIONS)
     for j in range(DIRECTIONS):
         depth[j] = inf
-    room = 256
-    heap_f = np.empty(room)
-    heap_node = np.empty(room, np.int32)
+    heap_f = np.empty(256)
+    heap_node = np.empty(256, np.int32)
     size = 0
     steps = float(n)
     for v in range(n):
@@ -391,10 +390,7 @@ def linked(space: Space, outline: Outline, links: Links, k: int) -> Links:
         length = hypot(dx, dy)
         if v == k or length < 1e-12:
             continue
-        if size + 1 >= room:
-            room *= 2
-            heap_f = longer_floats(heap_f)
-            heap_node = longer_ints(heap_node)
+        heap_f, heap_node = with_room(heap_f, heap_node, size)
         size = push(heap_f, heap_node, size, length, v)
     begin = used
     while size > 0:

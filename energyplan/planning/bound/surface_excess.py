@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from energyplan.compilation import njit
 from energyplan.compilation.arrays import FlagTable, FloatTable
 from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.planning.scene.field import longer_floats, longer_ints, pop, push
+from energyplan.planning.scene.field import pop, push, with_room
 from energyplan.terrain import OccupancyGrid, SurfaceMap
 
 MOST_CELLS = 250_000
@@ -148,9 +148,8 @@ def least_steps(
     for r in range(rows):
         for c in range(columns):
             reached[r, c] = np.inf
-    capacity = 1 << 12
-    heap_f = np.empty(capacity)
-    heap_node = np.empty(capacity, np.int32)
+    heap_f = np.empty(1 << 12)
+    heap_node = np.empty(1 << 12, np.int32)
     reached[row, column] = 0.0
     size = push(heap_f, heap_node, 0, 0.0, row * columns + column)
     while size > 0:
@@ -171,9 +170,6 @@ def least_steps(
                 if not passable[rr, cc] or there >= reached[rr, cc]:
                     continue
                 reached[rr, cc] = there
-                if size + 1 >= capacity:
-                    capacity *= 2
-                    heap_f = longer_floats(heap_f)
-                    heap_node = longer_ints(heap_node)
+                heap_f, heap_node = with_room(heap_f, heap_node, size)
                 size = push(heap_f, heap_node, size, there, rr * columns + cc)
     return limit

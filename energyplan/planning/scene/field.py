@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import pi
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +31,21 @@ def longer_floats(values: Floats) -> Floats:
     for k in range(len(values)):
         out[k] = values[k]
     return out
+
+
+class Heap(NamedTuple):
+    """The arrays of a binary heap: what it is sorted by, and the nodes."""
+
+    f: Floats
+    node: ShortInts
+
+
+@inner
+def with_room(heap_f: Floats, heap_node: ShortInts, size: int) -> Heap:
+    """Return the arrays of a binary heap, twice as long where it fills them."""
+    if size < len(heap_f):
+        return Heap(heap_f, heap_node)
+    return Heap(longer_floats(heap_f), longer_ints(heap_node))
 
 
 @inner

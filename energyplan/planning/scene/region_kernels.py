@@ -17,10 +17,10 @@ from energyplan.compilation.arrays import Bytes, Flags, Floats, FloatTable, Shor
 from energyplan.planning.scene.field import (
     STEP_COLUMNS,
     STEP_ROWS,
-    longer_floats,
     longer_ints,
     pop,
     push,
+    with_room,
 )
 from energyplan.planning.scene.guide_kernels import RIM, Places, headings_aside, to_and_fro
 
@@ -268,9 +268,7 @@ def ways_between(
             step *= dear * aside
             if d + step < distance[other]:
                 distance[other] = d + step
-                if size == len(heap_f):
-                    heap_f = longer_floats(heap_f)
-                    heap_node = longer_ints(heap_node)
+                heap_f, heap_node = with_room(heap_f, heap_node, size)
                 size = push(heap_f, heap_node, size, d + step, other)
     if size > 0:
         # ended early: what had no turn is further than the limit
