@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from energyplan.diagnosis import advice as _advice
-from energyplan.diagnosis.adequacy import adequacy, energies, explains, holds, with_contacts
+from energyplan.diagnosis.adequacy import energies, explains, holds, with_contacts
 from energyplan.diagnosis.averaging import FEWEST_RUNS, averaged, note_of
 from energyplan.diagnosis.change_points import change_time
 from energyplan.diagnosis.explanations import Found
@@ -25,7 +25,6 @@ from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import terms_of
 from energyplan.diagnosis.residual import Dependence, dependences
 from energyplan.diagnosis.result import (
-    Adequacy,
     Average,
     Diagnosis,
     EnergyPrediction,
@@ -40,6 +39,7 @@ from energyplan.diagnosis.stand_ins import Presence, presence
 from energyplan.diagnosis.wheel_fight import find_wheel_fight
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
+from energyplan.fit.adequacy import Adequacy, adequacy, left_over
 from energyplan.fit.breakaway import with_breakaway
 from energyplan.fit.drives.late import Late
 from energyplan.fit.drives.windows import Drive, check_long_enough, prepared
@@ -296,7 +296,7 @@ class _Case:
         fight = find_wheel_fight(best.problem, fitted.model) if entry else None
         if fight is not None:
             fitted = replace(fitted, model=fight.model)
-        quality = adequacy(best.problem, fitted)
+        quality = adequacy(best.problem.drives, left_over(fitted.model, best.problem.drives))
         present = presence(searched, chosen, quality, left, bool(self.mass_centre or fight))
         weighed = averaged(best.problem, fitted, parts, len(self.entries)) if choose else None
         told = fitted if weighed is None else weighed.fitted

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from math import pi
 
 from energyplan.diagnosis.residual import Dependence
-from energyplan.diagnosis.result import Adequacy, FoundEffect
+from energyplan.diagnosis.result import FoundEffect
+from energyplan.fit.adequacy import Adequacy
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Residual
 from energyplan.power.effects import Effect
 
@@ -36,12 +37,7 @@ def adequacy_advice(quality: Adequacy, named: bool) -> list[str]:
     """Say that something is missing where more than noise is left."""
     if quality.adequate:
         return []
-    what = "lasts longer than noise would" if quality.coloured else "is larger than noise"
-    line = (
-        f"the model leaves {quality.residual:.3g} W on the training drives, where samples scatter "
-        f"by {quality.noise:.3g} W, and over {quality.time:.2g} s {quality.slow_residual:.3g} W "
-        f"for {quality.slow_noise:.3g} W: what is left {what}, so something is missing"
-    )
+    line = f"the model leaves, on the training drives, {quality.in_words}, so something is missing"
     return [line if named else f"{line}, and no recorded channel explains it"]
 
 

@@ -10,6 +10,7 @@ from typing import Literal
 from energyplan import html
 from energyplan.diagnosis.holdout import ErrorInterval
 from energyplan.diagnosis.residual import Dependence
+from energyplan.fit.adequacy import Adequacy
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual
 from energyplan.records import ReadOnly
@@ -122,52 +123,6 @@ class Explanation:
     probability: float
     model: PowerModel
     alike: tuple[tuple[str, ...], ...] = ()
-
-
-@dataclass(frozen=True)
-class Adequacy:
-    """Residual on the training drives, beside the noise that no model can explain.
-
-    Parameters
-    ----------
-    noise : float
-        Of a sample: from neighbouring samples, or from standstill where that is larger [W].
-    residual : float
-        Root mean square residual of the extended model [W].
-    slow_noise, slow_residual : float
-        The same of means over `time` [W].
-    coloured : bool
-        Whether the residual lasts longer than noise would, by more than chance.
-    time : float
-        Of half a second, two and eight seconds the one over which means differ most from those of
-        noise [s].
-    missing : tuple of float
-        Mean square of what is left beyond noise, of means over half a second, two and eight
-        seconds [W^2].
-
-    Examples
-    --------
-    Noise that varies quickly averages out over two seconds; something that is missing does not:
-
-    >>> left = Adequacy(
-    ...     noise=5.0, residual=5.4, slow_noise=0.8, slow_residual=2.3, coloured=True, time=2.0
-    ... )
-    >>> round(left.slow_residual / left.slow_noise, 1)
-    2.9
-    """
-
-    noise: float
-    residual: float
-    slow_noise: float
-    slow_residual: float
-    coloured: bool
-    time: float
-    missing: tuple[float, ...] = (0.0, 0.0, 0.0)
-
-    @property
-    def adequate(self) -> bool:
-        """Whether the model leaves no more than noise: less than twice its size, and no colour."""
-        return self.residual <= 2.0 * self.noise and not self.coloured
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from energyplan.diagnosis.explanations import Evaluated, Found
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import Candidate
 from energyplan.diagnosis.residual import Dependence
-from energyplan.diagnosis.result import Adequacy
+from energyplan.fit.adequacy import Adequacy
 from energyplan.fit.drives.windows import Design
 from energyplan.fit.least_squares import PAPER, WEIGHTS, weighted
 from energyplan.path import FloatArray

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from types import MappingProxyType
 from typing import Literal, cast
 
@@ -12,6 +13,7 @@ from scipy.stats import t as student
 
 from energyplan import html
 from energyplan.errors import InvalidInputError, ModelError, NotIdentifiableError, UnknownNameError
+from energyplan.fit.adequacy import Adequacy, adequacy, beside
 from energyplan.fit.breakaway import with_breakaway
 from energyplan.fit.covariance import autocorrelation
 from energyplan.fit.drives.windows import Drive, check_long_enough, prepared
@@ -62,6 +64,10 @@ class Identification(ByValue):
         own were kept.
     effective_samples : float
         How many independent samples the autocorrelated residual is worth.
+    adequacy : Adequacy
+        What is left beside noise once the inertia and the mobilisation of friction that nearly
+        every drive shows are allowed for. Where that is more than noise, the model lacks something,
+        and coefficients may be off by more than their standard errors.
     warnings : tuple of str
         What the logs do not determine, or hardly.
     set_aside : mapping of str to mapping of str to int
@@ -80,6 +86,7 @@ class Identification(ByValue):
     method: str
     icr_covariance: FloatArray | None
     effective_samples: float
+    adequacy: Adequacy
     warnings: tuple[str, ...]
     set_aside: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
 
@@ -277,8 +284,12 @@ def identify(
     icr_covariance = None if estimate is None else estimate.covariance
     warnings += _doubts(model, bounds, independent)
     warnings += _draw_at_rest(ready, powers)
+    quality = adequacy(ready, beside(_usual(terms), model, ready))
+    warnings += _missing(quality)
     aside = set_aside_by_drive(drives)
-    return Identification(model, method, icr_covariance, independent, tuple(warnings), aside)
+    return Identification(
+        model, method, icr_covariance, independent, quality, tuple(warnings), aside
+    )
 
 
 def fit_residual(model: PowerModel, logs: DriveLog | Sequence[DriveLog]) -> Residual:
@@ -329,6 +340,29 @@ def _both_sides(drives: Sequence[DriveLog], vehicle: Vehicle, terms: Sequence[Te
         for term in effect.terms if term in terms
     ]  # fmt: skip
     return with_breakaway(Problem(prepared(drives, vehicle), vehicle), usual)
+
+
+def _usual(terms: Sequence[Term]) -> list[Term]:
+    """Terms of what nearly every drive has, beside those of the model."""
+    return [
+        replace(term, params={**term.params, **dict(zip(effect.grid, values, strict=True))})
+        for effect in catalogue().values()
+        if effect.usual and not effect.channels
+        for values in product(*effect.grid.values())
+        for term in effect.terms
+        if term.name not in {one.name for one in terms}
+    ]
+
+
+def _missing(left: Adequacy) -> list[str]:
+    """Warn of a residual that is more than noise: standard errors know of noise alone."""
+    if left.adequate:
+        return []
+    return [
+        f"beside inertia the model leaves {left.in_words}. Something is missing from it, and "
+        "coefficients may be off by more than their standard errors; 'energyplan diagnose' with "
+        "the same logs tells what"
+    ]
 
 
 def _draw_at_rest(drives: Sequence[Drive], powers: Sequence[FloatArray]) -> list[str]:

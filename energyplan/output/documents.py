@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from energyplan.diagnosis import Diagnosis
     from energyplan.errors import NoPathError
     from energyplan.fit import ICREstimate, Identification
+    from energyplan.fit.adequacy import Adequacy
     from energyplan.fleet import FleetReport
     from energyplan.io.start import Start
     from energyplan.limits.feasibility import FeasibilityReport
@@ -76,9 +77,15 @@ def identification(found: Identification) -> Document:
         "terms": terms(found.model),
         "icr": {**icr, "std_error": plain(found.icr_std_error)},
         "residual": residual(found.residual),
+        "adequacy": adequacy(found.adequacy),
         "set_aside": plain(found.set_aside),
         "warnings": list(found.warnings),
     }
+
+
+def adequacy(left: Adequacy) -> Document:
+    """Return what a model leaves beside the noise."""
+    return {**plain(left), "adequate": left.adequate}
 
 
 def icr(found: ICREstimate) -> Document:
@@ -129,7 +136,7 @@ def diagnosis(told: Diagnosis) -> Document:
         "training": list(told.training),
         "choosing": list(told.choosing),
         "judging": list(told.judging),
-        "adequacy": {**plain(told.adequacy), "adequate": told.adequacy.adequate},
+        "adequacy": adequacy(told.adequacy),
         "predictions": [plain(one) for one in told.predictions],
         "average": None if told.average is None else plain(told.average),
         "set_aside": plain(told.set_aside),

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog, PowerModel, simulate
-from energyplan.diagnosis.adequacy import adequacy, predicted, shown_of_contacts
 from energyplan.diagnosis.joint_fit import final_fit
 from energyplan.diagnosis.part import Part
-from energyplan.diagnosis.result import Adequacy
+from energyplan.fit.adequacy import Adequacy, adequacy, left_over, predicted, shown_of_contacts
 from energyplan.fit.drives.windows import prepared
 from energyplan.fit.least_squares import Problem
 from energyplan.path import FloatArray
@@ -26,7 +25,7 @@ def judged(more: FloatArray) -> Adequacy:
     """Adequacy of the paper's model on a drive of which the log shows so much more power."""
     log = DriveLog({**CLEAN.channels, "power": CLEAN.power + more}, "drive")
     problem = Problem(prepared([log], ROBOT.vehicle), ROBOT.vehicle)
-    return adequacy(problem, final_fit(problem, ()))
+    return adequacy(problem.drives, left_over(final_fit(problem, ()).model, problem.drives))
 
 
 @pytest.mark.parametrize("share", [0.005, 0.03, 0.15])

@@ -34,6 +34,7 @@ from energyplan.power import (
     PowerModel,
     effects,
 )
+from energyplan.power.effects import COPPER_LOSS, LINEAR_INERTIA
 from energyplan.simulate import Setpoint
 from energyplan.vehicle import TreadICR, Vehicle
 
@@ -652,3 +653,31 @@ def test_samples_that_were_left_out_are_counted():
     assert (drive, sum(reasons.values())) == ("holes", 3)
     assert documents.identification(found)["set_aside"] == {"holes": dict(reasons)}
     assert any("3 samples" in line for line in text.identification(found))
+
+
+# -- what is missing ----------------------------------------------------------------------------
+
+
+def test_a_residual_that_is_more_than_noise_is_told() -> None:
+    """A loss that the model lacks: K is far off by its own standard error, and that is said."""
+    truth = PowerModel.preset("quadriga:full:concrete")
+    lossy = truth.with_term(COPPER_LOSS, 0.002)
+    found, plain = (
+        identify(simulate.identification_drive(model, power_noise=5.0, seed=1), truth.vehicle)
+        for model in (lossy, truth)
+    )
+    off = found.model.coefficient("traction_resistance") - 118.0
+    assert off > 4.0 * found.std_error["traction_resistance"]
+    assert not found.adequacy.adequate
+    assert any("diagnose" in text and "standard errors" in text for text in found.warnings)
+    assert plain.adequacy.adequate
+    assert plain.adequacy.noise == pytest.approx(np.hypot(5.0, 5.0), rel=0.2)
+    assert plain.warnings == ()
+
+
+def test_inertia_that_every_drive_has_is_no_alarm() -> None:
+    truth = PowerModel.preset("quadriga:full:concrete").with_term(LINEAR_INERTIA, 147.0)
+    log = simulate.identification_drive(truth, power_noise=5.0, seed=1)
+    found = identify(log, truth.vehicle)
+    assert found.residual.rmse > 1.2 * found.adequacy.residual
+    assert found.adequacy.adequate
