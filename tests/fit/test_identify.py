@@ -34,7 +34,7 @@ from energyplan.power import (
     PowerModel,
     effects,
 )
-from energyplan.power.effects import COPPER_LOSS, LINEAR_INERTIA
+from energyplan.power.effects import LINEAR_INERTIA
 from energyplan.simulate import Setpoint
 from energyplan.vehicle import TreadICR, Vehicle
 
@@ -661,7 +661,7 @@ def test_samples_that_were_left_out_are_counted():
 def test_a_residual_that_is_more_than_noise_is_told() -> None:
     """A loss that the model lacks: K is far off by its own standard error, and that is said."""
     truth = PowerModel.preset("quadriga:full:concrete")
-    lossy = truth.with_term(COPPER_LOSS, 0.002)
+    lossy = truth.with_term(DRIVE_LOSS, 0.25).with_term(REGENERATION_LOSS, 0.5)
     found, plain = (
         identify(simulate.identification_drive(model, power_noise=5.0, seed=1), truth.vehicle)
         for model in (lossy, truth)
