@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.stats import f as fisher
@@ -12,15 +13,19 @@ from energyplan.fit.covariance import autocorrelation
 from energyplan.fit.drives.denoise import speed_noise
 from energyplan.fit.drives.linear import equations_of, is_lossy, linearise_drive, power_of
 from energyplan.fit.drives.windows import SCALES, Drive
-from energyplan.fit.solvers import Bounds, weighted_least_squares
+from energyplan.fit.residuals import pieces_of
+from energyplan.fit.solvers import column_scale
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Term
 from energyplan.power.effect_terms import SLIP_CHANGE, TRACTION_CHANGE, WHEEL_FIGHT
+from energyplan.power.effects import catalogue
 
 _FLOOR = 0.01
 """What is no more than this fraction of the root mean square power is as good as nothing."""
 _CHANCE = 1e-3  # that noise alone is called coloured, over all lengths of means
 _RESTING = 20  # samples at rest that tell the noise
+_STEADY = 3.0  # standard errors by which coefficients move where a model lacks nothing
+_MOVED = 0.01  # part of a coefficient by which it may move all the same
 _SIGMA = 4.0  # standard deviations that noise does not exceed
 
 
@@ -118,20 +123,68 @@ def left_over(model: PowerModel, drives: Sequence[Drive]) -> list[FloatArray]:
     return left
 
 
-def beside(terms: Sequence[Term], model: PowerModel, drives: Sequence[Drive]) -> list[FloatArray]:
-    """Return what a model leaves of drives once further terms are fitted beside its own [W].
+@dataclass(frozen=True)
+class Beside:
+    """What further terms do to a fitted model.
+
+    Parameters
+    ----------
+    residuals : list of ndarray, shape (n,)
+        What is left of each drive [W].
+    moved : ndarray, shape (k,)
+        By how much the model's own coefficients move.
+    errors : ndarray, shape (k,)
+        Standard errors of those coefficients, once the further terms are fitted too.
+    """
+
+    residuals: list[FloatArray]
+    moved: FloatArray
+    errors: FloatArray
+
+    def moves(self, model: PowerModel) -> list[str]:
+        """Name the coefficients that move by more than their standard errors admit."""
+        return [
+            f"{term.symbol} from {value:.4g} to {value + by:.4g}"
+            for term, value, by, error in zip(
+                model.terms, model.coefficients, self.moved, self.errors, strict=True
+            )
+            if abs(by) > _MOVED * abs(value)
+            and abs(by) > _STEADY * np.hypot(error, model.std_error(term.name) or 0.0)
+        ]
+
+
+def usual_terms(terms: Sequence[Term]) -> list[Term]:
+    """Return the terms of what nearly every drive shows, beside those of a model."""
+    names = {term.name for term in terms}
+    return [
+        replace(term, params={**term.params, **dict(zip(effect.grid, values, strict=True))})
+        for effect in catalogue().values()
+        if effect.usual and not effect.channels
+        for values in product(*effect.grid.values())
+        for term in effect.terms
+        if term.name not in names
+    ]
+
+
+def beside(terms: Sequence[Term], model: PowerModel, drives: Sequence[Drive]) -> Beside:
+    """Fit further terms beside those of a model.
 
     One step of least squares, about the model's coefficients, of all that those terms and the
     model's own can explain.
     """
-    every = (*model.terms, *terms)
+    every, own = (*model.terms, *terms), len(model.terms)
     about = np.append(model.coefficients, np.zeros(len(terms)))
     tables = [linearise_drive(d, model.vehicle, every, about).columns[:, 0] for d in drives]
     left = left_over(model, drives)
     X, y = np.concatenate(tables), np.concatenate(left)
-    free = np.full(len(every), np.inf)
-    step = weighted_least_squares(X, y, Bounds(-free, free))
-    return [r - table @ step for r, table in zip(left, tables, strict=True)]
+    scale = column_scale(X)
+    inverse = np.linalg.pinv((X.T @ X) / np.outer(scale, scale), 1e-10, hermitian=True)
+    step = inverse @ (X.T @ y / scale) / scale
+    rest = y - X @ step
+    repeats = autocorrelation(rest, pieces_of(drives)).repeats
+    variance = float(rest @ rest) / len(y) * repeats * np.diag(inverse) / scale**2
+    residuals = [r - table @ step for r, table in zip(left, tables, strict=True)]
+    return Beside(residuals, step[:own], np.sqrt(variance[:own]))
 
 
 def adequacy(drives: Sequence[Drive], residuals: Sequence[FloatArray]) -> Adequacy:

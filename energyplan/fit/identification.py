@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
 from types import MappingProxyType
 from typing import Literal, cast
 
@@ -13,7 +12,7 @@ from scipy.stats import t as student
 
 from energyplan import html
 from energyplan.errors import InvalidInputError, ModelError, NotIdentifiableError, UnknownNameError
-from energyplan.fit.adequacy import Adequacy, adequacy, beside
+from energyplan.fit.adequacy import Adequacy, Beside, adequacy, beside, usual_terms
 from energyplan.fit.breakaway import with_breakaway
 from energyplan.fit.covariance import autocorrelation
 from energyplan.fit.drives.windows import Drive, check_long_enough, prepared
@@ -284,8 +283,9 @@ def identify(
     icr_covariance = None if estimate is None else estimate.covariance
     warnings += _doubts(model, bounds, independent)
     warnings += _draw_at_rest(ready, powers)
-    quality = adequacy(ready, beside(_usual(terms), model, ready))
-    warnings += _missing(quality)
+    usual = beside(usual_terms(terms), model, ready)
+    quality = adequacy(ready, usual.residuals)
+    warnings += _missing(quality, model, usual)
     aside = set_aside_by_drive(drives)
     return Identification(
         model, method, icr_covariance, independent, quality, tuple(warnings), aside
@@ -342,26 +342,18 @@ def _both_sides(drives: Sequence[DriveLog], vehicle: Vehicle, terms: Sequence[Te
     return with_breakaway(Problem(prepared(drives, vehicle), vehicle), usual)
 
 
-def _usual(terms: Sequence[Term]) -> list[Term]:
-    """Terms of what nearly every drive has, beside those of the model."""
-    return [
-        replace(term, params={**term.params, **dict(zip(effect.grid, values, strict=True))})
-        for effect in catalogue().values()
-        if effect.usual and not effect.channels
-        for values in product(*effect.grid.values())
-        for term in effect.terms
-        if term.name not in {one.name for one in terms}
-    ]
-
-
-def _missing(left: Adequacy) -> list[str]:
-    """Warn of a residual that is more than noise: standard errors know of noise alone."""
-    if left.adequate:
+def _missing(left: Adequacy, model: PowerModel, usual: Beside) -> list[str]:
+    """Warn of a model that lacks something: standard errors know of noise alone."""
+    moves = usual.moves(model)
+    if moves:
+        told = f"inertia and the mobilisation of friction beside it move {' and '.join(moves)}"
+    elif not left.adequate:
+        told = f"beside inertia it leaves {left.in_words}"
+    else:
         return []
     return [
-        f"beside inertia the model leaves {left.in_words}. Something is missing from it, and "
-        "coefficients may be off by more than their standard errors; 'energyplan diagnose' with "
-        "the same logs tells what"
+        f"the model lacks something: {told}. Coefficients may be off by more than their standard "
+        "errors; 'energyplan diagnose' with the same logs tells what is missing"
     ]
 
 

@@ -658,18 +658,19 @@ def test_samples_that_were_left_out_are_counted():
 # -- what is missing ----------------------------------------------------------------------------
 
 
-def test_a_residual_that_is_more_than_noise_is_told() -> None:
-    """A loss that the model lacks: K is far off by its own standard error, and that is said."""
+def test_a_model_that_lacks_something_is_told() -> None:
+    """Losses, which friction takes over, and a warm-up, which nothing does."""
     truth = PowerModel.preset("quadriga:full:concrete")
     lossy = truth.with_term(DRIVE_LOSS, 0.25).with_term(REGENERATION_LOSS, 0.5)
-    found, plain = (
+    found, warming, plain = (
         identify(simulate.identification_drive(model, power_noise=5.0, seed=1), truth.vehicle)
-        for model in (lossy, truth)
+        for model in (lossy, truth.with_term(effects.term("warm_up"), 60.0), truth)
     )
     off = found.model.coefficient("traction_resistance") - 118.0
-    assert off > 4.0 * found.std_error["traction_resistance"]
-    assert not found.adequacy.adequate
-    assert any("diagnose" in text and "standard errors" in text for text in found.warnings)
+    assert off > 10.0 * found.std_error["traction_resistance"]
+    assert any("K from 2" in text and "diagnose" in text for text in found.warnings)
+    assert not warming.adequacy.adequate
+    assert any("standard errors" in text for text in warming.warnings)
     assert plain.adequacy.adequate
     assert plain.adequacy.noise == pytest.approx(np.hypot(5.0, 5.0), rel=0.2)
     assert plain.warnings == ()
@@ -681,3 +682,4 @@ def test_inertia_that_every_drive_has_is_no_alarm() -> None:
     found = identify(log, truth.vehicle)
     assert found.residual.rmse > 1.2 * found.adequacy.residual
     assert found.adequacy.adequate
+    assert found.warnings == ()
