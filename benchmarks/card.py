@@ -28,7 +28,7 @@ from energyplan.power import TRACTION
 
 SEEDS = range(5)
 SHORTEST = 16.0
-"""Shortest run that diagnosis takes [s]."""
+"""Shortest run that the card counts [s]."""
 
 POINT = 0.01
 """One percentage point."""

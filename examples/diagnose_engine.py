@@ -19,7 +19,10 @@ import energyplan as ep
 
 def main(folder: Path, chosen: str | None) -> None:
     """Diagnose every scenario of the folder, or one."""
-    for ident in sorted(folder.glob(f"{chosen or '*'}_s*_ident.csv.gz")):
+    drives = sorted(folder.glob(f"{chosen or '*'}_s*_ident.csv.gz"))
+    if not drives:
+        sys.exit(f"{folder} holds no drive {chosen or 'SCENARIO'}_sSEED_ident.csv.gz")
+    for ident in drives:
         stem = ident.name.removesuffix("_ident.csv.gz")
         # The vehicle file is all that the diagnosis knows beside the logs.
         vehicle = ep.Vehicle.preset("quadriga" if "empty" in stem else "quadriga:full")

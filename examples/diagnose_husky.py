@@ -19,16 +19,14 @@ from energyplan.io.husky import read_husky
 def main(folder: Path) -> None:
     """Read, split by run, diagnose, report."""
     logs = [read_husky(file) for file in sorted(folder.glob("pro_*.csv"))]
-    logs = [log for log in logs if log.duration >= 16.0]
     inertial = [log for log in logs if log.has("accel_x")]
     # A channel counts only where every run has it.
     chosen = inertial if len(inertial) >= 6 else logs
     unseen = chosen[::3]
     train = [log for log in chosen if log not in unseen]
     print(f"{folder.name}: {len(train)} runs to learn from, {len(unseen)} to judge by")
-    for log in chosen:
-        for warning in log.warnings[:1]:
-            print(f"  {log.name}: {warning}")
+    for warning in sorted({log.warnings[0] for log in chosen if log.warnings}):
+        print(f"  {warning}")
 
     told = ep.diagnose(train, holdout=unseen, vehicle=ep.Vehicle.preset("husky_a200"))
     print(f"verdict: {told.verdict.replace('_', ' ')}")

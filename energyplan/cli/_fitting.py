@@ -33,6 +33,9 @@ if TYPE_CHECKING:
     from energyplan.logs import DriveLog
     from energyplan.power import Term
 
+_CUT = 40.0
+"""Length from which a drive is cut [s]: two fifths of it, 16 s, are the least to judge by."""
+
 
 @app.command(
     epilog="Example: energyplan start foreign.csv --track 0.5 --wheelbase 0.475 --mass 147 "
@@ -243,7 +246,7 @@ def diagnose(
         typer.Option(
             metavar="LOG...",
             help="Drives to judge by, not to learn from: all names up to the next option. "
-            "Default: the last two fifths of each drive.",
+            "Default: the last two fifths of each drive; of drives under 40 s some as a whole.",
         ),
     ] = None,
     out: OutModel = None,
@@ -260,6 +263,7 @@ def diagnose(
     """
     from energyplan.diagnosis import diagnose as run
     from energyplan.io.config import read_vehicle, write_model
+    from energyplan.logs.checks import set_aside_by_drive
     from energyplan.output import documents, text
     from energyplan.output.pages import diagnosis_page
 
@@ -267,13 +271,15 @@ def diagnose(
     _apart(logs, holdout or [])
     training = read_logs(logs, columns, topics, vehicle)
     judging = read_logs(holdout, columns, topics, vehicle) if holdout else []
-    for note in (*notes([*training, *judging]), *contradictions([*training, *judging], robot)):
+    read = [*training, *judging]
+    for note in (*notes(read), *contradictions(read, robot)):
         warn(note)
     if not judging:
         training, judging = _split(training)
     parts = {"training": _names(training), "judging": _names(judging)}
     with progress("diagnosing") as update:
         told = run(training, holdout=judging, vehicle=robot, progress=update)
+    told = replace(told, set_aside=set_aside_by_drive(read))
     if out:
         write_model(told.model, out)
     if report:
@@ -297,14 +303,27 @@ def _apart(logs: list[Path], holdout: list[Path]) -> None:
 
 
 def _split(drives: list[DriveLog]) -> tuple[list[DriveLog], list[DriveLog]]:
-    """Cut each drive in two: what to learn from, and what to judge on."""
-    cuts = [float(drive.t[0] + 0.6 * (drive.t[-1] - drive.t[0])) for drive in drives]
-    first = [drive.segment(float(drive.t[0]), cut) for drive, cut in zip(drives, cuts, strict=True)]
-    last = [
-        drive.segment(cut, math.nextafter(float(drive.t[-1]), math.inf))
-        for drive, cut in zip(drives, cuts, strict=True)
-    ]
-    return first, last
+    """Part drives into what to learn from and, two fifths of the time, what to judge on.
+
+    A drive is cut in two where both parts are long enough, or where there is no other one; else it
+    goes as a whole to where the share of time comes nearer to that.
+    """
+    learned: list[DriveLog] = []
+    judged: list[DriveLog] = []
+    for drive in drives:
+        if drive.duration >= _CUT or len(drives) == 1:
+            cut = float(drive.t[0] + 0.6 * (drive.t[-1] - drive.t[0]))
+            learned.append(drive.segment(float(drive.t[0]), cut))
+            judged.append(drive.segment(cut, math.nextafter(float(drive.t[-1]), math.inf)))
+        else:
+            total = _seconds([*learned, *judged, drive])
+            nearer = _seconds(judged) + 0.5 * drive.duration < 0.4 * total
+            (judged if nearer else learned).append(drive)
+    return learned, judged
+
+
+def _seconds(drives: list[DriveLog]) -> float:
+    return sum(drive.duration for drive in drives)
 
 
 def _names(drives: list[DriveLog]) -> list[str]:

@@ -59,8 +59,14 @@ def contradictions(logs: list[DriveLog], vehicle: Vehicle) -> list[str]:
 
 
 def notes(logs: list[DriveLog]) -> list[str]:
-    """Return what the readers of logs warned of."""
-    return [f"{log.name}: {warning}" for log in logs for warning in log.warnings]
+    """Return what the readers of logs warned of; what holds for several logs is told once."""
+    from energyplan.output.text import listed
+
+    warned: dict[str, list[str]] = {}
+    for log in logs:
+        for warning in log.warnings:
+            warned.setdefault(warning, []).append(log.name)
+    return [f"{listed(names)}: {warning}" for warning, names in warned.items()]
 
 
 def parse_pose(text: str) -> Pose:

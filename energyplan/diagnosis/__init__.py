@@ -150,7 +150,7 @@ def diagnose(
     entries = tuple(catalogue().values()) if effects is None else tuple(effects)
     _answerable(learned)
     refuse_one_side([*learned, *held_out])
-    check_long_enough([*learned, *held_out])
+    check_long_enough(learned, held_out)
     report(0.0, "fitting the paper's model")
     vehicle = _with_icr(learned, vehicle)
     case = _Case(learned, held_out, vehicle, entries)

@@ -44,7 +44,7 @@ class RunSpread:
         Returns
         -------
         RunSpread or None
-            None where there are fewer than three runs.
+            None where there are fewer than three runs, or none has two windows.
 
         References
         ----------
@@ -52,7 +52,7 @@ class RunSpread:
         """
         table, owner = design.longest
         count = int(owner.max()) + 1
-        if count < 3:
+        if count < 3 or len(owner) == count:
             return None
         predicted, measured = table[:, :-1] @ values, table[:, -1]
         square = np.bincount(owner, predicted**2, count)
@@ -60,7 +60,7 @@ class RunSpread:
         excess = product / np.maximum(square, 1e-300) - 1.0
         scatter = measured - predicted * (1.0 + excess[owner])
         windows = np.bincount(owner, minlength=count)
-        freedom = max(float(np.sum(np.maximum(windows - 1, 0))), 1.0)
+        freedom = float(np.sum(np.maximum(windows - 1, 0)))
         noise = float(scatter @ scatter) / freedom
         variances = np.maximum(noise / np.maximum(square, 1e-300), 1e-12)
 

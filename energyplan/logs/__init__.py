@@ -321,6 +321,8 @@ class DriveLog(ReadOnly):
     def segment(self, t0: float, t1: float) -> DriveLog:
         """Return the samples with ``t0 <= t < t1`` [s].
 
+        `set_aside` of a segment is empty: what was left out is told of the whole log.
+
         Raises
         ------
         DriveLogError
@@ -333,8 +335,8 @@ class DriveLog(ReadOnly):
                 f"two are needed; the log covers {self.t[0]:g} to {self.t[-1]:g} s"
             )
         since = float(self.t[0]) if self.t[0] > _EPOCH else 0.0
-        label = f"{self.name} from {t0 - since:g} to {t1 - since:g} s"
-        return self._part(slice(int(first), int(last)), label)
+        label = f"{self.name} from {round(t0 - since, 2):g} to {round(t1 - since, 2):g} s"
+        return replace(self._part(slice(int(first), int(last)), label), set_aside=())
 
     @checked(DriveLogError)
     def blocks(self, duration: float) -> list[DriveLog]:

@@ -57,11 +57,21 @@ def _unit(unit: str) -> str:
 
 
 def _set_aside(counts: Mapping[str, Mapping[str, int]]) -> list[str]:
+    drives: dict[str, dict[str, int]] = {}
+    for drive, reasons in counts.items():
+        for reason, count in reasons.items():
+            drives.setdefault(reason, {})[drive] = count
     return [
-        f"set aside in {drive}: {count} samples: {reason}"
-        for drive, reasons in counts.items()
-        for reason, count in reasons.items()
+        f"set aside in {listed(list(of))}: {sum(of.values())} samples: {reason}"
+        for reason, of in drives.items()
     ]
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names as a sentence gives them; of many the first two, and how many there are more."""
+    if len(names) <= 3:
+        return ", ".join(names)
+    return f"{', '.join(names[:2])} and {len(names) - 2} more"
 
 
 def diagnosis(told: Diagnosis) -> list[str]:

@@ -7,8 +7,10 @@ import os
 import shutil
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 from commands import run
 
@@ -112,6 +114,29 @@ def test_one_drive_is_cut_into_what_is_learned_from_and_what_is_judged_on(
     (learned,), (judged,) = told["training"], told["judging"]
     cut = learned.rpartition(" to ")[2].removesuffix(" s")
     assert judged.startswith(f"a.csv from {cut} to ")
+
+
+def test_short_drives_are_judged_on_whole_and_what_was_set_aside_counts_once(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Recordings are often short; one of 12 s among others is no reason to refuse them all."""
+    whole = ep.DriveLog.read("a.csv")
+    bounds = (0.0, 45.0, 57.0, 69.0)
+    parts = ("long.csv", "one.csv", "two.csv")
+    for name, (since, until) in zip(parts, pairwise(bounds), strict=True):
+        rows = (folder / "a.csv").read_text().splitlines()
+        first, last = np.searchsorted(whole.t, [since, until])
+        blank = ",".join("" for _ in rows[0].split(","))
+        lines = [rows[0], *rows[1 + first : 1 + last], blank]
+        (folder / name).write_text("\n".join(lines) + "\n")
+    code, out, error = run(capsys, "diagnose", *parts, "--vehicle", "robot.yaml", "--json")
+    assert code == 0, error
+    told = json.loads(out)
+    assert told["training"] == ["long.csv from 0 to 26.97 s", "one.csv"]
+    assert told["judging"] == ["long.csv from 26.97 to 44.95 s", "two.csv"]
+    assert {name: sum(of.values()) for name, of in told["set_aside"].items()} == dict.fromkeys(
+        parts, 1
+    )
 
 
 def test_two_outputs_are_two_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

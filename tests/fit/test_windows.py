@@ -188,8 +188,11 @@ def test_short_logs_are_refused_and_long_ones_thinned(monkeypatch: pytest.Monkey
         return DriveLog({"t": t, "v_left": 0 * t + 0.4, "v_right": 0 * t + 0.4, "power": t}, "log")
 
     check_long_enough([log(16.0)])
-    with pytest.raises(DriveLogError, match=r"log: 15\.9 s are too short.* give 16 s or more"):
-        check_long_enough([log(16.0), log(15.9)])
+    check_long_enough([log(4.0), log(7.9), log(4.1)])
+    with pytest.raises(DriveLogError, match=r"log, log: 15\.9 s are too short.* give 16 s or more"):
+        check_long_enough([log(8.0), log(7.9)])
+    with pytest.raises(DriveLogError, match=r"log: 3\.9 s are too short.* give 4 s or more"):
+        check_long_enough([log(30.0), log(3.9)])
     assert [len(d.t) for d in prepared([log(20.0)] * 2, MODEL.vehicle)] == [1001, 1001]
     monkeypatch.setattr(windows, "_MANY", 1001)
     assert [len(d.t) for d in prepared([log(20.0)] * 2, MODEL.vehicle)] == [501, 501]

@@ -281,20 +281,22 @@ class Windows:
         return np.asarray(total / self.counts.reshape(-1, *[1] * (values.ndim - 1)))
 
 
-def check_long_enough(logs: Sequence[DriveLog]) -> None:
-    """Refuse drives too short to be cut into blocks.
+def check_long_enough(*lists: Sequence[DriveLog]) -> None:
+    """Refuse drives too short to be cut into blocks, each or all of a list together.
 
     Raises
     ------
     DriveLogError
-        If a log is shorter than two blocks.
+        If a log is shorter than half a block, or all of a list together than two.
     """
-    for log in logs:
-        seconds = float(log.t[-1] - log.t[0])
-        if seconds < 2 * BLOCK:
+    cases = [(log.name, [log], 0.5 * BLOCK) for logs in lists for log in logs]
+    cases += [(", ".join(log.name for log in logs[:3]), [*logs], 2 * BLOCK) for logs in lists]
+    for name, logs, least in cases:
+        seconds = sum(float(log.t[-1] - log.t[0]) for log in logs)
+        if seconds < least:
             raise DriveLogError(
-                f"{log.name}: {seconds:.1f} s are too short to learn from, or to judge by; give "
-                f"{2 * BLOCK:.0f} s or more"
+                f"{name}: {seconds:.1f} s are too short to learn from, or to judge by; give "
+                f"{least:.0f} s or more"
             )
 
 
