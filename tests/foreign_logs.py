@@ -235,6 +235,26 @@ def sides_in_turn(at: At, folder: Path) -> Path:
     }, folder / "in_turn.csv")  # fmt: skip
 
 
+def what_changed_alone(at: At, folder: Path) -> Path:
+    """A reading is written where it differs from the one before, to a thousandth of its range."""
+    columns = {"v_left": at.left, "v_right": at.right, "p_left": at.p_left, "p_right": at.p_right,
+               "yaw_rate": at.yaw_rate}  # fmt: skip
+    sizes = {name: 1e-3 * np.ptp(values) for name, values in columns.items()}
+    rows = pd.DataFrame({n: np.round(v / sizes[n]) * sizes[n] for n, v in columns.items()})
+    written = rows.where(rows.ne(rows.shift()))
+    return csv(written.assign(t=at.t)[written.notna().any(axis=1)], folder / "on_change.csv")
+
+
+def readings_in_rows(at: At, folder: Path) -> Path:
+    """A reading a row, as a broker of messages stores them."""
+    readings = {"wheel/left/velocity": at.left / at.robot.radius, "battery/voltage": at.volts,
+                "wheel/right/velocity": at.right / at.robot.radius, "battery/current": at.amps,
+                "imu/angular_velocity/z": at.yaw_rate, "mode": ["auto"] * len(at.t)}  # fmt: skip
+    rows = pd.concat([pd.DataFrame({"timestamp": at.stamps, "topic": name, "value": values})
+                      for name, values in readings.items()])  # fmt: skip
+    return csv(rows.sort_values("timestamp", kind="stable"), folder / "readings.csv")
+
+
 def coarse_stamps(at: At, folder: Path) -> Path:
     return csv(at.house().assign(t=np.round(at.t * 4) / 4), folder / "coarse.csv")
 
@@ -461,7 +481,7 @@ READ: tuple[Writer, ...] = (
     four_wheels_in_rpm, four_motors, german, utf16, byte_order_mark, units_in_a_second_row,
     remarks_before_the_names, words_for_nothing, two_recordings, coarse_stamps,
     json_lines, topics_named_for_power, bare_names_in_thousandths, a_part_twice,
-    stamps_in_whole_seconds, sides_in_turn,
+    stamps_in_whole_seconds, sides_in_turn, what_changed_alone, readings_in_rows,
     a_row_for_each_message, stamps_in_two_columns, date_and_time_of_day, american_dates,
     aligned_by_spaces, newest_first, units_in_names, rostopic_echo, encoders_of_four_wheels,
     encoders_and_a_satellite_receiver, encoders_from_row_to_row, encoders_that_tell_a_rate,
@@ -476,6 +496,6 @@ REFUSED: dict[Writer, str] = {
     electrical_rates: r"v_left=left_erpm\[rpm\*F\]",
     torques: r"p_left=left_wheel_joint_effort\*RATE",
     units_in_cells: "line 2: 'v_left' is '.* m/s', which is no number",
-    thousands: r"line \d+: 'power \[mW\]' is '-?\d+,\d+.\d', which is no number",
+    thousands: r"line \d+: 'power \[mW\]' is '-?\d+,\d+.\d', which is no .* without marks",
 }
 """Logs that must be refused, and the words of the remedy."""

@@ -205,7 +205,7 @@ def _describe_bag(file: Path) -> LogInfo:
 
 
 def _describe_table(file: Path) -> LogInfo:
-    table = read_table(file, DriveLogError)
+    table = read_table(file, DriveLogError).unchanged_held()
     husky = is_husky(file)
     times = table.columns.get("time" if husky else "t", np.zeros(0))
     times = times[np.isfinite(times)]

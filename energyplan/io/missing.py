@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from energyplan.errors import DriveLogError
+from energyplan.logs.cells import Table
 from energyplan.logs.guess import ENCODER, guess, numbered_speeds, words
-from energyplan.logs.tables import Table
 
 
 def refuse(table: Table, needed: Sequence[str]) -> NoReturn:

@@ -22,13 +22,15 @@ from energyplan.io.project import Project
 from energyplan.io.robot import Given, build_vehicle, known_measures
 from energyplan.io.topics import TOPIC_MAPS, TopicMap, topic_map_of
 from energyplan.logs import DriveLog
-from energyplan.logs.checks import find_runs, join_rows
+from energyplan.logs.cells import Table
+from energyplan.logs.checks import find_runs
 from energyplan.logs.columns import Column, column_from, parse_columns
 from energyplan.logs.consistency import Check, Measures, check_consistency, strain
 from energyplan.logs.contradictions import find_contradictions
 from energyplan.logs.evidence import gather
 from energyplan.logs.guess import guess, guess_encoders
-from energyplan.logs.tables import Table, read_table
+from energyplan.logs.joining import join_rows
+from energyplan.logs.tables import read_table
 from energyplan.logs.units import is_count, is_wheel_rate, scale_of
 from energyplan.path import FloatArray
 
@@ -111,7 +113,7 @@ class _Choice(NamedTuple):
 
 
 def _start_table(file: Path, known: Given) -> Start:
-    table = read_table(file, DriveLogError)
+    table = read_table(file, DriveLogError).unchanged_held()
     names = (*table.columns, *table.text)
     columns = parse_columns(known.columns, names)
     # A factor of a power, such as a wheel's rate, may serve for itself too.

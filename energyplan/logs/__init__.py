@@ -19,7 +19,7 @@ from energyplan.errors import DriveLogError, MissingChannelError
 from energyplan.kinds import checked
 from energyplan.logs._smooth import derivative
 from energyplan.logs.align import block_bounds, interval_means, shift, time_weights
-from energyplan.logs.checks import Place, SetAside, clean, find_runs, needed_channels
+from energyplan.logs.checks import Place, SetAside, clean, find_runs, needed_channels, unchanged
 from energyplan.logs.columns import Column, choose_columns, parse_columns
 from energyplan.logs.plausible import find_doubts
 from energyplan.logs.tables import read_table, table_of
@@ -173,9 +173,11 @@ class DriveLog(ReadOnly):
         120.0
         """
         read = read_table if isinstance(source, str | PathLike) else table_of
-        table = read(source, DriveLogError)  # type: ignore[arg-type]
+        table = read(source, DriveLogError).unchanged_held()  # type: ignore[arg-type]
         chosen = choose_columns(table, columns, others)
         log = cls.from_columns(chosen.channels, table.source, table.place)
+        held = {name: rows for name, rows in table.held.items() if name in chosen.used}
+        log = replace(log, set_aside=(*unchanged(held, table.place), *log.set_aside))
         if not chosen.unread:
             return log
         note = f"columns of text are left out: {', '.join(chosen.unread[:10])}"

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from energyplan.errors import DriveLogError
 from energyplan.kinds import described, numbers
-from energyplan.logs.align import Series, align, gap_limit
+from energyplan.logs.align import gap_limit
 from energyplan.logs.glitches import find_glitches
+from energyplan.logs.joining import RECORDING, join_rows
 from energyplan.logs.reach import ANY, LIMITS, likely_unit
 from energyplan.path import FloatArray
 
@@ -21,8 +22,6 @@ Place = Callable[[int], str]
 
 _STRAY = 0.01  # share of readings out of range that is taken for glitches, not for a wrong unit
 _BRIDGE = 1.0  # longest hole in a further channel that is bridged by interpolation [s]
-_RECORDING = 20  # rows from which a stretch counts as a recording of its own
-_TOGETHER = 0.8  # share of a channel's rows that hold the others too, from which rows are whole
 _PAUSE = 10.0  # time between recordings whose clocks begin anew [s]
 _LATE = 0.01  # share of the rows that may come late
 _LATEST = 5.0  # how late they may come [s]
@@ -54,6 +53,17 @@ class SetAside:
 
     def __str__(self) -> str:
         return f"{self.count} samples: {self.reason} ({self.where})"
+
+
+def unchanged(held: Mapping[str, NDArray[np.intp]], place: Place) -> list[SetAside]:
+    """Count the cells that a logger left blank because the reading before still held."""
+    return [
+        SetAside(
+            f"{name} is blank, as what did not change is in this log; it holds",
+            len(rows), ", ".join(place(int(row)) for row in rows[:3]),
+        )
+        for name, rows in held.items()
+    ]  # fmt: skip
 
 
 class _Cleaned(Protocol):
@@ -136,64 +146,6 @@ def needed_channels(names: Collection[str], label: str) -> tuple[str, ...]:
         f"{label}: power is missing; give p_left and p_right, or power, or voltage and current; "
         f"the log has {there}"
     )
-
-
-class Joined(NamedTuple):
-    """Channels of several sources on the rows of one of them.
-
-    Parameters
-    ----------
-    channels : dict of str to ndarray, shape (n,)
-        The channels.
-    rows : ndarray, shape (n,)
-        The rows that were kept.
-    how : dict of str to str
-        How channels came that had rows of their own.
-    """
-
-    channels: dict[str, FloatArray]
-    rows: NDArray[np.intp]
-    how: dict[str, str]
-
-
-def join_rows(channels: Mapping[str, FloatArray], needed: Collection[str]) -> Joined | None:
-    """Join rows that hold a part of the channels each, as of messages from several sources.
-
-    Parameters
-    ----------
-    channels : mapping of str to ndarray, shape (n,)
-        Channels over increasing time, NaN where a row does not hold one.
-    needed : collection of str
-        Channels without which a row is of no use.
-
-    Returns
-    -------
-    Joined or None
-        The channels at the times of the left tread speed, averaged where they are faster and
-        interpolated where they are slower; None where rows hold all that is needed.
-    """
-    known = {name: np.isfinite(values) for name, values in channels.items()}
-    clock = np.flatnonzero(known["t"] & known["v_left"])
-    fewest = min(np.count_nonzero(known[name]) for name in needed)
-    whole = np.count_nonzero(np.all([known[name] for name in needed], axis=0))
-    t = channels["t"][clock]
-    apart = whole < _TOGETHER * fewest
-    if fewest < _RECORDING or not apart or len(t) < 2 or np.any(np.diff(t) <= 0):
-        return None
-    found, how = {"t": t}, {}
-    for name, values in channels.items():
-        there = np.flatnonzero(known["t"] & known[name])
-        if name == "t" or np.count_nonzero(known[name][clock]) > _TOGETHER * len(clock):
-            found.setdefault(name, values[clock])
-            continue
-        own, readings = channels["t"][there], values[there]
-        later = np.append(True, np.diff(own) > 0)
-        if not np.all(np.diff(own) >= 0) or np.count_nonzero(later) < 2:
-            return None
-        readings = np.unwrap(readings) if name == "yaw" else readings
-        aligned = align(Series(own[later], readings[later]), t)
-        found[name], how[name] = aligned.values, aligned.how
-    return Joined(found, clock, how)
 
 
 def clean(columns: Mapping[str, ArrayLike], label: str, place: Place) -> Cleaned:
@@ -327,7 +279,7 @@ class _Cleaner:
         for values in self.channels.values():
             again &= (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
         self.drop(np.append(False, again), "the row repeats the one before; left out")
-        if len(self.rows) >= _RECORDING and np.mean(np.diff(self.channels["t"]) < 0) > 0.9:
+        if len(self.rows) >= RECORDING and np.mean(np.diff(self.channels["t"]) < 0) > 0.9:
             self.pick(np.arange(len(self.rows))[::-1])
             self.warnings.append("the rows stand newest first; they are read backwards")
         if np.any(np.diff(self.channels["t"]) < 0):
@@ -370,7 +322,7 @@ class _Cleaner:
         cuts = np.flatnonzero(np.diff(t) < 0) + 1
         bounds = [slice(a, b) for a, b in pairwise([0, *cuts.tolist(), len(t)])]
         parts = [t[one] for one in bounds]
-        if min(map(len, parts)) < _RECORDING:
+        if min(map(len, parts)) < RECORDING:
             return
         place = ", ".join(self.place(int(self.rows[cut])) for cut in cuts[:3])
         first = sorted(range(len(parts)), key=lambda k: float(parts[k][0]))
@@ -408,7 +360,7 @@ class _Cleaner:
             return
         first = np.flatnonzero(np.append(True, np.diff(t) > 0))
         sizes = np.diff(np.append(first, len(t)))
-        if len(first) >= _RECORDING and np.median(sizes) > 1:
+        if len(first) >= RECORDING and np.median(sizes) > 1:
             # Of stamps in whole seconds: rows of a steady rate lie on a line.
             rows, step = np.arange(len(t)), float(np.median(np.diff(t[first])))
             line = np.polynomial.Polynomial.fit(rows, t, 1)(rows)
@@ -416,7 +368,7 @@ class _Cleaner:
                 self.note(np.repeat(sizes, sizes) > 1, "the row's time is that of another; spread")
                 self.channels["t"] = line
                 return
-        if len(first) < _RECORDING or np.max(sizes) > max(8, 8 * float(np.median(sizes))):
+        if len(first) < RECORDING or np.max(sizes) > max(8, 8 * float(np.median(sizes))):
             return  # the clock stood still
         self.note(np.repeat(sizes, sizes) > 1, "the row's time is that of another; averaged")
         for name, values in self.channels.items():

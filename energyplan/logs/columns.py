@@ -10,8 +10,8 @@ import numpy as np
 
 from energyplan.errors import DriveLogError
 from energyplan.kinds import described
+from energyplan.logs.cells import Table
 from energyplan.logs.counts import count_rate, counting
-from energyplan.logs.tables import Table
 from energyplan.logs.units import UNITS, Scale, scale_of, unit_in
 from energyplan.path import FloatArray
 
@@ -241,9 +241,10 @@ def parse_columns(
 
 
 class Chosen(NamedTuple):
-    """Channels taken from a table, and its columns of text that nobody asked for."""
+    """Channels taken from a table, the columns that served, and those of text nobody asked for."""
 
     channels: dict[str, FloatArray]
+    used: set[str]
     unread: list[str]
 
 
@@ -281,7 +282,7 @@ def choose_columns(
         channels = {channel: column.over(t, table.column) for channel, column in wanted.items()}
     used = {name for column in wanted.values() for name in column.names}
     unread = [name for name in table.text if others and name not in used]
-    return Chosen(channels, unread)
+    return Chosen(channels, used, unread)
 
 
 def own_columns(names: Iterable[str], wanted: Mapping[str, Column]) -> dict[str, Column]:

@@ -7,30 +7,19 @@ import gzip
 import io
 import warnings
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
-import numpy as np
-
 from energyplan.errors import InvalidInputError, MissingDependencyError
-from energyplan.logs.dialect import (
-    MAX_COLUMNS,
-    MAX_HEADER,
-    MISSING,
-    UNNAMED,
-    Dialect,
-    find_dialect,
-)
-from energyplan.logs.instants import Instants, instants_of, over_midnight, whole_stamps
+from energyplan.logs.cells import Columns, Table
+from energyplan.logs.dialect import MAX_COLUMNS, MAX_HEADER, MISSING, Dialect, find_dialect
 from energyplan.logs.json_lines import read_json_lines
-from energyplan.logs.units import split_unit
-from energyplan.path import FloatArray
+from energyplan.logs.long_format import LongFormat, find_long
 
 if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is read
-    import pandas as pd
     import pyarrow as pa
     from _typeshed import WriteableBuffer
 
@@ -47,58 +36,9 @@ _SUFFIXES = {
     **dict.fromkeys((".jsonl", ".ndjson"), ".jsonl"),
     **dict.fromkeys((".parquet", ".pq"), ".parquet"),
 }
+_SHEETS = (".xlsx", ".xls", ".xlsm", ".ods")
 _INTERRUPTED = "Calling read(nbytes) on source failed"
 """What the parser makes of Ctrl-C at the moment when it asks for bytes; errors it passes on."""
-
-
-@dataclass(frozen=True)
-class Table:
-    """Columns of numbers, and where they came from.
-
-    Parameters
-    ----------
-    source : str
-        Name of the file, for messages.
-    columns : mapping of str to ndarray, shape (n,)
-        The columns that hold numbers; an empty cell is NaN.
-    text : mapping of str to str
-        The other columns, each with the place and content of its first cell that is no number.
-    first : int
-        Number of the first row of data.
-    unit : str
-        What that number counts: ``"line"`` of a text file or ``"row"`` of another.
-    error : type
-        Error to raise for bad content.
-    """
-
-    source: str
-    columns: Mapping[str, FloatArray]
-    text: Mapping[str, str]
-    first: int
-    unit: str
-    error: type[InvalidInputError]
-
-    def place(self, row: int) -> str:
-        """Name the place of a row, such as ``"line 12"``."""
-        return f"{self.unit} {self.first + row}"
-
-    def column(self, name: str) -> FloatArray:
-        """Return a column.
-
-        Raises
-        ------
-        InvalidInputError
-            If there is no such column or it holds text.
-        """
-        if name in self.columns:
-            return self.columns[name]
-        if name in self.text:
-            raise self.error(
-                f"{self.source}, {self.text[name]}, which is no number; correct the cell or map "
-                "another column"
-            )
-        there = ", ".join([*self.columns, *self.text][:20])
-        raise self.error(f"{self.source}: there is no column {name!r}; the columns are {there}")
 
 
 def read_table(path: str | Path, error: type[InvalidInputError]) -> Table:
@@ -131,7 +71,10 @@ def read_table(path: str | Path, error: type[InvalidInputError]) -> Table:
             stream = io.BufferedReader(_Guarded(raw, file, error))
             if _suffix(file, error) == ".jsonl":
                 frame = read_json_lines(stream, file, MAX_CELLS, error)
-                columns = _Columns(list(map(str, frame)), 1, "line")
+                long = find_long(frame)
+                if long is not None:
+                    return _widened(frame, long, ".", file, error)
+                columns = Columns(list(map(str, frame)), 1, "line")
                 columns.add(frame)
                 return columns.table(file, error)
             return _read_csv(stream, file, error)
@@ -163,7 +106,10 @@ def table_of(frame: Any, error: type[InvalidInputError]) -> Table:
     if len(set(names)) < len(names):
         twice = next(one for one in names if names.count(one) > 1)
         raise error(f"the DataFrame: two columns are named {twice!r}; rename one")
-    made = _Columns(names, 0, "row")
+    long = find_long(frame.set_axis(names, axis=1))
+    if long is not None:
+        return _widened(frame.set_axis(names, axis=1), long, ".", Path("DataFrame"), error)
+    made = Columns(names, 0, "row")
     made.add(frame)
     return made.table(Path("DataFrame"), error)
 
@@ -202,6 +148,8 @@ def _suffix(file: Path, error: type[InvalidInputError]) -> str:
     suffix = _SUFFIXES.get(file.suffix.lower())
     if file.is_dir():
         raise error(f"{str(file)!r} is a folder; give a .csv, .csv.gz or .parquet file in it")
+    if suffix is None and file.suffix.lower() in _SHEETS:
+        raise error(f"{file} is a workbook; save the sheet that holds the log as CSV and give that")
     if suffix is None:
         raise error(f"{file} is of an unknown type; give a .csv, .csv.gz, .jsonl or .parquet file")
     return suffix
@@ -303,10 +251,12 @@ def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInp
     dialect, readings = _opened(stream, file, error)
     names = dialect.names
     most = MAX_CELLS // len(names)
-    columns = _Columns(names, dialect.line, "line", dialect.decimal)
+    columns = Columns(names, dialect.line, "line", dialect.decimal)
     # before 3.1 pandas is out by the last bit in one number of six, unless it is asked not to be
     old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
     exact: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
+    long: LongFormat | None = None
+    parts: list[pd.DataFrame] = []
     try:
         with warnings.catch_warnings():
             # Rows wider than the header would lose their surplus with no more than a warning.
@@ -327,6 +277,12 @@ def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInp
                 chunksize=_CHUNK,  # the parser's memory is several times that of the numbers
                 **exact,
             ):
+                frame.columns = names
+                if columns.rows == 0 and not parts:
+                    long = find_long(frame)
+                if long is not None:
+                    parts.append(frame)
+                    continue
                 columns.add(frame)
                 if columns.rows > most:
                     raise error(
@@ -343,6 +299,23 @@ def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInp
         if _INTERRUPTED in str(problem):
             raise KeyboardInterrupt from None
         raise error(f"{file} is no table: {_with_line(str(problem), dialect.line)}") from None
+    if long is not None:
+        return _widened(pd.concat(parts), long, dialect.decimal, file, error)
+    return columns.table(file, error)
+
+
+def _widened(
+    frame: pd.DataFrame, long: LongFormat, decimal: str, file: Path, error: type[InvalidInputError]
+) -> Table:
+    """Take a table of one reading a row."""
+    if decimal == ",":
+        texts = frame[long.value].astype("string")
+        frame = frame.assign(**{long.value: texts.str.replace(",", ".", regex=False)})
+    if len(frame) * frame[long.name].nunique() > MAX_CELLS:
+        raise error(f"{file} has {len(frame)} readings of many names; split it")
+    wide = long.wide(frame)
+    columns = Columns(list(map(str, wide)), 1, "instant", decimal)
+    columns.add(wide)
     return columns.table(file, error)
 
 
@@ -384,7 +357,7 @@ def _read_parquet(file: Path, error: type[InvalidInputError]) -> Table:
     except (pa.ArrowException, OSError, RuntimeError) as problem:
         first = (str(problem).splitlines() or [""])[0]
         raise error(f"{file} is no sound Parquet file: {first}") from None
-    columns = _Columns(numbers, 1, "row")
+    columns = Columns(numbers, 1, "row")
     columns.add(frame)
     table = columns.table(file, error)
     text = {n: f"row 1: {n!r} is of type {kind}" for n, kind in kinds.items() if n not in numbers}
@@ -398,73 +371,3 @@ def _holds_numbers(kind: pa.DataType) -> bool:
     if types.is_dictionary(kind):
         kind = kind.value_type
     return bool(types.is_primitive(kind) or types.is_decimal(kind) or types.is_null(kind))
-
-
-class _Columns:
-    """Columns as they are read, piece by piece, sorted into numbers and text."""
-
-    def __init__(self, names: list[str], first: int, unit: str, decimal: str = ".") -> None:
-        self.rows, self._first, self._unit, self._decimal = 0, first, unit, decimal
-        self._numbers: dict[str, list[FloatArray]] = {name: [] for name in names}
-        self._text: dict[str, str] = {}
-        self._instants: dict[str, Instants] = {}
-
-    def add(self, frame: pd.DataFrame) -> None:
-        """Take in the next rows."""
-        import pandas as pd
-
-        for label, series in zip(self._numbers, (frame[name] for name in frame), strict=True):
-            if label in self._text:
-                continue
-            if pd.api.types.is_datetime64_any_dtype(series):
-                stamps = series.to_numpy("datetime64[ns]")
-                seconds = (stamps - np.datetime64(0, "ns")) / np.timedelta64(1, "s")
-                self._numbers[label].append(np.asarray(seconds, float))
-                continue
-            if not pd.api.types.is_numeric_dtype(
-                series
-            ):  # text among numbers, or integers beyond 64 bits
-                series = self._mended(label, series.astype("string").str.strip())
-            values = pd.to_numeric(series, errors="coerce").to_numpy(float, na_value=np.nan)
-            bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
-            if len(bad):
-                written = self._instants.get(label) or instants_of(series)
-                if written is not None:
-                    self._instants[label] = written
-                    values = written.seconds(series)
-                    bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
-            if len(bad):
-                k = int(bad[0])
-                place = f"{self._unit} {self._first + self.rows + k}"
-                self._text[label] = f"{place}: {label!r} is {str(series.iloc[k])[:40]!r}"
-                self._numbers[label].clear()
-            else:
-                self._numbers[label].append(values)
-        self.rows += len(frame)
-
-    def _mended(self, label: str, series: pd.Series[Any]) -> pd.Series[Any]:
-        """Blank names and units that stand among readings; decimal commas become points.
-
-        Where recordings were appended to each other, each brought its own line of names.
-        """
-        bare, unit = split_unit(label)
-        series = series.mask(series.isin({label, bare, unit, f"[{unit}]"} - {"", "[]"}))
-        return series.str.replace(",", ".", regex=False) if self._decimal == "," else series
-
-    def table(self, file: Path, error: type[InvalidInputError]) -> Table:
-        """Return what was read."""
-        numbers = {
-            name: np.concatenate(parts) if parts else np.zeros(0)
-            for name, parts in self._numbers.items()
-            if name not in self._text
-        }
-        for name, written in self._instants.items():
-            if written.of_day and name in numbers:
-                numbers[name] = over_midnight(numbers[name])
-        # Where lines end with a separator, a column without a name holds nothing.
-        numbers = {
-            name: values
-            for name, values in numbers.items()
-            if not name.startswith(UNNAMED) or np.isfinite(values).any()
-        }
-        return Table(file.name, whole_stamps(numbers), self._text, self._first, self._unit, error)

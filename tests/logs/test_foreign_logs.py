@@ -28,12 +28,14 @@ from foreign_logs import (
     torques,
     two_recordings,
     units_in_names,
+    what_changed_alone,
 )
 
 import energyplan as ep
 from energyplan.errors import DriveLogError
 from energyplan.io.robot import Given
 from energyplan.io.start import start
+from energyplan.output import documents
 
 BY_NAME = {"argnames": "write", "ids": lambda write: write.__name__}
 
@@ -64,6 +66,22 @@ def test_start_reads_what_others_write(tmp_path: Path, write: Writer) -> None:
     # Stamps of a quarter of a second average the steps of speed, and another recording differs.
     within = 0.01 if write.__name__ in ("coarse_stamps", "two_recordings") else 0.004
     np.testing.assert_allclose(found, coefficients(ROVER), rtol=within)
+
+
+def test_what_a_logger_left_blank_holds_and_is_counted(tmp_path: Path) -> None:
+    at = sensors(ROVER)
+    log = started(what_changed_alone, ROVER, tmp_path)
+    assert len(log) > 0.98 * len(at.t)
+    reasons = {item.reason.split(" ")[0]: item.count for item in log.set_aside}
+    assert reasons["v_left"] > 0.05 * len(at.t)
+    told = documents.identification(ep.identify(log, ROVER.vehicle))
+    assert reasons["v_left"] in told["set_aside"][log.name].values()
+
+
+def test_a_workbook_is_to_be_saved_as_text(tmp_path: Path) -> None:
+    (tmp_path / "drive.xlsx").write_bytes(b"PK")
+    with pytest.raises(DriveLogError, match=r"drive\.xlsx is a workbook; save the sheet .* CSV"):
+        ep.DriveLog.read(tmp_path / "drive.xlsx")
 
 
 @pytest.mark.parametrize("robot", ROBOTS, ids=lambda robot: robot.name)
