@@ -20,6 +20,7 @@ from energyplan.logs.json_lines import read_json_lines
 from energyplan.logs.long_format import LongFormat, find_long
 
 if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is read
+    import pandas as pd
     import pyarrow as pa
     from _typeshed import WriteableBuffer
 
