@@ -184,6 +184,7 @@ def comparison(made: Comparison) -> Document:
         "energy_optimal": plan(made.energy_optimal),
         "shortest": plan(made.shortest),
         "saving": plain(made.saving),
+        "saving_of": "energy_driven" if made.driven else "energy",
     }
 
 

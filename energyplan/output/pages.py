@@ -192,10 +192,12 @@ def comparison_page(made: Comparison, problem: PlanningProblem) -> Page:
     page = Page("Least energy against the shortest route")
     _models(page, problem.cost.model, problem.surfaces)
     best, shortest = made.energy_optimal, made.shortest
+    least, most = made.spent
     page.paragraph(
-        f"The route of least energy takes {number(best.energy)} J, the shortest one "
-        f"{number(shortest.energy)} J: {100 * made.saving:.1f} % saved. No route takes less than "
-        f"{number(best.lower_bound)} J.",
+        f"{'Driven with its stops, the' if made.driven else 'The'} route of least energy takes "
+        f"{number(least.energy)} J, the shortest one {number(most.energy)} J: "
+        f"{100 * made.saving:.1f} % saved. No route takes less than {number(best.lower_bound)} J"
+        f"{' at a steady speed' if made.driven else ''}.",
         "lead",
     )
     page.table(
@@ -215,8 +217,8 @@ def comparison_page(made: Comparison, problem: PlanningProblem) -> Page:
         ("term", "least energy [J]", "shortest [J]", "saved [J]"),
         [
             (
-                words(name), best.breakdown.get(name, 0.0),
-                shortest.breakdown.get(name, 0.0), saved,
+                words(name), least.by_term.get(name, 0.0),
+                most.by_term.get(name, 0.0), saved,
             )
             for name, saved in made.by_term.items()
         ],
@@ -255,7 +257,8 @@ def comparison_pictures(made: Comparison, problem: PlanningProblem) -> Iterator[
         "energy", figure, "Energy along both routes; turns on the spot are upright steps."
     )
     figure = plots.figure(size=(plots.WIDTH, 2.0))
-    plots.breakdown(figure.axes[0], {label: plan.breakdown for label, plan in plans.items()})
+    terms = dict(zip(plans, (spent.by_term for spent in made.spent), strict=True))
+    plots.breakdown(figure.axes[0], terms)
     yield Picture("terms", figure, "Energy of both routes by term of the model.")
 
 

@@ -258,7 +258,8 @@ def comparison(made: Comparison) -> list[str]:
     """Return what ``energyplan compare`` prints."""
     lines = ["least energy:", *(f"  {line}" for line in plan(made.energy_optimal, "energy"))]
     lines += ["shortest:", *(f"  {line}" for line in plan(made.shortest, "length"))]
-    lines.append(f"saving: {100 * made.saving:.1f} % of the shortest route's energy")
+    how = ", both driven with their stops" if made.driven else ""
+    lines.append(f"saving: {100 * made.saving:.1f} % of the shortest route's energy{how}")
     return lines
 
 

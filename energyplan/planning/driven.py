@@ -18,6 +18,7 @@ from energyplan.cost import EnergyCost
 from energyplan.errors import InfeasibleMotionError
 from energyplan.limits.drive import Drive, Ground
 from energyplan.limits.speed import corner_rounding, profile
+from energyplan.motion import Motion
 from energyplan.path import FloatArray, Path, Trajectory
 from energyplan.planning.problem import PlanningProblem
 from energyplan.power import PowerModel
@@ -191,3 +192,37 @@ def drive_plan(problem: PlanningProblem, path: Path) -> DrivenPath:
         path, problem.cost, problem.surfaces, problem.heights,
         grid=problem.terrain.obstacles, body=problem.robot,
     )  # fmt: skip
+
+
+def stops_count(problem: PlanningProblem) -> bool:
+    """Tell whether what driving takes is the energy by which paths are compared.
+
+    It is where the speed is given, energy alone is asked for, and a model's power changes with the
+    acceleration or is drawn at a standstill. Elsewhere paths are compared at steady speeds.
+
+    Examples
+    --------
+    >>> hall = OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"), speed=0.5)
+    >>> stops_count(PlanningProblem(hall, cost, (1, 2, 0), (4, 2, 0)))
+    False
+    """
+    weights = {name for name, weight in problem.weights.items() if weight > 0}
+    if problem.cost.speed is None or weights != {"energy"} or problem.softened:
+        return False
+    found = counted(problem.cost, problem.surfaces)
+    models = [found.model]
+    if found.surfaces is not None:
+        models += [surface.model for surface in found.surfaces.surfaces]
+    return any(_feels_stops(model, problem.cost.speed) for model in models)
+
+
+def _feels_stops(model: PowerModel, speed: float) -> bool:
+    """Tell whether speeding up from a standstill takes other power than driving on."""
+    known = dict.fromkeys(("t", "x", "y", "yaw", "slope"), 0.0)
+    motion = Motion.from_twist(
+        speed * np.array([1.0, 1.0, 0.0]), np.zeros(3), model.vehicle.icr,
+        accel=np.array([0.0, 1.0, 0.0]), yaw_accel=np.zeros(3), **known,
+    )  # fmt: skip
+    steady, faster, still = model.power(motion)
+    return bool(abs(faster - steady) > 1e-9 * abs(steady) or still > 0)

@@ -9,10 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from energyplan import html
+from energyplan.errors import InfeasibleMotionError, InvalidInputError
 from energyplan.kinds import checked
 from energyplan.path import FloatArray, Path
 from energyplan.planning import Plan, Planner, PlanningProblem, plan
 from energyplan.planning.contract import priced_plan
+from energyplan.planning.driven import stops_count
 from energyplan.planning.scene.compiled import CompiledProblem
 
 
@@ -34,6 +36,9 @@ class Comparison:
     by_term : mapping of str to float
         Joules saved by term of the power model; negative where the route of least energy spends
         more. They add up to the energy saved.
+    driven : bool
+        Whether both are of the energies that driving takes, with its stops, because these count;
+        else they are of those at steady speeds.
 
     Examples
     --------
@@ -51,6 +56,13 @@ class Comparison:
     shortest: Plan
     saving: float
     by_term: Mapping[str, float] = field(default_factory=dict)
+    driven: bool = False
+
+    @property
+    def spent(self) -> tuple[Spent, Spent]:
+        """What is compared: what the route of least energy takes, and the shortest one."""
+        best, shortest = self.energy_optimal, self.shortest
+        return _spent(best, self.driven), _spent(shortest, self.driven)
 
     def _repr_html_(self) -> str:
         """Return both plans side by side, for notebooks."""
@@ -62,7 +74,32 @@ class Comparison:
             )
         ]  # fmt: skip
         title = f"saving: {100 * self.saving:.1f} % of the shortest route's energy"
+        if self.driven:
+            rows.insert(1, ("energy driven [J]", *(of.energy for of in self.spent)))
+            title += ", driven with its stops"
         return html.result(title, ("", "least energy", "shortest"), rows)
+
+
+class Spent(NamedTuple):
+    """Energy [J], whole and by term of the power model."""
+
+    energy: float
+    by_term: Mapping[str, float]
+
+
+def _spent(made: Plan, driven: bool) -> Spent:
+    """Return what a plan takes, driven with its stops or at a steady speed."""
+    if driven:
+        return Spent(made.driven.energy, made.driven.breakdown)
+    return Spent(made.energy, made.breakdown)
+
+
+def _can_be_driven(made: Plan) -> bool:
+    try:
+        _ = made.driven
+    except (InfeasibleMotionError, InvalidInputError):
+        return False
+    return True
 
 
 @checked()
@@ -78,7 +115,9 @@ def compare(
 
     Both are those of `energyplan.plan`. A plan of least energy by the lattice planner never takes
     more than the shortest one of the same effort; where one by the clock or by another planner
-    does, the shortest one stands for it.
+    does, the shortest one stands for it. Where stops count (the cost has a speed, and stopping
+    takes energy) the energies of driving both are compared; where one cannot be driven, and
+    wherever stops do not count, those at steady speeds.
 
     Parameters
     ----------
@@ -120,7 +159,8 @@ def compare(
     shortest = plan(replace(problem, objective="length"), "lattice", time_limit, effort=effort)
     cheapest = replace(problem, objective="energy")
     best = plan(cheapest, planner, time_limit, effort=effort, **options)
-    if best.energy > shortest.energy:
+    driven = stops_count(cheapest) and _can_be_driven(shortest) and _can_be_driven(best)
+    if _spent(best, driven).energy > _spent(shortest, driven).energy:
         best = priced_plan(
             CompiledProblem(cheapest),
             shortest.path,
@@ -130,16 +170,17 @@ def compare(
             first_time=best.first_time,
             effort=best.effort,
         )
-    spent = max(shortest.energy, shortest.energy - best.potential)
-    terms = {**shortest.breakdown, **best.breakdown}
+    least, most = _spent(best, driven), _spent(shortest, driven)
+    spent = max(most.energy, most.energy - best.potential)
     return Comparison(
         energy_optimal=best,
         shortest=shortest,
-        saving=(shortest.energy - best.energy) / spent if spent > 0 else 0.0,
+        saving=(most.energy - least.energy) / spent if spent > 0 else 0.0,
         by_term={
-            name: shortest.breakdown.get(name, 0.0) - best.breakdown.get(name, 0.0)
-            for name in terms
+            name: most.by_term.get(name, 0.0) - least.by_term.get(name, 0.0)
+            for name in {**most.by_term, **least.by_term}
         },
+        driven=driven,
     )
 
 

@@ -211,7 +211,7 @@ def test_plan_and_compare(run: Run, tmp_path: Path) -> None:
     fields = bag_fields(recorded).fields.values()
     assert {field.topic for field in fields} >= {"/map"}
     assert recorded.read_bytes().startswith(b"\x89MCAP0")
-    assert set(both) == {"energy_optimal", "shortest", "saving", "preset"}
+    assert set(both) == {"energy_optimal", "shortest", "saving", "saving_of", "preset"}
     assert both["saving"] == pytest.approx(
         1 - both["energy_optimal"]["energy"] / both["shortest"]["energy"]
     )

@@ -8,12 +8,13 @@ import pytest
 from energyplan import plan
 from energyplan.cost import EnergyCost
 from energyplan.planning import Budget, PlanningProblem
-from energyplan.planning.driven import drive_plan
-from energyplan.planning.lattice import planner
-from energyplan.planning.lattice.stops import Stops, stops_count, stops_of
+from energyplan.planning.driven import drive_plan, stops_count
+from energyplan.planning.lattice import planner, stops
+from energyplan.planning.lattice.stops import Stops, stops_of
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.power import PowerModel
 from energyplan.power.effects import term
+from energyplan.studies.comparison import compare
 from energyplan.terrain import OccupancyGrid
 
 PAPER = PowerModel.preset("quadriga:empty:concrete")
@@ -43,22 +44,42 @@ def problem(model, speed):
 
 
 # what stands still draws is what a stop costs: a path with fewer may be longer, and turn more
-@pytest.mark.parametrize("hotel", [60.0, 120.0])
+@pytest.mark.parametrize("hotel", [0.0, 60.0, 120.0])
 def test_a_path_with_fewer_stops_is_taken_where_driving_it_takes_less(hotel, monkeypatch):
     asked = problem(rolling(hotel), 1.2)
     made = plan(asked, effort=40_000)
-    monkeypatch.setattr(planner, "stops_count", lambda query: False)
+    monkeypatch.setattr(planner, "stops_count", lambda problem: False)
     steady = plan(asked, effort=40_000)
     assert made.energy > steady.energy
-    assert made.driven.energy < 0.97 * drive_plan(asked, steady.path).energy
+    assert made.energy_driven < 0.9 * drive_plan(asked, steady.path).energy
     assert made.lower_bound <= steady.energy
-    assert made.lower_bound <= made.driven.energy
+    assert made.lower_bound <= made.energy_driven
+
+
+def test_energies_that_are_compared_are_of_one_kind():
+    told = compare(problem(rolling(), 1.2), effort=20_000)
+    best, shortest = told.energy_optimal, told.shortest
+    # at a steady speed the shortest takes less; it stops more often
+    assert best.energy > shortest.energy
+    assert best.energy_driven < 0.9 * shortest.energy_driven
+    assert told.driven
+    assert told.saving == pytest.approx(1 - best.energy_driven / shortest.energy_driven)
+    assert sum(told.by_term.values()) == pytest.approx(shortest.energy_driven - best.energy_driven)
+
+
+def test_a_known_path_is_driven_too_where_stops_take_little():
+    # stops take a part of the energy that nothing is searched for
+    model = PowerModel.paper(PAPER.vehicle, K=200.0, mu=0.6).with_term(term("hotel_load"), 0.1)
+    asked = problem(model, 1.2)
+    known = plan(asked.shortest, effort=8_000).path
+    made = plan(asked, effort=8_000, initial=[known])
+    assert made.energy_driven <= drive_plan(asked, known).energy
 
 
 def test_where_stops_take_nothing_the_path_stays_what_it_is(monkeypatch):
     asked = problem(PowerModel.paper(PAPER.vehicle, K=10.0, mu=0.1), 1.2)
     made = plan(asked, effort=20_000)
-    monkeypatch.setattr(planner, "stops_count", lambda query: False)
+    monkeypatch.setattr(planner, "stops_count", lambda problem: False)
     other = plan(asked, effort=20_000)
     assert made.energy == other.energy
 
@@ -69,14 +90,14 @@ def test_what_stops_cannot_bring_is_spent_on_the_path(monkeypatch):
     model = model.with_term(term("linear_inertia"), 1e-4 * PAPER.vehicle.mass)
     asked = problem(model, 1.2)
     query = CompiledProblem(asked)
-    assert stops_count(query)
-    spent = []
-    monkeypatch.setattr(planner, "least_driven", lambda *given: spent.append(given) or given[1])
+    assert stops_count(asked)
+    searched = []
+    monkeypatch.setattr(stops, "Refiner", lambda *given: searched.append(given))
     made = plan(asked, effort=8_000)
     taken = stops_of(query, made.path, Budget())
     assert taken.share == 0.0
-    assert not spent
-    monkeypatch.setattr(planner, "stops_count", lambda query: False)
+    assert not searched
+    monkeypatch.setattr(planner, "stops_count", lambda problem: False)
     assert made.energy <= 1.005 * plan(asked, effort=8_000).energy
 
 

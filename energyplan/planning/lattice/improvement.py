@@ -134,13 +134,10 @@ def _bound_part(budget: Budget) -> float:
 
 
 class Improvement(FirstPath):
-    """The best motions so far, and how to better them; by their turns where `turning` says so."""
+    """The best motions so far, and how to better them."""
 
-    def __init__(
-        self, query: CompiledProblem, budget: Budget, gap: float, seed: int, turning: bool = True
-    ) -> None:
+    def __init__(self, query: CompiledProblem, budget: Budget, gap: float, seed: int) -> None:
         super().__init__(query, budget, gap, seed)
-        self.turning = turning
         self.searches: list[Search] = []
         self.begun: set[Sought] = set()
         self.kept = 0.0
@@ -179,8 +176,7 @@ class Improvement(FirstPath):
         """Find further paths until the searches' part of the budget is over, or the gap closed."""
         left = self.budget.left
         first = self.budget.part(SEARCH_SHARE)
-        if self.turning:
-            do_together(first, [*self.portfolio.turns(self.enough), *self._turning(first)])
+        do_together(first, [*self.portfolio.turns(self.enough), *self._turning(first)])
         # what is found must be refined before the end
         searching = self.budget.part(SEARCH_SHARE)
         kept = self.kept = _bound_part(self.budget)

@@ -7,7 +7,8 @@
    for the budget to be refined. Planning ends when the budget is over, the gap to the bound is
    closed, or nothing is gained any more.
 4. The shortest of all that was found is made shorter in a part of what is left. It is the answer
-   where length is asked for, and a plan of least energy takes no more: the work is the same.
+   where length is asked for, and a plan of least energy takes no more: the work is the same. Where
+   stops count, that is so of what driving both takes.
 5. The path gets wide arcs where the power makes them cheaper, and of paths of one cost it is the
    quicker: a single spin stands for pivots to and fro.
 """
@@ -27,9 +28,10 @@ from energyplan.kinds import checked
 from energyplan.path import FloatArray, Path
 from energyplan.planning.budget import Budget, Work, do_together
 from energyplan.planning.contract import Candidate
+from energyplan.planning.driven import stops_count
 from energyplan.planning.lattice.improvement import Improvement, is_length
 from energyplan.planning.lattice.portfolio import SAME, Bounding
-from energyplan.planning.lattice.stops import SHARE, least_driven, stops_count, stops_of
+from energyplan.planning.lattice.stops import SHARE, least_driven, stops_of
 from energyplan.planning.lattice.tight_ends import ways_out
 from energyplan.planning.problem import PlanningProblem, objective_weights
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
@@ -62,7 +64,7 @@ def plan(
         Seed of the random numbers of the refinement.
     initial : iterable of Path
         Paths from start to goal, already known; the plan costs no more than any of them that is
-        free of collisions.
+        free of collisions. Where stops count it takes no more than any of them when driven.
     finest : float
         Size of the cells of the finest lattice that is searched for a first path, in units of the
         coarsest one, which is searched first. Each is half as coarse as the one before.
@@ -103,12 +105,10 @@ def plan(
     budget.beside(lambda: regions_for(led.setting))
     known = query.drivable(initial)
     # a path between tight ends may prove not to be free: then planning is done anew
-    whole, stops = budget, stops_count(led)
+    whole, stops = budget, stops_count(led.problem)
     budget = budget.part(1.0 - SHARE) if stops else budget
-    # driven with stops the route of another kind may take less, though the shortest one, made of
-    # what is found by turns, is cheaper at a steady speed and so would rule it out
     within = budget if led.ends_roomy else budget.part(0.5)
-    work = Improvement(led, within, gap, seed, turning=not stops)
+    work = Improvement(led, within, gap, seed)
     if bound is not None and led is query:
         work.bounding.know(bound - query.potential(problem.goal))
     for path in known:
@@ -161,16 +161,14 @@ def plan(
             shortest = [shortest_path(*bounding)]
     work.finish()
     path = _finished(query, [path_of(led, work.portfolio.best, budget), *shortest, *known])
-    found = stops_of(query, path, whole) if stops else None
-    if stops and (found is None or found.share < 1.0) and query.ends_roomy:
-        # what other stops cannot bring is spent as if there were none
-        share = 0.0 if found is None else found.share
-        if work.go_on(whole.part(1.0 - share)):
+    if stops:
+        found = stops_of(query, path, whole)
+        if found.share < 1.0 and query.ends_roomy and work.go_on(whole.part(1.0 - found.share)):
+            # what other stops cannot bring is spent as if there were none
             path = _finished(query, [path, query.path(work.portfolio.best)])
-            found = stops_of(query, path, whole) if share > 0.0 else None
-    if found is not None and found.share > 0.0:
+            found = stops_of(query, path, whole)
         path = least_driven(
-            query, path, found, work.portfolio.others, work.field(1.0), whole, shortest
+            query, path, found, work.portfolio.others, work.field(1.0), whole, [*shortest, *known]
         )
     return Candidate(path, query.potential(problem.goal) + work.bound, first)
 

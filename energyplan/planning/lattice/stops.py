@@ -9,21 +9,20 @@ shortcuts are sought at the price, and all that come of it are driven.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PlanningError
-from energyplan.motion import Motion
 from energyplan.path import Path
 from energyplan.planning.budget import Budget
-from energyplan.planning.driven import DrivenPath, counted, drive_plan
+from energyplan.planning.driven import DrivenPath, drive_plan
 from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.lattice.search import Search, lattice_for
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.guide_kernels import DistanceToGo
 from energyplan.planning.scene.motions import DIRECTIONS, KernelProblem
-from energyplan.power import PowerModel
 
 WORTH = 1e-3
 """Part of the energy that stops must take for them to be looked at."""
@@ -31,7 +30,7 @@ WORTH = 1e-3
 PRICES = (1.0, 3.0)
 """Prices of a stop, in units of what one takes on the best path, at which shortcuts are sought."""
 
-DRIVE = 1500
+DRIVE = 500
 """Units of work that driving a path counts as."""
 
 SHARE = 0.25
@@ -47,43 +46,15 @@ EXPANSIONS, POLISH = 20_000, 800
 """Expansions of that search, and attempts to refine what it finds."""
 
 
-def stops_count(query: CompiledProblem) -> bool:
-    """Tell whether stops count.
-
-    They do where the speed is given, energy alone is asked for, and a model's power changes with
-    the acceleration or is drawn at a standstill.
-    """
-    problem = query.problem
-    weights = {name for name, weight in problem.weights.items() if weight > 0}
-    if problem.cost.speed is None or weights != {"energy"} or problem.softened:
-        return False
-    found = counted(problem.cost, problem.surfaces)
-    models = [found.model]
-    if found.surfaces is not None:
-        models += [surface.model for surface in found.surfaces.surfaces]
-    return any(_feels_stops(model, problem.cost.speed) for model in models)
-
-
-def _feels_stops(model: PowerModel, speed: float) -> bool:
-    """Tell whether speeding up from a standstill takes other power than driving on."""
-    known = dict.fromkeys(("t", "x", "y", "yaw", "slope"), 0.0)
-    motion = Motion.from_twist(
-        speed * np.array([1.0, 1.0, 0.0]), np.zeros(3), model.vehicle.icr,
-        accel=np.array([0.0, 1.0, 0.0]), yaw_accel=np.zeros(3), **known,
-    )  # fmt: skip
-    steady, faster, still = model.power(motion)
-    return bool(abs(faster - steady) > 1e-9 * abs(steady) or still > 0)
-
-
 class Stops(NamedTuple):
     """What stops take of a path that is driven.
 
     Attributes
     ----------
     energy : float
-        Energy of the drive [J].
+        Energy of the drive [J]; infinite where the path cannot be driven.
     extra : float
-        What that is above driving steadily [J].
+        What that is above driving steadily [J]; zero where it cannot be driven.
     each : float
         That for each stop [J].
     """
@@ -95,15 +66,15 @@ class Stops(NamedTuple):
     @property
     def share(self) -> float:
         """Part of what is kept for other paths that is worth it: stops cannot give more back."""
-        part = self.extra / abs(self.energy)
+        part = self.extra / abs(self.energy) if self.energy else 0.0
         return min(max((part - WORTH) / (DEAR - WORTH), 0.0), 1.0)
 
 
-def stops_of(query: CompiledProblem, path: Path, budget: Budget) -> Stops | None:
-    """Return what stops take of a path; None where it cannot be driven."""
+def stops_of(query: CompiledProblem, path: Path, budget: Budget) -> Stops:
+    """Return what stops take of a path."""
     told = _driven(query, path, budget)
     if told is None:
-        return None
+        return Stops(np.inf, 0.0, 0.0)
     still = (told.trajectory.v == 0.0) & (told.trajectory.omega == 0.0)
     extra = told.energy - query.problem.terrain.price(path, query.problem.cost).energy
     return Stops(told.energy, extra, extra / max(int(np.count_nonzero(still)) - 1, 1))
@@ -124,11 +95,9 @@ def least_driven(
     others: Iterable[Segments],
     to_go: DistanceToGo,
     budget: Budget,
-    shortest: Sequence[Path] = (),
+    rivals: Sequence[Path] = (),
 ) -> Path:
-    """Return the path that takes least energy when it is driven.
-
-    None is dearer at a steady speed than the shortest.
+    """Return the path that takes least energy when it is driven; no rival takes less.
 
     Parameters
     ----------
@@ -139,14 +108,14 @@ def least_driven(
     stops : Stops
         What stops take of it.
     others : iterable of Segments
-        Motions from the start to the goal about which to look, besides those of the path.
+        Motions from the start to the goal about which to look, besides those of the path; where
+        stops take too little of it for that to pay, none are looked at.
     to_go : DistanceToGo
         Distance to go.
     budget : Budget
         What may be spent.
-    shortest : sequence of Path
-        The shortest path, if it is known. It is driven whatever is left of the budget, where it may
-        take less.
+    rivals : sequence of Path
+        Paths that are known, such as the shortest. They are driven whatever is left of the budget.
 
     Returns
     -------
@@ -154,12 +123,22 @@ def least_driven(
         The path, or one that takes less.
     """
     best, least, extra = path, stops.energy, stops.extra
-    most = min((query.value(other) for other in shortest), default=np.inf)
-    for other in shortest:
-        found = _driven(query, other, budget) if most < least else None
-        if found is not None and found.energy < least:
-            best, least = other, found.energy
     known = {_key(path)}
+
+    def weigh(candidate: Path) -> None:
+        """Drive a path, and keep it where that takes less."""
+        nonlocal best, least
+        if _key(candidate) in known:
+            return
+        known.add(_key(candidate))
+        found = _driven(query, candidate, budget)
+        if found is not None and found.energy < least:
+            best, least = candidate, found.energy
+
+    for rival in rivals:
+        weigh(rival)
+    if stops.share == 0.0:
+        return best
     looked = [query.of_centre(path), *others]
     if extra > DEAR * abs(least) and path.turning > 0:
         dear = _with_dear_turns(query.setting, extra / path.turning)
@@ -169,16 +148,8 @@ def least_driven(
             if budget.over:
                 return best
             fewer = Refiner(query.setting, motions).with_fewer_stops(factor * stops.each, budget)
-            try:
-                candidate = query.path(fewer)
-            except PlanningError:
-                continue
-            if _key(candidate) in known or query.value(candidate) > most:
-                continue
-            known.add(_key(candidate))
-            found = _driven(query, candidate, budget)
-            if found is not None and found.energy < least:
-                best, least = candidate, found.energy
+            with suppress(PlanningError):
+                weigh(query.path(fewer))
     return best
 
 
