@@ -34,7 +34,7 @@ from energyplan.mission.report import (
     leg_reports,
     timeline,
 )
-from energyplan.mission.simulation import Walk
+from energyplan.mission.simulation import SAGS, Walk
 from energyplan.mission.tasks import Charger, Remedy, Spreads, Task
 from energyplan.mission.types import Mission
 
@@ -48,6 +48,9 @@ _CANDIDATES = 5
 
 _CONFIRMED = 8
 """Remedies of a free order of so many tasks are confirmed by solving it anew."""
+
+_FINER = 0.01
+"""Steps in which strings are added, in units of those that the battery has."""
 
 _MOST = 10.0
 """Batteries beyond so many times the one on board are not proposed."""
@@ -326,9 +329,9 @@ class _Evaluation:
             earlier = self.attempts[k].earlier if reason == "blocked_by_earlier" else ()
             tasks = (*earlier, k)
             remedies += [
-                *self._slower(tasks, told.safe.worst.failure),
+                *self._slower(tasks, told.safe),
                 *self._charge_first(tasks),
-                *self._larger_battery(tasks, self.walk.shortfall(told.safe)),
+                *self._larger_battery(tasks, told.safe),
                 *self._smaller_reserve(tasks),
             ]
         hints = [*map(str, remedies), *([advice] if advice else [])]
@@ -386,20 +389,23 @@ class _Evaluation:
             )
         return [remedies[high]]
 
-    def _larger_battery(self, tasks: Sequence[int], shortfall: float) -> list[Remedy]:
-        """Tell how much more the battery has to hold, in whole watt-hours.
+    def _larger_battery(self, tasks: Sequence[int], safe: Condition) -> list[Remedy]:
+        """Tell how much more the battery has to hold, in whole watt-hours, or to deliver.
 
-        That is more than is missing: part of it is reserve, and the load draws charge on top of
-        energy.
+        It has to hold more than is missing: part of it is reserve, and the load draws charge too.
+        Where no energy is missing, what limits is its power: that of its strings.
         """
+        full, powerless = self.mission.battery.full_energy, self.walk.lacks_power(safe)
+        step = _FINER * full if powerless else 3600.0
 
-        def remedy(hours: int) -> Remedy:
-            return Remedy("capacity", 3600.0 * hours, "J")
+        def remedy(n: int) -> Remedy:
+            strings = Remedy("strings", 1.0 + _FINER * n, "1")
+            return strings if powerless else Remedy("capacity", step * n, "J")
 
-        low, high = 0, max(int(np.ceil(shortfall / 3600)), 1)
+        low, high = 0, max(int(np.ceil(self.walk.shortfall(safe) / step)), 1)
         while not self._works(tasks, remedy(high)):
             low, high = high, 2 * high
-            if 3600 * high > _MOST * self.mission.battery.full_energy:
+            if step * high > _MOST * full:
                 return []
         while high - low > max(0.02 * high, 1):
             middle = (low + high) // 2
@@ -411,11 +417,11 @@ class _Evaluation:
         reserves = [max(round(share * now, 3), least) for share in (0.75, 0.5, 0.25)]
         return self._first(tasks, [Remedy("reserve", r, "1") for r in reserves if r < now])
 
-    def _slower(self, tasks: Sequence[int], failure: str) -> list[Remedy]:
+    def _slower(self, tasks: Sequence[int], safe: Condition) -> list[Remedy]:
         """Tell whether another speed helps: that of least energy, or one of less power."""
         given, top = self.mission.tread_speed, float(self.mission.vehicle.motor.speed)
         remedies = [] if given is None else [Remedy("cheapest_speed")]
-        if failure in ("voltage", "current") and np.isfinite(top):
+        if safe.worst.failure in SAGS and np.isfinite(top):
             most = min(top, given or top)
             remedies += [Remedy("speed", share * most, "m/s") for share in (0.75, 0.5, 0.25)]
         return self._first(tasks, remedies)
@@ -426,10 +432,8 @@ class _Evaluation:
 
     def _works(self, tasks: Sequence[int], remedy: Remedy) -> bool:
         """Tell whether the last of some tasks can be done after the others with a remedy."""
-        changed = self.mission.with_remedy(remedy)
-        return self._follow(Walk(self.legs.under(changed)), tasks) and self._holds(
-            tasks[-1], remedy
-        )
+        walk = Walk(self.legs.under(self.mission.with_remedy(remedy)))
+        return self._follow(walk, tasks) and self._holds(tasks[-1], remedy)
 
     def _holds(self, k: int, remedy: Remedy) -> bool:
         """Tell whether the whole mission with a remedy does the task.

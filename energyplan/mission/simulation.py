@@ -412,23 +412,27 @@ class Walk:
         mean = max(need / max(safe.time - since, 1.0), 1.0)
         levels = [soc, self.mission.reserve, safe.worst.soc]
         stored = self.mission.battery.usable_energy(mean, levels)
-        if stored[0] == 0 and safe.worst.failure in _SAGS:
+        if stored[0] == 0 and safe.worst.failure in SAGS:
             return 0.0
         by_soc = stored[1] - stored[2] if safe.worst.failure == "none" else 0.0
         return float(max(need - (stored[0] - stored[1]), by_soc, 0.0))
 
+    def lacks_power(self, safe: Condition) -> bool:
+        """Tell whether the battery holds the energy, and what it cannot deliver is the power."""
+        return safe.worst.failure in SAGS and self.shortfall(safe) == 0
+
     def _why_not(self, safe: Condition) -> str:
         need, missing = safe.spent.upper(self.quantile), self.shortfall(safe)
         worst = safe.worst
-        if missing == 0 and worst.failure in _SAGS:
-            return f"{_SAGS[worst.failure]} at {worst.instant:.0f} s under {worst.load:.0f} W"
+        if self.lacks_power(safe):
+            return f"{SAGS[worst.failure]} at {worst.instant:.0f} s under {worst.load:.0f} W"
         return (
             f"with the way back to {self.legs.names[safe.node]} it may take "
             f"{need / 3600:.0f} Wh, {missing / 3600:.0f} Wh more than there is above the reserve"
         )
 
 
-_SAGS = {
+SAGS = {
     "voltage": "the voltage sags below cut-off",
     "current": "the battery would have to deliver more current than it may",
 }

@@ -14,12 +14,14 @@ from energyplan.path import Pose, as_pose
 from energyplan.power import USUAL_RUN_SPREAD
 
 RemedyKind = Literal[
-    "charge", "capacity", "reserve", "speed", "cheapest_speed", "window", "drop"
+    "charge", "capacity", "strings", "reserve", "speed", "cheapest_speed", "window", "drop"
 ]  # fmt: skip
 
 _SENTENCES: dict[RemedyKind, str] = {
     "charge": "charge to {percent:.0f} % before leaving",
     "capacity": "a battery with {hours:.0f} Wh more",
+    "strings": "a battery with {amount:.4g} times the strings in parallel, or cells of so much "
+    "more power",
     "reserve": "a reserve of {percent:.3g} %",
     "speed": "drive at up to {amount:.3g} m/s",
     "cheapest_speed": "drive at the speed of least energy",
@@ -36,7 +38,8 @@ class Remedy:
     ----------
     kind : str
         What to change: ``"charge"`` (state of charge at the start), ``"capacity"`` (so much more
-        energy in the battery), ``"reserve"``, ``"speed"``, ``"cheapest_speed"``,
+        energy in the battery), ``"strings"`` (so many times the strings in parallel, where the
+        battery lacks power, not energy), ``"reserve"``, ``"speed"``, ``"cheapest_speed"``,
         ``"window"`` (a task's window ends so much later), ``"drop"`` (leave a task out).
     amount : float or None
         How much, in `unit`; None where there is nothing to measure.

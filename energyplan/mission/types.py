@@ -391,7 +391,9 @@ class Mission(ReadOnly):
             first, last = self.tasks[k].window
             later = replace(self.tasks[k], window=(first, last + amount))
             return replace(self, tasks=(*self.tasks[:k], later, *self.tasks[k + 1 :]))
-        if remedy.kind == "capacity":
+        if remedy.kind == "strings":
+            amount = (amount - 1.0) * self.battery.full_energy
+        if remedy.kind in ("capacity", "strings"):
             return replace(self, battery=self.battery.larger(amount))
         key = {"charge": "soc"}.get(remedy.kind, remedy.kind)
         changes: dict[str, Any] = {key: amount}

@@ -158,6 +158,21 @@ def test_a_capacity_that_is_told_is_needed() -> None:
     assert (remedy.amount, remedy.unit) == (2 * 3600.0, "J")
 
 
+def test_where_power_is_the_limit_the_remedy_names_power() -> None:
+    """9 A at 10 V are 90 W; 180 N at 1 m/s take 180 W, and the battery holds far more energy."""
+    asked = troubled()["current"]
+    told = evaluate(asked).tasks[0]
+    assert told.shortfall == 0
+    kinds = {remedy.kind: remedy for remedy in told.remedies}
+    assert "capacity" not in kinds and "Wh more" not in told.remedy
+    assert kinds["strings"].amount == pytest.approx(2.0, rel=0.03)
+    assert "2 times the strings in parallel" in told.remedy
+    # capacity alone, with the currents as they are, does not help
+    battery = asked.battery
+    fuller = replace(asked, battery=replace(battery, capacity=3 * battery.capacity))
+    assert evaluate(fuller).tasks[0].verdict == "unreachable"
+
+
 def test_a_remedy_for_another_mission_is_refused() -> None:
     with pytest.raises(MissionError, match="no task is called 'x'"):
         troubled()["far"].with_remedy(Remedy("drop", task="x"))
