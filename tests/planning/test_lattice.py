@@ -196,6 +196,22 @@ def test_where_the_work_for_many_goals_ends_paths_found_by_then_count():
     assert (soon >= late - 1e-6).all()
 
 
+@pytest.mark.parametrize("open_", [True, False])
+def test_a_goal_that_one_plan_reaches_many_goals_reach(open_):
+    """What the search with this work does not come to is sought as a plan seeks it."""
+    hall = np.zeros((80, 120), bool)
+    hall[:, 60:62] = True
+    hall[60:72, 60:62] = not open_
+    problem = PlanningProblem(OccupancyGrid(hall, 0.1), COST, (2, 2, 0.3), (10, 2, 0))
+    behind, near = energies(problem, [(10, 2, 0), (4, 2, 0)], effort=9000)
+    assert np.isfinite(near)
+    if not open_:
+        assert behind == np.inf
+        return
+    made = plan(problem, effort=9000)
+    assert made.lower_bound * (1 - 1e-9) <= behind <= 1.1 * made.energy
+
+
 def test_one_to_many_energies_match_single_plans():
     grid = cluttered(1)
     start, *goals = free_poses(grid, 7, 5, COST.vehicle)

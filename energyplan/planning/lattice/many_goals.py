@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from math import inf
 
@@ -9,16 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan.compilation import njit
-from energyplan.errors import InvalidInputError
+from energyplan.errors import InvalidInputError, NoPathError, TimeLimitError
 from energyplan.kinds import checked
 from energyplan.path import FloatArray, as_pose
 from energyplan.planning.budget import UNLIMITED, Budget
 from energyplan.planning.lattice import search_kernels as kernels
+from energyplan.planning.lattice.planner import first_motions
 from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.lattice.search import Search, coarse_lattice
 from energyplan.planning.problem import PlanningProblem
-from energyplan.planning.ready import compiled
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.ready import compiled, prepare
+from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.guide import no_distance
 from energyplan.planning.scene.motions import KernelProblem, connection, free_energy
 
@@ -41,8 +43,10 @@ def energies(
     """Return the cost from the problem's start to each of many goals, from a single search.
 
     One search without a goal reaches everything within the cost of the farthest goal, on a lattice
-    half as coarse again. Each goal is joined to it exactly, and the path is refined a little. The
-    costs are those of drivable paths, close to the least and never below it.
+    half as coarse again. Each goal is joined to it exactly, and the path is refined a little. To a
+    goal that it does not reach, in its work or through gaps that it is too coarse for, a path is
+    sought as `energyplan.plan` seeks its first one, with a budget of its own. The costs are those
+    of drivable paths, close to the least and never below it.
 
     Parameters
     ----------
@@ -51,16 +55,17 @@ def energies(
     goals : array_like, shape (n, 3)
         Goals: x, y [m], yaw [rad].
     time_limit : float
-        Time for the search [s].
+        Time for the search, and for each goal that it does not reach [s].
     effort : int, optional
-        Units of work for the search, in place of the time limit; see `Budget`.
+        Units of work for each of these, in place of the time limit; see `Budget`.
     refined : bool
         Whether to refine the paths.
 
     Returns
     -------
     ndarray, shape (n,)
-        Costs in the unit of the objective [J for energy]; infinite where no path was found in time.
+        Costs in the unit of the objective [J for energy]; infinite where no path was found: where
+        `energyplan.plan` finds none with the same budget.
 
     Raises
     ------
@@ -109,14 +114,24 @@ def energies(
             # nothing that is still open can better it by more than the lattice is coarse
             if cost <= reached or (np.isfinite(cost) and ended):
                 missing.remove(k)
-                out[k] = cost
-                if refined:
-                    refiner = Refiner(settings[k], search.segments(settings[k], node))
-                    refiner.shortcut(UNLIMITED)
-                    refiner.polish(UNLIMITED, most=POLISH)
-                    out[k] = refiner.cost
-                out[k] += query.potential(as_pose(rows[k], "a goal"))
-    return out
+                out[k] = _cost(settings[k], search.segments(settings[k], node), refined)
+    for k in missing:
+        asked = replace(problem, goal=as_pose(rows[k], "a goal"))
+        compiled(asked)
+        prepare(asked)
+        with suppress(NoPathError, TimeLimitError):
+            motions = first_motions(asked, Budget(time_limit, effort=effort))
+            out[k] = _cost(settings[k], motions, refined)
+    return out + [query.potential(as_pose(row, "a goal")) for row in rows]
+
+
+def _cost(setting: KernelProblem, motions: Segments, refined: bool) -> float:
+    """Return the cost of some motions, refined a little where asked for."""
+    refiner = Refiner(setting, motions)
+    if refined:
+        refiner.shortcut(UNLIMITED)
+        refiner.polish(UNLIMITED, most=POLISH)
+    return refiner.cost
 
 
 @njit

@@ -29,6 +29,7 @@ from energyplan.path import FloatArray, Path
 from energyplan.planning.budget import Budget, Work, do_together
 from energyplan.planning.contract import Candidate
 from energyplan.planning.driven import stops_count
+from energyplan.planning.lattice.first_path import FirstPath
 from energyplan.planning.lattice.improvement import Improvement, is_length
 from energyplan.planning.lattice.portfolio import SAME, Bounding
 from energyplan.planning.lattice.stops import SHARE, least_driven, stops_of
@@ -36,6 +37,9 @@ from energyplan.planning.lattice.tight_ends import ways_out
 from energyplan.planning.problem import PlanningProblem, objective_weights
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.guide import regions_for
+
+FINEST = 0.0625
+"""Size of the cells of the finest lattice that is searched, in units of the coarsest one."""
 
 
 @checked()
@@ -46,7 +50,7 @@ def plan(
     gap: float = 1e-3,
     seed: int = 1,
     initial: Iterable[Path] = (),
-    finest: float = 0.0625,
+    finest: float = FINEST,
     bound: float | None = None,
 ) -> Candidate:
     """Plan on a lattice, and refine with exact steering.
@@ -106,9 +110,8 @@ def plan(
     known = query.drivable(initial)
     # a path between tight ends may prove not to be free: then planning is done anew
     whole, stops = budget, stops_count(led.problem)
-    budget = budget.part(1.0 - SHARE) if stops else budget
-    within = budget if led.ends_roomy else budget.part(0.5)
-    work = Improvement(led, within, gap, seed)
+    budget = _without_stops(led, whole)
+    work = Improvement(led, _searching(led, budget), gap, seed)
     if bound is not None and led is query:
         work.bounding.know(bound - query.potential(problem.goal))
     for path in known:
@@ -171,6 +174,45 @@ def plan(
             query, path, found, work.portfolio.others, work.field(1.0), whole, [*shortest, *known]
         )
     return Candidate(path, query.potential(problem.goal) + work.bound, first)
+
+
+def _without_stops(led: CompiledProblem, budget: Budget) -> Budget:
+    """Return a budget without what is kept for stops, where they count."""
+    return budget.part(1.0 - SHARE) if stops_count(led.problem) else budget
+
+
+def _searching(led: CompiledProblem, budget: Budget) -> Budget:
+    """Return a budget without what is kept for planning anew between tight ends."""
+    return budget if led.ends_roomy else budget.part(0.5)
+
+
+def first_motions(problem: PlanningProblem, budget: Budget, finest: float = FINEST) -> Segments:
+    """Return motions from start to goal: the first that `plan` finds with the same budget.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        The problem.
+    budget : Budget
+        What may be spent.
+    finest : float
+        As of `plan`.
+
+    Raises
+    ------
+    NoPathError, TimeLimitError
+        Where `plan` raises them.
+    """
+    query = CompiledProblem(problem)
+    led = _led_by(query)
+    work = FirstPath(led, _searching(led, _without_stops(led, budget)), gap=0.0, seed=1)
+    work.first_plan(finest)
+    motions = work.portfolio.best
+    try:
+        _ = query.path(motions)
+    except PlanningError:  # between tight ends
+        return query.of_centre(plan(problem, budget, finest=finest).path)
+    return motions
 
 
 def _led_by(query: CompiledProblem) -> CompiledProblem:
