@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path as File
 
 import numpy as np
@@ -13,10 +13,14 @@ from energyplan.errors import InvalidInputError, MissingDependencyError, PathErr
 from energyplan.io.files import atomic_write
 from energyplan.logs import DriveLog
 from energyplan.logs.cells import Table
+from energyplan.logs.guess import guess
 from energyplan.logs.tables import read_table
 from energyplan.path import FloatArray, Path, Trajectory, wrap_angle
 
 _LIMITS = {"x": 1e8, "y": 1e8, "yaw": 1e5, "t": 1e11, "v": 100.0, "omega": 100.0}
+_PATH = ("x", "y", "yaw")
+_TRAJECTORY = ("t", *_PATH, "v", "omega")
+_LOGGED = {"v_left", "v_right", "p_left", "p_right", "power", "voltage", "current"}
 _LONGEST = 1e6  # longest path that is read [m]
 _FIRST = ("t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current")
 
@@ -53,7 +57,8 @@ def read_path(file: str | File, longitudinal: float = 0.0) -> Path:
     1.0
     """
     table = read_table(file, PathError)
-    poses = np.column_stack([_complete(table, name) for name in ("x", "y", "yaw")])
+    _check_kind(table, _PATH)
+    poses = np.column_stack([_complete(table, name) for name in _PATH])
     if len(poses) < 2:
         raise PathError(f"{table.source} holds {len(poses)} poses; a path needs two or more")
     try:
@@ -104,7 +109,7 @@ def write_path(
     2.0
     """
     poses = path.poses(max_ds, max_dtheta)
-    return _write(file, dict(zip(("x", "y", "yaw"), poses.T, strict=True)))
+    return _write(file, dict(zip(_PATH, poses.T, strict=True)))
 
 
 def read_trajectory(file: str | File) -> Trajectory:
@@ -138,9 +143,8 @@ def read_trajectory(file: str | File) -> Trajectory:
     2.0
     """
     table = read_table(file, PathError)
-    t, x, y, yaw, v, omega = (
-        _complete(table, name) for name in ("t", "x", "y", "yaw", "v", "omega")
-    )
+    _check_kind(table, _TRAJECTORY)
+    t, x, y, yaw, v, omega = (_complete(table, name) for name in _TRAJECTORY)
     if len(t) < 2:
         raise PathError(f"{table.source} holds {len(t)} samples; a trajectory needs two or more")
     back = np.flatnonzero(np.diff(t) <= 0)
@@ -193,6 +197,28 @@ def read_drive(file: str | File, longitudinal: float = 0.0) -> Trajectory | Path
     if {"t", "v", "omega"} & (set(table.columns) | set(table.text)):
         return read_trajectory(file)
     return read_path(file, longitudinal)
+
+
+def _check_kind(table: Table, needed: Sequence[str]) -> None:
+    """Refuse a table without some columns, and say what it looks like instead."""
+    names = [*table.columns, *table.text]
+    missing = [name for name in needed if name not in names]
+    if not missing:
+        return
+    found = guess(names)
+    logged = [one.name for channel, one in found.items() if channel in _LOGGED]
+    what = (
+        f"{table.source} has no column {', '.join(map(repr, missing))}; a path has "
+        f"{','.join(_PATH)}, a trajectory {','.join(_TRAJECTORY)}"
+    )
+    if logged:
+        raise PathError(
+            f"{what}. It looks like a drive log, with {', '.join(logged[:3])}: energyplan identify "
+            "and energyplan diagnose read logs"
+        )
+    more = ", ".join(name for name in _TRAJECTORY if name in names and name not in _PATH)
+    timed = f"; leave {more} out to have the poses timed" if set(_PATH) <= set(names) else ""
+    raise PathError(f"{what}; the columns are {', '.join(names[:20])}{timed}")
 
 
 def _complete(table: Table, name: str) -> FloatArray:
@@ -258,8 +284,7 @@ def write_trajectory(trajectory: Trajectory, file: str | File) -> File:
     >>> float(again.duration)
     2.0
     """
-    names = ("t", "x", "y", "yaw", "v", "omega")
-    return _write(file, {name: getattr(trajectory, name) for name in names})
+    return _write(file, {name: getattr(trajectory, name) for name in _TRAJECTORY})
 
 
 def write_log(log: DriveLog, file: str | File) -> File:

@@ -133,6 +133,11 @@ def needed_channels(names: Collection[str], label: str) -> tuple[str, ...]:
     if not isinstance(names, Iterable):
         raise DriveLogError(f"{label} is {described(names)}; give channels by name")
     there = ", ".join(sorted(names)[:20]) or "nothing"
+    if {"x", "y", "yaw"} <= set(names) <= {"t", "x", "y", "yaw", "v", "omega"}:
+        raise DriveLogError(
+            f"{label} looks like a path or a trajectory, with {there}: energyplan check reads it; "
+            "a drive log has t, v_left, v_right and a power"
+        )
     for channel in ("t", "v_left", "v_right"):
         if channel not in names:
             raise DriveLogError(

@@ -81,7 +81,13 @@ class Comparison:
 
 
 class Spent(NamedTuple):
-    """Energy [J], whole and by term of the power model."""
+    """Energy [J], whole and by term of the power model.
+
+    Examples
+    --------
+    >>> Spent(720.0, {"traction_resistance": 720.0}).energy
+    720.0
+    """
 
     energy: float
     by_term: Mapping[str, float]
