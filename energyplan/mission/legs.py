@@ -144,7 +144,7 @@ class Legs:
             self.names.append("home")
         self._legs: dict[tuple[int, int, float, bool], Leg] = {}
         self._bounds: dict[float, FloatArray] = {}
-        self._costs: dict[float, tuple[EnergyCost, SurfaceMap | None]] = {}
+        self._costs: dict[tuple[float, bool], tuple[EnergyCost, SurfaceMap | None]] = {}
         self._routes = self._known_routes()
 
     def under(self, mission: Mission) -> Legs:
@@ -177,21 +177,31 @@ class Legs:
 
     # -- bounds -----------------------------------------------------------------------------------
 
-    def cost(self, payload: float) -> tuple[EnergyCost, SurfaceMap | None]:
-        """Return the cost and the surfaces with a payload [kg] on board."""
-        if payload not in self._costs:
-            mission, grounds = self.mission, self.grounds
-            surfaces = mission.surfaces
+    def cost(self, payload: float, slower: bool = False) -> tuple[EnergyCost, SurfaceMap | None]:
+        """Return the cost and the surfaces with a payload [kg] on board.
+
+        A drive is slower where it speeds up, turns or stops, and may take less there: what bounds
+        its energy is the cost of driving at any speed up to the one asked, or `slower`.
+        """
+        key = payload, slower
+        if key not in self._costs:
+            speed, surfaces = self._speed, self.mission.surfaces
+
+            def model(region: int) -> PowerModel:
+                found = self.grounds.model(region, payload)
+                if not slower or speed is None:
+                    return found
+                return replace(found, vehicle=found.vehicle.up_to(speed))
+
             if surfaces is not None:
                 laden = [
-                    replace(surface, model=grounds.model(k, payload))
+                    replace(surface, model=model(k))
                     for k, surface in enumerate(surfaces.surfaces, start=1)
                 ]
                 surfaces = replace(surfaces, surfaces=tuple(laden))
-            model = grounds.model(0, payload)
-            cost = EnergyCost(model, battery=True, speed=self._speed)
-            self._costs[payload] = cost, surfaces
-        return self._costs[payload]
+            cost = EnergyCost(model(0), battery=True, speed=None if slower else speed)
+            self._costs[key] = cost, surfaces
+        return self._costs[key]
 
     def lower_bounds(self, payload: float) -> FloatArray:
         """Return what it takes at least from node to node [J], shape (n, n).
@@ -203,7 +213,7 @@ class Legs:
             if self.mission.heights is not None:
                 self._bounds[payload] = self._bounds_on_slopes(payload)
                 return self._bounds[payload]
-            cost, surfaces = self.cost(payload)
+            cost, surfaces = self.cost(payload, slower=True)
             costs = (cost,) if surfaces is None else surfaces.costs(cost)
             poses = np.array(self.poses)
             turn = wrap_angle(poses[:, None, 2] - poses[None, :, 2])
@@ -219,7 +229,7 @@ class Legs:
 
     def _bounds_on_slopes(self, payload: float) -> FloatArray:
         """Bound energies by the least prices on any slope, and by what the height is worth."""
-        mission, (cost, surfaces) = self.mission, self.cost(payload)
+        mission, (cost, surfaces) = self.mission, self.cost(payload, slower=True)
         here = self.poses[0]
         problem = PlanningProblem(
             mission.map, cost, here, here, surfaces=surfaces, heights=mission.heights

@@ -121,8 +121,7 @@ def drive_path(
     objective: Literal["time", "energy"] = "energy"
     if cost.speed is not None:
         objective = "time"
-        motor = replace(vehicle.motor, speed=min(cost.speed, vehicle.motor.speed))
-        vehicle = replace(vehicle, motor=motor)
+        vehicle = vehicle.up_to(cost.speed)
     asked = vehicle.tracking_tolerance if tolerance is None else tolerance
     smooth, within = corner_rounding(asked)
     corners: FloatArray = np.full(max(len(path) - 1, 0), smooth)

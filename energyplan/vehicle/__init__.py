@@ -274,6 +274,17 @@ class Vehicle(ByValue):
         """Tread speed at which it is driven where nothing else is asked for [m/s]."""
         return min(self.usual_speed, self.motor.speed)
 
+    def up_to(self, speed: float) -> Vehicle:
+        """Return the vehicle with treads that run at most at some speed [m/s].
+
+        Examples
+        --------
+        >>> Vehicle.preset("husky_a200").up_to(0.3).motor.speed
+        0.3
+        """
+        motor = replace(self.motor, speed=min(speed, self.motor.speed))
+        return replace(self, motor=motor)
+
     @property
     def yaw_inertia(self) -> float:
         """Moment of inertia about the vertical [kg m^2], taken as that of the footprint's box."""

@@ -1,13 +1,18 @@
-"""Shortest ways on a map against geometry."""
+"""Lower bounds of missions: shortest ways on a map against geometry, energies against drives."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import shapely
+from test_corridor import corridor
 
-from energyplan.mission.legs import shortest_ways
+from energyplan.mission.legs import Legs, shortest_ways
 from energyplan.path import Pose
+from energyplan.power import PowerModel
+from energyplan.power.effects import term
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
 
@@ -57,3 +62,16 @@ def test_a_gap_too_narrow_for_the_disc_is_closed():
         grid = hall(shapely.box(7.0, 0.0, 7.2, 5.0), shapely.box(7.0, 5.0 + width, 7.2, 10.0))
         ways = shortest_ways(grid, ROBOT, grid.to_world(np.array([(60.0, 40.0), (240.0, 40.0)])))
         assert np.isfinite(ways[0, 1]) == open_way
+
+
+@pytest.mark.parametrize("speed", [None, 0.8])
+def test_a_drive_that_is_slower_where_that_takes_less_is_bounded_too(speed: float | None) -> None:
+    """Over so few metres a robot with viscous losses hardly comes up to its speed."""
+    model = PowerModel.preset("quadriga:empty:marble").with_term(term("viscous_loss"), 100.0)
+    motor = replace(model.vehicle.motor, acceleration=0.05)
+    model = replace(model, vehicle=replace(model.vehicle, motor=motor))
+    legs = Legs(corridor(1e6, {"a": 8.0}, 5.0, model=model, speed=speed))
+    steady = legs.cost(0.0)[0].segment_energy(3.0, 0.0)
+    driven = legs.leg(0, 1, 0.0).energy.mean
+    assert driven < 0.8 * steady
+    assert legs.lower_bounds(0.0)[0, 1] <= driven
