@@ -53,15 +53,21 @@ TESTS = {
     "steering": "tests/steering", "planning/bound": "tests/planning/test_bound.py",
     "fit": "tests/fit tests/diagnosis/test_one_core.py tests/diagnosis/test_probabilities.py "
            "tests/diagnosis/test_both_sides.py",
-    "mission": "tests/mission", "limits": "tests/limits",
+    "mission": "tests/mission", "limits": "tests/limits", "battery": "tests/battery",
 }  # fmt: skip
 """What is changed, below the package, and the tests that should notice."""
 
-SLOWER = 5.0
+ALWAYS = "tests/docs/test_conventions.py::test_data_are_frozen"
+"""A test that should notice changes of any part."""
+
+SLOWER = 2.0
 """How much more processor time the tests of a change may take than without it."""
 
-COMPILING = 120.0
-"""Processor time that the tests of a change may take besides, as kernels are compiled anew [s]."""
+STARTING = 30.0
+"""Processor time that the tests of a change may take besides [s]."""
+
+COMPILING = 90.0
+"""Processor time that they may take besides where a kernel is changed: it is compiled anew [s]."""
 
 WAITING = 20.0
 """Time by the clock after which tests are cut that wait, in units of their processor time."""
@@ -268,6 +274,7 @@ def try_module(copy: Path, module: Path, reaches: list[Reach], mutations: int, s
     before = module.read_text(encoding="utf-8")
     tree = ast.parse(before)
     silent, texts = _silent(tree), _texts(tree)
+    besides = STARTING + COMPILING * any(word in before for word in ("@njit", "@inner"))
     places = [item.mutations[0] for item in _all_work_items([module], {})]
     rules = [_rule(place, silent, texts) for place in places]
     wanted = [place for place, rule in zip(places, rules, strict=True) if rule is None]
@@ -279,7 +286,7 @@ def try_module(copy: Path, module: Path, reaches: list[Reach], mutations: int, s
         command = [sys.executable, "-m", "pytest", "-x", "-q", "--failed-first", "@tests.txt"]
         with use_mutation(place.module_path, get_operator(place.operator_name)(), place.occurrence):
             after = module.read_text(encoding="utf-8")
-            end = try_tests(command, COMPILING + SLOWER * sum(test.took for test in tests))
+            end = try_tests(command, besides + SLOWER * sum(test.took for test in tests))
         score.became[end] += 1
         if end != NOTICED:
             lines = unified_diff(before.split("\n"), after.split("\n"), lineterm="")
@@ -317,7 +324,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 for file in files
                 if any(fnmatch(names[file], f"{pattern}*") for pattern in asked.modules)
             ]
-            reaches = _reaches(copy, tests) if asked_for else []
+            reaches = _reaches(copy, f"{tests} {ALWAYS}") if asked_for else []
             for module in asked_for:
                 scores.append(try_module(copy, module, reaches, asked.mutations, asked.seed))
                 print(scores[-1], flush=True)

@@ -16,6 +16,7 @@ from scipy.stats import chi2
 from energyplan.errors import InvalidInputError, MissingChannelError
 from energyplan.fit import _online_kernel as kernel
 from energyplan.fit.identifiability import is_linear, linearise
+from energyplan.fit.residuals import energy_error
 from energyplan.kinds import checked, described
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
@@ -402,7 +403,7 @@ class OnlineIdentifier:
             rmse=float(np.sqrt(self._scalars[kernel.TOTAL_SQUARES] / time)),
             mae=float(self._scalars[kernel.TOTAL_ABSOLUTE] / time),
             bias=float(missing / time),
-            energy_error=float(-missing / measured) if measured else 0.0,
+            energy_error=energy_error(float(missing), float(measured)),
             correlation_time=float(0.5 * self._scalars[kernel.REPEATS] * self._period),
             duration=float(time),
         )

@@ -22,6 +22,24 @@ def pieces_of(drives: Sequence[Drive]) -> list[slice]:
     ]
 
 
+def energy_error(missing: float, measured: float) -> float:
+    """Return the error of a predicted energy, over the measured one.
+
+    Parameters
+    ----------
+    missing, measured : float
+        Energy that the prediction lacks, and that was measured [J].
+
+    Returns
+    -------
+    float
+        Infinite, with its sign, where none was measured; zero where none is missing either.
+    """
+    if measured == 0.0:
+        return 0.0 if missing == 0.0 else -float(np.copysign(np.inf, missing))
+    return -missing / measured
+
+
 def statistics(drives: Sequence[Drive], powers: Sequence[FloatArray]) -> Residual:
     """Return the statistics of measured minus predicted power.
 
@@ -41,17 +59,13 @@ def statistics(drives: Sequence[Drive], powers: Sequence[FloatArray]) -> Residua
     weights = np.concatenate([drive.weights for drive in drives])
     measured = sum(float(drive.weights @ drive.power) for drive in drives)
     missing = float(weights @ residual)
-    if measured == 0.0:
-        energy_error = 0.0 if missing == 0.0 else -float(np.copysign(np.inf, missing))
-    else:
-        energy_error = -missing / measured
     duration, pieces = float(weights.sum()), pieces_of(drives)
     period = duration / max(len(residual) - len(pieces), 1)
     return Residual(
         rmse=float(np.sqrt(np.mean(residual**2))),
         mae=float(np.mean(np.abs(residual))),
         bias=float(np.mean(residual)),
-        energy_error=energy_error,
+        energy_error=energy_error(missing, measured),
         correlation_time=correlation_time(residual, period, pieces),
         duration=duration,
     )

@@ -92,6 +92,9 @@ def test_the_rates_of_wide_arcs_that_cost_little():
 
 def test_prices_that_are_linear_in_the_octants_lose_nothing():
     cost = EnergyCost.from_coefficients(200.0, 70.0, icr=0.5)
+    for a, b in ((200.0, 70.0), (1.0 / 3.0, 1e-3), (7e6, 0.1)):
+        infimum = Infimum(lambda x, y, a=a, b=b: a * np.abs(x) + b * np.abs(y))
+        assert infimum.slack == 0.0  # though lines come out with rounding
     found = least_prices(Prices(cost)).minorant(0.5)
     assert found.metre == pytest.approx(200.0, rel=1e-12)
     assert found.radian == pytest.approx(70.0, rel=1e-9)

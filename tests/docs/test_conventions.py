@@ -202,6 +202,26 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
         pytest.fail(f"a circle: {' -> '.join(error.args[1])}")
 
 
+CHANGING = {
+    "batch._Flight", "demo._Demo", "diagnosis.explanations.Evaluated", "fleet.evaluation._Drive",
+    "live.watcher._Drawn", "live.watcher._Ground", "output.report.Page",
+    "planning.lattice.search.Search", "terrain.updates.Tables",
+}  # fmt: skip
+"""Dataclasses that hold what a computation has so far."""
+
+
+def test_data_are_frozen() -> None:
+    thawed = set()
+    for path in (ROOT / "energyplan").rglob("*.py"):
+        module = ".".join(path.relative_to(ROOT / "energyplan").with_suffix("").parts)
+        classes = [n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.ClassDef)]
+        for each in classes:
+            made = [made for d in each.decorator_list if "dataclass" in (made := ast.unparse(d))]
+            if made and "frozen=True" not in made[0]:
+                thawed.add(f"{module}.{each.name}")
+    assert thawed == CHANGING
+
+
 def test_no_module_is_long() -> None:
     lengths = {
         path.relative_to(ROOT).as_posix(): len(path.read_text().splitlines())

@@ -11,7 +11,7 @@ import pytest
 from energyplan import simulate
 from energyplan.errors import InvalidInputError, MissingChannelError
 from energyplan.fit import _online_kernel as kernel
-from energyplan.fit import identify
+from energyplan.fit import fit_residual, identify
 from energyplan.fit.online import OnlineIdentifier
 from energyplan.logs import DriveLog
 from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel, effects
@@ -267,6 +267,18 @@ def test_residual_is_that_of_predictions() -> None:
     assert residual.mae == pytest.approx(np.sqrt(2 / np.pi) * residual.rmse, rel=0.05)
     assert abs(residual.energy_error) < 0.01
     assert residual.duration == pytest.approx(600.0, abs=0.2)
+
+
+@pytest.mark.parametrize("speed", [0.5, 0.0])
+def test_an_error_of_energy_where_none_was_measured_is_that_of_a_fit(speed: float) -> None:
+    t = np.linspace(0.0, 20.0, 201)
+    log = DriveLog({"t": t, "v_left": 0 * t + speed, "v_right": 0 * t + speed, "power": 0 * t})
+    online = OnlineIdentifier(CONCRETE)
+    online.run(log)
+    residual = online.model.residual
+    assert residual is not None
+    assert residual.energy_error == fit_residual(CONCRETE, log).energy_error
+    assert residual.energy_error == (np.inf if speed else 0.0)
 
 
 def test_battery_power_with_losses() -> None:

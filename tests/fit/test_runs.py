@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from energyplan.fit.drives.windows import Drive
 from energyplan.fit.identification import _draw_at_rest
 from energyplan.fit.joint import joint_fit
 from energyplan.fit.least_squares import Problem
+from energyplan.fit.residuals import pieces_of
 from energyplan.motion import Motion
 from energyplan.power import SLIP, TRACTION, PowerModel
 from energyplan.power.effects import COPPER_LOSS
@@ -54,6 +57,14 @@ def test_only_a_robot_with_both_treads_at_rest_is_at_rest() -> None:
     assert _draw_at_rest([loaded], [np.where(moves, 0.0, 30.0)]) == []
     brief = Drive("brief", t[:179], Motion(*at[:179].T, MODEL.vehicle.icr), loaded.power[:179])
     assert _draw_at_rest([brief], [np.zeros(179)]) == []
+
+
+def test_stretches_without_a_gap_are_rows_of_all_drives_one_below_the_other() -> None:
+    drives = [replace(run(1.0, k), t=0.1 * np.arange(400) + gap * (np.arange(400) >= at))
+              for k, (gap, at) in enumerate([(60.0, 150), (0.0, 0), (60.0, 30)])]  # fmt: skip
+    pieces = pieces_of(drives)
+    told = [(piece.start, piece.stop) for piece in pieces]
+    assert told == [(0, 150), (150, 400), (400, 800), (800, 830), (830, 1200)]
 
 
 @pytest.mark.parametrize("errors", [None, np.array([3.0, 2.0, 1.0])])
