@@ -125,7 +125,7 @@ class _Residual(_Strict):
     rmse: Number
     mae: Number
     bias: Number
-    energy_error: Number
+    energy_error: Annotated[float, Field(ge=-inf)]  # infinite where no energy was measured
     correlation_time: Number = 0.0
     duration: Number = 0.0
     run_spread: Number | None = None

@@ -203,6 +203,13 @@ class Grounds:
 
     def _refuse_unfounded_bounds(self) -> None:
         mission = self._mission
+        for model in (model for source in self._sources for model in source.models):
+            if model.residual is not None and not np.isfinite(model.residual.energy_error):
+                raise MissionError(
+                    f"the model {model.name!r} missed all the energy of the drives that it was "
+                    "judged on, which measured none; identify it from drives that do",
+                    ("model",),
+                )
         if mission.confidence == 0.5 or mission.coefficient_spread > 0:
             return
         for source in self._sources:

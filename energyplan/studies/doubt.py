@@ -175,6 +175,11 @@ def most_power(cost: EnergyCost) -> float:
 
 def _check_known(cost: EnergyCost, spread: float) -> None:
     model = cost.model
+    if model.residual is not None and not np.isfinite(model.residual.energy_error):
+        raise InvalidInputError(
+            f"the model {model.name!r} missed all the energy of the drives that it was judged on, "
+            "which measured none; identify it from drives that do"
+        )
     if spread == 0.0 and model.covariance is None and model.residual is None:
         raise InvalidInputError(
             f"the model {model.name!r} has neither a covariance nor a hold-out error, so nothing "

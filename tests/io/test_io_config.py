@@ -122,6 +122,8 @@ def test_a_model_reads_back_the_same_and_predicts_the_same(tmp_path):
     motion = simulate.validation_drive(base).motion(model.vehicle.icr)
     assert_array_equal(again.power(motion), model.power(motion))
     assert np.ptp(model.breakdown(motion)["empirical_traction_v"]) > 1.0
+    missed = replace(model, residual=replace(model.residual, energy_error=-np.inf))
+    assert read_model(write_model(missed, tmp_path / "m.yaml")).residual == missed.residual
 
 
 def test_a_model_written_by_hand(tmp_path):
@@ -219,6 +221,7 @@ def test_malformed_vehicles_are_refused_with_their_place(tmp_path, text, words):
         (MODEL + "covariance: [[1, 5], [0, 1]]\n", "symmetric"),
         (MODEL + "covariance: [[1]]\n", "shape"),
         (MODEL + "residual: {rmse: 1}\n", "residual.mae: this key is missing"),
+        (MODEL + "residual: {rmse: 1, mae: 1, bias: 0, energy_error: .nan}\n", "energy_error: "),
         ("kind: vehicle\n", "holds a 'vehicle', where a model"),
     ],
 )

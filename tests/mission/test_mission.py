@@ -195,6 +195,14 @@ def test_a_bound_that_nothing_supports_is_refused():
         evaluate(mission(TASKS, model=PowerModel.preset("quadriga:empty:marble")))
 
 
+@pytest.mark.parametrize("confidence", [0.5, 0.95])
+def test_a_model_whose_error_of_energy_is_infinite_is_refused(confidence):
+    missed = Residual(rmse=60.0, mae=60.0, bias=-60.0, energy_error=np.inf)
+    model = replace(PowerModel.preset("quadriga:empty:marble"), residual=missed)
+    with pytest.raises(MissionError, match="measured none; identify it from drives that do"):
+        evaluate(mission(TASKS, model=model, coefficient_spread=0.1, confidence=confidence))
+
+
 def test_spread_of_surfaces_stands_in_for_a_missing_covariance():
     model = PowerModel.preset("quadriga:empty:marble")
     straight = [Task("far", Pose(11.0, 5.0, 0.0))]

@@ -195,6 +195,13 @@ def test_told_with_confidence_is_what_so_many_robots_take_at_most(goal):
     assert sure / expected <= 1.25 * share
 
 
+def test_a_model_that_missed_all_energy_tells_nothing_with_confidence():
+    cost = doubtful(np.eye(2), Residual(20.0, 15.0, 0.0, energy_error=-np.inf))
+    problem = PlanningProblem(hall(), cost, (3, 6, 1.0), (3, 6, 1.0))
+    with pytest.raises(InvalidInputError, match="which measured none"):
+        energy_map(problem, confidence=0.95)
+
+
 def test_nothing_known_of_a_model_is_nothing_told_with_confidence():
     problem = PlanningProblem(hall(), COST, (3, 6, 1.0), (3, 6, 1.0))
     with pytest.raises(InvalidInputError, match="state a coefficient spread"):
