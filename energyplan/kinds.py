@@ -367,7 +367,7 @@ def checked(error: type[Exception] = InvalidInputError) -> Callable[[Function], 
             try:
                 given = signature.bind(*args, **options).arguments
             except TypeError:
-                return function(*args, **options)  # Python's own words
+                given = {}  # the call below says in Python's own words what is wrong
             for name, kind in _kinds(function).items():
                 if name not in given:
                     continue

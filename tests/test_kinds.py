@@ -198,6 +198,14 @@ def test_a_wrong_kind_of_value_is_refused_with_its_place(number: int) -> None:
     assert len(str(caught.value)) < 400
 
 
+def test_a_missing_argument_is_told_by_python_alone() -> None:
+    with pytest.raises(
+        TypeError, match="missing 1 required keyword-only argument: 'width'"
+    ) as caught:
+        ep.Vehicle.from_geometry("my", mass=20, wheelbase=0.5, track=0.5, length=0.6)  # type: ignore[call-arg]
+    assert caught.value.__context__ is None
+
+
 RIGHT: list[Callable[[], object]] = [
     lambda: ep.simulate.drive(MODEL, "spiral", duration=40.0, changes=[(20.0, MODEL)]),
     lambda: ep.TreadICR(np.float32(0.5), np.int64(1)),

@@ -119,7 +119,8 @@ class Runs:
         while np.any(growing := free & (self.use(limits, top) <= 1.0)):
             if top.max() > 1e3:
                 raise InvalidInputError(
-                    "nothing limits the speed; give the vehicle's motor a speed or a power limit"
+                    "nothing limits the speed; give the vehicle's motor a speed or a power limit, "
+                    "as in motor=MotorLimits(speed=1.5)"
                 )
             top = np.where(growing, 2 * top, top)
         rate = largest_within(lambda r: self.use(limits, r), top)
