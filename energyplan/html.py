@@ -1,4 +1,4 @@
-"""Numbers, names and tables as readers want them, for reports and for results in notebooks."""
+"""Numbers, names and tables as readers want them: in reports, in notebooks, and printed."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import html
 import math
 import re
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 
 def number(value: float, digits: int = 4) -> str:
@@ -80,13 +81,51 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return f"<table{kind}><thead><tr>{head}</tr></thead><tbody>{rest}</tbody></table>"
 
 
-def result(
-    title: str, header: Sequence[str], rows: Iterable[Sequence[object]], notes: Iterable[str] = ()
-) -> str:
-    """Return what a notebook shows of a result: a title, a table, and what else is to be said."""
-    items = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
-    said = f"<ul>{items}</ul>" if items else ""
-    return f"<div><b>{html.escape(title)}</b>{table(header, rows)}{said}</div>"
+class Summary(NamedTuple):
+    """What there is to be said of a result: a title, a table, and notes."""
+
+    title: str
+    header: Sequence[str]
+    rows: Iterable[Sequence[object]]
+    notes: Sequence[str] = ()
+
+    def html(self) -> str:
+        """Return it as a notebook shows it."""
+        body = [*self.rows]
+        cells = table(self.header, body) if body else ""
+        items = "".join(f"<li>{html.escape(note)}</li>" for note in self.notes)
+        said = f"<ul>{items}</ul>" if items else ""
+        return f"<div><b>{html.escape(self.title)}</b>{cells}{said}</div>"
+
+    def text(self) -> str:
+        """Return it as lines of text; columns of numbers are aligned to the right."""
+        body = [[_text(value) for value in row] for row in self.rows]
+        numeric = [_is_numeric(column) for column in zip(*body, strict=True)]
+        lines = [[*self.header], *body] if any(self.header) and body else body
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        told = [
+            "  ".join(
+                text.rjust(width) if right else text.ljust(width)
+                for text, width, right in zip(line, widths, numeric, strict=True)
+            )
+            for line in lines
+        ]
+        return "\n".join(
+            [self.title, *(f"  {line}".rstrip() for line in told), *(f"- {n}" for n in self.notes)]
+        )
+
+
+class Readable:
+    """What shows itself: as tables in a notebook, as lines of text where it is printed."""
+
+    def _summaries(self) -> Iterable[Summary]:
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str:
+        return "".join(one.html() for one in self._summaries())
+
+    def __str__(self) -> str:
+        return "\n".join(one.text() for one in self._summaries())
 
 
 _RIGHT = 'style="text-align:right"'

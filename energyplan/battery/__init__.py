@@ -28,7 +28,7 @@ def _require(condition: bool, message: str) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Battery(ByValue):
+class Battery(ByValue, html.Readable):
     """A battery pack as an equivalent circuit (Thevenin): source, resistance, one RC pair.
 
     Parameters
@@ -156,13 +156,12 @@ class Battery(ByValue):
             "derating_factor for each",
         )
 
-    def _repr_html_(self) -> str:
-        """Return capacity and energy as a table, for notebooks."""
+    def _summaries(self) -> list[html.Summary]:
         now = {
             "capacity [Ah]": self.available_capacity / 3600,
             "energy [Wh]": self.full_energy / 3600,
         }
-        return html.result(f"battery {self.name}", ("", ""), now.items())
+        return [html.Summary(f"battery {self.name}", ("", ""), now.items())]
 
     # -- state ----------------------------------------------------------------------------------
 

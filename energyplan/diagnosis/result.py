@@ -219,7 +219,7 @@ class Unexplained:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(html.Readable):
     """The effects that explain the residual of the paper's model.
 
     Parameters
@@ -310,9 +310,8 @@ class Diagnosis:
     average: Average | None = None
     none_of_these: float = 0.0
 
-    def _repr_html_(self) -> str:
-        """Return the effects and both errors as tables, for notebooks."""
-        effects = html.result(
+    def _summaries(self) -> list[html.Summary]:
+        effects = html.Summary(
             f"verdict: {self.verdict.replace('_', ' ')}",
             ("effect", "symbol", "value", "standard error", "unit", "cannot be separated from"),
             [
@@ -320,7 +319,7 @@ class Diagnosis:
                 for e in self.effects
             ],
         )
-        errors = html.result(
+        errors = html.Summary(
             "on the hold-out drives",
             ("model", "rmse [W]", "mae [W]", "bias [W]", "energy error [%]"),
             [
@@ -329,4 +328,4 @@ class Diagnosis:
             ],
             self.advice,
         )
-        return effects + errors
+        return [effects, errors]

@@ -49,7 +49,7 @@ _LEAST_INDEPENDENT = 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class Identification(ByValue):
+class Identification(ByValue, html.Readable):
     """A power model identified from logs.
 
     Parameters
@@ -97,8 +97,7 @@ class Identification(ByValue):
             known.setflags(write=False)
             object.__setattr__(self, "icr_covariance", known)
 
-    def _repr_html_(self) -> str:
-        """Return the coefficients as a table, for notebooks."""
+    def _summaries(self) -> list[html.Summary]:
         rows: list[tuple[object, ...]] = [
             (term.name, term.symbol, float(value), self.std_error[term.name], term.unit)
             for term, value in zip(self.model.terms, self.model.coefficients, strict=True)
@@ -110,7 +109,7 @@ class Identification(ByValue):
         ]
         title = f"{self.model.name}: residual {html.number(self.residual.rmse)} W rms"
         header = ("term", "symbol", "value", "standard error", "unit")
-        return html.result(title, header, rows, self.warnings)
+        return [html.Summary(title, header, rows, self.warnings)]
 
     @property
     def residual(self) -> Residual:

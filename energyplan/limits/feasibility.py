@@ -104,7 +104,7 @@ class Instant(NamedTuple):
 
 
 @dataclass(frozen=True)
-class FeasibilityReport:
+class FeasibilityReport(html.Readable):
     """Whether motors and battery can drive a trajectory, as `check` found.
 
     Parameters
@@ -131,8 +131,7 @@ class FeasibilityReport:
     energy: float
     _search: Callable[[], SpeedScale] = field(repr=False, compare=False)
 
-    def _repr_html_(self) -> str:
-        """Return the violations as a table, for notebooks."""
+    def _summaries(self) -> list[html.Summary]:
         rows = [
             (v.kind.replace("_", " "), v.side, v.start, v.end, v.peak, v.limit)
             for v in self.violations
@@ -142,7 +141,7 @@ class FeasibilityReport:
             f"feasible up to {html.number(self.max_speed_scale)} times this speed"
         )
         header = ("limit exceeded", "side", "from [s]", "to [s]", "peak", "limit")
-        return html.result(title, header, rows, [self.reason])
+        return [html.Summary(title, header, rows, [self.reason])]
 
     @property
     def feasible(self) -> bool:

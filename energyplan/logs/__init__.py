@@ -39,7 +39,7 @@ _EPOCH = 1e6  # times beyond are those of a calendar, not of a drive [s]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DriveLog(ReadOnly):
+class DriveLog(ReadOnly, html.Readable):
     """One drive: named channels over time.
 
     `from_columns` and `read` correct what can be corrected, and count it; this takes no faults.
@@ -111,8 +111,7 @@ class DriveLog(ReadOnly):
         length = f"{len(self)} samples over {self.duration:.1f} s, {self.energy / 1e3:.2f} kJ"
         return f"<DriveLog {self.name!r}: {length}; {', '.join(self.channels)}>"
 
-    def _repr_html_(self) -> str:
-        """Return the channels with their ranges as a table, for notebooks."""
+    def _summaries(self) -> list[html.Summary]:
         title = (
             f"{self.name}: {len(self)} samples over {self.duration:.1f} s, "
             f"{html.number(self.energy / 1e3)} kJ"
@@ -120,7 +119,7 @@ class DriveLog(ReadOnly):
         shares = (0.0, 0.5, 1.0)
         rows = [(key, *np.quantile(v, shares).tolist()) for key, v in self.channels.items()]
         notes = [*(f"set aside: {one}" for one in self.set_aside), *self.warnings]
-        return html.result(title, ("channel", "least", "median", "most"), rows, notes)
+        return [html.Summary(title, ("channel", "least", "median", "most"), rows, notes)]
 
     def to_frame(self) -> pd.DataFrame:
         """Return the log as a pandas DataFrame with a column for each channel."""

@@ -256,7 +256,7 @@ class Timeline:
 
 
 @dataclass(frozen=True)
-class MissionReport:
+class MissionReport(html.Readable):
     """Which tasks can be done, in which order, with what energy.
 
     Parameters
@@ -361,8 +361,7 @@ class MissionReport:
         needed = any(task.required for task in self.mission.tasks)
         return f"all required tasks can be done; {left}" if needed else left
 
-    def _repr_html_(self) -> str:
-        """Return the tasks as a table, flagged ones first, for notebooks."""
+    def _summaries(self) -> list[html.Summary]:
         rows = [
             (task.name, task.verdict, task.reason.replace("_", " "), task.energy / 3600,
              100 * task.soc_after, task.remedy)
@@ -373,7 +372,7 @@ class MissionReport:
             f"{html.number(self.energy / 3600)} Wh, ends with {100 * self.soc_end:.0f} % of charge"
         )
         header = ("task", "verdict", "reason", "energy [Wh]", "charge after [%]", "remedy")
-        return html.result(title, header, rows)
+        return [html.Summary(title, header, rows)]
 
     def task(self, name: str) -> TaskReport:
         """Return the report of the named task.

@@ -32,7 +32,7 @@ ReturnRule = Literal["start", "charger", "any"]
 
 
 @dataclass(frozen=True, eq=False)
-class Mission(ReadOnly):
+class Mission(ReadOnly, html.Readable):
     """Tasks to do with one battery.
 
     Parameters
@@ -281,8 +281,7 @@ class Mission(ReadOnly):
             )  # fmt: skip
             raise MissionError(f"{label}: the robot at {where} touches an obstacle{hint}", place)
 
-    def _repr_html_(self) -> str:
-        """Return the tasks as a table, for notebooks."""
+    def _summaries(self) -> list[html.Summary]:
         rows = [
             (task.name, ", ".join(html.number(v) for v in task.pose), task.dwell, task.power,
              "yes" if task.required else "no")
@@ -293,7 +292,7 @@ class Mission(ReadOnly):
             f"charge, reserve {100 * self.reserve:.0f} %"
         )
         header = ("task", "x, y [m], yaw [rad]", "dwell [s]", "power [W]", "required")
-        return html.result(title, header, rows)
+        return [html.Summary(title, header, rows)]
 
     @property
     def tread_speed(self) -> float | None:

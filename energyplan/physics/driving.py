@@ -19,7 +19,7 @@ from energyplan.terrain import laid_out
 
 
 @dataclass(frozen=True)
-class Driven:
+class Driven(html.Readable):
     """A trajectory as it was driven.
 
     Parameters
@@ -83,14 +83,15 @@ class Driven:
         rows = [row for row in rows if row[1] or row[2]]
         return sorted(rows, key=lambda row: -max(abs(row[1]), abs(row[2])))
 
-    def _repr_html_(self) -> str:
-        """Return the energies as a table, for notebooks."""
-        return html.result(
-            f"predicted {self.energy_told:.0f} J, taken {self.energy_taken:.0f} J "
-            f"({100 * self.error:+.1f} %), {'arrived' if self.arrived else 'not arrived'}",
-            ("term", "predicted [J]", "measured [J]"),
-            self.terms,
-        )
+    def _summaries(self) -> list[html.Summary]:
+        return [
+            html.Summary(
+                f"predicted {self.energy_told:.0f} J, taken {self.energy_taken:.0f} J "
+                f"({100 * self.error:+.1f} %), {'arrived' if self.arrived else 'not arrived'}",
+                ("term", "predicted [J]", "measured [J]"),
+                self.terms,
+            )
+        ]
 
 
 def energy_told(

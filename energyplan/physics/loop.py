@@ -119,7 +119,7 @@ class Round:
 
 
 @dataclass(frozen=True)
-class Loop:
+class Loop(html.Readable):
     """The rounds of a loop, and the model in the end.
 
     Parameters
@@ -149,18 +149,19 @@ class Loop:
     model: PowerModel
     closed: bool
 
-    def _repr_html_(self) -> str:
-        """Return the rounds as a table, for notebooks."""
+    def _summaries(self) -> list[html.Summary]:
         rows = [
             (k, r.energy_told, r.energy_taken, f"{100 * r.error:+.1f} %", r.length,
              ", ".join(e.name for e in r.effects) or "-")
             for k, r in enumerate(self.rounds, 1)
         ]  # fmt: skip
-        return html.result(
-            "closed" if self.closed else "not closed",
-            ("round", "predicted [J]", "measured [J]", "error", "length [m]", "found"),
-            rows,
-        )
+        return [
+            html.Summary(
+                "closed" if self.closed else "not closed",
+                ("round", "predicted [J]", "measured [J]", "error", "length [m]", "found"),
+                rows,
+            )
+        ]
 
 
 # -- where drives come from -----------------------------------------------------------------------

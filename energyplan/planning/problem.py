@@ -230,7 +230,7 @@ def nearest_free(
 
 
 @dataclass(frozen=True)
-class Plan:
+class Plan(html.Readable):
     """A path with its cost, and how far from optimal it can be at most.
 
     Attributes
@@ -333,8 +333,7 @@ class Plan:
         """Tread speed that straight driving was priced at [m/s]; see `driven`."""
         return self.driven.speed
 
-    def _repr_html_(self) -> str:
-        """Return energy, bound and breakdown as a table, for notebooks."""
+    def _summaries(self) -> list[html.Summary]:
         rows = [
             ("energy [J]", self.energy),
             *((f"of it {name.replace('_', ' ')} [J]", joules)
@@ -345,7 +344,7 @@ class Plan:
             ("duration [s]", self.duration),
             ("planning time [s]", self.planning_time),
         ]  # fmt: skip
-        return html.result(f"plan by {self.planner}", ("", ""), rows)
+        return [html.Summary(f"plan by {self.planner}", ("", ""), rows)]
 
     @property
     def poses(self) -> FloatArray:

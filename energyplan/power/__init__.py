@@ -97,7 +97,7 @@ class Residual:
 
 
 @dataclass(frozen=True, eq=False)
-class PowerModel(ByValue):
+class PowerModel(ByValue, html.Readable):
     """Power as a sum of terms times coefficients, with their covariance.
 
     Parameters
@@ -164,8 +164,7 @@ class PowerModel(ByValue):
             cov.setflags(write=False)
             object.__setattr__(self, "covariance", cov)
 
-    def _repr_html_(self) -> str:
-        """Return the terms with their coefficients as a table, for notebooks."""
+    def _summaries(self) -> list[html.Summary]:
         rows = [
             (
                 term.name.replace("_", " "), term.symbol, self.coefficient(term.name),
@@ -175,7 +174,7 @@ class PowerModel(ByValue):
             for term in self.terms
         ]  # fmt: skip
         title = f"{self.name}, {self.vehicle.name}"
-        return html.result(title, ("term", "symbol", "value", "standard error", "unit"), rows)
+        return [html.Summary(title, ("term", "symbol", "value", "standard error", "unit"), rows)]
 
     # -- coefficients ---------------------------------------------------------------------------
 

@@ -19,7 +19,7 @@ from energyplan.planning.scene.compiled import CompiledProblem
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(html.Readable):
     """Two plans for one problem, and the energy that separates them.
 
     Attributes
@@ -64,8 +64,7 @@ class Comparison:
         best, shortest = self.energy_optimal, self.shortest
         return _spent(best, self.driven), _spent(shortest, self.driven)
 
-    def _repr_html_(self) -> str:
-        """Return both plans side by side, for notebooks."""
+    def _summaries(self) -> list[html.Summary]:
         plans = (self.energy_optimal, self.shortest)
         rows = [
             (f"{name} [{unit}]", *(getattr(plan, name) for plan in plans))
@@ -77,7 +76,7 @@ class Comparison:
         if self.driven:
             rows.insert(1, ("energy driven [J]", *(of.energy for of in self.spent)))
             title += ", driven with its stops"
-        return html.result(title, ("", "least energy", "shortest"), rows)
+        return [html.Summary(title, ("", "least energy", "shortest"), rows)]
 
 
 class Spent(NamedTuple):

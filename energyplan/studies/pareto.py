@@ -51,7 +51,7 @@ class ParetoPoint:
 
 
 @dataclass(frozen=True, eq=False)
-class ParetoFront(ByValue):
+class ParetoFront(ByValue, html.Readable):
     """Drives for one problem, from the one of least energy to the fastest.
 
     Parameters
@@ -104,14 +104,13 @@ class ParetoFront(ByValue):
         lines = least - value * np.asarray(duration, float)[..., None]
         return np.asarray(np.max(lines, axis=-1))
 
-    def _repr_html_(self) -> str:
-        """Return the drives as a table, for notebooks."""
+    def _summaries(self) -> list[html.Summary]:
         rows = [
             (f"{point.time_value:.0f}", point.plan.duration, point.plan.energy, point.plan.length)
             for point in self.points
         ]
         heads = ("a second is worth [J]", "duration [s]", "energy [J]", "length [m]")
-        return html.result("energy against time", heads, rows)
+        return [html.Summary("energy against time", heads, rows)]
 
 
 @checked()

@@ -50,7 +50,7 @@ def _frozen_bool(value: ArrayLike, name: str) -> BoolArray:
 
 
 @dataclass(frozen=True, eq=False)
-class OccupancyGrid(ReadOnly):
+class OccupancyGrid(ReadOnly, html.Readable):
     """A grid of square cells that are occupied, unknown or free.
 
     Parameters
@@ -106,11 +106,10 @@ class OccupancyGrid(ReadOnly):
             raise MapError(f"the origin is {tuple(origin)}; give none beyond {FARTHEST:g} m")
         object.__setattr__(self, "origin", origin)
 
-    def _repr_html_(self) -> str:
-        """Return size and shares of the cells as a table, for notebooks."""
+    def _summaries(self) -> list[html.Summary]:
         size = " x ".join(html.number(v) for v in self.size)
         rows = (("size [m]", size), ("occupied [%]", 100 * float(np.mean(self.occupied))))
-        return html.result("map", ("", ""), rows)
+        return [html.Summary("map", ("", ""), rows)]
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -140,7 +140,7 @@ def wheel_loads(
 
 
 @dataclass(frozen=True, eq=False)
-class Vehicle(ByValue):
+class Vehicle(ByValue, html.Readable):
     """A wheeled skid-steer robot.
 
     Parameters
@@ -259,10 +259,9 @@ class Vehicle(ByValue):
             _require(getattr(self, name) >= 0, f"{name} is {getattr(self, name)}; give 0 or more")
         _require(self.tracking_tolerance < np.inf, "tracking_tolerance is infinite; give metres")
 
-    def _repr_html_(self) -> str:
-        """Return mass, size and limits as a table, for notebooks."""
+    def _summaries(self) -> list[html.Summary]:
         rows = {"mass [kg]": self.mass, "slip track [m]": self.icr.slip_track}
-        return html.result(self.name, ("", ""), rows.items())
+        return [html.Summary(self.name, ("", ""), rows.items())]
 
     @property
     def mass(self) -> float:

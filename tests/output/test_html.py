@@ -1,4 +1,4 @@
-"""What results show of themselves in a notebook."""
+"""What results show of themselves in a notebook, and where they are printed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 import energyplan as ep
 from energyplan import simulate
-from energyplan.html import number, result, table
+from energyplan.html import Readable, Summary, number, table
 from energyplan.power import HOTEL, PowerModel
 
 MODEL = PowerModel.preset("quadriga:full:concrete")
@@ -41,16 +41,27 @@ class Reader(HTMLParser):
             self.cells[-1] += data
 
 
-def shown(found: object) -> Reader:
-    return Reader(found._repr_html_())
+def shown(found: Readable) -> Reader:
+    page = Reader(found._repr_html_())
+    printed = str(found)
+    assert all(cell in printed for cell in page.cells)
+    return page
 
 
 def test_text_is_escaped_and_numbers_are_rounded() -> None:
     text = "<script>&"
-    page = Reader(result(text, ("a", text), [(text, 1234.5678), (True, 2)], [text]))
+    page = Reader(Summary(text, ("a", text), [(text, 1234.5678), (True, 2)], [text]).html())
     assert page.cells == ["a", text, text, "1235", "True", "2"]
-    assert "<script>" not in result(text, (text,), [(text,)], [text])
+    assert "<script>" not in Summary(text, (text,), [(text,)], [text]).html()
     assert Reader(table((), [])).cells == []
+
+
+def test_printed_tables_are_aligned() -> None:
+    rows = [("energy [J]", 1234.5678), ("gap", 0.5)]
+    assert Summary("plan", ("", ""), rows).text() == "plan\n  energy [J]  1235\n  gap          0.5"
+    told = Summary("all", ("a", "long"), [("one", "x")], ["said"]).text()
+    assert told == "all\n  a    long\n  one  x\n- said"
+    assert Summary("none", ("a", "b"), []).text() == "none"
 
 
 @pytest.fixture(scope="module")
