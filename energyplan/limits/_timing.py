@@ -427,6 +427,19 @@ def rounding(length: FloatArray, shape: FloatArray, tolerance: float) -> FloatAr
     return np.minimum(half, wide)
 
 
+def worth_rounding(
+    length: FloatArray, reach: FloatArray, jump: FloatArray, most: float, slow: float
+) -> NDArray[np.bool_]:
+    """Tell which corners are passed not much slower than what is beside them, shape (n - 1,).
+
+    Beside a run of next to no length there is no room: the corner is passed at a crawl, at which a
+    stop takes less. `most` is the largest acceleration [m/s^2]. Passed slower than at the rate
+    `slow` [m/s], or at less than a twentieth of what a run beside them leads to, corners are none.
+    """
+    led = 0.05 * np.sqrt(2.0 * most * np.maximum(length[:-1], length[1:]))
+    return np.asarray(2.0 * reach * most >= np.minimum(slow, led) ** 2 * jump * (1.0 + 2.0 * jump))
+
+
 def joined(parts: list[Sampled], first_run: list[int]) -> Sampled:
     """Return trajectories that follow upon each other as one."""
     t, columns, runs, since = [], [], [], 0.0

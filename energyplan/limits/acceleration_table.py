@@ -240,3 +240,15 @@ def _largest_gain(
         fits = runs.use(limits, rate, sign * middle) <= 1
         low, high = np.where(fits, middle, low), np.where(fits, high, middle)
     return low
+
+
+def drift_about(reach: FloatArray, shape: FloatArray, jump: FloatArray) -> FloatArray:
+    """How fast the shape of the motion changes about both ends of each run of a smooth curve.
+
+    A jump between two runs is spread over the distance `reach` on either side. The factor
+    ``1 + 2 jump`` covers what straight interpolation across it leaves out.
+    """
+    share = np.divide(1 + 2 * jump, 2 * reach, out=np.zeros_like(jump), where=jump > 0)
+    rate = np.diff(shape, axis=0) * share[:, None]
+    none = np.zeros((1, 2))
+    return np.hstack([np.vstack([none, rate]), np.vstack([rate, none])])

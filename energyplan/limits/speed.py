@@ -21,8 +21,16 @@ from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathErro
 from energyplan.kinds import checked
 from energyplan.limits._accept import accepted
 from energyplan.limits._check import LimitedDrive, Survey
-from energyplan.limits._timing import Course, Grid, Phases, Sampled, joined, rounding
-from energyplan.limits.acceleration_table import Ladder, Runs
+from energyplan.limits._timing import (
+    Course,
+    Grid,
+    Phases,
+    Sampled,
+    joined,
+    rounding,
+    worth_rounding,
+)
+from energyplan.limits.acceleration_table import UNLIMITED, Ladder, Runs, drift_about
 from energyplan.limits.curve import Curve, Points
 from energyplan.limits.drive import Drive, Ground
 from energyplan.limits.economy import Choice, Economy
@@ -294,13 +302,16 @@ class _Task:
         share, given = share[begin], given[begin]
         jump = np.max(np.abs(np.diff(share, axis=0)), axis=1, initial=0.0)
         # The faster tread cannot turn round at a jump of 1 or less.
-        most = np.minimum(smooth, 1.0) if tolerance > 0 else np.zeros(())
-        if most.ndim:
-            most = most[np.flatnonzero(moves)[begin[1:]] - 1]
-        through = (jump > SAME) & (jump <= most + SAME)
-        corner = np.concatenate([ends[:1], np.where((jump <= SAME) | through, np.inf, 0), ends[1:]])
+        largest = np.minimum(smooth, 1.0) if tolerance > 0 else np.zeros(())
+        if largest.ndim:
+            largest = largest[np.flatnonzero(moves)[begin[1:]] - 1]
+        through = (jump > SAME) & (jump <= largest + SAME)
         shape = np.column_stack([whole.ds / length, whole.dtheta / length])
-        drift = _drift(rounding(length, shape, tolerance), shape, jump * through)
+        reach = rounding(length, shape, tolerance)
+        most = min(limits.motor.acceleration, UNLIMITED)
+        through &= worth_rounding(length, reach, jump, most, SLOWEST * limits.motor.speed)
+        corner = np.concatenate([ends[:1], np.where((jump <= SAME) | through, np.inf, 0), ends[1:]])
+        drift = drift_about(reach, shape, jump * through)
         features = np.column_stack([shape, given, drift])
         _, first, kinds = np.unique(
             features.round(9), axis=0, return_index=True, return_inverse=True
@@ -456,15 +467,3 @@ class _Task:
         if late(fast) >= 0:
             return self._drive(best)
         return self._drive(best, brentq(late, slow, fast, xtol=1e-15, rtol=1e-13))
-
-
-def _drift(reach: FloatArray, shape: FloatArray, jump: FloatArray) -> FloatArray:
-    """How fast the shape of the motion changes about both ends of each run of a smooth curve.
-
-    A jump between two runs is spread over the distance `reach` on either side. The factor
-    ``1 + 2 jump`` covers what straight interpolation across it leaves out.
-    """
-    share = np.divide(1 + 2 * jump, 2 * reach, out=np.zeros_like(jump), where=jump > 0)
-    rate = np.diff(shape, axis=0) * share[:, None]
-    none = np.zeros((1, 2))
-    return np.hstack([np.vstack([none, rate]), np.vstack([rate, none])])

@@ -488,3 +488,17 @@ def test_a_corner_that_is_rounded_by_next_to_nothing_has_no_cell() -> None:
     grid = course.grid(0.1)
     assert len(grid.cell) == len(grid.at) - 1
     assert np.all(grid.cell > 1e-3)
+
+
+@pytest.mark.parametrize("objective", ["time", "energy"])
+def test_a_motion_of_next_to_no_length_is_stopped_at_not_crawled_through(objective):
+    """What planning leaves of rounding between two straights has no room to be rounded in."""
+    vehicle = replace(PAPER.vehicle, motor=replace(PAPER.vehicle.motor, acceleration=0.5))
+    bend = {"ds": [3.0, 2.7e-7, 4.0], "dtheta": [0.0, 2e-7, 0.0]}
+    path, straight = Path(Pose(0, 0, 0), **bend), Path(Pose(0, 0, 0), [3.0, 4.0], [0.0, 0.0])
+    made, plain = (
+        profile(way, PAPER, vehicle=vehicle, objective=objective, smooth=1.0, tolerance=0.04)
+        for way in (path, straight)
+    )
+    stop = float(vehicle.motor.speed) / 0.5
+    assert made.duration <= plain.duration + 1.1 * stop
