@@ -19,7 +19,7 @@ from energyplan.errors import DriveLogError, MissingChannelError
 from energyplan.kinds import checked
 from energyplan.logs._smooth import derivative
 from energyplan.logs.align import block_bounds, interval_means, shift, time_weights
-from energyplan.logs.checks import Place, SetAside, clean, find_runs, needed_channels, unchanged
+from energyplan.logs.checks import Place, SetAside, Whole, blanks, clean, find_runs, needed_channels
 from energyplan.logs.columns import Column, choose_columns, parse_columns
 from energyplan.logs.plausible import find_doubts
 from energyplan.logs.tables import read_table, table_of
@@ -56,6 +56,9 @@ class DriveLog(ReadOnly, html.Readable):
         Samples that were left out or mended, and why.
     warnings : tuple of str
         What is doubtful about the log.
+    part_of : Whole, optional
+        The drive that it was cut from: what warms up does so from its beginning on, and
+        `set_aside` counts its samples.
 
     Raises
     ------
@@ -74,6 +77,7 @@ class DriveLog(ReadOnly, html.Readable):
     name: str = "log"
     set_aside: tuple[SetAside, ...] = ()
     warnings: tuple[str, ...] = ()
+    part_of: Whole | None = None
 
     def __post_init__(self) -> None:
         needed_channels(self.channels, self.name)
@@ -176,11 +180,10 @@ class DriveLog(ReadOnly, html.Readable):
         chosen = choose_columns(table, columns, others)
         log = cls.from_columns(chosen.channels, table.source, table.place)
         held = {name: rows for name, rows in table.held.items() if name in chosen.used}
-        log = replace(log, set_aside=(*unchanged(held, table.place), *log.set_aside))
-        if not chosen.unread:
-            return log
-        note = f"columns of text are left out: {', '.join(chosen.unread[:10])}"
-        return replace(log, warnings=(*log.warnings, note))
+        aside = (*blanks(held, table.place), *log.set_aside)
+        unread = ", ".join(chosen.unread[:10])
+        told = [f"columns of text are left out: {unread}"] if unread else []
+        return replace(log, set_aside=aside, warnings=(*log.warnings, *told))
 
     @classmethod
     def from_columns(
@@ -316,7 +319,9 @@ class DriveLog(ReadOnly, html.Readable):
     # -- parts ----------------------------------------------------------------------------------
 
     def _part(self, samples: slice, name: str) -> DriveLog:
-        return replace(self, channels={k: v[samples] for k, v in self.channels.items()}, name=name)
+        channels = {k: v[samples] for k, v in self.channels.items()}
+        whole = self.part_of or Whole(self.name, float(self.t[0]))
+        return replace(self, channels=channels, name=name, part_of=whole)
 
     @checked(DriveLogError)
     def segment(self, t0: float, t1: float) -> DriveLog:

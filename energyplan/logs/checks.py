@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -55,7 +55,7 @@ class SetAside:
         return f"{self.count} samples: {self.reason} ({self.where})"
 
 
-def unchanged(held: Mapping[str, NDArray[np.intp]], place: Place) -> list[SetAside]:
+def blanks(held: Mapping[str, NDArray[np.intp]], place: Place) -> list[SetAside]:
     """Count the cells that a logger left blank because the reading before still held."""
     return [
         SetAside(
@@ -66,6 +66,13 @@ def unchanged(held: Mapping[str, NDArray[np.intp]], place: Place) -> list[SetAsi
     ]  # fmt: skip
 
 
+class Whole(NamedTuple):
+    """The drive that a log is a part of: its name, and when it began [s]."""
+
+    name: str
+    start: float
+
+
 class _Cleaned(Protocol):
     """What has a name and says what was set aside, such as a drive log."""
 
@@ -73,10 +80,14 @@ class _Cleaned(Protocol):
     def name(self) -> str: ...
     @property
     def set_aside(self) -> tuple[SetAside, ...]: ...
+    @property
+    def part_of(self) -> Whole | None: ...
 
 
 def set_aside_by_drive(logs: Iterable[_Cleaned]) -> dict[str, dict[str, int]]:
     """Count samples that were left out or mended, by drive and reason.
+
+    Those of a drive of which several parts are given count once.
 
     Examples
     --------
@@ -86,9 +97,14 @@ def set_aside_by_drive(logs: Iterable[_Cleaned]) -> dict[str, dict[str, int]]:
     {}
     """
     counts: dict[str, dict[str, int]] = {}
+    known: set[tuple[Whole, SetAside]] = set()
     for log in logs:
         for item in log.set_aside:
-            reasons = counts.setdefault(log.name, {})
+            if log.part_of is not None:
+                if (log.part_of, item) in known:
+                    continue
+                known.add((log.part_of, item))
+            reasons = counts.setdefault(log.part_of.name if log.part_of else log.name, {})
             reasons[item.reason] = reasons.get(item.reason, 0) + item.count
     return counts
 

@@ -99,11 +99,14 @@ class Drive:
         """Prepare a log."""
         t = np.asarray(log.t - log.t[0])
         motion = quiet(log.motion(vehicle.icr), t)
+        began = log.part_of.start if log.part_of else log.t[0]
+        since = np.asarray(log.t - began)  # what warms up does so from then on
         steps = 0.5 * np.diff(t) * (np.abs(motion.v[1:]) + np.abs(motion.v[:-1]))
         distance = np.concatenate([[0.0], np.cumsum(steps)])
+        motion = motion.with_channels(t=since, distance=distance)
         sides = log.sides
         return cls(
-            log.name, t, motion.with_channels(t=t, distance=distance), log.power, log.battery_side,
+            log.name, t, motion, log.power, log.battery_side,
             between=None if sides is None else np.asarray(sides.right - sides.left),
             steps=Steps.of(np.concatenate([log.channel("v_left"), log.channel("v_right")])),
         )  # fmt: skip
