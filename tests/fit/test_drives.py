@@ -19,7 +19,7 @@ from energyplan.fit.least_squares import Problem, fit
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.power import DRIVE_LOSS, HOTEL, REGENERATION_LOSS, SLIP, TRACTION, PowerModel, Term
-from energyplan.power.effects import COPPER_LOSS, LINEAR_INERTIA, term
+from energyplan.power.effects import COPPER_LOSS, LINEAR_INERTIA, catalogue
 from energyplan.simulate import Setpoint
 
 MODEL = PowerModel.preset("quadriga:full:concrete").with_term(HOTEL, 30.0)
@@ -169,7 +169,8 @@ def test_a_prediction_knows_nothing_of_the_power_that_was_measured() -> None:
 
 
 def test_a_part_of_a_drive_goes_on_warming_up() -> None:
-    truth = PowerModel.preset("quadriga:full:concrete").with_term(term("warm_up"), 60.0)
+    (warm_up,) = catalogue()["warm_up"].terms
+    truth = PowerModel.preset("quadriga:full:concrete").with_term(warm_up, 60.0)
     log = simulate.drive(truth, "spiral", rate=10.0)
     later = log.segment(40.0, 80.0).segment(50.0, 70.0)
     left = later.power - power_of(truth, Drive.of(later, truth.vehicle))

@@ -580,9 +580,9 @@ def test_power_from_sides_total_and_battery(model):
 
 
 def test_what_a_drive_lost_counts_once_in_its_parts(raw):
-    broken = {**raw, "power": np.where(np.arange(len(raw["t"])) % 9 == 3, np.nan, raw["power"])}
-    log = DriveLog.from_columns(broken, "drive")
-    parts = [log.segment(log.t[0], log.t[5]), *log.segment(log.t[5], log.t[-1]).blocks(1.0)]
+    raw["v_left"][3::9] = np.nan
+    log = DriveLog.from_columns(raw, "drive")
+    parts = [log.segment(log.t[0], log.t[99]), *log.segment(log.t[99], log.t[-1]).blocks(5.0)]
     assert set_aside_by_drive(parts) == set_aside_by_drive([log]) != {}
 
 
