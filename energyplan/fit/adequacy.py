@@ -210,16 +210,20 @@ def adequacy(drives: Sequence[Drive], residuals: Sequence[FloatArray]) -> Adequa
     Adequacy
         Both, of samples and of means over the time that shows most.
     """
-    rests, whites = [], []
+    rests: list[FloatArray] = []
+    whites: list[float] = []
+    seldom: list[float] = []  # of readings between which the power really changes
     for drive, residual in zip(drives, residuals, strict=True):
         if len(residual) > 4:
-            whites.append(speed_noise(drive.power))
+            readings = drive.power if drive.hold is None else drive.power[drive.hold.first]
+            (whites if drive.hold is None else seldom).append(speed_noise(readings))
         still = (drive.motion.v_left == 0) & (drive.motion.v_right == 0)
         if np.count_nonzero(still) >= _RESTING:
             rests.append(residual[still] - np.median(residual[still]))
     every = np.concatenate(residuals)
     size = float(np.sqrt(np.mean(np.concatenate([d.power for d in drives]) ** 2)))
-    noise, repeats, told = float(np.median(whites)) if whites else 0.0, 1.0, float(len(every))
+    known = whites or ([] if rests else seldom) or [0.0]
+    noise, repeats, told = float(np.median(known)), 1.0, float(len(every))
     if rests:
         rest = np.concatenate(rests)
         # A load that comes and goes at rest is no noise: what most samples scatter by is.
@@ -233,6 +237,7 @@ def adequacy(drives: Sequence[Drive], residuals: Sequence[FloatArray]) -> Adequa
             told = len(rest) / repeats if repeats > 1.0 else told
         noise = max(noise, spread)
     noise = max(noise, _FLOOR * size)
+    repeats = max(repeats, *(drive.hold.rows if drive.hold else 1.0 for drive in drives), 1.0)
     slow = [
         _means(drives, residuals, k, _Noise(noise, repeats, told), _FLOOR * size)
         for k in range(len(SCALES))

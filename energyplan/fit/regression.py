@@ -82,7 +82,7 @@ class PowerRegression:
 
     def powers(self, model: PowerModel) -> list[FloatArray]:
         """Return the predicted power of each drive [W]."""
-        return [power_of(model, drive) for drive in self._drives]
+        return [drive.seen(power_of(model, drive)) for drive in self._drives]
 
     def residual(self, model: PowerModel) -> FloatArray:
         """Measured minus predicted power [W]."""
@@ -202,7 +202,7 @@ class PowerRegression:
             moved = replace(icr, **{which: getattr(icr, which) + step})
             other = replace(model, vehicle=model.vehicle.with_icr(moved))
             turned = [drive.with_icr(moved) for drive in self._drives]
-            ahead = np.concatenate([power_of(other, drive) for drive in turned])
+            ahead = np.concatenate([drive.seen(power_of(other, drive)) for drive in turned])
             shifts.append((ahead - power) / step)
         free = Bounds(np.full(len(model.terms), -np.inf), np.full(len(model.terms), np.inf))
         change = [solvers.weighted_least_squares(design, -shift, free) for shift in shifts]

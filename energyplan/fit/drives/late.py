@@ -53,6 +53,17 @@ class Late(NamedTuple):
 ON_TIME = Late()
 
 
+def delayed(values: FloatArray, t: FloatArray, delay: float) -> FloatArray:
+    """Return values, shape (n, ...), as they were a time before: linear between samples."""
+    if len(t) < 2:
+        return values
+    at = t - delay
+    k = np.clip(np.searchsorted(t, at) - 1, 0, len(t) - 2)
+    share = np.clip((at - t[k]) / (t[k + 1] - t[k]), 0.0, 1.0)
+    share = share.reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray(values[k] * (1.0 - share) + values[k + 1] * share)
+
+
 def lagged(values: FloatArray, t: FloatArray, lag: float) -> FloatArray:
     """Return values, shape (n, ...), as a first-order lag passes them on, at rest to begin with.
 

@@ -144,7 +144,7 @@ def equations_of(model: PowerModel, drive: Drive) -> FloatArray:
 
 def power_of(model: PowerModel, drive: Drive) -> FloatArray:
     """Return the power of a drive by a model, with contacts that hold on a straight [W]."""
-    alone = replace(drive, between=None, fitted=False, late=ON_TIME, factor=1.0)
+    alone = replace(drive, between=None, fitted=False, late=ON_TIME, factor=1.0, hold=None)
     return equations_of(model, alone)[:, 0]
 
 

@@ -98,7 +98,7 @@ def preload(
     sign = np.sign(motion.v_left + motion.v_right)
     track = drive.motion.icr.slip_track
     # As the model has it: in time with the motion, and without the run's own factor.
-    early = replace(drive, late=Late(-drive.late.mean), factor=1.0)
+    early = replace(drive, late=Late(-drive.late.mean), factor=1.0, hold=None)
     wanted = np.asarray(early.seen(between) / drive.factor)[at]
 
     def powers(moment: FloatArray) -> Sides:
@@ -156,7 +156,7 @@ def at_rest(drive: Drive, power: FloatArray, most: float) -> tuple[NDArray[np.bo
     to what they can hold, is no evidence against it, nor for any coefficient.
     """
     rest = drive.holds & (drive.held.v_left == 0.0)  # which is that of both where contacts hold
-    early = replace(drive, late=Late(-drive.late.mean), factor=1.0)
+    early = replace(drive, late=Late(-drive.late.mean), factor=1.0, hold=None)
     beyond = uniform_filter1d(
         np.asarray(early.seen(drive.power) / drive.factor) - power, drive.samples_in(MOMENT)
     )

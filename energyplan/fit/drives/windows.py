@@ -22,7 +22,8 @@ from scipy.ndimage import uniform_filter1d
 
 from energyplan.errors import DriveLogError
 from energyplan.fit.drives.denoise import NO_STEPS, Steps, quiet, speed_noise
-from energyplan.fit.drives.late import ON_TIME, Late, lagged
+from energyplan.fit.drives.hold import Hold, find_hold
+from energyplan.fit.drives.late import ON_TIME, Late, delayed, lagged
 from energyplan.fit.drives.window_kernels import block_grams
 from energyplan.logs import DriveLog
 from energyplan.logs.align import time_weights
@@ -40,6 +41,7 @@ BLOCK = 8.0
 MOMENT = 0.5
 """Time over which what contacts hold is taken for one [s]."""
 
+_ALL = 0.999  # share of a reading's time in which contacts slide
 _MUCH = 0.4  # share of all blocks that no drive may exceed to be left out as a whole
 _IDLE = 0.01  # share of the usual size of a block's columns below which it says nothing
 _MANY = 200_000  # samples that selection works on
@@ -76,6 +78,8 @@ class Drive:
         Whether a model is fitted to it: only then its power may tell what contacts hold.
     steps : Steps
         Of the speeds' sensors.
+    hold : Hold, optional
+        Readings of the power, where they stand in several rows each.
     fields : dict
         Forces of terms, kept for `field_of`.
     """
@@ -92,6 +96,7 @@ class Drive:
     drift: float = 0.0
     fitted: bool = False
     steps: Steps = NO_STEPS
+    hold: Hold | None = None
     fields: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
@@ -109,6 +114,7 @@ class Drive:
             log.name, t, motion, log.power, log.battery_side,
             between=None if sides is None else np.asarray(sides.right - sides.left),
             steps=Steps.of(np.concatenate([log.channel("v_left"), log.channel("v_right")])),
+            hold=find_hold(log.channels, motion, log.power),
         )  # fmt: skip
 
     @classmethod
@@ -180,7 +186,8 @@ class Drive:
         # Whole samples later, so that no delay makes the samples that count fewer.
         by = round(self.late.mean / float(np.median(np.diff(self.t))))
         at = np.clip(np.arange(len(self.t)) - by, 0, len(self.t) - 1)
-        return np.asarray(settled[at], float)
+        shown = np.asarray(settled[at], float)
+        return shown if self.hold is None else (self.hold.shown(shown) > _ALL).astype(float)
 
     @cached_property
     def between_noise(self) -> float:
@@ -215,18 +222,10 @@ class Drive:
         """
         late = power
         if self.late.delay != 0.0:
-            late = np.array(power)
-            for run in self.runs:
-                t = self.t[run]
-                if len(t) < 2:
-                    continue
-                at = t - self.late.delay
-                k = np.clip(np.searchsorted(t, at) - 1, 0, len(t) - 2)
-                share = np.clip((at - t[k]) / (t[k + 1] - t[k]), 0.0, 1.0)
-                share = share.reshape(-1, *[1] * (power.ndim - 1))
-                late[run] = power[run][k] * (1.0 - share) + power[run][k + 1] * share
+            late = np.concatenate([delayed(late[r], self.t[r], self.late.delay) for r in self.runs])
         if self.late.lag > 0.0:
             late = np.concatenate([lagged(late[r], self.t[r], self.late.lag) for r in self.runs])
+        late = late if self.hold is None else self.hold.shown(late)
         return late if self.factor == 1.0 else late * self.factor
 
     def thinned(self, step: int) -> Drive:
@@ -235,9 +234,11 @@ class Drive:
         channels = {name: values[::step] for name, values in motion.channels.items()}
         few = Motion(motion.v_left[::step], motion.v_right[::step], motion.icr, channels)
         between = None if self.between is None else self.between[::step]
+        hold = None if self.hold is None else self.hold.thinned(step)
         return replace(
-            self, t=self.t[::step], motion=few, power=self.power[::step], between=between, fields={}
-        )
+            self, t=self.t[::step], motion=few, power=self.power[::step], between=between,
+            fields={}, hold=hold,
+        )  # fmt: skip
 
     @cached_property
     def windows(self) -> tuple[Windows, ...]:
