@@ -19,7 +19,7 @@ from energyplan.errors import DriveLogError, MissingChannelError
 from energyplan.kinds import checked
 from energyplan.logs._smooth import derivative
 from energyplan.logs.align import block_bounds, interval_means, shift, time_weights
-from energyplan.logs.checks import Place, SetAside, Whole, blanks, clean, find_runs, needed_channels
+from energyplan.logs.checks import Place, SetAside, clean, find_runs, needed_channels, unchanged
 from energyplan.logs.columns import Column, choose_columns, parse_columns
 from energyplan.logs.plausible import find_doubts
 from energyplan.logs.tables import read_table, table_of
@@ -56,9 +56,8 @@ class DriveLog(ReadOnly, html.Readable):
         Samples that were left out or mended, and why.
     warnings : tuple of str
         What is doubtful about the log.
-    part_of : Whole, optional
-        The drive that it was cut from: what warms up does so from its beginning on, and
-        `set_aside` counts its samples.
+    began : float, optional
+        When the drive began that it was cut from [s]: what warms up does so from then on.
 
     Raises
     ------
@@ -77,7 +76,7 @@ class DriveLog(ReadOnly, html.Readable):
     name: str = "log"
     set_aside: tuple[SetAside, ...] = ()
     warnings: tuple[str, ...] = ()
-    part_of: Whole | None = None
+    began: float | None = None
 
     def __post_init__(self) -> None:
         needed_channels(self.channels, self.name)
@@ -179,8 +178,7 @@ class DriveLog(ReadOnly, html.Readable):
         table = read(source, DriveLogError).unchanged_held()  # type: ignore[arg-type]
         chosen = choose_columns(table, columns, others)
         log = cls.from_columns(chosen.channels, table.source, table.place)
-        held = {name: rows for name, rows in table.held.items() if name in chosen.used}
-        aside = (*blanks(held, table.place), *log.set_aside)
+        aside = (*unchanged(table.held, chosen.used, table.place), *log.set_aside)
         unread = ", ".join(chosen.unread[:10])
         told = [f"columns of text are left out: {unread}"] if unread else []
         return replace(log, set_aside=aside, warnings=(*log.warnings, *told))
@@ -320,8 +318,8 @@ class DriveLog(ReadOnly, html.Readable):
 
     def _part(self, samples: slice, name: str) -> DriveLog:
         channels = {k: v[samples] for k, v in self.channels.items()}
-        whole = self.part_of or Whole(self.name, float(self.t[0]))
-        return replace(self, channels=channels, name=name, part_of=whole)
+        began = float(self.t[0]) if self.began is None else self.began
+        return replace(self, channels=channels, name=name, began=began)
 
     @checked(DriveLogError)
     def segment(self, t0: float, t1: float) -> DriveLog:

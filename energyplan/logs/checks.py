@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -55,22 +55,17 @@ class SetAside:
         return f"{self.count} samples: {self.reason} ({self.where})"
 
 
-def blanks(held: Mapping[str, NDArray[np.intp]], place: Place) -> list[SetAside]:
-    """Count the cells that a logger left blank because the reading before still held."""
+def unchanged(
+    held: Mapping[str, NDArray[np.intp]], used: Collection[str], place: Place
+) -> list[SetAside]:
+    """Count the cells of columns in use that are blank because the reading before still holds."""
     return [
         SetAside(
             f"{name} is blank, as what did not change is in this log; it holds",
             len(rows), ", ".join(place(int(row)) for row in rows[:3]),
         )
-        for name, rows in held.items()
+        for name, rows in held.items() if name in used
     ]  # fmt: skip
-
-
-class Whole(NamedTuple):
-    """The drive that a log is a part of: its name, and when it began [s]."""
-
-    name: str
-    start: float
 
 
 class _Cleaned(Protocol):
@@ -80,14 +75,10 @@ class _Cleaned(Protocol):
     def name(self) -> str: ...
     @property
     def set_aside(self) -> tuple[SetAside, ...]: ...
-    @property
-    def part_of(self) -> Whole | None: ...
 
 
 def set_aside_by_drive(logs: Iterable[_Cleaned]) -> dict[str, dict[str, int]]:
     """Count samples that were left out or mended, by drive and reason.
-
-    Those of a drive of which several parts are given count once.
 
     Examples
     --------
@@ -97,14 +88,9 @@ def set_aside_by_drive(logs: Iterable[_Cleaned]) -> dict[str, dict[str, int]]:
     {}
     """
     counts: dict[str, dict[str, int]] = {}
-    known: set[tuple[Whole, SetAside]] = set()
     for log in logs:
         for item in log.set_aside:
-            if log.part_of is not None:
-                if (log.part_of, item) in known:
-                    continue
-                known.add((log.part_of, item))
-            reasons = counts.setdefault(log.part_of.name if log.part_of else log.name, {})
+            reasons = counts.setdefault(log.name, {})
             reasons[item.reason] = reasons.get(item.reason, 0) + item.count
     return counts
 

@@ -19,7 +19,6 @@ from scipy.signal import savgol_filter
 from energyplan.errors import DriveLogError, EnergyPlanError, MissingChannelError
 from energyplan.logs import DriveLog, tables
 from energyplan.logs._smooth import derivative
-from energyplan.logs.checks import set_aside_by_drive
 from energyplan.logs.columns import parse_columns
 from energyplan.logs.plausible import find_offset
 from energyplan.logs.units import UNITS
@@ -577,13 +576,6 @@ def test_power_from_sides_total_and_battery(model):
     assert total.sides is None
     assert_allclose(total.power, sides.power)
     assert_allclose(battery.power, sides.power)
-
-
-def test_what_a_drive_lost_counts_once_in_its_parts(raw):
-    raw["v_left"][3::9] = np.nan
-    log = DriveLog.from_columns(raw, "drive")
-    parts = [log.segment(log.t[0], log.t[99]), *log.segment(log.t[99], log.t[-1]).blocks(5.0)]
-    assert set_aside_by_drive(parts) == set_aside_by_drive([log]) != {}
 
 
 def test_segments_and_blocks_partition_the_log(noisy):

@@ -104,8 +104,7 @@ class Drive:
         """Prepare a log."""
         t = np.asarray(log.t - log.t[0])
         motion = quiet(log.motion(vehicle.icr), t)
-        began = log.part_of.start if log.part_of else log.t[0]
-        since = np.asarray(log.t - began)  # what warms up does so from then on
+        since = np.asarray(log.t - (log.t[0] if log.began is None else log.began))
         steps = 0.5 * np.diff(t) * (np.abs(motion.v[1:]) + np.abs(motion.v[:-1]))
         distance = np.concatenate([[0.0], np.cumsum(steps)])
         motion = motion.with_channels(t=since, distance=distance)
@@ -234,10 +233,9 @@ class Drive:
         channels = {name: values[::step] for name, values in motion.channels.items()}
         few = Motion(motion.v_left[::step], motion.v_right[::step], motion.icr, channels)
         between = None if self.between is None else self.between[::step]
-        hold = None if self.hold is None else self.hold.thinned(step)
         return replace(
             self, t=self.t[::step], motion=few, power=self.power[::step], between=between,
-            fields={}, hold=hold,
+            fields={}, hold=None if self.hold is None else self.hold.thinned(step),
         )  # fmt: skip
 
     @cached_property
