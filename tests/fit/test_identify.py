@@ -21,6 +21,7 @@ from energyplan.errors import (
 from energyplan.fit import ICREstimate, fit_icr, fit_residual, icr_from_spin, identify, solvers
 from energyplan.fit import covariance as _covariance
 from energyplan.fit.drives.windows import Drive
+from energyplan.fit.identifiability import check_identifiable
 from energyplan.fit.regression import PowerRegression
 from energyplan.logs import DriveLog
 from energyplan.output import documents, text
@@ -439,6 +440,22 @@ def test_drive_efficiency_scales_all_and_is_refused(truth: PowerModel) -> None:
     log = simulate.drive(truth, ["spin", "straight"], seed=1, **NOISE)
     with pytest.raises(NotIdentifiableError, match="drive_efficiency"):
         identify(log, truth.vehicle, terms=[SLIP, TRACTION, DRIVE_LOSS])
+
+
+@pytest.mark.parametrize("weight", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("column", [0, 1])
+def test_what_hardly_acts_is_not_identified(weight: float, column: int) -> None:
+    """A regressor counts as absent far below what a manoeuvre makes of it, on any robot."""
+    model = PowerModel.preset("quadriga:empty:marble")
+    vehicle = replace(model.vehicle, loads=weight * model.vehicle.loads)
+    model = replace(model, vehicle=vehicle)
+    left, right = np.random.default_rng(1).normal(0.0, 0.3, (2, 300))
+    turning = np.abs(right - left) / vehicle.icr.slip_track
+    jacobian = np.column_stack([vehicle.slip_moment * turning, np.abs(left) + np.abs(right)])
+    assert check_identifiable(model, jacobian) == ()
+    jacobian[:, column] *= 1e-4
+    with pytest.raises(NotIdentifiableError, match=f"{model.terms[column].name}.* zero throughout"):
+        check_identifiable(model, jacobian)
 
 
 def test_hardly_known_is_said(truth: PowerModel) -> None:
