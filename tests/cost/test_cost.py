@@ -271,3 +271,14 @@ def test_steering_misses_the_minimum_by_no_more_than_it_says() -> None:
     straight = float(cost.segment_energy(2.0, 0.0))
     found = float(steering.energy((0, 0, 0), (2.0, 0, 0), cost))
     assert (1 - cost.steering_error) * straight <= found <= (1 + 1e-9) * straight
+
+
+def test_speeds_from_a_table_cost_on_slopes_what_those_searched_again_do():
+    model = MODEL.with_term(HOTEL, 40.0).with_term(VISCOUS_LOSS, 60.0)
+    cost = EnergyCost(model.with_term(GRADE, MODEL.vehicle.mass))
+    rng = np.random.default_rng(0)
+    ds, dtheta, slope = *rng.normal(size=(2, 200)), rng.uniform(-0.05, 0.05, 200)
+    exact = cost.segment_energy(ds, dtheta, slope)
+    read = cost.segment_energy(ds, dtheta, slope, exact=False)
+    # about the cheapest speed energy is flat: an error of the speed counts squared
+    assert read == pytest.approx(exact, rel=1e-5)
