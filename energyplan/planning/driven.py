@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -24,6 +25,9 @@ from energyplan.planning.problem import PlanningProblem
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
 from energyplan.vehicle import Vehicle
+
+SAME = 1e-6
+"""Part of the energy by which drives differ of which the quicker is taken."""
 
 NEAR = 0.5
 """How far about a corner the footprint must be free for it to be rounded [m]."""
@@ -118,9 +122,7 @@ def drive_path(
     """
     model, surfaces = counted(cost, surfaces)
     vehicle = cost.vehicle if vehicle is None else vehicle
-    objective: Literal["time", "energy"] = "energy"
     if cost.speed is not None:
-        objective = "time"
         vehicle = vehicle.up_to(cost.speed)
     asked = vehicle.tracking_tolerance if tolerance is None else tolerance
     smooth, within = corner_rounding(asked)
@@ -128,25 +130,40 @@ def drive_path(
     if grid is not None:
         corners *= _free_about(path, vehicle if body is None else body, grid, within)
 
-    def timed(smooth: FloatArray) -> Trajectory:
-        return profile(
+    def driven(objective: Literal["time", "energy"], smooth: FloatArray) -> DrivenPath:
+        made = profile(
             path, model, vehicle=vehicle, objective=objective, smooth=smooth, tolerance=within,
             period=period, channels=cost.channels, surfaces=surfaces, heights=heights,
         )  # fmt: skip
+        drive = Drive(made, Ground(model, surfaces, heights), cost.channels)
+        return DrivenPath(
+            trajectory=made,
+            energy=drive.energy(),
+            breakdown=drive.breakdown(),
+            speed=float(np.min(np.atleast_1d(cost.cheapest_speed(0.0)))),
+        )
 
-    try:
-        made = timed(corners)
-    except InfeasibleMotionError:
-        if not corners.any():
-            raise
-        made = timed(0.0 * corners)  # a corner that cannot be rounded can be stopped at
-    drive = Drive(made, Ground(model, surfaces, heights), cost.channels)
-    return DrivenPath(
-        trajectory=made,
-        energy=drive.energy(),
-        breakdown=drive.breakdown(),
-        speed=float(np.min(np.atleast_1d(cost.cheapest_speed(0.0)))),
-    )
+    if cost.speed is not None:
+        try:
+            return driven("time", corners)
+        except InfeasibleMotionError:
+            if not corners.any():
+                raise
+            return driven("time", 0.0 * corners)  # a corner that cannot be rounded is stopped at
+    # least energy is sought run by run; through rounded corners a stop or haste may take less
+    ways = [partial(driven, "energy", 0.0 * corners)]
+    if corners.any():
+        ways += [partial(driven, "energy", corners), partial(driven, "time", corners)]
+    found = []
+    for way in ways:
+        try:
+            found.append(way())
+        except InfeasibleMotionError:
+            if way is ways[-1] and not found:
+                raise
+    enough = min(one.energy for one in found)
+    enough += SAME * abs(enough)
+    return min((one for one in found if one.energy <= enough), key=lambda one: one.duration)
 
 
 def _free_about(

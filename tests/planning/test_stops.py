@@ -7,8 +7,9 @@ import pytest
 
 from energyplan import plan
 from energyplan.cost import EnergyCost
+from energyplan.path import Path, Pose
 from energyplan.planning import Budget, PlanningProblem
-from energyplan.planning.driven import drive_plan, stops_count
+from energyplan.planning.driven import drive_path, drive_plan, stops_count
 from energyplan.planning.lattice import planner, stops
 from energyplan.planning.lattice.stops import Stops, stops_of
 from energyplan.planning.scene.compiled import CompiledProblem
@@ -119,3 +120,14 @@ def test_a_robot_that_cannot_be_timed_is_planned_for_all_the_same():
                                                    continuous_power=20.0))  # fmt: skip
     model = replace(rolling(), vehicle=vehicle)
     assert plan(problem(model, 1.2), effort=5_000).energy > 0
+
+
+def test_least_energy_is_that_of_the_best_way_through_corners():
+    """With a hotel load, haste through rounded corners takes less than what is slowed for them."""
+    vehicle = replace(PAPER.vehicle, tracking_tolerance=0.03)
+    model = replace(rolling(120.0), vehicle=vehicle)
+    path = Path(Pose(0.0, 0.0, 0.0), [2.0, 0.3, 2.0], [0.0, 0.4, 0.0])
+    least = drive_path(path, EnergyCost(model))
+    quick = drive_path(path, EnergyCost(model, speed=vehicle.motor.speed))
+    stopped = drive_path(path, EnergyCost(model), tolerance=0.0)
+    assert least.energy <= min(quick.energy, stopped.energy) * (1 + 1e-6)
