@@ -182,7 +182,7 @@ class Proposals:
     def variants(self, effect: Effect) -> list[Part]:
         """Return an effect with every combination of the values to try of its parameters."""
         if effect.acts == "place":
-            return list(lines(effect, self.problem.drives))
+            return list(lines(effect, self.problem.drives, self.problem.vehicle))
         chosen: list[tuple[tuple[str, float], ...]] = [()]
         for key, values in effect.grid.items():
             chosen = [(*before, (key, value)) for before in chosen for value in values]

@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from energyplan.diagnosis.change_points import mark_changes
+from energyplan.diagnosis.change_points import apart, between, lines, mark_changes
 from energyplan.diagnosis.evidence import Account, classes
 from energyplan.diagnosis.explanations import Evaluated, Explanation, Found
 from energyplan.diagnosis.fitted_sets import LATE, WORTHWHILE, FittedSets
@@ -22,6 +22,7 @@ from energyplan.diagnosis.proposals import (
     OF_LOG,
     PAIRED,
     RARE,
+    About,
     Candidate,
     Set,
     terms_of,
@@ -30,7 +31,7 @@ from energyplan.diagnosis.settling import Make, settled
 from energyplan.diagnosis.stand_ins import followed_in
 from energyplan.fit.drives.late import ON_TIME, Late, least_late
 from energyplan.fit.drives.windows import Drive
-from energyplan.fit.least_squares import Problem, fit
+from energyplan.fit.least_squares import PAPER, Problem, fit
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL
 from energyplan.power.effects import Effect
@@ -41,6 +42,10 @@ SIGNIFICANCE = 0.01
 _TRIED = 6  # neighbours of the best set that are fitted as they are
 _AS_GOOD = 1.5  # odds of two explanations up to which neither is the better one
 _COMPARED = 1e-3  # probability from which on explanations are held against each other
+_CLOSER = 2  # times that lines are tried closer to each other, about so many
+_KEPT = 8  # lines about which others are tried
+_TOGETHER = 16  # lines in one table
+_SAMPLES = 5  # in a shortest window, that tell where a line may be
 _APART = 0.05  # delays that are worth sets of their own [s]
 
 
@@ -129,13 +134,14 @@ class Search(FittedSets):
             for chosen in sets:
                 one = self._reduced(chosen, candidates, late)
                 weighed[(frozenset(one), late)] = self._posterior(one, candidates, late)
-        self._climb(weighed, {late: pool[0] for late, pool in pools.items()})
-        return self._explained(weighed, {d: pool[0] for d, pool in pools.items()})
+        candidates_at = {late: pool[0] for late, pool in pools.items()}
+        self._climb(weighed, candidates_at)
+        return self._explained(weighed, candidates_at)
 
     def _climb(
         self,
         weighed: dict[tuple[frozenset[int], Late], float],
-        pools: Mapping[Late, list[Candidate]],
+        pools: dict[Late, list[Candidate]],
     ) -> None:
         """Add to the best set, or replace in it, one effect after the other while that helps.
 
@@ -145,6 +151,7 @@ class Search(FittedSets):
         for _ in range(self.limit):
             self._redelay(weighed, pools)
             self._settle_best(weighed, pools)
+            self._settle_delay(weighed, pools)
             chosen, late = max(weighed, key=lambda key: weighed[key])
             now, candidates = tuple(sorted(chosen)), pools[late]
             one = self._evaluate(now, candidates, late)
@@ -152,15 +159,20 @@ class Search(FittedSets):
             design = self._table(self.problem.delayed(late), candidates, about)
             self.followed = followed_in(design, candidates, one)
             others = [k for k in range(len(candidates)) if k not in chosen]
-            trials = [{*now, new} for new in others]
-            trials += [
-                {*now, new} - {old} for old in now for new in others
-                if not candidates[old].always
-            ]  # fmt: skip
+            # A change takes up what others of its set are beside the truth by: without one, too.
+            bare = {k for k in now if candidates[k].marked is None}
+            cores = [set(chosen)] if bare == chosen else [set(chosen), bare]
+            trials = cores[1:]
+            for core in cores:
+                trials += [{*core, new} for new in others]
+                trials += [
+                    {*core, new} - {old} for old in core for new in others
+                    if not candidates[old].always
+                ]  # fmt: skip
             sets = [tuple(sorted(some)) for some in trials]
             sets = [some for some in sets if self._compatible(candidates, some)]
             scores = self._scores(design, candidates, sets, one.errors)
-            pairs = self._pairs(now, sets, scores, candidates)
+            pairs = [one for core in cores for one in self._pairs(core, sets, scores, candidates)]
             scores = np.append(scores, self._scores(design, candidates, pairs, one.errors))
             sets += pairs
             before = set(weighed)
@@ -175,13 +187,13 @@ class Search(FittedSets):
                 return
 
     def _pairs(
-        self, now: Set, sets: Sequence[Set], scores: FloatArray, candidates: Sequence[Candidate]
+        self, now: set[int], sets: Sequence[Set], scores: FloatArray, candidates: Sequence[Candidate]
     ) -> list[Set]:
         """Return a set with two further effects, of those that add most to it: they may mask."""
         best: dict[str, int] = {}
         for k in np.argsort(-scores, kind="stable"):
-            if set(now) < set(sets[k]):
-                (new,) = set(sets[k]) - set(now)
+            if now < set(sets[k]) and len(sets[k]) == len(now) + 1:
+                (new,) = set(sets[k]) - now
                 best.setdefault(candidates[new].name, new)
         pairs = combinations(list(best.values())[:PAIRED], 2)
         some = (tuple(sorted({*now, *pair})) for pair in pairs)
@@ -222,7 +234,8 @@ class Search(FittedSets):
                 if any((one.part, one.marked) == (other.part, other.marked) for other in wanted)
             ]  # fmt: skip
             known = (frozenset(same), late) in weighed
-            if late != found and len(same) == len(wanted) and not known:
+            apart = max(abs(late.mean - found.mean), abs(late.lag - found.lag)) >= _APART
+            if apart and len(same) == len(wanted) and not known:
                 reduced = self._reduced(tuple(same), candidates, late)
                 weighed[(frozenset(reduced), late)] = self._posterior(reduced, candidates, late)
 
@@ -246,6 +259,29 @@ class Search(FittedSets):
             reduced = self._reduced(moved, candidates, late)
             weighed[(frozenset(reduced), late)] = self._posterior(reduced, candidates, late)
 
+    def _settle_delay(
+        self,
+        weighed: dict[tuple[frozenset[int], Late], float],
+        pools: dict[Late, list[Candidate]],
+    ) -> None:
+        """Move a time offset to where the best set fits best.
+
+        It was found without most of the set, and what it is beside the true one by looks like one
+        effect or another.
+        """
+        chosen, late = max(weighed, key=lambda key: weighed[key])
+        if self.delay is None or late == ON_TIME:
+            return
+        one = self._evaluate(tuple(sorted(chosen)), pools[late], late)
+        part = Part(self.delay, late.params)
+        made = self._moved([*one.parts, part], len(one.parts), one.problem)
+        better = settled(part, made, one.errors)
+        if better is not None:
+            moved = Late.of(made(better)[0][-1].params)
+            pools[moved] = pools[late]
+            reduced = self._reduced(tuple(sorted(chosen)), pools[moved], moved)
+            weighed[(frozenset(reduced), moved)] = self._posterior(reduced, pools[moved], moved)
+
     def _settle(
         self, k: int, chosen: Set, candidates: list[Candidate], now: Evaluated
     ) -> Set | None:
@@ -253,16 +289,58 @@ class Search(FittedSets):
 
         What is moved becomes a further candidate, as probable before the data as it was.
         """
-        part = candidates[k].part
-        made = self._moved([candidates[j].part for j in chosen], chosen.index(k), now.problem)
+        parts, at = [candidates[j].part for j in chosen], chosen.index(k)
+        if parts[at].effect.acts == "place":
+            parts[at] = self._nearest(parts, at, now)
+        part, made = parts[at], self._moved(parts, at, now.problem)
         better = settled(part, made, now.errors)
         if better is None:
-            return None
+            if part == candidates[k].part:
+                return None
+            better = np.array([value for _, value in part.params])
         last = max(one.columns[-1] for one in candidates if one.columns)
         columns = tuple(range(last + 1, last + 1 + len(part.terms)))
-        part = made(better)[0][chosen.index(k)]
+        part = made(better)[0][at]
         candidates.append(replace(candidates[k], part=part, columns=columns, settled=True))
         return tuple(sorted({*chosen, len(candidates) - 1} - {k}))
+
+    def _nearest(self, parts: Sequence[Part], at: int, now: Evaluated) -> Part:
+        """Return the line with which a set fits best, of many: the nearest to start from.
+
+        Wheels cross a border one after the other, so that lines beside the best one are worse than
+        others that are far from it. About the best of a grid further ones are tried, closer and
+        closer to each other.
+        """
+        problem = now.problem.thinned(_SAMPLES)
+        about = self._about(now.problem, now.parts, now.errors)
+        rest = [part for k, part in enumerate(parts) if k != at]
+        best = [*lines(parts[at].effect, problem.drives, problem.vehicle, fine=True), parts[at]]
+        for level in range(_CLOSER + 1):
+            if level:
+                best = list(between(best, level, problem.drives, problem.vehicle))
+            scores = np.concatenate(
+                [
+                    self._alone(rest, best[k : k + _TOGETHER], problem, about, now.errors)
+                    for k in range(0, len(best), _TOGETHER)
+                ]
+            )
+            ranked = [best[k] for k in np.argsort(-scores, kind="stable")]
+            best = apart(ranked, level, problem.vehicle)[:_KEPT]
+        return best[0]
+
+    def _alone(
+        self, rest: Sequence[Part], new: Sequence[Part], problem: Problem, about: About,
+        errors: FloatArray,
+    ) -> FloatArray:  # fmt: skip
+        """Score a set with one of several further parts each."""
+        candidates, first = [], len(PAPER)
+        for part in (*rest, *new):
+            columns = tuple(range(first, first + len(part.terms)))
+            first += len(columns)
+            candidates.append(Candidate(part, columns, 0.0))
+        design = self._table(problem, candidates, about)
+        sets = [(*range(len(rest)), len(rest) + k) for k in range(len(new))]
+        return self._scores(design, candidates, sets, errors)
 
     def _settled_lines(
         self, sets: Sequence[Set], scores: FloatArray, candidates: list[Candidate], now: Evaluated
@@ -272,14 +350,20 @@ class Search(FittedSets):
         Lines of a grid lie up to half a step beside the border, and tell only part of it.
         """
         found: list[Set] = []
-        names = {part.effect.name for part in now.parts}
         order = np.argsort(-scores, kind="stable")
+        plain = [sets[k] for k in order if not any(candidates[j].marked for j in sets[k])]
+        known = {part.effect.name for part in now.parts}
+        if any(part.effect.acts == "change" for part in now.parts):
+            known = set()
         for effect in self.effects:
-            if effect.acts != "place" or effect.name in names:
+            if effect.acts != "place" or effect.name in known:
                 continue
-            own = {k for k, one in enumerate(candidates) if one.part.effect is effect}
-            chosen = next((sets[k] for k in order if own & set(sets[k])), None)
-            if chosen is None or any(candidates[k].marked for k in chosen):
+            own = {
+                k for k, one in enumerate(candidates)
+                if one.part.effect is effect and not one.settled
+            }  # fmt: skip
+            chosen = next((some for some in plain if own & set(some)), None)
+            if chosen is None:
                 continue
             (line,) = own & set(chosen)
             moved = self._settle(line, chosen, candidates, now)

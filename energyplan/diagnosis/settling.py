@@ -46,7 +46,7 @@ def settled(part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
         trial, case = made(values)
         if part.effect.acts == "place":
             named = zip((key for key, _ in part.params), values.tolist(), strict=True)
-            if not crosses(dict(named), case.drives):
+            if not crosses(dict(named), case.drives, case.vehicle):
                 return np.inf
         return fit(case.design(terms_of(trial), errors, known, rounds), errors).loss
 

@@ -232,6 +232,13 @@ class Problem:
             drives.append(drive.with_channels(changed=np.full(len(drive.t), float(state))))
         return Problem(drives, self.vehicle, self.memory)
 
+    def thinned(self, samples: int) -> Problem:
+        """Return the drives with so many samples in a shortest window, where they have more."""
+        period = max(float(np.median(np.diff(drive.t))) for drive in self.drives)
+        step = int(SCALES[0] / (samples * period))
+        few = [drive.thinned(step) for drive in self.drives] if step > 1 else self.drives
+        return Problem(few, self.vehicle, self.memory)
+
     def starting_from(self, known: Mapping[str, float]) -> Problem:
         """Return the drives, for fits that begin with these coefficients, by name of their term."""
         return Problem(self.drives, self.vehicle, known)
