@@ -93,6 +93,25 @@ class FittedSets(Proposals):
     def _fitted(
         self, problem: Problem, parts: Sequence[Part], start: Mapping[str, float] | None = None
     ) -> Evaluated:
+        """Fit parts, losses included; from the other side of a bound where a loss ends beyond it.
+
+        What losses take is not linear, and may fit as well with the sign that no robot has.
+        """
+        one = self._fitted_from(problem, parts, start)
+        values = self._coefficients(one)
+        beyond = {
+            term.name: 2.0 * term.bounds[0] - values[term.name]
+            for part in parts for term in part.terms
+            if term.kind == "loss" and values[term.name] < term.bounds[0]
+        }  # fmt: skip
+        if one.sound or not beyond:
+            return one
+        other = self._fitted_from(problem, parts, values | beyond)
+        return other if other.sound else one
+
+    def _fitted_from(
+        self, problem: Problem, parts: Sequence[Part], start: Mapping[str, float] | None
+    ) -> Evaluated:
         terms = terms_of(parts)
         design = problem.design(terms, self.errors, start)
         errors = problem.reference(design)
