@@ -12,26 +12,25 @@ from itertools import combinations
 
 import numpy as np
 
-from energyplan.diagnosis.change_points import apart, between, lines, mark_changes
+from energyplan.diagnosis.change_points import mark_changes
 from energyplan.diagnosis.evidence import Account, classes
 from energyplan.diagnosis.explanations import Evaluated, Explanation, Found
-from energyplan.diagnosis.fitted_sets import LATE, WORTHWHILE, FittedSets
+from energyplan.diagnosis.fitted_sets import LATE, WORTHWHILE
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.plausible import likeness
 from energyplan.diagnosis.proposals import (
     OF_LOG,
     PAIRED,
     RARE,
-    About,
     Candidate,
     Set,
     terms_of,
 )
-from energyplan.diagnosis.settling import Make, settled
+from energyplan.diagnosis.settled_sets import SettledSets, Weighed
 from energyplan.diagnosis.stand_ins import followed_in
 from energyplan.fit.drives.late import ON_TIME, Late, least_late
 from energyplan.fit.drives.windows import Drive
-from energyplan.fit.least_squares import PAPER, Problem, fit
+from energyplan.fit.least_squares import Problem, fit
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL
 from energyplan.power.effects import Effect
@@ -42,14 +41,10 @@ SIGNIFICANCE = 0.01
 _TRIED = 6  # neighbours of the best set that are fitted as they are
 _AS_GOOD = 1.5  # odds of two explanations up to which neither is the better one
 _COMPARED = 1e-3  # probability from which on explanations are held against each other
-_CLOSER = 2  # times that lines are tried closer to each other, about so many
-_KEPT = 8  # lines about which others are tried
-_TOGETHER = 16  # lines in one table
-_SAMPLES = 5  # in a shortest window, that tell where a line may be
 _APART = 0.05  # delays that are worth sets of their own [s]
 
 
-class Search(FittedSets):
+class Search(SettledSets):
     """Joint search over a catalogue.
 
     Parameters
@@ -129,7 +124,7 @@ class Search(FittedSets):
         if masked is not None:
             pools[masked] = self.pool(masked, usual)
         self.errors = self._best_of(pools).errors
-        weighed: dict[tuple[frozenset[int], Late], float] = {}
+        weighed: Weighed = {}
         for late, (candidates, sets) in pools.items():
             for chosen in sets:
                 one = self._reduced(chosen, candidates, late)
@@ -140,7 +135,7 @@ class Search(FittedSets):
 
     def _climb(
         self,
-        weighed: dict[tuple[frozenset[int], Late], float],
+        weighed: Weighed,
         pools: dict[Late, list[Candidate]],
     ) -> None:
         """Add to the best set, or replace in it, one effect after the other while that helps.
@@ -160,10 +155,9 @@ class Search(FittedSets):
             self.followed = followed_in(design, candidates, one)
             others = [k for k in range(len(candidates)) if k not in chosen]
             # A change takes up what others of its set are beside the truth by: without one, too.
-            bare = {k for k in now if candidates[k].marked is None}
-            cores = [set(chosen)] if bare == chosen else [set(chosen), bare]
-            trials = cores[1:]
-            for core in cores:
+            cores = [now, tuple(k for k in now if candidates[k].marked is None)]
+            trials = [set(core) for core in cores if core != now]
+            for core in dict.fromkeys(cores):
                 trials += [{*core, new} for new in others]
                 trials += [
                     {*core, new} - {old} for old in core for new in others
@@ -172,7 +166,11 @@ class Search(FittedSets):
             sets = [tuple(sorted(some)) for some in trials]
             sets = [some for some in sets if self._compatible(candidates, some)]
             scores = self._scores(design, candidates, sets, one.errors)
-            pairs = [one for core in cores for one in self._pairs(core, sets, scores, candidates)]
+            pairs = [
+                one
+                for core in dict.fromkeys(cores)
+                for one in self._pairs(core, sets, scores, candidates)
+            ]
             scores = np.append(scores, self._scores(design, candidates, pairs, one.errors))
             sets += pairs
             before = set(weighed)
@@ -187,13 +185,13 @@ class Search(FittedSets):
                 return
 
     def _pairs(
-        self, now: set[int], sets: Sequence[Set], scores: FloatArray, candidates: Sequence[Candidate]
+        self, now: Set, sets: Sequence[Set], scores: FloatArray, candidates: Sequence[Candidate]
     ) -> list[Set]:
         """Return a set with two further effects, of those that add most to it: they may mask."""
         best: dict[str, int] = {}
         for k in np.argsort(-scores, kind="stable"):
-            if now < set(sets[k]) and len(sets[k]) == len(now) + 1:
-                (new,) = set(sets[k]) - now
+            if set(now) < set(sets[k]) and len(sets[k]) == len(now) + 1:
+                (new,) = set(sets[k]) - set(now)
                 best.setdefault(candidates[new].name, new)
         pairs = combinations(list(best.values())[:PAIRED], 2)
         some = (tuple(sorted({*now, *pair})) for pair in pairs)
@@ -218,7 +216,7 @@ class Search(FittedSets):
 
     def _redelay(
         self,
-        weighed: dict[tuple[frozenset[int], Late], float],
+        weighed: Weighed,
         pools: Mapping[Late, list[Candidate]],
     ) -> None:
         """Weigh the best set at each other time offset, too.
@@ -239,145 +237,13 @@ class Search(FittedSets):
                 reduced = self._reduced(tuple(same), candidates, late)
                 weighed[(frozenset(reduced), late)] = self._posterior(reduced, candidates, late)
 
-    def _settle_best(
-        self,
-        weighed: dict[tuple[frozenset[int], Late], float],
-        pools: Mapping[Late, list[Candidate]],
-    ) -> None:
-        """Move the parameters of the best set, which a grid has, to where it fits best.
-
-        What a value of the grid beside the true one leaves would look like one effect or another.
-        """
-        chosen, late = max(weighed, key=lambda key: weighed[key])
-        candidates = pools[late]
-        one = self._evaluate(tuple(sorted(chosen)), candidates, late)
-        moved: Set | None = None
-        for k in sorted(chosen):
-            if candidates[k].part.params and not candidates[k].settled:
-                moved = self._settle(k, moved or tuple(sorted(chosen)), candidates, one) or moved
-        if moved is not None:
-            reduced = self._reduced(moved, candidates, late)
-            weighed[(frozenset(reduced), late)] = self._posterior(reduced, candidates, late)
-
-    def _settle_delay(
-        self,
-        weighed: dict[tuple[frozenset[int], Late], float],
-        pools: dict[Late, list[Candidate]],
-    ) -> None:
-        """Move a time offset to where the best set fits best.
-
-        It was found without most of the set, and what it is beside the true one by looks like one
-        effect or another.
-        """
-        chosen, late = max(weighed, key=lambda key: weighed[key])
-        if self.delay is None or late == ON_TIME:
-            return
-        one = self._evaluate(tuple(sorted(chosen)), pools[late], late)
-        part = Part(self.delay, late.params)
-        made = self._moved([*one.parts, part], len(one.parts), one.problem)
-        better = settled(part, made, one.errors)
-        if better is not None:
-            moved = Late.of(made(better)[0][-1].params)
-            pools[moved] = pools[late]
-            reduced = self._reduced(tuple(sorted(chosen)), pools[moved], moved)
-            weighed[(frozenset(reduced), moved)] = self._posterior(reduced, pools[moved], moved)
-
-    def _settle(
-        self, k: int, chosen: Set, candidates: list[Candidate], now: Evaluated
-    ) -> Set | None:
-        """Return a set with a candidate's parameters moved to where it fits best, if it does.
-
-        What is moved becomes a further candidate, as probable before the data as it was.
-        """
-        parts, at = [candidates[j].part for j in chosen], chosen.index(k)
-        if parts[at].effect.acts == "place":
-            parts[at] = self._nearest(parts, at, now)
-        part, made = parts[at], self._moved(parts, at, now.problem)
-        better = settled(part, made, now.errors)
-        if better is None:
-            if part == candidates[k].part:
-                return None
-            better = np.array([value for _, value in part.params])
-        last = max(one.columns[-1] for one in candidates if one.columns)
-        columns = tuple(range(last + 1, last + 1 + len(part.terms)))
-        part = made(better)[0][at]
-        candidates.append(replace(candidates[k], part=part, columns=columns, settled=True))
-        return tuple(sorted({*chosen, len(candidates) - 1} - {k}))
-
-    def _nearest(self, parts: Sequence[Part], at: int, now: Evaluated) -> Part:
-        """Return the line with which a set fits best, of many: the nearest to start from.
-
-        Wheels cross a border one after the other, so that lines beside the best one are worse than
-        others that are far from it. About the best of a grid further ones are tried, closer and
-        closer to each other.
-        """
-        problem = now.problem.thinned(_SAMPLES)
-        about = self._about(now.problem, now.parts, now.errors)
-        rest = [part for k, part in enumerate(parts) if k != at]
-        best = [*lines(parts[at].effect, problem.drives, problem.vehicle, fine=True), parts[at]]
-        for level in range(_CLOSER + 1):
-            if level:
-                best = list(between(best, level, problem.drives, problem.vehicle))
-            scores = np.concatenate(
-                [
-                    self._alone(rest, best[k : k + _TOGETHER], problem, about, now.errors)
-                    for k in range(0, len(best), _TOGETHER)
-                ]
-            )
-            ranked = [best[k] for k in np.argsort(-scores, kind="stable")]
-            best = apart(ranked, level, problem.vehicle)[:_KEPT]
-        return best[0]
-
-    def _alone(
-        self, rest: Sequence[Part], new: Sequence[Part], problem: Problem, about: About,
-        errors: FloatArray,
-    ) -> FloatArray:  # fmt: skip
-        """Score a set with one of several further parts each."""
-        candidates, first = [], len(PAPER)
-        for part in (*rest, *new):
-            columns = tuple(range(first, first + len(part.terms)))
-            first += len(columns)
-            candidates.append(Candidate(part, columns, 0.0))
-        design = self._table(problem, candidates, about)
-        sets = [(*range(len(rest)), len(rest) + k) for k in range(len(new))]
-        return self._scores(design, candidates, sets, errors)
-
-    def _settled_lines(
-        self, sets: Sequence[Set], scores: FloatArray, candidates: list[Candidate], now: Evaluated
-    ) -> list[Set]:
-        """Return the best set with each effect of a place, its line moved to where it fits best.
-
-        Lines of a grid lie up to half a step beside the border, and tell only part of it.
-        """
-        found: list[Set] = []
-        order = np.argsort(-scores, kind="stable")
-        plain = [sets[k] for k in order if not any(candidates[j].marked for j in sets[k])]
-        known = {part.effect.name for part in now.parts}
-        if any(part.effect.acts == "change" for part in now.parts):
-            known = set()
-        for effect in self.effects:
-            if effect.acts != "place" or effect.name in known:
-                continue
-            own = {
-                k for k, one in enumerate(candidates)
-                if one.part.effect is effect and not one.settled
-            }  # fmt: skip
-            chosen = next((some for some in plain if own & set(some)), None)
-            if chosen is None:
-                continue
-            (line,) = own & set(chosen)
-            moved = self._settle(line, chosen, candidates, now)
-            if moved is not None:
-                found.append(moved)
-        return found
-
     def _levelled(self, nuisance: Sequence[Part]) -> Problem:
         """Give each run the factor by which it differs as a whole: else long runs decide."""
         return self.problem.levelled(terms_of(nuisance))
 
     def _explained(
         self,
-        weighed: dict[tuple[frozenset[int], Late], float],
+        weighed: Weighed,
         pools: dict[Late, list[Candidate]],
     ) -> Found:
         # Exact ties go to the effect that comes first in the catalogue.
@@ -463,33 +329,6 @@ class Search(FittedSets):
         places = [sorted(order.get(name, -1) for name in one.names) for one in told]
         shares = [-round(one.probability, 3) for one in told]
         return [told[k] for k in sorted(range(len(told)), key=lambda k: (shares[k], places[k]))]
-
-    def _refined(self, best: Explanation) -> Explanation:
-        """Move the parameters that were searched on a grid to where the loss is least."""
-        parts, problem = list(best.parts), best.problem
-        design = problem.design(terms_of(parts))
-        errors = problem.reference(design)
-        for k, part in enumerate(parts):
-            if not part.params:
-                continue
-
-            made = self._moved(parts, k, problem)
-            better = settled(part, made, errors)
-            if better is not None:
-                parts, problem = made(better)
-        return replace(best, parts=tuple(parts), problem=problem)
-
-    def _moved(self, parts: Sequence[Part], k: int, problem: Problem) -> Make:
-        """Return a function from a part's parameters to the parts and drives with them."""
-        part = parts[k]
-
-        def made(values: FloatArray) -> tuple[list[Part], Problem]:
-            named = zip((key for key, _ in part.params), values.tolist(), strict=True)
-            trial = [*parts[:k], replace(part, params=tuple(named)), *parts[k + 1 :]]
-            late = part.effect is self.delay
-            return trial, problem.delayed(Late.of(trial[k].params)) if late else problem
-
-        return made
 
     def take_all(self) -> Found:
         """Take every effect whether it helps or not, in the order given."""

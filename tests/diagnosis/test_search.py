@@ -12,13 +12,15 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
-from energyplan.diagnosis.change_points import mark_changes
+from energyplan.diagnosis.change_points import crosses, lines, mark_changes
 from energyplan.diagnosis.part import Part
+from energyplan.diagnosis.proposals import Candidate
 from energyplan.diagnosis.search import Search
 from energyplan.fit.drives.late import ON_TIME, Late
-from energyplan.fit.drives.windows import prepared
+from energyplan.fit.drives.windows import Drive, prepared
 from energyplan.fit.least_squares import PAPER, Problem
-from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, TOWED_DRAG
+from energyplan.motion import Motion
+from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, SLIP_BEYOND, TOWED_DRAG
 from energyplan.power.effects import VISCOUS_LOSS, WARM_UP, catalogue
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")
@@ -71,11 +73,13 @@ def test_pairs_hold_the_set_and_two_effects_more(search: Search) -> None:
     assert search._pairs((0,), singles, np.zeros(3), candidates) == [(0, 1, 2)]
 
 
-def one_drive(model: PowerModel, names: tuple[str, ...], disturbed: float = 0.0) -> Search:
+def one_drive(
+    model: PowerModel, names: tuple[str, ...], disturbed: float = 0.0, late: float = 0.0
+) -> Search:
     """Return a search over some effects, on a drive with a power that none of them has."""
     log = simulate.drive(
         model, simulate.IDENTIFICATION, rate=10.0, speed=0.7, power_noise=1.0, measured="total",
-        without={"accel_x"},
+        without={"accel_x"}, delays={"power": late} if late else None,
     )  # fmt: skip
     size = disturbed * float(np.sqrt(np.mean(log.power**2)))
     swing = np.sqrt(2.0) * size * np.sin(2.0 * np.pi * log.t / 23.0)
@@ -140,6 +144,68 @@ def test_values_between_those_of_a_grid_are_found_while_a_set_grows() -> None:
     assert max(weighed.values()) > before
     search._settle_best(weighed, {ON_TIME: candidates})  # and stays there
     assert len(candidates) == len(sets) + 1
+
+
+def test_a_time_offset_moves_with_the_best_set() -> None:
+    search = one_drive(ROBOT, ("time_offset",), late=0.3)
+    first = Late(0.25)
+    weighed = {(frozenset[int](), first): search._posterior((), [], first)}
+    pools: dict[Late, list[Candidate]] = {first: []}
+    search._settle_delay(weighed, pools)
+    (moved,) = set(pools) - {first}
+    assert moved.delay == pytest.approx(0.3, abs=0.02)  # a fifth of a sample
+    assert weighed[frozenset(), moved] > weighed[frozenset(), first]
+
+
+def bordered() -> Search:
+    """A search on a drive that begins with spins whose wheels cross a border."""
+    line = replace(SLIP_BEYOND, params={"direction": -1.0, "offset": 0.2})
+    return one_drive(ROBOT.with_term(line, 0.3), ("surface_border",))
+
+
+def test_wheels_cross_a_line_that_the_middle_of_the_robot_does_not() -> None:
+    t = np.arange(0.0, 20.0, 0.1)
+    channels = {"x": 0.0 * t, "y": 0.0 * t, "yaw": 0.5 * t}
+    drive = Drive.at(Motion(0.0 * t - 0.2, 0.0 * t + 0.2, ROBOT.vehicle.icr, channels))
+    reach = float(np.hypot(*ROBOT.vehicle.contacts.T).max())
+    line = {"direction": 0.0, "offset": 0.5 * reach}
+    assert crosses(line, [drive], ROBOT.vehicle)
+    assert not crosses(line | {"offset": 1.1 * reach}, [drive], ROBOT.vehicle)
+    found = list(lines(catalogue()["surface_border"], [drive], ROBOT.vehicle))
+    assert np.std([dict(part.params)["offset"] for part in found]) > 0.2 * reach
+
+
+def test_a_border_is_found_that_no_line_of_the_grid_is_near() -> None:
+    search = bordered()
+    candidates = search._candidates(None)
+    one = search._evaluate((), candidates, ON_TIME)
+    worst = min(candidates, key=lambda c: search.score(search._fitted(one.problem, [c.part])))
+    found = dict(search._nearest([worst.part], 0, one).params)
+    # Told from the other side, it is the same line.
+    way = 1.0 if np.cos(found["direction"] + 1.0) > 0.0 else -1.0
+    assert np.cos(found["direction"] + 1.0) * way > np.cos(0.15)
+    assert way * found["offset"] == pytest.approx(0.2, abs=0.1)
+
+
+def test_a_loss_beyond_its_bound_is_fitted_from_the_other_side(
+    search: Search, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts = [Part(catalogue()[name]) for name in NAMES]
+    right = search._fitted(search.problem, parts)
+    size = search._coefficients(right)["copper_loss"]
+    assert size == pytest.approx(4e-4, rel=0.2)
+    starts = []
+
+    def ends(problem, parts, start):  # a fit that ends where it starts
+        starts.append(start)
+        values = np.array(right.fit.values)
+        values[2] = start["copper_loss"]
+        return replace(right, fit=replace(right.fit, values=values), sound=values[2] >= 0.0)
+
+    monkeypatch.setattr(search, "_fitted_from", ends)
+    again = search._fitted(search.problem, parts, {"copper_loss": -size})
+    assert search._coefficients(again)["copper_loss"] == pytest.approx(size)
+    assert [start["copper_loss"] for start in starts] == pytest.approx([-size, size])
 
 
 @pytest.mark.nightly

@@ -1,0 +1,189 @@
+"""Parameters that sets have from a grid, moved to where the sets fit best (private)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from energyplan.diagnosis.change_points import apart, between, lines
+from energyplan.diagnosis.explanations import Evaluated, Explanation
+from energyplan.diagnosis.fitted_sets import FittedSets
+from energyplan.diagnosis.part import Part
+from energyplan.diagnosis.proposals import About, Candidate, Set, terms_of
+from energyplan.diagnosis.settling import Make, settled
+from energyplan.fit.drives.late import ON_TIME, Late
+from energyplan.fit.least_squares import PAPER, Problem
+from energyplan.path import FloatArray
+
+_CLOSER = 2  # times that lines are tried closer to each other, about so many
+_KEPT = 8  # lines about which others are tried
+_TOGETHER = 16  # lines in one table
+_SAMPLES = 5  # in a shortest window, that tell where a line may be
+
+Weighed = dict[tuple[frozenset[int], Late], float]
+"""Likelihood times prior of sets at time offsets, as logarithms."""
+
+
+class SettledSets(FittedSets):
+    """Sets with parameters where they fit best; its parameters are those of `Proposals`."""
+
+    def _settle_best(
+        self,
+        weighed: Weighed,
+        pools: Mapping[Late, list[Candidate]],
+    ) -> None:
+        """Move the parameters of the best set, which a grid has, to where it fits best.
+
+        What a value of the grid beside the true one leaves would look like one effect or another.
+        """
+        chosen, late = max(weighed, key=lambda key: weighed[key])
+        candidates = pools[late]
+        one = self._evaluate(tuple(sorted(chosen)), candidates, late)
+        moved: Set | None = None
+        for k in sorted(chosen):
+            if candidates[k].part.params and not candidates[k].settled:
+                moved = self._settle(k, moved or tuple(sorted(chosen)), candidates, one) or moved
+        if moved is not None:
+            reduced = self._reduced(moved, candidates, late)
+            weighed[(frozenset(reduced), late)] = self._posterior(reduced, candidates, late)
+
+    def _settle_delay(
+        self,
+        weighed: Weighed,
+        pools: dict[Late, list[Candidate]],
+    ) -> None:
+        """Move a time offset to where the best set fits best.
+
+        It was found without most of the set, and what it is beside the true one by looks like one
+        effect or another.
+        """
+        chosen, late = max(weighed, key=lambda key: weighed[key])
+        if self.delay is None or late == ON_TIME:
+            return
+        one = self._evaluate(tuple(sorted(chosen)), pools[late], late)
+        part = Part(self.delay, late.params)
+        made = self._moved([*one.parts, part], len(one.parts), one.problem)
+        better = settled(part, made, one.errors)
+        if better is not None:
+            moved = Late.of(made(better)[0][-1].params)
+            pools[moved] = pools[late]
+            reduced = self._reduced(tuple(sorted(chosen)), pools[moved], moved)
+            weighed[(frozenset(reduced), moved)] = self._posterior(reduced, pools[moved], moved)
+
+    def _settle(
+        self, k: int, chosen: Set, candidates: list[Candidate], now: Evaluated
+    ) -> Set | None:
+        """Return a set with a candidate's parameters moved to where it fits best, if it does.
+
+        What is moved becomes a further candidate, as probable before the data as it was.
+        """
+        parts, at = [candidates[j].part for j in chosen], chosen.index(k)
+        if parts[at].effect.acts == "place":
+            parts[at] = self._nearest(parts, at, now)
+        part, made = parts[at], self._moved(parts, at, now.problem)
+        better = settled(part, made, now.errors)
+        if better is None:
+            if part == candidates[k].part:
+                return None
+            better = np.array([value for _, value in part.params])
+        last = max(one.columns[-1] for one in candidates if one.columns)
+        columns = tuple(range(last + 1, last + 1 + len(part.terms)))
+        part = made(better)[0][at]
+        candidates.append(replace(candidates[k], part=part, columns=columns, settled=True))
+        return tuple(sorted({*chosen, len(candidates) - 1} - {k}))
+
+    def _nearest(self, parts: Sequence[Part], at: int, now: Evaluated) -> Part:
+        """Return the line with which a set fits best, of many: the nearest to start from.
+
+        Wheels cross a border one after the other, so that lines beside the best one are worse than
+        others that are far from it. About the best of a grid further ones are tried, closer and
+        closer to each other.
+        """
+        problem = now.problem.thinned(_SAMPLES)
+        about = self._about(now.problem, now.parts, now.errors)
+        rest = [part for k, part in enumerate(parts) if k != at]
+        best = [*lines(parts[at].effect, problem.drives, problem.vehicle, fine=True), parts[at]]
+        for level in range(_CLOSER + 1):
+            if level:
+                best = list(between(best, level, problem.drives, problem.vehicle))
+            scores = np.concatenate(
+                [
+                    self._alone(rest, best[k : k + _TOGETHER], problem, about, now.errors)
+                    for k in range(0, len(best), _TOGETHER)
+                ]
+            )
+            ranked = [best[k] for k in np.argsort(-scores, kind="stable")]
+            best = apart(ranked, level, problem.vehicle)[:_KEPT]
+        return best[0]
+
+    def _alone(
+        self, rest: Sequence[Part], new: Sequence[Part], problem: Problem, about: About,
+        errors: FloatArray,
+    ) -> FloatArray:  # fmt: skip
+        """Score a set with one of several further parts each."""
+        candidates, first = [], len(PAPER)
+        for part in (*rest, *new):
+            columns = tuple(range(first, first + len(part.terms)))
+            first += len(columns)
+            candidates.append(Candidate(part, columns, 0.0))
+        design = self._table(problem, candidates, about)
+        sets = [(*range(len(rest)), len(rest) + k) for k in range(len(new))]
+        return self._scores(design, candidates, sets, errors)
+
+    def _settled_lines(
+        self, sets: Sequence[Set], scores: FloatArray, candidates: list[Candidate], now: Evaluated
+    ) -> list[Set]:
+        """Return the best set with each effect of a place, its line moved to where it fits best.
+
+        Lines of a grid lie up to half a step beside the border, and tell only part of it.
+        """
+        found: list[Set] = []
+        order = np.argsort(-scores, kind="stable")
+        plain = [sets[k] for k in order if not any(candidates[j].marked for j in sets[k])]
+        known = {part.effect.name for part in now.parts}
+        if any(part.effect.acts == "change" for part in now.parts):
+            known = set()
+        for effect in self.effects:
+            if effect.acts != "place" or effect.name in known:
+                continue
+            own = {
+                k for k, one in enumerate(candidates)
+                if one.part.effect is effect and not one.settled
+            }  # fmt: skip
+            chosen = next((some for some in plain if own & set(some)), None)
+            if chosen is None:
+                continue
+            (line,) = own & set(chosen)
+            moved = self._settle(line, chosen, candidates, now)
+            if moved is not None:
+                found.append(moved)
+        return found
+
+    def _refined(self, best: Explanation) -> Explanation:
+        """Move the parameters that were searched on a grid to where the loss is least."""
+        parts, problem = list(best.parts), best.problem
+        design = problem.design(terms_of(parts))
+        errors = problem.reference(design)
+        for k, part in enumerate(parts):
+            if not part.params:
+                continue
+
+            made = self._moved(parts, k, problem)
+            better = settled(part, made, errors)
+            if better is not None:
+                parts, problem = made(better)
+        return replace(best, parts=tuple(parts), problem=problem)
+
+    def _moved(self, parts: Sequence[Part], k: int, problem: Problem) -> Make:
+        """Return a function from a part's parameters to the parts and drives with them."""
+        part = parts[k]
+
+        def made(values: FloatArray) -> tuple[list[Part], Problem]:
+            named = zip((key for key, _ in part.params), values.tolist(), strict=True)
+            trial = [*parts[:k], replace(part, params=tuple(named)), *parts[k + 1 :]]
+            late = part.effect is self.delay
+            return trial, problem.delayed(Late.of(trial[k].params)) if late else problem
+
+        return made
