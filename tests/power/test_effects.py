@@ -198,6 +198,16 @@ def test_what_a_planner_does_not_know_is_warm_changed_and_level() -> None:
         _power(SLIP_BEYOND, motion)
 
 
+def test_the_size_of_a_change_of_payload_is_the_mass_that_explains_it() -> None:
+    """A robot that is so much heavier draws what the changed one draws."""
+    light, motion = PowerModel.paper(VEHICLE, 110.0, 0.43), _motion(0.5, 0.2)
+    changed = light.with_term(SLIP_CHANGE, 0.06).with_term(TRACTION_CHANGE, 0.0)
+    added = catalogue()["payload_change"].value(changed)
+    heavy = PowerModel.paper(VEHICLE.with_mass(VEHICLE.mass + added), 110.0, 0.43)
+    assert float(changed.power(motion)) == pytest.approx(float(heavy.power(motion)), rel=1e-12)
+    assert float(changed.power(motion)) > 1.01 * float(light.power(motion))
+
+
 def test_every_term_of_the_catalogue_prices_motion_for_a_planner() -> None:
     for entry in catalogue().values():
         model = PowerModel.paper(VEHICLE, 110.0, 0.43)
