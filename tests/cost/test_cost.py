@@ -165,9 +165,10 @@ def test_lower_bound_holds_for_every_element(point: tuple[float, float]) -> None
         assert bound.per_metre > 0
 
 
-def test_lower_bound_of_the_static_model_is_a_and_beta() -> None:
-    bound = EnergyCost.from_coefficients(200.0, 70.0, icr=0.5).lower_bound()
-    assert (bound.per_metre, bound.per_radian) == pytest.approx((200.0, 70.0))
+@pytest.mark.parametrize("coefficients", [(200.0, 70.0), (0.8, 0.05)], ids=["usual", "desk"])
+def test_lower_bound_of_the_static_model_is_a_and_beta(coefficients: tuple[float, float]) -> None:
+    bound = EnergyCost.from_coefficients(*coefficients, icr=0.5).lower_bound()
+    assert (bound.per_metre, bound.per_radian) == pytest.approx(coefficients)
 
 
 WEIGHT = 9.81 * MODEL.vehicle.mass
