@@ -107,9 +107,10 @@ def table_of(frame: Any, error: type[InvalidInputError]) -> Table:
     if len(set(names)) < len(names):
         twice = next(one for one in names if names.count(one) > 1)
         raise error(f"the DataFrame: two columns are named {twice!r}; rename one")
-    long = find_long(frame.set_axis(names, axis=1))
+    named = frame.set_axis(names, axis=1)
+    long = find_long(named)
     if long is not None:
-        return _widened(frame.set_axis(names, axis=1), long, ".", Path("DataFrame"), error)
+        return _widened(named, long, ".", Path("DataFrame"), error)
     made = Columns(names, 0, "row")
     made.add(frame)
     return made.table(Path("DataFrame"), error)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,7 @@ class Hold:
     rows: int
     mean: bool = False
 
-    @property
+    @cached_property
     def first(self) -> NDArray[np.intp]:
         """Rows in which a reading stands first."""
         return np.unique(self.starts)
@@ -92,11 +93,10 @@ def find_hold(channels: Mapping[str, FloatArray], motion: Motion, power: FloatAr
     if _TOGETHER * len(first) > min(np.count_nonzero(one) for one in changes):
         return None
     starts = np.maximum.accumulate(np.where(fresh, np.arange(len(power)), 0))
-    moving = np.abs(motion.v_left) + np.abs(motion.v_right) > 0.0
-    driven = np.logical_and.reduceat(moving, first)[:-1]
+    v = np.abs(motion.v_left) + np.abs(motion.v_right)
+    driven = np.logical_and.reduceat(v > 0.0, first)[:-1]
     rows = int(np.median(np.diff(first)[driven] if np.any(driven) else np.diff(first)))
     sampled = Hold(starts, rows)
-    v = np.abs(motion.v_left) + np.abs(motion.v_right)
     turn = np.abs(motion.v_right - motion.v_left)
     X = np.stack([v, turn, motion.channels["accel"] * motion.v, np.ones(len(v))], axis=1)
     if len(first) < _EACH * X.shape[1]:
