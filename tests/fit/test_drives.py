@@ -14,11 +14,21 @@ from energyplan.fit import identify
 from energyplan.fit.drives.denoise import quiet
 from energyplan.fit.drives.late import Late
 from energyplan.fit.drives.linear import linearise_drive, power_of
+from energyplan.fit.drives.preload import straights
 from energyplan.fit.drives.windows import Drive, prepared
 from energyplan.fit.least_squares import Problem, fit
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
-from energyplan.power import DRIVE_LOSS, HOTEL, REGENERATION_LOSS, SLIP, TRACTION, PowerModel, Term
+from energyplan.power import (
+    DRIVE_LOSS,
+    HOTEL,
+    REGENERATION_LOSS,
+    SLIP,
+    TRACTION,
+    PowerModel,
+    Sides,
+    Term,
+)
 from energyplan.power.effects import COPPER_LOSS, LINEAR_INERTIA, catalogue
 from energyplan.simulate import Setpoint
 
@@ -153,6 +163,27 @@ def test_straight_lines_are_not_told_to_hold_anything() -> None:
     problem, terms = _lossy(0.0, "copper_loss", wide=False)
     true = PowerModel.preset("quadriga:full:concrete").coefficients
     assert problem.odds(terms, np.array([*true, 4.5e-4])) == 0.0
+
+
+def test_a_stretch_holds_what_its_power_tells_up_to_the_limit_of_friction() -> None:
+    """By copper's loss, which grows with the square: a quarter of the most is half the moment."""
+    seconds, loss, limit = [6.0, 6.0, 30.0], 4.5e-4, 100.0
+    stretch = np.repeat(range(3), (np.array(seconds) / PERIOD).astype(int))
+    v = np.array([0.6, -0.6, 0.6])[stretch]
+    most = 1.5 * limit  # contacts at rest hold half as much again
+    push = most / ICR.slip_track
+    dearest = 2.0 * loss * push**2
+    shares = np.array([0.25, 2.0, 0.0])
+    t = PERIOD * np.arange(len(v))
+    drive = Drive("made", t, Motion(v, v, ICR), dearest * shares[stretch])
+    none = np.zeros(len(v))
+    losses = [(COPPER_LOSS, loss)]
+    found = straights(drive, MODEL.vehicle, losses, Sides(none, none), limit, none)
+    assert found is not None
+    assert_allclose(found.forces.right, push * np.array([0.5, 1.0, 0.0])[stretch], rtol=1e-4)
+    assert_allclose(found.forces.left, -found.forces.right)
+    # only what is less than the most, and more than nothing, is unknown
+    assert_allclose(found.pattern, dearest * np.array([1.0, 0.0, 0.0])[stretch])
 
 
 def test_a_prediction_knows_nothing_of_the_power_that_was_measured() -> None:
