@@ -202,6 +202,15 @@ def test_paths_reach_goals_to_a_nanometre_at_every_distance() -> None:
             assert abs(math.remainder(here.yaw - goal[2], 2 * np.pi)) < 1e-9
 
 
+@pytest.mark.parametrize("c", [0.0, 0.2, 4.0])
+def test_no_two_segments_of_a_path_are_parts_of_one_arc(c: float) -> None:
+    starts, goals = random_pairs(60, seed=4, reach=(0.1, 10.0))
+    for start, goal in zip(starts, goals, strict=True):
+        route = steering.path(start, goal, unit_cost(c))
+        curvature = route.dtheta / route.ds  # here 0, 1 or -1
+        assert np.all(np.abs(np.diff(curvature)) > 0.5)
+
+
 @pytest.mark.parametrize("name", COSTS)
 def test_never_below_the_lower_bound(name: str) -> None:
     cost = COSTS[name]
