@@ -191,6 +191,20 @@ def test_the_yaw_rate_up_to_which_contacts_hold_is_fitted() -> None:
     assert free.drives[0].breakaway == 0.0
 
 
+def test_what_is_misfitted_at_every_yaw_rate_is_not_taken_for_contacts_that_hold() -> None:
+    """Two grounds, on one of which the sides differ more: that is no matter of holding."""
+    model = PowerModel.preset("quadriga:full:concrete")
+    log = simulate.identification_drive(model, power_noise=3.0, seed=5)
+    sides = log.sides
+    assert sides is not None
+    more = np.where(np.floor(log.t / 20.0) % 2 == 0, -0.45, 0.45)
+    change = 0.5 * more * (sides.right - sides.left)
+    powers = {"p_left": sides.left - change, "p_right": sides.right + change}
+    two = DriveLog({**log.channels, **powers}, "two grounds")
+    (drive,) = with_breakaway(Problem(prepared([two], model.vehicle), model.vehicle), ()).drives
+    assert (drive.equations, drive.breakaway) == (2, 0.0)
+
+
 def test_the_moment_between_the_sides_is_read_off_their_difference() -> None:
     log = _tracked(LOSSY, 7)
     drive = replace(Drive.of(log, LOSSY.vehicle), breakaway=0.02)
