@@ -19,6 +19,7 @@ from energyplan.errors import MissionError
 from energyplan.mission import Charger, Mission, MissionReport, Spreads, Task, evaluate
 from energyplan.mission.foresight import GuessedLegs, routes_wanted
 from energyplan.mission.legs import Legs
+from energyplan.motion import Motion
 from energyplan.path import Pose
 from energyplan.power import HOTEL, PowerModel, Residual
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
@@ -388,6 +389,28 @@ def test_what_is_left_must_be_on_board():
     free = evaluate(mission(tasks, order="free"))
     assert free.order == ("take", "leave")
     assert free.feasible
+
+
+def test_a_free_order_of_more_loads_than_are_priced_each_leaves_things_on_the_way_out():
+    """Along a corridor and back: every order in between is as long, and carries more."""
+    full = PowerModel.preset("quadriga:full:marble")
+    metres = [6.0, 2.0, 10.0, 4.0, 12.0, 8.0, 3.0]
+    left = 0.5 * 2.0 ** np.arange(7)  # 128 sums
+    tasks = [
+        Task(f"{x:g} m", Pose(1.0 + x, 2.0, 0.0), payload=-kg)
+        for x, kg in zip(metres, left.tolist(), strict=True)
+    ]
+    asked = mission(
+        tasks, map=hall(16.0, 4.0), start=Pose(1.0, 2.0, 0.0), payload=64.0, order="free",
+        payload_models={known().name: {64.0: full}}, planning_effort=150, confidence=0.5,
+    )  # fmt: skip
+    report = evaluate(asked)
+    out = np.argsort(metres)
+    assert report.order == tuple(tasks[k].name for k in out)
+    carried = 64.0 - np.append(0.0, np.cumsum(left[out]))
+    driven = np.append(np.diff(np.append(0.0, np.sort(metres))), max(metres))
+    ends = [m.power(Motion.from_twist(1.0, 0.0, m.vehicle.icr)) for m in (known(), full)]
+    assert report.energy == pytest.approx(np.interp(carried, [0.0, 64.0], ends) @ driven)
 
 
 # charging in shorter steps ends one bit below what it is to reach
