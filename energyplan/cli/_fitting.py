@@ -33,9 +33,6 @@ if TYPE_CHECKING:
     from energyplan.logs import DriveLog
     from energyplan.power import Term
 
-_CUT = 40.0
-"""Length from which a drive is cut [s]: two fifths of it, 16 s, are the least to judge by."""
-
 
 @app.command(
     epilog="Example: energyplan start foreign.csv --track 0.5 --wheelbase 0.475 --mass 147 "
@@ -178,6 +175,7 @@ def identify(
     does so by the paper's search.
     """
     from energyplan.fit import identify as run
+    from energyplan.fit.hoisted import doubts_off_the_ground
     from energyplan.fit.hoisted import hoisted as inside
     from energyplan.io.config import read_vehicle, write_model
     from energyplan.output import documents, text
@@ -190,12 +188,13 @@ def identify(
         if out or terms or without:
             raise InvalidInputError("--hoisted makes no model; leave out --out and the terms")
         sides = inside(drives, motor_constant)
+        drives = [replace(log, warnings=doubts_off_the_ground(log)) for log in drives]
         told = [*notes(drives), *_doubts_inside(sides, motor_constant)]
         document = {"sides": documents.plain(sides), "warnings": told}
         answer(document, [*text.hoisted(sides), *_noted(told)], json=json)
         return
     found = run(drives, robot, terms=_terms(terms, without), method=method)
-    doubts = (*notes(drives), *contradictions(drives, robot))
+    doubts = (*notes(drives, found.warnings), *contradictions(drives, robot))
     found = replace(found, warnings=(*doubts, *found.warnings))
     if out:
         write_model(found.model, out)
@@ -262,6 +261,7 @@ def diagnose(
     before and after on hold-out drives.
     """
     from energyplan.diagnosis import diagnose as run
+    from energyplan.fit import split_drives
     from energyplan.io.config import read_vehicle, write_model
     from energyplan.logs.checks import set_aside_by_drive
     from energyplan.output import documents, text
@@ -275,7 +275,7 @@ def diagnose(
     for note in (*notes(read), *contradictions(read, robot)):
         warn(note)
     if not judging:
-        training, judging = _split(training)
+        training, judging = split_drives(training)
     parts = {"training": _names(training), "judging": _names(judging)}
     with progress("diagnosing") as update:
         told = run(training, holdout=judging, vehicle=robot, progress=update)
@@ -300,30 +300,6 @@ def _apart(logs: list[Path], holdout: list[Path]) -> None:
                 raise InvalidInputError(
                     f"{path.name} is both a training and a hold-out drive; leave it in one list"
                 )
-
-
-def _split(drives: list[DriveLog]) -> tuple[list[DriveLog], list[DriveLog]]:
-    """Part drives into what to learn from and, two fifths of the time, what to judge on.
-
-    A drive is cut in two where both parts are long enough, or where there is no other one; else it
-    goes as a whole to where the share of time comes nearer to that.
-    """
-    learned: list[DriveLog] = []
-    judged: list[DriveLog] = []
-    for drive in drives:
-        if drive.duration >= _CUT or len(drives) == 1:
-            cut = float(drive.t[0] + 0.6 * (drive.t[-1] - drive.t[0]))
-            learned.append(drive.segment(float(drive.t[0]), cut))
-            judged.append(drive.segment(cut, math.nextafter(float(drive.t[-1]), math.inf)))
-        else:
-            total = _seconds([*learned, *judged, drive])
-            nearer = _seconds(judged) + 0.5 * drive.duration < 0.4 * total
-            (judged if nearer else learned).append(drive)
-    return learned, judged
-
-
-def _seconds(drives: list[DriveLog]) -> float:
-    return sum(drive.duration for drive in drives)
 
 
 def _names(drives: list[DriveLog]) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -58,13 +59,13 @@ def contradictions(logs: list[DriveLog], vehicle: Vehicle) -> list[str]:
     ]
 
 
-def notes(logs: list[DriveLog]) -> list[str]:
-    """Return what the readers of logs warned of; what holds for several logs is told once."""
+def notes(logs: list[DriveLog], told: Sequence[str] = ()) -> list[str]:
+    """Return what the readers of logs warned of, and is not yet told; once for several logs."""
     from energyplan.output.text import listed
 
     warned: dict[str, list[str]] = {}
     for log in logs:
-        for warning in log.warnings:
+        for warning in (one for one in log.warnings if not any(one in text for text in told)):
             warned.setdefault(warning, []).append(log.name)
     return [f"{listed(names)}: {warning}" for warning, names in warned.items()]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from energyplan.fit.drives.lengths import split_drives
 from energyplan.fit.icr import fit_icr
 from energyplan.fit.identification import (
     ICREstimate,
@@ -11,4 +12,12 @@ from energyplan.fit.identification import (
     identify,
 )
 
-__all__ = ["ICREstimate", "Identification", "fit_icr", "fit_residual", "icr_from_spin", "identify"]
+__all__ = [
+    "ICREstimate",
+    "Identification",
+    "fit_icr",
+    "fit_residual",
+    "icr_from_spin",
+    "identify",
+    "split_drives",
+]

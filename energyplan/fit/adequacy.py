@@ -18,7 +18,7 @@ from energyplan.fit.solvers import column_scale
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Term
 from energyplan.power.effect_terms import SLIP_CHANGE, TRACTION_CHANGE, WHEEL_FIGHT
-from energyplan.power.effects import catalogue
+from energyplan.power.effects import Effect, catalogue
 
 _FLOOR = 0.01
 """What is no more than this fraction of the root mean square power is as good as nothing."""
@@ -153,13 +153,17 @@ class Beside:
         ]
 
 
+def usual_effects() -> list[Effect]:
+    """Return what nearly every drive shows, and needs no channel of its own."""
+    return [effect for effect in catalogue().values() if effect.usual and not effect.channels]
+
+
 def usual_terms(terms: Sequence[Term]) -> list[Term]:
     """Return the terms of what nearly every drive shows, beside those of a model."""
     names = {term.name for term in terms}
     return [
         replace(term, params={**term.params, **dict(zip(effect.grid, values, strict=True))})
-        for effect in catalogue().values()
-        if effect.usual and not effect.channels
+        for effect in usual_effects()
         for values in product(*effect.grid.values())
         for term in effect.terms
         if term.name not in names

@@ -11,12 +11,14 @@ import numpy as np
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit.covariance import autocorrelation
 from energyplan.logs import DriveLog
+from energyplan.logs.plausible import find_doubts
 from energyplan.path import FloatArray
 
 _SLOWEST = 0.05  # tread speed from which a side turns [m/s]
 _BIN = 0.1  # width of the speed classes that are told [m/s]
 _STEADY = 0.15  # largest tread acceleration of a steady sample [m/s^2]
 _ENOUGH = 20
+_TRAVEL = {"x", "y", "yaw", "yaw_rate", "accel_x"}
 _PILED = 0.05  # share of moving readings at the least one, from which it is a dead band
 
 
@@ -107,6 +109,30 @@ def hoisted(
     """
     drives = [logs] if isinstance(logs, DriveLog) else list(logs)
     return tuple(_side(drives, side, motor_constant) for side in ("left", "right"))
+
+
+def doubts_off_the_ground(log: DriveLog) -> tuple[str, ...]:
+    """Return the warnings of a log that hold for a robot whose wheels are in the air.
+
+    It neither travels nor turns: what its pose or yaw rate would contradict on the ground, or lag
+    behind, is as it should be.
+
+    Parameters
+    ----------
+    log : DriveLog
+        A drive with the wheels in the air.
+
+    Returns
+    -------
+    tuple of str
+        Its warnings, without those that its pose and yaw rate alone give rise to.
+    """
+    power, runs = log.power, log.runs
+    kept = {name: v for name, v in log.channels.items() if name not in _TRAVEL}
+    stale = {*find_doubts(log.channels, power, runs, log.name)} - {
+        *find_doubts(kept, power, runs, log.name)
+    }
+    return tuple(warning for warning in log.warnings if warning not in stale)
 
 
 def _side(drives: Sequence[DriveLog], side: str, constant: float | None) -> InternalFriction:

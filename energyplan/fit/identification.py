@@ -12,10 +12,11 @@ from scipy.stats import t as student
 
 from energyplan import html
 from energyplan.errors import InvalidInputError, ModelError, NotIdentifiableError, UnknownNameError
-from energyplan.fit.adequacy import Adequacy, Beside, adequacy, beside, usual_terms
+from energyplan.fit.adequacy import Adequacy, Beside, adequacy, beside, usual_effects, usual_terms
 from energyplan.fit.breakaway import with_breakaway
 from energyplan.fit.covariance import autocorrelation
-from energyplan.fit.drives.windows import Drive, check_long_enough, prepared
+from energyplan.fit.drives.lengths import check_long_enough
+from energyplan.fit.drives.windows import Drive, prepared
 from energyplan.fit.icr import ICREstimate, fit_icr, icr_from_spin, turned, yaw_channel
 from energyplan.fit.identifiability import check_identifiable, linearise, signal_motion
 from energyplan.fit.joint import joint_fit
@@ -30,7 +31,6 @@ from energyplan.logs.one_side import find_lost_sign, refuse_one_side
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Term
-from energyplan.power.effects import catalogue
 from energyplan.records import ByValue
 from energyplan.vehicle import TreadICR, Vehicle
 
@@ -334,8 +334,7 @@ def _both_sides(drives: Sequence[DriveLog], vehicle: Vehicle, terms: Sequence[Te
     """Return drives as diagnosis fits them: each side an equation, where it slides."""
     check_long_enough(drives)
     usual = [
-        term for effect in catalogue().values()
-        if effect.usual and not effect.channels and not effect.grid
+        term for effect in usual_effects() if not effect.grid
         for term in effect.terms if term in terms
     ]  # fmt: skip
     return with_breakaway(Problem(prepared(drives, vehicle), vehicle), usual)

@@ -9,7 +9,7 @@ import numpy as np
 from energyplan.fit.covariance import correlation_time
 from energyplan.fit.drives.windows import Drive
 from energyplan.path import FloatArray
-from energyplan.power import Residual
+from energyplan.power import PowerModel, Residual
 
 
 def pieces_of(drives: Sequence[Drive]) -> list[slice]:
@@ -38,6 +38,38 @@ def energy_error(missing: float, measured: float) -> float:
     if measured == 0.0:
         return 0.0 if missing == 0.0 else -float(np.copysign(np.inf, missing))
     return -missing / measured
+
+
+def unfounded(model: PowerModel, confidence: float, spread: float) -> str:
+    """Tell why nothing can be said of a model's energies with a probability.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The model.
+    confidence : float
+        The probability; of 0.5 the mean is enough.
+    spread : float
+        Relative standard deviation of its coefficients that somebody stated; 0 where nobody did.
+
+    Returns
+    -------
+    str
+        The reason and the remedy; nothing where the model knows its errors.
+    """
+    if model.residual is not None and not np.isfinite(model.residual.energy_error):
+        return (
+            f"the model {model.name!r} missed all the energy of the drives that it was judged on, "
+            "which measured none; identify it from drives that do"
+        )
+    stated = confidence == 0.5 or spread > 0.0
+    if not stated and model.covariance is None and model.residual is None:
+        return (
+            f"the model {model.name!r} has neither a covariance nor a hold-out error, so no bound "
+            f"holds with confidence {confidence:g}; identify it from a log, state a "
+            "coefficient_spread, or ask for confidence 0.5"
+        )
+    return ""
 
 
 def statistics(drives: Sequence[Drive], powers: Sequence[FloatArray]) -> Residual:

@@ -55,17 +55,8 @@ _PLACES = {
 }  # fmt: skip
 """Words that tell which of a side's wheels, and what they tell of the side."""
 _MEASURED = {
-    "meas",
-    "measured",
-    "actual",
-    "act",
-    "feedback",
-    "fb",
-    "real",
-    "side",
-    "sensor",
-    "state",
-}
+    "meas", "measured", "actual", "act", "feedback", "fb", "real", "side", "sensor", "state",
+}  # fmt: skip
 """Words that say that a reading is one, and not of what."""
 _BATTERY = {"battery", "bat", "batt", "batterie", "bus", "bms", "pack"}
 _ELECTRIC = ("power", "voltage", "current")

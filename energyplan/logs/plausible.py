@@ -351,11 +351,15 @@ def _check_power(
     if not np.any(power):
         return ["power is zero all along"]
     told += _check_steps(left, right)
+    held = held_periods(channels)
+    together: dict[str, list[str]] = {}
+    for name, period in held.items():
+        together.setdefault(f"{period:.2g}", []).append(name)
     told += [
-        f"{name} is read every {period:.2g} s only, and repeated from row to row between: it is "
-        f"{0.5 * period:.2g} s late in the mean, which diagnose allows for; log it as often as the "
-        "speeds"
-        for name, period in held_periods(channels).items()
+        f"{' and '.join(names)} {'are' if len(names) > 1 else 'is'} read every {period} s only, and"
+        f" repeated from row to row between: {0.5 * float(period):.2g} s late in the mean, which "
+        "diagnose allows for; log the power as often as the speeds"
+        for period, names in together.items()
     ]
     sides = [name for name in ("p_left", "p_right") if {"p_left", "p_right"} <= set(channels)]
     flipped = [name for name in sides if _dragging(channels, name)]
@@ -382,7 +386,9 @@ def _check_power(
     some = _enough(runs)
     offset = find_offset("power", t, power, power_regressors(channels, some), some)
     if offset is not None and offset.certain and offset.explained > 0.75:
-        told.append(_offset_warning(offset))
+        # Readings that are held are late by up to the time between them, which is told already.
+        by_hold = 0.0 < offset.seconds < max(held.values(), default=0.0)
+        told += [] if by_hold else [_offset_warning(offset)]
     return told
 
 

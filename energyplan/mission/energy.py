@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from energyplan.errors import MissionError
+from energyplan.fit.residuals import unfounded
 from energyplan.limits.drive import Drive, Ground
 from energyplan.mission.types import Mission
 from energyplan.mission.unknowns import RUN, Unknowns
@@ -204,23 +205,8 @@ class Grounds:
     def _refuse_unfounded_bounds(self) -> None:
         mission = self._mission
         for model in (model for source in self._sources for model in source.models):
-            if model.residual is not None and not np.isfinite(model.residual.energy_error):
-                raise MissionError(
-                    f"the model {model.name!r} missed all the energy of the drives that it was "
-                    "judged on, which measured none; identify it from drives that do",
-                    ("model",),
-                )
-        if mission.confidence == 0.5 or mission.coefficient_spread > 0:
-            return
-        for source in self._sources:
-            for model in source.models:
-                if model.covariance is None and model.residual is None:
-                    raise MissionError(
-                        f"the model {model.name!r} has neither a covariance nor a hold-out error, "
-                        f"so no bound holds with confidence {mission.confidence:g}; identify it "
-                        "from a log, state a coefficient_spread, or ask for confidence 0.5",
-                        ("model",),
-                    )
+            if reason := unfounded(model, mission.confidence, mission.coefficient_spread):
+                raise MissionError(reason, ("model",))
 
     def _weights(self, source: _Source, payload: float) -> FloatArray:
         nodes = source.payloads

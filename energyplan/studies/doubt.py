@@ -16,6 +16,7 @@ import numpy as np
 from energyplan.battery import Battery
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
+from energyplan.fit.residuals import unfounded
 from energyplan.path import FloatArray
 from energyplan.planning.scene import slopes
 from energyplan.planning.scene.compiled import CompiledProblem
@@ -102,7 +103,8 @@ def upper_prices(query: CompiledProblem, confidence: float, spread: float) -> Up
     along, slope = ds * np.hypot(1.0, steep), np.arctan(steep)
     extra, noise = [], 0.0
     for cost in query.costs:
-        _check_known(cost, spread)
+        if reason := unfounded(cost.model, confidence, spread):
+            raise InvalidInputError(reason)
         mean = cost.segment_energy(along, dtheta, slope)
         residual = cost.model.residual
         error = 0.0 if residual is None else abs(residual.energy_error)
@@ -171,20 +173,6 @@ def most_power(cost: EnergyCost) -> float:
     angle = np.linspace(0.0, 2.0 * np.pi, 65)
     ds, dtheta = np.cos(angle), np.sin(angle) / cost.half_track
     return float(np.max(cost.segment_energy(ds, dtheta) / cost.segment_duration(ds, dtheta)))
-
-
-def _check_known(cost: EnergyCost, spread: float) -> None:
-    model = cost.model
-    if model.residual is not None and not np.isfinite(model.residual.energy_error):
-        raise InvalidInputError(
-            f"the model {model.name!r} missed all the energy of the drives that it was judged on, "
-            "which measured none; identify it from drives that do"
-        )
-    if spread == 0.0 and model.covariance is None and model.residual is None:
-        raise InvalidInputError(
-            f"the model {model.name!r} has neither a covariance nor a hold-out error, so nothing "
-            "can be said with a probability; identify it from a log, or state a coefficient spread"
-        )
 
 
 def _directions(cost: EnergyCost, spread: float) -> FloatArray:

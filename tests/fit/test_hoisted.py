@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from energyplan.errors import InvalidInputError, NotIdentifiableError
-from energyplan.fit.hoisted import hoisted
+from energyplan.fit.hoisted import doubts_off_the_ground, hoisted
 from energyplan.logs import DriveLog
 
 FORCE, SLOPE, AT = 40.0, 8.0, 0.6
@@ -109,3 +111,16 @@ def test_beats_of_the_encoders_leave_nearly_all_samples() -> None:
     for found in hoisted(DriveLog(drive(), "hoisted")):
         steady = 4 * 9 * 50
         assert sum(one.samples for one in found.classes) > 0.95 * steady
+
+
+def test_a_robot_in_the_air_need_not_turn_with_its_wheels() -> None:
+    made = drive()
+    rng = np.random.default_rng(2)
+    still = {name: rng.normal(0.0, 0.01, len(made["t"])) for name in ("x", "y", "yaw", "yaw_rate")}
+    made["p_left"] = made["p_left"].copy()
+    made["p_left"][100] = np.nan
+    log = DriveLog.from_columns({**made, **still}, "hoisted")
+    assert any("yaw_rate hardly follows" in text for text in log.warnings)
+    kept = doubts_off_the_ground(replace(log, warnings=(*log.warnings, "a column of text")))
+    assert not any("yaw" in text or " x and y" in text for text in kept), kept
+    assert "a column of text" in kept

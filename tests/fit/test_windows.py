@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from energyplan.errors import DriveLogError
+from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.fit.drives import windows
 from energyplan.fit.drives.columns import column, columns_of
 from energyplan.fit.drives.late import DELAYS, Late, lagged, least_late
+from energyplan.fit.drives.lengths import check_long_enough, split_drives
 from energyplan.fit.drives.linear import held_loss, linearise_drive
 from energyplan.fit.drives.preload import preload
 from energyplan.fit.drives.windows import (
@@ -21,7 +22,6 @@ from energyplan.fit.drives.windows import (
     Drive,
     Windows,
     channels_of,
-    check_long_enough,
     prepared,
 )
 from energyplan.logs import DriveLog
@@ -193,6 +193,13 @@ def test_short_logs_are_refused_and_long_ones_thinned(monkeypatch: pytest.Monkey
         check_long_enough([log(8.0), log(7.9)])
     with pytest.raises(DriveLogError, match=r"log: 3\.9 s are too short.* give 4 s or more"):
         check_long_enough([log(30.0), log(3.9)])
+    with pytest.raises(DriveLogError, match="too short to learn from, or to judge by"):
+        split_drives([log(30.0)])
+    with pytest.raises(InvalidInputError, match="no logs"):
+        split_drives([])
+    learned, judged = split_drives([log(40.0), log(30.0), log(20.0)])
+    assert [round(one.duration) for one in learned] == [24, 30]
+    assert [round(one.duration) for one in judged] == [16, 20]
     assert [len(d.t) for d in prepared([log(20.0)] * 2, MODEL.vehicle)] == [1001, 1001]
     monkeypatch.setattr(windows, "_MANY", 1001)
     assert [len(d.t) for d in prepared([log(20.0)] * 2, MODEL.vehicle)] == [501, 501]

@@ -1,0 +1,90 @@
+"""How long drives must be, and how they are parted into those to learn from and to judge by."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from energyplan.errors import DriveLogError, InvalidInputError
+from energyplan.fit.drives.windows import BLOCK
+from energyplan.kinds import checked
+from energyplan.logs import DriveLog
+
+_JUDGED = 0.4
+"""Share of the driving that is judged by."""
+
+_CUT = 2.0 * BLOCK / _JUDGED
+"""Length from which a drive is cut [s]: both parts are then long enough by themselves."""
+
+
+def check_long_enough(*lists: Sequence[DriveLog]) -> None:
+    """Refuse drives too short to be cut into blocks, each or all of a list together.
+
+    Raises
+    ------
+    DriveLogError
+        If a log is shorter than half a block, or all of a list together than two.
+    """
+    cases = [(log.name, [log], 0.5 * BLOCK) for logs in lists for log in logs]
+    cases += [(", ".join(log.name for log in logs[:3]), [*logs], 2 * BLOCK) for logs in lists]
+    for name, logs, least in cases:
+        seconds = sum(float(log.t[-1] - log.t[0]) for log in logs)
+        if seconds < least:
+            raise DriveLogError(
+                f"{name}: {seconds:.1f} s are too short to learn from, or to judge by; give "
+                f"{least:.0f} s or more"
+            )
+
+
+@checked()
+def split_drives(drives: Sequence[DriveLog]) -> tuple[list[DriveLog], list[DriveLog]]:
+    """Part drives into what to learn from and, two fifths of the time, what to judge by.
+
+    A drive is cut in two where both parts are long enough, or where there is no other one; else it
+    goes as a whole to where the share of time comes nearer to that. ``energyplan diagnose`` does so
+    where it is given no drives to judge by.
+
+    Parameters
+    ----------
+    drives : sequence of DriveLog
+        The drives.
+
+    Returns
+    -------
+    tuple of list of DriveLog
+        Drives to learn from, and drives to judge by.
+
+    Raises
+    ------
+    InvalidInputError
+        If there are no drives.
+    DriveLogError
+        If they are too short to learn from and to judge by.
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> truth = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> learned, judged = split_drives([ep.simulate.identification_drive(truth)])
+    >>> [round(judged[0].duration / (learned[0].duration + judged[0].duration), 2)]
+    [0.4]
+    """
+    if not drives:
+        raise InvalidInputError("no logs; give at least one drive")
+    learned: list[DriveLog] = []
+    judged: list[DriveLog] = []
+    for drive in drives:
+        if drive.duration >= _CUT or len(drives) == 1:
+            cut = float(drive.t[0] + (1.0 - _JUDGED) * (drive.t[-1] - drive.t[0]))
+            learned.append(drive.segment(float(drive.t[0]), cut))
+            judged.append(drive.segment(cut, math.nextafter(float(drive.t[-1]), math.inf)))
+        else:
+            total = _seconds([*learned, *judged, drive])
+            nearer = _seconds(judged) + 0.5 * drive.duration < _JUDGED * total
+            (judged if nearer else learned).append(drive)
+    check_long_enough(learned, judged)
+    return learned, judged
+
+
+def _seconds(drives: Sequence[DriveLog]) -> float:
+    return sum(drive.duration for drive in drives)
