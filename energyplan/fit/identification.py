@@ -17,6 +17,7 @@ from energyplan.fit.breakaway import with_breakaway
 from energyplan.fit.covariance import autocorrelation
 from energyplan.fit.drives.lengths import check_long_enough
 from energyplan.fit.drives.windows import Drive, prepared
+from energyplan.fit.foretold import Foretold, foretold
 from energyplan.fit.icr import ICREstimate, fit_icr, icr_from_spin, turned, yaw_channel
 from energyplan.fit.identifiability import check_identifiable, linearise, signal_motion
 from energyplan.fit.joint import joint_fit
@@ -67,6 +68,9 @@ class Identification(ByValue, html.Readable):
         What is left beside noise once the inertia and the mobilisation of friction that nearly
         every drive shows are allowed for. Where that is more than noise, the model lacks something,
         and coefficients may be off by more than their standard errors.
+    foretold : Foretold, optional
+        By how much energies are missed that are foretold from the other drives, or from the rest of
+        few drives; None where the drives took no energy.
     warnings : tuple of str
         What the logs do not determine, or hardly.
     set_aside : mapping of str to mapping of str to int
@@ -86,6 +90,7 @@ class Identification(ByValue, html.Readable):
     icr_covariance: FloatArray | None
     effective_samples: float
     adequacy: Adequacy
+    foretold: Foretold | None
     warnings: tuple[str, ...]
     set_aside: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
 
@@ -284,10 +289,11 @@ def identify(
     warnings += _draw_at_rest(ready, powers)
     usual = beside(usual_terms(terms), model, ready)
     quality = adequacy(ready, usual.residuals)
-    warnings += _missing(quality, model, usual)
+    told = foretold(model, ready, powers)
+    warnings += _missing(quality, model, usual, told)
     aside = set_aside_by_drive(drives)
     return Identification(
-        model, method, icr_covariance, independent, quality, tuple(warnings), aside
+        model, method, icr_covariance, independent, quality, told, tuple(warnings), aside
     )
 
 
@@ -340,8 +346,10 @@ def _both_sides(drives: Sequence[DriveLog], vehicle: Vehicle, terms: Sequence[Te
     return with_breakaway(Problem(prepared(drives, vehicle), vehicle), usual)
 
 
-def _missing(left: Adequacy, model: PowerModel, usual: Beside) -> list[str]:
-    """Warn of a model that lacks something: standard errors know of noise alone."""
+def _missing(
+    left: Adequacy, model: PowerModel, usual: Beside, left_out: Foretold | None
+) -> list[str]:
+    """Warn of a model that lacks something, and of how much: errors know of noise alone."""
     moves = usual.moves(model)
     if moves:
         told = f"inertia and the mobilisation of friction beside it move {' and '.join(moves)}"
@@ -349,9 +357,10 @@ def _missing(left: Adequacy, model: PowerModel, usual: Beside) -> list[str]:
         told = f"beside inertia it leaves {left.in_words}"
     else:
         return []
+    size = "" if left_out is None else f", energies by some {100 * left_out.error:.2g} %"
     return [
         f"the model lacks something: {told}. Coefficients may be off by more than their standard "
-        "errors; 'energyplan diagnose' with the same logs tells what is missing"
+        f"errors{size}; 'energyplan diagnose' with the same logs tells what is missing"
     ]
 
 

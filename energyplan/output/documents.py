@@ -78,6 +78,7 @@ def identification(found: Identification) -> Document:
         "icr": {**icr, "std_error": plain(found.icr_std_error)},
         "residual": residual(found.residual),
         "adequacy": adequacy(found.adequacy),
+        "foretold": None if found.foretold is None else plain(found.foretold),
         "set_aside": plain(found.set_aside),
         "warnings": list(found.warnings),
     }

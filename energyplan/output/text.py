@@ -47,6 +47,8 @@ def identification(found: Identification) -> list[str]:
         f"residual: rmse {number(misfit.rmse)} W, mae {number(misfit.mae)} W, bias "
         f"{number(misfit.bias)} W, energy {100 * misfit.energy_error:+.2f} %"
     )
+    if found.foretold is not None:
+        lines.append(f"unseen driving: {found.foretold.in_words}")
     lines += _set_aside(found.set_aside)
     lines += [f"note: {warning}" for warning in found.warnings]
     return lines

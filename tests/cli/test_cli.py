@@ -148,7 +148,9 @@ def test_identify_prints_what_the_library_finds(run: Run, spiral: Path, tmp_path
     result = run("identify", spiral, "--vehicle", "quadriga:full", "--out", out, "--json")
     assert result.code == 0
     found = ep.identify(ep.DriveLog.read(spiral), ep.Vehicle.preset("quadriga:full"))
-    assert set(result.json) == {"terms", "icr", "residual", "adequacy", "set_aside", "warnings"}
+    assert set(result.json) == {
+        "terms", "icr", "residual", "adequacy", "foretold", "set_aside", "warnings"
+    }  # fmt: skip
     assert set(result.json["icr"]) == {"left", "right", "longitudinal", "std_error"}
     assert set(result.json["residual"]) == {"rmse", "mae", "bias", "energy_error"}
     for row in result.json["terms"]:
