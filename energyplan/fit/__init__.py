@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from energyplan.fit.drives.lengths import split_drives
+from energyplan.fit.drives.parting import split_drives
 from energyplan.fit.icr import fit_icr
 from energyplan.fit.identification import (
     ICREstimate,

@@ -80,11 +80,17 @@ class _Increments:
 
 
 def yaw_channel(logs: Sequence[DriveLog]) -> str | None:
-    """Name the channel of the logs that shows how the robot turned, or None."""
-    for name in ("yaw", "yaw_rate"):
-        if any(log.has(name) for log in logs):
-            return name
-    return None
+    """Name the channel of the logs that shows how the robot turned, or None.
+
+    One that never changes shows it only where there is no other: an attitude that a driver fills
+    with zeros, say.
+    """
+    there = [name for name in ("yaw", "yaw_rate") if any(log.has(name) for log in logs)]
+    alive = [
+        name for name in there
+        if any(log.has(name) and np.ptp(log.channels[name]) > 0.0 for log in logs)
+    ]  # fmt: skip
+    return next(iter([*alive, *there]), None)
 
 
 def _neighbours(speed: FloatArray, period: float) -> FloatArray:

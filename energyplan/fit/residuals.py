@@ -66,8 +66,8 @@ def unfounded(model: PowerModel, confidence: float, spread: float) -> str:
     if not stated and model.covariance is None and model.residual is None:
         return (
             f"the model {model.name!r} has neither a covariance nor a hold-out error, so no bound "
-            f"holds with confidence {confidence:g}; identify it from a log, state a "
-            "coefficient_spread, or ask for confidence 0.5"
+            f"holds with confidence {confidence:g}; identify it from a log, state a coefficient "
+            "spread, or ask for confidence 0.5"
         )
     return ""
 

@@ -14,7 +14,10 @@ from energyplan.io.husky import NOT_TOLD, WHEEL_COLUMNS, is_husky, read_husky
 from energyplan.io.project import read_columns
 from energyplan.io.topics import TOPIC_MAPS, TopicMap
 from energyplan.logs import DriveLog
+from energyplan.logs.cells import Table
 from energyplan.logs.columns import Column
+from energyplan.logs.guess import Guess, guess
+from energyplan.logs.plausible import LONGEST_STEP
 from energyplan.logs.tables import read_table
 from energyplan.logs.units import UNITS
 
@@ -207,15 +210,19 @@ def _describe_bag(file: Path) -> LogInfo:
 def _describe_table(file: Path) -> LogInfo:
     table = read_table(file, DriveLogError).unchanged_held()
     husky = is_husky(file)
-    times = table.columns.get("time" if husky else "t", np.zeros(0))
-    times = times[np.isfinite(times)]
-    duration = float(np.ptp(times)) if len(times) else 0.0
-    if not np.isfinite(duration):
-        duration = 0.0
+    seems = {} if husky else guess([name for name in table.columns if name not in UNITS])
+    seems = {channel: one for channel, one in seems.items() if channel not in table.columns}
+    duration = _duration(table, "time" if husky else "t", seems.get("t"))
+    by_name = {
+        name: (channel, one) for channel, one in seems.items() for name in (one.name, *one.fellows)
+    }
     entries = []
     for name, values in table.columns.items():
         count = int(np.count_nonzero(np.isfinite(values)))
         serves = f"{name} [{next(iter(UNITS[name]))}]" if name in UNITS else ""
+        if name in by_name:
+            channel, one = by_name[name]
+            serves = f"{channel}, it seems{f' [{one.unit}]' if one.unit else ''}"
         if husky and name in WHEEL_COLUMNS:
             serves = "wheel file of a Husky"
         rate = count / duration if duration > 0 else 0.0
@@ -228,7 +235,10 @@ def _describe_table(file: Path) -> LogInfo:
     except DriveLogError as problem:
         found = tuple(name for name in table.columns if name in UNITS)
         lacks = ", ".join(_missing(found))
-        remedy = f"it lacks {lacks}; map columns, as in v_left=velL" if lacks else str(problem)
+        ways = "map columns, as in v_left=velL"
+        if seems:
+            ways += f", or let energyplan start {file.name} --out PROJECT.yaml do so"
+        remedy = f"it lacks {lacks}; {ways}" if lacks else str(problem)
         notes = (f"it cannot be read as it is: {remedy}",)
     else:
         found = tuple(log.channels)
@@ -237,6 +247,18 @@ def _describe_table(file: Path) -> LogInfo:
             notes = (f"described as if a Husky A200 had made it; {NOT_TOLD}", *notes)
     kind = "husky" if husky else "table"
     return LogInfo(file.name, kind, duration, tuple(entries), {"columns": found}, notes)
+
+
+def _duration(table: Table, name: str, seems: Guess | None) -> float:
+    """Return how long a table lasts [s]; 0 where its time, or the unit of it, is not known."""
+    unit = 1.0
+    if seems is not None:
+        name, unit = seems.name, UNITS["t"].get(seems.unit, 1.0)
+    times = unit * table.columns.get(name, np.zeros(0))
+    times = times[np.isfinite(times)]
+    if len(times) < 2 or (seems is not None and np.median(np.diff(times)) > LONGEST_STEP):
+        return 0.0
+    return float(np.ptp(times))
 
 
 def _missing(channels: tuple[str, ...]) -> list[str]:

@@ -305,9 +305,9 @@ class _Cleaner:
             k = int(np.flatnonzero(back)[0])
             raise DriveLogError(
                 f"{self.label}, {self.where(back)}: t does not increase: {t[k]:.6f} s follows "
-                f"{t[k - 1]:.6f} s ({np.count_nonzero(back)} such steps); if several recordings "
-                "follow each other, give each a file of its own; else sort the rows by time, and "
-                "drop those with a time of another row"
+                f"{t[k - 1]:.6f} s ({np.count_nonzero(back)} such steps in all); if several "
+                "recordings follow each other, or the clock was set back, give each part a file of "
+                "its own; else sort the rows by time, and drop those with a time of another row"
             )
 
     def seen_before(self) -> NDArray[np.bool_]:

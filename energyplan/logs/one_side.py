@@ -20,6 +20,7 @@ _LONG = 5.0  # time of driving straight in which no power stays the same [s]
 _FOLLOWS = 0.9  # correlation with a side's speed, of a robot that turns about the other
 _TURNS = 0.3  # yaw rate over a second that no robot has which is driven straight [rad/s]
 _SHARE = 0.05  # share of the samples in which it must
+_FEW, _TOLD = 5, 5.0  # samples, and seconds, that tell a sign at least
 _DRAGGED = 1.3  # times the resistance of straight lines, which no side on the inside draws
 _UNLIKE = 60.0  # ratio of both sides' powers that no ground explains
 
@@ -212,7 +213,7 @@ def compare_powers(channels: Mapping[str, FloatArray]) -> str:
 
 
 def find_lost_sign(channels: Mapping[str, FloatArray]) -> str:
-    """Tell whether both sides' powers lost their sign.
+    """Tell whether the sides' powers, or that of one side, lost their sign.
 
     In arcs a force of slip F and a resistance K give the outer side (F + K) v, the inner one
     (K - F) v, which it returns where F is the larger. Without its sign, that looks as if F and K
@@ -236,15 +237,19 @@ def find_lost_sign(channels: Mapping[str, FloatArray]) -> str:
     difference = right - left
     turns = np.abs(difference) > 0.2 * float(np.quantile(np.abs(difference), 0.95))
     straight = np.abs(difference) < 0.01 * np.abs(left + right)
-    judged = 0
+    # Samples of a slow log lie apart, and few of them tell as much.
+    enough = int(np.clip(_TOLD / np.median(np.diff(channels["t"])), _FEW, _ENOUGH))
+    lost: list[str] = []
+    returned = False
     for name, speed, outwards in (("p_left", left, -1.0), ("p_right", right, 1.0)):
         power = channels[name]
         along = outwards * np.sign(difference) * speed
         inner = turns & (along < 0.0)
-        if min(np.count_nonzero(inner), np.count_nonzero(straight)) < _ENOUGH:
+        if min(np.count_nonzero(inner), np.count_nonzero(straight)) < enough:
             continue  # a robot that turns one way alone
         if np.mean(power[inner] < 0.0) > 0.02:
-            return ""
+            returned = True
+            continue
         some, size = turns | straight, np.abs(speed)
         X = np.stack([along * turns, size * turns, size * ~turns, np.ones(len(size))], axis=1)
         slip, resistance, seen, _ = np.linalg.lstsq(X[some], power[some], rcond=None)[0]
@@ -252,9 +257,15 @@ def find_lost_sign(channels: Mapping[str, FloatArray]) -> str:
         pushed = 0.0 < _DRAGGED * seen < resistance - slip
         if not (exchanged or pushed):
             return ""
-        judged += 1
-    if not judged:
+        lost.append(name)
+    if not lost:
         return ""
+    if len(lost) == 1 and returned:
+        return (
+            f"{lost[0]} is never negative, where the other side's is in arcs, and seems to be held "
+            "back far more on the inside of them than on straight lines: its sensor shows what it "
+            "returns as power drawn. Log it with its sign"
+        )
     return (
         "p_left and p_right are never negative, and in arcs the inner side seems to be held back "
         "far more than on straight lines: the sensors show what it returns as power drawn. Log "

@@ -23,6 +23,8 @@ if TYPE_CHECKING:  # which imports this module
 
 LARGEST_OFFSET = 2.0
 """Longest time offset between channels that is looked for [s]."""
+LONGEST_STEP = 20.0
+"""Longest usual time from sample to sample [s]: beyond, it is in another unit."""
 _SUFFICIENT = 200_000  # samples that tell a time offset as well as more would
 _ENOUGH = 20  # samples below which nothing is concluded
 _TURNING = 0.05  # difference of the tread speeds from which the robot surely turns [m/s]
@@ -232,11 +234,12 @@ def _check_time(t: FloatArray, runs: Sequence[slice], label: str) -> list[str]:
         If the time step is out of range.
     """
     step = float(np.median(np.diff(t)))
-    if not 1e-4 <= step <= 20.0:
+    if not 1e-4 <= step <= LONGEST_STEP:
         usual = {"min": 60.0, "h": 3600.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
         unit = next((name for name, size in usual.items() if 1e-3 <= step * size <= 5), "min")
         raise DriveLogError(
-            f"{label}: the time step of t is {step:g} s; between 0.1 ms and 20 s is possible; name "
+            f"{label}: the time step of t is {step:g} s; between 0.1 ms and "
+            f"{LONGEST_STEP:g} s is possible; name "
             f"its unit, as in t=NAME[{unit}]"
         )
     if len(runs) < 2:

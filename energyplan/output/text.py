@@ -386,7 +386,8 @@ def rmf(config: Any, error: Any) -> list[str]:
 def log(told: LogInfo) -> list[str]:
     """Return what ``energyplan log info`` prints: a line for each column or topic, then notes."""
     wide = max((len(entry.name) for entry in told.entries), default=0)
-    lines = [f"{told.name}: {told.kind}, {told.duration:.1f} s"]
+    length = f"{told.duration:.1f} s" if told.duration > 0 else "of unknown length"
+    lines = [f"{told.name}: {told.kind}, {length}"]
     for entry in told.entries:
         rate = f", {entry.rate:.1f} Hz" if entry.rate else ""
         serves = f"  -> {entry.serves}" if entry.serves else ""

@@ -42,12 +42,27 @@ def test_foreign_columns_are_told_with_what_is_missing(tmp_path: Path) -> None:
     file.write_text("t,velL,velR,power,note\n0,1,1,50,start\n1,1,1,,go\n2,1,1,50,stop\n")
     told = describe_log(file)
     entries = {entry.name: entry for entry in told.entries}
-    assert entries["velL"].serves == ""
+    assert entries["velL"].serves == "v_left, it seems"
     assert entries["power"].count == 2
     assert entries["note"].type == "text"
     (note,) = told.notes
     assert "v_left, v_right" in note
     assert "power," not in note
+    assert "energyplan start foreign.csv" in note
+
+
+def test_names_of_others_are_guessed_and_time_is_told_in_their_unit(tmp_path: Path) -> None:
+    file = tmp_path / "foreign.csv"
+    rows = "".join(f"{1770000000000 + 50 * k};1,5;1,5;75,2;80,1\n" for k in range(100))
+    file.write_text("Zeit [ms];v_li_kph;v_links;P_links [kW];foo\n" + rows)
+    told = describe_log(file)
+    assert told.duration == pytest.approx(4.95)
+    serves = {entry.name: entry.serves for entry in told.entries}
+    assert serves["Zeit [ms]"] == "t, it seems [ms]"
+    assert serves["P_links [kW]"] == "p_left, it seems [kW]"
+    assert serves["foo"] == ""
+    (entry,) = (one for one in told.entries if one.name == "foo")
+    assert entry.rate == pytest.approx(20.0, rel=0.02)
 
 
 def test_a_husky_recording_is_known(tmp_path: Path) -> None:

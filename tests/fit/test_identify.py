@@ -700,3 +700,14 @@ def test_inertia_that_every_drive_has_is_no_alarm() -> None:
     assert found.residual.rmse > 1.2 * found.adequacy.residual
     assert found.adequacy.adequate
     assert found.warnings == ()
+
+
+def test_a_yaw_that_never_changes_leaves_the_yaw_rate_to_tell() -> None:
+    """As of a driver that fills in no attitude: slip had been called zero throughout."""
+    truth = PowerModel.preset("quadriga:empty:marble")
+    log = simulate.drive(truth, "spiral", seed=1)
+    turning = {k: v for k, v in log.channels.items() if k not in ("x", "y", "yaw")}
+    still = {**turning, "yaw": np.zeros(len(log))}
+    found, usual = (fit_icr(DriveLog(one), truth.vehicle.icr) for one in (still, turning))
+    assert found.source == "yaw_rate"
+    assert found.icr == usual.icr

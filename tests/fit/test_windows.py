@@ -12,8 +12,8 @@ from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.fit.drives import windows
 from energyplan.fit.drives.columns import column, columns_of
 from energyplan.fit.drives.late import DELAYS, Late, lagged, least_late
-from energyplan.fit.drives.lengths import check_long_enough, split_drives
 from energyplan.fit.drives.linear import held_loss, linearise_drive
+from energyplan.fit.drives.parting import split_drives
 from energyplan.fit.drives.preload import preload
 from energyplan.fit.drives.windows import (
     BLOCK,
@@ -22,6 +22,7 @@ from energyplan.fit.drives.windows import (
     Drive,
     Windows,
     channels_of,
+    check_long_enough,
     prepared,
 )
 from energyplan.logs import DriveLog

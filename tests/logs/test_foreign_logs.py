@@ -206,7 +206,7 @@ def test_a_few_late_rows_are_sorted_and_many_refused() -> None:
     assert [item.count for item in log.set_aside] == [2]
     assert np.all(np.diff(log.t) > 0)
     made["t"][:500] = made["t"][:500].reshape(-1, 2)[:, ::-1].ravel()
-    with pytest.raises(DriveLogError, match="give each a file of its own"):
+    with pytest.raises(DriveLogError, match="give each part a file of its own"):
         ep.DriveLog.from_columns(made)
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import energyplan as ep
 from energyplan import simulate
-from energyplan.logs.one_side import compare_powers
+from energyplan.logs.one_side import compare_powers, find_lost_sign
 
 
 def _channels(unit: float) -> dict[str, np.ndarray]:
@@ -41,3 +42,19 @@ def test_powers_without_sign_are_told_where_the_robot_turns_one_way_alone() -> N
     lost = {name: np.abs(channels[name]) for name in ("p_left", "p_right")}
     found = ep.identify(ep.DriveLog.from_columns({**channels, **lost}), model.vehicle)
     assert any("Log signed currents" in text for text in found.warnings)
+
+
+@pytest.mark.parametrize("side", ["p_left", "p_right"])
+def test_a_side_that_alone_lost_its_sign_is_told(side: str) -> None:
+    """A machine of 3 t, once a second: K was a fifth too large without a word about it."""
+    vehicle = ep.Vehicle.from_geometry(
+        "mule", mass=3000, wheelbase=1.3, track=1.3, length=2, width=2
+    )
+    model = ep.PowerModel.paper(vehicle, K=1000.0, mu=0.5)
+    log = simulate.drive(
+        model, simulate.IDENTIFICATION, rate=1.0, speed=1.1, accel_limit=0.5, power_noise=20.0,
+        speed_noise=0.003, seed=13,
+    )  # fmt: skip
+    lost = {**log.channels, side: np.abs(log.channel(side))}
+    assert find_lost_sign(log.channels) == ""
+    assert find_lost_sign(lost).startswith(f"{side} is never negative")

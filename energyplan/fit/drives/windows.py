@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from energyplan.errors import DriveLogError
 from energyplan.fit.drives.denoise import NO_STEPS, Steps, quiet, speed_noise
 from energyplan.fit.drives.hold import Hold, find_hold
 from energyplan.fit.drives.late import ON_TIME, Late, delayed, lagged
@@ -280,6 +281,25 @@ class Windows:
         """Return means over the windows; the first axis is time."""
         total = np.add.reduceat(values, self.starts, axis=0)
         return np.asarray(total / self.counts.reshape(-1, *[1] * (values.ndim - 1)))
+
+
+def check_long_enough(*lists: Sequence[DriveLog]) -> None:
+    """Refuse drives too short to be cut into blocks, each or all of a list together.
+
+    Raises
+    ------
+    DriveLogError
+        If a log is shorter than half a block, or all of a list together than two.
+    """
+    cases = [(log.name, [log], 0.5 * BLOCK) for logs in lists for log in logs]
+    cases += [(", ".join(log.name for log in logs[:3]), [*logs], 2 * BLOCK) for logs in lists]
+    for name, logs, least in cases:
+        seconds = sum(float(log.t[-1] - log.t[0]) for log in logs)
+        if seconds < least:
+            raise DriveLogError(
+                f"{name}: {seconds:.1f} s are too short to learn from, or to judge by; give "
+                f"{least:.0f} s or more"
+            )
 
 
 def prepared(logs: Sequence[DriveLog], vehicle: Vehicle) -> list[Drive]:

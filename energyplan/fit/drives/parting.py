@@ -1,12 +1,12 @@
-"""How long drives must be, and how they are parted into those to learn from and to judge by."""
+"""Drives parted into what to learn from and what to judge by."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
-from energyplan.errors import DriveLogError, InvalidInputError
-from energyplan.fit.drives.windows import BLOCK
+from energyplan.errors import InvalidInputError
+from energyplan.fit.drives.windows import BLOCK, check_long_enough
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 
@@ -15,25 +15,6 @@ _JUDGED = 0.4
 
 _CUT = 2.0 * BLOCK / _JUDGED
 """Length from which a drive is cut [s]: both parts are then long enough by themselves."""
-
-
-def check_long_enough(*lists: Sequence[DriveLog]) -> None:
-    """Refuse drives too short to be cut into blocks, each or all of a list together.
-
-    Raises
-    ------
-    DriveLogError
-        If a log is shorter than half a block, or all of a list together than two.
-    """
-    cases = [(log.name, [log], 0.5 * BLOCK) for logs in lists for log in logs]
-    cases += [(", ".join(log.name for log in logs[:3]), [*logs], 2 * BLOCK) for logs in lists]
-    for name, logs, least in cases:
-        seconds = sum(float(log.t[-1] - log.t[0]) for log in logs)
-        if seconds < least:
-            raise DriveLogError(
-                f"{name}: {seconds:.1f} s are too short to learn from, or to judge by; give "
-                f"{least:.0f} s or more"
-            )
 
 
 @checked()
