@@ -6,12 +6,15 @@ import gc
 from collections.abc import Generator
 from math import isfinite
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
 
+from energyplan import physics
 from energyplan.planning import Budget
 from energyplan.planning.budget import PACE
+from energyplan.power.effects import catalogue
 
 # The same cases in every run; at night `--hypothesis-profile=varied` draws others.
 settings.register_profile("repeatable", derandomize=True)
@@ -59,3 +62,42 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> None:
         original(self, time_limit, effort=effort)
 
     monkeypatch.setattr(Budget, "__init__", init)
+
+
+FEW = ("hotel_load", "grade", "tilted_plane", "viscous_loss", "linear_inertia")
+"""Effects to choose from where what the search finds is not what is tried."""
+ENOUGH = 1500
+"""Units of work of a plan that is asked for many more: enough for a route."""
+PART = 20
+"""Of work that is asked for, one unit in so many is done."""
+
+
+@pytest.fixture
+def few_effects(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have diagnoses choose among few effects: a third of the work."""
+    few = {name: entry for name, entry in catalogue().items() if name in FEW}
+    assert len(few) == len(FEW)
+    monkeypatch.setattr("energyplan.diagnosis.catalogue", lambda: few)
+
+
+@pytest.fixture
+def hurried(counted: None, few_effects: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have a reader's commands do no more than shows that they work, whatever they ask for.
+
+    Plans do no more work than is enough for a route, those with a time as much as `counted` has
+    them do, and diagnoses know few effects. Loops go round once, without a designed drive: each
+    round and each drive has all drives so far diagnosed.
+    """
+    budget, loop = Budget.__init__, physics.close_loop
+
+    def init(self: Budget, time_limit: float = float("inf"), *, effort: int | None = None) -> None:
+        if effort is not None and effort > PART:
+            effort = min(effort // PART, ENOUGH)
+        budget(self, time_limit, effort=effort)
+
+    def once(*given: Any, **options: Any) -> object:
+        return loop(*given, **options | {"rounds": 1, "survey": 0.0})
+
+    monkeypatch.setattr(Budget, "__init__", init)
+    for place in ("energyplan.physics", "energyplan.demo"):
+        monkeypatch.setattr(f"{place}.close_loop", once)

@@ -81,6 +81,7 @@ def test_a_drive_is_not_both_learned_from_and_held_out(run: Run, spiral: Path) -
     assert_refused(result, spiral.name, "hold-out")
 
 
+@pytest.mark.usefixtures("hurried")
 def test_mission_flags_what_is_out_of_reach(run: Run, tmp_path: Path) -> None:
     report = tmp_path / "mission.html"
     file = bundled("mission_warehouse.yaml")

@@ -21,7 +21,7 @@ from energyplan.io.config import write_vehicle
 from energyplan.io.files import files_behind, refuse_overwriting
 from energyplan.io.trajectory import write_log
 
-pytestmark = pytest.mark.usefixtures("counted")
+pytestmark = pytest.mark.usefixtures("counted", "few_effects")
 
 MODEL = ep.PowerModel.preset("quadriga:full:marble")
 

@@ -19,6 +19,8 @@ from energyplan import cli
 
 Run = Callable[..., dict[str, Any]]
 
+pytestmark = pytest.mark.usefixtures("hurried")
+
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:

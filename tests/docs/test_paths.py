@@ -77,6 +77,7 @@ def follow(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize("way", [way for way in WAYS if way not in BEGINNING_WITH_THE_DEMO])
 def test_a_way_leads_to_its_end(
     way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -47,10 +47,10 @@ def test_a_leg_takes_what_a_plan_of_the_same_pair_says(name):
     grid = OccupancyGrid(cells, 0.1 * reach)
     speed = model.vehicle.driving_speed
     cost = EnergyCost(model, battery=True, speed=speed if np.isfinite(speed) else None)
-    told = plan(PlanningProblem(grid, cost, start, goal), effort=4_000)
+    told = plan(PlanningProblem(grid, cost, start, goal), effort=500)
     mission = Mission(
         model=model, map=grid, battery=Battery.preset("quadriga"), start=start,
-        tasks=(Task("there", goal),), planning_effort=4_000, spreads=Spreads.none(),
+        tasks=(Task("there", goal),), planning_effort=500, spreads=Spreads.none(),
         confidence=0.5,
     )  # fmt: skip
     leg = Legs(mission).leg(0, 1, 0.0)
