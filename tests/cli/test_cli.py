@@ -52,6 +52,7 @@ def spiral(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_log(log, tmp_path_factory.mktemp("logs") / "spiral.csv")
 
 
+@pytest.mark.usefixtures("few_effects")
 def test_diagnose_writes_a_model_that_the_planner_takes(run: Run, tmp_path: Path) -> None:
     truth = MODEL.with_term(HOTEL, 40.0)
     files = [

@@ -131,6 +131,7 @@ def test_a_mistake_in_the_measures_is_told(
     assert code == 3
 
 
+@pytest.mark.usefixtures("few_effects")
 def test_the_whole_chain_takes_the_project(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -82,6 +82,7 @@ def test_identification_shows_every_coefficient(drives: list[ep.DriveLog]) -> No
         assert cells[place + 3] == number(found.std_error[term.name])
 
 
+@pytest.mark.usefixtures("few_effects")
 def test_diagnosis_shows_effects_and_both_errors(drives: list[ep.DriveLog]) -> None:
     told = ep.diagnose(drives[:1], holdout=drives[1:], vehicle=MODEL.vehicle)
     page = shown(told)

@@ -136,7 +136,7 @@ def test_real_logs_take_the_place_of_the_engine() -> None:
 
     truth = MODEL.with_term(HOTEL, 60.0)
     logs = [simulate.drive(truth, "survey", seed=k, power_noise=2.0) for k in (1, 2)]
-    made = close_loop(PROBLEM, logs, rounds=5, effort=20_000)
+    made = close_loop(PROBLEM, logs, rounds=5, effort=2_000)
     assert len(made.rounds) == 2
     assert made.rounds[0].error < -0.2
     assert abs(made.rounds[1].error) < 0.03
@@ -175,7 +175,7 @@ def test_a_model_that_no_motor_could_drive_ends_the_loop(monkeypatch: pytest.Mon
         rounds=2,
         tolerance=0.0,
         survey=10.0,
-        effort=20_000,
+        effort=2_000,
     )
     (only,) = made.rounds
     assert not made.closed
@@ -186,7 +186,7 @@ def test_a_model_that_no_motor_could_drive_ends_the_loop(monkeypatch: pytest.Mon
         close_loop(
             replace(PROBLEM, cost=ep.EnergyCost(MODEL.with_term(term("dragging_wheel_left"), 1e4))),
             EngineDrives(Robot.from_model(MODEL)),
-            effort=20_000,
+            effort=2_000,
         )
 
 
