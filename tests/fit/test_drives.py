@@ -173,9 +173,11 @@ def test_a_stretch_holds_what_its_power_tells_up_to_the_limit_of_friction() -> N
     most = 1.5 * limit  # contacts at rest hold half as much again
     push = most / ICR.slip_track
     dearest = 2.0 * loss * push**2
-    shares = np.array([0.25, 2.0, 0.0])
     t = PERIOD * np.arange(len(v))
-    drive = Drive("made", t, Motion(v, v, ICR), dearest * shares[stretch])
+    # the last one holds nothing, and what the model misses comes and goes: 1 W on two seconds
+    missed = np.where(t // 2.0 % 2 == 0, 1.0, -1.0)
+    power = np.where(stretch < 2, dearest * np.array([0.25, 2.0, 0.0])[stretch], missed)
+    drive = Drive("made", t, Motion(v, v, ICR), power)
     none = np.zeros(len(v))
     losses = [(COPPER_LOSS, loss)]
     found = straights(drive, MODEL.vehicle, losses, Sides(none, none), limit, none)
@@ -184,6 +186,9 @@ def test_a_stretch_holds_what_its_power_tells_up_to_the_limit_of_friction() -> N
     assert_allclose(found.forces.left, -found.forces.right)
     # only what is less than the most, and more than nothing, is unknown
     assert_allclose(found.pattern, dearest * np.array([1.0, 0.0, 0.0])[stretch])
+    # a mean is known to what is missed on most windows, as a standard deviation, and to a hundredth
+    error = np.hypot(1.4826, 0.01 * np.sqrt(np.mean(power**2)))
+    assert found.odds == pytest.approx(2.0 * np.log(dearest / (np.sqrt(2.0 * np.pi) * error)))
 
 
 def test_a_prediction_knows_nothing_of_the_power_that_was_measured() -> None:
