@@ -58,6 +58,30 @@ def test_a_limit_that_no_profile_keeps_is_named() -> None:
         accepted(lambda limits: Sampled(STILL, np.zeros(2, np.int_)), survey, LIMITS)
 
 
+@pytest.mark.parametrize("moves", [True, False])
+def test_where_a_lower_limit_does_not_help_all_is_done_more_gently(moves: bool) -> None:
+    """Nor where nothing moves within it: a tenth less of speed, and what that brings about."""
+    told: list[Limits] = []
+
+    def solve(limits: Limits) -> Sampled:
+        if not moves and limits.yaw_rate < LIMITS.yaw_rate:
+            raise InfeasibleMotionError("nothing moves")
+        told.append(limits)
+        return Sampled(STILL, np.zeros(2, np.int_))
+
+    def survey(sampled: Sampled) -> Survey:
+        excess = Excess(Limit("yaw_rate", "both", LIMITS.yaw_rate), 0.0, 1.0, 1.02 * 1.5)
+        excesses = [excess] if told[-1].motor.speed > 0.9 else []
+        return Survey([], excesses, 0.0, Thermal(np.zeros(2), np.zeros((2, 2))))
+
+    assert accepted(solve, survey, LIMITS) is STILL
+    assert [limits.motor.speed for limits in told[:-1]] == [1.0] * (len(told) - 1)
+    assert told[-1].motor.speed == pytest.approx(0.9)
+    assert told[-1].motor.acceleration == pytest.approx(0.81 * 2.0)
+    assert told[-1].lateral_acceleration == pytest.approx(0.81 * 0.8)
+    assert told[-1].yaw_rate == 1.5
+
+
 def test_samples_close_to_another_go_but_never_corners_and_ends() -> None:
     t = np.array([0.0, 1e-7, 1.0, 2.0, 2.0 + 1e-7, 3.0, 4.0, 4.0 + 1e-7])
     at = np.array([0.0, 0.1, 0.5, 0.7, 0.0, 0.4, 0.9, 1.0])  # a run begins at the fifth
