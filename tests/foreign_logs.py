@@ -137,6 +137,18 @@ def german(at: At, folder: Path) -> Path:
     }, folder / "Fahrt 1.csv", sep=";", decimal=",", encoding="cp1252")  # fmt: skip
 
 
+def german_in_short(at: At, folder: Path) -> Path:
+    """Thousandths of units, decimal commas, and the line of names again in the middle."""
+    frame = pd.DataFrame({
+        "zeit_s": at.t, "Rad li [mm/s]": 1e3 * at.left, "Rad re [mm/s]": 1e3 * at.right,
+        "Leistung_li [mW]": 1e3 * at.p_left, "Leistung_re [mW]": 1e3 * at.p_right,
+        "Drehrate [°/s]": DEG * at.yaw_rate,
+    })  # fmt: skip
+    form: dict[str, Any] = {"sep": ";", "decimal": ",", "float_format": "%.3f"}
+    head = frame[:700].to_csv(index=False, **form)
+    return csv(frame[700:], folder / "kurz.csv", head=head, **form)
+
+
 def utf16(at: At, folder: Path) -> Path:
     return csv({
         " time [ns] ": at.nanoseconds, " left speed [mm/s] ": 1e3 * at.left,
@@ -458,6 +470,14 @@ def torques(at: At, folder: Path) -> Path:
     return csv({**columns, "world_yaw": at.yaw}, folder / "joints.csv")
 
 
+def sides_in_letters(at: At, folder: Path) -> Path:
+    """Either power fits a whole robot's as well as the other: one alone is half of it."""
+    return csv({
+        "time": at.t, "v_left": at.left, "v_right": at.right, "power_a": at.p_left,
+        "power_b": at.p_right, "yaw_rate": at.yaw_rate,
+    }, folder / "letters.csv")  # fmt: skip
+
+
 def units_in_cells(at: At, folder: Path) -> Path:
     house = at.house()
     return csv(house.assign(v_left=house["v_left"].map("{:.4f} m/s".format)), folder / "cells.csv")
@@ -478,8 +498,9 @@ def currents_without_sign(at: At, folder: Path) -> Path:
 
 Writer = Callable[[At, Path], Path]
 READ: tuple[Writer, ...] = (
-    four_wheels_in_rpm, four_motors, german, utf16, byte_order_mark, units_in_a_second_row,
-    remarks_before_the_names, words_for_nothing, two_recordings, coarse_stamps,
+    four_wheels_in_rpm, four_motors, german, german_in_short, utf16, byte_order_mark,
+    units_in_a_second_row, remarks_before_the_names, words_for_nothing, two_recordings,
+    coarse_stamps,
     json_lines, topics_named_for_power, bare_names_in_thousandths, a_part_twice,
     stamps_in_whole_seconds, sides_in_turn, what_changed_alone, readings_in_rows,
     a_row_for_each_message, stamps_in_two_columns, date_and_time_of_day, american_dates,
@@ -489,6 +510,7 @@ READ: tuple[Writer, ...] = (
 )  # fmt: skip
 """Logs from which the right coefficients must come."""
 REFUSED: dict[Writer, str] = {
+    sides_in_letters: r"power_b and power_a could each .* 'p_left=power_b,p_right=power_a'",
     speed_and_yaw_rate: "v_left and v_right are the speeds of the left and right wheels",
     ticks_a_second: r'--counts-per-revolution .* "v_left=enc_left_tps\[ticks/s\*0.0001\]',
     encoders_alone: r'--counts-per-revolution .* "v_left=enc_l\[ticks\*0.0001\]',

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NoReturn
+
+import numpy as np
 
 from energyplan.errors import DriveLogError
 from energyplan.logs.cells import Table
-from energyplan.logs.guess import ENCODER, guess, numbered_speeds, words
+from energyplan.logs.guess import ENCODER, Guess, guess, halves, numbered_speeds, words
+
+_ALIKE = 0.9  # correlation from which two columns tell the same
+_HALF = 0.2  # of the larger, that powers or currents of two sides are at least
 
 
 def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
@@ -66,3 +71,42 @@ def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
         f"{table.source}: nothing seems to be {' or '.join(needed)}{hint}; the columns are "
         f"{', '.join(names[:30])}; say which it is with --columns {needed[0]}=NAME"
     )
+
+
+def refuse_halves(table: Table, found: Mapping[str, Guess], channels: set[str]) -> None:
+    """Refuse to take one of two columns that are named alike, and differ, for the whole power.
+
+    They may be those of two sides in words that nobody knows here: half of the power would be lost.
+
+    Parameters
+    ----------
+    table : Table
+        The log.
+    found : mapping of str to Guess
+        Columns that channels were guessed to be.
+    channels : set of str
+        All channels, those that somebody named too.
+
+    Raises
+    ------
+    DriveLogError
+        If there is another column like that of the power, or of the current that makes it.
+    """
+    one = found.get("power" if "power" in channels else "current")
+    if one is None or {"p_left", "p_right"} <= channels:
+        return
+    used = {name for other in found.values() for name in (other.name, *other.fellows)}
+    for name in halves(one.name, [other for other in table.columns if other not in used]):
+        pair = np.array([table.columns[each] for each in (one.name, name)], float)
+        pair = pair[:, np.isfinite(pair).all(axis=0)]
+        if not pair.size or np.ptp(pair, axis=1).min() == 0.0:
+            continue
+        alike = np.corrcoef(pair)[0, 1]
+        sizes = np.abs(pair).mean(axis=1)
+        if alike < _ALIKE and sizes.min() > _HALF * sizes.max():
+            raise DriveLogError(
+                f"{table.source}: {one.name} and {name} could each be the power or current of the "
+                "whole robot, and differ; where they are those of two sides say so, as in "
+                f"--columns 'p_left={one.name},p_right={name}' for powers, else name the whole, as "
+                f"in --columns 'power={one.name}'"
+            )

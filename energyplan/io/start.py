@@ -17,7 +17,7 @@ from energyplan.io.bags import is_bag, read_bag
 from energyplan.io.encoders import counted_columns, position_columns, total_power
 from energyplan.io.husky import is_husky
 from energyplan.io.logs import read_log
-from energyplan.io.missing import refuse
+from energyplan.io.missing import refuse, refuse_halves
 from energyplan.io.project import Project
 from energyplan.io.robot import Given, build_vehicle, known_measures
 from energyplan.io.topics import TOPIC_MAPS, TopicMap, topic_map_of
@@ -138,6 +138,7 @@ def _start_table(file: Path, known: Given) -> Start:
         needed.append("power")
     if needed:
         refuse(table, needed)
+    refuse_halves(table, found, {*columns, *found})
     for channel, one in found.items():
         unit = one.unit
         if is_wheel_rate(unit) and channel.startswith("v_"):

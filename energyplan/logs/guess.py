@@ -10,9 +10,9 @@ from energyplan.logs.units import split_unit, split_words, unit_in
 
 _WORDS = {
     "left": {"left", "l", "lh", "port", "fl", "rl", "bl", "ml", "lf", "lr", "lb", "lm",
-             "links", "gauche", "izquierda", "izq"},
+             "links", "li", "gauche", "izquierda", "izq"},
     "right": {"right", "r", "rh", "starboard", "fr", "rr", "br", "mr", "rf", "rb", "rm",
-              "rechts", "droite", "derecha", "der"},
+              "rechts", "re", "droite", "derecha", "der"},
     "speed": {
         "v", "vel", "velocity", "speed", "wheel", "wheels", "track", "tread", "rpm", "omega",
         "rate", "spd", "w", "velocities", "speeds", "angvel", "rotation",
@@ -220,6 +220,30 @@ def numbered_speeds(names: Iterable[str]) -> tuple[str, ...]:
         if re.search(r"\d", name) and not side_of(name) and kinds & set(words(name)):
             groups.setdefault(tuple(words(name)), []).append(name)
     return tuple(next((group for group in groups.values() if len(group) > 1), ()))
+
+
+def halves(name: str, others: Iterable[str]) -> list[str]:
+    """Return the names that differ from one in a word or a letter: of another side, it may be.
+
+    Examples
+    --------
+    >>> halves("power_west [W]", ["power_east [W]", "power_west [A]", "power", "temp_west [W]"])
+    ['power_east [W]', 'power_west [A]', 'temp_west [W]']
+    >>> halves("battery_power", ["motor_power"])  # which says that it is the whole
+    []
+    """
+    told, whole = _tokens(name), _BATTERY | {"total", "gesamt"}
+    if set(told) & whole:
+        return []
+    return [
+        other for other in others
+        if len(_tokens(other)) == len(told)
+        and sum(a != b for a, b in zip(_tokens(other), told, strict=True)) == 1
+    ]  # fmt: skip
+
+
+def _tokens(name: str) -> list[str]:
+    return re.findall(r"[^\W_]+", name.lower())
 
 
 def guess_ahead(names: Iterable[str]) -> list[str]:
