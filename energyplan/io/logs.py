@@ -21,6 +21,8 @@ from energyplan.logs.plausible import LONGEST_STEP
 from energyplan.logs.tables import read_table
 from energyplan.logs.units import UNITS
 
+_RESTARTS = 0.01  # share of steps back in time, below which each begins another recording
+
 
 @dataclass(frozen=True)
 class LogEntry:
@@ -256,8 +258,11 @@ def _duration(table: Table, name: str, seems: Guess | None) -> float:
         name, unit = seems.name, UNITS["t"].get(seems.unit, 1.0)
     times = unit * table.columns.get(name, np.zeros(0))
     times = times[np.isfinite(times)]
-    if len(times) < 2 or (seems is not None and np.median(np.diff(times)) > LONGEST_STEP):
+    steps = np.diff(times)
+    if not len(steps) or (seems is not None and np.median(steps) > LONGEST_STEP):
         return 0.0
+    if np.mean(steps < 0.0) < _RESTARTS:  # recordings that follow each other, or a clock set back
+        return float(steps[steps > 0.0].sum())
     return float(np.ptp(times))
 
 
