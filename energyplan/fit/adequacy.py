@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -153,9 +153,13 @@ class Beside:
         ]
 
 
-def usual_effects() -> list[Effect]:
-    """Return what nearly every drive shows, and needs no channel of its own."""
-    return [effect for effect in catalogue().values() if effect.usual and not effect.channels]
+def usual_effects(entries: Iterable[Effect] | None = None) -> list[Effect]:
+    """Return what of some effects, or of all known ones, nearly every drive shows.
+
+    Such as need a channel of their own are left out.
+    """
+    every = catalogue().values() if entries is None else entries
+    return [effect for effect in every if effect.usual and not effect.channels]
 
 
 def usual_terms(terms: Sequence[Term]) -> list[Term]:

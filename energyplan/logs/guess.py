@@ -223,23 +223,26 @@ def numbered_speeds(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def halves(name: str, others: Iterable[str]) -> list[str]:
-    """Return the names that differ from one in a word or a letter: of another side, it may be.
+    """Return powers or currents named like one but for a word: of another side, it may be.
 
     Examples
     --------
-    >>> halves("power_west [W]", ["power_east [W]", "power_west [A]", "power", "temp_west [W]"])
-    ['power_east [W]', 'power_west [A]', 'temp_west [W]']
+    >>> halves("power_west [W]", ["power_east [W]", "power", "temp_west [W]"])
+    ['power_east [W]']
     >>> halves("battery_power", ["motor_power"])  # which says that it is the whole
     []
     """
-    told, whole = _tokens(name), _BATTERY | {"total", "gesamt"}
-    if set(told) & whole:
+    told = _tokens(name)
+    if set(told) & (_BATTERY | {"total", "gesamt"}):
         return []
-    return [
-        other for other in others
-        if len(_tokens(other)) == len(told)
-        and sum(a != b for a, b in zip(_tokens(other), told, strict=True)) == 1
-    ]  # fmt: skip
+    found = []
+    for other in others:
+        pairs = list(zip(told, _tokens(other), strict=False))
+        same = {one for one, twin in pairs if one == twin}
+        alike = len(told) == len(_tokens(other)) == len(pairs) == len(same) + 1
+        if alike and same & (_WORDS["power"] | _WORDS["current"]):
+            found.append(other)
+    return found
 
 
 def _tokens(name: str) -> list[str]:

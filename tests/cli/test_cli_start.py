@@ -273,6 +273,7 @@ def test_hoisted_drives_tell_the_friction_inside(
     assert 25.0 < sides["right"]["force"] < 45.0
     assert sides["left"]["slope"] > 3 * sides["left"]["slope_error"]
     assert len(sides["left"]["classes"]) >= 8
+    assert not any("yaw" in warning for warning in json.loads(text)["warnings"])
     code, text, _ = run(capsys, *command)
     assert any("--motor-constant" in warning for warning in json.loads(text)["warnings"])
 
@@ -289,3 +290,18 @@ def test_terms_are_chosen_and_left_out(tmp_path: Path, capsys: pytest.CaptureFix
     code, _, error = run(capsys, *command, "--without", "hotel_load")
     assert code == 2
     assert "slip_friction" in error
+
+
+def test_powers_without_sign_are_told_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The reader doubts them, and identify says what follows from it: one note says both."""
+    truth = ep.PowerModel.preset("quadriga:full:concrete")
+    made = simulate.identification_drive(truth, rate=10.0, power_noise=5.0, seed=1)
+    lost = {name: np.abs(made.channel(name)) for name in ("p_left", "p_right")}
+    file = write_log(ep.DriveLog({**made.channels, **lost}), tmp_path / "lost.csv")
+    code, text, _ = run(capsys, "identify", file, "--vehicle", "quadriga:full")
+    assert code == 0
+    assert text.count("never negative") == 1
+    assert "these terms are wrong" in text
+    assert "unseen driving: stretches of" in text
