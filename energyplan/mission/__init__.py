@@ -86,9 +86,11 @@ def evaluate(mission: Mission, progress: Callable[[str], None] | None = None) ->
 
     Examples
     --------
+    >>> from dataclasses import replace
     >>> from energyplan.io.mission import read_mission
     >>> from energyplan.io.bundled import bundled
-    >>> report = evaluate(read_mission(bundled("mission_warehouse.yaml")))
+    >>> mission = read_mission(bundled("mission_warehouse.yaml"))
+    >>> report = evaluate(replace(mission, planning_effort=250))  # quickly; 5000 is asked for
     >>> report.feasible
     True
     """

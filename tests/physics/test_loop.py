@@ -48,13 +48,16 @@ PROBLEM = ep.PlanningProblem(
 )
 
 
-def closed(*effects: Effect, rounds: int = 2) -> Loop:
+def closed(*effects: Effect) -> Loop:
     source = EngineDrives(switch_on(Robot.from_model(MODEL), effects))
-    return close_loop(PROBLEM, source, rounds=rounds, tolerance=0.0, effort=20_000)
+    return close_loop(PROBLEM, source, rounds=2, tolerance=0.0, effort=20_000)
 
 
 def test_nothing_hidden() -> None:
-    made = closed(rounds=1)
+    """To the corner and round it: half the way of the others."""
+    near = replace(PROBLEM, goal=ep.Pose(12.0, 3.5, 0.5 * np.pi))
+    source = EngineDrives(Robot.from_model(MODEL))
+    made = close_loop(near, source, rounds=1, tolerance=0.0, effort=2_000)
     assert abs(made.rounds[0].error) < 0.015
 
 

@@ -32,18 +32,25 @@ def walled():
     return OccupancyGrid.from_polygons(boxes, (0, 0, 12, 8), 0.1)
 
 
-def test_the_front_of_a_straight_drive_is_the_closed_form():
+VALUES = [0.0, 60.0, 1000.0]
+"""None, one between, and one for which the top speed is too slow."""
+
+
+@pytest.fixture(scope="module")
+def ahead():
+    return energyplan.pareto(AHEAD, VALUES, effort=3_000)
+
+
+def test_the_front_of_a_straight_drive_is_the_closed_form(ahead):
     """At speed v: 8 m of ``2 K + 2 B v + P / v``; the best v for w is ``((P + w) / 2 B)^(1/2)``."""
-    values = [0.0, 20.0, 60.0, 150.0, 1000.0]
-    front = pareto(AHEAD, values, effort=3_000)
-    speed = np.minimum(np.sqrt((IDLE + np.array(values)) / (2 * VISCOUS)), TOP)
-    assert front.duration == pytest.approx(8 / speed, rel=1e-4)
-    assert front.energy == pytest.approx(8 * (226 + 2 * VISCOUS * speed + IDLE / speed), rel=1e-4)
+    speed = np.minimum(np.sqrt((IDLE + np.array(VALUES)) / (2 * VISCOUS)), TOP)
+    assert ahead.duration == pytest.approx(8 / speed, rel=1e-4)
+    assert ahead.energy == pytest.approx(8 * (226 + 2 * VISCOUS * speed + IDLE / speed), rel=1e-4)
     # and no drive straight ahead, at any speed, comes below the bounds
     every = np.linspace(0.1, TOP, 200)
     energy = 8 * (226 + 2 * VISCOUS * every + IDLE / every)
-    assert np.all(front.least_energy(8 / every) <= energy * (1 + 1e-6))
-    assert front.least_energy(front.duration) == pytest.approx(front.energy, rel=1e-4)
+    assert np.all(ahead.least_energy(8 / every) <= energy * (1 + 1e-6))
+    assert ahead.least_energy(ahead.duration) == pytest.approx(ahead.energy, rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -113,15 +120,14 @@ def test_what_cannot_be_traded_is_refused():
         pareto(replace(AHEAD, cost=EnergyCost(free)), effort=10_000)
 
 
-def test_picture_of_a_front():
-    front = energyplan.pareto(AHEAD, [0.0, 60.0, 1000.0], effort=2_000)
+def test_picture_of_a_front(ahead):
     ax = plots.figure().axes[0]
-    assert plots.pareto(ax, front) is ax
+    assert plots.pareto(ax, ahead) is ax
     assert isinstance(ax, Axes)
     drawn = ax.get_lines()[0]
-    assert drawn.get_xdata() == pytest.approx(front.duration)
-    assert drawn.get_ydata() == pytest.approx(front.energy / 1e3)
+    assert drawn.get_xdata() == pytest.approx(ahead.duration)
+    assert drawn.get_ydata() == pytest.approx(ahead.energy / 1e3)
     assert ax.get_xlabel() == "time [s]"
     assert ax.get_ylabel() == "energy [kJ]"
     assert [note.get_text() for note in ax.texts] == ["0 J/s", "60 J/s", "1000 J/s"]
-    assert "1000" in front._repr_html_()
+    assert "1000" in ahead._repr_html_()
