@@ -89,9 +89,8 @@ def evaluate(mission: Mission, progress: Callable[[str], None] | None = None) ->
     >>> from dataclasses import replace
     >>> from energyplan.io.mission import read_mission
     >>> from energyplan.io.bundled import bundled
-    >>> mission = read_mission(bundled("mission_warehouse.yaml"))
-    >>> report = evaluate(replace(mission, planning_effort=250))  # quickly; 5000 is asked for
-    >>> report.feasible
+    >>> mission = replace(read_mission(bundled("mission_warehouse.yaml")), planning_effort=250)
+    >>> evaluate(mission).feasible
     True
     """
     return _Evaluation(mission, progress).report()
