@@ -141,12 +141,14 @@ def fit(design: Design, errors: FloatArray, by_block: bool = False) -> Fit:
     grams = weighted(design, errors)
     total = grams.sum(axis=0)
     values = solve(total)
+    moved = 0.0 if design.ended is None else design.ended - values
+    values = values + moved
     blocks = np.arange(len(grams))
-    jack = left_out(total, grams, blocks)
+    jack = left_out(total, grams, blocks) + moved
     centred = jack - jack.mean(axis=0)
     covariance = (len(grams) - 1) / len(grams) * centred.T @ centred
     by_drive = design.comparable and not by_block
-    held = left_out(total, grams, design.drives)[design.drives] if by_drive else jack
+    held = left_out(total, grams, design.drives)[design.drives] + moved if by_drive else jack
     signed = np.column_stack([held, -np.ones(len(held))])
     losses = np.einsum("bi,bij,bj->b", signed, grams, signed)
     squares = np.einsum("bi,sbij,bj->s", signed, design.grams, signed)
@@ -397,7 +399,7 @@ class Problem:
         if best is None:
             return self.design_about(terms, values)
         self.memory |= {t.name: float(v) for t, v in zip(terms, best[1], strict=True)}
-        return best[2]
+        return replace(best[2], ended=best[1]) if rounds > 1 else best[2]
 
     def _misfit(
         self, design: Design, gram: FloatArray, scale: FloatArray, values: FloatArray

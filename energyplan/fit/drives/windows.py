@@ -327,11 +327,15 @@ class Design:
         At each scale, the block of each window, counted over all drives.
     drives : ndarray of int, shape (b,)
         Drive that each block belongs to.
+    ended : ndarray, shape (k,), optional
+        Coefficients that a fit with losses ended at, where the least squares of columns linearised
+        about them lie elsewhere and explain less.
     """
 
     rows: tuple[FloatArray, ...]
     blocks: tuple[np.ndarray[tuple[int], np.dtype[np.intp]], ...]
     drives: np.ndarray[tuple[int], np.dtype[np.intp]]
+    ended: FloatArray | None = None
 
     @classmethod
     def of(
@@ -370,7 +374,7 @@ class Design:
             np.column_stack([table[:, :-1], more, table[:, -1]])
             for table, more in zip(self.rows, extra, strict=True)
         )
-        return replace(self, rows=rows)
+        return replace(self, rows=rows, ended=None)
 
     def picked(self, columns: Sequence[int]) -> Design:
         """Return the design with some of its columns."""
@@ -391,7 +395,7 @@ class Design:
             )
             for table in self.rows
         )
-        return replace(self, rows=rows)
+        return replace(self, rows=rows, ended=None)
 
     def with_folds(self, most: int) -> Design:
         """Return the design with blocks joined to `most` at most: whole drives where comparable."""
