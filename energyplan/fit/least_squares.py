@@ -36,10 +36,11 @@ FLOOR = 0.01
 """Error that is not worth an effect, as a fraction of the root mean square power."""
 
 _SLIP_LAW = 0.05  # part of the sides' difference that no law of sliding friction foretells
-ROUNDS = 12
+ROUNDS = 20
 """Most steps of a fit with losses."""
 
 _WATCHED = 3  # full steps that may raise the loss before it is lower
+_FAILED = 11  # steps that may raise it at all
 _SETTLED = 1e-3  # fall of the negative logarithm of the likelihood that is none
 _RUNS = 6  # drives from which on each has a factor before effects are looked for
 _LEVELLING = 4  # rounds in which factors of runs and coefficients settle
@@ -195,6 +196,22 @@ class Tables:
     odds: float
 
 
+@dataclass(frozen=True)
+class _Tried:
+    """Coefficients that were tried: the design about them, and what it says of them.
+
+    `misfit` is the negative logarithm of their likelihood, `least` the coefficients that the design
+    takes for the most likely, `hoped` what it takes their misfit for.
+    """
+
+    values: FloatArray
+    design: Design
+    gram: FloatArray
+    misfit: float
+    least: FloatArray
+    hoped: float
+
+
 class Problem:
     """Drives, vehicle, and the columns of terms on them.
 
@@ -344,8 +361,10 @@ class Problem:
     ) -> Design:
         """Return the design of some terms: Gauss-Newton where they are not linear.
 
-        Steps may make the drives less likely for a while (watchdog technique), and are halved
-        after that. What it takes from the likelihood that what contacts hold is not known counts:
+        Losses bend where a side begins to return power, or a stretch to be held. Steps may make
+        the drives less likely for a while (watchdog technique), which leads out of such a bend;
+        after that they are those of both linearisations together, where it began and where it
+        led. What it takes from the likelihood that what contacts hold is not known counts:
         else a loss that leaves more of it open would seem to fit better.
 
         Parameters
@@ -362,7 +381,8 @@ class Problem:
         Returns
         -------
         Design
-            Columns, and the power that they are to explain.
+            Columns, and the power that they are to explain; where they were tried in more than one
+            round, with the coefficients that were most likely of those.
         """
         if start is None:
             names = {term.name for term in terms}
@@ -370,36 +390,46 @@ class Problem:
         values = np.array([start.get(term.name, 0.0) for term in terms])
         if not any(is_lossy(drive, terms) for drive in self.drives):
             return self.design_about(terms, values)
-        best: tuple[float, FloatArray, Design] | None = None
-        step, watched = values, 0
+        best: _Tried | None = None
+        failed = 0
         for _ in range(rounds):
-            about = self.tables(terms, values)
-            design = Design.of(self.drives, about.columns, about.targets)
-            scale = np.ones(len(design.rows)) if errors is None else errors
-            gram = weighted(design, scale).sum(axis=0)
-            least = solve(gram)
-            misfit = self._misfit(design, gram, scale, values) + about.odds
-            if best is not None and not misfit < best[0]:
-                # The losses turned out otherwise than they seemed from where it started. Some full
-                # steps may lead out of there (the watchdog technique); else the step was too far.
-                watched += 1
-                step = 0.5 * (step + best[1]) if watched > _WATCHED else step
-                values = step if watched > _WATCHED else least
-                if np.allclose(values, best[1], rtol=1e-4):
+            here = self._tried(terms, values, errors)
+            if best is not None and not here.misfit < best.misfit:
+                failed += 1
+                if failed <= _WATCHED:
+                    values = here.least
+                elif failed == _WATCHED + 1:
+                    values = 0.5 * (best.least + best.values)
+                else:
+                    # Across a bend, what both sides of it say together points along it.
+                    values = solve(best.gram + here.gram)
+                if failed > _FAILED or np.allclose(values, best.values, rtol=1e-4):
                     break
                 continue
-            hoped = self._misfit(design, gram, scale, least) + about.odds
-            settled = misfit - hoped < _SETTLED or (
-                best is not None and best[0] - misfit < _SETTLED
-            )
-            best, watched = (misfit, values, design), 0
-            step = values = least
-            if settled or np.allclose(values, best[1], rtol=1e-4):
+            gain = np.inf if best is None else best.misfit - here.misfit
+            best, values, failed = here, here.least, 0
+            if min(gain, here.misfit - here.hoped) < _SETTLED or np.allclose(
+                values, here.values, rtol=1e-4
+            ):
                 break
         if best is None:
             return self.design_about(terms, values)
-        self.memory |= {t.name: float(v) for t, v in zip(terms, best[1], strict=True)}
-        return replace(best[2], ended=best[1]) if rounds > 1 else best[2]
+        self.memory |= {t.name: float(v) for t, v in zip(terms, best.values, strict=True)}
+        return replace(best.design, ended=best.values) if rounds > 1 else best.design
+
+    def _tried(
+        self, terms: Sequence[Term], values: FloatArray, errors: FloatArray | None
+    ) -> _Tried:
+        """Linearise losses about coefficients, and weigh these."""
+        about = self.tables(terms, values)
+        design = Design.of(self.drives, about.columns, about.targets)
+        scale = np.ones(len(design.rows)) if errors is None else errors
+        gram = weighted(design, scale).sum(axis=0)
+        least = solve(gram)
+        misfit, hoped = (
+            self._misfit(design, gram, scale, each) + about.odds for each in (values, least)
+        )
+        return _Tried(values, design, gram, misfit, least, hoped)
 
     def _misfit(
         self, design: Design, gram: FloatArray, scale: FloatArray, values: FloatArray
