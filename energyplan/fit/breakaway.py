@@ -17,8 +17,9 @@ _SCATTER = 0.4  # misfit of the moment between the sides, over it, from which th
 _LOST = 0.5  # such misfit at its least, from which the difference tells nothing
 _CLEAR = 3.0  # noise beyond which a side should return power
 _RISES = 0.3  # rise of what a side shows with what it should return, from which it lacks a sign
-_MORE = 1.5  # share of what sides return that is lost, from which sensors lack a sign
 _LITTLE = 0.4  # of the resistance, with which sides return much
+_BETTER = 0.5  # part of the loss that signs given back may leave, where sensors lack them
+_TURNS = 20  # fits in which signs settle, at most
 _ENOUGH = 20  # samples that a class needs
 _LEFT = 0.1  # share of the samples that must slide
 
@@ -135,22 +136,48 @@ def _unsigned(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bo
     expected, seen = np.concatenate(due), np.concatenate(shown)
     if len(expected) < _ENOUGH:
         never = lowest >= 0.0 and faint >= _ENOUGH
-        return never or _lost(problem, terms, values) > _MORE
+        return never or _signs_lost(problem, terms, values)
     return float(np.polyfit(expected, seen, 1)[0]) > _RISES
 
 
-def _lost(problem: Problem, terms: Sequence[Term], values: FloatArray) -> float:
-    """Return the share of what sides return that does not come back, told by the best fit.
+def _signs_lost(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bool:
+    """Tell whether the drives fit better with the signs given back that their model asks for.
 
-    None or a part of it, all of it where motors return nothing, twice as much where sensors lack a
-    sign. From two starts, since resistance enough that no side returns power is a fit too.
+    Motors may return nothing or a part of what they should: those are fitted, too. From two starts
+    each, since resistance enough that no side returns power is a fit of both.
     """
-    wide = [*terms, HOTEL, REGENERATION_LOSS]
+    wide = [*terms, HOTEL]
     found = dict(zip([term.name for term in terms], values.tolist(), strict=True))
-    little = {TRACTION.name: _LITTLE * found[TRACTION.name], REGENERATION_LOSS.name: 2.0}
+    little = {TRACTION.name: _LITTLE * found[TRACTION.name]}
     errors = problem.reference(problem.design(terms))
-    fits = []
+    plain, back = [], []
     for start in (found, {**found, **little}):
         held = Problem(problem.drives, problem.vehicle)
-        fits.append(fit(held.design(wide, errors, start), errors))
-    return float(min(fits, key=lambda one: one.loss).values[-1])
+        for share in (0.0, 1.0):
+            about = {**start, REGENERATION_LOSS.name: share}
+            plain.append(fit(held.design([*wide, REGENERATION_LOSS], errors, about), errors).loss)
+        now = np.array([start.get(term.name, 0.0) for term in wide])
+        for _ in range(_TURNS):
+            signed = _with_signs(held, wide, now)
+            one = fit(signed.design(wide, errors), errors)
+            settled = np.allclose(one.values, now, rtol=1e-3)
+            now = one.values
+            if settled:
+                break
+        back.append(one.loss)
+    return min(back) < _BETTER * min(plain)
+
+
+def _with_signs(problem: Problem, terms: Sequence[Term], values: FloatArray) -> Problem:
+    """Return the drives, the power of each side with the sign that a model has there."""
+    drives = []
+    for drive in problem.drives:
+        table = np.stack([columns_of(term, drive, problem.vehicle) for term in terms], axis=-1)
+        total, more = (table @ values).T
+        between = np.zeros(len(total)) if drive.between is None else drive.between
+        left, right = (
+            np.copysign(0.5 * (drive.power + sign * between), total + sign * more)
+            for sign in (-1.0, 1.0)
+        )
+        drives.append(replace(drive, power=left + right, between=right - left))
+    return Problem(drives, problem.vehicle)

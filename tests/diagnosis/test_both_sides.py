@@ -245,8 +245,10 @@ def test_drives_that_never_turn_have_one_equation() -> None:
     assert with_breakaway(case, ()).drives[0].equations == 1
 
 
-@pytest.mark.parametrize("hotel", [0.0, 30.0])
-@pytest.mark.parametrize("returned", [0.0, 0.4, 1.0])
+@pytest.mark.parametrize(
+    ("returned", "hotel"),
+    [(0.0, 0.0), (0.0, 30.0), (0.4, 30.0), (1.0, 0.0), (1.0, 10.0), (1.0, 60.0)],
+)
 def test_motors_that_return_little_are_no_sensors_without_a_sign(
     returned: float, hotel: float
 ) -> None:
