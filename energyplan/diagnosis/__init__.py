@@ -43,7 +43,7 @@ from energyplan.fit.adequacy import Adequacy, adequacy, left_over
 from energyplan.fit.breakaway import with_breakaway
 from energyplan.fit.drives.late import Late
 from energyplan.fit.drives.windows import Drive, check_long_enough, prepared
-from energyplan.fit.least_squares import PAPER, Problem
+from energyplan.fit.problem import PAPER, Problem
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive

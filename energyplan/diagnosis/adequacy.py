@@ -13,7 +13,7 @@ from energyplan.diagnosis.joint_fit import FinalFit
 from energyplan.diagnosis.result import EnergyPrediction
 from energyplan.fit.adequacy import Adequacy, shown_of_contacts
 from energyplan.fit.drives.windows import Drive
-from energyplan.fit.least_squares import Problem
+from energyplan.fit.problem import Problem
 from energyplan.fit.run_spread import RunSpread
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel

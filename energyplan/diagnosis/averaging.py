@@ -23,7 +23,8 @@ from energyplan.diagnosis.joint_fit import FinalFit
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.result import Average
 from energyplan.fit.drives.windows import SCALES, Design
-from energyplan.fit.least_squares import FLOOR, PAPER, Problem, left_out, weighted
+from energyplan.fit.least_squares import left_out, weighted
+from energyplan.fit.problem import FLOOR, PAPER, Problem
 from energyplan.fit.run_spread import RunSpread
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Term

@@ -15,7 +15,8 @@ import numpy as np
 from energyplan.diagnosis.part import Part
 from energyplan.fit.drives.columns import column
 from energyplan.fit.drives.windows import Drive
-from energyplan.fit.least_squares import PAPER, Problem, solve
+from energyplan.fit.least_squares import solve
+from energyplan.fit.problem import PAPER, Problem
 from energyplan.path import FloatArray
 from energyplan.power import Term
 from energyplan.power.effects import Effect

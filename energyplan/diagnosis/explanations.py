@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from energyplan.diagnosis.part import Part
-from energyplan.fit.least_squares import Fit, Problem
+from energyplan.fit.least_squares import Fit
+from energyplan.fit.problem import Problem
 from energyplan.path import FloatArray
 
 _RIVAL = 0.05  # probability of another explanation, over that of the best, that is worth naming

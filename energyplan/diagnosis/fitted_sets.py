@@ -25,7 +25,8 @@ from energyplan.diagnosis.proposals import (
 from energyplan.fit.drives.denoise import speed_noise
 from energyplan.fit.drives.late import DELAYS, ON_TIME, Late
 from energyplan.fit.drives.windows import SCALES, Drive
-from energyplan.fit.least_squares import FLOOR, Problem, difference, fit
+from energyplan.fit.least_squares import difference, fit
+from energyplan.fit.problem import FLOOR, Problem
 from energyplan.power.effects import Effect
 
 _CHANCE = 0.05

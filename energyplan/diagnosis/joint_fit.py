@@ -12,7 +12,7 @@ from energyplan.diagnosis.result import Explanation
 from energyplan.fit.drives.late import Late
 from energyplan.fit.drives.linear import equations_of
 from energyplan.fit.joint import joint_fit
-from energyplan.fit.least_squares import PAPER, Problem
+from energyplan.fit.problem import PAPER, Problem
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Term
 from energyplan.power.effects import Effect

@@ -8,7 +8,8 @@ from energyplan.diagnosis.fitted_sets import WORTHWHILE
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import terms_of
 from energyplan.diagnosis.residual import Dependence
-from energyplan.fit.least_squares import Fit, Problem, difference, fit
+from energyplan.fit.least_squares import Fit, difference, fit
+from energyplan.fit.problem import Problem
 from energyplan.power.effects import Effect, empirical_term
 
 

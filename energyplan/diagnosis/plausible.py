@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from energyplan.diagnosis.part import Part
 from energyplan.fit.drives.columns import field_of
 from energyplan.fit.drives.linear import held_loss
-from energyplan.fit.least_squares import PAPER, Fit, Problem
+from energyplan.fit.least_squares import Fit
+from energyplan.fit.problem import PAPER, Problem
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Sides, Term
 from energyplan.power.effect_terms import SLIP_CHANGE, TRACTION_CHANGE

@@ -17,7 +17,8 @@ from scipy.stats import f as fisher
 
 from energyplan.fit.drives.linear import held_forces
 from energyplan.fit.drives.windows import Design, Drive, channels_of, window_means
-from energyplan.fit.least_squares import Fit, Problem, difference, fit
+from energyplan.fit.least_squares import Fit, difference, fit
+from energyplan.fit.problem import Problem
 from energyplan.motion import CHANNELS
 from energyplan.path import FloatArray
 from energyplan.power import Sides, Term

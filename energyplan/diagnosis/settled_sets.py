@@ -14,7 +14,7 @@ from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import About, Candidate, Set, terms_of
 from energyplan.diagnosis.settling import Make, settled
 from energyplan.fit.drives.late import ON_TIME, Late
-from energyplan.fit.least_squares import PAPER, Problem
+from energyplan.fit.problem import PAPER, Problem
 from energyplan.path import FloatArray
 
 _CLOSER = 2  # times that lines are tried closer to each other, about so many

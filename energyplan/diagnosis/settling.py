@@ -10,7 +10,8 @@ from scipy.optimize import minimize
 from energyplan.diagnosis.change_points import crosses
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import terms_of
-from energyplan.fit.least_squares import ROUNDS, Problem, fit
+from energyplan.fit.least_squares import fit
+from energyplan.fit.problem import ROUNDS, Problem
 from energyplan.path import FloatArray
 
 Make = Callable[[FloatArray], tuple[list[Part], Problem]]

@@ -19,7 +19,8 @@ from energyplan.diagnosis.proposals import Candidate
 from energyplan.diagnosis.residual import Dependence
 from energyplan.fit.adequacy import Adequacy
 from energyplan.fit.drives.windows import Design
-from energyplan.fit.least_squares import PAPER, WEIGHTS, weighted
+from energyplan.fit.least_squares import WEIGHTS, weighted
+from energyplan.fit.problem import PAPER
 from energyplan.path import FloatArray
 
 _ALMOST = 1e-9  # share of a column's square that the model's own columns leave of it, and is none

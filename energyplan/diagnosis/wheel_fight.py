@@ -12,7 +12,7 @@ from energyplan.diagnosis.result import Evidence, FoundEffect
 from energyplan.fit.drives.linear import held_forces, is_lossy, losses_of, slip_limit
 from energyplan.fit.drives.preload import lost_power, preload
 from energyplan.fit.drives.windows import BLOCK, Drive
-from energyplan.fit.least_squares import Problem
+from energyplan.fit.problem import Problem
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Sides
 from energyplan.power.effect_terms import WHEEL_FIGHT

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from energyplan.fit.drives.columns import columns_of
-from energyplan.fit.least_squares import PAPER, Problem, fit
+from energyplan.fit.least_squares import fit
+from energyplan.fit.problem import PAPER, Problem
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TRACTION, Term
 

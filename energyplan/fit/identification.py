@@ -20,7 +20,7 @@ from energyplan.fit.foretold import Foretold, foretold
 from energyplan.fit.icr import ICREstimate, fit_icr, icr_from_spin, turned, yaw_channel
 from energyplan.fit.identifiability import check_identifiable, linearise, signal_motion
 from energyplan.fit.joint import joint_fit
-from energyplan.fit.least_squares import Problem
+from energyplan.fit.problem import Problem
 from energyplan.fit.regression import Method, PowerRegression
 from energyplan.fit.residuals import statistics
 from energyplan.fit.solvers import Bounds

@@ -13,7 +13,8 @@ import numpy as np
 
 from energyplan.fit.drives.readings import reading_covariance
 from energyplan.fit.drives.windows import Design, window_means
-from energyplan.fit.least_squares import Fit, Problem, fit
+from energyplan.fit.least_squares import Fit, fit
+from energyplan.fit.problem import Problem
 from energyplan.fit.run_spread import RunSpread
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Term

@@ -14,7 +14,7 @@ from energyplan.diagnosis.holdout import predict
 from energyplan.diagnosis.joint_fit import final_fit
 from energyplan.diagnosis.part import Part
 from energyplan.fit.drives.windows import prepared
-from energyplan.fit.least_squares import Problem
+from energyplan.fit.problem import Problem
 from energyplan.motion import Motion
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effect_terms import MOBILISATION, REVERSE_DRAG, SPECIFIC_FORCE

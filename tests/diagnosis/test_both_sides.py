@@ -13,7 +13,8 @@ from energyplan import DriveLog, diagnose, simulate
 from energyplan.fit.breakaway import with_breakaway
 from energyplan.fit.drives.linear import linearise_drive
 from energyplan.fit.drives.windows import Drive, prepared
-from energyplan.fit.least_squares import Problem, fit
+from energyplan.fit.least_squares import fit
+from energyplan.fit.problem import Problem
 from energyplan.motion import Motion
 from energyplan.power import (
     DRIVE_LOSS,

@@ -25,7 +25,8 @@ from energyplan.fit.drives import windows as _design
 from energyplan.fit.drives.denoise import quiet, speed_noise
 from energyplan.fit.drives.window_kernels import block_grams
 from energyplan.fit.drives.windows import Design, Drive
-from energyplan.fit.least_squares import Fit, Problem, fit, solve, weighted
+from energyplan.fit.least_squares import Fit, fit, solve, weighted
+from energyplan.fit.problem import Problem
 from energyplan.motion import Motion
 from energyplan.power import HOTEL, SLIP, TABLE_II, TRACTION, PowerModel, Sides, Term
 from energyplan.power.effect_terms import (

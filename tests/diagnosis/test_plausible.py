@@ -10,7 +10,7 @@ import pytest
 from energyplan import diagnose, simulate
 from energyplan.diagnosis.plausible import drags, drivable
 from energyplan.fit.drives.windows import prepared
-from energyplan.fit.least_squares import Problem
+from energyplan.fit.problem import Problem
 from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel
 from energyplan.power.effect_terms import (
     SLIP_CHANGE,

@@ -18,7 +18,7 @@ from energyplan.diagnosis.proposals import Candidate
 from energyplan.diagnosis.search import Search
 from energyplan.fit.drives.late import ON_TIME, Late
 from energyplan.fit.drives.windows import Drive, prepared
-from energyplan.fit.least_squares import PAPER, Problem
+from energyplan.fit.problem import PAPER, Problem
 from energyplan.motion import Motion
 from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, SLIP_BEYOND, TOWED_DRAG
 from energyplan.power.effects import VISCOUS_LOSS, WARM_UP, catalogue

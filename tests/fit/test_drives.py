@@ -16,7 +16,8 @@ from energyplan.fit.drives.late import Late
 from energyplan.fit.drives.linear import linearise_drive, power_of
 from energyplan.fit.drives.preload import straights
 from energyplan.fit.drives.windows import Drive, prepared
-from energyplan.fit.least_squares import Problem, fit
+from energyplan.fit.least_squares import fit
+from energyplan.fit.problem import Problem
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.power import (

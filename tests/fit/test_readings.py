@@ -10,7 +10,8 @@ from energyplan.fit.drives.denoise import Steps
 from energyplan.fit.drives.readings import moved_by, reading_covariance
 from energyplan.fit.drives.windows import prepared
 from energyplan.fit.joint import joint_fit
-from energyplan.fit.least_squares import PAPER, Problem, fit
+from energyplan.fit.least_squares import fit
+from energyplan.fit.problem import PAPER, Problem
 from energyplan.power import HOTEL
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")

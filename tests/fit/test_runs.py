@@ -10,7 +10,7 @@ import pytest
 from energyplan.fit.drives.windows import Drive
 from energyplan.fit.identification import _draw_at_rest
 from energyplan.fit.joint import joint_fit
-from energyplan.fit.least_squares import Problem
+from energyplan.fit.problem import Problem
 from energyplan.fit.residuals import pieces_of
 from energyplan.motion import Motion
 from energyplan.power import SLIP, TRACTION, PowerModel

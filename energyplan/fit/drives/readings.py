@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from energyplan.fit.drives.denoise import Steps
 from energyplan.fit.drives.linear import linearise_drive
 from energyplan.fit.drives.windows import SCALES, Design, Drive
-from energyplan.fit.least_squares import Problem, weighted
+from energyplan.fit.least_squares import weighted
+from energyplan.fit.problem import Problem
 from energyplan.path import FloatArray
 from energyplan.power import Term
 from energyplan.vehicle import Vehicle

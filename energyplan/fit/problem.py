@@ -1,0 +1,352 @@
+"""Drives and the terms that are to explain them: their columns, losses linearised (private).
+
+What losses take depends on all other coefficients, so that these are found in rounds; a sum of
+terms without losses is linear as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from energyplan.fit.drives.columns import columns_of
+from energyplan.fit.drives.late import Late
+from energyplan.fit.drives.linear import is_lossy, linearise_drive
+from energyplan.fit.drives.windows import SCALES, Design, Drive, window_means
+from energyplan.fit.least_squares import evidence_of, fit, solve, weighted
+from energyplan.fit.run_spread import RunSpread
+from energyplan.path import FloatArray
+from energyplan.power import SLIP, TRACTION, Term
+from energyplan.vehicle import Vehicle
+
+PAPER = (SLIP, TRACTION)
+
+FINE = 0.1
+"""Part of the floor that likelihoods count as nothing."""
+
+FLOOR = 0.01
+"""Error that is not worth an effect, as a fraction of the root mean square power."""
+
+ROUNDS = 20
+"""Most steps of a fit with losses."""
+
+_SLIP_LAW = 0.05  # part of the sides' difference that no law of sliding friction foretells
+_WATCHED = 3  # full steps that may raise the loss before it is lower
+_FAILED = 11  # steps that may raise it at all
+_SETTLED = 1e-3  # fall of the negative logarithm of the likelihood that is none
+_RUNS = 6  # drives from which on each has a factor before effects are looked for
+_LEVELLING = 4  # rounds in which factors of runs and coefficients settle
+
+
+@dataclass(frozen=True)
+class Tables:
+    """Columns of terms on drives, linearised about coefficients.
+
+    Parameters
+    ----------
+    columns : list of ndarray, shape (n, equations, k)
+        Of each drive.
+    targets : list of ndarray, shape (n, equations)
+        Power that they are to explain [W].
+    odds : float
+        Logarithm of what it took from the likelihood that what contacts hold was not known.
+    """
+
+    columns: list[FloatArray]
+    targets: list[FloatArray]
+    odds: float
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """Coefficients that were tried: the design about them, and what it says of them.
+
+    `misfit` is the negative logarithm of their likelihood, `least` the coefficients that the design
+    takes for the most likely, `hoped` what it takes their misfit for.
+    """
+
+    values: FloatArray
+    design: Design
+    gram: FloatArray
+    misfit: float
+    least: FloatArray
+    hoped: float
+
+
+class Problem:
+    """Drives, vehicle, and the columns of terms on them.
+
+    Parameters
+    ----------
+    drives : sequence of Drive
+        Training drives.
+    vehicle : Vehicle
+        With the tread ICRs of the drives' motions.
+    memory : mapping of str to float, optional
+        Coefficients found before, by name of their term, for fits that are not linear to start
+        from.
+    """
+
+    def __init__(
+        self, drives: Sequence[Drive], vehicle: Vehicle, memory: Mapping[str, float] | None = None
+    ) -> None:
+        both = all(drive.between is not None for drive in drives)
+        self.drives = tuple(
+            drive if both or drive.between is None else replace(drive, between=None)
+            for drive in drives
+        )
+        self.vehicle = vehicle
+        self.memory = dict(memory or {})
+        mean_square = np.mean(np.concatenate([drive.power**2 for drive in self.drives]))
+        self.floor = np.full(len(SCALES), FLOOR**2 * float(mean_square))
+        gaps = [drive.between * drive.slides for drive in self.drives if drive.between is not None]
+        if gaps:
+            allowed = _SLIP_LAW**2 * float(np.mean(np.concatenate(gaps) ** 2))
+            self.floor = np.append(self.floor, np.full(len(SCALES), allowed))
+
+    def without_transitions(self) -> Problem:
+        """Return the drives, each throughout in the state that it was in for longer."""
+        drives = []
+        for drive in self.drives:
+            state = round(float(np.mean(drive.motion.channels["changed"])))
+            drives.append(drive.with_channels(changed=np.full(len(drive.t), float(state))))
+        return Problem(drives, self.vehicle, self.memory)
+
+    def thinned(self, samples: int) -> Problem:
+        """Return the drives with so many samples in a shortest window, where they have more."""
+        period = max(float(np.median(np.diff(drive.t))) for drive in self.drives)
+        step = int(SCALES[0] / (samples * period))
+        few = [drive.thinned(step) for drive in self.drives] if step > 1 else self.drives
+        return Problem(few, self.vehicle, self.memory)
+
+    def starting_from(self, known: Mapping[str, float]) -> Problem:
+        """Return the drives, for fits that begin with these coefficients, by name of their term."""
+        return Problem(self.drives, self.vehicle, known)
+
+    @cached_property
+    def of_totals(self) -> Problem:
+        """The drives with the power of both sides together alone."""
+        if self.drives[0].equations == 1:
+            return self
+        drives = [replace(drive, between=None) for drive in self.drives]
+        return Problem(drives, self.vehicle, self.memory)
+
+    @property
+    def as_predicted(self) -> Problem:
+        """The totals of the drives as those to come are predicted: nothing known of contacts.
+
+        What contacts hold is told by the power of a drive, which a prediction does not know.
+        """
+        drives = [replace(drive, between=None, fitted=False) for drive in self.drives]
+        return Problem(drives, self.vehicle, self.memory)
+
+    def delayed(self, late: Late) -> Problem:
+        """Return the drives with their power taken to be logged late."""
+        drives = [replace(drive, late=late) for drive in self.drives]
+        return Problem(drives, self.vehicle, self.memory)
+
+    def with_factors(self, factors: Sequence[float]) -> Problem:
+        """Return the drives, each with a factor of its power."""
+        drives = [replace(d, factor=f) for d, f in zip(self.drives, factors, strict=True)]
+        return Problem(drives, self.vehicle, self.memory)
+
+    def levelled(self, terms: Sequence[Term]) -> Problem:
+        """Return the drives, each with the factor by which it differs as a whole.
+
+        A random effect of each run, as far as it is more than the scatter within runs (Henderson's
+        equations, the model and the factors in turn). Without it long runs decide what all share.
+
+        Parameters
+        ----------
+        terms : sequence of Term
+            Terms that no more than a factor is to come on top of.
+
+        Returns
+        -------
+        Problem
+            The same problem where there are fewer than `_RUNS` drives: the factors of so few say
+            as much as any effect that not every drive shows.
+        """
+        problem = self
+        if len(self.drives) < _RUNS:
+            return self
+        for _ in range(_LEVELLING):
+            design = problem.design(terms)
+            values = fit(design, problem.reference(design)).values
+            plain = self.design(terms)
+            spread = RunSpread.of(plain, values)
+            if spread is None:
+                return self
+            problem = self.with_factors(spread.factors)
+        return problem
+
+    def tables(self, terms: Sequence[Term], values: FloatArray) -> Tables:
+        """Return, for each drive, the columns of the terms and the power they are to explain.
+
+        Where a loss depends on the forces, and so on the other coefficients, both are linearised
+        about `values`.
+        """
+        columns, targets, odds = [], [], 0.0
+        for drive in self.drives:
+            if is_lossy(drive, terms):
+                about = linearise_drive(drive, self.vehicle, terms, values)
+                columns.append(about.columns)
+                targets.append(drive.measured - about.power + about.columns @ values)
+                odds += about.odds
+            else:
+                found = np.stack([columns_of(t, drive, self.vehicle) for t in terms], axis=-1)
+                columns.append(drive.observed(found))
+                targets.append(drive.measured)
+        return Tables(columns, targets, odds)
+
+    def design_about(self, terms: Sequence[Term], values: FloatArray) -> Design:
+        """Return the design of some terms, losses linearised about `values`."""
+        about = self.tables(terms, values)
+        return Design.of(self.drives, about.columns, about.targets)
+
+    def odds(self, terms: Sequence[Term], values: FloatArray) -> float:
+        """Return what it took from the likelihood that what contacts hold was not known.
+
+        The sum, over stretches on which the total power told it, of the logarithm of the range of
+        powers that was possible over the error that it is known to (docs/theory, section 6).
+        """
+        lossy = [drive for drive in self.drives if is_lossy(drive, terms)]
+        return sum(linearise_drive(d, self.vehicle, terms, values, ()).odds for d in lossy)
+
+    def design(
+        self,
+        terms: Sequence[Term],
+        errors: FloatArray | None = None,
+        start: Mapping[str, float] | None = None,
+        rounds: int = ROUNDS,
+    ) -> Design:
+        """Return the design of some terms: Gauss-Newton where they are not linear.
+
+        Losses bend where a side begins to return power, or a stretch to be held. Steps may make
+        the drives less likely for a while (watchdog technique), which leads out of such a bend;
+        after that they are those of both linearisations together, where it began and where it
+        led. What it takes from the likelihood that what contacts hold is not known counts:
+        else a loss that leaves more of it open would seem to fit better.
+
+        Parameters
+        ----------
+        terms : sequence of Term
+            The terms.
+        errors : ndarray, shape (scales,), optional
+            Reference mean square errors [W^2].
+        start : mapping of str to float, optional
+            Coefficients to start from, by name of their term.
+        rounds : int
+            Largest number of steps.
+
+        Returns
+        -------
+        Design
+            Columns, and the power that they are to explain; where they were tried in more than one
+            round, with the coefficients that were most likely of those.
+        """
+        if start is None:
+            names = {term.name for term in terms}
+            start = self.memory if names <= set(self.memory) else self._start(terms, errors)
+        values = np.array([start.get(term.name, 0.0) for term in terms])
+        if not any(is_lossy(drive, terms) for drive in self.drives):
+            return self.design_about(terms, values)
+        best: _Tried | None = None
+        failed = 0
+        for _ in range(rounds):
+            here = self._tried(terms, values, errors)
+            if best is not None and not here.misfit < best.misfit:
+                failed += 1
+                if failed <= _WATCHED:
+                    values = here.least
+                elif failed == _WATCHED + 1:
+                    values = 0.5 * (best.least + best.values)
+                else:
+                    # Across a bend, what both sides of it say together points along it.
+                    values = solve(best.gram + here.gram)
+                if failed > _FAILED or np.allclose(values, best.values, rtol=1e-4):
+                    break
+                continue
+            gain = np.inf if best is None else best.misfit - here.misfit
+            best, values, failed = here, here.least, 0
+            if min(gain, here.misfit - here.hoped) < _SETTLED or np.allclose(
+                values, here.values, rtol=1e-4
+            ):
+                break
+        if best is None:
+            return self.design_about(terms, values)
+        self.memory |= {t.name: float(v) for t, v in zip(terms, best.values, strict=True)}
+        return replace(best.design, ended=best.values) if rounds > 1 else best.design
+
+    def _tried(
+        self, terms: Sequence[Term], values: FloatArray, errors: FloatArray | None
+    ) -> _Tried:
+        """Linearise losses about coefficients, and weigh these."""
+        about = self.tables(terms, values)
+        design = Design.of(self.drives, about.columns, about.targets)
+        scale = np.ones(len(design.rows)) if errors is None else errors
+        gram = weighted(design, scale).sum(axis=0)
+        least = solve(gram)
+        misfit, hoped = (
+            self._misfit(design, gram, scale, each) + about.odds for each in (values, least)
+        )
+        return _Tried(values, design, gram, misfit, least, hoped)
+
+    def _misfit(
+        self, design: Design, gram: FloatArray, scale: FloatArray, values: FloatArray
+    ) -> float:
+        """Return the negative logarithm of the likelihood of coefficients."""
+        signed = np.append(values, -1.0)
+        nothing = float(np.sum(FINE * self.floor[: len(scale)] / scale))
+        loss = max(float(signed @ gram @ signed), 0.0) + nothing + 1e-300
+        return 0.5 * float(evidence_of(design.evidence).sum()) * float(np.log(loss))
+
+    def _start(self, terms: Sequence[Term], errors: FloatArray | None) -> dict[str, float]:
+        linear = [term for term in terms if term.kind != "loss"]
+        if len(linear) == len(terms):
+            return {}
+        design = self.design(linear, errors, {})
+        scale = np.ones(len(design.rows)) if errors is None else errors
+        values = solve(weighted(design, scale).sum(axis=0))
+        return {term.name: float(v) for term, v in zip(linear, values, strict=True)}
+
+    def means(
+        self, extra: Sequence[Term], terms: Sequence[Term] = (), values: FloatArray | None = None
+    ) -> list[FloatArray]:
+        """Return window means of the columns of further terms beside a model's.
+
+        Parameters
+        ----------
+        extra : sequence of Term
+            The further terms, none of them a loss.
+        terms : sequence of Term
+            Terms of the model; where one is a loss, a further force changes it too.
+        values : ndarray, optional
+            Their coefficients.
+
+        Returns
+        -------
+        list of ndarray
+            Means at each scale.
+        """
+        columns = []
+        for drive in self.drives:
+            if values is not None and is_lossy(drive, terms):
+                whole = np.append(values, np.zeros(len(extra)))
+                wanted = range(len(terms), len(whole))
+                about = linearise_drive(drive, self.vehicle, [*terms, *extra], whole, wanted)
+                columns.append(about.columns)
+            else:
+                found = np.stack([columns_of(t, drive, self.vehicle) for t in extra], axis=-1)
+                columns.append(drive.observed(found))
+        return window_means(self.drives, columns)
+
+    def reference(self, design: Design) -> FloatArray:
+        """Return the cross-validated error of a design, plus the floor, at each scale [W^2]."""
+        errors = np.full(len(design.rows), 1.0)
+        for _ in range(2):
+            errors = fit(design, errors).errors + self.floor
+        return errors
