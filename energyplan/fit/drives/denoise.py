@@ -29,6 +29,7 @@ _HARMONICS = np.arange(1.0, 9.0)  # of the rounding error, of which the higher o
 _NOISES = np.linspace(0.0, 1.0, 101)  # over the step: more of it averages rounding out
 _LATTICE = 1e-3  # of a step, by which readings lie beside a whole number of them
 _FEWEST = 8  # readings that tell a step
+_STEADY = 0.25  # of a step, by which a steady state changes at most
 
 
 @dataclass(frozen=True)
@@ -240,13 +241,16 @@ class Steps:
     error: float = 0.0
 
     @classmethod
-    def of(cls, values: FloatArray) -> Steps:
+    def of(cls, values: FloatArray, expected: FloatArray | None = None) -> Steps:
         """Return the steps of readings.
 
         Parameters
         ----------
         values : ndarray, shape (n,)
             The readings.
+        expected : ndarray, shape (n,), optional
+            What a model makes of them: noise is told where that is steady. Else every change of
+            readings that are far apart in time would be taken for noise, which averages out.
 
         Returns
         -------
@@ -270,7 +274,8 @@ class Steps:
         damped = np.exp(-((2.0 * np.pi * np.outer(_NOISES, _HARMONICS)) ** 2))
         square = 0.5 * damped @ (np.pi * _HARMONICS) ** -2.0
         scatter = _NOISES**2 + square[0] - square
-        left = np.interp((reading_noise(values) / size) ** 2, scatter, square)
+        noise = reading_noise(values, None if expected is None else _steady(expected, size))
+        left = np.interp((noise / size) ** 2, scatter, square)
         return cls(size, size * float(np.sqrt(left)))
 
     def states(self, values: FloatArray) -> NDArray[np.int64]:
@@ -287,7 +292,19 @@ def speed_noise(values: FloatArray) -> float:
     return float(1.4826 * np.median(np.abs(np.diff(values, 3))) / np.sqrt(20.0))
 
 
-def reading_noise(values: FloatArray) -> float:
+def _steady(expected: FloatArray, size: float) -> NDArray[np.bool_] | None:
+    """Return at which third differences readings are expected to stay within a part of a step.
+
+    None where that is nearly nowhere.
+    """
+    if len(expected) < _FEWEST:
+        return None
+    around = np.lib.stride_tricks.sliding_window_view(expected, 4)
+    steady: NDArray[np.bool_] = np.ptp(around, axis=1) < _STEADY * size
+    return steady if np.count_nonzero(steady) >= _FEWEST else None
+
+
+def reading_noise(values: FloatArray, steady: NDArray[np.bool_] | None = None) -> float:
     """Return the deviation of white noise on a smooth signal that is read in steps.
 
     Of readings that mostly repeat, the median third difference is zero though they flicker between
@@ -296,8 +313,10 @@ def reading_noise(values: FloatArray) -> float:
     stands, they say nothing of its noise in motion.
     """
     rest = values == 0.0
-    moving = ~(rest[3:] & rest[2:-1] & rest[1:-2] & rest[:-3])
-    differences = np.abs(np.diff(values, 3)[moving])
+    told = ~(rest[3:] & rest[2:-1] & rest[1:-2] & rest[:-3])
+    if steady is not None:
+        told &= steady
+    differences = np.abs(np.diff(values, 3)[told])
     if not len(differences) or np.ptp(values) == 0.0:
         return 0.0
     white = float(1.4826 * np.median(differences) / np.sqrt(20.0))

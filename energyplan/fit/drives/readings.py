@@ -96,9 +96,13 @@ def reading_covariance(
     width = design.rows[0].shape[1] - 1
     found = np.zeros((width, width))
     moved = moved_by(problem.drives, design, errors)
-    powers = [_powers(drive) for drive in problem.drives]
+    powers = [_powers(drive.power, drive.between) for drive in problem.drives]
+    expected = [_expected(drive, problem.vehicle, terms, values) for drive in problem.drives]
     for side in range(problem.drives[0].equations):
-        steps = Steps.of(np.concatenate([one[side] for one in powers]))
+        steps = Steps.of(
+            np.concatenate([one[side] for one in powers]),
+            np.concatenate([one[side] for one in expected]),
+        )
         if steps.error > 0.0:
             found += _covariance_of(
                 [
@@ -125,11 +129,19 @@ def reading_covariance(
     return found + _covariance_of(sources) if sources else found
 
 
-def _powers(drive: Drive) -> list[FloatArray]:
+def _powers(total: FloatArray, between: FloatArray | None) -> list[FloatArray]:
     """Return what each sensor of power reads: the total, or the left side and the right one."""
-    if drive.between is None:
-        return [drive.power]
-    return [0.5 * (drive.power - drive.between), 0.5 * (drive.power + drive.between)]
+    if between is None:
+        return [total]
+    return [0.5 * (total - between), 0.5 * (total + between)]
+
+
+def _expected(
+    drive: Drive, vehicle: Vehicle, terms: Sequence[Term], values: FloatArray
+) -> list[FloatArray]:
+    """Return what each sensor of power should read."""
+    power = linearise_drive(drive, vehicle, terms, values, ()).power
+    return _powers(power[:, 0], None if drive.between is None else power[:, 1])
 
 
 def _by_side(drive: Drive, moved: FloatArray, side: int) -> FloatArray:
