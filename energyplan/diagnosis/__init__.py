@@ -41,8 +41,8 @@ from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
 from energyplan.fit.adequacy import Adequacy, adequacy, left_over
 from energyplan.fit.breakaway import with_breakaway
+from energyplan.fit.drives.drive import Drive, check_long_enough, prepared
 from energyplan.fit.drives.late import Late
-from energyplan.fit.drives.windows import Drive, check_long_enough, prepared
 from energyplan.fit.problem import PAPER, Problem
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog

@@ -12,7 +12,7 @@ from energyplan.diagnosis.holdout import Prediction
 from energyplan.diagnosis.joint_fit import FinalFit
 from energyplan.diagnosis.result import EnergyPrediction
 from energyplan.fit.adequacy import Adequacy, shown_of_contacts
-from energyplan.fit.drives.windows import Drive
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.problem import Problem
 from energyplan.fit.run_spread import RunSpread
 from energyplan.path import FloatArray

@@ -22,7 +22,8 @@ from scipy.cluster.vq import kmeans2
 from energyplan.diagnosis.joint_fit import FinalFit
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.result import Average
-from energyplan.fit.drives.windows import SCALES, Design
+from energyplan.fit.drives.design import Design
+from energyplan.fit.drives.windows import SCALES
 from energyplan.fit.least_squares import left_out, weighted
 from energyplan.fit.problem import FLOOR, PAPER, Problem
 from energyplan.fit.run_spread import RunSpread

@@ -14,7 +14,7 @@ import numpy as np
 
 from energyplan.diagnosis.part import Part
 from energyplan.fit.drives.columns import column
-from energyplan.fit.drives.windows import Drive
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.least_squares import solve
 from energyplan.fit.problem import PAPER, Problem
 from energyplan.path import FloatArray

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from energyplan.fit.covariance import innovation_share
-from energyplan.fit.drives.windows import Design
+from energyplan.fit.drives.design import Design
 from energyplan.fit.least_squares import Fit, weighted
 from energyplan.path import FloatArray
 

@@ -23,8 +23,9 @@ from energyplan.diagnosis.proposals import (
     with_changes,
 )
 from energyplan.fit.drives.denoise import speed_noise
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.drives.late import DELAYS, ON_TIME, Late
-from energyplan.fit.drives.windows import SCALES, Drive
+from energyplan.fit.drives.windows import SCALES
 from energyplan.fit.least_squares import difference, fit
 from energyplan.fit.problem import FLOOR, Problem
 from energyplan.power.effects import Effect

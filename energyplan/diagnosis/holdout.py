@@ -9,9 +9,10 @@ import numpy as np
 
 from energyplan.diagnosis.change_points import settle_change
 from energyplan.diagnosis.part import Part
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.drives.late import Late
 from energyplan.fit.drives.linear import power_of
-from energyplan.fit.drives.windows import BLOCK, Drive
+from energyplan.fit.drives.windows import BLOCK
 from energyplan.fit.residuals import statistics
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual

@@ -17,7 +17,8 @@ from scipy.stats import f as fisher
 
 from energyplan.diagnosis.result import Evidence, FoundEffect
 from energyplan.errors import VehicleError
-from energyplan.fit.drives.windows import BLOCK, Drive
+from energyplan.fit.drives.drive import Drive
+from energyplan.fit.drives.windows import BLOCK
 from energyplan.path import FloatArray
 from energyplan.power.effects import Effect
 from energyplan.vehicle import GRAVITY, Vehicle, wheel_loads

@@ -16,8 +16,9 @@ import numpy as np
 
 from energyplan.diagnosis.change_points import lines, mark_changes
 from energyplan.diagnosis.part import Part
+from energyplan.fit.drives.design import Design
+from energyplan.fit.drives.drive import Drive, channels_of
 from energyplan.fit.drives.late import Late
-from energyplan.fit.drives.windows import Design, Drive, channels_of
 from energyplan.fit.least_squares import WEIGHTS, evidence_of, fit, solve
 from energyplan.fit.problem import FINE, PAPER, Problem
 from energyplan.path import FloatArray

@@ -15,8 +15,9 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import f as fisher
 
+from energyplan.fit.drives.design import Design, window_means
+from energyplan.fit.drives.drive import Drive, channels_of
 from energyplan.fit.drives.linear import held_forces
-from energyplan.fit.drives.windows import Design, Drive, channels_of, window_means
 from energyplan.fit.least_squares import Fit, difference, fit
 from energyplan.fit.problem import Problem
 from energyplan.motion import CHANNELS

@@ -28,8 +28,8 @@ from energyplan.diagnosis.proposals import (
 )
 from energyplan.diagnosis.settled_sets import SettledSets, Weighed
 from energyplan.diagnosis.stand_ins import followed_in
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.drives.late import ON_TIME, Late, least_late
-from energyplan.fit.drives.windows import Drive
 from energyplan.fit.least_squares import fit
 from energyplan.fit.problem import Problem
 from energyplan.path import FloatArray

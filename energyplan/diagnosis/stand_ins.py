@@ -18,7 +18,7 @@ from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import Candidate
 from energyplan.diagnosis.residual import Dependence
 from energyplan.fit.adequacy import Adequacy
-from energyplan.fit.drives.windows import Design
+from energyplan.fit.drives.design import Design
 from energyplan.fit.least_squares import WEIGHTS, weighted
 from energyplan.fit.problem import PAPER
 from energyplan.path import FloatArray

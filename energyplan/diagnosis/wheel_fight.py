@@ -9,9 +9,10 @@ from scipy.optimize import brentq
 from scipy.stats import norm
 
 from energyplan.diagnosis.result import Evidence, FoundEffect
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.drives.linear import held_forces, is_lossy, losses_of, slip_limit
 from energyplan.fit.drives.preload import lost_power, preload
-from energyplan.fit.drives.windows import BLOCK, Drive
+from energyplan.fit.drives.windows import BLOCK
 from energyplan.fit.problem import Problem
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Sides

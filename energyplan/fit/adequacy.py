@@ -11,8 +11,9 @@ from scipy.stats import f as fisher
 
 from energyplan.fit.covariance import autocorrelation
 from energyplan.fit.drives.denoise import speed_noise
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.drives.linear import equations_of, is_lossy, linearise_drive, power_of
-from energyplan.fit.drives.windows import SCALES, Drive
+from energyplan.fit.drives.windows import SCALES
 from energyplan.fit.residuals import pieces_of
 from energyplan.fit.solvers import column_scale
 from energyplan.path import FloatArray

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.drives.linear import linearise_drive
-from energyplan.fit.drives.windows import Drive
 from energyplan.fit.solvers import column_scale
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from energyplan.errors import MissingChannelError, NotIdentifiableError
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.drives.linear import Linear, linearise_drive
-from energyplan.fit.drives.windows import Drive
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Term

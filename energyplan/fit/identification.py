@@ -15,7 +15,7 @@ from energyplan.errors import InvalidInputError, ModelError, NotIdentifiableErro
 from energyplan.fit.adequacy import Adequacy, Beside, adequacy, beside, usual_effects, usual_terms
 from energyplan.fit.breakaway import with_breakaway
 from energyplan.fit.covariance import autocorrelation
-from energyplan.fit.drives.windows import Drive, check_long_enough, prepared
+from energyplan.fit.drives.drive import Drive, check_long_enough, prepared
 from energyplan.fit.foretold import Foretold, foretold
 from energyplan.fit.icr import ICREstimate, fit_icr, icr_from_spin, turned, yaw_channel
 from energyplan.fit.identifiability import check_identifiable, linearise, signal_motion

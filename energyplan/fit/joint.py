@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from energyplan.fit.drives.design import Design, window_means
 from energyplan.fit.drives.readings import reading_covariance
-from energyplan.fit.drives.windows import Design, window_means
 from energyplan.fit.least_squares import Fit, fit
 from energyplan.fit.problem import Problem
 from energyplan.fit.run_spread import RunSpread

@@ -1,6 +1,6 @@
 """Fits of a sum of terms to drives, with cross-validation and jackknife (private).
 
-Least squares on the means of `energyplan.fit.drives.windows`: every scale counts by its error
+Least squares on the means of `energyplan.fit.drives.design`: every scale counts by its error
 relative to the error of a reference model, so that each has one vote. Leaving out one block after
 the other is a small linear solve each, because the design is kept as one Gram matrix per block.
 """
@@ -15,7 +15,7 @@ from scipy.stats import f as fisher
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from energyplan.fit.drives.windows import Design
+from energyplan.fit.drives.design import Design
 from energyplan.path import FloatArray
 
 WEIGHTS = np.array([1.0, 2.0, 3.0]) / 6.0

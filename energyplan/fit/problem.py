@@ -13,9 +13,11 @@ from functools import cached_property
 import numpy as np
 
 from energyplan.fit.drives.columns import columns_of
+from energyplan.fit.drives.design import Design, window_means
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.drives.late import Late
 from energyplan.fit.drives.linear import is_lossy, linearise_drive
-from energyplan.fit.drives.windows import SCALES, Design, Drive, window_means
+from energyplan.fit.drives.windows import SCALES
 from energyplan.fit.least_squares import evidence_of, fit, solve, weighted
 from energyplan.fit.run_spread import RunSpread
 from energyplan.path import FloatArray

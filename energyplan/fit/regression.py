@@ -19,8 +19,8 @@ from energyplan.fit.covariance import (
     sandwich,
     sum_covariance,
 )
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.drives.linear import linearise_drive, power_of
-from energyplan.fit.drives.windows import Drive
 from energyplan.fit.icr import ICREstimate
 from energyplan.fit.identifiability import is_linear
 from energyplan.fit.residuals import pieces_of

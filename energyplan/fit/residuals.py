@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from energyplan.fit.covariance import correlation_time
-from energyplan.fit.drives.windows import Drive
+from energyplan.fit.drives.drive import Drive
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from energyplan.fit.drives.windows import Design
+from energyplan.fit.drives.design import Design
 from energyplan.path import FloatArray
 
 

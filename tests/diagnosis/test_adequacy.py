@@ -11,7 +11,7 @@ from energyplan import DriveLog, PowerModel, simulate
 from energyplan.diagnosis.joint_fit import final_fit
 from energyplan.diagnosis.part import Part
 from energyplan.fit.adequacy import Adequacy, adequacy, left_over, predicted, shown_of_contacts
-from energyplan.fit.drives.windows import prepared
+from energyplan.fit.drives.drive import prepared
 from energyplan.fit.problem import Problem
 from energyplan.path import FloatArray
 from energyplan.power.effects import COPPER_LOSS, catalogue

@@ -13,7 +13,7 @@ from energyplan.diagnosis.averaging import averaged
 from energyplan.diagnosis.holdout import predict
 from energyplan.diagnosis.joint_fit import final_fit
 from energyplan.diagnosis.part import Part
-from energyplan.fit.drives.windows import prepared
+from energyplan.fit.drives.drive import prepared
 from energyplan.fit.problem import Problem
 from energyplan.motion import Motion
 from energyplan.power import HOTEL, PowerModel

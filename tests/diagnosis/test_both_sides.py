@@ -11,8 +11,8 @@ from by_day import by_day
 
 from energyplan import DriveLog, diagnose, simulate
 from energyplan.fit.breakaway import with_breakaway
+from energyplan.fit.drives.drive import Drive, prepared
 from energyplan.fit.drives.linear import linearise_drive
-from energyplan.fit.drives.windows import Drive, prepared
 from energyplan.fit.least_squares import fit
 from energyplan.fit.problem import Problem
 from energyplan.motion import Motion

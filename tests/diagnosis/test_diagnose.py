@@ -21,10 +21,11 @@ from energyplan.diagnosis.mass_centre import find_mass_centre, twist
 from energyplan.diagnosis.residual import dependences, in_words
 from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.fit import fit_residual
-from energyplan.fit.drives import windows as _design
+from energyplan.fit.drives import drive as _drive
 from energyplan.fit.drives.denoise import quiet, speed_noise
+from energyplan.fit.drives.design import Design
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.drives.window_kernels import block_grams
-from energyplan.fit.drives.windows import Design, Drive
 from energyplan.fit.least_squares import Fit, fit, solve, weighted
 from energyplan.fit.problem import Problem
 from energyplan.motion import Motion
@@ -476,8 +477,8 @@ def test_very_many_samples_are_thinned_and_tell_the_same(monkeypatch: pytest.Mon
     train = simulate.identification_drive(truth, seed=1, rate=100.0, **NOISE)
     unseen = simulate.validation_drive(truth, seed=2, **NOISE)
     whole = diagnose(train, unseen, VEHICLE, effects=FEW).effects
-    monkeypatch.setattr(_design, "_MANY", 4000)
-    (few,) = _design.prepared([train], VEHICLE)
+    monkeypatch.setattr(_drive, "_MANY", 4000)
+    (few,) = _drive.prepared([train], VEHICLE)
     assert len(few.t) == -(-len(train) // 4)
     thin = diagnose(train, unseen, VEHICLE, effects=FEW).effects
     assert [effect.name for effect in whole] == [effect.name for effect in thin] == ["hotel_load"]

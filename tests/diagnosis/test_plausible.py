@@ -9,7 +9,7 @@ import pytest
 
 from energyplan import diagnose, simulate
 from energyplan.diagnosis.plausible import drags, drivable
-from energyplan.fit.drives.windows import prepared
+from energyplan.fit.drives.drive import prepared
 from energyplan.fit.problem import Problem
 from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel
 from energyplan.power.effect_terms import (

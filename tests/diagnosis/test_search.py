@@ -16,8 +16,8 @@ from energyplan.diagnosis.change_points import crosses, lines, mark_changes
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import Candidate
 from energyplan.diagnosis.search import Search
+from energyplan.fit.drives.drive import Drive, prepared
 from energyplan.fit.drives.late import ON_TIME, Late
-from energyplan.fit.drives.windows import Drive, prepared
 from energyplan.fit.problem import PAPER, Problem
 from energyplan.motion import Motion
 from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, SLIP_BEYOND, TOWED_DRAG

@@ -12,10 +12,10 @@ from numpy.testing import assert_allclose
 from energyplan import simulate
 from energyplan.fit import identify
 from energyplan.fit.drives.denoise import quiet
+from energyplan.fit.drives.drive import Drive, prepared
 from energyplan.fit.drives.late import Late
 from energyplan.fit.drives.linear import linearise_drive, power_of
 from energyplan.fit.drives.preload import straights
-from energyplan.fit.drives.windows import Drive, prepared
 from energyplan.fit.least_squares import fit
 from energyplan.fit.problem import Problem
 from energyplan.logs import DriveLog

@@ -20,7 +20,7 @@ from energyplan.errors import (
 )
 from energyplan.fit import ICREstimate, fit_icr, fit_residual, icr_from_spin, identify, solvers
 from energyplan.fit import covariance as _covariance
-from energyplan.fit.drives.windows import Drive
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.identifiability import check_identifiable
 from energyplan.fit.regression import PowerRegression
 from energyplan.logs import DriveLog

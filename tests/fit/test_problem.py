@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from energyplan import PowerModel, simulate
-from energyplan.fit.drives.windows import prepared
+from energyplan.fit.drives.drive import prepared
 from energyplan.fit.least_squares import fit
 from energyplan.fit.problem import PAPER, Problem
 from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS

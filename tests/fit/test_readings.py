@@ -7,8 +7,8 @@ import pytest
 
 from energyplan import DriveLog, PowerModel, simulate
 from energyplan.fit.drives.denoise import Steps
+from energyplan.fit.drives.drive import prepared
 from energyplan.fit.drives.readings import moved_by, reading_covariance
-from energyplan.fit.drives.windows import prepared
 from energyplan.fit.joint import joint_fit
 from energyplan.fit.least_squares import fit
 from energyplan.fit.problem import PAPER, Problem

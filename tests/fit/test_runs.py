@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from energyplan.fit.drives.windows import Drive
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.identification import _draw_at_rest
 from energyplan.fit.joint import joint_fit
 from energyplan.fit.problem import Problem

@@ -9,22 +9,15 @@ import pytest
 from numpy.testing import assert_allclose
 
 from energyplan.errors import DriveLogError, InvalidInputError
-from energyplan.fit.drives import windows
+from energyplan.fit.drives import drive as drive_module
 from energyplan.fit.drives.columns import column, columns_of
+from energyplan.fit.drives.design import Design
+from energyplan.fit.drives.drive import Drive, channels_of, check_long_enough, prepared
 from energyplan.fit.drives.late import DELAYS, Late, lagged, least_late
 from energyplan.fit.drives.linear import held_loss, linearise_drive
 from energyplan.fit.drives.parting import split_drives
 from energyplan.fit.drives.preload import preload
-from energyplan.fit.drives.windows import (
-    BLOCK,
-    SCALES,
-    Design,
-    Drive,
-    Windows,
-    channels_of,
-    check_long_enough,
-    prepared,
-)
+from energyplan.fit.drives.windows import BLOCK, SCALES, Windows
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.power import (
@@ -202,9 +195,9 @@ def test_short_logs_are_refused_and_long_ones_thinned(monkeypatch: pytest.Monkey
     assert [round(one.duration) for one in learned] == [24, 30]
     assert [round(one.duration) for one in judged] == [16, 20]
     assert [len(d.t) for d in prepared([log(20.0)] * 2, MODEL.vehicle)] == [1001, 1001]
-    monkeypatch.setattr(windows, "_MANY", 1001)
+    monkeypatch.setattr(drive_module, "_MANY", 1001)
     assert [len(d.t) for d in prepared([log(20.0)] * 2, MODEL.vehicle)] == [501, 501]
-    monkeypatch.setattr(windows, "_MANY", 1)  # four samples are kept in half a second
+    monkeypatch.setattr(drive_module, "_MANY", 1)  # four samples are kept in half a second
     # every sixth of 50 Hz, since seven would be longer than an eighth of a second
     assert [len(d.t) for d in prepared([log(20.0)], MODEL.vehicle)] == [167]
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from energyplan.fit.drives.windows import Drive
+from energyplan.fit.drives.drive import Drive
 from energyplan.path import FloatArray
 from energyplan.power import Sides, Term
 from energyplan.vehicle import Vehicle

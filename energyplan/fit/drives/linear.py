@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from energyplan.fit.drives.columns import columns_of, field_of, of_equations
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.drives.late import ON_TIME
 from energyplan.fit.drives.preload import at_rest, lost_power, preload, straights
-from energyplan.fit.drives.windows import Drive
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS, SLIP, PowerModel, Sides, Term

@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 
 from energyplan.errors import InvalidInputError
-from energyplan.fit.drives.windows import BLOCK, check_long_enough
+from energyplan.fit.drives.drive import check_long_enough
+from energyplan.fit.drives.windows import BLOCK
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 

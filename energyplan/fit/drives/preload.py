@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from energyplan.fit.drives.denoise import speed_noise
+from energyplan.fit.drives.drive import MOMENT, Drive
 from energyplan.fit.drives.late import Late
-from energyplan.fit.drives.windows import MOMENT, Drive
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import Sides, Term

@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.fit.drives.denoise import Steps
+from energyplan.fit.drives.design import Design
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.drives.linear import linearise_drive
-from energyplan.fit.drives.windows import SCALES, Design, Drive
+from energyplan.fit.drives.windows import SCALES
 from energyplan.fit.least_squares import weighted
 from energyplan.fit.problem import Problem
 from energyplan.path import FloatArray

@@ -1,0 +1,268 @@
+"""A log ready for regression: its motion, its power, and how the one shows the other (private)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from energyplan.errors import DriveLogError
+from energyplan.fit.drives.denoise import NO_STEPS, Steps, quiet, speed_noise
+from energyplan.fit.drives.hold import Hold, find_hold
+from energyplan.fit.drives.late import ON_TIME, Late, delayed, lagged
+from energyplan.fit.drives.windows import BLOCK, SCALES, Windows
+from energyplan.logs import DriveLog
+from energyplan.logs.align import time_weights
+from energyplan.logs.checks import find_runs
+from energyplan.motion import Motion
+from energyplan.path import FloatArray
+from energyplan.vehicle import TreadICR, Vehicle
+
+MOMENT = 0.5
+"""Time over which what contacts hold is taken for one [s]."""
+
+_ALL = 0.999  # share of a reading's time in which contacts slide
+_MANY = 200_000  # samples that selection works on
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A log ready for regression.
+
+    Parameters
+    ----------
+    name : str
+        Name of the log.
+    t : ndarray, shape (n,)
+        Time since the start [s].
+    motion : Motion, shape (n,)
+        The motion, with the channels ``accel``, ``yaw_accel`` and ``distance``.
+    power : ndarray, shape (n,)
+        Measured total power [W].
+    battery : bool
+        Whether it was measured at the battery.
+    late : Late
+        By how much the logged power is behind the motion.
+    factor : float
+        Power of this drive over that of the model: what differs from drive to drive as a whole.
+    between : ndarray, shape (n,), optional
+        Measured power of the right side less that of the left one [W], where both are used.
+    breakaway : float
+        Yaw rate up to which contacts hold [rad/s]; zero for straight lines alone.
+    drift : float
+        Yaw rate by which steering drifts about a straight [rad/s]: nothing tells which way, so that
+        contacts are taken to hold there too.
+    fitted : bool
+        Whether a model is fitted to it: only then its power may tell what contacts hold.
+    steps : Steps
+        Of the speeds' sensors.
+    hold : Hold, optional
+        Readings of the power, where they stand in several rows each.
+    fields : dict
+        Forces of terms, kept for `field_of`.
+    """
+
+    name: str
+    t: FloatArray
+    motion: Motion
+    power: FloatArray
+    battery: bool = False
+    late: Late = ON_TIME
+    factor: float = 1.0
+    between: FloatArray | None = None
+    breakaway: float = 0.0
+    drift: float = 0.0
+    fitted: bool = False
+    steps: Steps = NO_STEPS
+    hold: Hold | None = None
+    fields: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    @classmethod
+    def of(cls, log: DriveLog, vehicle: Vehicle) -> Drive:
+        """Prepare a log."""
+        t = np.asarray(log.t - log.t[0])
+        motion = quiet(log.motion(vehicle.icr), t)
+        since = np.asarray(log.t - (log.t[0] if log.began is None else log.began))
+        steps = 0.5 * np.diff(t) * (np.abs(motion.v[1:]) + np.abs(motion.v[:-1]))
+        distance = np.concatenate([[0.0], np.cumsum(steps)])
+        motion = motion.with_channels(t=since, distance=distance)
+        sides = log.sides
+        return cls(
+            log.name, t, motion, log.power, log.battery_side,
+            between=None if sides is None else np.asarray(sides.right - sides.left),
+            steps=Steps.of(np.concatenate([log.channel("v_left"), log.channel("v_right")])),
+            hold=find_hold(log.channels, motion, log.power),
+        )  # fmt: skip
+
+    @classmethod
+    def at(cls, motion: Motion, battery: bool = False) -> Drive:
+        """Return instants of a motion, shape (n,), that belong to no log."""
+        count = motion.shape[0]
+        return cls("instants", np.arange(float(count)), motion, np.zeros(count), battery)
+
+    def with_channels(self, **channels: FloatArray) -> Drive:
+        """Return the drive with channels added to its motion."""
+        return replace(self, motion=self.motion.with_channels(**channels), fields={})
+
+    def with_icr(self, icr: TreadICR) -> Drive:
+        """Return the drive of a robot with other tread ICRs."""
+        return replace(self, motion=replace(self.motion, icr=icr), fields={})
+
+    @cached_property
+    def runs(self) -> tuple[slice, ...]:
+        """Stretches without a gap."""
+        return tuple(find_runs(self.t))
+
+    @cached_property
+    def held(self) -> Motion:
+        """The motion for losses: contacts that hardly slip sideways hold, and carry no moment.
+
+        The moment of friction is anything up to its limit while they hold (docs/theory, section
+        6). Its power is nothing then, but a loss counts the force: with the sign of the least turn
+        a straight line would cost what a spin does.
+        """
+        motion = self.motion
+        mean = 0.5 * (motion.v_left + motion.v_right)
+        left, right = (np.where(self.holds, mean, v) for v in (motion.v_left, motion.v_right))
+        return replace(motion, v_left=left, v_right=right)
+
+    @cached_property
+    def holds(self) -> NDArray[np.bool_]:
+        """Tell where contacts hold, so that the moment of friction is anything up to its limit."""
+        return np.asarray(np.abs(self.motion.omega) <= max(self.breakaway, self.drift))
+
+    @cached_property
+    def holding(self) -> Motion:
+        """The motion of samples at which contacts hold."""
+        held, at = self.held, self.holds
+        channels = {name: values[at] for name, values in held.channels.items()}
+        return Motion(held.v_left[at], held.v_right[at], held.icr, channels)
+
+    @property
+    def equations(self) -> int:
+        """Number of equations: two where the power of both sides is used."""
+        return 1 if self.between is None else 2
+
+    @cached_property
+    def measured(self) -> FloatArray:
+        """Measured power of each equation, shape (n, equations) [W]; see `observed`."""
+        if self.between is None:
+            return self.power[:, None]
+        return np.column_stack([self.power, self.between * self.slides])
+
+    @cached_property
+    def slides(self) -> FloatArray:
+        """One where the difference of the sides follows from the motion, else zero.
+
+        Friction turns with the sign of the yaw rate, and the difference with it: around a reversal
+        it is anything between. What the log shows late counts late.
+        """
+        turn = np.where(self.holds, 0.0, np.sign(self.motion.omega))
+        width = self.samples_in(MOMENT)
+        settled = np.abs(uniform_filter1d(turn, width, mode="nearest")) > 1.0 - 0.5 / width
+        # Whole samples later, so that no delay makes the samples that count fewer.
+        by = round(self.late.mean / float(np.median(np.diff(self.t))))
+        at = np.clip(np.arange(len(self.t)) - by, 0, len(self.t) - 1)
+        shown = np.asarray(settled[at], float)
+        return shown if self.hold is None else (self.hold.shown(shown) > _ALL).astype(float)
+
+    @cached_property
+    def between_noise(self) -> float:
+        """Noise of the measured difference of the sides [W]."""
+        return 0.0 if self.between is None else speed_noise(self.between)
+
+    def samples_in(self, time: float) -> int:
+        """Return the odd number of samples closest to a time [s]."""
+        return 2 * round(0.5 * time / float(np.median(np.diff(self.t)))) + 1
+
+    def observed(self, table: FloatArray) -> FloatArray:
+        """Return predictions of each equation, shape (n, equations, ...), as the log shows them.
+
+        The difference of the sides counts only where contacts slide.
+        """
+        seen = self.seen(table)
+        if self.between is not None:
+            seen = np.array(seen)
+            seen[:, 1] *= self.slides.reshape(-1, *[1] * (table.ndim - 2))
+        return seen
+
+    @cached_property
+    def weights(self) -> FloatArray:
+        """Time that each sample stands for [s]; gaps count for nothing."""
+        return time_weights(self.t, self.runs)
+
+    def seen(self, power: FloatArray) -> FloatArray:
+        """Return a predicted power, shape (n, ...), as the log shows it: late, and by the factor.
+
+        The prediction is shifted and lags, and the measurement is left as it is: a shifted
+        measurement is smoother, and flatters whoever predicts it.
+        """
+        late = power
+        if self.late.delay != 0.0:
+            late = np.concatenate([delayed(late[r], self.t[r], self.late.delay) for r in self.runs])
+        if self.late.lag > 0.0:
+            late = np.concatenate([lagged(late[r], self.t[r], self.late.lag) for r in self.runs])
+        late = late if self.hold is None else self.hold.shown(late)
+        return late if self.factor == 1.0 else late * self.factor
+
+    def thinned(self, step: int) -> Drive:
+        """Return every `step`-th sample of the drive."""
+        motion = self.motion
+        channels = {name: values[::step] for name, values in motion.channels.items()}
+        few = Motion(motion.v_left[::step], motion.v_right[::step], motion.icr, channels)
+        between = None if self.between is None else self.between[::step]
+        return replace(
+            self, t=self.t[::step], motion=few, power=self.power[::step], between=between,
+            fields={}, hold=None if self.hold is None else self.hold.thinned(step),
+        )  # fmt: skip
+
+    @cached_property
+    def windows(self) -> tuple[Windows, ...]:
+        """Windows of each scale."""
+        period = float(np.median(np.diff(self.t)))
+        return tuple(Windows.of(self.t, max(scale, 3 * period)) for scale in SCALES)
+
+
+def check_long_enough(*lists: Sequence[DriveLog]) -> None:
+    """Refuse drives too short to be cut into blocks, each or all of a list together.
+
+    Raises
+    ------
+    DriveLogError
+        If a log is shorter than half a block, or all of a list together than two.
+    """
+    cases = [(log.name, [log], 0.5 * BLOCK) for logs in lists for log in logs]
+    cases += [(", ".join(log.name for log in logs[:3]), [*logs], 2 * BLOCK) for logs in lists]
+    for name, logs, least in cases:
+        seconds = sum(float(log.t[-1] - log.t[0]) for log in logs)
+        if seconds < least:
+            raise DriveLogError(
+                f"{name}: {seconds:.1f} s are too short to learn from, or to judge by; give "
+                f"{least:.0f} s or more"
+            )
+
+
+def prepared(logs: Sequence[DriveLog], vehicle: Vehicle) -> list[Drive]:
+    """Prepare training drives; very many samples are thinned, to four a shortest window at least.
+
+    Speeds are cleaned before: only the averaging of noise suffers, of which there is plenty left.
+    """
+    drives = [replace(Drive.of(log, vehicle), fitted=True) for log in logs]
+    total = sum(len(drive.t) for drive in drives)
+    period = max(float(np.median(np.diff(drive.t))) for drive in drives)
+    step = min(int(np.ceil(total / _MANY)), int(SCALES[0] / (4 * period)))
+    return [drive.thinned(step) for drive in drives] if step > 1 else drives
+
+
+def channels_of(drives: Sequence[Drive]) -> frozenset[str]:
+    """Return the channels that every drive carries."""
+    common: Mapping[str, object] = drives[0].motion.channels
+    names = set(common)
+    for drive in drives[1:]:
+        names &= set(drive.motion.channels)
+    return frozenset(names)
