@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from energyplan.fit.drives.columns import columns_of
 from energyplan.fit.drives.design import Design, window_means
@@ -68,9 +69,11 @@ class _Tried:
     """Coefficients that were tried: the design about them, and what it says of them.
 
     `misfit` is the negative logarithm of their likelihood, `least` the coefficients that the design
-    takes for the most likely, `hoped` what it takes their misfit for.
+    takes for the most likely, `hoped` what it takes their misfit for. `drag` tells which are the
+    paper's.
     """
 
+    drag: NDArray[np.bool_]
     values: FloatArray
     design: Design
     gram: FloatArray
@@ -83,9 +86,8 @@ class _Tried:
 
         A loss that multiplies all forces asks for so much less of them that they would push.
         """
-        kept = _KEPT * self.values[: len(PAPER)]
-        first = np.where(kept > 0.0, np.maximum(to[: len(PAPER)], kept), to[: len(PAPER)])
-        return np.concatenate([first, to[len(PAPER) :]])
+        kept = _KEPT * self.values
+        return np.where(self.drag & (kept > 0.0), np.maximum(to, kept), to)
 
 
 class Problem:
@@ -305,7 +307,8 @@ class Problem:
         misfit, hoped = (
             self._misfit(design, gram, scale, each) + about.odds for each in (values, least)
         )
-        return _Tried(values, design, gram, misfit, least, hoped)
+        drag = np.array([term in PAPER for term in terms])
+        return _Tried(drag, values, design, gram, misfit, least, hoped)
 
     def _misfit(
         self, design: Design, gram: FloatArray, scale: FloatArray, values: FloatArray
