@@ -39,7 +39,7 @@ from energyplan.power.effects import Effect
 SIGNIFICANCE = 0.01
 """Chance that a channel is called a reason where it is none, over all channels together."""
 
-_TRIED = 6  # neighbours of the best set that are fitted as they are
+_TRIED = 18  # neighbours of the best set, each of other effects, that are fitted as they are
 _AS_GOOD = 1.5  # odds of two explanations up to which neither is the better one
 _COMPARED = 1e-3  # probability from which on explanations are held against each other
 _APART = 0.05  # delays that are worth sets of their own [s]
@@ -175,7 +175,10 @@ class Search(SettledSets):
             scores = np.append(scores, self._scores(design, candidates, pairs, one.errors))
             sets += pairs
             before = set(weighed)
-            tried = [sets[k] for k in np.argsort(-scores, kind="stable")[:_TRIED]]
+            best: dict[frozenset[str], Set] = {}
+            for k in np.argsort(-scores, kind="stable"):
+                best.setdefault(frozenset(candidates[j].name for j in sets[k]), sets[k])
+            tried = [*best.values()][:_TRIED]
             tried += self._losses(sets, scores, candidates, one)
             for some in [*tried, *self._settled_lines(sets, scores, candidates, one)]:
                 if set(now) < set(some):
