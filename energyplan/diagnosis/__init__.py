@@ -39,7 +39,7 @@ from energyplan.diagnosis.stand_ins import Presence, presence
 from energyplan.diagnosis.wheel_fight import find_wheel_fight
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
-from energyplan.fit.adequacy import Adequacy, adequacy, left_over
+from energyplan.fit.adequacy import Adequacy, adequacy, left_over, usual_effects
 from energyplan.fit.breakaway import with_breakaway
 from energyplan.fit.drives.drive import Drive, check_long_enough, prepared
 from energyplan.fit.drives.late import Late
@@ -229,8 +229,8 @@ class _Case:
 
     def _problem(self, train: Sequence[DriveLog], vehicle: Vehicle) -> Problem:
         usual = [
-            term for entry in self.entries if entry.usual and not entry.channels and not entry.grid
-            for term in entry.terms
+            term for effect in usual_effects(self.entries) if not effect.grid
+            for term in effect.terms
         ]  # fmt: skip
         return with_breakaway(Problem(prepared(train, vehicle), vehicle), usual)
 
