@@ -150,6 +150,28 @@ def test_derivatives_with_losses_are_those_of_the_models_power(loss: tuple[Term,
         assert_allclose(about.columns[:, 0, k], slope, rtol=1e-5, atol=1e-6 * np.max(np.abs(slope)))
 
 
+def test_derivatives_count_that_what_contacts_hold_follows_the_coefficients() -> None:
+    """Its mean over a moment of time does, where both sides were logged and losses make it cost."""
+    model = PowerModel.preset("quadriga:full:concrete").with_term(COPPER_LOSS, 4.5e-4)
+    log = simulate.identification_drive(
+        model, seed=3, rate=10.0, power_noise=4.0, speed_noise=0.004, without={"accel_x"}
+    )
+    (drive,) = prepared([log], model.vehicle)
+    drive = replace(drive, breakaway=0.05, drift=0.05, fields={})
+    driven = drive.holds & (drive.held.v_left != 0.0)
+    values, terms = model.coefficients, model.terms
+    about = linearise_drive(drive, model.vehicle, terms, values)
+    for k, value in enumerate(values):
+        step = 1e-3 * value * np.eye(len(values))[k]
+        more, less = (
+            linearise_drive(drive, model.vehicle, terms, values + s) for s in (step, -step)
+        )
+        slope = (more.power - less.power)[driven, 0] / (2e-3 * value)
+        told = about.columns[driven, 0, k]
+        assert np.quantile(np.abs(told - slope), 0.9) < 0.02 * np.sqrt(np.mean(slope**2))
+        assert told.sum() == pytest.approx(slope.sum(), rel=0.02)
+
+
 def test_a_fit_with_losses_that_starts_where_it_ends_is_settled() -> None:
     problem, terms = _lossy(8e-4, "copper_loss")
     errors = problem.reference(problem.design(terms))

@@ -311,11 +311,12 @@ def test_what_contacts_hold_is_told_by_the_difference_of_the_sides(
     assert_allclose(found.forces.left, -push, rtol=1e-3)
     rise_of_total = 2 * copper * (right - left)
     rise_of_difference = 2 * speed + 2 * copper * (right + left)
-    assert_allclose(found.share, rise_of_total / rise_of_difference, atol=1e-4)
+    falls = found.followed(np.full((n, 1), 2.0), np.ones(1))[:, 0]
+    assert_allclose(falls, 2.0 * rise_of_total / rise_of_difference, atol=1e-4)
     # no more than friction allows, and then it follows no coefficient
     most = preload(one, 1.2 * between, MODEL.vehicle, losses, Sides(pull, pull), 30.0)
     assert_allclose(most.moment, 30.0, rtol=1e-3)
-    assert_allclose(most.share, 0.0)
+    assert_allclose(most.followed(np.ones((n, 1)), np.zeros(1)), 0.0)
 
 
 def test_losses_at_rest_are_those_of_all_that_friction_holds() -> None:

@@ -92,21 +92,27 @@ def linearise_drive(
         power = _power(drive, vehicle, terms, values, losses, total)
 
     rise = _rise(losses, drive, vehicle, total) if losses else None
-    columns = []
+    columns, held_apart, limits = [], [], []
     for k in range(len(terms)) if wanted is None else wanted:
         term = terms[k]
         if term.kind == "loss":
             own = of_equations(term.function(held, vehicle, total, **term.params), drive)
         else:
             own = columns_of(term, drive, vehicle)
+        apart = own[:, -1]
         if term.kind == "force" and rise is not None:
             acting = field_of(term, drive, vehicle, held=True)
-            own = own + rise.left * acting.left[:, None] + rise.right * acting.right[:, None]
+            lost = rise.left * acting.left[:, None] + rise.right * acting.right[:, None]
+            own = own + lost
+            apart = acting.right * held.v_right - acting.left * held.v_left + lost[:, -1]
         columns.append(own)
+        held_apart.append(apart)
+        limits.append(vehicle.slip_moment if term.name == SLIP.name else 0.0)
     table = np.stack(columns, axis=-1) if columns else np.zeros((*power.shape, 0))
     if fight is not None:
-        # The moment follows the coefficients so that the sides' difference stays as measured.
-        table[:, 0] -= fight.share[:, None] * table[:, 1]
+        if columns:
+            apart = np.stack(held_apart, axis=-1)
+            table[:, 0] -= fight.followed(apart, np.array(limits))
         known, most = at_rest(drive, power[:, 0], held_loss(vehicle, terms, values, drive))
         power[:, 0] += most
         table[known, 0] = 0.0

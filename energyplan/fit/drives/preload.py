@@ -23,7 +23,7 @@ from energyplan.power import Sides, Term
 from energyplan.vehicle import Vehicle
 
 _BISECTIONS = 16
-_INSIDE = 6  # bisections by which a moment differs from its limit
+_INSIDE = 12  # bisections by which a moment differs from its limit
 _TOLD = 5.0  # noise that the largest moment exceeds where its size can be told
 _GAP = 2.0  # time for which contacts may slide within what is one stretch [s]
 _STATIC = 1.5  # moment that contacts hold, over that of sliding, at most
@@ -50,15 +50,50 @@ class Preload:
     ----------
     moment : ndarray, shape (n,)
         The moment [N m]; zero where contacts slide.
-    share : ndarray, shape (n,)
-        By how much the total rises with it, over by how much the sides' difference does.
     forces : Sides
         Tread forces of the moment [N].
+    told : ndarray, shape (n,)
+        By how much the difference of the sides rises with it, where that tells it [W/(N m)].
+    cost : ndarray, shape (n,)
+        By how much the total rises with it [W/(N m)].
+    ends : ndarray, shape (n,)
+        Square of how the difference rises with it, where it is at the limit of friction, with the
+        sign of that end; else zero.
+    sure : ndarray, shape (n,)
+        Mean square of `told` over the samples around each; one where nothing tells the moment.
+    width : int
+        Samples over which it is taken for one.
     """
 
     moment: FloatArray
-    share: FloatArray
     forces: Sides
+    told: FloatArray
+    cost: FloatArray
+    ends: FloatArray
+    sure: FloatArray
+    width: int
+
+    def followed(self, between: FloatArray, limits: FloatArray) -> FloatArray:
+        """Return by how much the total falls as the moment follows coefficients.
+
+        It follows them so that the difference of the sides stays as measured, or, where friction
+        allows no more, as its limit does.
+
+        Parameters
+        ----------
+        between : ndarray, shape (n, k)
+            By how much the difference would rise with each coefficient.
+        limits : ndarray, shape (k,)
+            By how much the limit does [N m].
+
+        Returns
+        -------
+        ndarray, shape (n, k)
+            Fall of the total with each.
+        """
+        pulled = self.told[:, None] * between - self.ends[:, None] * limits
+        moved = uniform_filter1d(pulled, self.width, axis=0)
+        return np.asarray((self.cost / self.sure)[:, None] * moved)
 
 
 def preload(
@@ -125,17 +160,20 @@ def preload(
     rise = sign * ((ahead.right - ahead.left) - (behind.right - behind.left)) / (2 * step)
     clear = rise * limit > _TOLD * drive.between_noise
     inside = clear & (np.abs(found) < (1.0 - 2.0**-_INSIDE) * limit)
-    total = sign * (ahead.total - behind.total) / (2 * step)
-    weight, moment, share = (np.zeros(len(drive.t)) for _ in range(3))
+    weight, moment, told, cost, ends = (np.zeros(len(drive.t)) for _ in range(5))
     weight[at] = np.where(clear, rise, 0.0) ** 2
     moment[at] = found
-    share[at] = np.where(inside, total / np.where(inside, rise, 1.0), 0.0)
+    told[at] = np.where(inside, sign * rise, 0.0)
+    ends[at] = np.where(clear & ~inside, np.sign(found) * rise**2, 0.0)
     width = drive.samples_in(MOMENT)
     sure = uniform_filter1d(weight, width)
-    smooth = uniform_filter1d(weight * moment, width) / np.where(sure > 0.0, sure, 1.0)
-    driving = at & ((drive.held.v_left != 0.0) | (drive.held.v_right != 0.0))
-    smooth = np.where(driving & (sure > 0.0), smooth, 0.0)
-    return Preload(smooth, share, Sides(-smooth / track, smooth / track))
+    driving = at & ((drive.held.v_left != 0.0) | (drive.held.v_right != 0.0)) & (sure > 0.0)
+    sure = np.where(driving, sure, 1.0)
+    smooth = np.where(driving, uniform_filter1d(weight * moment, width) / sure, 0.0)
+    ahead, behind = powers(smooth[at] + step), powers(smooth[at] - step)
+    cost[at] = (ahead.total - behind.total) / (2 * step)
+    cost = np.where(driving, cost, 0.0)
+    return Preload(smooth, Sides(-smooth / track, smooth / track), told, cost, ends, sure, width)
 
 
 def _bisected(
