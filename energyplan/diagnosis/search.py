@@ -106,7 +106,7 @@ class Search(SettledSets):
             self.score(self._fitted(totals.delayed(each), best.parts))
             for each in (best.problem.drives[0].late, found)
         )
-        return found if late + RARE + OF_LOG > plain else None
+        return found if late + LATE > plain else None
 
     def run(self) -> Found:
         """Search, and return the explanations, the most probable one first."""
