@@ -99,7 +99,7 @@ def linearise_drive(
             own = of_equations(term.function(held, vehicle, total, **term.params), drive)
         else:
             own = columns_of(term, drive, vehicle)
-        apart = own[:, -1]
+        apart = own[:, -1]  # what it makes the sides differ by where contacts hold
         if term.kind == "force" and rise is not None:
             acting = field_of(term, drive, vehicle, held=True)
             lost = rise.left * acting.left[:, None] + rise.right * acting.right[:, None]
