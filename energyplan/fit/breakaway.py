@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from energyplan.fit.drives.columns import columns_of
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.least_squares import fit
 from energyplan.fit.problem import PAPER, Problem
 from energyplan.path import FloatArray
@@ -125,10 +126,7 @@ def _unsigned(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bo
     for drive in problem.drives:
         if drive.between is None:
             continue
-        table = np.stack([columns_of(term, drive, problem.vehicle) for term in terms], axis=-1)
-        total, more = (table @ values).T
-        for sign in (-1.0, 1.0):
-            side, measured = 0.5 * (total + sign * more), 0.5 * (drive.power + sign * drive.between)
+        for side, measured in _sides(drive, problem, terms, values):
             returns = (side < -_CLEAR * drive.between_noise) & (drive.slides > 0.0)
             faint += int(np.count_nonzero(side < 0.0))
             lowest = min(lowest, float(measured.min()))
@@ -173,12 +171,20 @@ def _with_signs(problem: Problem, terms: Sequence[Term], values: FloatArray) -> 
     """Return the drives, the power of each side with the sign that a model has there."""
     drives = []
     for drive in problem.drives:
-        table = np.stack([columns_of(term, drive, problem.vehicle) for term in terms], axis=-1)
-        total, more = (table @ values).T
-        between = np.zeros(len(total)) if drive.between is None else drive.between
         left, right = (
-            np.copysign(0.5 * (drive.power + sign * between), total + sign * more)
-            for sign in (-1.0, 1.0)
+            np.copysign(measured, side) for side, measured in _sides(drive, problem, terms, values)
         )
         drives.append(replace(drive, power=left + right, between=right - left))
     return Problem(drives, problem.vehicle)
+
+
+def _sides(
+    drive: Drive, problem: Problem, terms: Sequence[Term], values: FloatArray
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Return the power of the left side and of the right one: by a model, and as measured [W]."""
+    table = np.stack([columns_of(term, drive, problem.vehicle) for term in terms], axis=-1)
+    total, more = (table @ values).T
+    between = np.zeros(len(total)) if drive.between is None else drive.between
+    return [
+        (0.5 * (total + sign * more), 0.5 * (drive.power + sign * between)) for sign in (-1.0, 1.0)
+    ]

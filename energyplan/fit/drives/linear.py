@@ -104,7 +104,8 @@ def linearise_drive(
             acting = field_of(term, drive, vehicle, held=True)
             lost = rise.left * acting.left[:, None] + rise.right * acting.right[:, None]
             own = own + lost
-            apart = acting.right * held.v_right - acting.left * held.v_left + lost[:, -1]
+            if fight is not None:
+                apart = acting.right * held.v_right - acting.left * held.v_left + lost[:, -1]
         columns.append(own)
         held_apart.append(apart)
         limits.append(vehicle.slip_moment if term.name == SLIP.name else 0.0)
