@@ -69,20 +69,36 @@ def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
         The model with its covariance.
     """
     terms = [*PAPER, *(term for part in parts for term in part.terms)]
-    names: list[str] = []
+    moved: dict[str, list[FloatArray]] = {}
 
     def further(values: Mapping[str, float]) -> Sequence[Sequence[FloatArray]]:
-        moved = _derivatives(problem, parts, values)
-        names.extend(moved)
+        moved.update(_derivatives(problem, parts, values))
         return list(moved.values())
 
     found = joint_fit(problem, terms, further)
-    searched = dict(zip(names, np.sqrt(np.diag(found.further)).tolist(), strict=True))
+    names = [*moved]
+    variances = dict(zip(names, np.diag(found.further).tolist(), strict=True))
     late = [k for k, name in enumerate(names) if name in Late._fields]
     if late:
-        block = found.further[np.ix_(late, late)]
-        searched["late"] = float(np.sqrt(max(float(block.sum()), 0.0)))
-    return FinalFit(found.model, searched, found.run_spread)
+        between = _between_samples(problem, moved[names[late[0]]])
+        variances["late"] = float(found.further[np.ix_(late, late)].sum()) + between
+        variances["delay"] += between
+    errors = {name: float(np.sqrt(max(value, 0.0))) for name, value in variances.items()}
+    return FinalFit(found.model, errors, found.run_spread)
+
+
+def _between_samples(problem: Problem, rise: Sequence[FloatArray]) -> float:
+    """Return the variance of a delay that is due to what happens between samples [s^2].
+
+    A change of the power happens at any time between two samples, and is taken for even over it.
+    The delay is a mean over all changes, each of which counts by the square of its size.
+    """
+    square = fourth = 0.0
+    for drive, power in zip(problem.drives, rise, strict=True):
+        size = power[:, 0] ** 2
+        square += float(size.sum())
+        fourth += float(np.sum((np.gradient(drive.t) * size) ** 2))
+    return fourth / max(12.0 * square**2, 1e-300)
 
 
 def _derivatives(

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.fft import next_fast_len
 from scipy.optimize import brentq
 from scipy.stats import f as fisher
 
@@ -43,6 +44,7 @@ _SLOW = 1  # scale at which a patch is looked for: two seconds
 _PERIODS = (2.0, 60.0)  # of a periodic load [s]
 _WAVES = 12  # drives in which a periodic load is looked for
 _TURNS = (0.7, 10.0)  # of a wheel [s], at the usual speed
+_PARTS = 16  # of the shortest way a wheel turns on: a wave differs by a fifth of a radian in one
 _WINDOWS = 4  # longest windows that a drive needs to show how much it scatters
 
 
@@ -360,8 +362,14 @@ def _every_turn(problem: Problem, now: Fit, errors: FloatArray, design: Design) 
     longest = float(covered.max())
     if usual <= 0.0 or longest < 4 * _TURNS[0] * usual:
         return []
+    # Sums of waves at many counts of turns a metre: a Fourier transform of what each short piece of
+    # the path shows.
+    piece = _TURNS[0] * usual / _PARTS
+    pieces = next_fast_len(int(np.ceil(2.0 * longest / piece)) + 2, real=True)
+    counts = np.fft.rfftfreq(pieces, piece)
     least = max(1.0 / (_TURNS[1] * usual), 4.0 / longest)
-    counts = np.arange(least, 1.0 / (_TURNS[0] * usual), 0.5 / longest)
+    band = (counts >= least) & (counts < 1.0 / (_TURNS[0] * usual))
+    counts = counts[band]
     table, owner = design.rows[0], design.drives[design.blocks[0]]
     residual = table[:, -1] - table[:, :-1] @ now.values
     best = (0.0, 0, False, counts[0])
@@ -372,14 +380,14 @@ def _every_turn(problem: Problem, now: Fit, errors: FloatArray, design: Design) 
                 speed = (drive.motion.v_left, drive.motion.v_right)[side]
                 windows = drive.windows[0]
                 pull = windows.mean(np.abs(speed) if dragging else speed)
-                wave = pull[:, None] * np.exp(
-                    2j * np.pi * counts * windows.mean(path[k][side])[:, None]
-                )
                 power = float(pull @ pull)
                 if power > 0.0:
-                    explained += np.abs(residual[owner == k] @ wave) ** 2 / power
-            at = int(np.argmax(explained))
-            best = max(best, (float(explained[at]), side, dragging, float(counts[at])))
+                    along = windows.mean(path[k][side])
+                    at = np.round((along - along.min()) / piece).astype(np.intp)
+                    shown = np.bincount(at, residual[owner == k] * pull, pieces)
+                    explained += np.abs(np.fft.rfft(shown)[band]) ** 2 / power
+            most = int(np.argmax(explained))
+            best = max(best, (float(explained[most]), side, dragging, float(counts[most])))
     _, side, dragging, count = best
     tables, level = [], []
     for k, drive in enumerate(drives):

@@ -43,6 +43,9 @@ _TRIED = 18  # neighbours of the best set, each of other effects, that are fitte
 _AS_GOOD = 1.5  # odds of two explanations up to which neither is the better one
 _COMPARED = 1e-3  # probability from which on explanations are held against each other
 _APART = 0.05  # delays that are worth sets of their own [s]
+_PERIOD = 0.1  # over which the search averages drives [s]; sizes are fitted to all samples
+_SAMPLES = 60_000  # that the search works on
+_DRIVES = 40  # and of so many drives
 
 
 class Search(SettledSets):
@@ -66,6 +69,7 @@ class Search(SettledSets):
     ) -> None:
         super().__init__(problem, effects, limit, judged)
         self.progress = progress
+        self.whole, self.excerpted = problem, False
         self.followed: FloatArray = np.array([])
 
     def _best_delay(self, parts: Sequence[Part], problem: Problem) -> Late:
@@ -116,7 +120,10 @@ class Search(SettledSets):
             for part in self.variants(effect)
         ]  # fmt: skip
         nuisance = [*usual, *(Part(e) for e in self.effects if e.terms == (HOTEL,))]
-        self.problem = self._levelled(nuisance)
+        self.whole = self.whole.levelled(terms_of(nuisance))
+        means = self.whole.averaged(_PERIOD)
+        self.problem = means.excerpt(_SAMPLES, _DRIVES)
+        self.excerpted = self.problem is not means
         pools: dict[Late, tuple[list[Candidate], list[Set]]] = {}
         for late in self._delays(nuisance):
             pools[late] = self.pool(late, usual)
@@ -241,10 +248,6 @@ class Search(SettledSets):
                 reduced = self._reduced(tuple(same), candidates, late)
                 weighed[(frozenset(reduced), late)] = self._posterior(reduced, candidates, late)
 
-    def _levelled(self, nuisance: Sequence[Part]) -> Problem:
-        """Give each run the factor by which it differs as a whole: else long runs decide."""
-        return self.problem.levelled(terms_of(nuisance))
-
     def _explained(
         self,
         weighed: Weighed,
@@ -297,8 +300,22 @@ class Search(SettledSets):
                 for new in sorted(joined.values(), key=lambda n: -round(n.probability / total, 3))
             ]
         )
+        ranked = [replace(one, problem=self._of_all(one)) for one in ranked]
         ranked[0] = self._refined(ranked[0])
         return Found(tuple(ranked), tuple(self.untested), self.followed)
+
+    def _of_all(self, one: Explanation) -> Problem:
+        """Return whole drives with what an explanation says of their means, or of excerpts."""
+        few, whole = one.problem, self.whole.delayed(one.problem.drives[0].late)
+        whole = whole.starting_from(few.memory)
+        others = [part for part in one.parts if part.effect.acts != "change"]
+        if len(others) == len(one.parts):
+            return whole
+        if self.excerpted:  # which do not show when, between them, something changed
+            return mark_changes(whole, terms_of(others), _errors(whole, others))
+        pairs = zip(whole.drives, few.drives, strict=True)
+        drives = [drive.changed_as(means) for drive, means in pairs]
+        return Problem(drives, whole.vehicle, whole.memory)
 
     def _classed(self, ranked: Sequence[Explanation]) -> list[Explanation]:
         """Say of each explanation which others these drives cannot tell it from.

@@ -42,6 +42,7 @@ _FAILED = 11  # steps that may raise it at all
 _KEPT = 0.1  # of friction and resistance in a step, at least
 _SETTLED = 1e-3  # fall of the negative logarithm of the likelihood that is none
 _RUNS = 6  # drives from which on each has a factor before effects are looked for
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # its multiples spread evenly
 _LEVELLING = 4  # rounds in which factors of runs and coefficients settle
 
 
@@ -135,6 +136,25 @@ class Problem:
         step = int(SCALES[0] / (samples * period))
         few = [drive.thinned(step) for drive in self.drives] if step > 1 else self.drives
         return Problem(few, self.vehicle, self.memory)
+
+    def averaged(self, period: float) -> Problem:
+        """Return means of the drives over a period [s], where they have more samples."""
+        drives = [drive.averaged(period) for drive in self.drives]
+        return Problem(drives, self.vehicle, self.memory)
+
+    def excerpt(self, samples: int, drives: int) -> Problem:
+        """Return some drives, evenly chosen, and pieces of them where they have more samples."""
+        some = list(self.drives)
+        if len(some) > drives:
+            some = [some[k] for k in np.linspace(0, len(some) - 1, drives).round().astype(int)]
+        total = sum(len(drive.t) for drive in some)
+        if total > samples:
+            turns = ((_GOLDEN * np.arange(len(some))) % 1.0).tolist()
+            share = samples / total
+            some = [drive.pieces(share, turn) for drive, turn in zip(some, turns, strict=True)]
+        elif len(some) == len(self.drives):
+            return self
+        return Problem(some, self.vehicle, self.memory)
 
     def starting_from(self, known: Mapping[str, float]) -> Problem:
         """Return the drives, for fits that begin with these coefficients, by name of their term."""

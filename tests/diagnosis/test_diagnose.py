@@ -17,6 +17,7 @@ from scipy.stats import kstest
 
 from energyplan import DriveLog, EnergyCost, diagnose, identify, simulate
 from energyplan.diagnosis import Dependence, Diagnosis, residual
+from energyplan.diagnosis import search as _search
 from energyplan.diagnosis.mass_centre import find_mass_centre, twist
 from energyplan.diagnosis.residual import dependences, in_words
 from energyplan.errors import DriveLogError, InvalidInputError
@@ -483,6 +484,35 @@ def test_very_many_samples_are_thinned_and_tell_the_same(monkeypatch: pytest.Mon
     thin = diagnose(train, unseen, VEHICLE, effects=FEW).effects
     assert [effect.name for effect in whole] == [effect.name for effect in thin] == ["hotel_load"]
     assert thin[0].value == pytest.approx(25.0, abs=3 * thin[0].std_error)
+
+
+@pytest.mark.parametrize(("count", "most"), [(1, 40), (6, 3)])
+def test_excerpts_find_what_whole_drives_hold(
+    monkeypatch: pytest.MonkeyPatch, count: int, most: int
+) -> None:
+    """Pieces of a drive, or some of the drives: sizes and times are those of all of them."""
+    lighter = PAPER.with_coefficients(PAPER.coefficients * [0.7, 0.85])
+    options: dict[str, Any] = {
+        "without": {"accel_x"},
+        "duration": max(600.0 / count, 150.0),
+        **NOISE,
+    }
+    at = [280.0] if count == 1 else [30.0 + 9.0 * k for k in range(count)]
+    train = [
+        simulate.identification_drive(
+            PAPER, seed=k, name=f"drive {k}", changes=[(time, lighter)], **options
+        )
+        for k, time in enumerate(at)
+    ]
+    unseen = simulate.validation_drive(lighter, seed=99, **options)
+    monkeypatch.setattr(_search, "_SAMPLES", 2000)
+    monkeypatch.setattr(_search, "_DRIVES", most)
+    told = diagnose(train, unseen, VEHICLE, effects=[*FEW, catalogue()["payload_change"]])
+    (first,) = told.effects
+    assert first.name == "payload_change"
+    assert first.value == pytest.approx(-0.3 * VEHICLE.mass, abs=3 * first.std_error + 1.0)
+    for k, time in enumerate(at):
+        assert first.details[f"time in drive {k}"] == pytest.approx(time, abs=1.5)
 
 
 def test_noise_is_measured_and_taken_out_without_moving_the_truth() -> None:

@@ -9,9 +9,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from energyplan import DriveLog, Vehicle, diagnose, simulate
+from energyplan.diagnosis.joint_fit import _between_samples
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.drives.late import Late, lagged
+from energyplan.fit.problem import Problem
+from energyplan.motion import Motion
 from energyplan.power import PowerModel
-from energyplan.power.effects import LINEAR_INERTIA
+from energyplan.power.effects import LINEAR_INERTIA, catalogue
 
 
 @pytest.mark.parametrize("period", [0.02, 0.1, 0.5])
@@ -78,3 +82,35 @@ def test_a_warthog_on_grass_tells_its_mass_and_the_delay_of_its_power(shared_dat
     assert found["specific_force"].value == pytest.approx(470.0, rel=0.2)
     assert found["time_offset"].value == pytest.approx(0.48, abs=0.12)
     assert "regeneration_efficiency" in found
+
+
+@pytest.mark.parametrize("changes", [1, 4])
+def test_a_delay_is_known_no_better_than_when_between_samples_power_changed(changes: int) -> None:
+    """Jumps at any time between samples, by the mean of many: against what the variance says."""
+    vehicle = Vehicle.preset("quadriga:full")
+    t, period = np.arange(0.0, 40.0, 0.5), 0.5
+    at = np.arange(1, changes + 1) * 10
+    rise = np.zeros((len(t), 1))
+    rise[at] = 200.0
+    speed = np.ones(len(t))
+    problem = Problem([Drive("d", t, Motion(speed, speed, vehicle.icr), speed)], vehicle)
+    late = np.random.default_rng(3).uniform(-period / 2, period / 2, (200_000, changes))
+    expected = float(np.var(late.mean(axis=1)))
+    assert _between_samples(problem, [rise]) == pytest.approx(expected, rel=0.02)
+
+
+def test_errors_of_delays_hold_also_at_two_readings_a_second() -> None:
+    model = PowerModel.preset("quadriga:full:concrete")
+    beside = []
+    for seed in range(8):
+        delay = 0.2 + 0.05 * seed
+        options = {"power_noise": 1.0, "rate": 2.0, "delays": {"p_left": delay, "p_right": delay}}
+        logs = [
+            make(model, seed=2 * seed + k, **options)
+            for k, make in enumerate((simulate.identification_drive, simulate.validation_drive))
+        ]
+        effects = [catalogue()["time_offset"]]
+        (found,) = diagnose(*logs, model.vehicle, effects=effects, choose=False).effects
+        beside.append((found.value - delay) / found.std_error)
+        assert found.std_error > 0.005
+    assert np.sum(np.abs(beside) < 1.96) >= 7

@@ -27,6 +27,10 @@ MOMENT = 0.5
 """Time over which what contacts hold is taken for one [s]."""
 
 _ALL = 0.999  # share of a reading's time in which contacts slide
+_ROUNDING = 1e-6  # of samples a period
+_ROWS = 4  # that a reading stands in, at least, where rows are left out: else it seems late
+_PIECE = 4 * BLOCK  # length of the pieces that stand for a drive, at least [s]
+_PIECES = 16  # so many of them, at most
 _MANY = 200_000  # samples that selection works on
 
 
@@ -210,16 +214,67 @@ class Drive:
         late = late if self.hold is None else self.hold.shown(late)
         return late if self.factor == 1.0 else late * self.factor
 
+    def some(self, rows: NDArray[np.intp]) -> Drive:
+        """Return the drive with some of its samples, ascending; what is left out is a gap."""
+        motion = self.motion
+        channels = {name: values[rows] for name, values in motion.channels.items()}
+        few = Motion(motion.v_left[rows], motion.v_right[rows], motion.icr, channels)
+        between = None if self.between is None else self.between[rows]
+        return replace(
+            self, t=self.t[rows], motion=few, power=self.power[rows], between=between,
+            fields={}, hold=None if self.hold is None else self.hold.some(rows),
+        )  # fmt: skip
+
     def thinned(self, step: int) -> Drive:
         """Return every `step`-th sample of the drive."""
+        return self.some(np.arange(0, len(self.t), step))
+
+    def pieces(self, share: float, turn: float) -> Drive:
+        """Return pieces of the drive, evenly spread, that are a share of its time, or one at least.
+
+        `turn`, from zero to one, tells where they begin: other drives show what this one does not.
+        """
+        time = float(self.t[-1] - self.t[0])
+        length = max(_PIECE, share * time / _PIECES)
+        count = max(int(time / length), 1)
+        kept = max(round(share * count), 1)
+        chosen = ((np.arange(kept) + turn) * count / kept).astype(np.intp)
+        piece = np.minimum((self.t - self.t[0]) / time * count, count - 1).astype(np.intp)
+        return self.some(np.flatnonzero(np.isin(piece, chosen)))
+
+    def averaged(self, period: float) -> Drive:
+        """Return means over a period [s], none across a gap; the drive where it has no more.
+
+        Powers whose readings stand in several rows are thinned instead: means would mix readings.
+        """
+        step = int(period / float(np.median(np.diff(self.t))) + _ROUNDING)
+        if self.hold is not None:
+            step = min(step, self.hold.rows // _ROWS)
+        if step < 2:
+            return self
+        if self.hold is not None:
+            return self.thinned(step)
+        starts = np.concatenate([np.arange(run.start, run.stop, step) for run in self.runs])
+        counts = np.diff(np.append(starts, len(self.t)))
+
+        def mean(values: FloatArray) -> FloatArray:
+            return np.asarray(np.add.reduceat(values, starts) / counts)
+
         motion = self.motion
-        channels = {name: values[::step] for name, values in motion.channels.items()}
-        few = Motion(motion.v_left[::step], motion.v_right[::step], motion.icr, channels)
-        between = None if self.between is None else self.between[::step]
+        whole = {**motion.channels}
+        if "yaw" in whole:
+            whole["yaw"] = np.unwrap(whole["yaw"])
+        channels = {name: mean(values) for name, values in whole.items()}
+        means = Motion(mean(motion.v_left), mean(motion.v_right), motion.icr, channels)
+        between = None if self.between is None else mean(self.between)
         return replace(
-            self, t=self.t[::step], motion=few, power=self.power[::step], between=between,
-            fields={}, hold=None if self.hold is None else self.hold.thinned(step),
-        )  # fmt: skip
+            self, t=mean(self.t), motion=means, power=mean(self.power), between=between, fields={}
+        )
+
+    def changed_as(self, means: Drive) -> Drive:
+        """Return the drive with the channel ``changed`` of its means."""
+        after = np.searchsorted(0.5 * (means.t[1:] + means.t[:-1]), self.t)
+        return self.with_channels(changed=means.motion.channels["changed"][after])
 
     @cached_property
     def windows(self) -> tuple[Windows, ...]:

@@ -54,11 +54,12 @@ class Hold:
         means = (total[last] - total[low]) / width
         return np.asarray(means[np.searchsorted(first, self.starts)])
 
-    def thinned(self, step: int) -> Hold | None:
-        """Return the readings in every `step`-th row; None where each row is then a reading."""
+    def some(self, rows: NDArray[np.intp]) -> Hold | None:
+        """Return the readings in some of the rows; None where each row is then a reading."""
+        step = float(np.median(np.diff(rows)))
         if self.rows <= step:
             return None
-        starts = -(-self.starts[::step] // step)
+        starts = np.searchsorted(rows, self.starts[rows])
         return replace(self, starts=starts, rows=max(round(self.rows / step), 1))
 
 

@@ -26,7 +26,7 @@ class Windows:
     counts : ndarray, shape (w,)
         Samples in each window.
     blocks : ndarray of int, shape (w,)
-        Block that each window lies in.
+        Block that each window lies in, of those with samples.
     length : float
         Their length [s].
     """
@@ -44,7 +44,8 @@ class Windows:
         _, starts = np.unique(index, return_index=True)
         counts = np.diff(np.append(starts, len(t))).astype(float)
         number = max(int(np.floor(t[-1] / BLOCK + 0.5)), 1)
-        blocks = np.minimum((t[starts] / BLOCK).astype(np.intp), number - 1)
+        block = np.minimum((t / BLOCK).astype(np.intp), number - 1)
+        blocks = np.searchsorted(np.unique(block), block[starts])
         return cls(starts.astype(np.intp), counts, blocks, length)
 
     def mean(self, values: FloatArray) -> FloatArray:
