@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from energyplan.fit.drives.columns import columns_of
-from energyplan.fit.drives.drive import Drive
+from energyplan.fit.drives.drive import Drive, parted
 from energyplan.fit.least_squares import fit
 from energyplan.fit.problem import PAPER, Problem
 from energyplan.path import FloatArray
@@ -185,6 +185,4 @@ def _sides(
     table = np.stack([columns_of(term, drive, problem.vehicle) for term in terms], axis=-1)
     total, more = (table @ values).T
     between = np.zeros(len(total)) if drive.between is None else drive.between
-    return [
-        (0.5 * (total + sign * more), 0.5 * (drive.power + sign * between)) for sign in (-1.0, 1.0)
-    ]
+    return list(zip(parted(total, more), parted(drive.power, between), strict=True))

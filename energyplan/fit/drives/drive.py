@@ -214,6 +214,11 @@ class Drive:
         late = late if self.hold is None else self.hold.shown(late)
         return late if self.factor == 1.0 else late * self.factor
 
+    def in_time(self, measured: FloatArray) -> FloatArray:
+        """Return a measured power as the model has it: not late, and without the run's factor."""
+        early = replace(self, late=Late(-self.late.mean), factor=1.0, hold=None)
+        return np.asarray(early.seen(measured) / self.factor)
+
     def some(self, rows: NDArray[np.intp]) -> Drive:
         """Return the drive with some of its samples, ascending; what is left out is a gap."""
         motion = self.motion
@@ -281,6 +286,11 @@ class Drive:
         """Windows of each scale."""
         period = float(np.median(np.diff(self.t)))
         return tuple(Windows.of(self.t, max(scale, 3 * period)) for scale in SCALES)
+
+
+def parted(total: FloatArray, between: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the power of the left side and of the right one, of their sum and difference."""
+    return 0.5 * (total - between), 0.5 * (total + between)
 
 
 def check_long_enough(*lists: Sequence[DriveLog]) -> None:

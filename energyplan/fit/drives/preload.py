@@ -8,7 +8,7 @@ told by the difference of the sides where both were logged, and by the total alo
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,6 @@ from scipy.ndimage import uniform_filter1d
 
 from energyplan.fit.drives.denoise import speed_noise
 from energyplan.fit.drives.drive import MOMENT, Drive
-from energyplan.fit.drives.late import Late
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import Sides, Term
@@ -132,9 +131,7 @@ def preload(
     own = Sides(forces.left[at], forces.right[at])
     sign = np.sign(motion.v_left + motion.v_right)
     track = drive.motion.icr.slip_track
-    # As the model has it: in time with the motion, and without the run's own factor.
-    early = replace(drive, late=Late(-drive.late.mean), factor=1.0, hold=None)
-    wanted = np.asarray(early.seen(between) / drive.factor)[at]
+    wanted = drive.in_time(between)[at]
 
     def powers(moment: FloatArray) -> Sides:
         push = moment / track
@@ -194,10 +191,7 @@ def at_rest(drive: Drive, power: FloatArray, most: float) -> tuple[NDArray[np.bo
     to what they can hold, is no evidence against it, nor for any coefficient.
     """
     rest = drive.holds & (drive.held.v_left == 0.0)  # which is that of both where contacts hold
-    early = replace(drive, late=Late(-drive.late.mean), factor=1.0, hold=None)
-    beyond = uniform_filter1d(
-        np.asarray(early.seen(drive.power) / drive.factor) - power, drive.samples_in(MOMENT)
-    )
+    beyond = uniform_filter1d(drive.in_time(drive.power) - power, drive.samples_in(MOMENT))
     taken = np.where(rest, np.clip(beyond, 0.0, most), 0.0)
     return rest & (beyond > 0.0) & (beyond < most), taken
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from energyplan.fit.drives.denoise import Steps
 from energyplan.fit.drives.design import Design
-from energyplan.fit.drives.drive import Drive
+from energyplan.fit.drives.drive import Drive, parted
 from energyplan.fit.drives.linear import linearise_drive
 from energyplan.fit.drives.windows import SCALES
 from energyplan.fit.least_squares import weighted
@@ -131,16 +131,14 @@ def reading_covariance(
     return found + _covariance_of(sources) if sources else found
 
 
-def _powers(total: FloatArray, between: FloatArray | None) -> list[FloatArray]:
+def _powers(total: FloatArray, between: FloatArray | None) -> tuple[FloatArray, ...]:
     """Return what each sensor of power reads: the total, or the left side and the right one."""
-    if between is None:
-        return [total]
-    return [0.5 * (total - between), 0.5 * (total + between)]
+    return (total,) if between is None else parted(total, between)
 
 
 def _expected(
     drive: Drive, vehicle: Vehicle, terms: Sequence[Term], values: FloatArray
-) -> list[FloatArray]:
+) -> tuple[FloatArray, ...]:
     """Return what each sensor of power should read."""
     power = linearise_drive(drive, vehicle, terms, values, ()).power
     return _powers(power[:, 0], None if drive.between is None else power[:, 1])
