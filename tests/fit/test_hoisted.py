@@ -75,6 +75,9 @@ def test_what_is_missing_is_named() -> None:
     still = {k: v if k == "t" else np.zeros_like(v) for k, v in channels.items()}
     with pytest.raises(NotIdentifiableError, match="the left side hardly turns"):
         hoisted(DriveLog(still, "still"))
+    steady = (channels["t"] > 4.0) & (channels["t"] < 4.3)  # fifteen samples
+    with pytest.raises(NotIdentifiableError, match="the left side hardly turns"):
+        hoisted(DriveLog({k: v[steady] for k, v in channels.items()}, "short"))
 
 
 def test_two_steady_speeds_give_the_line_through_their_means() -> None:

@@ -62,3 +62,12 @@ def test_a_mean_is_that_of_the_time_before_a_reading() -> None:
 def test_what_is_read_with_every_row_is_not_held() -> None:
     log = simulate.drive(MODEL, "spiral", rate=20.0, power_noise=NOISE, seed=2)
     assert Drive.of(log, MODEL.vehicle).hold is None
+
+
+def test_sides_that_are_read_at_instants_of_their_own_are_not_held() -> None:
+    """Their sum then changes twice a reading, and is no reading at any instant."""
+    together = read_seldom(False, "sides")
+    late = np.maximum(np.arange(len(together)) - EACH // 2, 0)
+    apart = {**together.channels, "p_right": together.channels["p_right"][late]}
+    assert Drive.of(together, MODEL.vehicle).hold is not None
+    assert Drive.of(DriveLog(apart, "apart"), MODEL.vehicle).hold is None

@@ -267,6 +267,8 @@ def test_residual_is_that_of_predictions() -> None:
     assert residual.mae == pytest.approx(np.sqrt(2 / np.pi) * residual.rmse, rel=0.05)
     assert abs(residual.energy_error) < 0.01
     assert residual.duration == pytest.approx(600.0, abs=0.2)
+    mean = float(np.trapezoid(log.power, log.t)) / log.duration
+    assert residual.bias == pytest.approx(-residual.energy_error * mean, rel=0.01)
 
 
 @pytest.mark.parametrize("speed", [0.5, 0.0])

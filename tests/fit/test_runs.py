@@ -11,7 +11,7 @@ from energyplan.fit.drives.drive import Drive
 from energyplan.fit.identification import _draw_at_rest
 from energyplan.fit.joint import joint_fit
 from energyplan.fit.problem import Problem
-from energyplan.fit.residuals import pieces_of
+from energyplan.fit.residuals import pieces_of, unfounded
 from energyplan.motion import Motion
 from energyplan.power import SLIP, TRACTION, PowerModel
 from energyplan.power.effects import COPPER_LOSS
@@ -77,3 +77,16 @@ def test_a_fit_with_losses_starts_from_that_without(errors: np.ndarray | None) -
     start = problem._start((*TERMS, COPPER_LOSS), errors)
     assert start == pytest.approx({t.name: MODEL.coefficient(t.name) for t in TERMS}, rel=1e-7)
     assert problem._start(TERMS, errors) == {}
+
+
+@pytest.mark.parametrize(
+    ("confidence", "spread", "founded"), [(0.9, 0.0, False), (0.9, 0.05, True), (0.5, 0.0, True)]
+)
+def test_a_model_without_errors_needs_a_stated_spread_for_bounds(
+    confidence: float, spread: float, founded: bool
+) -> None:
+    model = PowerModel.preset("quadriga:full:concrete")
+    bare = replace(model, covariance=None, residual=None)
+    assert (unfounded(bare, confidence, spread) == "") == founded
+    known = replace(bare, covariance=np.diag([1e-4, 1.0]))
+    assert unfounded(known, confidence, spread) == ""
