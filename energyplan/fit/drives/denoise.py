@@ -176,12 +176,24 @@ def _quiet_run(
 def _at_rest(v: FloatArray, level: float, reach: int) -> FloatArray:
     """Return a speed with zeros where noise explains it, but for starts and stops.
 
-    A start passes through the noise in some samples. Were they zero, as many samples at rest would
-    show the power of driving, and a constant load would be found in it.
+    A start passes through the noise in some samples: as many as the speed beyond it takes to rise
+    as far. Were they zero, as many samples at rest would show the power of driving; were they more,
+    losses that depend on forces, not on speeds, would be expected of a robot at rest.
     """
-    slow = np.abs(v) < level
-    driven = maximum_filter1d((~slow).astype(float), reach) > 0.0
-    return np.where(slow & ~driven, 0.0, v)
+    size = np.abs(v)
+    driven = size >= level
+    moves, half, last = np.array(driven), reach // 2, len(v) - 1
+    change = np.diff(driven.astype(int))
+    starts, stops = np.flatnonzero(change > 0) + 1, np.flatnonzero(change < 0)
+    for ends, way in ((starts, 1), (stops, -1)):
+        within = np.clip(ends + way * half, 0, last)
+        steps = np.abs(within - ends)
+        rise = np.where(driven[within], size[within] - size[ends], 0.0)
+        passed = np.divide(size[ends] * steps, rise, out=np.full(len(ends), np.inf), where=rise > 0)
+        for end, count in zip(ends, np.minimum(passed, half).astype(int), strict=True):
+            low, high = sorted((end - way * count, end))
+            moves[max(low, 0) : high + 1] = True
+    return np.where(moves, v, 0.0)
 
 
 def _told_turn(
