@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from energyplan import PowerModel
+from energyplan import PowerModel, diagnose, simulate
 from energyplan.diagnosis.joint_fit import size_spread
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.plausible import likeness
 from energyplan.diagnosis.result import Explanation
 from energyplan.fit.least_squares import Fit
-from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS
+from energyplan.power import DRIVE_LOSS, HOTEL, REGENERATION_LOSS
 from energyplan.power.effect_terms import DRAGGING_LEFT
-from energyplan.power.effects import catalogue
+from energyplan.power.effects import COPPER_LOSS, catalogue
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")
 DRAG = catalogue()["dragging_wheel_left"]
@@ -52,3 +52,21 @@ def test_a_mass_that_noise_hides_tells_nothing() -> None:
     # Half of a mass is a vote of 20 to 1 where both are known, and next to none where neither is.
     assert of(0.02 * own, 0.001 * own) > 20.0 * of(0.01 * own, 0.0005 * own)
     assert of(0.02 * own, 0.1 * own) < 1.2 * of(0.01 * own, 0.05 * own)
+
+
+def test_a_load_at_rest_beside_losses_is_as_far_off_as_its_error_says() -> None:
+    """Noise at rest is no moment that contacts hold, and a noisy start is no long one."""
+    truth = ROBOT.with_term(HOTEL, 30.0).with_term(COPPER_LOSS, 4e-4)
+    effects = [catalogue()[name] for name in ("copper_loss", "hotel_load")]
+    pattern = [*simulate.IDENTIFICATION, ("rest", 60.0)]
+    beside = []
+    for seed in range(6):
+        noise = {"power_noise": 10.0, "speed_noise": 0.005}
+        train = simulate.drive(truth, pattern, seed=100 + seed, **noise)
+        unseen = simulate.validation_drive(truth, seed=99, **noise)
+        told = diagnose(train, unseen, ROBOT.vehicle, effects=effects, choose=False)
+        (load,) = (one for one in told.effects if one.name == "hotel_load")
+        assert load.std_error < 1.0
+        beside.append((load.value - 30.0) / load.std_error)
+    assert np.sqrt(np.mean(np.square(beside))) < 1.6
+    assert abs(np.mean(beside)) < 1.2

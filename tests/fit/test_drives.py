@@ -15,7 +15,7 @@ from energyplan.fit.drives.denoise import quiet
 from energyplan.fit.drives.drive import Drive, prepared
 from energyplan.fit.drives.late import Late
 from energyplan.fit.drives.linear import linearise_drive, power_of
-from energyplan.fit.drives.preload import straights
+from energyplan.fit.drives.preload import _alone, _smoothed, at_rest, straights
 from energyplan.fit.least_squares import fit
 from energyplan.fit.problem import Problem
 from energyplan.logs import DriveLog
@@ -212,6 +212,48 @@ def test_a_stretch_holds_what_its_power_tells_up_to_the_limit_of_friction() -> N
     # a mean is known to what is missed on most windows, as a standard deviation, and to a hundredth
     error = np.hypot(1.4826, 0.01 * np.sqrt(np.mean(power**2)))
     assert found.odds == pytest.approx(2.0 * np.log(dearest / (np.sqrt(2.0 * np.pi) * error)))
+
+
+def test_rest_holds_what_is_drawn_beyond_noise_alone() -> None:
+    """One of three stretches of rest draws 8 W more than a model says, the others scatter."""
+    seconds = [40.0, 20.0, 40.0, 20.0, 40.0]
+    part = np.repeat(range(5), (np.array(seconds) / PERIOD).astype(int))
+    v = np.where(part % 2 == 0, 0.0, 0.5)
+    noise = np.random.default_rng(4).normal(0.0, 6.0, len(v))
+    power = 30.0 + 100.0 * v + noise + np.where(part == 2, 8.0, 0.0)
+    drive = Drive("rests", PERIOD * np.arange(len(v)), Motion(v, v, ICR), power)
+    known, taken = at_rest(drive, 30.0 + 100.0 * v, 25.0)
+    assert not known[part != 2].any()
+    assert not taken[part != 2].any()
+    assert known[part == 2].mean() > 0.9
+    assert taken[part == 2].mean() == pytest.approx(8.0, abs=0.6)
+    # Losses that take nothing at rest explain nothing there.
+    assert not at_rest(drive, 30.0 + 100.0 * v, 0.0)[0].any()
+
+
+def test_a_moment_is_taken_for_one_over_long_stretches_alone() -> None:
+    held = np.array([0, 0, 1, 1, 1, 1, 1, 1, 1, 0, 1, 1, 0, 1, 1, 1, 1, 1], bool)
+    alone = np.array([0, 0, 1, 0, 0, 0, 0, 0, 1, 0, 1, 1, 0, 1, 0, 0, 0, 0], bool)
+    assert _alone(held, 5).tolist() == alone.tolist()
+    values = np.arange(18.0)
+    found = _smoothed(np.column_stack([values, 2.0 * values]), 5, alone)
+    assert_allclose(found[alone, 1], 2.0 * values[alone])
+    # what stands alone is no part of any mean
+    assert found[5, 0] == pytest.approx((3.0 + 4.0 + 5.0 + 6.0 + 7.0) / 5.0)
+    assert found[3, 0] == pytest.approx((0.0 + 1.0 + 3.0 + 4.0 + 5.0) / 5.0)
+
+
+def test_the_moment_of_a_short_stretch_between_turns_follows_each_sample() -> None:
+    """It passes from one limit of friction to the other, and costs as much as sliding does."""
+    model = PowerModel.preset("quadriga:full:concrete").with_term(COPPER_LOSS, 4e-4)
+    log = simulate.identification_drive(model, seed=1)
+    (drive,) = prepared([log], model.vehicle)
+    drive = replace(drive, drift=0.01, fields={})
+    about = linearise_drive(drive, model.vehicle, model.terms, model.coefficients)
+    driven = drive.holds & (drive.motion.v_left != 0.0) & (drive.motion.v_right != 0.0)
+    assert np.count_nonzero(driven & (drive.motion.omega != 0.0)) > 5
+    left = (drive.measured - about.power)[driven, 0]
+    assert np.abs(left).max() < 0.01 * np.abs(drive.power).max()
 
 
 def test_a_prediction_knows_nothing_of_the_power_that_was_measured() -> None:

@@ -3,13 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.optimize import linprog
+from scipy.optimize import brentq, linprog
 from scipy.sparse import diags_array, vstack
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
 from energyplan.limits import _timing
 from energyplan.limits._timing import Course
-from energyplan.limits.economy import cheapest
+from energyplan.limits.acceleration_table import Ladder, Runs
+from energyplan.limits.economy import Economy, cheapest
 from energyplan.limits.feasibility import check
 from energyplan.limits.speed import profile
 from energyplan.motion import Motion
@@ -154,6 +155,26 @@ def test_the_cheapest_acceleration_is_that_of_a_full_search():
 
 
 # -- least time ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.8])
+def test_the_braking_at_which_a_side_stops_drawing_is_tried(turn):
+    """Beyond it the side returns power, of which losses keep a part: the power has a kink."""
+    runs = Runs(np.ones(1), np.full(1, turn), np.zeros((4, 1)), INERTIA, {})
+    bound = np.full((5, 1), 9.0)
+    economy = Economy(runs, Ladder(np.linspace(0.0, 1.0, 6)[:, None], bound, bound), 0.1)
+    braking, _ = economy._down
+    found = 0
+    for side in ("left", "right"):
+
+        def force(a, side=side):
+            return float(getattr(INERTIA.forces(runs.motion(np.full(1, 0.5), -a)), side)[0])
+
+        if force(0.0) > 0.0 > force(9.0):
+            kink = brentq(force, 0.0, 9.0)
+            assert np.min(np.abs(braking[:, 2, 0] - kink)) < 1e-6
+            found += 1
+    assert found >= 1
 
 
 def test_straight_and_spin_take_the_time_of_trapezoid_and_triangle():
@@ -453,6 +474,11 @@ def test_errors_name_the_remedy():
     path = Path(START, [1.0], [0.0])
     with pytest.raises(InfeasibleMotionError, match="takes 2 s at least"):
         profile(path, PAPER, duration=0.5)
+    longer = Path(START, [1.3], [0.0])
+    least = profile(longer, PAPER).duration
+    with pytest.raises(InfeasibleMotionError, match="at least"):
+        profile(longer, PAPER, duration=0.999 * least)
+    assert profile(longer, PAPER, duration=1.001 * least).duration > least
     with pytest.raises(InvalidInputError, match="nothing limits the speed"):
         profile(path, PAPER, vehicle=replace(PAPER.vehicle, motor=MotorLimits()))
     with pytest.raises(InvalidInputError, match="motor limit acceleration is 0"):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from energyplan.fit.drives.denoise import speed_noise
 from energyplan.fit.drives.drive import MOMENT, Drive
@@ -62,6 +62,8 @@ class Preload:
         Mean square of `told` over the samples around each; one where nothing tells the moment.
     width : int
         Samples over which it is taken for one.
+    alone : ndarray of bool, shape (n,)
+        Samples that have a moment of their own: `_alone`.
     """
 
     moment: FloatArray
@@ -71,6 +73,7 @@ class Preload:
     ends: FloatArray
     sure: FloatArray
     width: int
+    alone: NDArray[np.bool_]
 
     def followed(self, between: FloatArray, limits: FloatArray) -> FloatArray:
         """Return by how much the total falls as the moment follows coefficients.
@@ -91,8 +94,26 @@ class Preload:
             Fall of the total with each.
         """
         pulled = self.told[:, None] * between - self.ends[:, None] * limits
-        moved = uniform_filter1d(pulled, self.width, axis=0)
+        moved = _smoothed(pulled, self.width, self.alone)
         return np.asarray((self.cost / self.sure)[:, None] * moved)
+
+
+def _alone(held: NDArray[np.bool_], width: int) -> NDArray[np.bool_]:
+    """Tell which held samples cannot be averaged over so many with their neighbours.
+
+    Those next to others: some of them slide already. And all of a stretch that is shorter than
+    that: between two turns the moment passes from one limit to the other.
+    """
+    long = maximum_filter1d(minimum_filter1d(held.astype(float), width), width) > 0.0
+    beside = maximum_filter1d((~held).astype(float), 3) > 0.0
+    return np.asarray(held & (beside | ~long))
+
+
+def _smoothed(values: FloatArray, width: int, alone: NDArray[np.bool_]) -> FloatArray:
+    """Return means over so many samples along the first axis, but of those that stand alone."""
+    alone = alone.reshape(-1, *[1] * (values.ndim - 1))
+    means = uniform_filter1d(np.where(alone, 0.0, values), width, axis=0)
+    return np.where(alone, values, means)
 
 
 def preload(
@@ -124,8 +145,8 @@ def preload(
     -------
     Preload
         The moment, by bisection: the difference rises with it wherever losses take less than what
-        passes through them. Means over a moment of time, as sure as each sample is; zero where the
-        robot is too slow to tell.
+        passes through them. Means over a moment of time, as sure as each sample is, where contacts
+        hold for as long; zero where the robot is too slow to tell.
     """
     at, motion = drive.holds, drive.holding
     own = Sides(forces.left[at], forces.right[at])
@@ -163,14 +184,16 @@ def preload(
     told[at] = np.where(inside, sign * rise, 0.0)
     ends[at] = np.where(clear & ~inside, np.sign(found) * rise**2, 0.0)
     width = drive.samples_in(MOMENT)
-    sure = uniform_filter1d(weight, width)
+    alone = _alone(at, width)
+    sure = _smoothed(weight, width, alone)
     driving = at & ((drive.held.v_left != 0.0) | (drive.held.v_right != 0.0)) & (sure > 0.0)
     sure = np.where(driving, sure, 1.0)
-    smooth = np.where(driving, uniform_filter1d(weight * moment, width) / sure, 0.0)
+    smooth = np.where(driving, _smoothed(weight * moment, width, alone) / sure, 0.0)
     ahead, behind = powers(smooth[at] + step), powers(smooth[at] - step)
     cost[at] = (ahead.total - behind.total) / (2 * step)
     cost = np.where(driving, cost, 0.0)
-    return Preload(smooth, Sides(-smooth / track, smooth / track), told, cost, ends, sure, width)
+    forces = Sides(-smooth / track, smooth / track)
+    return Preload(smooth, forces, told, cost, ends, sure, width, alone)
 
 
 def _bisected(
@@ -188,12 +211,34 @@ def at_rest(drive: Drive, power: FloatArray, most: float) -> tuple[NDArray[np.bo
     """Return which samples at rest a held moment explains, and what it takes at each [W].
 
     At rest the sides' difference is zero whatever contacts hold. What is drawn beyond the model, up
-    to what they can hold, is no evidence against it, nor for any coefficient.
+    to what they can hold, is no evidence against it, nor for any coefficient: in a stretch of rest
+    whose mean is more probable with it than without, as in `Straights`. Noise draws more as often
+    as less, and is no moment where it does.
     """
     rest = drive.holds & (drive.held.v_left == 0.0)  # which is that of both where contacts hold
-    beyond = uniform_filter1d(drive.in_time(drive.power) - power, drive.samples_in(MOMENT))
-    taken = np.where(rest, np.clip(beyond, 0.0, most), 0.0)
-    return rest & (beyond > 0.0) & (beyond < most), taken
+    if not most > 0.0 or not rest.any():
+        return np.zeros(len(rest), bool), np.zeros(len(rest))
+    beyond, width = drive.in_time(drive.power) - power, drive.samples_in(MOMENT)
+    number = np.cumsum(np.diff(rest, prepend=False) & rest)[rest] - 1
+    count = np.bincount(number)
+    share = np.bincount(number, beyond[rest]) / count / most
+    error = _error(drive, beyond, count.astype(float))
+    _, free, _ = _told(share, np.full(len(count), most), error)
+    held = np.zeros(len(rest), bool)
+    held[rest] = free[number]
+    smooth = _smoothed(beyond, width, _alone(rest, width))
+    taken = np.where(held, np.clip(smooth, 0.0, most), 0.0)
+    return held & (smooth > 0.0) & (smooth < most), taken
+
+
+def _told(
+    share: FloatArray, most: FloatArray, error: FloatArray
+) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
+    """Tell which stretches hold a moment, at what share of its largest cost, and at what odds."""
+    taken = np.clip(share, 0.0, 1.0)
+    gain = 0.5 * (most / error) ** 2 * taken * (2.0 * share - taken)
+    odds = np.log(np.maximum(most / (np.sqrt(2.0 * np.pi) * error), 1e-300))
+    return taken, (odds > 0.0) & (gain > odds), odds
 
 
 @dataclass(frozen=True)
@@ -291,10 +336,7 @@ def straights(
     share = np.bincount(shown, pattern * beyond, count) / np.maximum(size, 1e-300)
     samples = np.divide(total**2, size, out=np.ones(count), where=size > 0.0)
     error = _error(drive, beyond, samples)
-    taken = np.clip(share, 0.0, 1.0)
-    gain = 0.5 * (width / error) ** 2 * taken * (2.0 * share - taken)
-    odds = np.log(np.maximum(width / (np.sqrt(2.0 * np.pi) * error), 1e-300))
-    free = (odds > 0.0) & (gain > odds)
+    taken, free, odds = _told(share, width, error)
     if not free.any():
         return None
     some = np.flatnonzero(free[label])
