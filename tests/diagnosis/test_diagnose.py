@@ -497,7 +497,7 @@ def test_excerpts_find_what_whole_drives_hold(
         "duration": max(600.0 / count, 150.0),
         **NOISE,
     }
-    at = [280.0] if count == 1 else [30.0 + 9.0 * k for k in range(count)]
+    at = [280.0] if count == 1 else [70.0 + 5.0 * k for k in range(count)]
     train = [
         simulate.identification_drive(
             PAPER, seed=k, name=f"drive {k}", changes=[(time, lighter)], **options

@@ -276,3 +276,21 @@ def test_a_part_of_a_drive_goes_on_warming_up() -> None:
     later = log.segment(40.0, 80.0).segment(50.0, 70.0)
     left = later.power - power_of(truth, Drive.of(later, truth.vehicle))
     assert np.abs(left).max() < 1e-6 * np.abs(later.power).max()
+
+
+@pytest.mark.parametrize("accel", [0.1, 0.4])
+@pytest.mark.parametrize("rate", [10.0, 20.0, 100.0])
+def test_starts_and_stops_in_noise_last_as_long_as_they_do(accel: float, rate: float) -> None:
+    """Treads move while they do, but for a sample or two; most of the time they rest here."""
+    rng = np.random.default_rng(5)
+    t = np.arange(0.0, 60.0, 1.0 / rate)
+    way = np.where(t % 30.0 < 15.0, 1.0, -1.0)
+    v = way * np.clip(accel * np.minimum(t % 15.0 - 4.0, 11.0 - t % 15.0), 0.0, 0.6)
+    noisy = v[:, None] + rng.normal(0.0, 0.005, (len(t), 2))
+    found = quiet(Motion(noisy[:, 0], noisy[:, 1], ICR), t)
+    assert np.array_equal(found.v_left == 0.0, found.v_right == 0.0)
+    rest, called = v == 0.0, found.v_left == 0.0
+    # eight starts and stops; a tenth of a second each at most, or a sample
+    most = 8 * max(0.1 * rate, 1.0)
+    assert np.count_nonzero(rest & ~called) <= most
+    assert np.count_nonzero(~rest & called) <= most

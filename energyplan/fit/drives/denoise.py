@@ -149,7 +149,9 @@ def _quiet_run(
     # Readings that beat with the encoder scatter by a good part of the speed, but are no standstill
     # and no turn: whatever the noise, a good part of the usual speed is driving.
     moving = np.maximum(np.abs(left), np.abs(right))
-    usual = float(np.median(moving[moving > 0])) if np.any(moving) else 0.0
+    # Of a robot that stands for longer than it drives, most readings are noise.
+    clear = moving > level if np.any(moving > level) else moving > 0.0
+    usual = float(np.median(moving[clear])) if np.any(clear) else 0.0
     most = _DRIVING * usual
     if noise > _NOISELESS and 5 <= width <= len(t):
         left, right = (savgol_filter(v, width, 2) for v in (left, right))
@@ -169,31 +171,38 @@ def _quiet_run(
     level /= np.sqrt(2)
     left, right = mean - 0.5 * turn, mean + 0.5 * turn
     reach = width if level > _CREEP else 1
-    left, right = (_at_rest(v, max(level, _CREEP), reach) for v in (left, right))
-    return left, right
+    return _at_rest(left, right, max(level, _CREEP), reach)
 
 
-def _at_rest(v: FloatArray, level: float, reach: int) -> FloatArray:
-    """Return a speed with zeros where noise explains it, but for starts and stops.
+def _at_rest(
+    left: FloatArray, right: FloatArray, level: float, reach: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return both speeds with zeros where noise explains them, but for starts and stops.
 
     A start passes through the noise in some samples: as many as the speed beyond it takes to rise
     as far. Were they zero, as many samples at rest would show the power of driving; were they more,
-    losses that depend on forces, not on speeds, would be expected of a robot at rest.
+    losses that depend on forces, not on speeds, would be expected of a robot at rest. Treads start
+    together: where neither is clear of the noise, one does not move alone.
     """
-    size = np.abs(v)
-    driven = size >= level
-    moves, half, last = np.array(driven), reach // 2, len(v) - 1
-    change = np.diff(driven.astype(int))
+    driven = [np.abs(v) >= level for v in (left, right)]
+    moves = [_passing(np.abs(v), d, reach // 2) for v, d in zip((left, right), driven, strict=True)]
+    together = (moves[0] & moves[1]) | driven[0] | driven[1]
+    return np.where(moves[0] & together, left, 0.0), np.where(moves[1] & together, right, 0.0)
+
+
+def _passing(size: FloatArray, driven: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Tell where a tread moves: where it is driven, and while it starts or stops."""
+    moves, change = np.array(driven), np.diff(driven.astype(int))
     starts, stops = np.flatnonzero(change > 0) + 1, np.flatnonzero(change < 0)
     for ends, way in ((starts, 1), (stops, -1)):
-        within = np.clip(ends + way * half, 0, last)
+        within = np.clip(ends + way * reach, 0, len(size) - 1)
         steps = np.abs(within - ends)
         rise = np.where(driven[within], size[within] - size[ends], 0.0)
         passed = np.divide(size[ends] * steps, rise, out=np.full(len(ends), np.inf), where=rise > 0)
-        for end, count in zip(ends, np.minimum(passed, half).astype(int), strict=True):
+        for end, count in zip(ends, np.minimum(passed, reach).astype(int), strict=True):
             low, high = sorted((end - way * count, end))
             moves[max(low, 0) : high + 1] = True
-    return np.where(moves, v, 0.0)
+    return moves
 
 
 def _told_turn(
