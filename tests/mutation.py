@@ -85,6 +85,9 @@ ORDER = ("_Lt", "_LtE", "_Gt", "_GtE")
 FASTER = {"njit", "inner", "lru_cache", "cache"}
 """Decorators without which all is as before, and slower."""
 
+COMPILED = {"njit", "inner"}
+"""Decorators of what runs as machine code, where no profiler sees it."""
+
 Span = tuple[tuple[int, int], tuple[int, int]]
 """Where a piece of source begins and ends: line and column."""
 
@@ -202,7 +205,7 @@ def _tests_of(
     """Return the tests to run where this place is changed, quick ones first.
 
     They are those that call the function; all where none is seen to: outside of functions, and in
-    kernels, which run as machine code.
+    kernels, of which only a test that calls the Python that they were made from is seen.
     """
     around = [
         node
@@ -217,7 +220,9 @@ def _tests_of(
         first = min(node.lineno for node in around)
         outer = next(node for node in around if node.lineno == first)
         line = min([first, *(d.lineno for d in outer.decorator_list)])
-        chosen = [reach for reach in reaches if f"{file}:{line}" in reach.calls] or reaches
+        compiled = {ast.unparse(d).split("(")[0] for d in outer.decorator_list} & COMPILED
+        if not compiled:
+            chosen = [reach for reach in reaches if f"{file}:{line}" in reach.calls] or reaches
     return sorted(chosen, key=lambda reach: reach.took)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import sys
 from pathlib import Path
 
@@ -34,3 +35,22 @@ def test_only_a_failure_within_the_time_is_noticed(
     tests = tmp_path / "test_it.py"
     tests.write_text(f"def test():\n    {body}\n")
     assert mutation.try_tests([sys.executable, "-m", "pytest", "-q", str(tests)], 5.0) == end
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"), [(1, ["b", "a", "c"]), (4, ["a", "c"]), (8, ["b", "a", "c"])]
+)
+def test_tests_that_call_a_function_are_run_and_all_of_them_for_a_kernel(
+    line: int, expected: list[str], tmp_path: Path
+) -> None:
+    source = (
+        "x = 1\n\ndef plain():\n    return 1\n\n@njit(cache=True)\ndef quick():\n    return 2\n"
+    )
+    file = tmp_path / "module.py"
+    calls = {"a": [f"{file}:3", f"{file}:6"], "b": [], "c": [f"{file}:3"]}
+    reaches = [
+        mutation.Reach(name, took, calls[name])
+        for name, took in (("c", 3.0), ("b", 1.0), ("a", 2.0))
+    ]
+    found = mutation._tests_of((line, 4), file, ast.parse(source), reaches)
+    assert [one.test for one in found] == expected

@@ -8,7 +8,7 @@ import pytest
 from energyplan import DriveLog, PowerModel, simulate
 from energyplan.fit.drives.denoise import Steps
 from energyplan.fit.drives.drive import prepared
-from energyplan.fit.drives.readings import moved_by, reading_covariance
+from energyplan.fit.drives.readings import _by_side, moved_by, reading_covariance
 from energyplan.fit.joint import joint_fit
 from energyplan.fit.least_squares import fit
 from energyplan.fit.problem import PAPER, Problem
@@ -94,3 +94,15 @@ def test_sensors_without_steps_add_nothing() -> None:
     values = fit(problem.design(TERMS, errors), errors).values
     design = problem.design(TERMS, errors)
     assert not np.any(reading_covariance(problem, TERMS, values, design, errors))
+
+
+def test_a_watt_more_of_one_side_is_one_of_the_sum_and_of_the_difference() -> None:
+    drive = prepared([simulate.validation_drive(ROBOT, seed=3)], ROBOT.vehicle)[0]
+    moved = np.random.default_rng(2).normal(size=(len(drive.t), 2, 3))
+    left, right = (_by_side(drive, moved, side) for side in (0, 1))
+    slides = drive.slides == 1.0
+    assert 0 < np.count_nonzero(slides) < len(slides)
+    # where contacts hold, the difference is no evidence
+    np.testing.assert_allclose(left[~slides], moved[~slides, 0])
+    np.testing.assert_allclose(right[slides], moved[slides].sum(axis=1))
+    np.testing.assert_allclose(left + right, 2.0 * moved[:, 0])
