@@ -45,6 +45,7 @@ _PERIODS = (2.0, 60.0)  # of a periodic load [s]
 _WAVES = 12  # drives in which a periodic load is looked for
 _TURNS = (0.7, 10.0)  # of a wheel [s], at the usual speed
 _PARTS = 16  # of the shortest way a wheel turns on: a wave differs by a fifth of a radian in one
+_FAST = 4.0  # speeds over the usual one that are none
 _WINDOWS = 4  # longest windows that a drive needs to show how much it scatters
 
 
@@ -359,7 +360,8 @@ def _every_turn(problem: Problem, now: Fit, errors: FloatArray, design: Design) 
     path = [path[k] for k in chosen]
     speeds = np.concatenate([np.abs(d.motion.v_left) for d in drives])
     usual = float(np.quantile(speeds, 0.9))
-    longest = float(covered.max())
+    # A glitch of the speed makes a way of any length.
+    longest = min(float(covered.max()), _FAST * usual * max(float(d.t[-1]) for d in drives))
     if usual <= 0.0 or longest < 4 * _TURNS[0] * usual:
         return []
     # Sums of waves at many counts of turns a metre: a Fourier transform of what each short piece of
@@ -370,6 +372,8 @@ def _every_turn(problem: Problem, now: Fit, errors: FloatArray, design: Design) 
     least = max(1.0 / (_TURNS[1] * usual), 4.0 / longest)
     band = (counts >= least) & (counts < 1.0 / (_TURNS[0] * usual))
     counts = counts[band]
+    if not len(counts):
+        return []
     table, owner = design.rows[0], design.drives[design.blocks[0]]
     residual = table[:, -1] - table[:, :-1] @ now.values
     best = (0.0, 0, False, counts[0])
@@ -383,7 +387,7 @@ def _every_turn(problem: Problem, now: Fit, errors: FloatArray, design: Design) 
                 power = float(pull @ pull)
                 if power > 0.0:
                     along = windows.mean(path[k][side])
-                    at = np.round((along - along.min()) / piece).astype(np.intp)
+                    at = np.round((along - along.min()) / piece).astype(np.intp) % pieces
                     shown = np.bincount(at, residual[owner == k] * pull, pieces)
                     explained += np.abs(np.fft.rfft(shown)[band]) ** 2 / power
             most = int(np.argmax(explained))

@@ -204,6 +204,20 @@ def test_a_drag_of_each_turn_is_told_with_its_side_and_length() -> None:
     assert every == pytest.approx(0.9, abs=0.005)
 
 
+def test_a_glitch_of_the_speed_makes_no_endless_way() -> None:
+    """One reading of 10,000 km/s: turns of a wheel are sought over what was driven besides."""
+    log = simulate.identification_drive(ROBOT, seed=1, power_noise=NOISE)
+    speed = np.array(log.channel("v_left"))
+    speed[1000] = 1e7
+    with np.errstate(all="ignore"):
+        found = diagnose(
+            DriveLog({**log.channels, "v_left": speed}, "glitch"),
+            simulate.validation_drive(ROBOT, seed=2, power_noise=NOISE),
+            ROBOT.vehicle, effects=[catalogue()["hotel_load"]],
+        )  # fmt: skip
+    assert found.verdict == "unexplained"
+
+
 def test_a_load_that_comes_and_goes_is_told_with_its_period() -> None:
     # A total, and rests in which the load is on at times: their scatter is not the sensor's.
     found = told(auxiliary_load, total=True)

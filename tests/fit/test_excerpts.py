@@ -68,6 +68,14 @@ def test_pieces_are_a_share_of_a_drive_and_spread_over_it(share: float) -> None:
     assert not np.array_equal(whole.pieces(share, 0.9).t, few.t)
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.5, 0.99])
+def test_pieces_of_a_drive_with_a_long_gap_are_of_what_was_logged(turn: float) -> None:
+    """A robot that was parked for a week between two drives."""
+    whole = drive(3000, period=0.1, gap=6e5)
+    few = whole.pieces(0.1, turn)
+    assert len(few.t) == pytest.approx(300, rel=0.3)
+
+
 def test_an_excerpt_is_of_so_many_drives_and_samples() -> None:
     whole = Problem([drive(1500, period=0.1) for _ in range(30)], VEHICLE)
     assert whole.excerpt(45_000, 30) is whole

@@ -235,16 +235,16 @@ class Drive:
         return self.some(np.arange(0, len(self.t), step))
 
     def pieces(self, share: float, turn: float) -> Drive:
-        """Return pieces of the drive, evenly spread, that are a share of its time, or one at least.
+        """Return pieces of the drive, evenly spread, that are a share of it, or one at least.
 
         `turn`, from zero to one, tells where they begin: other drives show what this one does not.
         """
-        time = float(self.t[-1] - self.t[0])
-        length = max(_PIECE, share * time / _PIECES)
-        count = max(int(time / length), 1)
+        number = len(self.t)
+        least = _PIECE / float(np.median(np.diff(self.t)))
+        count = max(int(number / max(least, share * number / _PIECES)), 1)
         kept = max(round(share * count), 1)
         chosen = ((np.arange(kept) + turn) * count / kept).astype(np.intp)
-        piece = np.minimum((self.t - self.t[0]) / time * count, count - 1).astype(np.intp)
+        piece = np.arange(number) * count // number
         return self.some(np.flatnonzero(np.isin(piece, chosen)))
 
     def averaged(self, period: float) -> Drive:
