@@ -132,8 +132,10 @@ class _Case:
         forces = held_forces(drive, problem.vehicle, terms, values)
         limit = problem.vehicle.slip_moment * slip_limit(terms, values)
         found = preload(drive, drive.between, problem.vehicle, losses, forces, limit)
-        unit = problem.vehicle.slip_moment * np.sign(found.moment)
-        return cls(drive, replace(model, vehicle=problem.vehicle), forces, found.moment, unit)
+        # Where contacts hardly hold, a turn begins or ends: what that costs is friction of turning.
+        moment = np.where(found.alone, 0.0, found.moment)
+        unit = problem.vehicle.slip_moment * np.sign(moment)
+        return cls(drive, replace(model, vehicle=problem.vehicle), forces, moment, unit)
 
     def cost(self, moment: FloatArray) -> FloatArray:
         """Power that losses take because of a moment between the sides [W]."""

@@ -70,3 +70,15 @@ def test_a_load_at_rest_beside_losses_is_as_far_off_as_its_error_says() -> None:
         beside.append((load.value - 30.0) / load.std_error)
     assert np.sqrt(np.mean(np.square(beside))) < 1.6
     assert abs(np.mean(beside)) < 1.2
+
+
+def test_what_the_beginning_of_a_turn_costs_is_no_fight_of_the_sides() -> None:
+    truth = ROBOT.with_term(COPPER_LOSS, 4e-4)
+    noise = {"power_noise": 5.0, "speed_noise": 0.005}
+    train = [simulate.identification_drive(truth, seed=seed, **noise) for seed in range(6)]
+    unseen = simulate.validation_drive(truth, seed=99, **noise)
+    effects = [catalogue()[name] for name in ("copper_loss", "wheel_fight")]
+    told = diagnose(train, unseen, ROBOT.vehicle, effects=effects, choose=False)
+    (loss,) = told.effects
+    assert loss.name == "copper_loss"
+    assert loss.value == pytest.approx(4e-4, abs=3.0 * loss.std_error)
