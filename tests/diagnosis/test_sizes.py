@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.ndimage import maximum_filter1d
 
 from energyplan import PowerModel, diagnose, simulate
 from energyplan.diagnosis.joint_fit import size_spread
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.plausible import likeness
 from energyplan.diagnosis.result import Explanation
+from energyplan.diagnosis.wheel_fight import _Case
+from energyplan.fit.drives.drive import prepared
 from energyplan.fit.least_squares import Fit
+from energyplan.fit.problem import Problem
 from energyplan.power import DRIVE_LOSS, HOTEL, REGENERATION_LOSS
 from energyplan.power.effect_terms import DRAGGING_LEFT
 from energyplan.power.effects import COPPER_LOSS, catalogue
@@ -73,12 +79,14 @@ def test_a_load_at_rest_beside_losses_is_as_far_off_as_its_error_says() -> None:
 
 
 def test_what_the_beginning_of_a_turn_costs_is_no_fight_of_the_sides() -> None:
+    """Samples next to those that slide have a moment of their own, that of turning."""
     truth = ROBOT.with_term(COPPER_LOSS, 4e-4)
-    noise = {"power_noise": 5.0, "speed_noise": 0.005}
-    train = [simulate.identification_drive(truth, seed=seed, **noise) for seed in range(6)]
-    unseen = simulate.validation_drive(truth, seed=99, **noise)
-    effects = [catalogue()[name] for name in ("copper_loss", "wheel_fight")]
-    told = diagnose(train, unseen, ROBOT.vehicle, effects=effects, choose=False)
-    (loss,) = told.effects
-    assert loss.name == "copper_loss"
-    assert loss.value == pytest.approx(4e-4, abs=3.0 * loss.std_error)
+    log = simulate.identification_drive(truth, seed=1)
+    (drive,) = prepared([log], ROBOT.vehicle)
+    drive = replace(drive, drift=0.01, fields={})
+    case = _Case.of(drive, Problem([drive], ROBOT.vehicle), truth)
+    assert case is not None
+    beside = drive.holds & (maximum_filter1d((~drive.holds).astype(float), 3) > 0.0)
+    assert np.count_nonzero(beside & (drive.motion.omega != 0.0)) > 5
+    assert not case.moment[beside].any()
+    assert case.moment.any()
