@@ -26,7 +26,7 @@ from energyplan.fit.drives.denoise import speed_noise
 from energyplan.fit.drives.drive import Drive
 from energyplan.fit.drives.late import DELAYS, ON_TIME, Late
 from energyplan.fit.drives.windows import SCALES
-from energyplan.fit.least_squares import difference, fit
+from energyplan.fit.least_squares import fit
 from energyplan.fit.problem import FLOOR, Problem
 from energyplan.power.effects import Effect
 
@@ -133,17 +133,17 @@ class FittedSets(Proposals):
         floor = self.problem.floor
         scale = 1.0 / (less.errors + floor)
         # What shows in one equation alone is no less worth for it.
-        fall = less.fit.errors - full.fit.errors
+        fall = less.fit.squares - full.fit.squares
         falls, shares = (
-            (fall * by).reshape(-1, len(SCALES)).mean(axis=1).max()
+            (fall * by[:, None]).reshape(-1, len(SCALES), fall.shape[1]).mean(axis=1)
             for by in (scale, FLOOR**2 / floor)
         )
-        _, error = difference(less.fit.losses, full.fit.losses)
-        gaps = less.fit.losses - full.fit.losses
+        blocks = falls[np.argmax(falls.sum(axis=1))]
         return Gain(
-            float(falls), error / len(SCALES), self._p_value(full, part, looks),
-            self.score(full) - self.score(less), float(np.sqrt(max(shares, 0.0))),
-            fall[: len(SCALES)], float(np.sum(gaps) - np.max(gaps)),
+            float(blocks.sum()), float(np.sqrt(len(blocks)) * blocks.std(ddof=1)),
+            self._p_value(full, part, looks), self.score(full) - self.score(less),
+            float(np.sqrt(max(shares.sum(axis=1).max(), 0.0))), fall.sum(axis=1)[: len(SCALES)],
+            float(blocks.sum() - blocks.max()),
         )  # fmt: skip
 
     def _p_value(self, full: Evaluated, part: Part, looks: float) -> float:

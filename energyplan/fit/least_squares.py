@@ -34,8 +34,8 @@ class Fit:
         Cross-validated loss of each block; they sum to the number of scales for the reference.
     covariance : ndarray, shape (k, k)
         Jackknife over the blocks.
-    errors : ndarray, shape (scales,)
-        Cross-validated mean square error at each scale [W^2].
+    squares : ndarray, shape (scales, b)
+        What each block adds to the cross-validated mean square error at each scale [W^2].
     blocks : int
         Blocks that say something of the coefficients.
     stretch : ndarray, shape (k,)
@@ -46,7 +46,7 @@ class Fit:
     values: FloatArray
     losses: FloatArray
     covariance: FloatArray
-    errors: FloatArray
+    squares: FloatArray
     blocks: int
     stretch: FloatArray
 
@@ -54,6 +54,11 @@ class Fit:
     def reported(self) -> FloatArray:
         """Covariance whose 95 % intervals are those of Student's distribution."""
         return self.covariance * np.outer(self.stretch, self.stretch)
+
+    @property
+    def errors(self) -> FloatArray:
+        """Cross-validated mean square error at each scale [W^2]."""
+        return np.asarray(self.squares.sum(axis=1))
 
     @property
     def loss(self) -> float:
@@ -128,10 +133,10 @@ def fit(design: Design, errors: FloatArray, by_block: bool = False) -> Fit:
     held = left_out(total, grams, design.drives)[design.drives] + moved if by_drive else jack
     signed = np.column_stack([held, -np.ones(len(held))])
     losses = np.einsum("bi,bij,bj->b", signed, grams, signed)
-    squares = np.einsum("bi,sbij,bj->s", signed, design.grams, signed)
+    squares = np.einsum("bi,sbij,bj->sb", signed, design.grams, signed)
     telling = int(np.count_nonzero(design.telling))
     return Fit(
-        values, np.maximum(losses, 0.0), covariance, squares / design.counts, telling,
+        values, np.maximum(losses, 0.0), covariance, squares / design.counts[:, None], telling,
         _stretch(centred),
     )  # fmt: skip
 

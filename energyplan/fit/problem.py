@@ -37,10 +37,12 @@ ROUNDS = 20
 """Most steps of a fit with losses."""
 
 _SLIP_LAW = 0.05  # part of the sides' difference that no law of sliding friction foretells
-_WATCHED = 3  # full steps that may raise the loss before it is lower
-_FAILED = 11  # steps that may raise it at all
 _KEPT = 0.1  # of friction and resistance in a step, at least
-_SETTLED = 1e-3  # fall of the negative logarithm of the likelihood that is none
+_SHORT = 0.4  # of a step that led to nothing better
+_SETTLED = 5e-3  # fall of the negative logarithm of the likelihood that is none
+_INSTEAD = ("rest", "rest", "first on", "on", "on", "shorter", "rest", *["both"] * 4)
+"""What is tried, one after the other, where a step has led to nothing better: see `_Tried`."""
+
 _RUNS = 6  # drives from which on each has a factor before effects are looked for
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # its multiples spread evenly
 _LEVELLING = 4  # rounds in which factors of runs and coefficients settle
@@ -71,10 +73,11 @@ class _Tried:
 
     `misfit` is the negative logarithm of their likelihood, `least` the coefficients that the design
     takes for the most likely, `hoped` what it takes their misfit for. `drag` tells which are the
-    paper's.
+    paper's, `loss` which are those of losses.
     """
 
     drag: NDArray[np.bool_]
+    loss: NDArray[np.bool_]
     values: FloatArray
     design: Design
     gram: FloatArray
@@ -89,6 +92,27 @@ class _Tried:
         """
         kept = _KEPT * self.values
         return np.where(self.drag & (kept > 0.0), np.maximum(to, kept), to)
+
+    @property
+    def on(self) -> FloatArray:
+        """Coefficients that a full step leads to."""
+        return self.step(self.least)
+
+    @property
+    def rest(self) -> FloatArray:
+        """Coefficients that a step leads to which leaves losses as they are.
+
+        A loss multiplies the forces: the larger the one, the smaller the others. A full step along
+        a tangent leaves that valley, and this one leads back into it.
+        """
+        free = np.flatnonzero(~self.loss)
+        onto = np.zeros((len(self.values) + 1, len(free) + 1))
+        onto[free, np.arange(len(free))] = 1.0
+        onto[:-1, -1] = np.where(self.loss, -self.values, 0.0)
+        onto[-1, -1] = 1.0
+        to = self.values.copy()
+        to[free] = solve(onto.T @ self.gram @ onto)
+        return self.step(to)
 
 
 class Problem:
@@ -259,11 +283,13 @@ class Problem:
     ) -> Design:
         """Return the design of some terms: Gauss-Newton where they are not linear.
 
-        Losses bend where a side begins to return power, or a stretch to be held. Steps may make
-        the drives less likely for a while (watchdog technique), which leads out of such a bend;
-        after that they are those of both linearisations together, where it began and where it
-        led. What it takes from the likelihood that what contacts hold is not known counts:
-        else a loss that leaves more of it open would seem to fit better.
+        What losses take bends where a side begins to return power, or a stretch to be held, and
+        multiplies the forces. A step that leads to nothing better is not undone at once: the other
+        coefficients are found for the losses that it led to; then full steps may make the drives
+        less likely for a while (watchdog technique), which leads out of a bend; then a shorter
+        step is tried, and one of both linearisations together, where it began and where it led.
+        What it takes from the likelihood that what contacts hold is not known counts: else a loss
+        that leaves more of it open would seem to fit better.
 
         Parameters
         ----------
@@ -289,23 +315,29 @@ class Problem:
         if not any(is_lossy(drive, terms) for drive in self.drives):
             return self.design_about(terms, values)
         best: _Tried | None = None
-        failed = 0
+        failures: list[_Tried] = []
         for _ in range(rounds):
             here = self._tried(terms, values, errors)
             if best is not None and not here.misfit < best.misfit:
-                failed += 1
-                if failed <= _WATCHED:
-                    values = here.step(here.least)
-                elif failed == _WATCHED + 1:
-                    values = 0.5 * (best.step(best.least) + best.values)
-                else:
-                    # Across a bend, what both sides of it say together points along it.
-                    values = best.step(solve(best.gram + here.gram))
-                if failed > _FAILED or np.allclose(values, best.values, rtol=1e-4):
+                failures.append(here)
+                if len(failures) > len(_INSTEAD):
+                    break
+                match _INSTEAD[len(failures) - 1]:
+                    case "rest":
+                        values = here.rest
+                    case "on":
+                        values = here.on
+                    case "first on":
+                        values = failures[0].on
+                    case "shorter":
+                        values = best.values + _SHORT * (best.on - best.values)
+                    case "both":
+                        values = best.step(solve(best.gram + here.gram))
+                if np.allclose(values, best.values, rtol=1e-4):
                     break
                 continue
             gain = np.inf if best is None else best.misfit - here.misfit
-            best, values, failed = here, here.step(here.least), 0
+            best, values, failures = here, here.on, []
             if min(gain, here.misfit - here.hoped) < _SETTLED or np.allclose(
                 values, here.values, rtol=1e-4
             ):
@@ -328,7 +360,8 @@ class Problem:
             self._misfit(design, gram, scale, each) + about.odds for each in (values, least)
         )
         drag = np.array([term in PAPER for term in terms])
-        return _Tried(drag, values, design, gram, misfit, least, hoped)
+        loss = np.array([term.kind == "loss" for term in terms])
+        return _Tried(drag, loss, values, design, gram, misfit, least, hoped)
 
     def _misfit(
         self, design: Design, gram: FloatArray, scale: FloatArray, values: FloatArray

@@ -47,7 +47,7 @@ def test_a_set_is_fitted_again_from_a_part_of_it_that_explains_more(search: Sear
     candidates = search._candidates(None)
     whole, part = (0, 1, 2), (0, 1)
     found = search._evaluate(whole, candidates, ON_TIME)
-    stuck = replace(found, fit=replace(found.fit, errors=1e4 * found.fit.errors))
+    stuck = replace(found, fit=replace(found.fit, squares=1e4 * found.fit.squares))
     search.evaluated[whole, ON_TIME] = stuck
     search._fit_from(part, whole, candidates, ON_TIME)
     again = search._evaluate(whole, candidates, ON_TIME)
@@ -117,6 +117,21 @@ def test_what_one_block_alone_shows_of_a_change_is_none(search: Search) -> None:
     ):
         part = Part(catalogue()[name])
         assert search._acceptable(gain, replace(candidate, part=part), one, less) == accepted
+
+
+def test_what_most_blocks_show_of_an_effect_lasts_without_the_one_that_shows_most(
+    search: Search,
+) -> None:
+    """The falls of the blocks' errors, in units of one set, sum up to what it is worth."""
+    candidates = search._candidates(None)
+    full, less = (search._evaluate(some, candidates, ON_TIME) for some in ((0, 1, 2), (0, 1)))
+    gain = search._gain(full, less, candidates[2].part, 1.0)
+    fall = (less.fit.squares - full.fit.squares) / (less.errors + search.problem.floor)[:, None]
+    blocks = fall.mean(axis=0)
+    assert gain.improvement == pytest.approx(blocks.sum(), rel=1e-9)
+    assert gain.lasting == pytest.approx(gain.improvement - blocks.max(), rel=1e-9)
+    assert gain.lasting > 0.5 * gain.improvement
+    assert gain.error == pytest.approx(np.std(blocks, ddof=1) * np.sqrt(len(blocks)), rel=1e-9)
 
 
 def test_a_change_leaves_a_tenth_of_a_drive_on_either_side() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 
@@ -47,3 +49,42 @@ def test_one_round_is_a_linearisation_about_the_start(returning: Problem) -> Non
     design = returning.design(TERMS, None, known, rounds=1)
     assert design.ended is None
     assert np.array_equal(design.rows[0], returning.design_about(TERMS, values).rows[0])
+
+
+@pytest.mark.parametrize("lost", [0.5, 0.9])
+@pytest.mark.parametrize("measured", ["sides", "total"])
+def test_a_fit_with_a_loss_ends_at_the_least_of_all_whatever_the_loss(
+    lost: float, measured: Literal["sides", "total"]
+) -> None:
+    """A loss multiplies all forces: along that valley no fit from another loss leaves less."""
+    truth = PowerModel.preset("quadriga:full:concrete").with_term(REGENERATION_LOSS, lost)
+    log = simulate.drive(
+        truth, simulate.IDENTIFICATION, seed=1, rate=10.0, power_noise=5.0, speed_noise=0.002,
+        without={"accel_x"}, measured=measured,
+    )  # fmt: skip
+    drives = prepared([log], truth.vehicle)
+    problem = Problem(drives, truth.vehicle)
+    errors = problem.reference(problem.design(PAPER))
+
+    def left(start: dict[str, float] | None) -> float:
+        design = Problem(drives, truth.vehicle).design(TERMS, errors, start)
+        return fit(design, errors).loss
+
+    paper = fit(problem.design(PAPER), errors).values
+    others = [
+        left(dict(zip((t.name for t in TERMS), [*paper / (1.0 + loss), loss], strict=True)))
+        for loss in (0.1, 0.3, 1.0, 3.0, 10.0)
+    ]
+    assert left(None) < 1.02 * min(others)
+
+
+def test_with_losses_as_they_are_the_rest_is_a_linear_fit(returning: Problem) -> None:
+    values = np.array([0.3, 60.0, 1.0])
+    tried = returning._tried(TERMS, values, None)
+    about = returning.design_about(TERMS, values)
+    tables = zip(about.rows, about.counts, strict=True)
+    rows = np.concatenate([table / np.sqrt(count) for table, count in tables])
+    rest = rows[:, -1] - rows[:, 2] * values[2]
+    wanted = np.linalg.lstsq(rows[:, :2], rest, rcond=None)[0]
+    assert tried.rest[:2] == pytest.approx(np.maximum(wanted, 0.1 * values[:2]), rel=1e-5)
+    assert tried.rest[2] == values[2]
