@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from energyplan.diagnosis.fitted_sets import WORTHWHILE
+from energyplan.diagnosis.joint_fit import final_fit
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import terms_of
 from energyplan.diagnosis.residual import Dependence
+from energyplan.fit.adequacy import adequacy, left_over
 from energyplan.fit.least_squares import Fit, difference, fit
 from energyplan.fit.problem import Problem
 from energyplan.power.effects import Effect, empirical_term
@@ -31,13 +33,14 @@ def without_mimics(
     parts : tuple of Part
         Effects that were found.
     smooth : Part
-        A smooth term of the channel that still explains most.
+        A smooth term of the channel that explains most without them.
 
     Returns
     -------
     tuple
         What is left of the parts, and the names of those taken out: effects that are of no use
-        beside the smooth term, where that alone does better than all of them.
+        beside the smooth term, where that alone does better than all of them, or as well as they
+        do and they leave more than noise.
     """
     usual = [part for part in parts if part.effect.usual or not part.terms]
     others = [part for part in parts if part not in usual]
@@ -47,7 +50,9 @@ def without_mimics(
         return fit(problem.design(terms_of(some), errors), errors)
 
     gap, error = difference(loss(parts).losses, loss([*usual, smooth]).losses)
-    if gap <= max(error, WORTHWHILE * len(errors)):
+    model = final_fit(problem, parts).model
+    adequate = adequacy(problem.drives, left_over(model, problem.drives)).adequate
+    if gap <= (max(error, WORTHWHILE * len(errors)) if adequate else -error):
         return parts, []
     kept, gone = list(parts), list[str]()
     for part in [*others, *(part for part in usual if part.terms)]:
