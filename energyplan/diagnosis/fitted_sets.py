@@ -42,6 +42,10 @@ WORTH = 0.004
 missing. A smaller one is where it is more than what its set leaves beyond noise: what a model does
 not have looks like one effect or another of at most that size."""
 
+_LASTING = 0.4
+"""Part of what a change is worth that is left without the block that shows most of it, at least.
+Changes that are there leave half and more; an odd block that some line or time fits, a third."""
+
 _BY_CHANCE = 1e-3  # that noise alone leaves something of a set, over all scales
 _FEWEST = 4  # samples that tell no noise
 
@@ -176,12 +180,15 @@ class FittedSets(Proposals):
         large = gain.improvement > WORTHWHILE and (
             gain.share > WORTH or gain.share > self._missing(full)
         )
-        # Where or when something changes was searched with all blocks: the block that shows most of
-        # it is not foretold by the others.
-        searched = one.part.effect.acts in ("change", "place")
+        if one.part.effect.acts in ("change", "place"):
+            # Where or when something changes was searched with all blocks: the block that shows
+            # most of it is not foretold by the others.
+            foretold = gain.lasting > _LASTING * gain.improvement
+        else:
+            foretold = gain.lasting > 0.0 or gain.improvement > gain.error
         return (
             (large or not less.sound)
-            and (gain.lasting > 0.0 or (gain.improvement > gain.error and not searched))
+            and foretold
             and gain.p_value < _CHANCE
             and gain.weight + one.prior > 0.0
         )

@@ -104,15 +104,16 @@ def test_a_small_effect_is_one_where_less_than_it_is_missing(disturbed: float) -
     assert search._acceptable(sure, candidates[0], one, replace(less, sound=False))
 
 
-def test_what_one_block_alone_shows_of_a_change_is_none(search: Search) -> None:
+@pytest.mark.parametrize("lasting", [-0.1, 0.3, 0.5])
+def test_what_one_block_alone_shows_of_a_change_is_none(search: Search, lasting: float) -> None:
     candidate = search._candidates(None)[0]
     one = search._evaluate((0,), search._candidates(None), ON_TIME)
     less = search._evaluate((), search._candidates(None), ON_TIME)
-    gain = replace(search._gain(one, less, candidate.part, 1.0), lasting=-0.1, improvement=1.0)
+    gain = replace(search._gain(one, less, candidate.part, 1.0), lasting=lasting, improvement=1.0)
     gain = replace(gain, error=0.5, share=0.1, p_value=0.0, weight=40.0)
     for name, accepted in (
-        ("payload_change", False),
-        ("surface_border", False),
+        ("payload_change", lasting > 0.4),
+        ("surface_border", lasting > 0.4),
         ("towed_drag", True),
     ):
         part = Part(catalogue()[name])
