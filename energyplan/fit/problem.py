@@ -41,7 +41,7 @@ _KEPT = 0.1  # of friction and resistance in a step, at least
 _SHORT = 0.4  # of a step that led to nothing better
 _SETTLED = 5e-3  # fall of the negative logarithm of the likelihood that is none
 _INSTEAD = ("rest", "rest", "first on", "on", "on", "shorter", "rest", *["both"] * 4)
-"""What is tried, one after the other, where a step has led to nothing better: see `_Tried`."""
+"""What is tried where a step has led to nothing better, in turn: see `Problem.design`."""
 
 _RUNS = 6  # drives from which on each has a factor before effects are looked for
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # its multiples spread evenly
