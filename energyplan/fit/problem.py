@@ -156,7 +156,7 @@ class Problem:
 
     def thinned(self, samples: int) -> Problem:
         """Return the drives with so many samples in a shortest window, where they have more."""
-        period = max(float(np.median(np.diff(drive.t))) for drive in self.drives)
+        period = max(drive.clock.period for drive in self.drives)
         step = int(SCALES[0] / (samples * period))
         few = [drive.thinned(step) for drive in self.drives] if step > 1 else self.drives
         return Problem(few, self.vehicle, self.memory)

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from energyplan import DriveLog, Vehicle, diagnose, simulate
 from energyplan.diagnosis.joint_fit import _between_samples
 from energyplan.fit.drives.drive import Drive
-from energyplan.fit.drives.late import Late, lagged
+from energyplan.fit.drives.late import Clock, Late
 from energyplan.fit.problem import Problem
 from energyplan.motion import Motion
 from energyplan.power import PowerModel
@@ -24,16 +24,19 @@ def test_a_ramp_lags_as_its_differential_equation_says(period: float) -> None:
     lag = 0.4
     # lag y' + y = t, from rest: the response is t - lag + lag exp(-t / lag), exactly.
     exact = t - lag + lag * np.exp(-t / lag)
-    assert_allclose(lagged(t, t, lag), exact, atol=1e-12)
-    both = lagged(np.stack([t, 2.0 * t], axis=-1), t, lag)
+    assert_allclose(Clock(t).lagged(t, lag), exact, atol=1e-12)
+    both = Clock(t).lagged(np.stack([t, 2.0 * t], axis=-1), lag)
     assert_allclose(both[:, 1], 2.0 * exact, atol=1e-12)
 
 
 def test_a_constant_is_not_late() -> None:
     t = np.linspace(0.0, 1.0, 11)
-    assert_allclose(lagged(np.full(11, 7.0), t, 1e-3), 7.0)
-    assert_allclose(lagged(np.full(11, 7.0), t, 1e3), 7.0)
-    assert_allclose(lagged(np.ones(1), t[:1], 0.1), 1.0)
+    assert_allclose(Clock(t).lagged(np.full(11, 7.0), 1e-3), 7.0)
+    assert_allclose(Clock(t).lagged(np.full(11, 7.0), 1e3), 7.0)
+    after_a_gap = Clock(np.append(t, 60.0))
+    assert_allclose(after_a_gap.lagged(np.append(np.full(11, 7.0), 1.0), 0.1)[-1], 1.0)
+    for delay in (0.3, -0.3):
+        assert_allclose(after_a_gap.delayed(np.append(np.full(11, 7.0), 1.0), delay)[-1], 1.0)
 
 
 def test_what_is_late_is_told_by_its_parameters() -> None:
@@ -52,7 +55,7 @@ def test_delay_and_lag_are_found_beside_each_other(delay: float, lag: float) -> 
         rng, sides = np.random.default_rng(seed), {}
         for name in ("p_left", "p_right"):
             power = log.channel(name)
-            seen = power if lag == 0.0 else lagged(power, log.t, lag)
+            seen = power if lag == 0.0 else Clock(log.t).lagged(power, lag)
             sides[name] = seen + 5.0 * rng.standard_normal(len(power))
         return DriveLog({**log.channels, **sides}, log.name)
 

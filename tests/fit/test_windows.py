@@ -13,7 +13,7 @@ from energyplan.fit.drives import drive as drive_module
 from energyplan.fit.drives.columns import column, columns_of
 from energyplan.fit.drives.design import Design
 from energyplan.fit.drives.drive import Drive, channels_of, check_long_enough, prepared
-from energyplan.fit.drives.late import DELAYS, Late, lagged, least_late
+from energyplan.fit.drives.late import DELAYS, Clock, Late, least_late
 from energyplan.fit.drives.linear import held_loss, linearise_drive
 from energyplan.fit.drives.parting import split_drives
 from energyplan.fit.drives.preload import preload
@@ -88,13 +88,14 @@ def test_a_lag_is_that_of_the_differential_equation() -> None:
     for k in range(len(x) - 1):
         middle = y[k] + 0.5 * step * (x[k] - y[k]) / lag
         y[k + 1] = y[k] + step * (0.5 * (x[k] + x[k + 1]) - middle) / lag
-    assert_allclose(lagged(values, t, lag), y[::fine], atol=1e-6)
-    both = lagged(np.column_stack([values, -values]), t, lag)
+    assert_allclose(Clock(t).lagged(values, lag), y[::fine], atol=1e-6)
+    both = Clock(t).lagged(np.column_stack([values, -values]), lag)
     assert_allclose(both, np.column_stack([y, -y])[::fine], atol=1e-6)
-    assert_allclose(lagged(values[:1], t[:1], lag), values[:1])
+    alone = Clock(np.append(t, t[-1] + 60.0)).lagged(np.append(values, 7.0), lag)
+    assert_allclose(alone, np.append(y[::fine], 7.0), atol=1e-6)
     one = drive(gap=True, late=Late(0.0, lag))
     shown = one.seen(one.power)
-    assert_allclose(shown[200:], lagged(one.power[200:], one.t[200:], lag))
+    assert_allclose(shown[200:], Clock(one.t[200:]).lagged(one.power[200:], lag))
 
 
 def test_how_late_a_log_is_comes_and_goes_as_parameters() -> None:

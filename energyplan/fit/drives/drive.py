@@ -14,11 +14,10 @@ from scipy.ndimage import uniform_filter1d
 from energyplan.errors import DriveLogError
 from energyplan.fit.drives.denoise import NO_STEPS, Steps, quiet, speed_noise
 from energyplan.fit.drives.hold import Hold, find_hold
-from energyplan.fit.drives.late import ON_TIME, Late, delayed, lagged
+from energyplan.fit.drives.late import ON_TIME, Clock, Late
 from energyplan.fit.drives.windows import BLOCK, SCALES, Windows
 from energyplan.logs import DriveLog
 from energyplan.logs.align import time_weights
-from energyplan.logs.checks import find_runs
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.vehicle import TreadICR, Vehicle
@@ -68,7 +67,7 @@ class Drive:
     hold : Hold, optional
         Readings of the power, where they stand in several rows each.
     fields : dict
-        Forces of terms, kept for `field_of`.
+        What follows from the motion alone: forces of terms, kept for `field_of`, and the like.
     """
 
     name: str
@@ -117,10 +116,18 @@ class Drive:
         """Return the drive of a robot with other tread ICRs."""
         return replace(self, motion=replace(self.motion, icr=icr), fields={})
 
-    @cached_property
+    @property
+    def clock(self) -> Clock:
+        """When its samples were taken."""
+        if "clock" not in self.fields:
+            self.fields["clock"] = Clock(self.t)
+        found: Clock = self.fields["clock"]
+        return found
+
+    @property
     def runs(self) -> tuple[slice, ...]:
         """Stretches without a gap."""
-        return tuple(find_runs(self.t))
+        return self.clock.runs
 
     @cached_property
     def held(self) -> Motion:
@@ -170,7 +177,7 @@ class Drive:
         width = self.samples_in(MOMENT)
         settled = np.abs(uniform_filter1d(turn, width, mode="nearest")) > 1.0 - 0.5 / width
         # Whole samples later, so that no delay makes the samples that count fewer.
-        by = round(self.late.mean / float(np.median(np.diff(self.t))))
+        by = round(self.late.mean / self.clock.period)
         at = np.clip(np.arange(len(self.t)) - by, 0, len(self.t) - 1)
         shown = np.asarray(settled[at], float)
         return shown if self.hold is None else (self.hold.shown(shown) > _ALL).astype(float)
@@ -182,7 +189,7 @@ class Drive:
 
     def samples_in(self, time: float) -> int:
         """Return the odd number of samples closest to a time [s]."""
-        return 2 * round(0.5 * time / float(np.median(np.diff(self.t)))) + 1
+        return 2 * round(0.5 * time / self.clock.period) + 1
 
     def observed(self, table: FloatArray) -> FloatArray:
         """Return predictions of each equation, shape (n, equations, ...), as the log shows them.
@@ -208,9 +215,9 @@ class Drive:
         """
         late = power
         if self.late.delay != 0.0:
-            late = np.concatenate([delayed(late[r], self.t[r], self.late.delay) for r in self.runs])
+            late = self.clock.delayed(late, self.late.delay)
         if self.late.lag > 0.0:
-            late = np.concatenate([lagged(late[r], self.t[r], self.late.lag) for r in self.runs])
+            late = self.clock.lagged(late, self.late.lag)
         late = late if self.hold is None else self.hold.shown(late)
         return late if self.factor == 1.0 else late * self.factor
 
@@ -240,7 +247,7 @@ class Drive:
         `turn`, from zero to one, tells where they begin: other drives show what this one does not.
         """
         number = len(self.t)
-        least = _PIECE / float(np.median(np.diff(self.t)))
+        least = _PIECE / self.clock.period
         count = max(int(number / max(least, share * number / _PIECES)), 1)
         kept = max(round(share * count), 1)
         chosen = ((np.arange(kept) + turn) * count / kept).astype(np.intp)
@@ -252,7 +259,7 @@ class Drive:
 
         Powers whose readings stand in several rows are thinned instead: means would mix readings.
         """
-        step = int(period / float(np.median(np.diff(self.t))) + _ROUNDING)
+        step = int(period / self.clock.period + _ROUNDING)
         if self.hold is not None:
             step = min(step, self.hold.rows // _ROWS)
         if step < 2:
@@ -284,7 +291,7 @@ class Drive:
     @cached_property
     def windows(self) -> tuple[Windows, ...]:
         """Windows of each scale."""
-        period = float(np.median(np.diff(self.t)))
+        period = self.clock.period
         return tuple(Windows.of(self.t, max(scale, 3 * period)) for scale in SCALES)
 
 
@@ -319,7 +326,7 @@ def prepared(logs: Sequence[DriveLog], vehicle: Vehicle) -> list[Drive]:
     """
     drives = [replace(Drive.of(log, vehicle), fitted=True) for log in logs]
     total = sum(len(drive.t) for drive in drives)
-    period = max(float(np.median(np.diff(drive.t))) for drive in drives)
+    period = max(drive.clock.period for drive in drives)
     step = min(int(np.ceil(total / _MANY)), int(SCALES[0] / (4 * period)))
     return [drive.thinned(step) for drive in drives] if step > 1 else drives
 

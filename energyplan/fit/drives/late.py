@@ -6,9 +6,11 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
+from energyplan.logs.checks import find_runs
 from energyplan.path import FloatArray
 
 DELAYS = np.round(np.arange(-1.0, 1.01, 0.1), 1)
@@ -53,25 +55,70 @@ class Late(NamedTuple):
 ON_TIME = Late()
 
 
-def delayed(values: FloatArray, t: FloatArray, delay: float) -> FloatArray:
-    """Return values, shape (n, ...), as they were a time before: linear between samples."""
+class Clock:
+    """When the samples of a log were taken, and what they show late.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Time [s].
+
+    Attributes
+    ----------
+    runs : tuple of slice
+        Stretches without a gap.
+    period : float
+        Usual time between samples [s].
+    """
+
+    def __init__(self, t: FloatArray) -> None:
+        self.t = t
+        self.runs = tuple(find_runs(t))
+        self.period = _period(t)
+        self._periods = [_period(t[run]) for run in self.runs]
+        self._before: dict[bool, tuple[float, NDArray[np.intp], FloatArray]] = {}
+
+    def delayed(self, values: FloatArray, delay: float) -> FloatArray:
+        """Return values, shape (n, ...), as they were a time before: linear between samples.
+
+        Nothing passes across a gap.
+        """
+        known, k, share = self._before.get(delay < 0.0, (np.nan, None, None))
+        if known != delay or k is None or share is None:
+            parts = [(run.start, *_before(self.t[run], delay)) for run in self.runs]
+            k = np.concatenate([start + at for start, at, _ in parts])
+            share = np.concatenate([part for _, _, part in parts])
+            self._before[delay < 0.0] = delay, k, share
+        share = share.reshape(-1, *[1] * (values.ndim - 1))
+        after = np.minimum(k + 1, len(values) - 1)
+        return np.asarray(values[k] * (1.0 - share) + values[after] * share)
+
+    def lagged(self, values: FloatArray, lag: float) -> FloatArray:
+        """Return values, shape (n, ...), as a first-order lag shows them, each run from rest."""
+        pairs = zip(self.runs, self._periods, strict=True)
+        return np.concatenate([_lagged(values[run], period, lag) for run, period in pairs])
+
+
+def _period(t: FloatArray) -> float:
+    """Return the usual time between samples; infinite where there is one."""
+    return float(np.median(np.diff(t))) if len(t) > 1 else np.inf
+
+
+def _before(t: FloatArray, delay: float) -> tuple[NDArray[np.intp], FloatArray]:
+    """Return the sample that was last a time before each, and the share of the next one."""
     if len(t) < 2:
-        return values
+        return np.zeros(len(t), np.intp), np.zeros(len(t))
     at = t - delay
     k = np.clip(np.searchsorted(t, at) - 1, 0, len(t) - 2)
-    share = np.clip((at - t[k]) / (t[k + 1] - t[k]), 0.0, 1.0)
-    share = share.reshape(-1, *[1] * (values.ndim - 1))
-    return np.asarray(values[k] * (1.0 - share) + values[k + 1] * share)
+    return k, np.clip((at - t[k]) / (t[k + 1] - t[k]), 0.0, 1.0)
 
 
-def lagged(values: FloatArray, t: FloatArray, lag: float) -> FloatArray:
+def _lagged(values: FloatArray, period: float, lag: float) -> FloatArray:
     """Return values, shape (n, ...), as a first-order lag passes them on, at rest to begin with.
 
     Exact for values that are linear between samples a period apart.
     """
-    if len(t) < 2:
-        return values
-    ratio = float(np.median(np.diff(t))) / lag
+    ratio = period / lag
     fade = float(np.exp(-ratio))
     new = 1.0 + np.expm1(-ratio) / ratio
     old = 1.0 - fade - new

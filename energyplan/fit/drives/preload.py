@@ -432,7 +432,10 @@ def _error(drive: Drive, beyond: FloatArray, samples: FloatArray) -> FloatArray:
     What a model misses is told by the usual size of means over two seconds: stretches make few.
     """
     windows = drive.windows[_USUAL]
-    moving = windows.mean(np.abs(drive.motion.v_left) + np.abs(drive.motion.v_right)) > 0.0
+    if "moving" not in drive.fields:
+        speed = np.abs(drive.motion.v_left) + np.abs(drive.motion.v_right)
+        drive.fields["moving"] = windows.mean(speed) > 0.0
+    moving: NDArray[np.bool_] = drive.fields["moving"]
     means = windows.mean(beyond)
     usual = 1.4826 * float(np.median(np.abs(means[moving]))) if moving.sum() >= _FEW else 0.0
     nothing = _NOTHING * float(np.sqrt(np.mean(drive.power**2)))

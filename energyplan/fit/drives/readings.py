@@ -121,7 +121,7 @@ def reading_covariance(
         share = np.divide(
             drive.steps.error, speed, out=np.zeros(len(speed)), where=speed > drive.steps.size
         )
-        late = round(drive.late.mean / float(np.median(np.diff(drive.t))))
+        late = round(drive.late.mean / drive.clock.period)
         at = np.clip(np.arange(len(speed)) - late, 0, len(speed) - 1)
         states = [drive.steps.states(v)[at] for v in (motion.v_left, motion.v_right)]
         rise = _rise_with_speed(drive, problem.vehicle, terms, values)
