@@ -14,6 +14,8 @@ from energyplan.fit.least_squares import fit
 from energyplan.fit.problem import ROUNDS, Problem
 from energyplan.path import FloatArray
 
+_NOWHERE = 1e9  # loss of a line that was not crossed: finite, since a simplex takes differences
+
 Make = Callable[[FloatArray], tuple[list[Part], Problem]]
 """From a part's parameters to the parts and drives with them."""
 
@@ -48,7 +50,7 @@ def settled(part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
         if part.effect.acts == "place":
             named = zip((key for key, _ in part.params), values.tolist(), strict=True)
             if not crosses(dict(named), case.drives, case.vehicle):
-                return np.inf
+                return _NOWHERE
         return fit(case.design(terms_of(trial), errors, known, rounds), errors).loss
 
     def loss(values: FloatArray) -> float:

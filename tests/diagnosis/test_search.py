@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import math
 import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,10 +17,12 @@ from energyplan.diagnosis.change_points import crosses, lines, mark_changes
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import Candidate
 from energyplan.diagnosis.search import Search
+from energyplan.diagnosis.settling import settled
 from energyplan.fit.drives.drive import Drive, prepared
 from energyplan.fit.drives.late import ON_TIME, Late
 from energyplan.fit.problem import PAPER, Problem
 from energyplan.motion import Motion
+from energyplan.path import FloatArray
 from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, SLIP_BEYOND, TOWED_DRAG
 from energyplan.power.effects import VISCOUS_LOSS, WARM_UP, catalogue
 
@@ -247,3 +250,16 @@ def test_effects_that_a_quick_search_misses_are_found(
             name,
             size,
         )
+
+
+def test_a_line_that_no_drive_crosses_stays_where_it_is_without_a_warning() -> None:
+    search = one_drive(ROBOT, ("viscous_loss",))
+    far = Part(catalogue()["surface_border"], (("direction", 0.0), ("offset", 1e4)))
+
+    def made(values: FloatArray) -> tuple[list[Part], Problem]:
+        params = zip(("direction", "offset"), values.tolist(), strict=True)
+        return [replace(far, params=tuple(params))], search.problem
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert settled(far, made, search.errors) is None
