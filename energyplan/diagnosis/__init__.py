@@ -20,9 +20,8 @@ from energyplan.diagnosis.explanations import Found
 from energyplan.diagnosis.holdout import ErrorInterval, Prediction, interval, predict, score
 from energyplan.diagnosis.joint_fit import FinalFit, final_fit, size_error, size_spread
 from energyplan.diagnosis.mass_centre import MassCentre, find_mass_centre
-from energyplan.diagnosis.mimics import smooth_part, without_mimics
+from energyplan.diagnosis.mimics import without_mimics
 from energyplan.diagnosis.part import Part
-from energyplan.diagnosis.proposals import terms_of
 from energyplan.diagnosis.residual import Dependence, dependences
 from energyplan.diagnosis.result import (
     Average,
@@ -35,11 +34,11 @@ from energyplan.diagnosis.result import (
     Verdict,
 )
 from energyplan.diagnosis.search import SIGNIFICANCE, Search
-from energyplan.diagnosis.stand_ins import Presence, presence
-from energyplan.diagnosis.wheel_fight import find_wheel_fight
+from energyplan.diagnosis.stand_ins import Presence
+from energyplan.diagnosis.tested import Tested, tested
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
-from energyplan.fit.adequacy import Adequacy, adequacy, left_over, usual_effects
+from energyplan.fit.adequacy import Adequacy, usual_effects
 from energyplan.fit.breakaway import with_breakaway
 from energyplan.fit.drives.drive import Drive, check_long_enough, prepared
 from energyplan.fit.drives.late import Late
@@ -66,12 +65,6 @@ __all__ = [
     "Unexplained",
     "diagnose",
 ]
-
-_TELLING = 0.1
-"""Share of the error that a channel must explain to be called a reason."""
-
-_MOSTLY = 0.3
-"""Share from which on a channel is asked whether it makes the effects found unnecessary."""
 
 _SHOWN = 8
 """Explanations that are reported."""
@@ -274,30 +267,24 @@ class _Case:
         report(0.9, "testing the residual against every channel")
         mimics: list[str] = []
         if choose:
-            parts, mimics = self._without_mimics(best.problem, parts)
-        told_after = dependences(best.problem, final_fit(best.problem, parts).terms)
-        left = [
-            one for one in told_after
-            if one.p_value < SIGNIFICANCE
-            and one.explained_variance > max(_TELLING, 2 * one.std_error)
-        ]  # fmt: skip
-        # What differs from drive to drive hides no channel that says more within each.
-        first = next((one for one in left if one.channel != "drive"), None)
-        smooth = smooth_part(first) if first is not None and first.knots else None
-        chosen = parts
-        added = smooth if empirical and smooth is not None and self._carry(smooth) else None
-        if added is not None:
-            parts = (*parts, added)
-        fitted = final_fit(best.problem, parts)
+            parts, mimics = without_mimics(best.problem, parts)
         averages = choose and len(self.logs[0]) >= FEWEST_RUNS
-        if not parts and self.mass_centre is None and not averages:
-            fitted = replace(fitted, model=self.paper)  # nothing found: the paper's, as it is
-        entry = next((one for one in self.entries if one.acts == "hold"), None)
-        fight = find_wheel_fight(best.problem, fitted.model) if entry else None
-        if fight is not None:
-            fitted = replace(fitted, model=fight.model)
-        quality = adequacy(best.problem.drives, left_over(fitted.model, best.problem.drives))
-        present = presence(searched, chosen, quality, left, bool(self.mass_centre or fight))
+        plain = None if averages or self.mass_centre is not None else self.paper
+        fighting = next((one for one in self.entries if one.acts == "hold"), None)
+
+        def test(some: tuple[Part, ...]) -> Tested:
+            return tested(
+                searched, some, plain=plain, fights=fighting is not None,
+                otherwise=self.mass_centre is not None,
+                smooth=lambda part: empirical and self._carry(part),
+            )  # fmt: skip
+
+        outcome = test(parts)
+        maps = outcome.maps if choose else ()
+        if maps:
+            outcome = test(tuple(part for part in parts if part not in maps))
+        chosen, parts, left = outcome.effects, outcome.parts, outcome.left
+        fitted, quality, present = outcome.fitted, outcome.quality, outcome.present
         weighed = averaged(best.problem, fitted, parts, len(self.entries)) if choose else None
         told = fitted if weighed is None else weighed.fitted
         average = None if weighed is None else weighed.average
@@ -310,12 +297,12 @@ class _Case:
             undated = score(foretold)
         others = self._explanations(searched, 1.0 - present.stranger)
         found = self._found(chosen, fitted, searched, after, present, others)
-        if fight is not None and entry is not None:
-            found = (*found, fight.effect(entry))
+        if outcome.fight is not None and fighting is not None:
+            found = (*found, outcome.fight.effect(fighting))
         unexplained = tuple(
             Unexplained(
                 one.channel, one.shape, one.explained_variance, one.p_value,
-                added is not None and one is first,
+                outcome.added is not None and one is outcome.first,
             )
             for one in left
         )  # fmt: skip
@@ -327,8 +314,9 @@ class _Case:
         advice = [
             *self.limits,
             *_advice.mimic_advice(left, names, mimics),
+            *_advice.map_advice([part.effect.name for part in maps]),
             *_advice.adequacy_advice(quality, bool(left)),
-            *_advice.drive_advice(told_after, SIGNIFICANCE),
+            *_advice.drive_advice(outcome.dependences, SIGNIFICANCE),
             *_advice.rival_advice(found, {entry.name: entry for entry in self.entries}),
             *_advice.mass_advice(fitted.model, names),
             *_advice.log_advice(used),
@@ -361,8 +349,8 @@ class _Case:
             advice=tuple(advice),
             paper=replace(self.paper, residual=errors[0]),
             dependences_before=told_before,
-            dependences_after=told_after,
-            withdrawn=tuple(mimics),
+            dependences_after=outcome.dependences,
+            withdrawn=(*mimics, *(part.effect.name for part in maps)),
             predictions_before=tuple(one.power for one in before),
             predictions_after=tuple(one.power for one in after),
             explanations=others,
@@ -381,19 +369,6 @@ class _Case:
         """Tell whether all drives that are to be predicted have the channels of a part."""
         needed = {name for term in part.terms for name in term.channels}
         return all(needed <= set(drive.motion.channels) for drive in self.held)
-
-    def _without_mimics(
-        self, problem: Problem, parts: tuple[Part, ...]
-    ) -> tuple[tuple[Part, ...], list[str]]:
-        """Take out effects that only stand in for a smooth dependence that does better alone."""
-        usual = tuple(part for part in parts if part.effect.usual or not part.terms)
-        if not any(part.effect.acts in ("change", "place") for part in parts):
-            return parts, []  # only what was looked for at any time or place fits anything
-        shapes = dependences(problem, terms_of(usual))
-        best = next((one for one in shapes if one.knots), None)
-        if best is None or best.explained_variance < _MOSTLY or best.p_value > SIGNIFICANCE:
-            return parts, []
-        return without_mimics(problem, parts, smooth_part(best))
 
     def _choosing(self) -> tuple[str, ...]:
         """Name what chose: whole training drives, or blocks of them, each left out in turn."""

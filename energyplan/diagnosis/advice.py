@@ -130,6 +130,18 @@ def mimic_advice(
     return lines
 
 
+def map_advice(maps: Sequence[str]) -> list[str]:
+    """Say that a map was dropped, which fits the ways of the training drives alone."""
+    if not maps:
+        return []
+    names = ", ".join(_plain(name) for name in maps)
+    return [
+        f"{names} would fit the training drives, but is probably something else that happened "
+        "where they went, and would mislead elsewhere: it was dropped. Drive the same places at "
+        "another time, by other ways"
+    ]
+
+
 def drive_advice(dependences: Sequence[Dependence], significance: float) -> list[str]:
     """Say that drives differ as a whole, where they do, and what no model can then reach."""
     return [

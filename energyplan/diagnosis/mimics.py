@@ -8,11 +8,15 @@ from energyplan.diagnosis.fitted_sets import WORTHWHILE
 from energyplan.diagnosis.joint_fit import final_fit
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import terms_of
-from energyplan.diagnosis.residual import Dependence
+from energyplan.diagnosis.residual import Dependence, dependences
+from energyplan.diagnosis.search import SIGNIFICANCE
 from energyplan.fit.adequacy import adequacy, left_over
 from energyplan.fit.least_squares import Fit, difference, fit
 from energyplan.fit.problem import Problem
 from energyplan.power.effects import Effect, empirical_term
+
+_MOSTLY = 0.3
+"""Share of the error from which on a channel is asked whether it makes effects unnecessary."""
 
 
 def smooth_part(found: Dependence) -> Part:
@@ -21,10 +25,12 @@ def smooth_part(found: Dependence) -> Part:
     return Part(Effect.of(term, planner="where it knows the channel"))
 
 
-def without_mimics(
-    problem: Problem, parts: tuple[Part, ...], smooth: Part
-) -> tuple[tuple[Part, ...], list[str]]:
+def without_mimics(problem: Problem, parts: tuple[Part, ...]) -> tuple[tuple[Part, ...], list[str]]:
     """Take out effects that only stand in for what the catalogue does not have.
+
+    Only what was looked for at any time or place fits anything: without a change or a border all
+    effects stay. A smooth term of the channel that explains most without them is what they may
+    stand in for.
 
     Parameters
     ----------
@@ -32,8 +38,6 @@ def without_mimics(
         The drives.
     parts : tuple of Part
         Effects that were found.
-    smooth : Part
-        A smooth term of the channel that explains most without them.
 
     Returns
     -------
@@ -42,7 +46,14 @@ def without_mimics(
         beside the smooth term, where that alone does better than all of them, or as well as they
         do and they leave more than noise.
     """
+    if not any(part.effect.acts in ("change", "place") for part in parts):
+        return parts, []
     usual = [part for part in parts if part.effect.usual or not part.terms]
+    shapes = dependences(problem, terms_of(usual))
+    best = next((one for one in shapes if one.knots), None)
+    if best is None or best.explained_variance < _MOSTLY or best.p_value > SIGNIFICANCE:
+        return parts, []
+    smooth = smooth_part(best)
     others = [part for part in parts if part not in usual]
     errors = problem.reference(problem.design(terms_of(parts)))
 

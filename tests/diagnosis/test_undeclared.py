@@ -73,6 +73,20 @@ def tyre_loses_pressure(drive: DriveLog) -> tuple[FloatArray, FloatArray]:
     return more * np.abs(left), np.zeros_like(right)
 
 
+def weak_pushes_return_nothing(drive: DriveLog) -> tuple[FloatArray, FloatArray]:
+    """Drivers that return power only above 60 W."""
+    left, right = drive.channel("p_left"), drive.channel("p_right")
+    kept_left, kept_right = (np.where((p < 0) & (p > -60), -p, 0.0) for p in (left, right))
+    return kept_left, kept_right
+
+
+def stripes(drive: DriveLog) -> tuple[FloatArray, FloatArray]:
+    """Two floors in stripes of a metre and a half."""
+    left, right = speeds(drive)
+    more = 0.5 * K * (np.floor(drive.channel("x") / 1.5) % 2)
+    return more * np.abs(left), more * np.abs(right)
+
+
 def backlash(drive: DriveLog) -> tuple[FloatArray, FloatArray]:
     pulses = []
     for speed in speeds(drive):
@@ -195,6 +209,21 @@ def test_what_the_catalogue_lacks_is_unexplained(kind: Kind, channels: set[str])
     stated = sum(one.probability for one in found.explanations) + found.none_of_these
     assert stated == pytest.approx(1.0, abs=0.01)  # eight explanations are reported
     assert abs(found.after.energy_error) < abs(found.before.energy_error) + 0.02
+
+
+@pytest.mark.parametrize(("kind", "seed"), [(weak_pushes_return_nothing, 11), (stripes, 21)])
+def test_a_map_that_probably_stands_in_for_something_else_predicts_nothing(
+    kind: Kind, seed: int
+) -> None:
+    """A border fits the ways of the training drive, and would mislead on others."""
+    found = told(kind, seed)
+    assert found.verdict == "unexplained"
+    assert "surface_border" in found.withdrawn
+    assert "surface_border" not in {one.name for one in found.effects}
+    assert not {"slip_beyond", "traction_beyond"} & {term.name for term in found.model.terms}
+    assert any("surface border would fit" in line for line in found.advice)
+    assert found.after.rmse < 1.05 * found.before.rmse
+    assert found.none_of_these > 0.5
 
 
 def test_a_drag_of_each_turn_is_told_with_its_side_and_length() -> None:
