@@ -67,7 +67,10 @@ __all__ = [
 ]
 
 _SHOWN = 8
-"""Explanations that are reported."""
+"""Most explanations that are reported."""
+
+_POSSIBLE = 1e-3
+"""Probability over that of the best explanation, from which on another one is reported."""
 
 Progress = Callable[[float, str], object]
 
@@ -265,9 +268,6 @@ class _Case:
         parts = best.parts
         told_before = dependences(self.problem, PAPER, ("power",))
         report(0.9, "testing the residual against every channel")
-        mimics: list[str] = []
-        if choose:
-            parts, mimics = without_mimics(best.problem, parts)
         averages = choose and len(self.logs[0]) >= FEWEST_RUNS
         plain = None if averages or self.mass_centre is not None else self.paper
         fighting = next((one for one in self.entries if one.acts == "hold"), None)
@@ -280,8 +280,13 @@ class _Case:
             )  # fmt: skip
 
         outcome = test(parts)
-        maps = outcome.maps if choose else ()
-        if maps:
+        mimics: list[str] = []
+        maps: tuple[Part, ...] = ()
+        if choose and outcome.doubtful:
+            parts, mimics = without_mimics(best.problem, parts)
+            outcome = test(parts) if mimics else outcome
+        if choose and outcome.maps:
+            maps = outcome.maps
             outcome = test(tuple(part for part in parts if part not in maps))
         chosen, parts, left = outcome.effects, outcome.parts, outcome.left
         fitted, quality, present = outcome.fitted, outcome.quality, outcome.present
@@ -330,9 +335,10 @@ class _Case:
         ]
         verdict: Verdict = "no_effect"
         if found:
-            enough = explains(quality, errors[0].rmse, known.rmse, present.stranger)
-            usual = {entry.name for entry in self.entries if entry.usual}
-            enough &= quality.adequate or not usual.issuperset(names)
+            usual = {entry.name for entry in self.entries if entry.usual}.issuperset(names)
+            stranger = 0.0 if usual else present.stranger  # that is no reason to doubt them
+            enough = explains(quality, errors[0].rmse, known.rmse, stranger)
+            enough &= quality.adequate or not usual
             verdict = "effect_found" if held and enough else "unexplained"
         elif left or not quality.adequate:
             verdict = "unexplained"
@@ -385,6 +391,7 @@ class _Case:
                 tuple((*moved, *names) for names in one.alike),
             )
             for one in searched.explanations[:_SHOWN]
+            if one.probability >= _POSSIBLE * searched.best.probability
         )  # fmt: skip
 
     def _found(

@@ -74,7 +74,7 @@ def explains(quality: Adequacy, before: float, after: float, stranger: float = 0
         noise is left, or a stranger is more probable, and they are still more than half: something
         else is there.
     """
-    if quality.adequate:
+    if quality.adequate and stranger <= 0.5:
         return True
     gross = quality.residual > _GROSS * quality.noise or stranger > 0.5
     return after <= (_EXPLAINED if gross else 1.0) * before

@@ -15,7 +15,7 @@ import numpy as np
 from energyplan.diagnosis.part import Part
 from energyplan.fit.drives.columns import column
 from energyplan.fit.drives.drive import Drive
-from energyplan.fit.least_squares import solve
+from energyplan.fit.least_squares import quadratic, solve
 from energyplan.fit.problem import PAPER, Problem
 from energyplan.path import FloatArray
 from energyplan.power import Term
@@ -54,7 +54,7 @@ def _masked(total: FloatArray, after: FloatArray, count: int) -> FloatArray:
 def _loss(gram: FloatArray) -> FloatArray:
     found = solve(gram)
     signed = np.concatenate([found, -np.ones((*found.shape[:-1], 1))], axis=-1)
-    return np.asarray(np.einsum("...i,...ij,...j->...", signed, gram, signed))
+    return quadratic(gram, signed)
 
 
 def mark_changes(problem: Problem, terms: Sequence[Term], errors: FloatArray) -> Problem:
@@ -136,11 +136,13 @@ def lines(
     ------
     Part
         Eight directions, five offsets each, so that contacts are a fifth of the time on either
-        side; of fine ones twice the directions, and offsets to the least share that tells.
+        side; of fine ones twice the directions, and offsets to the least share that tells. None
+        where the robot never moves.
     """
     count, shares = (16, _FINE_SHARES) if fine else (8, _SHARES)
     for direction in np.arange(count) * np.pi / count:
-        for offset in np.quantile(_along(direction, drives, vehicle), shares):
+        along = _along(direction, drives, vehicle)
+        for offset in np.quantile(along, shares) if len(along) else ():
             yield Part(effect, (("direction", float(direction)), ("offset", float(offset))))
 
 

@@ -28,9 +28,7 @@ def smooth_part(found: Dependence) -> Part:
 def without_mimics(problem: Problem, parts: tuple[Part, ...]) -> tuple[tuple[Part, ...], list[str]]:
     """Take out effects that only stand in for what the catalogue does not have.
 
-    Only what was looked for at any time or place fits anything: without a change or a border all
-    effects stay. A smooth term of the channel that explains most without them is what they may
-    stand in for.
+    A smooth term of the channel that explains most without them is what they may stand in for.
 
     Parameters
     ----------
@@ -46,9 +44,9 @@ def without_mimics(problem: Problem, parts: tuple[Part, ...]) -> tuple[tuple[Par
         beside the smooth term, where that alone does better than all of them, or as well as they
         do and they leave more than noise.
     """
-    if not any(part.effect.acts in ("change", "place") for part in parts):
-        return parts, []
     usual = [part for part in parts if part.effect.usual or not part.terms]
+    if not any(part.terms and not part.effect.usual for part in parts):
+        return parts, []
     shapes = dependences(problem, terms_of(usual))
     best = next((one for one in shapes if one.knots), None)
     if best is None or best.explained_variance < _MOSTLY or best.p_value > SIGNIFICANCE:

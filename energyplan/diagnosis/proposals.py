@@ -19,7 +19,7 @@ from energyplan.diagnosis.part import Part
 from energyplan.fit.drives.design import Design
 from energyplan.fit.drives.drive import Drive, channels_of
 from energyplan.fit.drives.late import Late
-from energyplan.fit.least_squares import WEIGHTS, evidence_of, fit, solve
+from energyplan.fit.least_squares import WEIGHTS, evidence_of, fit, quadratic, solve
 from energyplan.fit.problem import FINE, PAPER, Problem
 from energyplan.path import FloatArray
 from energyplan.power import Term
@@ -157,6 +157,9 @@ class Proposals:
                     (effect.name, f"{', '.join(blind)} of the hold-out has no channel {name!r}")
                 )
                 return False
+        if effect.acts == "place" and not self.variants(effect):
+            self.untested.append((effect.name, "the robot hardly moves"))
+            return False
         return True
 
     def likelihood(self, errors: FloatArray, windows: FloatArray) -> FloatArray:
@@ -195,6 +198,8 @@ class Proposals:
         # Changes last: they are numbered only once their times are known.
         for effect in sorted(self.effects, key=lambda effect: effect.acts == "change"):
             parts = self.variants(effect)
+            if not parts:
+                continue  # nothing moves in an excerpt
             prior = RARE - np.log(len(parts))
             if effect.usual:  # the less so, the more of it has to be searched
                 prior = 0.5 * RARE - np.log(len(parts)) if effect.grid else 0.0
@@ -244,13 +249,13 @@ class Proposals:
                 some = members[first : first + _BATCH]
                 index = np.array([[*wide[k], grams.shape[-1] - 1] for k in some])
                 part = grams[:, :, index[:, :, None], index[:, None, :]]
-                joint = np.einsum("s,sfbij->bfij", weight, part)
+                joint = np.tensordot(weight, part, 1).swapaxes(0, 1)
                 total = joint.sum(axis=1, keepdims=True)
                 held, values = solve(total - joint), solve(total[:, 0])
                 low, high = bounds[:, index[:, :-1]]
                 possible = np.all((values >= low) & (values <= high), axis=-1)
                 signed = np.concatenate([held, -np.ones((*held.shape[:-1], 1))], axis=-1)
-                squares = np.einsum("bfi,sfbij,bfj->sb", signed, part, signed, optimize=True)
+                squares = quadratic(part, signed.swapaxes(0, 1)).sum(axis=1)
                 score = self.likelihood(squares / design.counts[:, None], design.evidence)
                 found[some] = np.where(possible, score, -np.inf)
         prior = [sum(candidates[one].prior for one in chosen) for chosen in sets]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
@@ -187,6 +187,7 @@ class Search(SettledSets):
                 best.setdefault(frozenset(candidates[j].name for j in sets[k]), sets[k])
             tried = [*best.values()][:_TRIED]
             tried += self._losses(sets, scores, candidates, one)
+            tried += self._other_losses(now, candidates, late)
             for some in [*tried, *self._settled_lines(sets, scores, candidates, one)]:
                 if set(now) < set(some):
                     self._fit_from(now, some, candidates, late)
@@ -224,6 +225,27 @@ class Search(SettledSets):
                 if one.name not in names and any(t.kind == "loss" for t in one.part.terms):
                     found.setdefault(one.name, sets[k])
         return list(found.values())
+
+    def _other_losses(self, now: Set, candidates: Sequence[Candidate], late: Late) -> list[Set]:
+        """Return sets with another loss in place of one, where these explain nearly as much.
+
+        What is lost while drawing divides all forces, and powers tell it from what is lost while
+        returning by little or nothing. Both are to be weighed, and the quick search sees neither.
+        """
+        names = {candidates[k].name for k in now}
+        losses = [
+            k for k, one in enumerate(candidates) if any(t.kind == "loss" for t in one.part.terms)
+        ]
+        new = [k for k in losses if candidates[k].name not in names]
+        least = self.score(self._evaluate(now, candidates, late)) + RARE
+        found = []
+        for old, other in product(set(now) & set(losses), new):
+            some = tuple(sorted({*now, other} - {old}))
+            if self._compatible(candidates, some):
+                one = self._evaluate(some, candidates, late)
+                if one.sound and self.score(one) > least:
+                    found.append(some)
+        return found
 
     def _redelay(
         self,

@@ -68,6 +68,19 @@ class Tested:
         return next((one for one in self.left if one.channel != "drive"), None)
 
     @property
+    def doubtful(self) -> bool:
+        """Whether effects may only stand in for a smooth dependence.
+
+        What was looked for at any time or place fits anything. What has a constant that was looked
+        for, such as a time constant, fits much: it is doubted where the rest still depends on a
+        channel. Other effects of the motion foretell other drives, whatever is behind them.
+        """
+        kinds = {part.effect.acts for part in self.effects}
+        searched = any(p.terms and p.effect.grid and not p.effect.usual for p in self.effects)
+        rest = self.first is not None and bool(self.first.knots)
+        return bool(kinds & {"change", "place"}) or (searched and rest)
+
+    @property
     def maps(self) -> tuple[Part, ...]:
         """Effects of a place that probably stand in for something else.
 

@@ -38,9 +38,8 @@ class Fit:
         What each block adds to the cross-validated mean square error at each scale [W^2].
     blocks : int
         Blocks that say something of the coefficients.
-    stretch : ndarray, shape (k,)
-        Student's 95 % quantile over the normal one: of some coefficients few blocks tell nearly
-        all, and a variance that comes from few is itself uncertain.
+    deviations : ndarray, shape (b, k)
+        The jackknife's coefficients, less their mean.
     """
 
     values: FloatArray
@@ -48,12 +47,21 @@ class Fit:
     covariance: FloatArray
     squares: FloatArray
     blocks: int
-    stretch: FloatArray
+    deviations: FloatArray
 
     @property
     def reported(self) -> FloatArray:
-        """Covariance whose 95 % intervals are those of Student's distribution."""
-        return self.covariance * np.outer(self.stretch, self.stretch)
+        """Covariance whose 95 % intervals are those of Student's distribution.
+
+        Of some coefficients few blocks tell nearly all, and a variance that comes from few is
+        itself uncertain. The degrees of freedom are Satterthwaite's: as many as there are blocks
+        where all tell alike.
+        """
+        square = np.sum(self.deviations**2, axis=0)
+        freedom = 3.0 * square**2 / np.maximum(np.sum(self.deviations**4, axis=0), 1e-300)
+        freedom = np.clip(freedom, 3.0, len(self.deviations)) - 1.0
+        stretch = student.ppf(0.975, freedom) / norm.ppf(0.975)
+        return np.asarray(self.covariance * np.outer(stretch, stretch))
 
     @property
     def errors(self) -> FloatArray:
@@ -84,6 +92,14 @@ def solve(gram: FloatArray, weight: FloatArray | None = None) -> FloatArray:
     return np.asarray(np.linalg.solve(normal + ridge, moment[..., None])[..., 0] / scale)
 
 
+def quadratic(grams: FloatArray, signed: FloatArray) -> FloatArray:
+    """Return quadratic forms of Gram matrices, shape (..., k, k), in vectors, shape (..., k)."""
+    products = signed[..., :, None] * signed[..., None, :]
+    flat = (*products.shape[:-2], -1)
+    rows = grams.reshape(*grams.shape[:-2], -1)
+    return np.asarray(np.einsum("...k,...k->...", rows, products.reshape(flat)))
+
+
 def evidence_of(windows: FloatArray) -> FloatArray:
     """Return how many windows each scale counts for in a likelihood: a weighted mean over them."""
     return np.asarray(np.tile(WEIGHTS, len(windows) // len(WEIGHTS)) * windows)
@@ -99,7 +115,7 @@ def left_out(total: FloatArray, grams: FloatArray, fold: np.ndarray) -> FloatArr
 
 def weighted(design: Design, errors: FloatArray) -> FloatArray:
     """Gram matrices of the blocks, summed over scales, each divided by its reference error."""
-    return np.asarray(np.einsum("sbij,s->bij", design.grams, 1.0 / (errors * design.counts)))
+    return np.asarray(np.tensordot(1.0 / (errors * design.counts), design.grams, 1))
 
 
 def fit(design: Design, errors: FloatArray, by_block: bool = False) -> Fit:
@@ -132,24 +148,12 @@ def fit(design: Design, errors: FloatArray, by_block: bool = False) -> Fit:
     by_drive = design.comparable and not by_block
     held = left_out(total, grams, design.drives)[design.drives] + moved if by_drive else jack
     signed = np.column_stack([held, -np.ones(len(held))])
-    losses = np.einsum("bi,bij,bj->b", signed, grams, signed)
-    squares = np.einsum("bi,sbij,bj->sb", signed, design.grams, signed)
+    losses, squares = quadratic(grams, signed), quadratic(design.grams, signed)
     telling = int(np.count_nonzero(design.telling))
     return Fit(
         values, np.maximum(losses, 0.0), covariance, squares / design.counts[:, None], telling,
-        _stretch(centred),
+        centred,
     )  # fmt: skip
-
-
-def _stretch(deviations: FloatArray) -> FloatArray:
-    """Student's 95 % quantile over the normal one, for each column of a jackknife.
-
-    The degrees of freedom are Satterthwaite's: as many as there are blocks where all tell alike.
-    """
-    square = np.sum(deviations**2, axis=0)
-    freedom = 3.0 * square**2 / np.maximum(np.sum(deviations**4, axis=0), 1e-300)
-    freedom = np.clip(freedom, 3.0, len(deviations)) - 1.0
-    return np.asarray(student.ppf(0.975, freedom) / norm.ppf(0.975))
 
 
 def difference(one: FloatArray, other: FloatArray) -> tuple[float, float]:

@@ -269,9 +269,7 @@ def test_without_an_effect_p_values_are_uniform(width: int) -> None:
     for _ in range(400):
         blocks = rng.normal(size=(count, 3)) @ mixed
         covariance = np.cov(blocks, rowvar=False) / count
-        made = Fit(
-            blocks.mean(axis=0), np.zeros(1), covariance, np.zeros((1, 1)), count, np.ones(3)
-        )
+        made = Fit(blocks.mean(axis=0), np.zeros(1), covariance, np.zeros((1, 1)), count, blocks)
         p_values.append(made.p_value(which))
     assert kstest(p_values, "uniform").pvalue > 1e-3
 

@@ -23,6 +23,7 @@ from energyplan.fit.drives.late import ON_TIME, Late
 from energyplan.fit.problem import PAPER, Problem
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
+from energyplan.power import DRIVE_LOSS, HOTEL
 from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, SLIP_BEYOND, TOWED_DRAG
 from energyplan.power.effects import VISCOUS_LOSS, WARM_UP, catalogue
 
@@ -225,6 +226,29 @@ def test_a_loss_beyond_its_bound_is_fitted_from_the_other_side(
     again = search._fitted(search.problem, parts, {"copper_loss": -size})
     assert search._coefficients(again)["copper_loss"] == pytest.approx(size)
     assert [start["copper_loss"] for start in starts] == pytest.approx([-size, size])
+
+
+def test_a_loss_is_weighed_in_place_of_one_that_powers_cannot_tell_it_from() -> None:
+    model = ROBOT.with_term(DRIVE_LOSS, 0.5).with_term(HOTEL, 30.0)
+    search = one_drive(model, ("drive_efficiency", "hotel_load", "regeneration_efficiency"))
+    candidates = search._candidates(None)
+    assert search._other_losses((0, 1), candidates, ON_TIME) == [(1, 2)]
+    assert search._other_losses((1, 2), candidates, ON_TIME) == [(0, 1)]
+    assert search._other_losses((1,), candidates, ON_TIME) == []
+    # The current's square is no such loss: it explains much less.
+    other = one_drive(model, ("drive_efficiency", "hotel_load", "copper_loss"))
+    assert other._other_losses((0, 1), other._candidates(None), ON_TIME) == []
+
+
+def test_a_robot_that_hardly_moves_crosses_no_line() -> None:
+    log = simulate.drive(ROBOT, "survey", duration=40.0, rate=5.0, power_noise=5.0)
+    creeps = {name: 1e-6 * log.channel(name) for name in ("v_left", "v_right")}
+    told = diagnose(
+        DriveLog({**log.channels, **creeps}, "creeps"),
+        simulate.drive(ROBOT, "survey", duration=40.0, rate=5.0, power_noise=5.0, seed=2),
+        ROBOT.vehicle, effects=[catalogue()[name] for name in ("surface_border", "hotel_load")],
+    )  # fmt: skip
+    assert "not tested, as the robot hardly moves: surface border" in told.advice
 
 
 @pytest.mark.nightly

@@ -48,7 +48,7 @@ def test_a_mass_that_noise_hides_tells_nothing() -> None:
     def of(mass: float, error: float) -> float:
         found = Fit(
             np.array([0.5, 100.0, mass]), np.zeros(1), np.diag([0.0, 0.0, error**2]),
-            np.zeros((3, 1)), 9, np.ones(3),
+            np.zeros((3, 1)), 9, np.zeros((9, 3)),
         )  # fmt: skip
         return likeness(ROBOT.vehicle, [part], found)
 
