@@ -20,6 +20,7 @@ from energyplan.path import FloatArray
 _CLOSER = 2  # times that lines are tried closer to each other, about so many
 _KEPT = 8  # lines about which others are tried
 _TOGETHER = 16  # lines in one table
+_TELLS = 5.0  # by which a line raises the logarithm of the likelihood, at least; chance up to 4
 _SAMPLES = 5  # in a shortest window, that tell where a line may be
 
 Weighed = dict[tuple[frozenset[int], Late], float]
@@ -137,11 +138,12 @@ class SettledSets(FittedSets):
     ) -> list[Set]:
         """Return the best set with each effect of a place, its line moved to where it fits best.
 
-        Lines of a grid lie up to half a step beside the border, and tell only part of it.
+        Lines of a grid lie up to half a step beside the border, and tell only part of it. One that
+        tells nothing is beside none.
         """
         found: list[Set] = []
         order = np.argsort(-scores, kind="stable")
-        plain = [sets[k] for k in order if not any(candidates[j].marked for j in sets[k])]
+        plain = [k for k in order if not any(candidates[j].marked for j in sets[k])]
         known = {part.effect.name for part in now.parts}
         if any(part.effect.acts == "change" for part in now.parts):
             known = set()
@@ -152,11 +154,17 @@ class SettledSets(FittedSets):
                 k for k, one in enumerate(candidates)
                 if one.part.effect is effect and not one.settled
             }  # fmt: skip
-            chosen = next((some for some in plain if own & set(some)), None)
-            if chosen is None:
+            best, other = (
+                next((k for k in plain if bool(own & set(sets[k])) == crossed), None)
+                for crossed in (True, False)
+            )
+            if best is None:
                 continue
-            (line,) = own & set(chosen)
-            moved = self._settle(line, chosen, candidates, now)
+            (line,) = own & set(sets[best])
+            likely = scores[best] - candidates[line].prior
+            if other is not None and likely < scores[other] + _TELLS:
+                continue
+            moved = self._settle(line, sets[best], candidates, now)
             if moved is not None:
                 found.append(moved)
         return found
