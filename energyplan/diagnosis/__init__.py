@@ -336,9 +336,9 @@ class _Case:
         verdict: Verdict = "no_effect"
         if found:
             usual = {entry.name for entry in self.entries if entry.usual}.issuperset(names)
-            stranger = 0.0 if usual else present.stranger  # that is no reason to doubt them
-            enough = explains(quality, errors[0].rmse, known.rmse, stranger)
-            enough &= quality.adequate or not usual
+            enough = quality.adequate
+            if not usual:
+                enough = explains(quality, errors[0].rmse, known.rmse, present.stranger)
             verdict = "effect_found" if held and enough else "unexplained"
         elif left or not quality.adequate:
             verdict = "unexplained"

@@ -70,13 +70,14 @@ def explains(quality: Adequacy, before: float, after: float, stranger: float = 0
     Returns
     -------
     bool
-        False where what is left is no noise, and the errors on other drives grew, or far more than
-        noise is left, or a stranger is more probable, and they are still more than half: something
-        else is there.
+        False where what is left is no noise and the errors on other drives grew, and where far more
+        than noise is left, or a stranger is more probable, and they are still more than half:
+        something else is there.
     """
-    if quality.adequate and stranger <= 0.5:
+    strange = stranger > 0.5
+    if quality.adequate and not strange:
         return True
-    gross = quality.residual > _GROSS * quality.noise or stranger > 0.5
+    gross = strange or quality.residual > _GROSS * quality.noise
     return after <= (_EXPLAINED if gross else 1.0) * before
 
 

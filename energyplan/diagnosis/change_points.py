@@ -15,7 +15,7 @@ import numpy as np
 from energyplan.diagnosis.part import Part
 from energyplan.fit.drives.columns import column
 from energyplan.fit.drives.drive import Drive
-from energyplan.fit.least_squares import quadratic, solve
+from energyplan.fit.least_squares import solve, squared_errors
 from energyplan.fit.problem import PAPER, Problem
 from energyplan.path import FloatArray
 from energyplan.power import Term
@@ -52,9 +52,7 @@ def _masked(total: FloatArray, after: FloatArray, count: int) -> FloatArray:
 
 
 def _loss(gram: FloatArray) -> FloatArray:
-    found = solve(gram)
-    signed = np.concatenate([found, -np.ones((*found.shape[:-1], 1))], axis=-1)
-    return quadratic(gram, signed)
+    return squared_errors(gram, solve(gram))
 
 
 def mark_changes(problem: Problem, terms: Sequence[Term], errors: FloatArray) -> Problem:

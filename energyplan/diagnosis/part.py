@@ -24,3 +24,8 @@ class Part:
             replace(term, params={key: chosen.get(key, v) for key, v in term.params.items()})
             for term in self.effect.terms
         )
+
+    @property
+    def lossy(self) -> bool:
+        """Whether it takes a part of what the forces do."""
+        return any(term.kind == "loss" for term in self.effect.terms)

@@ -19,7 +19,7 @@ from energyplan.diagnosis.part import Part
 from energyplan.fit.drives.design import Design
 from energyplan.fit.drives.drive import Drive, channels_of
 from energyplan.fit.drives.late import Late
-from energyplan.fit.least_squares import WEIGHTS, evidence_of, fit, quadratic, solve
+from energyplan.fit.least_squares import WEIGHTS, evidence_of, fit, solve, squared_errors
 from energyplan.fit.problem import FINE, PAPER, Problem
 from energyplan.path import FloatArray
 from energyplan.power import Term
@@ -254,8 +254,7 @@ class Proposals:
                 held, values = solve(total - joint), solve(total[:, 0])
                 low, high = bounds[:, index[:, :-1]]
                 possible = np.all((values >= low) & (values <= high), axis=-1)
-                signed = np.concatenate([held, -np.ones((*held.shape[:-1], 1))], axis=-1)
-                squares = quadratic(part, signed.swapaxes(0, 1)).sum(axis=1)
+                squares = squared_errors(part, held.swapaxes(0, 1)).sum(axis=1)
                 score = self.likelihood(squares / design.counts[:, None], design.evidence)
                 found[some] = np.where(possible, score, -np.inf)
         prior = [sum(candidates[one].prior for one in chosen) for chosen in sets]
@@ -349,7 +348,7 @@ class Proposals:
             if any(effect.acts == "change" for effect in self.effects):
                 marked = self._marked(problem, parts, errors)
             # Losses act on the forces: those of the best set show others than the usual ones do.
-            losses = any(t.kind == "loss" for one in candidates for t in one.part.terms)
+            losses = any(one.part.lossy for one in candidates)
             if marked is None and not (losses and set(top) != set(start)):
                 break
         names = {self._label(one): k for k, one in enumerate(candidates)}

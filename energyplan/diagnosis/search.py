@@ -89,7 +89,7 @@ class Search(SettledSets):
     def _delays(self, nuisance: Sequence[Part]) -> list[Late]:
         if self.delay is None:
             return [ON_TIME]
-        linear = [part for part in nuisance if not any(t.kind == "loss" for t in part.terms)]
+        linear = [part for part in nuisance if not part.lossy]
         found = self._best_delay(linear, self.problem)
         plain, late = (
             self.score(self._fitted(self.problem.delayed(each), linear))
@@ -222,7 +222,7 @@ class Search(SettledSets):
         names = {part.effect.name for part in now.parts}
         for k in np.argsort(-scores, kind="stable"):
             for one in (candidates[j] for j in sets[k]):
-                if one.name not in names and any(t.kind == "loss" for t in one.part.terms):
+                if one.name not in names and one.part.lossy:
                     found.setdefault(one.name, sets[k])
         return list(found.values())
 
@@ -233,9 +233,7 @@ class Search(SettledSets):
         returning by little or nothing. Both are to be weighed, and the quick search sees neither.
         """
         names = {candidates[k].name for k in now}
-        losses = [
-            k for k, one in enumerate(candidates) if any(t.kind == "loss" for t in one.part.terms)
-        ]
+        losses = [k for k, one in enumerate(candidates) if one.part.lossy]
         new = [k for k in losses if candidates[k].name not in names]
         least = self.score(self._evaluate(now, candidates, late)) + RARE
         found = []

@@ -65,7 +65,7 @@ class Tested:
     @property
     def first(self) -> Dependence | None:
         """The reason that explains most; what differs from drive to drive hides no other one."""
-        return next((one for one in self.left if one.channel != "drive"), None)
+        return _first(self.left)
 
     @property
     def doubtful(self) -> bool:
@@ -90,6 +90,10 @@ class Tested:
             part for part in self.effects
             if part.effect.acts == "place" and self.present.of(part.effect.name) < _DOUBTED
         )  # fmt: skip
+
+
+def _first(left: list[Dependence]) -> Dependence | None:
+    return next((one for one in left if one.channel != "drive"), None)
 
 
 def tested(
@@ -129,7 +133,7 @@ def tested(
         one for one in told
         if one.p_value < SIGNIFICANCE and one.explained_variance > max(_TELLING, 2 * one.std_error)
     ]  # fmt: skip
-    first = next((one for one in left if one.channel != "drive"), None)
+    first = _first(left)
     added = smooth_part(first) if first is not None and first.knots else None
     if added is not None and not smooth(added):
         added = None

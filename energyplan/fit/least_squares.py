@@ -83,7 +83,7 @@ class Fit:
         return float(fisher.sf(squared * freedom / ((count - 1) * width), width, freedom))
 
 
-def solve(gram: FloatArray, weight: FloatArray | None = None) -> FloatArray:
+def solve(gram: FloatArray) -> FloatArray:
     """Least-squares coefficients from Gram matrices, shape (..., k+1, k+1)."""
     scale = np.sqrt(np.maximum(np.diagonal(gram, axis1=-2, axis2=-1), 1e-300))[..., :-1]
     normal = gram[..., :-1, :-1] / (scale[..., :, None] * scale[..., None, :])
@@ -92,8 +92,9 @@ def solve(gram: FloatArray, weight: FloatArray | None = None) -> FloatArray:
     return np.asarray(np.linalg.solve(normal + ridge, moment[..., None])[..., 0] / scale)
 
 
-def quadratic(grams: FloatArray, signed: FloatArray) -> FloatArray:
-    """Return quadratic forms of Gram matrices, shape (..., k, k), in vectors, shape (..., k)."""
+def squared_errors(grams: FloatArray, values: FloatArray) -> FloatArray:
+    """Return what coefficients, shape (..., k), leave of Gram matrices, shape (..., k+1, k+1)."""
+    signed = np.concatenate([values, -np.ones((*values.shape[:-1], 1))], axis=-1)
     products = signed[..., :, None] * signed[..., None, :]
     flat = (*products.shape[:-2], -1)
     rows = grams.reshape(*grams.shape[:-2], -1)
@@ -147,8 +148,7 @@ def fit(design: Design, errors: FloatArray, by_block: bool = False) -> Fit:
     covariance = (len(grams) - 1) / len(grams) * centred.T @ centred
     by_drive = design.comparable and not by_block
     held = left_out(total, grams, design.drives)[design.drives] + moved if by_drive else jack
-    signed = np.column_stack([held, -np.ones(len(held))])
-    losses, squares = quadratic(grams, signed), quadratic(design.grams, signed)
+    losses, squares = squared_errors(grams, held), squared_errors(design.grams, held)
     telling = int(np.count_nonzero(design.telling))
     return Fit(
         values, np.maximum(losses, 0.0), covariance, squares / design.counts[:, None], telling,
