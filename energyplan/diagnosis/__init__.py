@@ -300,7 +300,8 @@ class _Case:
         if any(part.effect.acts == "change" for part in parts):
             foretold = [predict(told.model, parts, drive, dated=False) for drive in self.held]
             undated = score(foretold)
-        others = self._explanations(searched, 1.0 - present.stranger)
+        further = searched.further * (1.0 - present.stranger)
+        others = self._explanations(searched, 1.0 - present.stranger - further)
         found = self._found(chosen, fitted, searched, after, present, others)
         if outcome.fight is not None and fighting is not None:
             found = (*found, outcome.fight.effect(fighting))
@@ -361,6 +362,7 @@ class _Case:
             predictions_after=tuple(one.power for one in after),
             explanations=others,
             none_of_these=present.stranger,
+            further_effects=further,
             adequacy=quality,
             predictions=energies(best.problem, told, foretold),
             training=tuple(log.name for log in self.logs[0]),

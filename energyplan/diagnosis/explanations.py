@@ -77,12 +77,15 @@ class Gain:
 class Found:
     """Outcome of the search: explanations, the most probable one first.
 
-    `followed` is how well each effect would be followed by another one, were it not known.
+    `followed` is how well each effect would be followed by another one, were it not known, and
+    `further` the probability that there are effects beside those of the best explanation that are
+    too small, or each too improbable, to be named.
     """
 
     explanations: tuple[Explanation, ...]
     untested: tuple[tuple[str, str], ...]
     followed: FloatArray
+    further: float
 
     @property
     def best(self) -> Explanation:
@@ -102,7 +105,8 @@ class Found:
 
     def probability(self, name: str) -> float:
         """Return the probability that an effect is there."""
-        return float(sum(one.probability for one in self.explanations if name in one.names))
+        named = sum(one.probability for one in self.explanations if name in one.names)
+        return float((1.0 - self.further) * named + self.further * (name in self.best.names))
 
 
 @dataclass

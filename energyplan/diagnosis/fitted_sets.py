@@ -177,21 +177,23 @@ class FittedSets(Proposals):
 
         However small, an effect is needed where the others are impossible without it.
         """
-        large = gain.improvement > WORTHWHILE and (
+        return (self._large(gain, full) or not less.sound) and self._shown(gain, one)
+
+    def _large(self, gain: Gain, full: Evaluated) -> bool:
+        """Tell whether an effect is large enough to be named."""
+        return gain.improvement > WORTHWHILE and (
             gain.share > WORTH or gain.share > self._missing(full)
         )
+
+    def _shown(self, gain: Gain, one: Candidate) -> bool:
+        """Tell whether drives show an effect, however small it is."""
         if one.part.effect.acts in ("change", "place"):
             # Where or when something changes was searched with all blocks: the block that shows
             # most of it is not foretold by the others.
             foretold = gain.lasting > _LASTING * gain.improvement
         else:
             foretold = gain.lasting > 0.0 or gain.improvement > gain.error
-        return (
-            (large or not less.sound)
-            and foretold
-            and gain.p_value < _CHANCE
-            and gain.weight + one.prior > 0.0
-        )
+        return foretold and gain.p_value < _CHANCE and gain.weight + one.prior > 0.0
 
     def _posterior(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> float:
         one = self._evaluate(chosen, candidates, late)
@@ -205,18 +207,12 @@ class FittedSets(Proposals):
         now = chosen
         while now:
             full = self._evaluate(now, candidates, late)
-            looks = {
-                k: 1.0 if candidates[k].part.effect.usual else float(len(self.effects)) for k in now
+            chance = {
+                k: self._p_value(full, candidates[k].part, self._looks(candidates[k])) for k in now
             }
-            chance = {k: self._p_value(full, candidates[k].part, looks[k]) for k in now}
             weak = max(now, key=lambda k: chance[k])
             if chance[weak] < _CHANCE:
-                less = {
-                    k: self._evaluate(tuple(j for j in now if j != k), candidates, late)
-                    for k in now
-                }
-                gains = {k: self._gain(full, less[k], candidates[k].part, looks[k]) for k in now}
-                full.gains.update(gains)
+                gains, less = self._gains(now, candidates, late)
                 poor = [
                     k for k in now
                     if not self._acceptable(gains[k], candidates[k], full, less[k])
@@ -227,6 +223,21 @@ class FittedSets(Proposals):
                 weak = min(poor or now, key=lambda k: gains[k].weight + candidates[k].prior)
             now = tuple(k for k in now if k != weak)
         return now
+
+    def _looks(self, one: Candidate) -> float:
+        """Return how many effects were looked for where one was found; a usual one is always."""
+        return 1.0 if one.part.effect.usual else float(len(self.effects))
+
+    def _gains(
+        self, now: Set, candidates: Sequence[Candidate], late: Late
+    ) -> tuple[dict[int, Gain], dict[int, Evaluated]]:
+        """Return what each effect of a set is worth in it, and the sets without it."""
+        full = self._evaluate(now, candidates, late)
+        less = {k: self._evaluate(tuple(j for j in now if j != k), candidates, late) for k in now}
+        for k in now:
+            looks = self._looks(candidates[k])
+            full.gains[k] = self._gain(full, less[k], candidates[k].part, looks)
+        return full.gains, less
 
     def _fit_from(
         self, part: Set, chosen: Set, candidates: Sequence[Candidate], late: Late

@@ -102,7 +102,8 @@ class Explanation:
     effects : tuple of str
         Their names, the one that explains most first; none where the paper's model may do.
     probability : float
-        That it is the right one. With `Diagnosis.none_of_these` they sum to one.
+        That it is the right one. With `Diagnosis.none_of_these` and `Diagnosis.further_effects`
+        they sum to one.
     model : PowerModel
         The model with these effects, fitted to the training drives.
     alike : tuple of tuple of str
@@ -256,6 +257,10 @@ class Diagnosis(html.Readable):
     none_of_these : float
         Probability that none of them is right: that behind a name is something else, which the
         catalogue lacks. Zero where no more than noise is left, which depends on nothing.
+    further_effects : float
+        Probability that there are effects of the catalogue beside those of the first explanation,
+        which are too small or too improbable to be named. It belongs to the probability of each
+        effect, not to that of the explanation.
     adequacy : Adequacy
         What is left, against noise.
     predictions : tuple of EnergyPrediction
@@ -310,6 +315,7 @@ class Diagnosis(html.Readable):
     after_undated: Residual | None = None
     average: Average | None = None
     none_of_these: float = 0.0
+    further_effects: float = 0.0
 
     def _summaries(self) -> list[html.Summary]:
         effects = html.Summary(

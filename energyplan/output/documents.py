@@ -131,6 +131,7 @@ def diagnosis(told: Diagnosis) -> Document:
             for one in told.explanations
         ],
         "none_of_these": plain(told.none_of_these),
+        "further_effects": plain(told.further_effects),
         "before": residual(told.before),
         "after": residual(told.after),
         "after_undated": None if told.after_undated is None else residual(told.after_undated),

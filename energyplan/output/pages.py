@@ -83,9 +83,14 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
             ],
         )  # fmt: skip
         page.paragraph("A size is told with its standard error.")
-    if len(told.explanations) > 1 or told.none_of_these > 0:
+    others = (
+        ("the first, with effects that are too small or improbable to be named",
+         told.further_effects),
+        ("none of these, but something else", told.none_of_these),
+    )  # fmt: skip
+    rest = [(text, _chance(chance), "-") for text, chance in others if chance > 0.0]
+    if len(told.explanations) > 1 or rest:
         page.heading("Possible explanations")
-        none = ("none of these, but something else", _chance(told.none_of_these), "-")
         page.table(
             ("effects", "probability", "not separated from"),
             [
@@ -96,7 +101,7 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
                 )
                 for one in told.explanations
             ]
-            + ([none] if told.none_of_these > 0 else []),
+            + rest,
         )
     page.heading("Error on the hold-out drives")
     rows = (

@@ -94,6 +94,11 @@ def diagnosis(told: Diagnosis) -> list[str]:
         + (" and ".join(name.replace("_", " ") for name in one.effects) or "no effect")
         for one in others
     ]
+    if told.further_effects >= 0.01:
+        lines.append(
+            "or effects beside the first, too small or too improbable to be named: probability "
+            f"{told.further_effects:.2f}"
+        )
     if told.none_of_these > 0:
         lines.append(f"none of these, but something else: probability {told.none_of_these:.2f}")
     if told.explanations and told.explanations[0].alike:

@@ -156,3 +156,31 @@ def test_explanations_that_no_drive_tells_apart_share_their_probability() -> Non
     assert first.probability + second.probability == pytest.approx(1.0, abs=1e-3)
     assert second.probability > 0.1
     assert all(one.alike == () for one in told.explanations[2:])
+
+
+def test_an_effect_too_small_to_be_named_is_not_taken_for_absent() -> None:
+    """As it grows, its absence becomes less certain, until it is named."""
+    model = PowerModel.preset("quadriga:full:concrete")
+    found = []
+    for size in (0.0, 4.0, 8.0, 12.0):
+        train, unseen = (
+            simulate.drive(
+                model.with_term(effects.VISCOUS_LOSS, size), simulate.IDENTIFICATION, rate=10.0,
+                speed=0.7, power_noise=4.0, measured="total", seed=seed,
+            )
+            for seed in (1, 2)
+        )  # fmt: skip
+        told = diagnose(train, unseen, model.vehicle)
+        stated = [one.probability for one in told.explanations]
+        assert sum(stated) + told.further_effects == pytest.approx(1.0, abs=0.01)
+        assert told.none_of_these == 0.0
+        found.append(told)
+    absent, slight, small, named = found
+    assert [one.verdict for one in found] == [*["no_effect"] * 3, "effect_found"]
+    # Some two dozen effects, each of odds of e**-6 and somewhat less likely with one number more.
+    assert 0.01 < absent.further_effects < 24 * np.exp(-6.0)
+    assert slight.further_effects > 2.0 * absent.further_effects
+    assert small.further_effects == 0.5
+    # What may be beside a set that is named takes nothing from what is named.
+    assert named.explanations[0].effects == ("viscous_loss",)
+    assert named.explanations[0].probability < 0.99 < named.effects[0].probability

@@ -77,6 +77,40 @@ def test_pairs_hold_the_set_and_two_effects_more(search: Search) -> None:
     assert search._pairs((0,), singles, np.zeros(3), candidates) == [(0, 1, 2)]
 
 
+def test_a_further_effect_counts_with_its_odds(search: Search) -> None:
+    candidates = search._candidates(None)
+    sets = [(0, 1), (0, 2), (0, 1, 2), (1, 2)]
+
+    def odds(*scores: float) -> float:
+        return search._further((0,), sets, np.array(scores), candidates, ON_TIME)
+
+    # Two effects more, or another one in place of the first, are none that is further.
+    search.evaluated.pop(((0, 1), ON_TIME), None)
+    assert odds(-2.0, -3.0, 50.0, 50.0) == pytest.approx(math.exp(-2.0) + math.exp(-3.0))
+    assert odds(-0.1, -0.1, 0.0, 0.0) == 1.0
+    # What is more probable than its absence and was not named failed a test: of that, not of size.
+    assert odds(9.0, -3.0, 0.0, 0.0) == pytest.approx(math.exp(-3.0))
+    gains, _ = search._gains((0, 1), candidates, ON_TIME)
+    gains[1] = replace(
+        gains[1], improvement=0.04, error=0.01, lasting=0.03, p_value=1e-6, weight=9.0, share=0.003
+    )
+    assert odds(9.0, -3.0, 0.0, 0.0) == 1.0
+    assert odds(9.0, -np.inf, 0.0, 0.0) == 1.0
+    gains[1] = replace(gains[1], p_value=0.2)
+    assert odds(9.0, -3.0, 0.0, 0.0) == pytest.approx(math.exp(-3.0))
+
+
+def test_the_best_set_is_weighed_without_each_of_its_effects(search: Search) -> None:
+    candidates, key = search._candidates(None), frozenset({0, 1, 2})
+    weighed = {(key, ON_TIME): search._posterior((0, 1, 2), candidates, ON_TIME)}
+    search._lessened(weighed, (0, 1, 2), candidates, ON_TIME)
+    less = {(frozenset(some), ON_TIME) for some in ((0, 1), (0, 2), (1, 2))}
+    assert set(weighed) == {(key, ON_TIME)} | less
+    assert max(weighed[one] for one in less) < weighed[key, ON_TIME] - 10.0
+    # Each can be told: what its effects are worth in it is known.
+    assert set(search.evaluated[(0, 2), ON_TIME].gains) == {0, 2}
+
+
 def one_drive(
     model: PowerModel, names: tuple[str, ...], disturbed: float = 0.0, late: float = 0.0
 ) -> Search:

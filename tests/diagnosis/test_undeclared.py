@@ -206,7 +206,8 @@ def test_what_the_catalogue_lacks_is_unexplained(kind: Kind, channels: set[str])
     named = [one.probability for one in found.effects if one.name not in usual]
     assert max(named, default=0.0) < 0.95
     assert found.none_of_these > 0.05
-    stated = sum(one.probability for one in found.explanations) + found.none_of_these
+    stated = sum(one.probability for one in found.explanations)
+    stated += found.none_of_these + found.further_effects
     assert stated == pytest.approx(1.0, abs=0.01)  # improbable explanations are left out
     assert abs(found.after.energy_error) < abs(found.before.energy_error) + 0.02
 
