@@ -17,6 +17,17 @@ _MEAN_OF_NORMAL = (2 / pi) ** 0.5
 _MASSES = ("grade", "linear_inertia", "specific_force")
 
 
+def small_advice(names: Sequence[str]) -> list[str]:
+    """Name what may well be there, and is too small or too weakly shown to be named."""
+    if not names:
+        return []
+    some = " or ".join(_plain(name) for name in names)
+    return [
+        f"there may be a little of {some}: too little here to be told from noise or from an "
+        "imperfection of the other effects; drive longer where it would be largest"
+    ]
+
+
 def rival_advice(found: Sequence[FoundEffect], entries: Mapping[str, Effect]) -> list[str]:
     """Name the manoeuvre that separates each effect from its rivals."""
     lines = []

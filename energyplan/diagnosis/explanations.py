@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from energyplan.diagnosis.part import Part
@@ -9,6 +10,7 @@ from energyplan.fit.least_squares import Fit
 from energyplan.fit.problem import Problem
 from energyplan.path import FloatArray
 
+_POSSIBLE = 0.5  # odds of an effect beside the best explanation from which on it is worth a word
 _RIVAL = 0.05  # probability of another explanation, over that of the best, that is worth naming
 
 
@@ -78,19 +80,30 @@ class Found:
     """Outcome of the search: explanations, the most probable one first.
 
     `followed` is how well each effect would be followed by another one, were it not known, and
-    `further` the probability that there are effects beside those of the best explanation that are
-    too small, or each too improbable, to be named.
+    `odds` those of each effect beside the best explanation that is too small or too improbable to
+    be named.
     """
 
     explanations: tuple[Explanation, ...]
     untested: tuple[tuple[str, str], ...]
     followed: FloatArray
-    further: float
+    odds: Mapping[str, float]
 
     @property
     def best(self) -> Explanation:
         """The most probable explanation."""
         return self.explanations[0]
+
+    @property
+    def further(self) -> float:
+        """Probability that there are effects beside the best explanation; one half at most."""
+        odds = min(sum(self.odds.values()), 1.0)
+        return odds / (1.0 + odds)
+
+    @property
+    def possible(self) -> tuple[str, ...]:
+        """Effects beside the best explanation that may well be there."""
+        return tuple(name for name, odds in self.odds.items() if odds > _POSSIBLE)
 
     def rivals(self, name: str) -> tuple[str, ...]:
         """Return the effects that may stand in for one of the best explanation."""

@@ -71,7 +71,7 @@ class Search(SettledSets):
         self.progress = progress
         self.whole, self.excerpted = problem, False
         self.followed: FloatArray = np.array([])
-        self.further = 0.0
+        self.odds: dict[str, float] = {}
 
     def _best_delay(self, parts: Sequence[Part], problem: Problem) -> Late:
         """Return the time offset of the power at which a model predicts best.
@@ -195,16 +195,16 @@ class Search(SettledSets):
                 reduced = self._reduced(some, candidates, late)
                 weighed[(frozenset(reduced), late)] = self._posterior(reduced, candidates, late)
             own = float(self._scores(design, candidates, [now], one.errors)[0])
-            self.further = self._further(now, sets, scores - own, candidates, late)
+            self.odds = self._odds(now, sets, scores - own, candidates, late)
             if max(weighed, key=lambda key: weighed[key]) in before:
                 self._lessened(weighed, now, candidates, late)
                 return
 
-    def _further(
+    def _odds(
         self, now: Set, sets: Sequence[Set], scores: FloatArray, candidates: Sequence[Candidate],
         late: Late,
-    ) -> float:  # fmt: skip
-        """Return the odds that there is an effect beside a set's, which earns no place in it.
+    ) -> dict[str, float]:  # fmt: skip
+        """Return the odds of each effect beside a set's that earns no place in it.
 
         One that drives do not show is as probable as the quick search says. One that they show and
         that is too small to be named may as well be an imperfection of the others. What nearly
@@ -224,7 +224,7 @@ class Search(SettledSets):
                 if self._shown(gain, one) and not self._large(gain, full):
                     likely = 1.0
             odds[one.name] = min(odds.get(one.name, 0.0) + float(likely), 1.0)
-        return min(sum(odds.values()), 1.0)
+        return odds
 
     def _lessened(
         self, weighed: Weighed, now: Set, candidates: Sequence[Candidate], late: Late
@@ -362,8 +362,7 @@ class Search(SettledSets):
         )
         ranked = [replace(one, problem=self._of_all(one)) for one in ranked]
         ranked[0] = self._refined(ranked[0])
-        further = self.further / (1.0 + self.further)
-        return Found(tuple(ranked), tuple(self.untested), self.followed, further)
+        return Found(tuple(ranked), tuple(self.untested), self.followed, self.odds)
 
     def _of_all(self, one: Explanation) -> Problem:
         """Return whole drives with what an explanation says of their means, or of excerpts."""
@@ -432,7 +431,7 @@ class Search(SettledSets):
             rest = [other for other in parts if other is not part]
             gains.append(self._gain(full, self._fitted(problem, rest), part, 1.0))
         one = Explanation(tuple(parts), 1.0, problem, tuple(gains))
-        return Found((self._refined(one),), tuple(self.untested), np.array([]), 0.0)
+        return Found((self._refined(one),), tuple(self.untested), np.array([]), {})
 
 
 def _errors(problem: Problem, parts: Sequence[Part]) -> FloatArray:

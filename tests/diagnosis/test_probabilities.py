@@ -181,6 +181,10 @@ def test_an_effect_too_small_to_be_named_is_not_taken_for_absent() -> None:
     assert 0.01 < absent.further_effects < 24 * np.exp(-6.0)
     assert slight.further_effects > 2.0 * absent.further_effects
     assert small.further_effects == 0.5
+    advised = [line for line in small.advice if line.startswith("there may be a little of ")]
+    assert len(advised) == 1
+    assert "viscous loss" in advised[0]
+    assert not any("there may be a little of" in line for line in [*absent.advice, *named.advice])
     # What may be beside a set that is named takes nothing from what is named.
     assert named.explanations[0].effects == ("viscous_loss",)
     assert named.explanations[0].probability < 0.99 < named.effects[0].probability

@@ -82,19 +82,18 @@ def test_a_further_effect_counts_with_its_odds(search: Search) -> None:
     sets = [(0, 1), (0, 2), (0, 1, 2), (1, 2)]
 
     def odds(*scores: float) -> float:
-        return search._further((0,), sets, np.array(scores), candidates, ON_TIME)
+        return sum(search._odds((0,), sets, np.array(scores), candidates, ON_TIME).values())
 
     # Two effects more, or another one in place of the first, are none that is further.
     search.evaluated.pop(((0, 1), ON_TIME), None)
     assert odds(-2.0, -3.0, 50.0, 50.0) == pytest.approx(math.exp(-2.0) + math.exp(-3.0))
-    assert odds(-0.1, -0.1, 0.0, 0.0) == 1.0
     # What is more probable than its absence and was not named failed a test: of that, not of size.
     assert odds(9.0, -3.0, 0.0, 0.0) == pytest.approx(math.exp(-3.0))
     gains, _ = search._gains((0, 1), candidates, ON_TIME)
     gains[1] = replace(
         gains[1], improvement=0.04, error=0.01, lasting=0.03, p_value=1e-6, weight=9.0, share=0.003
     )
-    assert odds(9.0, -3.0, 0.0, 0.0) == 1.0
+    assert odds(9.0, -3.0, 0.0, 0.0) == pytest.approx(1.0 + math.exp(-3.0))
     assert odds(9.0, -np.inf, 0.0, 0.0) == 1.0
     gains[1] = replace(gains[1], p_value=0.2)
     assert odds(9.0, -3.0, 0.0, 0.0) == pytest.approx(math.exp(-3.0))
