@@ -323,7 +323,7 @@ class _Case:
             *_advice.map_advice([part.effect.name for part in maps]),
             *_advice.adequacy_advice(quality, bool(left)),
             *_advice.drive_advice(outcome.dependences, SIGNIFICANCE),
-            *_advice.small_advice(searched.possible),
+            *_advice.small_advice(searched.likely),
             *_advice.rival_advice(found, {entry.name: entry for entry in self.entries}),
             *_advice.mass_advice(fitted.model, names),
             *_advice.log_advice(used),

@@ -10,7 +10,7 @@ from energyplan.fit.least_squares import Fit
 from energyplan.fit.problem import Problem
 from energyplan.path import FloatArray
 
-_POSSIBLE = 0.5  # odds of an effect beside the best explanation from which on it is worth a word
+_LIKELY = 0.5  # odds of an effect beside the best explanation from which on it is worth a word
 _RIVAL = 0.05  # probability of another explanation, over that of the best, that is worth naming
 
 
@@ -101,9 +101,9 @@ class Found:
         return odds / (1.0 + odds)
 
     @property
-    def possible(self) -> tuple[str, ...]:
+    def likely(self) -> tuple[str, ...]:
         """Effects beside the best explanation that may well be there."""
-        return tuple(name for name, odds in self.odds.items() if odds > _POSSIBLE)
+        return tuple(name for name, odds in self.odds.items() if odds > _LIKELY)
 
     def rivals(self, name: str) -> tuple[str, ...]:
         """Return the effects that may stand in for one of the best explanation."""
