@@ -319,6 +319,7 @@ class _Case:
         held = holds(quality, known.rmse)
         advice = [
             *self.limits,
+            *_advice.assumed_advice(told.model, told.assumed),
             *_advice.mimic_advice(left, names, mimics),
             *_advice.map_advice([part.effect.name for part in maps]),
             *_advice.adequacy_advice(quality, bool(left)),

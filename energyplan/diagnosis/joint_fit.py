@@ -36,12 +36,15 @@ class FinalFit:
     run_error : float, optional
         Root mean square relative error of the energies of runs that were left out one at a time;
         None where there were too few.
+    assumed : tuple of str
+        Terms of which the drives tell less than is known of any robot.
     """
 
     model: PowerModel
     errors: Mapping[str, float]
     run_spread: float | None = None
     run_error: float | None = None
+    assumed: tuple[str, ...] = ()
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -84,7 +87,7 @@ def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
         variances["late"] = float(found.further[np.ix_(late, late)].sum()) + between
         variances["delay"] += between
     errors = {name: float(np.sqrt(max(value, 0.0))) for name, value in variances.items()}
-    return FinalFit(found.model, errors, found.run_spread)
+    return FinalFit(found.model, errors, found.run_spread, assumed=found.assumed)
 
 
 def _between_samples(problem: Problem, rise: Sequence[FloatArray]) -> float:

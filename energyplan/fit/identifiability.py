@@ -18,10 +18,12 @@ from energyplan.vehicle import GRAVITY, TreadICR
 _NO_DATA = 0.01
 """A regressor below this fraction of its size in common manoeuvres counts as zero."""
 
-_COLLINEAR = 0.02
-_NEARLY_COLLINEAR = 0.1
+COLLINEAR = 0.02
 """Smallest singular value of the regressors, each of unit size: below, they are one another's
 combination but for what the noise of the speeds adds."""
+
+_NEARLY_COLLINEAR = 0.1
+"""Smallest singular value below which it is told that regressors hardly differ."""
 
 
 def is_linear(model: PowerModel) -> bool:
@@ -185,12 +187,12 @@ def check_identifiable(model: PowerModel, jacobian: FloatArray) -> tuple[str, ..
         for name, c in tests.items()
     }
     remedy = _best(gains) if gains else "drives in which they vary apart"
-    if gap < _COLLINEAR and gains and gains[remedy] < 2 * gap:
+    if gap < COLLINEAR and gains and gains[remedy] < 2 * gap:
         raise NotIdentifiableError(
             f"{_named(chosen)} cannot be separated, and no common manoeuvre would separate them: "
             "leave one of the terms out, or measure it by other means"
         )
-    if gap < _COLLINEAR:
+    if gap < COLLINEAR:
         raise NotIdentifiableError(
             f"{_named(chosen)} cannot be separated: what they multiply is proportional throughout "
             f"these logs; add {remedy}, or leave one of the terms out"

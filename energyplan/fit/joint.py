@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from energyplan.fit.drives.readings import reading_covariance
 from energyplan.fit.least_squares import Fit, fit
 from energyplan.fit.problem import Problem
 from energyplan.fit.run_spread import RunSpread
+from energyplan.fit.usual import with_usual
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Term
 
@@ -36,11 +38,14 @@ class JointFit:
         Covariance of further parameters, at whose values the terms were fitted.
     run_spread : float or None
         Relative standard deviation of the power between runs; None where there were too few.
+    assumed : tuple of str
+        Terms of which drives tell less than is known of any robot: taken to be as usual.
     """
 
     model: PowerModel
     further: FloatArray
     run_spread: float | None
+    assumed: tuple[str, ...] = ()
 
 
 def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None = None) -> JointFit:
@@ -60,7 +65,8 @@ def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None =
     -------
     JointFit
         The covariance is the jackknife's over blocks, by Student's distribution, that of runs that
-        differ as a whole, and that of sensors that read in steps.
+        differ as a whole, and that of sensors that read in steps. A friction of which drives tell
+        less than is known of any robot is taken to be as usual.
     """
     errors = problem.reference(problem.design(terms))
     design = problem.design(terms, errors)
@@ -80,10 +86,13 @@ def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None =
         # What all runs share is known no better than the mean of runs that differ.
         level = spread.deviation**2 / len(problem.drives)
         covariance = covariance + level * np.outer(found.values, found.values)
-    model = PowerModel(
-        problem.vehicle, tuple(terms), found.values, 0.5 * (covariance + covariance.T)
-    )
-    return JointFit(model, rest, None if spread is None else spread.deviation)
+    gram = design.grams.sum(axis=(0, 1))[:count, :count]
+    usual = partial(with_usual, found.values, terms=terms, gram=gram, vehicle=problem.vehicle)
+    values, _, assumed = usual(found.reported)  # what was searched does not move with them
+    if assumed:
+        covariance = usual(covariance)[1]
+    model = PowerModel(problem.vehicle, tuple(terms), values, 0.5 * (covariance + covariance.T))
+    return JointFit(model, rest, None if spread is None else spread.deviation, assumed)
 
 
 def _within(problem: Problem, terms: Sequence[Term], design: Design, errors: FloatArray) -> Fit:

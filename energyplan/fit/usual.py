@@ -1,0 +1,74 @@
+"""What is known of a wheeled robot's friction before it drives (private)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from energyplan.fit.identifiability import COLLINEAR
+from energyplan.path import FloatArray
+from energyplan.power import Term
+from energyplan.vehicle import GRAVITY, Vehicle
+
+USUAL = {"slip_friction": (0.6, 0.3), "traction_resistance": (0.1, 0.05)}
+"""Mean and standard deviation: of mu, and of K over the robot's weight. They are those of the
+presets: from ice to asphalt, from 17 to 470 kg."""
+
+_UNTOLD = 1e3  # standard deviations of the usual, by which what drives do not tell is unknown
+
+
+def with_usual(
+    values: FloatArray, covariance: FloatArray, terms: Sequence[Term], gram: FloatArray,
+    vehicle: Vehicle,
+) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:  # fmt: skip
+    """Return coefficients and their covariance with what is usual, where drives tell less than it.
+
+    A friction that no drive shows is not zero. Of two whose regressors are proportional, any share
+    fits, and no block tells another one. Both are taken to be as of robots elsewhere, as far as
+    drives leave that open; the other coefficients move with them.
+
+    Parameters
+    ----------
+    values : ndarray, shape (k,)
+        Fitted coefficients.
+    covariance : ndarray, shape (k, k)
+        Their covariance.
+    terms : sequence of Term
+        The k terms.
+    gram : ndarray, shape (k, k)
+        Products of their regressors in the drives.
+    vehicle : Vehicle
+        The robot.
+
+    Returns
+    -------
+    tuple
+        Both, combined with the usual values as with a measurement, and the names of the terms of
+        which those were taken.
+    """
+    scales = {"slip_friction": 1.0, "traction_resistance": vehicle.mass * GRAVITY}
+    which = [k for k, term in enumerate(terms) if term.name in USUAL]
+    mean, error = np.array(
+        [scales[terms[k].name] * np.array(USUAL[terms[k].name]) for k in which]
+    ).reshape(-1, 2).T  # fmt: skip
+    values, covariance = np.array(values), np.array(covariance)
+    size = np.sqrt(np.diagonal(gram)[which])
+    for k, (number, shown) in enumerate(zip(which, size > 0.0, strict=True)):
+        if not shown:
+            covariance[number, number] += (_UNTOLD * error[k]) ** 2
+    if len(which) == 2 and np.all(size > 0.0):
+        alike = gram[which[0], which[1]] / np.prod(size)
+        if 1.0 - abs(alike) < COLLINEAR**2:
+            along = np.array([1.0, -np.sign(alike)]) / size
+            along *= _UNTOLD / np.max(np.abs(along) / error)
+            covariance[np.ix_(which, which)] += np.outer(along, along)
+    open_ = np.diagonal(covariance)[which] > error**2
+    taken = [number for number, one in zip(which, open_, strict=True) if one]
+    if taken:
+        total = covariance[np.ix_(taken, taken)] + np.diag(error[open_] ** 2)
+        gain = np.linalg.solve(total, covariance[taken]).T
+        values = values + gain @ (mean[open_] - values[taken])
+        covariance = covariance - gain @ covariance[taken]
+    names = tuple(terms[k].name for k in taken)
+    return values, 0.5 * (covariance + covariance.T), names
