@@ -4,8 +4,9 @@
 marks; without ``--out`` it prints them. FOLDER holds ``borealtc``, ``vulpi``, ``drive`` and
 ``quadriga_mujoco`` as docs/model_card.md tells; without it only the simulated rows are made.
 Every row learns from some drives and is judged on others. Nothing is left out of a row: a case that
-ends in an error is counted. All rows take about ten minutes on one core. ``--runs`` makes the
+ends in an error is counted. All rows take about twenty minutes on one core. ``--runs`` makes the
 second table alone: one run after the other of a ground left out, and predicted from all others.
+``--single`` makes the third one alone: each run is predicted from one other alone.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -102,11 +104,52 @@ class Run(NamedTuple):
     within: bool
 
 
+def runs_of(folder: Path) -> list[ep.DriveLog]:
+    """Return the runs of a ground that are long enough to count."""
+    logs = [read_husky(file) for file in sorted(folder.glob("pro_*.csv"))]
+    return [log for log in logs if log.duration >= SHORTEST]
+
+
+def grounds(folder: Path, only: Sequence[str]) -> list[Path]:
+    """Return the folders of the grounds that are asked for, or of all."""
+    found = {one.name: one for one in (*sorted(folder.glob("borealtc/*/")),
+                                       *sorted(folder.glob("vulpi/*/")))}  # fmt: skip
+    for name in only:
+        if name not in found:
+            raise SystemExit(f"no ground {name!r} in {folder}; there are {', '.join(found)}")
+    return [found[name] for name in only or found]
+
+
+def single_table(folder: Path, only: Sequence[str] = ()) -> str:
+    """Return how each run is predicted from the one before it alone, as Markdown."""
+    lines = [
+        "| ground | pairs of runs | error of energy, median | mean | in the 90 % interval "
+        "| half width of the interval, median |",
+        "|---|---|---|---|---|---|",
+    ]
+    vehicle, made = ep.Vehicle.preset("husky_a200"), list[tuple[str, float, float, bool]]()
+    for ground in grounds(folder, only):
+        logs = runs_of(ground)
+        for train, unseen in pairwise([logs[-1], *logs]):
+            (one,) = ep.diagnose(train, holdout=unseen, vehicle=vehicle).predictions
+            low, high = one.energy_interval
+            size = abs(one.measured)
+            made.append((ground.name, abs(one.energy - one.measured) / size,
+                         0.5 * (high - low) / size, low <= one.measured <= high))  # fmt: skip
+    for name in (*dict.fromkeys(one[0] for one in made), "all"):
+        some = [one[1:] for one in made if name in ("all", one[0])]
+        error, half, within = np.array(some, float).T
+        lines.append(
+            f"| {name.lower().replace('_', ' ')} | {len(some)} | {100 * np.median(error):.0f} % "
+            f"| {100 * error.mean():.0f} % | {100 * within.mean():.0f} % "
+            f"| {100 * np.median(half):.0f} % |"
+        )
+    return "\n".join(lines)
+
+
 def runs_left_out(folder: Path) -> list[Run]:
     """Predict each run of a Husky on one ground from all others: two terms, and diagnosis."""
-    vehicle = ep.Vehicle.preset("husky_a200")
-    logs = [read_husky(file) for file in sorted(folder.glob("pro_*.csv"))]
-    logs = [log for log in logs if log.duration >= SHORTEST]
+    vehicle, logs = ep.Vehicle.preset("husky_a200"), runs_of(folder)
     found = []
     for unseen in logs:
         rest = [log for log in logs if log is not unseen]
@@ -172,9 +215,7 @@ def runs_table(folder: Path, only: Sequence[str] = ()) -> str:
         "| worse by a point | of an exact one | largest | in the 90 % interval |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for ground in (*sorted(folder.glob("borealtc/*/")), *sorted(folder.glob("vulpi/*/"))):
-        if only and ground.name not in only:
-            continue
+    for ground in grounds(folder, only):
         made = runs_left_out(ground)
         before, after = (
             np.abs([getattr(run, which) for run in made]) for which in ("two_terms", "after")
@@ -245,7 +286,13 @@ def main() -> None:
     parser.add_argument(
         "--runs", nargs="*", metavar="GROUND", help="runs left out alone, of these grounds or all"
     )
+    parser.add_argument(
+        "--single", nargs="*", metavar="GROUND", help="runs predicted from one other alone"
+    )
     asked = parser.parse_args()
+    if asked.single is not None:
+        print(single_table(asked.data, asked.single))
+        return
     if asked.runs is not None:
         print(runs_table(asked.data, asked.runs))
         return
@@ -255,7 +302,7 @@ def main() -> None:
         made += rows(engine(asked.data / "quadriga_mujoco"))
     text = table(made)
     if asked.data:
-        text += "\n\n" + runs_table(asked.data)
+        text += "\n\n" + runs_table(asked.data) + "\n\n" + single_table(asked.data)
     if asked.out is None:
         print(text)
         return
