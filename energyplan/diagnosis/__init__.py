@@ -43,6 +43,7 @@ from energyplan.fit.breakaway import with_breakaway
 from energyplan.fit.drives.drive import Drive, check_long_enough, prepared
 from energyplan.fit.drives.late import Late
 from energyplan.fit.problem import PAPER, Problem
+from energyplan.fit.usual import open_in_words
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
@@ -319,7 +320,7 @@ class _Case:
         held = holds(quality, known.rmse)
         advice = [
             *self.limits,
-            *_advice.assumed_advice(told.model, told.assumed),
+            *open_in_words(told.model, told.assumed),
             *_advice.mimic_advice(left, names, mimics),
             *_advice.map_advice([part.effect.name for part in maps]),
             *_advice.adequacy_advice(quality, bool(left)),

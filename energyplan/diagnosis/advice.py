@@ -8,7 +8,6 @@ from math import pi
 from energyplan.diagnosis.residual import Dependence
 from energyplan.diagnosis.result import FoundEffect
 from energyplan.fit.adequacy import Adequacy
-from energyplan.html import number
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Residual
 from energyplan.power.effects import Effect
 
@@ -16,20 +15,6 @@ _MEAN_OF_NORMAL = (2 / pi) ** 0.5
 """Mean size of a normal variable over its standard deviation."""
 
 _MASSES = ("grade", "linear_inertia", "specific_force")
-
-
-def assumed_advice(model: PowerModel, names: Sequence[str]) -> list[str]:
-    """Say what was taken to be as of robots elsewhere."""
-    lines = []
-    for term in model.terms:
-        if term.name in names:
-            error = number(model.std_error(term.name) or 0.0, 2)
-            lines.append(
-                f"these drives leave {term.name} open; as of robots elsewhere it is taken to be "
-                f"{term.symbol} = {number(model.coefficient(term.name))} +- {error} "
-                f"{term.unit if term.unit != '1' else ''}".rstrip()
-            )
-    return lines
 
 
 def small_advice(names: Sequence[str]) -> list[str]:

@@ -24,6 +24,7 @@ from energyplan.fit.problem import Problem
 from energyplan.fit.regression import Method, PowerRegression
 from energyplan.fit.residuals import statistics
 from energyplan.fit.solvers import Bounds
+from energyplan.fit.usual import open_in_words
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
@@ -269,7 +270,9 @@ def identify(
         doubts = check_identifiable(first, _stacked(first, clean, ready))
     problem = PowerRegression(ready, model)
     if method == "windows":
-        model = replace(joint_fit(_both_sides(drives, vehicle, terms), terms).model, name=name)
+        joint = joint_fit(_both_sides(drives, vehicle, terms), terms)
+        model = replace(joint.model, name=name)
+        warnings += open_in_words(model, joint.assumed)
     else:
         model = problem.solve(method, bounds)
     if len(linear) < len(terms):

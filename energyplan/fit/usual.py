@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from energyplan.fit.identifiability import COLLINEAR
+from energyplan.html import number
 from energyplan.path import FloatArray
-from energyplan.power import Term
+from energyplan.power import PowerModel, Term
 from energyplan.vehicle import GRAVITY, Vehicle
 
 USUAL = {"slip_friction": (0.6, 0.3), "traction_resistance": (0.1, 0.05)}
@@ -54,21 +55,45 @@ def with_usual(
     ).reshape(-1, 2).T  # fmt: skip
     values, covariance = np.array(values), np.array(covariance)
     size = np.sqrt(np.diagonal(gram)[which])
-    for k, (number, shown) in enumerate(zip(which, size > 0.0, strict=True)):
+    for k, (place, shown) in enumerate(zip(which, size > 0.0, strict=True)):
         if not shown:
-            covariance[number, number] += (_UNTOLD * error[k]) ** 2
+            covariance[place, place] += (_UNTOLD * error[k]) ** 2
     if len(which) == 2 and np.all(size > 0.0):
         alike = gram[which[0], which[1]] / np.prod(size)
         if 1.0 - abs(alike) < COLLINEAR**2:
             along = np.array([1.0, -np.sign(alike)]) / size
             along *= _UNTOLD / np.max(np.abs(along) / error)
             covariance[np.ix_(which, which)] += np.outer(along, along)
-    open_ = np.diagonal(covariance)[which] > error**2
-    taken = [number for number, one in zip(which, open_, strict=True) if one]
+    loose = np.diagonal(covariance)[which] > error**2
+    taken = [place for place, one in zip(which, loose, strict=True) if one]
     if taken:
-        total = covariance[np.ix_(taken, taken)] + np.diag(error[open_] ** 2)
+        total = covariance[np.ix_(taken, taken)] + np.diag(error[loose] ** 2)
         gain = np.linalg.solve(total, covariance[taken]).T
-        values = values + gain @ (mean[open_] - values[taken])
+        values = values + gain @ (mean[loose] - values[taken])
         covariance = covariance - gain @ covariance[taken]
     names = tuple(terms[k].name for k in taken)
     return values, 0.5 * (covariance + covariance.T), names
+
+
+def open_in_words(model: PowerModel, names: Sequence[str]) -> list[str]:
+    """Say which frictions drives leave open, and what they are taken to be.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The model, with their usual values in it.
+    names : sequence of str
+        Names of their terms.
+
+    Returns
+    -------
+    list of str
+        One sentence for each.
+    """
+    return [
+        f"these drives leave {term.name} open; as of robots elsewhere it is taken to be "
+        f"{term.symbol} = {number(model.coefficient(term.name))} +- "
+        f"{number(model.std_error(term.name) or 0.0, 2)} {term.unit if term.unit != '1' else ''}"
+        .rstrip()
+        for term in model.terms if term.name in names
+    ]  # fmt: skip

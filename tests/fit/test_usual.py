@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from energyplan import PowerModel, diagnose, simulate
+from energyplan import PowerModel, diagnose, identify, simulate
 from energyplan.errors import DriveLogError
 from energyplan.fit.usual import USUAL, with_usual
 from energyplan.io.husky import read_husky
@@ -115,3 +115,14 @@ def test_single_runs_on_sandy_loam_foretell_others_within_their_intervals(
     assert len(within) >= 12
     assert np.mean(within) >= 0.8
     assert np.median(errors) < 0.15
+
+
+def test_a_log_of_noise_does_not_choose_a_friction() -> None:
+    """It is as usual, within what even noise tells of it; and that is said."""
+    manoeuvres = [("straight", 20.0), ("spin", 20.0)]
+    log = simulate.drive(MODEL, manoeuvres, seed=3, power_noise=4000.0, without={"accel_x"})
+    found = identify(log, MODEL.vehicle, method="windows")
+    said = [line for line in found.warnings if "as of robots elsewhere" in line]
+    assert [line.split()[3] for line in said] == ["slip_friction", "traction_resistance"]
+    assert np.all(np.abs(found.model.coefficients - MEAN) < 2.0 * ERROR)
+    assert np.all(np.sqrt(np.diag(found.model.covariance)) <= ERROR)
