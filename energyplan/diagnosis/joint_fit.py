@@ -9,7 +9,7 @@ import numpy as np
 
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.result import Explanation
-from energyplan.fit.drives.late import Late
+from energyplan.fit.drives.late import DELAYS, Late
 from energyplan.fit.drives.linear import equations_of
 from energyplan.fit.joint import joint_fit
 from energyplan.fit.problem import PAPER, Problem
@@ -19,6 +19,9 @@ from energyplan.power.effects import Effect
 
 _STEP = 0.02  # relative step of a parameter's derivative
 _MOMENT = 0.02  # step of a time offset [s]
+
+_LOOKED_FOR = float(np.ptp(DELAYS) / np.sqrt(12.0))
+"""Standard deviation of a delay anywhere among those looked for [s]: none is known less."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,8 @@ def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
         variances["late"] = float(found.further[np.ix_(late, late)].sum()) + between
         variances["delay"] += between
     errors = {name: float(np.sqrt(max(value, 0.0))) for name, value in variances.items()}
+    for name in errors.keys() & {"delay", "late"}:
+        errors[name] = min(errors[name], _LOOKED_FOR)
     return FinalFit(found.model, errors, found.run_spread, assumed=found.assumed)
 
 

@@ -117,3 +117,15 @@ def test_errors_of_delays_hold_also_at_two_readings_a_second() -> None:
         beside.append((found.value - delay) / found.std_error)
         assert found.std_error > 0.005
     assert np.sum(np.abs(beside) < 1.96) >= 7
+
+
+def test_a_delay_that_nearly_nothing_tells_is_one_of_those_looked_for() -> None:
+    """Under so much noise blocks of a straight line leave it open by +- 6 s."""
+    model = PowerModel.preset("quadriga:full:concrete")
+    log = simulate.drive(model, [("straight", 60.0)], seed=5, power_noise=3000.0, speed_noise=0.005)
+    entries = [catalogue()["time_offset"]]
+    vehicle = model.vehicle
+    told = diagnose(log, simulate.validation_drive(model), vehicle, effects=entries, choose=False)
+    (late,) = told.effects
+    assert late.std_error == pytest.approx(2.0 / np.sqrt(12.0))
+    assert late.std_error == late.details["delay_std_error"]
