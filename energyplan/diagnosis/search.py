@@ -136,8 +136,7 @@ class Search(SettledSets):
         weighed: Weighed = {}
         for late, (candidates, sets) in pools.items():
             for chosen in sets:
-                one = self._reduced(chosen, candidates, late)
-                weighed[(frozenset(one), late)] = self._posterior(one, candidates, late)
+                self._weigh(weighed, chosen, candidates, late)
         candidates_at = {late: pool[0] for late, pool in pools.items()}
         self._climb(weighed, candidates_at)
         return self._explained(weighed, candidates_at)
@@ -192,8 +191,7 @@ class Search(SettledSets):
             for some in [*tried, *self._settled_lines(sets, scores, candidates, one)]:
                 if set(now) < set(some):
                     self._fit_from(now, some, candidates, late)
-                reduced = self._reduced(some, candidates, late)
-                weighed[(frozenset(reduced), late)] = self._posterior(reduced, candidates, late)
+                self._weigh(weighed, some, candidates, late)
             own = float(self._scores(design, candidates, [now], one.errors)[0])
             self.odds = self._odds(now, sets, scores - own, candidates, late)
             if max(weighed, key=lambda key: weighed[key]) in before:
@@ -305,8 +303,7 @@ class Search(SettledSets):
             known = (frozenset(same), late) in weighed
             apart = max(abs(late.mean - found.mean), abs(late.lag - found.lag)) >= _APART
             if apart and len(same) == len(wanted) and not known:
-                reduced = self._reduced(tuple(same), candidates, late)
-                weighed[(frozenset(reduced), late)] = self._posterior(reduced, candidates, late)
+                self._weigh(weighed, tuple(same), candidates, late)
 
     def _explained(
         self,

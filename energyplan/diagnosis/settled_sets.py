@@ -30,6 +30,13 @@ Weighed = dict[tuple[frozenset[int], Late], float]
 class SettledSets(FittedSets):
     """Sets with parameters where they fit best; its parameters are those of `Proposals`."""
 
+    def _weigh(
+        self, weighed: Weighed, chosen: Set, candidates: Sequence[Candidate], late: Late
+    ) -> None:
+        """Weigh what of a set earns a place in it."""
+        one = self._reduced(chosen, candidates, late)
+        weighed[frozenset(one), late] = self._posterior(one, candidates, late)
+
     def _settle_best(
         self,
         weighed: Weighed,
@@ -47,8 +54,7 @@ class SettledSets(FittedSets):
             if candidates[k].part.params and not candidates[k].settled:
                 moved = self._settle(k, moved or tuple(sorted(chosen)), candidates, one) or moved
         if moved is not None:
-            reduced = self._reduced(moved, candidates, late)
-            weighed[(frozenset(reduced), late)] = self._posterior(reduced, candidates, late)
+            self._weigh(weighed, moved, candidates, late)
 
     def _settle_delay(
         self,
@@ -70,8 +76,7 @@ class SettledSets(FittedSets):
         if better is not None:
             moved = Late.of(made(better)[0][-1].params)
             pools[moved] = pools[late]
-            reduced = self._reduced(tuple(sorted(chosen)), pools[moved], moved)
-            weighed[(frozenset(reduced), moved)] = self._posterior(reduced, pools[moved], moved)
+            self._weigh(weighed, tuple(sorted(chosen)), pools[moved], moved)
 
     def _settle(
         self, k: int, chosen: Set, candidates: list[Candidate], now: Evaluated

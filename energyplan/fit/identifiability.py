@@ -128,9 +128,9 @@ def _named(terms: list[Term]) -> str:
     return " and ".join(f"{term.name} ({term.symbol})" for term in terms)
 
 
-def _gap(scaled: FloatArray) -> tuple[float, FloatArray]:
-    """Smallest singular value of scaled regressors, and its direction."""
-    value, vector = np.linalg.eigh(scaled.T @ scaled)
+def gap(gram: FloatArray) -> tuple[float, FloatArray]:
+    """Return the smallest singular value of regressors, by their Gram matrix, and its direction."""
+    value, vector = np.linalg.eigh(gram)
     return float(np.sqrt(max(value[0], 0.0))), np.asarray(vector[:, 0])
 
 
@@ -177,27 +177,28 @@ def check_identifiable(model: PowerModel, jacobian: FloatArray) -> tuple[str, ..
                 f"these logs; add {remedy}, or leave the term out"
             )
     scaled = jacobian / (size * np.sqrt(len(jacobian)))
-    gap, direction = _gap(scaled)
-    if len(model.terms) < 2 or gap >= _NEARLY_COLLINEAR:
+    least, direction = gap(scaled.T @ scaled)
+    if len(model.terms) < 2 or least >= _NEARLY_COLLINEAR:
         return ()
     weight = np.abs(direction)
     chosen = [term for term, w in zip(model.terms, weight, strict=True) if w > 0.2 * weight.max()]
     gains = {
-        name: _gap(np.vstack([scaled, c / (size * np.sqrt(len(c)))]))[0]
+        name: gap(rows.T @ rows)[0]
         for name, c in tests.items()
+        for rows in [np.vstack([scaled, c / (size * np.sqrt(len(c)))])]
     }
     remedy = _best(gains) if gains else "drives in which they vary apart"
-    if gap < COLLINEAR and gains and gains[remedy] < 2 * gap:
+    if least < COLLINEAR and gains and gains[remedy] < 2 * least:
         raise NotIdentifiableError(
             f"{_named(chosen)} cannot be separated, and no common manoeuvre would separate them: "
             "leave one of the terms out, or measure it by other means"
         )
-    if gap < COLLINEAR:
+    if least < COLLINEAR:
         raise NotIdentifiableError(
             f"{_named(chosen)} cannot be separated: what they multiply is proportional throughout "
             f"these logs; add {remedy}, or leave one of the terms out"
         )
     return (
         f"{_named(chosen)} can hardly be separated by these logs (what they multiply differs by "
-        f"{100 * gap:.0f} %); {remedy} would separate them",
+        f"{100 * least:.0f} %); {remedy} would separate them",
     )

@@ -45,7 +45,7 @@ class JointFit:
     model: PowerModel
     further: FloatArray
     run_spread: float | None
-    assumed: tuple[str, ...] = ()
+    assumed: tuple[str, ...]
 
 
 def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None = None) -> JointFit:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from energyplan.fit.identifiability import COLLINEAR
-from energyplan.html import number
+from energyplan.fit.identifiability import COLLINEAR, gap
+from energyplan.html import number, unit
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Term
 from energyplan.vehicle import GRAVITY, Vehicle
@@ -59,9 +59,9 @@ def with_usual(
         if not shown:
             covariance[place, place] += (_UNTOLD * error[k]) ** 2
     if len(which) == 2 and np.all(size > 0.0):
-        alike = gram[which[0], which[1]] / np.prod(size)
-        if 1.0 - abs(alike) < COLLINEAR**2:
-            along = np.array([1.0, -np.sign(alike)]) / size
+        least, along = gap(gram[np.ix_(which, which)] / np.outer(size, size))
+        if least < COLLINEAR:
+            along = along / size
             along *= _UNTOLD / np.max(np.abs(along) / error)
             covariance[np.ix_(which, which)] += np.outer(along, along)
     loose = np.diagonal(covariance)[which] > error**2
@@ -72,7 +72,7 @@ def with_usual(
         values = values + gain @ (mean[loose] - values[taken])
         covariance = covariance - gain @ covariance[taken]
     names = tuple(terms[k].name for k in taken)
-    return values, 0.5 * (covariance + covariance.T), names
+    return values, covariance, names
 
 
 def open_in_words(model: PowerModel, names: Sequence[str]) -> list[str]:
@@ -93,7 +93,6 @@ def open_in_words(model: PowerModel, names: Sequence[str]) -> list[str]:
     return [
         f"these drives leave {term.name} open; as of robots elsewhere it is taken to be "
         f"{term.symbol} = {number(model.coefficient(term.name))} +- "
-        f"{number(model.std_error(term.name) or 0.0, 2)} {term.unit if term.unit != '1' else ''}"
-        .rstrip()
+        f"{number(model.std_error(term.name) or 0.0, 2)} {unit(term.unit)}".rstrip()
         for term in model.terms if term.name in names
     ]  # fmt: skip
