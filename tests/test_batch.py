@@ -129,7 +129,7 @@ def cluster() -> Iterator[Any]:
         yield made
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_no_route_is_planned_twice_by_the_workers_of_a_cluster(cluster, tmp_path):
     """Two workers plan some of them each, and both know all before the first variant."""
     mission, variants = rooms(), [{"soc": 0.9 - 0.05 * k} for k in range(8)]

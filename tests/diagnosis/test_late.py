@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from by_day import by_day
 from numpy.testing import assert_allclose
 
 from energyplan import DriveLog, Vehicle, diagnose, simulate
@@ -46,8 +47,9 @@ def test_what_is_late_is_told_by_its_parameters() -> None:
     assert Late.of((("delay", 0.1), ("lag", -0.2))).lag == 0.0
 
 
-@pytest.mark.parametrize(("delay", "lag"), [(0.4, 0.0), (0.1, 0.5)])
-def test_delay_and_lag_are_found_beside_each_other(delay: float, lag: float) -> None:
+@pytest.mark.parametrize("late_by", by_day([(0.4, 0.0), (0.1, 0.5)], [(0.1, 0.5)]))
+def test_delay_and_lag_are_found_beside_each_other(late_by: tuple[float, float]) -> None:
+    delay, lag = late_by
     truth = PowerModel.preset("quadriga:full:concrete").with_term(LINEAR_INERTIA, 147.0)
 
     def late(log: DriveLog, seed: int) -> DriveLog:

@@ -98,7 +98,7 @@ def test_identify_and_diagnose_are_one_core(case: str) -> None:
     _agree(logs, simulate.validation_drive(model, seed=50, **noise), model.vehicle)
 
 
-@pytest.mark.parametrize("measured", ["sides", "total"])
+@pytest.mark.parametrize("measured", by_day(["sides", "total"], ["total"]))
 def test_identify_fits_windows_as_diagnosis_does(measured: Any) -> None:
     entries = [catalogue()[name] for name in ("hotel_load", "viscous_loss", "linear_inertia")]
     terms = [SLIP, TRACTION, *(term for entry in entries for term in entry.terms)]

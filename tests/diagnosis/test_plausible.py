@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from by_day import by_day
 
 from energyplan import diagnose, simulate
 from energyplan.diagnosis.plausible import drags, drivable
@@ -71,11 +72,13 @@ def test_friction_after_a_change_still_drags(slip: float, traction: float, possi
     assert drags(terms[:2], np.array([0.7, 110.0]))
 
 
-@pytest.mark.parametrize(
-    ("loss", "size"), [("drive_efficiency", 0.8), ("regeneration_efficiency", 0.6)]
-)
-def test_the_robots_mass_tells_what_powers_cannot(loss: str, size: float) -> None:
+LOSSES = {"drive_efficiency": 0.8, "regeneration_efficiency": 0.6}
+
+
+@pytest.mark.parametrize("loss", by_day(LOSSES, ["regeneration_efficiency"]))
+def test_the_robots_mass_tells_what_powers_cannot(loss: str) -> None:
     """Both losses explain the powers; with the wrong one the robot would weigh half or twice."""
+    size = LOSSES[loss]
     model = PowerModel.preset("quadriga:full:concrete")
     mass = model.vehicle.mass
     truth = model.with_term(term("linear_inertia"), mass).with_term(term(loss), size)

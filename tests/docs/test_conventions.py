@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import graphlib
 import importlib
 import inspect
@@ -158,9 +159,14 @@ def test_importing_the_package_imports_nothing_heavy() -> None:
     assert done.stdout.strip() == "[]"
 
 
+@functools.cache
+def parsed(file: Path) -> ast.Module:
+    return ast.parse(file.read_text())
+
+
 def _imports(file: Path) -> Iterator[tuple[str, str]]:
     """Yield what a module imports from this package: the module named, and the name."""
-    for node in ast.walk(ast.parse(file.read_text())):
+    for node in ast.walk(parsed(file)):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("energyplan"):
             for alias in node.names:
                 yield node.module or "", alias.name
@@ -192,7 +198,7 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     for file, name in names.items():
         needed[name.removesuffix(".__init__")] = {
             module if (module := f"{node.module}.{alias.name}") in modules else str(node.module)
-            for node in ast.parse(file.read_text()).body
+            for node in parsed(file).body
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("energyplan")
             for alias in node.names
         }
@@ -214,7 +220,7 @@ def test_data_are_frozen() -> None:
     thawed = set()
     for path in (ROOT / "energyplan").rglob("*.py"):
         module = ".".join(path.relative_to(ROOT / "energyplan").with_suffix("").parts)
-        classes = [n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.ClassDef)]
+        classes = [n for n in ast.walk(parsed(path)) if isinstance(n, ast.ClassDef)]
         for each in classes:
             made = [made for d in each.decorator_list if "dataclass" in (made := ast.unparse(d))]
             if made and "frozen=True" not in made[0]:

@@ -18,13 +18,14 @@ import shutil
 import sys
 import textwrap
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 import test_paths
+import typer
 import yaml
 from by_day import by_day
 
@@ -144,10 +145,11 @@ def namespace() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def pages(kind: str) -> list[Any]:
+def pages(kind: str, at_night: Collection[str] = ()) -> list[Any]:
     """The pages that have blocks of a kind, as parameters of a test."""
     having = [p for p in PAGES if list(command_lines(p) if kind == "sh" else python_blocks(p))]
-    return [pytest.param(page, id=page.stem) for page in having]
+    marks = {page: [pytest.mark.nightly] if page.stem in at_night else [] for page in having}
+    return [pytest.param(page, id=page.stem, marks=marks[page]) for page in having]
 
 
 def python_blocks(page: Path) -> list[Block]:
@@ -261,8 +263,30 @@ def after_demo(page: Path) -> bool:
     return "demo/" in page.read_text()
 
 
+def command_of(words: list[str]) -> Any:
+    """Return the command of a command line; of a group, its own command that is named."""
+    found = typer.main.get_command(cli.app)
+    for word in words:
+        found = getattr(found, "commands", {}).get(word, found)
+    return found
+
+
+@pytest.mark.parametrize("page", pages("sh"))
+def test_command_lines_name_commands_and_options_that_exist(page: Path) -> None:
+    for words in command_lines(page):
+        command = command_of(words)
+        known = {name for p in command.params for name in (*p.opts, *p.secondary_opts)}
+        named = {word.partition("=")[0] for word in words if word.startswith("--")}
+        assert named - known <= {"--help", "--version"}, words
+        assert command.name == words[0] or words[0] in {"log", "--version"}, words
+
+
+LENGTHY = ("closing_the_loop", "fleets", "gallery")
+"""Pages whose commands take as long as those of all others."""
+
+
 @pytest.mark.usefixtures("hurried")
-@pytest.mark.parametrize("page", [p for p in pages("sh") if not after_demo(p.values[0])])
+@pytest.mark.parametrize("page", [p for p in pages("sh", LENGTHY) if not after_demo(p.values[0])])
 def test_command_lines_run(
     page: Path,
     material: Path,

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from by_day import by_day
 from scipy.linalg import toeplitz
 from scipy.optimize import linprog
 from scipy.signal import lfilter
@@ -198,7 +199,7 @@ def test_hoisted_vehicle() -> None:
 # -- standard errors ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("drives", [40, pytest.param(200, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("drives", by_day([20, 200], [20]))
 @pytest.mark.parametrize("method", ["lad", "huber"])
 def test_standard_errors_are_those_of_many_drives(method: str, drives: int) -> None:
     model = PowerModel.preset("quadriga:empty:concrete")

@@ -182,8 +182,8 @@ CASES = [
     (2, 2, 2, 14.0, True, 0.5, 0.8, range(12), False),
     (3, 3, 1, 14.0, False, 0.8, 0.8, range(12), True),
     (3, 4, 0, 40.0, True, 0.2, 0.8, range(8), False),
-    (3, 7, 0, 45.0, False, 0.0, 0.8, range(1), False),
-    (3, 7, 1, 22.0, False, 0.5, 0.4, range(1), False),
+    pytest.param(3, 7, 0, 45.0, False, 0.0, 0.8, range(1), False, marks=pytest.mark.nightly),
+    pytest.param(3, 7, 1, 22.0, False, 0.5, 0.4, range(1), False, marks=pytest.mark.nightly),
     (3, 7, 1, 22.0, True, 0.5, 0.35, range(2, 3), True),
 ]
 

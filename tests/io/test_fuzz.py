@@ -81,7 +81,7 @@ def test_readers_refuse_by_name(name: str) -> None:
     with place_of(name) as place:
         sound = place.content.read_bytes()
 
-        @fuzzed(40)
+        @fuzzed(25)
         @given(SCRIPTS.map(lambda script: broken(sound, script, text)))
         def attack(content: bytes) -> None:
             place.content.write_bytes(content)
@@ -184,8 +184,8 @@ def commands() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
     }  # fmt: skip
 
 
-COUNTS = {"identify": 30, "diagnose": 12, "plan": 25, "compare": 12, "check": 40, "mission": 25,
-          "log": 40}  # fmt: skip
+COUNTS = {"identify": 15, "diagnose": 6, "plan": 12, "compare": 6, "check": 20, "mission": 12,
+          "log": 20}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", COUNTS)
@@ -232,7 +232,7 @@ WORDS = ("--json", "--strict", "--map", "--model", "--start", "--goal", "--vehic
 
 
 @pytest.mark.usefixtures("at_once")
-@fuzzed(70)
+@fuzzed(35)
 @given(
     st.sampled_from(sorted(COUNTS)),
     st.lists(st.one_of(st.sampled_from(WORDS), st.text(max_size=8)), max_size=6),

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from by_day import by_day
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -193,7 +194,7 @@ def test_real_drives_are_read_and_their_yaw_follows_the_treads(shared_data):
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize("surface", ["FLOORING", "ICE", "SANDY_LOAM"])
+@pytest.mark.parametrize("surface", by_day(["FLOORING", "ICE", "SANDY_LOAM"], ["ICE"]))
 def test_parameters_agree_with_the_currents_of_spins_and_straights(shared_data, surface):
     """Straight, a side takes K; in a spin it takes K + mu S / B. No fit is needed for these."""
     files = sorted((shared_data / "borealtc" / surface).glob("pro_*.csv"))

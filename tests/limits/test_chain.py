@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from by_day import by_day
 from limits.fine_integral import fine_energy, random_case
 
 from energyplan.cost import EnergyCost
@@ -39,11 +40,12 @@ def test_every_profile_is_accepted_and_its_energy_is_the_integral(seed):
         )
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.nightly)])
-def test_no_drive_from_stop_to_stop_takes_less_than_the_infimum_over_all_speeds(seed):
+@pytest.mark.parametrize("drawn", by_day([(0, 6), (0, 12), (1, 12)], [(0, 6)]))
+def test_no_drive_from_stop_to_stop_takes_less_than_the_infimum_over_all_speeds(drawn):
+    seed, cases = drawn
     rng = np.random.default_rng([22, seed])
     close = np.inf
-    for k in range(12):
+    for k in range(cases):
         case = random_case(rng)
         model = replace(case.model, vehicle=case.vehicle)
         cost = EnergyCost(model, battery=bool(k % 3))

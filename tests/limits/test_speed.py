@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from by_day import by_day
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, linprog
 from scipy.sparse import diags_array, vstack
@@ -234,7 +235,7 @@ def test_power_limited_acceleration_agrees_with_integrating_the_equation_of_moti
 
 @pytest.mark.parametrize("model", [PAPER, INERTIA, HOTEL, LOSSY])
 @pytest.mark.parametrize("objective", ["time", "energy"])
-@pytest.mark.parametrize("paths", [2, pytest.param(4, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("paths", by_day([1, 4], [1]))
 def test_every_profile_is_within_all_limits(model, objective, paths):
     rng = np.random.default_rng(7)
     for _ in range(paths):
@@ -336,9 +337,10 @@ def test_a_smooth_curve_is_driven_through_within_the_limits():
 
 
 @pytest.mark.parametrize("model", [PAPER, INERTIA, LOSSY])
-def test_random_smooth_curves_are_within_the_limits(model):
+@pytest.mark.parametrize("curves", by_day([4, 12], [4]))
+def test_random_smooth_curves_are_within_the_limits(model, curves):
     rng = np.random.default_rng(1)
-    for k in range(12):
+    for k in range(curves):
         n = int(rng.integers(20, 80))
         step = float(rng.choice([0.02, 0.05, 0.1])) * float(rng.choice([1, -1]))
         curvature = np.convolve(rng.normal(0, 2, n + 8), np.ones(9) / 9, mode="valid")
@@ -426,8 +428,8 @@ def test_start_and_end_speed():
 
 
 def test_the_continuous_power_holds_over_every_window():
-    path = Path(START, [0.0], [40.0])
-    cool = with_motor(continuous_power=120.0, thermal_time=4.0)
+    path = Path(START, [0.0], [20.0])
+    cool = with_motor(continuous_power=120.0, thermal_time=2.0)
     free = with_motor(continuous_power=np.inf)
     slow, fast = profile(path, PAPER, vehicle=cool), profile(path, PAPER, vehicle=free)
     assert slow.duration > 1.5 * fast.duration

@@ -110,7 +110,7 @@ def test_who_knows_the_effect_takes_another_way(made: Callable[[float], forks.Fo
     assert taken[1] < 0.98 * taken[0]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_second_route_takes_less() -> None:
     fork = forks.rough(0.5)
     source = EngineDrives(switch_on(Robot.from_model(MODEL), fork.effects))

@@ -205,6 +205,6 @@ def test_all_that_are_listed_can_be_used():
     assert set(PLANNERS) <= set(planners())
     for name in PLANNERS:
         options = {"num_samples": 100} if name == "fmt" else {}
-        found = ep.plan(PROBLEM, name, effort=30_000, **options)
+        found = ep.plan(PROBLEM, name, effort=12_000, **options)
         assert found.lower_bound <= found.energy * (1 + 1e-9)
         assert found.effort > 0

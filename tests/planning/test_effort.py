@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
+from by_day import by_day
 from worlds import cluttered, free_poses
 
 from energyplan.cost import EnergyCost
@@ -102,7 +103,9 @@ def test_nothing_that_decides_reads_the_clock(monkeypatch):
         plan(PROBLEM, time_limit=1.0)
 
 
-@pytest.mark.parametrize("name", ["roadmap", "rrtstar", "bitstar", "control_rrt"])
+@pytest.mark.parametrize(
+    "name", by_day(["roadmap", "rrtstar", "bitstar", "control_rrt"], ["roadmap", "bitstar"])
+)
 def test_other_planners_too(name, monkeypatch):
     roomy = replace(PROBLEM, map=cluttered(4).with_unknown_free())
     hours = iter(range(0, 10**9, 3600))
@@ -168,7 +171,7 @@ def test_many_goals_and_comparisons():
 
 def test_much_more_effort_is_better_and_effort_is_what_was_spent():
     """A little more may be a little worse: the budget is shared otherwise."""
-    efforts = (1_000, 12_000, 50_000)
+    efforts = (1_000, 12_000, 40_000)
     found = [plan(PROBLEM, effort=effort, gap=0.0) for effort in efforts]
     assert found[0].energy > found[1].energy > found[2].energy
     for plan_found, effort in zip(found, efforts, strict=True):

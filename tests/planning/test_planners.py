@@ -133,8 +133,8 @@ def test_surfaces_bend_the_route_around_costly_ground():
     mud = PowerModel.paper(MODEL.vehicle, K=600.0, mu=0.627, name="mud")
     ground = SurfaceMap([Surface(shapely.box(4, 2.5, 8, 5.5), mud)])
     task = PlanningProblem(room, COST, (2, 4, 0), (10, 4, 0), surfaces=ground)
-    found = plan(task, effort=30_000)
-    straight = plan(replace(task, objective="length"), effort=30_000)
+    found = plan(task, effort=12_000)
+    straight = plan(replace(task, objective="length"), effort=12_000)
     assert straight.energy == pytest.approx(
         path_price(straight.path, COST, ground).energy, rel=1e-12
     )
@@ -144,7 +144,7 @@ def test_surfaces_bend_the_route_around_costly_ground():
     assert ground.shares(found.path)[:, 1].sum() < 0.2 * len(found.path)
     # ground as everywhere else bends nothing
     same = SurfaceMap([Surface(shapely.box(4, 2.5, 8, 5.5), MODEL)])
-    level = plan(replace(task, surfaces=same), effort=30_000)
+    level = plan(replace(task, surfaces=same), effort=12_000)
     assert level.energy == pytest.approx(8 * 226, rel=1e-6)
 
 
@@ -153,7 +153,7 @@ UNEVEN = EnergyCost(replace(MODEL, vehicle=MODEL.vehicle.with_icr(TreadICR(0.40,
 
 @pytest.mark.parametrize(("start", "goal"), [((2, 2, 0), (8, 2, 0)), ((2, 2, 0.9), (8, 2, -2.2))])
 def test_asymmetric_tread_icrs_plan_in_the_robots_own_frame(start, goal):
-    found = plan(problem(cost=UNEVEN, start=start, goal=goal), effort=30_000)
+    found = plan(problem(cost=UNEVEN, start=start, goal=goal), effort=12_000)
     assert walled(True).path_free(found.path, UNEVEN.vehicle)
     assert found.energy == pytest.approx(UNEVEN.energy(found.path), rel=1e-12)
     np.testing.assert_allclose(np.array(found.path.end)[:2], goal[:2], atol=1e-6)
@@ -168,7 +168,7 @@ def test_asymmetric_tread_icrs_plan_in_the_robots_own_frame(start, goal):
         start=(x0, 8 - y0, -yaw0),
         goal=(x1, 8 - y1, -yaw1),
     )
-    other = plan(mirrored, effort=30_000)
+    other = plan(mirrored, effort=12_000)
     assert other.energy == pytest.approx(found.energy, rel=0.02)  # of a search
     assert other.lower_bound == pytest.approx(found.lower_bound, rel=1e-3)
 

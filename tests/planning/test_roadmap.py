@@ -370,7 +370,7 @@ def test_plans_follow_the_objective(objective):
     """No dearer than the lattice planner's by more than a little, and above its bound."""
     boxes = [(x, y, x + 0.8, y + 0.6) for x in (2, 4.5, 7, 9.5) for y in (1.5, 4, 6.5)]
     problem = PlanningProblem(hall(*boxes), COST, (1, 1, 0.4), (11, 8.5, 1.2), objective=objective)
-    found, other = road(problem), plan(problem, effort=30_000)
+    found, other = road(problem), plan(problem, effort=10_000)
     assert found.cost == pytest.approx(CompiledProblem(problem).value(found.path))
     assert max(found.lower_bound, other.lower_bound) <= found.cost <= 1.02 * other.cost
     assert problem.map.path_free(found.path, MODEL.vehicle)

@@ -292,10 +292,10 @@ def test_plans_lie_between_the_bound_and_an_exhaustive_search(seed):
 def test_energies_to_many_goals_include_the_height():
     cost, ground = at_battery(), hills(4, 0.6)
     problem = PlanningProblem(HALL, cost, (2, 2, 0), (12, 9, 0), heights=ground)
-    goals = [(12, 9, 0), (4, 9, 1.0), (13, 3, -1.0)]
+    goals = [(12, 9, 0), (13, 3, -1.0)]
     told = energies(problem, goals, effort=1_000_000)
     for goal, energy in zip(goals, told, strict=True):
-        one = plan(replace(problem, goal=goal), effort=6_000)
+        one = plan(replace(problem, goal=goal), effort=3_000)
         assert one.lower_bound <= energy
         assert energy == pytest.approx(one.energy, rel=0.05)
 
@@ -436,7 +436,7 @@ def mission(model=MODEL, **changes):
     values = {
         "model": model, "map": HALL, "battery": Battery.preset("quadriga"),
         "start": Pose(2.0, 6.0, 0.0), "tasks": (Task("top", Pose(13.0, 6.0, 0.0)),),
-        "planning_effort": 10_000, "confidence": 0.5, "heights": plane(0.05, 0.0),
+        "planning_effort": 3_000, "confidence": 0.5, "heights": plane(0.05, 0.0),
     }  # fmt: skip
     return Mission(**{**values, **changes})
 

@@ -9,6 +9,7 @@ from threading import Barrier
 
 import numpy as np
 import pytest
+from by_day import by_day
 
 from energyplan.battery import Battery
 from energyplan.cost import EnergyCost
@@ -36,7 +37,7 @@ def rooms(door: float) -> OccupancyGrid:
     return OccupancyGrid(occupied, 0.05)
 
 
-@pytest.mark.parametrize("effort", [6_000, 25_000])
+@pytest.mark.parametrize("effort", by_day([6_000, 25_000], [6_000]))
 def test_with_effort_a_plan_does_not_depend_on_the_threads(monkeypatch, effort):
     problem = PlanningProblem(rooms(0.9), COST, (1, 4, 0), (11, 1, 2))
     made = []

@@ -6,6 +6,7 @@ import pathlib
 
 import numpy as np
 import pytest
+from by_day import by_day
 from tight_poses import tight_problem
 
 from energyplan.cost import EnergyCost
@@ -26,7 +27,8 @@ EFFORT = 25_000
 """Within which every problem must be solved: half a second's."""
 
 
-def solved(seed):
+@pytest.mark.parametrize("seed", by_day(range(80), [1, 2]))
+def test_who_drove_into_a_tight_place_gets_out_again(seed):
     problem, known = tight_problem(seed)
     found = plan(problem, effort=EFFORT, initial=[])
     assert problem.map.path_free(found.path, problem.robot)
@@ -34,17 +36,6 @@ def solved(seed):
     # the known one wandered
     assert found.lower_bound <= found.energy * (1 + 1e-9)
     assert found.energy < problem.cost.energy(known)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_who_drove_into_a_tight_place_gets_out_again(seed):
-    solved(seed)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("seed", range(3, 80))
-def test_whoever_drove_into_a_tight_place_gets_out_again(seed):
-    solved(seed)
 
 
 def test_a_goal_3_mm_beside_a_wall():

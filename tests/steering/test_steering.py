@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from by_day import by_day
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from steering_optimum import Corners, optimum
@@ -70,7 +71,7 @@ def random_pairs(n: int, seed: int, reach: tuple[float, float]) -> tuple[np.ndar
 # -- against independent optima ----------------------------------------------------------------
 
 
-@pytest.mark.parametrize("pairs", [5, pytest.param(16, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("pairs", by_day([2, 16], [2]))
 def test_closed_form_agrees_with_a_linear_program(pairs: int) -> None:
     rng = np.random.default_rng(11)
     for _ in range(pairs):
@@ -85,7 +86,7 @@ def test_closed_form_agrees_with_a_linear_program(pairs: int) -> None:
         assert (1 - 1e-3) * program <= found <= (1 + 1e-9) * program
 
 
-@pytest.mark.parametrize("pairs", [3, pytest.param(5, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("pairs", by_day([1, 5], [1]))
 def test_hotel_load_agrees_with_a_linear_program(pairs: int) -> None:
     cost = COSTS["hotel load"]
     C, a, kappa = cost.half_track, 2 * 110.0, 80.0 / 1.2
@@ -123,7 +124,7 @@ LOPSIDED = (
 )
 
 
-@pytest.mark.parametrize("pairs", [2, pytest.param(4, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("pairs", by_day([1, 4], [1]))
 @pytest.mark.parametrize("hotel", [0.0, 80.0])
 def test_lopsided_costs_agree_with_a_linear_program(hotel: float, pairs: int) -> None:
     """Left and right, forwards and backwards all cost different."""

@@ -75,7 +75,7 @@ def test_motions_agree_with_shapely():
     obstacles, area = obstacles_of(grid), map_area(grid)
     shapely.prepare(obstacles)
     shapely.prepare(area)
-    n = 1500
+    n = 600
     starts = random_poses(rng, grid, n)
     ds = rng.uniform(-2, 2, n)
     dtheta = rng.uniform(-2.5, 2.5, n)
