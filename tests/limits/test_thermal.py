@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from by_day import by_day
 from limits.test_chain import smooth_curve
 from limits.test_speed import INERTIA, PAPER, START, random_path
 from scipy.optimize import linprog
@@ -75,13 +76,11 @@ def shortest_time(path, vehicle, smooth):
     return float(solved.fun)
 
 
-@pytest.mark.parametrize("smooth", [0.0, 0.5])
 @pytest.mark.parametrize(
-    ("paths", "least_warm"), [(3, 2), pytest.param(5, 3, marks=pytest.mark.nightly)]
+    "drawn", by_day([(0.0, 3, 2), (0.5, 3, 2), (0.0, 5, 3), (0.5, 5, 3)], [(0.0, 3, 2)])
 )
-def test_the_motors_cool_down_in_little_more_time_than_a_linear_program_says(
-    smooth, paths, least_warm
-):
+def test_the_motors_cool_down_in_little_more_time_than_a_linear_program_says(drawn):
+    smooth, paths, least_warm = drawn
     # The program lets the robot stop and go at once; 3 % are what accelerations may take.
     rng = np.random.default_rng(21)
     warm = 0
