@@ -1,4 +1,4 @@
-"""When or where a payload or a surface changed (private).
+"""When a payload or a surface changed (private).
 
 Every drive is in one of two states, or passes once from one to the other. The state of all drives
 together is found by taking one drive after the other to its best time, from sums over windows that
@@ -7,25 +7,20 @@ are computed once.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import product
+from collections.abc import Sequence
 
 import numpy as np
 
-from energyplan.diagnosis.part import Part
 from energyplan.fit.drives.columns import column
 from energyplan.fit.drives.drive import Drive
 from energyplan.fit.least_squares import solve, squared_errors
 from energyplan.fit.problem import PAPER, Problem
 from energyplan.path import FloatArray
 from energyplan.power import Term
-from energyplan.power.effects import Effect
 from energyplan.vehicle import Vehicle
 
 _SWEEPS = 3
-_SHARES = (0.2, 0.35, 0.5, 0.65, 0.8)  # of the time that contacts are on one side of a line
-_FINE_SHARES = tuple(np.linspace(0.1, 0.9, 15))
-_LEAST_SIDE = 0.1  # share of the samples on either side of a line, or of a time, of which it tells
+_LEAST_SIDE = 0.1  # share of a drive before a change in it, and after
 
 
 def _window_grams(problem: Problem, terms: Sequence[Term], values: FloatArray) -> list[FloatArray]:
@@ -112,124 +107,6 @@ def _marked(drive: Drive, window: int, rising: bool) -> Drive:
     starts = np.append(drive.windows[0].starts, len(drive.t))
     after = np.arange(len(drive.t)) >= starts[window]
     return drive.with_channels(changed=np.asarray(after if rising else ~after, float))
-
-
-def lines(
-    effect: Effect, drives: Sequence[Drive], vehicle: Vehicle, fine: bool = False
-) -> Iterator[Part]:
-    """Return variants of an effect for lines that cross the ground driven on.
-
-    Parameters
-    ----------
-    effect : Effect
-        An effect with the parameters ``direction`` and ``offset``.
-    drives : sequence of Drive
-        Drives with ``x`` and ``y``.
-    vehicle : Vehicle
-        Tells where the contacts are.
-    fine : bool
-        Lines closer to each other.
-
-    Yields
-    ------
-    Part
-        Eight directions, five offsets each, so that contacts are a fifth of the time on either
-        side; of fine ones twice the directions, and offsets to the least share that tells. None
-        where the robot never moves.
-    """
-    count, shares = (16, _FINE_SHARES) if fine else (8, _SHARES)
-    for direction in np.arange(count) * np.pi / count:
-        along = _along(direction, drives, vehicle)
-        for offset in np.quantile(along, shares) if len(along) else ():
-            yield Part(effect, (("direction", float(direction)), ("offset", float(offset))))
-
-
-def between(
-    parts: Sequence[Part], level: int, drives: Sequence[Drive], vehicle: Vehicle
-) -> Iterator[Part]:
-    """Return lines and those about them, the closer the higher the level.
-
-    Parameters
-    ----------
-    parts : sequence of Part
-        An effect for some lines.
-    level : int
-        One or more: how often their distance was halved.
-    drives : sequence of Drive
-        Drives that the lines cross.
-    vehicle : Vehicle
-        The length within which its contacts are tells the distance of lines.
-
-    Yields
-    ------
-    Part
-        Each line, and up to eight about it.
-    """
-    turn, shift = _steps(level, vehicle)
-    for part in parts:
-        direction, offset = (value for _, value in part.params)
-        for k, j in product((0, -1, 1), repeat=2):
-            params = {"direction": direction + k * turn, "offset": offset + j * shift}
-            if k == j == 0 or crosses(params, drives, vehicle):
-                yield Part(part.effect, tuple((key, float(v)) for key, v in params.items()))
-
-
-def apart(ranked: Sequence[Part], level: int, vehicle: Vehicle) -> list[Part]:
-    """Return lines without those that are next to a better one, best first."""
-    turn, shift = _steps(level, vehicle)
-    kept: list[Part] = []
-    for part in ranked:
-        direction, offset = (value for _, value in part.params)
-        others = (tuple(value for _, value in other.params) for other in kept)
-        if all(abs(direction - d) > 1.5 * turn or abs(offset - o) > 1.5 * shift for d, o in others):
-            kept.append(part)
-    return kept
-
-
-def _steps(level: int, vehicle: Vehicle) -> tuple[float, float]:
-    """Distance of neighbouring lines [rad] and [m], of fine ones halved as often as the level."""
-    reach = float(np.hypot(*vehicle.contacts.T).max())
-    return np.pi / 16 / 2**level, reach / 2 / 2**level
-
-
-def _along(direction: float, drives: Sequence[Drive], vehicle: Vehicle) -> FloatArray:
-    """Return how far along a direction each contact lay while the robot moved [m].
-
-    A robot that spins on the spot has its contacts on both sides of a line, and its middle on none.
-    """
-    found = []
-    for drive in drives:
-        motion = drive.motion
-        moves = (motion.v_left != 0.0) | (motion.v_right != 0.0)
-        x, y = (motion.channels[name][moves] for name in "xy")
-        along = x * np.cos(direction) + y * np.sin(direction)
-        if "yaw" in motion.channels:
-            turned = motion.channels["yaw"][moves] - direction
-            to_contacts = np.column_stack([np.cos(turned), -np.sin(turned)]) @ vehicle.contacts.T
-            along = (along[:, None] + to_contacts).ravel()
-        found.append(along)
-    return np.concatenate(found)
-
-
-def crosses(params: Mapping[str, float], drives: Sequence[Drive], vehicle: Vehicle) -> bool:
-    """Tell whether contacts were on both sides of a line, on each a tenth of the time in motion.
-
-    Parameters
-    ----------
-    params : mapping of str to float
-        Its ``direction`` and ``offset``.
-    drives : sequence of Drive
-        Drives with ``x`` and ``y``.
-    vehicle : Vehicle
-        Tells where the contacts are.
-
-    Returns
-    -------
-    bool
-        False where a moment beyond the line would have to tell of all the ground there.
-    """
-    share = float(np.mean(_along(params["direction"], drives, vehicle) > params["offset"]))
-    return _LEAST_SIDE <= share <= 1.0 - _LEAST_SIDE
 
 
 def settle_change(

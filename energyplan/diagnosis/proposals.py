@@ -14,7 +14,8 @@ from itertools import combinations
 
 import numpy as np
 
-from energyplan.diagnosis.change_points import lines, mark_changes
+from energyplan.diagnosis.change_points import mark_changes
+from energyplan.diagnosis.ground import Ground
 from energyplan.diagnosis.part import Part
 from energyplan.fit.drives.design import Design
 from energyplan.fit.drives.drive import Drive, channels_of
@@ -187,7 +188,7 @@ class Proposals:
     def variants(self, effect: Effect) -> list[Part]:
         """Return an effect with every combination of the values to try of its parameters."""
         if effect.acts == "place":
-            return list(lines(effect, self.problem.drives, self.problem.vehicle))
+            return list(Ground(self.problem.drives, self.problem.vehicle).lines(effect))
         chosen: list[tuple[tuple[str, float], ...]] = [()]
         for key, values in effect.grid.items():
             chosen = [(*before, (key, value)) for before in chosen for value in values]

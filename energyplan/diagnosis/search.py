@@ -423,6 +423,10 @@ class Search(SettledSets):
             problem = problem.delayed(late)
             parts.append(Part(self.delay, late.params))
         full = self._fitted(problem, parts)
+        for k, part in enumerate(parts):
+            if part.effect.acts == "place":
+                parts[k] = self._nearest(parts, k, full)
+                full = self._fitted(problem, parts)
         gains = []
         for part in parts:
             rest = [other for other in parts if other is not part]

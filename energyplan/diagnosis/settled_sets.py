@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from energyplan.diagnosis.change_points import apart, between, lines
 from energyplan.diagnosis.explanations import Evaluated, Explanation
 from energyplan.diagnosis.fitted_sets import FittedSets
+from energyplan.diagnosis.ground import Ground
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import About, Candidate, Set, terms_of
 from energyplan.diagnosis.settling import Make, settled
@@ -17,7 +17,6 @@ from energyplan.fit.drives.late import ON_TIME, Late
 from energyplan.fit.problem import PAPER, Problem
 from energyplan.path import FloatArray
 
-_CLOSER = 2  # times that lines are tried closer to each other, about so many
 _KEPT = 8  # lines about which others are tried
 _TOGETHER = 16  # lines in one table
 _TELLS = 5.0  # by which a line raises the logarithm of the likelihood, at least; chance up to 4
@@ -110,10 +109,11 @@ class SettledSets(FittedSets):
         problem = now.problem.thinned(_SAMPLES)
         about = self._about(now.problem, now.parts, now.errors)
         rest = [part for k, part in enumerate(parts) if k != at]
-        best = [*lines(parts[at].effect, problem.drives, problem.vehicle, fine=True), parts[at]]
-        for level in range(_CLOSER + 1):
+        ground = Ground(problem.drives, problem.vehicle)
+        best = [*ground.lines(parts[at].effect, fine=True), parts[at]]
+        for level in range(ground.levels + 1):
             if level:
-                best = list(between(best, level, problem.drives, problem.vehicle))
+                best = list(ground.about(best, level))
             scores = np.concatenate(
                 [
                     self._alone(rest, best[k : k + _TOGETHER], problem, about, now.errors)
@@ -121,7 +121,7 @@ class SettledSets(FittedSets):
                 ]
             )
             ranked = [best[k] for k in np.argsort(-scores, kind="stable")]
-            best = apart(ranked, level, problem.vehicle)[:_KEPT]
+            best = ground.apart(ranked, level)[:_KEPT]
         return best[0]
 
     def _alone(

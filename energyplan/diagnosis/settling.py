@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import minimize
 
-from energyplan.diagnosis.change_points import crosses
+from energyplan.diagnosis.ground import Ground
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import terms_of
 from energyplan.fit.least_squares import fit
@@ -40,23 +40,27 @@ def settled(part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
     ndarray or None
         The parameters; None where those of the grid are as good.
     """
-    trial, case = made(np.array([value for _, value in part.params]))
+    start = np.array([value for _, value in part.params])
+    trial, case = made(start)
+    ground = Ground(case.drives, case.vehicle) if part.effect.acts == "place" else None
     terms = terms_of(trial)
     found_there = fit(case.design(terms, errors), errors).values.tolist()
     known = dict(zip((term.name for term in terms), found_there, strict=True))
+    if ground is not None:
+        start = ground.from_middle(start)
 
     def fitted(values: FloatArray, rounds: int) -> float:
-        trial, case = made(values)
-        if part.effect.acts == "place":
-            named = zip((key for key, _ in part.params), values.tolist(), strict=True)
-            if not crosses(dict(named), case.drives, case.vehicle):
+        if ground is not None:
+            values = ground.from_origin(values)
+            if not ground.crosses(values):
                 return _NOWHERE
+        trial, case = made(values)
         return fit(case.design(terms_of(trial), errors, known, rounds), errors).loss
 
     def loss(values: FloatArray) -> float:
         return fitted(values, 1)
 
-    start, span = np.array([value for _, value in part.params]), _span(part)
+    span = _span(part) if ground is None else ground.first_step
     inside = (
         [(0.3 * x, 3.0 * x) for x in start]
         if part.effect.grid and not _is_delay(part)
@@ -75,7 +79,9 @@ def settled(part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
         },
     )
     better = found.fun < loss(start) and fitted(found.x, ROUNDS) < fitted(start, ROUNDS)
-    return np.asarray(found.x) if better else None
+    if not better:
+        return None
+    return np.asarray(found.x) if ground is None else ground.from_origin(found.x)
 
 
 def _is_delay(part: Part) -> bool:
@@ -84,8 +90,6 @@ def _is_delay(part: Part) -> bool:
 
 def _span(part: Part) -> FloatArray:
     """First step of each searched parameter: a good part of the grid's."""
-    if part.effect.acts == "place":
-        return np.array([np.pi / 16, 0.3])
     if _is_delay(part):
         return np.array([0.03, 0.05])[: len(part.params)]
     return np.array([0.2 * abs(value) for _, value in part.params])

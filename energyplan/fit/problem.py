@@ -38,10 +38,10 @@ ROUNDS = 20
 
 _SLIP_LAW = 0.05  # part of the sides' difference that no law of sliding friction foretells
 _KEPT = 0.1  # of friction and resistance in a step, at least
-_SHORT = 0.4  # of a step that led to nothing better
 _SETTLED = 5e-3  # fall of the negative logarithm of the likelihood that is none
-_INSTEAD = ("rest", "rest", "first on", "on", "on", "shorter", "rest", *["both"] * 4)
-"""What is tried where a step has led to nothing better, in turn: see `Problem.design`."""
+_INSTEAD = (None, None, 0.4, None)
+"""What is tried where a step has led to nothing better, in turn: such a part of the step, or, where
+there is no number, `_Tried.rest`."""
 
 _RUNS = 6  # drives from which on each has a factor before effects are looked for
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # its multiples spread evenly
@@ -285,11 +285,9 @@ class Problem:
 
         What losses take bends where a side begins to return power, or a stretch to be held, and
         multiplies the forces. A step that leads to nothing better is not undone at once: the other
-        coefficients are found for the losses that it led to; then full steps may make the drives
-        less likely for a while (watchdog technique), which leads out of a bend; then a shorter
-        step is tried, and one of both linearisations together, where it began and where it led.
-        What it takes from the likelihood that what contacts hold is not known counts: else a loss
-        that leaves more of it open would seem to fit better.
+        coefficients are found for the losses that it led to, once and again. Then the same is tried
+        with a shorter step. What it takes from the likelihood that what contacts hold is not known
+        counts: else a loss that leaves more of it open would seem to fit better.
 
         Parameters
         ----------
@@ -315,29 +313,20 @@ class Problem:
         if not any(is_lossy(drive, terms) for drive in self.drives):
             return self.design_about(terms, values)
         best: _Tried | None = None
-        failures: list[_Tried] = []
+        failures = 0
         for _ in range(rounds):
             here = self._tried(terms, values, errors)
             if best is not None and not here.misfit < best.misfit:
-                failures.append(here)
-                if len(failures) > len(_INSTEAD):
+                if failures == len(_INSTEAD):
                     break
-                match _INSTEAD[len(failures) - 1]:
-                    case "rest":
-                        values = here.rest
-                    case "on":
-                        values = here.on
-                    case "first on":
-                        values = failures[0].on
-                    case "shorter":
-                        values = best.values + _SHORT * (best.on - best.values)
-                    case "both":
-                        values = best.step(solve(best.gram + here.gram))
+                part = _INSTEAD[failures]
+                failures += 1
+                values = here.rest if part is None else best.values + part * (best.on - best.values)
                 if np.allclose(values, best.values, rtol=1e-4):
                     break
                 continue
             gain = np.inf if best is None else best.misfit - here.misfit
-            best, values, failures = here, here.on, []
+            best, values, failures = here, here.on, 0
             if min(gain, here.misfit - here.hoped) < _SETTLED or np.allclose(
                 values, here.values, rtol=1e-4
             ):

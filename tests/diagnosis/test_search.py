@@ -13,15 +13,14 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
-from energyplan.diagnosis.change_points import crosses, lines, mark_changes
+from energyplan.diagnosis.change_points import mark_changes
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import Candidate
 from energyplan.diagnosis.search import Search
 from energyplan.diagnosis.settling import settled
-from energyplan.fit.drives.drive import Drive, prepared
+from energyplan.fit.drives.drive import prepared
 from energyplan.fit.drives.late import ON_TIME, Late
 from energyplan.fit.problem import PAPER, Problem
-from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import DRIVE_LOSS, HOTEL
 from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, SLIP_BEYOND, TOWED_DRAG
@@ -141,7 +140,7 @@ def test_a_small_effect_is_one_where_less_than_it_is_missing(disturbed: float) -
     assert search._acceptable(sure, candidates[0], one, replace(less, sound=False))
 
 
-@pytest.mark.parametrize("lasting", [-0.1, 0.3, 0.5])
+@pytest.mark.parametrize("lasting", [-0.1, 0.4, 0.5])
 def test_what_one_block_alone_shows_of_a_change_is_none(search: Search, lasting: float) -> None:
     candidate = search._candidates(None)[0]
     one = search._evaluate((0,), search._candidates(None), ON_TIME)
@@ -149,8 +148,8 @@ def test_what_one_block_alone_shows_of_a_change_is_none(search: Search, lasting:
     gain = replace(search._gain(one, less, candidate.part, 1.0), lasting=lasting, improvement=1.0)
     gain = replace(gain, error=0.5, share=0.1, p_value=0.0, weight=40.0)
     for name, accepted in (
-        ("payload_change", lasting > 0.4),
-        ("surface_border", lasting > 0.4),
+        ("payload_change", lasting > 0.45),
+        ("surface_border", lasting > 0.45),
         ("towed_drag", True),
     ):
         part = Part(catalogue()[name])
@@ -214,18 +213,6 @@ def bordered() -> Search:
     """A search on a drive that begins with spins whose wheels cross a border."""
     line = replace(SLIP_BEYOND, params={"direction": -1.0, "offset": 0.2})
     return one_drive(ROBOT.with_term(line, 0.3), ("surface_border",))
-
-
-def test_wheels_cross_a_line_that_the_middle_of_the_robot_does_not() -> None:
-    t = np.arange(0.0, 20.0, 0.1)
-    channels = {"x": 0.0 * t, "y": 0.0 * t, "yaw": 0.5 * t}
-    drive = Drive.at(Motion(0.0 * t - 0.2, 0.0 * t + 0.2, ROBOT.vehicle.icr, channels))
-    reach = float(np.hypot(*ROBOT.vehicle.contacts.T).max())
-    line = {"direction": 0.0, "offset": 0.5 * reach}
-    assert crosses(line, [drive], ROBOT.vehicle)
-    assert not crosses(line | {"offset": 1.1 * reach}, [drive], ROBOT.vehicle)
-    found = list(lines(catalogue()["surface_border"], [drive], ROBOT.vehicle))
-    assert np.std([dict(part.params)["offset"] for part in found]) > 0.2 * reach
 
 
 def test_a_border_is_found_that_no_line_of_the_grid_is_near() -> None:

@@ -1,0 +1,100 @@
+"""Lines on the ground: which of them tell of a border, and how the best one is found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from energyplan import DriveLog, PowerModel, diagnose, simulate
+from energyplan.diagnosis.ground import Ground
+from energyplan.fit.drives.drive import Drive
+from energyplan.motion import Motion
+from energyplan.power.effect_terms import SLIP_BEYOND
+from energyplan.power.effects import catalogue
+
+ROBOT = PowerModel.preset("quadriga:full:concrete")
+VEHICLE = ROBOT.vehicle
+BORDER = catalogue()["surface_border"]
+
+
+def ground(x: np.ndarray, yaw: np.ndarray, away: float = 0.0) -> Ground:
+    """The ground under a robot that always moves, ten samples a second."""
+    t = 0.1 * np.arange(len(x))
+    channels = {"x": x + away, "y": 0.0 * t - away, "yaw": yaw}
+    motion = Motion(0.0 * t - 0.2, 0.0 * t + 0.2, VEHICLE.icr, channels)
+    return Ground([replace(Drive.at(motion), t=t)], VEHICLE)
+
+
+def test_wheels_cross_a_line_that_the_middle_of_the_robot_does_not() -> None:
+    t = np.arange(0.0, 20.0, 0.1)
+    spun = ground(0.0 * t, 0.5 * t)
+    reach = float(np.hypot(*VEHICLE.contacts.T).max())
+    assert spun.crosses(np.array([0.0, 0.5 * reach]))
+    assert not spun.crosses(np.array([0.0, 1.1 * reach]))
+    found = [dict(part.params)["offset"] for part in spun.lines(BORDER)]
+    assert np.std(found) > 0.2 * reach
+
+
+@pytest.mark.parametrize(("visits", "tells"), [(1, False), (3, True)])
+def test_what_lies_beyond_is_told_by_a_tenth_of_the_time_or_by_several_visits(
+    visits: int, tells: bool
+) -> None:
+    x = np.zeros(1000)
+    for k in range(visits):
+        x[200 * k + 100 : 200 * k + 100 + 60 // visits] = 5.0
+    assert ground(x, 0.0 * x).crosses(np.array([0.0, 2.5])) == tells
+    # seen from the other side, it is the same line
+    assert ground(x, 0.0 * x).crosses(np.array([np.pi, -2.5])) == tells
+    long = np.repeat([0.0, 5.0], [800, 200])
+    assert ground(long, 0.0 * long).crosses(np.array([0.0, 2.5]))
+    assert not ground(np.append(long, np.zeros(9000)), np.zeros(10_000)).crosses(
+        np.array([0.0, 2.5])
+    )
+
+
+def test_lines_turn_about_the_middle_of_the_ground_wherever_the_origin_is() -> None:
+    t = np.arange(0.0, 100.0, 0.1)
+    for away in (0.0, 5e5):
+        walked = ground(4.0 * np.sin(0.3 * t), 0.2 * t, away)
+        part = list(walked.lines(BORDER))[2]
+        here = np.array([value for _, value in part.params])
+        apart = walked.from_middle(here)
+        assert abs(apart[1]) < 5.0
+        assert walked.from_origin(apart) == pytest.approx(here)
+        near = [np.array([v for _, v in one.params]) for one in walked.about([part], walked.levels)]
+        assert len(near) > 5
+        gaps = [walked.from_middle(one) - apart for one in near]
+        # the closest lines are an eighth of a contact's distance apart
+        reach = float(np.hypot(*VEHICLE.contacts.T).max())
+        assert np.max(np.abs(gaps), axis=0)[1] == pytest.approx(reach / 8, rel=1e-3)
+
+
+def shifted(log: DriveLog, away: float) -> DriveLog:
+    x, y = (log.channel(name) for name in "xy")
+    return DriveLog({**log.channels, "x": x + away, "y": y - away}, log.name)
+
+
+@pytest.mark.parametrize("away", [0.0, 5e5])
+def test_a_border_that_wheels_cross_in_spins_is_found_to_centimetres(away: float) -> None:
+    model = PowerModel.preset("husky_a200:flooring")
+    direction, offset = 2.658, 0.3
+    line = replace(SLIP_BEYOND, params={"direction": direction, "offset": offset})
+    truth = model.with_term(line, 0.2)
+    noise = {"power_noise": 3.0, "speed_noise": 0.003, "without": {"accel_x"}}
+    drives = (
+        simulate.identification_drive(truth, seed=1, **noise),
+        simulate.validation_drive(truth, seed=2, **noise),
+    )
+    told = diagnose(
+        *(shifted(log, away) for log in drives), model.vehicle, effects=[BORDER], choose=False
+    )
+    (found,) = told.effects
+    way = np.sign(np.cos(found.details["direction"] - direction))
+    assert way * np.sin(found.details["direction"] - direction) == pytest.approx(0.0, abs=0.02)
+    normal = np.array([np.cos(found.details["direction"]), np.sin(found.details["direction"])])
+    at = way * (found.details["offset"] - np.array([away, -away]) @ normal)
+    assert at == pytest.approx(offset, abs=0.03)
+    assert way * found.value == pytest.approx(0.2, abs=3 * found.std_error)
+    assert told.after.rmse < 1.5 * 3.0 * np.sqrt(2)
