@@ -68,7 +68,7 @@ class Ground:
     def _visited(self) -> FloatArray:
         """Places of all contacts while the robot moved, shape (m, 2) [m]."""
         every = np.concatenate([place.reshape(-1, 2) for place in self.places])
-        return np.asarray(every[np.isfinite(every[:, 0])])
+        return np.asarray(every[np.isfinite(every).all(axis=1)])
 
     @cached_property
     def middle(self) -> FloatArray:
@@ -118,7 +118,7 @@ class Ground:
 
     @cached_property
     def levels(self) -> int:
-        """How often fine lines are to be made closer until they are close, once at least."""
+        """How often fine lines are made closer until their ends are close, once at least."""
         turns = 0.5 * _TURN * self._span / (_CLOSE * self._reach)
         return int(np.ceil(np.log2(max(turns, 2.0))))
 
