@@ -88,3 +88,16 @@ def test_with_losses_as_they_are_the_rest_is_a_linear_fit(returning: Problem) ->
     wanted = np.linalg.lstsq(rows[:, :2], rest, rcond=None)[0]
     assert tried.rest[:2] == pytest.approx(np.maximum(wanted, 0.1 * values[:2]), rel=1e-5)
     assert tried.rest[2] == values[2]
+
+
+def test_what_counts_as_nothing_is_a_part_of_the_power_and_of_the_sides_difference() -> None:
+    """Where contacts hold, the difference says nothing."""
+    model = PowerModel.preset("quadriga:full:concrete")
+    log = simulate.identification_drive(model, seed=1)
+    (drive,) = prepared([log], model.vehicle)
+    found = Problem([drive], model.vehicle).floor
+    power = log.channel("p_left") + log.channel("p_right")
+    apart = (log.channel("p_right") - log.channel("p_left"))[drive.slides > 0.0]
+    assert 0 < len(apart) < len(power)
+    assert found[:3] == pytest.approx(0.01**2 * np.mean(power**2))
+    assert found[3:] == pytest.approx(0.05**2 * np.sum(apart**2) / len(power))
