@@ -8,6 +8,7 @@ with a file's name become that file.
 from __future__ import annotations
 
 import contextlib
+import functools
 import importlib
 import io
 import json
@@ -263,9 +264,15 @@ def after_demo(page: Path) -> bool:
     return "demo/" in page.read_text()
 
 
+@functools.cache
+def commands() -> Any:
+    """The command line as a group of its commands, which takes a while to make."""
+    return typer.main.get_command(cli.app)
+
+
 def command_of(words: list[str]) -> Any:
     """Return the command of a command line; of a group, its own command that is named."""
-    found = typer.main.get_command(cli.app)
+    found = commands()
     for word in words:
         found = getattr(found, "commands", {}).get(word, found)
     return found
