@@ -126,7 +126,7 @@ class Ground:
         """Yield each of some lines, and up to eight about it, the closer the higher the level."""
         steps = self._steps(level)
         for part in parts:
-            middle = self.from_middle(_line(part))
+            middle = self.from_middle(part.values)
             for away in product((0, -1, 1), repeat=2):
                 line = self.from_origin(middle + np.array(away) * steps)
                 if away == (0, 0) or self.crosses(line):
@@ -183,15 +183,11 @@ class Ground:
         return np.array([_TURN / 2.0**level, fine ** (1.0 - share) * close**share])
 
     def _gap(self, one: Part, other: Part) -> FloatArray:
-        return self.from_middle(_line(one)) - self.from_middle(_line(other))
+        return self.from_middle(one.values) - self.from_middle(other.values)
 
 
 def _normal(direction: float) -> FloatArray:
     return np.array([np.cos(direction), np.sin(direction)])
-
-
-def _line(part: Part) -> FloatArray:
-    return np.array([value for _, value in part.params])
 
 
 def _at(effect: Effect, line: FloatArray) -> Part:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
+
+from energyplan.path import FloatArray
 from energyplan.power import Term
 from energyplan.power.effects import Effect
 
@@ -24,6 +27,11 @@ class Part:
             replace(term, params={key: chosen.get(key, v) for key, v in term.params.items()})
             for term in self.effect.terms
         )
+
+    @property
+    def values(self) -> FloatArray:
+        """The values of its parameters."""
+        return np.array([value for _, value in self.params])
 
     @property
     def lossy(self) -> bool:

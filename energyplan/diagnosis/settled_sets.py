@@ -92,7 +92,7 @@ class SettledSets(FittedSets):
         if better is None:
             if part == candidates[k].part:
                 return None
-            better = np.array([value for _, value in part.params])
+            better = part.values
         last = max(one.columns[-1] for one in candidates if one.columns)
         columns = tuple(range(last + 1, last + 1 + len(part.terms)))
         part = made(better)[0][at]

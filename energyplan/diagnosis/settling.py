@@ -40,7 +40,7 @@ def settled(part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
     ndarray or None
         The parameters; None where those of the grid are as good.
     """
-    start = np.array([value for _, value in part.params])
+    start = part.values
     trial, case = made(start)
     ground = Ground(case.drives, case.vehicle) if part.effect.acts == "place" else None
     terms = terms_of(trial)
@@ -92,4 +92,4 @@ def _span(part: Part) -> FloatArray:
     """First step of each searched parameter: a good part of the grid's."""
     if _is_delay(part):
         return np.array([0.03, 0.05])[: len(part.params)]
-    return np.array([0.2 * abs(value) for _, value in part.params])
+    return np.asarray(0.2 * np.abs(part.values))
