@@ -14,7 +14,7 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from energyplan.cli import app
+from energyplan import cli
 
 
 class Option(NamedTuple):
@@ -37,8 +37,8 @@ class CommandHelp(NamedTuple):
 
 def commands(group: Any = None, parent: Any = None) -> Iterator[CommandHelp]:
     """Yield every command, those of groups under their whole name."""
-    group = group or typer.main.get_command(app)
-    context = parent or typer.Context(group, info_name="energyplan")
+    group = group or cli.commands()
+    context = parent or typer.Context(group, info_name="energyplan", **group.context_settings)
     for name, command in group.commands.items():
         inner = typer.Context(command, info_name=name, parent=context)
         if hasattr(command, "commands"):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import errno
+import functools
 import sys
 import warnings
 from pathlib import Path
-from typing import Annotated, TextIO
+from typing import Annotated, Any, TextIO
 
 import typer
+from typer.main import get_command
 from typer.models import CommandInfo
 
 from energyplan.cli import (
@@ -24,7 +26,7 @@ from energyplan.cli.app import app, misuse
 from energyplan.cli.options import Json, writes_folder
 from energyplan.errors import EnergyPlanError, MissingDependencyError, TimeLimitError
 
-__all__ = ["app", "main"]
+__all__ = ["app", "commands", "main"]
 
 _COMMANDS = (
     _fitting, _planning, _interop, _mission, _loop, _watch,
@@ -130,11 +132,17 @@ def _place(command: CommandInfo) -> int:
 app.registered_commands.sort(key=_place)
 
 
+@functools.cache
+def commands() -> Any:
+    """Return the group of all commands, built from `app` once a process: it takes a while."""
+    return get_command(app)
+
+
 def main() -> None:
     """Entry point: map errors to exit codes and one line on stderr."""
     warnings.showwarning = _show_warning
     try:
-        code = app(prog_name="energyplan", standalone_mode=False) or 0
+        code = commands()(prog_name="energyplan", standalone_mode=False) or 0
         if sys.stdout is not None:
             sys.stdout.flush()
     except (TimeLimitError, MissingDependencyError) as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 import select
@@ -152,6 +153,7 @@ def _take_project(ctx: typer.Context, value: Path | None) -> Path | None:
     return value
 
 
+@functools.cache
 def _project_option() -> Any:
     """Build the option that every command has."""
     from typer.main import get_command

@@ -24,7 +24,7 @@ _PARTS = 8  # parts in which an interval is cut first, all at once
 _CUTS = 64  # how often it is cut, at least by half: 2^-60 is below what numbers resolve
 _SAME = 1e-13  # part by which forces may differ by rounding
 _AT_ONCE = 1 << 18  # numbers in an array of rates to try
-_INVERSE_GOLDEN = 0.5 * (5**0.5 - 1)
+_ZOOMS, _TRIED = 12, 5  # rounds in which the best is enclosed, and rates tried in each
 
 
 def asked_speed(asked: float | str | None, vehicle: Vehicle) -> float | None:
@@ -233,7 +233,7 @@ def cheapest_rate(
     Returns
     -------
     ndarray, shape (...)
-        Rates [1/s]: the least of a scan over the range, refined by golden section.
+        Rates [1/s]: the least of a scan over the range, enclosed ever more tightly.
     """
     ratio = (limit / slowest) ** (1.0 / (scan - 1))
     best = np.full(limit.shape, np.inf)
@@ -246,11 +246,11 @@ def cheapest_rate(
             best, place = np.where(better, value, best), np.where(better, k, place)
     low = slowest * ratio ** np.maximum(place - 1, 0)
     high = slowest * ratio ** np.minimum(place + 1, scan - 1)
-    for _ in range(28):
-        gap = _INVERSE_GOLDEN * (high - low)
-        slow, fast = energy(np.stack([high - gap, low + gap]))
-        down = slow < fast
-        low, high = np.where(down, low, high - gap), np.where(down, low + gap, high)
+    parts = np.arange(1, _TRIED + 1).reshape(-1, *[1] * limit.ndim) / (_TRIED + 1)
+    for _ in range(_ZOOMS):
+        gap = high - low
+        low = low + gap * (np.argmin(energy(low + gap * parts), axis=0) / (_TRIED + 1))
+        high = low + gap * (2 / (_TRIED + 1))
     rate = 0.5 * (low + high)
     for end in (slowest, limit):
         rate = np.where(energy(end) <= energy(rate), end, rate)

@@ -33,11 +33,16 @@ def normal_scores(residual: FloatArray) -> FloatArray:
     return np.asarray(norm.ppf((rankdata(residual) - 0.5) / len(residual)))
 
 
+def _padded(piece: slice, lags: int) -> int:
+    """Length to which a piece is padded, so that products at these lags do not wrap around."""
+    return next_fast_len(piece.stop - piece.start + lags, real=True)
+
+
 def _products(a: FloatArray, b: FloatArray, pieces: Sequence[slice], lags: int) -> FloatArray:
     """Sum ``a[t] b[t + k]`` within the pieces, for k from 0 to `lags`."""
     total = np.zeros(lags + 1)
     for piece in pieces:
-        size = next_fast_len(piece.stop - piece.start + lags, real=True)
+        size = _padded(piece, lags)
         product = irfft(rfft(a[piece], size).conj() * rfft(b[piece], size), size)
         total += product[: lags + 1]
     return total
@@ -63,10 +68,11 @@ def _absorbed(basis: FloatArray, rho: FloatArray, pieces: Sequence[slice], lags:
     spread = _spread(basis, rho, pieces)
     inner = basis.T @ spread
     total = np.zeros(lags + 1)
-    for i in range(basis.shape[1]):
-        total += _products(basis[:, i], spread[:, i], pieces, lags)
-        total += _products(spread[:, i], basis[:, i], pieces, lags)
-        total -= _products(basis[:, i], basis @ inner[:, i], pieces, lags)
+    for piece in pieces:
+        size = _padded(piece, lags)
+        whole, wide = rfft(basis[piece], size, axis=0), rfft(spread[piece], size, axis=0)
+        missing = 2.0 * (whole.conj() * wide).real - whole.conj() * (whole @ inner)
+        total += irfft(missing.sum(axis=1), size)[: lags + 1]
     return total
 
 

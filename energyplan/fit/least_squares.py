@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 from scipy.stats import norm
 from scipy.stats import t as student
 
@@ -80,7 +80,7 @@ class Fit:
         block = self.covariance[np.ix_(list(which), list(which))]
         squared = float(value @ np.linalg.pinv(block, hermitian=True) @ value)
         freedom = max(count - width, 1)
-        return float(fisher.sf(squared * freedom / ((count - 1) * width), width, freedom))
+        return float(fdtrc(width, freedom, squared * freedom / ((count - 1) * width)))
 
 
 def solve(gram: FloatArray) -> FloatArray:

@@ -232,8 +232,7 @@ def largest_within(
     exceeded = use(parts[:, None] * top) > 1
     never = ~exceeded.any(axis=0)
     first = np.argmax(exceeded, axis=0)
-    low = np.where(first > 0, parts[first - 1], 0.0) * top
-    high = parts[first] * top
-    low = last_within(use, low, high)
-    result = np.where(first > 0, low, 0.0)
-    return np.where(never, top, result)
+    # Nothing is left to look for where all or none of the values are within.
+    low = np.where(never, 1.0, np.where(first > 0, parts[first - 1], 0.0)) * top
+    high = np.where(first > 0, parts[first] * top, low)
+    return low if np.array_equal(low, high) else last_within(use, low, high)

@@ -304,10 +304,7 @@ def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_every_output_is_checked_before_the_work() -> None:
     """An option that names a file to be written says so to the guard."""
-    from typer.main import get_command
-
-    group = get_command(cli.app)
-    waiting, seen = [group], []
+    waiting, seen = [cli.commands()], []
     while waiting:
         command = waiting.pop()
         waiting += getattr(command, "commands", {}).values()

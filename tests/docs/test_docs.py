@@ -8,7 +8,6 @@ with a file's name become that file.
 from __future__ import annotations
 
 import contextlib
-import functools
 import importlib
 import io
 import json
@@ -26,7 +25,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import test_paths
-import typer
 import yaml
 from by_day import by_day
 
@@ -264,15 +262,9 @@ def after_demo(page: Path) -> bool:
     return "demo/" in page.read_text()
 
 
-@functools.cache
-def commands() -> Any:
-    """The command line as a group of its commands, which takes a while to make."""
-    return typer.main.get_command(cli.app)
-
-
 def command_of(words: list[str]) -> Any:
     """Return the command of a command line; of a group, its own command that is named."""
-    found = commands()
+    found = cli.commands()
     for word in words:
         found = getattr(found, "commands", {}).get(word, found)
     return found

@@ -20,7 +20,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-import typer.main
 from fuzzing import (
     IMAGES,
     READERS,
@@ -114,10 +113,8 @@ def test_a_reader_without_an_answer_is_caught(monkeypatch: pytest.MonkeyPatch) -
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spare a command run many times in one process what a process does once.
 
-    Arguments are parsed by the same parser, which is not built anew; the packages that are
-    installed are not searched anew for plugins.
+    The packages that are installed are not searched anew for plugins.
     """
-    monkeypatch.setattr(typer.main, "get_command", functools.cache(typer.main.get_command))
     search = functools.cache(importlib.metadata.entry_points)
     for module in [m for n, m in sys.modules.items() if n.startswith("energyplan.")]:
         if getattr(module, "entry_points", None) is importlib.metadata.entry_points:
