@@ -107,15 +107,15 @@ def twist(
     tread = np.where(y > 0, left[:, None], right[:, None])
     ahead = np.stack([np.ones_like(x), np.zeros_like(x), -y], axis=1)
     aside = np.stack([np.zeros_like(x), np.ones_like(x), x], axis=1)
-    both = np.einsum("wi,wj->wij", ahead, ahead) + np.einsum("wi,wj->wij", aside, aside)
+    both = ahead[:, :, None] * ahead[:, None] + aside[:, :, None] * aside[:, None]
     found = np.column_stack(
         [0.5 * (left + right), 0.0 * left, (right - left) / vehicle.icr.slip_track]
     )
     for _ in range(_ROUNDS):
         slip = np.hypot(found @ ahead.T - tread, found @ aside.T)
         weight = shares / np.hypot(slip, _SOFTENING)
-        matrix = np.einsum("nw,wij->nij", weight, both)
-        target = np.einsum("nw,nw,wi->ni", weight, tread, ahead)
+        matrix = (weight @ both.reshape(-1, 9)).reshape(-1, 3, 3)
+        target = (weight * tread) @ ahead
         target[:, 1] -= lateral
         before, found = found, np.linalg.solve(matrix, target[..., None])[..., 0]
         if np.max(np.abs(found - before)) < 1e-6:
