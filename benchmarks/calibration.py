@@ -5,7 +5,8 @@
     python benchmarks/calibration.py hidden COUNT --first 4000 --robots large --fewest 3
 
 `--first` is the seed of the first drive, `--robots` their size (small, 3 to 10 kg; usual; large, 1
-to 4 t; any), `--fewest` and `--most` the number of effects. `--records FILE` keeps what was found
+to 4 t; any), `--fewest` and `--most` the number of effects, `--drives` how many drives of a robot
+are diagnosed together (1; one more judges). `--records FILE` keeps what was found
 of each seed, a line a drive: a later run with that file goes on where the former one ended.
 `--write` puts the figures into docs/diagnosis.md.
 
@@ -105,12 +106,12 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Hidden:
-    """A random robot's two drives, the sizes of the effects that they hide, and what it is.
+    """A random robot's drives, the sizes of the effects that they hide, and what it is.
 
-    `direction` is that of a border.
+    The last drive judges. `direction` is that of a border.
     """
 
-    logs: tuple[DriveLog, DriveLog]
+    logs: tuple[DriveLog, ...]
     vehicle: Vehicle
     sizes: dict[str, float]
     kind: str
@@ -142,8 +143,13 @@ def robot(rng: np.random.Generator, sizes: tuple[float, float] = SIZES["usual"])
     return PowerModel.paper(vehicle, K=force, mu=float(rng.uniform(0.3, 0.8)))
 
 
-def hidden(seed: int, robots: str = "any", fewest: int = 1, most: int = 3) -> Hidden:
-    """Hide effects in two drives of a random robot."""
+def hidden(
+    seed: int, robots: str = "any", fewest: int = 1, most: int = 3, drives: int = 1
+) -> Hidden:
+    """Hide effects in drives of a random robot, of which one more judges.
+
+    Further drives have the parts of the first in another order, at another speed.
+    """
     rng = np.random.default_rng([seed, 2])
     kind = str(rng.choice([*SIZES])) if robots == "any" else robots
     model = robot(rng, SIZES[kind])
@@ -193,37 +199,45 @@ def hidden(seed: int, robots: str = "any", fewest: int = 1, most: int = 3) -> Hi
     if not posed:
         without, turning, bias = without | set(turning), {}, {}
     logs = []
-    for k, pattern in enumerate((simulate.IDENTIFICATION, simulate.VALIDATION)):
-        names = {"sides": ("p_left", "p_right"), "total": ("power",), "battery": ("current",)}
-        parts = [*((name, 1.5 * time) for name, time in pattern), ("rest", rest)]
+    first, last = (list(some) for some in (simulate.IDENTIFICATION, simulate.VALIDATION))
+    patterns = [(first, speed, 2 * seed), (last, speed, 2 * seed + 1)]
+    further = np.random.default_rng([seed, 3])
+    for _ in range(drives - 1):
+        order = [first[k] for k in further.permutation(len(first))]
+        slower = speed * float(further.uniform(0.5, 1.0))
+        patterns.insert(-1, (order, slower, int(further.integers(1 << 30))))
+    names = {"sides": ("p_left", "p_right"), "total": ("power",), "battery": ("current",)}
+    for k, (pattern, pace, drawn) in enumerate(patterns):
+        parts = [*((name, 1.5 * time * speed / pace) for name, time in pattern), ("rest", rest)]
         log = simulate.drive(
             model.battery_side() if measured == "battery" else model,
-            [part for part in parts if part[1] > 0], rate=rate, speed=speed,
+            [part for part in parts if part[1] > 0], rate=rate, speed=pace,
             accel_limit=0.4 * speed, speed_noise=0.003, power_noise=noise, biases=bias,
             noise={**turning, **({"current": noise / 24.0} if measured == "battery" else {})},
             measured=measured, delays=dict.fromkeys(names[measured], delay) if delay else None,
-            without=without, seed=2 * seed + k, name=f"case {seed}, drive {k + 1}", **ground,
+            without=without, seed=drawn, name=f"case {seed}, drive {k + 1}", **ground,
         )  # fmt: skip
         logs.append(stepped(log, step, names[measured]))
     if delay:
         sizes["time_offset"] = delay
     if "surface_border" in sizes:
-        place = {name: logs[0].channels[name] for name in ("x", "y")}
-        along = place["x"] * np.cos(direction) + place["y"] * np.sin(direction) - offset
+        places = [np.array([log.channels[name] for name in ("x", "y")]) for log in logs[:-1]]
+        normal = np.array([np.cos(direction), np.sin(direction)])
+        along = normal @ np.hstack(places) - offset
         wheels = float(np.max(np.hypot(*vehicle.contacts.T)))
         if along.max() < -wheels or along.min() > wheels:
             del sizes["surface_border"]
     told = "with" if posed else "without"
     words = f"{kind}, {vehicle.mass:.0f} kg, {measured} at {rate:g} Hz, {told} pose"
-    return Hidden((logs[0], logs[1]), vehicle, sizes, words, direction)
+    return Hidden(tuple(logs), vehicle, sizes, words, direction)
 
 
-def case(seed: int, robots: str, fewest: int, most: int) -> Outcome:
+def case(seed: int, robots: str, fewest: int, most: int, drives: int) -> Outcome:
     """Hide effects in the drives of a random robot, and diagnose them."""
     start = time.process_time()
-    made = hidden(seed, robots, fewest, most)
-    logs, vehicle, sizes = made.logs, made.vehicle, made.sizes
-    told = diagnose(logs[0], logs[1], vehicle)
+    made = hidden(seed, robots, fewest, most, drives)
+    (*logs, judging), vehicle, sizes = made.logs, made.vehicle, made.sizes
+    told = diagnose(logs, judging, vehicle)
     entries = known.catalogue()
     usual = {name for name, entry in entries.items() if entry.usual}
 
@@ -245,7 +259,7 @@ def case(seed: int, robots: str, fewest: int, most: int) -> Outcome:
         for effect in told.effects if effect.name in sizes
     )  # fmt: skip
     oracle = diagnose(
-        logs[0], logs[1], vehicle, effects=[entries[name] for name in sizes], choose=False
+        logs, judging, vehicle, effects=[entries[name] for name in sizes], choose=False
     ).after.rmse if sizes else told.before.rmse  # fmt: skip
     quality = told.adequacy
     claimed = [one.name for one in told.effects if one.name not in {*usual, *sizes}]
@@ -258,7 +272,14 @@ def case(seed: int, robots: str, fewest: int, most: int) -> Outcome:
 
 
 def outcomes(
-    part: str, count: int, first: int, robots: str, fewest: int, most: int, records: Path | None
+    part: str,
+    count: int,
+    first: int,
+    robots: str,
+    fewest: int,
+    most: int,
+    drives: int,
+    records: Path | None,
 ) -> Iterator[Outcome]:
     """Diagnose drive after drive, but for those that the records hold."""
     known_already: dict[int, Outcome] = {}
@@ -270,7 +291,7 @@ def outcomes(
         if seed in known_already:
             yield known_already[seed]
             continue
-        one = case(seed, robots, *((0, 0) if part == "empty" else (fewest, most)))
+        one = case(seed, robots, *((0, 0) if part == "empty" else (fewest, most)), drives)
         if records is not None:
             with records.open("a") as file:
                 file.write(json.dumps(asdict(one)) + "\n")
@@ -373,12 +394,20 @@ def main() -> None:
     parser.add_argument("--robots", choices=(*SIZES, "any"), default="any")
     parser.add_argument("--fewest", type=int, default=1)
     parser.add_argument("--most", type=int, default=3)
+    parser.add_argument("--drives", type=int, default=1)
     parser.add_argument("--records", type=Path)
     parser.add_argument("--write", action="store_true")
     asked = parser.parse_args()
     found = []
     for one in outcomes(
-        asked.part, asked.count, asked.first, asked.robots, asked.fewest, asked.most, asked.records
+        asked.part,
+        asked.count,
+        asked.first,
+        asked.robots,
+        asked.fewest,
+        asked.most,
+        asked.drives,
+        asked.records,
     ):
         found.append(one)
         print(line_of(one), flush=True)

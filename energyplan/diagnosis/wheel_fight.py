@@ -10,8 +10,14 @@ from scipy.stats import norm
 
 from energyplan.diagnosis.result import Evidence, FoundEffect
 from energyplan.fit.drives.drive import Drive
-from energyplan.fit.drives.linear import held_forces, is_lossy, losses_of, slip_limit
-from energyplan.fit.drives.preload import lost_power, preload
+from energyplan.fit.drives.linear import (
+    equations_of,
+    held_forces,
+    is_lossy,
+    losses_of,
+    slip_limit,
+)
+from energyplan.fit.drives.preload import lost_power, preload, straights
 from energyplan.fit.drives.windows import BLOCK
 from energyplan.fit.problem import Problem
 from energyplan.path import FloatArray
@@ -58,7 +64,8 @@ def find_wheel_fight(problem: Problem, model: PowerModel) -> WheelFight | None:
     """Find what the moment between the sides costs while contacts hold.
 
     Without losses it costs nothing: what one side pushes the other gets back (docs/theory,
-    section 6). With them it does, and only the power of both sides shows it.
+    section 6). With them it does. The power of both sides shows it at each instant, a total what
+    it costs on each stretch.
 
     Parameters
     ----------
@@ -70,13 +77,11 @@ def find_wheel_fight(problem: Problem, model: PowerModel) -> WheelFight | None:
     Returns
     -------
     WheelFight or None
-        None where there is no loss, the sides were not logged, or it is not worth naming.
+        None where there is no loss, or it is not worth naming.
     """
     if not all(is_lossy(drive, model.terms) for drive in problem.drives):
         return None
-    cases = [case for case in (_Case.of(d, problem, model) for d in problem.drives) if case]
-    if len(cases) < len(problem.drives):
-        return None
+    cases = [_Case.of(drive, problem, model) for drive in problem.drives]
     spent = np.concatenate([case.by_block(case.cost(case.moment)) for case in cases])
     total = float(spent.sum())
     energy = sum(float(drive.weights @ drive.power) for drive in problem.drives)
@@ -124,18 +129,27 @@ class _Case:
     unit: FloatArray
 
     @classmethod
-    def of(cls, drive: Drive, problem: Problem, model: PowerModel) -> _Case | None:
-        if drive.between is None:
-            return None
-        terms, values = model.terms, model.coefficients
-        losses = losses_of(drive, problem.vehicle, terms, values)
-        forces = held_forces(drive, problem.vehicle, terms, values)
-        limit = problem.vehicle.slip_moment * slip_limit(terms, values)
-        found = preload(drive, drive.between, problem.vehicle, losses, forces, limit)
-        # Where contacts hardly hold, a turn begins or ends: what that costs is friction of turning.
-        moment = np.where(found.alone, 0.0, found.moment)
-        unit = problem.vehicle.slip_moment * np.sign(moment)
-        return cls(drive, replace(model, vehicle=problem.vehicle), forces, moment, unit)
+    def of(cls, drive: Drive, problem: Problem, model: PowerModel) -> _Case:
+        vehicle, terms, values = problem.vehicle, model.terms, model.coefficients
+        model = replace(model, vehicle=vehicle)
+        losses = losses_of(drive, vehicle, terms, values)
+        forces = held_forces(drive, vehicle, terms, values)
+        limit = vehicle.slip_moment * slip_limit(terms, values)
+        if drive.between is not None:
+            found = preload(drive, drive.between, vehicle, losses, forces, limit)
+            # Where contacts hardly hold, a turn begins or ends: that costs friction of turning.
+            moment = np.where(found.alone, 0.0, found.moment)
+            unit = vehicle.slip_moment * np.sign(moment)
+        else:
+            power = equations_of(model, replace(drive, fitted=False))[:, 0]
+            told = straights(drive, vehicle, losses, forces, limit, power)
+            moment = np.zeros(len(drive.t))
+            driven = drive.holds & (drive.held.v_left != 0.0)
+            if told is not None:
+                moment = np.where(driven, told.forces.right * drive.motion.icr.slip_track, 0.0)
+            # What a total does not show may be anywhere, the way that costs more.
+            unit = vehicle.slip_moment * driven
+        return cls(drive, model, forces, moment, unit)
 
     def cost(self, moment: FloatArray) -> FloatArray:
         """Power that losses take because of a moment between the sides [W]."""

@@ -96,15 +96,13 @@ def shown_of_contacts(model: PowerModel, drive: Drive) -> FloatArray | None:
     """Return what the powers of a drive show of what contacts hold, beyond a prediction [W].
 
     None where they show nothing: without losses it costs nothing. Nor where nobody knows when the
-    robot changed. With the power of both sides a model may have a term for its mean, which what
-    they show replaces.
+    robot changed. A model may have a term for its mean, which what they show replaces.
     """
     changes = any(term.name in (SLIP_CHANGE.name, TRACTION_CHANGE.name) for term in model.terms)
     undated = changes and "changed" not in drive.motion.channels
     if undated or not is_lossy(drive, model.terms):
         return None
-    shown = _without_fight(model) if drive.equations > 1 else model
-    told = equations_of(shown, replace(drive, fitted=True))[:, 0]
+    told = equations_of(_without_fight(model), replace(drive, fitted=True))[:, 0]
     alone = equations_of(model, replace(drive, between=None, fitted=False))[:, 0]
     return told - alone if np.any(told != alone) else None
 

@@ -85,7 +85,6 @@ def test_what_the_beginning_of_a_turn_costs_is_no_fight_of_the_sides() -> None:
     (drive,) = prepared([log], ROBOT.vehicle)
     drive = replace(drive, drift=0.01, fields={})
     case = _Case.of(drive, Problem([drive], ROBOT.vehicle), truth)
-    assert case is not None
     beside = drive.holds & (maximum_filter1d((~drive.holds).astype(float), 3) > 0.0)
     assert np.count_nonzero(beside & (drive.motion.omega != 0.0)) > 5
     assert not case.moment[beside].any()
