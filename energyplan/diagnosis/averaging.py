@@ -29,6 +29,7 @@ from energyplan.fit.problem import FLOOR, PAPER, Problem
 from energyplan.fit.run_spread import RunSpread
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Term
+from energyplan.power.effect_terms import WHEEL_FIGHT
 
 FEWEST_RUNS = 4
 """Runs from which on leaving one out alone tells how runs to come are predicted."""
@@ -231,12 +232,18 @@ def averaged(
         if part.effect.usual and not part.effect.grid and not part.effect.channels
         and term.kind != "loss"
     ]  # fmt: skip
-    own = np.array([start[term.name] for term in usual])
-    short = _Rows.of(plain.design([*PAPER, *usual]), own, 0)
-    long = _Rows.of(plain.design([*PAPER, *usual]), own, -1)
+    inert = np.array([start[term.name] for term in usual])
+    short = _Rows.of(plain.design([*PAPER, *usual]), inert, 0)
+    long = _Rows.of(plain.design([*PAPER, *usual]), inert, -1)
     paper = short.fit(np.ones(len(short.block), bool))
 
-    design = problem.design(fitted.terms, None, start, rounds=1)
+    # What contacts hold on straights was found beside the fit, and stays as it is.
+    own = [k for k, term in enumerate(fitted.terms) if term.name != WHEEL_FIGHT.name]
+    table = np.array(whole.longest[0])
+    table[:, -1] -= np.delete(table, [*own, -1], axis=1) @ np.delete(values, own)
+    table = table[:, [*own, -1]]
+
+    design = problem.design([fitted.terms[k] for k in own], None, start, rounds=1)
     errors = problem.reference(design)
     foretold = errors[_SLOW] <= _NOTHING * problem.floor[_SLOW]
     if count < FEWEST_RUNS and foretold:
@@ -248,7 +255,7 @@ def averaged(
         if any(part.effect.acts == "place" for part in parts):
             folds["part of the ground"] = _places(plain)
     compared = [
-        _compared(what, fold, windows, whole.longest[0], (short, long), grams)
+        _compared(what, fold, windows, table, (short, long), grams)
         for what, fold in folds.items()
     ]
     # All must be foretold: runs that are to come, and motions and ground that are in them.
@@ -260,7 +267,7 @@ def averaged(
         missed = float(np.sqrt(np.mean(runs.mixed(weight) ** 2)))
     if 1.0 - weight < _NEGLIGIBLE:
         return None if missed is None else Averaged(replace(fitted, run_error=missed), None)
-    model = _mixed(fitted.model, [*PAPER, *usual], np.append(paper, own), worst, weight)
+    model = _mixed(fitted.model, [*PAPER, *usual], np.append(paper, inert), worst, weight)
     about = {t.name: float(v) for t, v in zip(model.terms, model.coefficients, strict=True)}
     between = RunSpread.of(
         plain.design(model.terms, None, about, rounds=1), np.array(model.coefficients)
