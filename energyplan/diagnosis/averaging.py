@@ -255,8 +255,7 @@ def averaged(
         if any(part.effect.acts == "place" for part in parts):
             folds["part of the ground"] = _places(plain)
     compared = [
-        _compared(what, fold, windows, table, (short, long), grams)
-        for what, fold in folds.items()
+        _compared(what, fold, windows, table, (short, long), grams) for what, fold in folds.items()
     ]
     # All must be foretold: runs that are to come, and motions and ground that are in them.
     handicap = picked * float(np.log(max(tried, 1)))
