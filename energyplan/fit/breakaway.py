@@ -44,17 +44,18 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
     Returns
     -------
     Problem
-        The same problem where only the total was logged, or nothing scatters. The total alone
-        where the difference of the sides does not follow from the motion, or where sensors show
-        what a side returns as if it were drawn: then nothing tells the sign.
+        The total alone where the difference of the sides was not logged or does not follow from the
+        motion, or where sensors show what a side returns as if it were drawn: then nothing tells
+        the sign. A total does not show at what yaw rate contacts begin to slide; they are taken to
+        hold in the slowest class.
     """
-    if problem.drives[0].equations == 1:
-        return problem
     vehicle = problem.vehicle
     edges = _SLIP_SPEEDS / (vehicle.slip_moment / float(vehicle.loads.sum()))
     # In the slowest class steering drifts about a straight, and no sensor is sure which way.
     drifting = [replace(drive, drift=float(edges[0]), fields={}) for drive in problem.drives]
     problem = Problem(drifting, vehicle, problem.memory)
+    if problem.drives[0].equations == 1:
+        return _of_totals(problem)
     terms = [*PAPER, *usual]
     sure = problem.of_totals
     for edge in [*edges[::-1], 0.0]:
@@ -62,18 +63,26 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
         if sure.drives[0].equations == 2:
             break
     if sure.drives[0].equations == 1:
-        return sure
+        return _of_totals(problem)
     design = sure.design(terms)
     values = fit(design, sure.reference(design)).values
     scatter = _scatter(problem, terms, values, edges)
     told = np.flatnonzero(np.isfinite(scatter))
     if not len(told) or scatter[told].min() > _LOST or _unsigned(sure, terms, values):
-        return problem.of_totals
+        return _of_totals(problem)
     # What is misfitted throughout is no matter of holding, but of what the model lacks.
     usual_misfit = float(np.median(scatter[told[len(told) // 2 :]]))
     slides = told[scatter[told] < max(_SCATTER, 2.0 * usual_misfit)]
     held = told[told < (slides[0] if len(slides) else len(edges))]
     return _holding(problem, float(edges[held[-1]]) if len(held) else 0.0)
+
+
+def _of_totals(problem: Problem) -> Problem:
+    """Return the totals of drives, whose contacts hold where steering drifts."""
+    drives = [
+        replace(drive, between=None, breakaway=drive.drift, fields={}) for drive in problem.drives
+    ]
+    return Problem(drives, problem.vehicle, problem.memory)
 
 
 def _holding(problem: Problem, breakaway: float) -> Problem:

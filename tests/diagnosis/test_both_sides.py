@@ -148,19 +148,21 @@ LOSSY = (
 )
 
 
+def _round_trip(model: PowerModel) -> float:
+    """Return what comes back of drawn power: of the efficiencies powers tell that alone."""
+    lost, returning = (
+        model.coefficient(name) if model.has(name) else 0.0
+        for name in ("drive_efficiency", "regeneration_efficiency")
+    )
+    return (1.0 - returning) / (1.0 + lost)
+
+
 def test_sides_that_push_against_each_other_are_named_where_that_costs_energy() -> None:
     told = diagnose(_tracked(LOSSY, 1), _tracked(LOSSY, 2), LOSSY.vehicle)
     names = [effect.name for effect in told.effects]
     assert names[-1] == "wheel_fight"
-    # Powers tell the round trip of the efficiencies alone.
+    assert _round_trip(told.model) == pytest.approx(0.85 * 0.5, abs=0.02)
     model = told.model
-    lost = 1.0 + (model.coefficient("drive_efficiency") if model.has("drive_efficiency") else 0.0)
-    kept = 1.0 - (
-        model.coefficient("regeneration_efficiency")
-        if model.has("regeneration_efficiency")
-        else 0.0
-    )
-    assert kept / lost == pytest.approx(0.85 * 0.5, abs=0.02)
     # A planner counts it: a straight line costs more than its traction resistance.
     straight = Motion.from_twist(0.5, 0.0, model.vehicle.icr)
     without = PowerModel(
@@ -174,6 +176,27 @@ def test_sides_that_push_against_each_other_are_named_where_that_costs_energy() 
     )
     assert float(model.power(straight)) > 1.05 * float(without.power(straight))
     assert abs(told.after.energy_error) < 0.02
+
+
+@pytest.mark.parametrize("seed", by_day([1, 3, 5], [1]))
+def test_a_total_tells_losses_where_a_controller_keeps_the_robot_straight(seed: int) -> None:
+    """Its corrections turn the robot by next to nothing: there contacts hold any moment."""
+
+    def total(log: DriveLog) -> DriveLog:
+        sides = log.sides
+        assert sides is not None
+        kept = {k: v for k, v in log.channels.items() if k not in ("p_left", "p_right")}
+        return DriveLog({**kept, "power": sides.left + sides.right}, log.name)
+
+    train, other = (total(_tracked(LOSSY, seed + k)) for k in (0, 1))
+    told = diagnose(train, other, LOSSY.vehicle)
+    first, last = (effect.name for effect in told.effects)
+    assert first in ("drive_efficiency", "regeneration_efficiency")
+    assert last == "wheel_fight"
+    assert _round_trip(told.model) == pytest.approx(0.85 * 0.5, abs=0.02)
+    assert abs(told.after.energy_error) < 0.02
+    assert told.after.rmse < 0.95 * told.before.rmse
+    assert told.verdict == "effect_found"
 
 
 def test_what_a_total_shows_of_sides_that_push_against_each_other_is_foretold() -> None:

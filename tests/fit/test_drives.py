@@ -190,7 +190,7 @@ def test_straight_lines_are_not_told_to_hold_anything() -> None:
 
 def test_a_stretch_holds_what_its_power_tells_up_to_the_limit_of_friction() -> None:
     """By copper's loss, which grows with the square: a quarter of the most is half the moment."""
-    seconds, loss, limit = [6.0, 6.0, 30.0], 4.5e-4, 100.0
+    seconds, loss, limit = [4.0, 4.0, 30.0], 4.5e-4, 100.0
     stretch = np.repeat(range(3), (np.array(seconds) / PERIOD).astype(int))
     v = np.array([0.6, -0.6, 0.6])[stretch]
     most = 1.5 * limit  # contacts at rest hold half as much again
@@ -212,6 +212,22 @@ def test_a_stretch_holds_what_its_power_tells_up_to_the_limit_of_friction() -> N
     # a mean is known to what is missed on most windows, as a standard deviation, and to a hundredth
     error = np.hypot(1.4826, 0.01 * np.sqrt(np.mean(power**2)))
     assert found.odds == pytest.approx(2.0 * np.log(dearest / (np.sqrt(2.0 * np.pi) * error)))
+
+
+def test_a_long_stretch_holds_a_moment_for_four_seconds_at_most() -> None:
+    """Steering corrections change it on the way."""
+    loss, limit, part = 4.5e-4, 100.0, np.repeat(range(3), round(4.0 / PERIOD))
+    v = np.full(len(part), 0.6)
+    push = 1.5 * limit / ICR.slip_track
+    share = np.array([0.5, 0.0, 0.8])[part]
+    power = 2.0 * loss * (share * push) ** 2
+    drive = Drive("long", PERIOD * np.arange(len(v)), Motion(v, v, ICR), power)
+    none = np.zeros(len(v))
+    found = straights(
+        drive, MODEL.vehicle, [(COPPER_LOSS, loss)], Sides(none, none), limit, none
+    )  # fmt: skip
+    assert found is not None
+    assert_allclose(found.forces.right, share * push, rtol=1e-2, atol=1e-2 * push)
 
 
 def test_rest_holds_what_is_drawn_beyond_noise_alone() -> None:

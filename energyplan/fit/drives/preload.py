@@ -25,6 +25,7 @@ _BISECTIONS = 16
 _INSIDE = 12  # bisections by which a moment differs from its limit
 _TOLD = 5.0  # noise that the largest moment exceeds where its size can be told
 _GAP = 2.0  # time for which contacts may slide within what is one stretch [s]
+_LONGEST = 4.0  # time for which they hold one moment, at most [s]
 _STATIC = 1.5  # moment that contacts hold, over that of sliding, at most
 _FEW = 3  # moving windows, or samples, that tell a scatter
 _NOTHING = 0.01  # of the root mean square power, that a mean is known to at best
@@ -375,8 +376,12 @@ def _stretches(drive: Drive) -> NDArray[np.intp]:
         long = t[last] - t[first] > 3.0 * MOMENT
         begins = (long & turns[first])[whole] & (t - t[first][whole] < MOMENT)
         ends = (long & turns[last + 1])[whole] & (t[last][whole] - t < MOMENT)
-        part = 3 * whole + np.where(begins, 0, np.where(ends, 2, 1))
-        drive.fields["stretches"] = np.unique(part, return_inverse=True)[1].astype(np.intp)
+        since, lasts = t - t[first][whole], (t[last] - t[first])[whole]
+        pieces = np.maximum(np.ceil(lasts / _LONGEST), 1.0)
+        piece = np.minimum(np.floor(since * pieces / np.maximum(lasts, 1e-9)), pieces - 1)
+        part = np.where(begins, -1.0, np.where(ends, -2.0, piece))
+        new = (np.diff(whole, prepend=0) != 0) | (np.diff(part, prepend=part[0]) != 0.0)
+        drive.fields["stretches"] = np.cumsum(new).astype(np.intp)
     found: NDArray[np.intp] = drive.fields["stretches"]
     return found
 
