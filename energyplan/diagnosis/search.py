@@ -77,15 +77,21 @@ class Search(SettledSets):
         """Return the time offset of the power at which a model predicts best.
 
         Nothing is taken as known of what contacts hold: beside a turn it would stand for a delay.
+        Where losses make it cost power, that may leave more than one offset: then what contacts
+        hold decides which.
         """
-        terms, problem = terms_of(parts), problem.as_predicted
+        terms, unknown = terms_of(parts), problem.as_predicted
 
         def loss(late: Late) -> float:
-            design = problem.delayed(late).design(terms)
+            design = unknown.delayed(late).design(terms)
             errors = fit(design, np.ones(len(design.rows))).errors
             return -float(self.likelihood(errors, design.evidence))
 
-        return least_late(loss, -RARE, _APART)
+        found = least_late(loss, -RARE, _APART)
+        if len(found) == 1 or not any(part.lossy for part in parts):
+            return found[0]
+        totals = problem.of_totals
+        return max(found, key=lambda late: self.score(self._fitted(totals.delayed(late), parts)))
 
     def _delays(self, nuisance: Sequence[Part]) -> list[Late]:
         if self.delay is None:
@@ -103,7 +109,7 @@ class Search(SettledSets):
         if self.delay is None:
             return None
         best = self._best_of(pools)
-        totals = best.problem.as_predicted.delayed(ON_TIME)
+        totals = best.problem.of_totals.delayed(ON_TIME)
         found = self._best_delay(best.parts, totals)
         if min(max(abs(found.mean - one.mean), abs(found.lag - one.lag)) for one in pools) < _APART:
             return None

@@ -107,7 +107,7 @@ def test_how_late_a_log_is_comes_and_goes_as_parameters() -> None:
 
 @pytest.mark.parametrize("truth", [-0.73, 0.0, 0.41, 1.4])
 def test_the_least_delay_is_found_to_a_fraction_of_a_step(truth: float) -> None:
-    found = least_late(lambda late: (late.mean - truth) ** 2 + late.lag, 0.0, 0.05)
+    (found,) = least_late(lambda late: (late.mean - truth) ** 2 + late.lag, 0.0, 0.05)
     assert found.lag == 0.0
     assert found.delay == pytest.approx(min(truth, DELAYS[-1]), abs=0.01)
 
@@ -115,9 +115,24 @@ def test_the_least_delay_is_found_to_a_fraction_of_a_step(truth: float) -> None:
 @pytest.mark.parametrize(("worth", "lag"), [(0.03, 0.4), (0.05, 0.0)])
 def test_a_lag_is_taken_where_it_is_worth_it(worth: float, lag: float) -> None:
     """The loss falls by 0.04 with a lag of 0.4 s."""
-    found = least_late(lambda late: (late.mean - 0.5) ** 2 + 0.1 * abs(late.lag - 0.4), worth, 0.05)
+    (found,) = least_late(
+        lambda late: (late.mean - 0.5) ** 2 + 0.1 * abs(late.lag - 0.4), worth, 0.05
+    )
     assert found.lag == lag
     assert found.mean == pytest.approx(0.5, abs=0.01)
+
+
+def test_each_delay_that_is_better_than_those_near_it_is_found_the_best_one_first() -> None:
+    def loss(late: Late) -> float:
+        return min(abs(late.delay - 0.62), abs(late.delay + 0.33) + 0.1) + late.lag
+
+    assert [late.delay for late in least_late(loss, 0.0, 0.05)] == pytest.approx(
+        [0.62, -0.33], 0.02
+    )
+
+
+def test_where_no_delay_is_better_than_another_there_is_one() -> None:
+    assert len(least_late(lambda _: 0.0, 0.0, 0.05)) == 1
 
 
 def test_windows_are_means_over_their_time() -> None:

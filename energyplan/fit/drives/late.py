@@ -127,8 +127,8 @@ def _lagged(values: FloatArray, period: float, lag: float) -> FloatArray:
     return np.asarray(found)
 
 
-def least_late(loss: Callable[[Late], float], worth: float, shortest: float) -> Late:
-    """Return the time offset of least loss.
+def least_late(loss: Callable[[Late], float], worth: float, shortest: float) -> list[Late]:
+    """Return the time offsets of least loss among those near them, the least one first.
 
     A lag smears as well as it delays, and is taken where that is worth it.
 
@@ -143,25 +143,36 @@ def least_late(loss: Callable[[Late], float], worth: float, shortest: float) -> 
 
     Returns
     -------
-    Late
-        The offset.
+    list of Late
+        The offsets, one at least.
     """
-    losses = [loss(Late(delay)) for delay in DELAYS.tolist()]
-    k = int(np.argmin(losses))
+    losses = np.array([loss(Late(delay)) for delay in DELAYS.tolist()])
+    near = np.pad(losses, 1, constant_values=np.inf)
+    lowest = np.flatnonzero((losses <= near[:-2]) & (losses < near[2:]))
+    if not len(lowest):  # not one is better than another
+        lowest = np.array([np.argmin(losses)])
+    found = [_near(loss, int(k), worth, shortest) for k in lowest[np.argsort(losses[lowest])]]
+    return [late for _, late in sorted(found)]
+
+
+def _near(
+    loss: Callable[[Late], float], k: int, worth: float, shortest: float
+) -> tuple[float, Late]:
+    """Return the least loss near a delay that was tried, and its time offset."""
     found = minimize_scalar(
         lambda delay: loss(Late(float(delay))),
         bounds=(float(DELAYS[max(k - 1, 0)]), float(DELAYS[min(k + 1, len(DELAYS) - 1)])),
         method="bounded",
         options={"xatol": 0.005},
     )
-    delay = float(found.x)
+    least, delay = float(found.fun), float(found.x)
     if delay < shortest:
-        return Late(delay)
+        return least, Late(delay)
     trials = [
         Late(delay - share * lag, lag)
         for lag in _LAGS for share in _SHARES if share * lag <= delay + shortest
     ]  # fmt: skip
     losses = [loss(trial) for trial in trials]
-    if not losses or min(losses) >= float(found.fun) - worth:
-        return Late(delay)
-    return trials[int(np.argmin(losses))]
+    if not losses or min(losses) >= least - worth:
+        return least, Late(delay)
+    return min(losses), trials[int(np.argmin(losses))]
