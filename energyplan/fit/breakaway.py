@@ -9,10 +9,11 @@ import numpy as np
 
 from energyplan.fit.drives.columns import columns_of
 from energyplan.fit.drives.drive import Drive, parted
-from energyplan.fit.least_squares import fit
-from energyplan.fit.problem import PAPER, Problem
+from energyplan.fit.least_squares import evidence_of, fit
+from energyplan.fit.problem import FINE, PAPER, Problem
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TRACTION, Term
+from energyplan.power.effect_terms import COPPER_LOSS
 
 _SLIP_SPEEDS = np.geomspace(0.003, 0.15, 12)  # mean slip speeds at which classes end [m/s]
 _SCATTER = 0.4  # misfit of the moment between the sides, over it, from which they do not slide
@@ -23,6 +24,9 @@ _LITTLE = 0.4  # of the resistance, with which sides return much
 _BETTER = 0.5  # part of the loss that signs given back may leave, where sensors lack them
 _TURNS = 20  # fits in which signs settle, at most
 _ENOUGH = 20  # samples that a class needs
+_LOSSES = (COPPER_LOSS, REGENERATION_LOSS)  # by which a total shows what contacts hold
+_CLEARLY = 5.0  # logarithm of the odds from which on they do
+_PERIOD, _SAMPLES, _DRIVES = 0.1, 20_000, 10  # of means, and of what is enough to tell that
 _LEFT = 0.1  # share of the samples that must slide
 
 
@@ -46,8 +50,8 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
     Problem
         The total alone where the difference of the sides was not logged or does not follow from the
         motion, or where sensors show what a side returns as if it were drawn: then nothing tells
-        the sign. A total does not show at what yaw rate contacts begin to slide; they are taken to
-        hold in the slowest class.
+        the sign. A total shows what contacts do through losses alone; they hold in the slowest
+        class if that makes one of the losses much more probable.
     """
     vehicle = problem.vehicle
     edges = _SLIP_SPEEDS / (vehicle.slip_moment / float(vehicle.loads.sum()))
@@ -55,7 +59,7 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
     drifting = [replace(drive, drift=float(edges[0]), fields={}) for drive in problem.drives]
     problem = Problem(drifting, vehicle, problem.memory)
     if problem.drives[0].equations == 1:
-        return _of_totals(problem)
+        return _of_totals(problem, usual)
     terms = [*PAPER, *usual]
     sure = problem.of_totals
     for edge in [*edges[::-1], 0.0]:
@@ -63,13 +67,13 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
         if sure.drives[0].equations == 2:
             break
     if sure.drives[0].equations == 1:
-        return _of_totals(problem)
+        return _of_totals(problem, usual)
     design = sure.design(terms)
     values = fit(design, sure.reference(design)).values
     scatter = _scatter(problem, terms, values, edges)
     told = np.flatnonzero(np.isfinite(scatter))
     if not len(told) or scatter[told].min() > _LOST or _unsigned(sure, terms, values):
-        return _of_totals(problem)
+        return _of_totals(problem, usual)
     # What is misfitted throughout is no matter of holding, but of what the model lacks.
     usual_misfit = float(np.median(scatter[told[len(told) // 2 :]]))
     slides = told[scatter[told] < max(_SCATTER, 2.0 * usual_misfit)]
@@ -77,12 +81,40 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
     return _holding(problem, float(edges[held[-1]]) if len(held) else 0.0)
 
 
-def _of_totals(problem: Problem) -> Problem:
-    """Return the totals of drives, whose contacts hold where steering drifts."""
-    drives = [
-        replace(drive, between=None, breakaway=drive.drift, fields={}) for drive in problem.drives
-    ]
-    return Problem(drives, problem.vehicle, problem.memory)
+def _of_totals(problem: Problem, usual: Sequence[Term]) -> Problem:
+    """Return the totals of drives, with contacts that hold where steering drifts, or do not.
+
+    If they hold, what is lost there follows from no motion, and no law of sliding explains it.
+    """
+    free, held = (
+        Problem(
+            [
+                replace(one, between=None, breakaway=holds * one.drift, drift=0.0, fields={})
+                for one in problem.drives
+            ],
+            problem.vehicle, problem.memory,
+        )
+        for holds in (0.0, 1.0)
+    )  # fmt: skip
+    drifting = (
+        one.holds & (one.motion.omega != 0.0) & (one.motion.v != 0.0) for one in held.drives
+    )
+    if not any(some.any() for some in drifting):
+        return free
+    slides, sticks = (
+        max(_likelihood(some, [*PAPER, *usual, HOTEL, loss]) for loss in _LOSSES)
+        for some in (one.averaged(_PERIOD).excerpt(_SAMPLES, _DRIVES) for one in (free, held))
+    )
+    return held if sticks > slides + _CLEARLY else free
+
+
+def _likelihood(problem: Problem, terms: Sequence[Term]) -> float:
+    """Logarithm of the likelihood of terms, with what it took that moments were not known."""
+    errors = problem.reference(problem.design(terms))
+    design = problem.design(terms, errors)
+    found, count = fit(design, errors), evidence_of(design.evidence)
+    fall = np.log(found.errors + FINE * problem.floor[: len(count)])
+    return -0.5 * float(count @ fall) - problem.odds(terms, found.values)
 
 
 def _holding(problem: Problem, breakaway: float) -> Problem:

@@ -214,20 +214,19 @@ def test_a_stretch_holds_what_its_power_tells_up_to_the_limit_of_friction() -> N
     assert found.odds == pytest.approx(2.0 * np.log(dearest / (np.sqrt(2.0 * np.pi) * error)))
 
 
-def test_a_long_stretch_holds_a_moment_for_four_seconds_at_most() -> None:
-    """Steering corrections change it on the way."""
+def test_where_steering_drifts_a_moment_is_held_for_four_seconds_at_most() -> None:
     loss, limit, part = 4.5e-4, 100.0, np.repeat(range(3), round(4.0 / PERIOD))
     v = np.full(len(part), 0.6)
     push = 1.5 * limit / ICR.slip_track
     share = np.array([0.5, 0.0, 0.8])[part]
     power = 2.0 * loss * (share * push) ** 2
-    drive = Drive("long", PERIOD * np.arange(len(v)), Motion(v, v, ICR), power)
-    none = np.zeros(len(v))
-    found = straights(
-        drive, MODEL.vehicle, [(COPPER_LOSS, loss)], Sides(none, none), limit, none
-    )  # fmt: skip
-    assert found is not None
-    assert_allclose(found.forces.right, share * push, rtol=1e-2, atol=1e-2 * push)
+    still, none = Motion(v, v, ICR), Sides(np.zeros(len(v)), np.zeros(len(v)))
+    for breakaway, wanted in ((0.01, share * push), (0.0, np.sqrt(np.mean(share**2)) * push)):
+        drive = Drive("long", PERIOD * np.arange(len(v)), still, power, breakaway=breakaway)
+        losses = [(COPPER_LOSS, loss)]
+        found = straights(drive, MODEL.vehicle, losses, none, limit, none.left)
+        assert found is not None
+        assert_allclose(found.forces.right, wanted, rtol=1e-2, atol=1e-2 * push)
 
 
 def test_rest_holds_what_is_drawn_beyond_noise_alone() -> None:

@@ -25,7 +25,7 @@ _BISECTIONS = 16
 _INSIDE = 12  # bisections by which a moment differs from its limit
 _TOLD = 5.0  # noise that the largest moment exceeds where its size can be told
 _GAP = 2.0  # time for which contacts may slide within what is one stretch [s]
-_LONGEST = 4.0  # time for which they hold one moment, at most [s]
+_LONGEST = 4.0  # time for which they hold one moment where steering drifts, at most [s]
 _STATIC = 1.5  # moment that contacts hold, over that of sliding, at most
 _FEW = 3  # moving windows, or samples, that tell a scatter
 _NOTHING = 0.01  # of the root mean square power, that a mean is known to at best
@@ -361,7 +361,8 @@ def straights(
 def _stretches(drive: Drive) -> NDArray[np.intp]:
     """Return the number of the stretch that each sample at which contacts hold belongs to.
 
-    Until the robot slides for long, stops or turns back. Half a second beside a turn is a stretch
+    Until the robot slides for long, stops or turns back, and where steering drifts, which changes
+    the moment, for a few seconds at most. Half a second beside a turn is a stretch
     of its own: the moment builds up while the robot begins to turn, and relaxes after.
     """
     if "stretches" not in drive.fields:
@@ -377,7 +378,8 @@ def _stretches(drive: Drive) -> NDArray[np.intp]:
         begins = (long & turns[first])[whole] & (t - t[first][whole] < MOMENT)
         ends = (long & turns[last + 1])[whole] & (t[last][whole] - t < MOMENT)
         since, lasts = t - t[first][whole], (t[last] - t[first])[whole]
-        pieces = np.maximum(np.ceil(lasts / _LONGEST), 1.0)
+        longest = _LONGEST if drive.breakaway > 0.0 else np.inf
+        pieces = np.maximum(np.ceil(lasts / longest), 1.0)
         piece = np.minimum(np.floor(since * pieces / np.maximum(lasts, 1e-9)), pieces - 1)
         part = np.where(begins, -1.0, np.where(ends, -2.0, piece))
         new = (np.diff(whole, prepend=0) != 0) | (np.diff(part, prepend=part[0]) != 0.0)
