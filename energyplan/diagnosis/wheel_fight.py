@@ -147,7 +147,7 @@ class _Case:
             driven = drive.holds & (drive.held.v_left != 0.0)
             if told is not None:
                 moment = np.where(driven, told.forces.right * drive.motion.icr.slip_track, 0.0)
-            # What a total does not show may be anywhere, the way that costs more.
+            # A steady moment that costs as much is one on all straights.
             unit = vehicle.slip_moment * driven
         return cls(drive, model, forces, moment, unit)
 

@@ -362,8 +362,8 @@ def _stretches(drive: Drive) -> NDArray[np.intp]:
     """Return the number of the stretch that each sample at which contacts hold belongs to.
 
     Until the robot slides for long, stops or turns back, and where steering drifts, which changes
-    the moment, for a few seconds at most. Half a second beside a turn is a stretch
-    of its own: the moment builds up while the robot begins to turn, and relaxes after.
+    the moment, for a few seconds at most. Half a second beside a turn is a stretch of its own: the
+    moment builds up while the robot begins to turn, and relaxes after.
     """
     if "stretches" not in drive.fields:
         at = np.flatnonzero(drive.holds)
