@@ -6,18 +6,18 @@
 
 `--first` is the seed of the first drive, `--robots` their size (small, 3 to 10 kg; usual; large, 1
 to 4 t; any), `--fewest` and `--most` the number of effects, `--drives` how many drives of a robot
-are diagnosed together (1; one more judges). `--records FILE` keeps what was found
-of each seed, a line a drive: a later run with that file goes on where the former one ended.
-`--write` puts the figures into docs/diagnosis.md.
+are diagnosed together (1; one more judges). `--records FILE` keeps what was found of each seed, a
+line a drive: a later run with that file goes on where the former one ended. `--write` puts the
+figures into docs/diagnosis.md.
 
 Each robot has a size, parameters and sensors of its own: powers of both sides, of both together or
 of the battery; 100, 20, 10 or 2 readings a second; steps of speed and power; a late power; long
 standstill; a gyroscope and a pose, or neither. Odd seeds fit one number, the temperature at which
 stated probabilities are true; even ones judge it. Effects that no power can tell apart count as
 one, and so do explanations that the report says these drives cannot tell apart. A border that no
-wheel of the first drive crosses is not hidden in it. Sizes are those that powers tell: of a border,
-with the sign of the side that the report calls beyond; of a resistance backwards beside a force
-that pulls one way, which together are one of them beside another resistance, that one.
+wheel of the training drives crosses is not hidden in them. Sizes are those that powers tell: of a
+border, with the sign of the side that the report calls beyond; of a resistance backwards beside a
+force that pulls one way, which together are one of them beside another resistance, that one.
 """
 
 from __future__ import annotations

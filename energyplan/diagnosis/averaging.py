@@ -13,7 +13,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -238,12 +238,11 @@ def averaged(
     paper = short.fit(np.ones(len(short.block), bool))
 
     # What contacts hold on straights was found beside the fit, and stays as it is.
-    own = [k for k, term in enumerate(fitted.terms) if term.name != WHEEL_FIGHT.name]
-    table = np.array(whole.longest[0])
-    table[:, -1] -= np.delete(table, [*own, -1], axis=1) @ np.delete(values, own)
-    table = table[:, [*own, -1]]
+    own = np.array([term.name != WHEEL_FIGHT.name for term in fitted.terms])
+    columns, power = whole.longest[0][:, :-1], whole.longest[0][:, -1]
+    table = np.column_stack([columns[:, own], power - columns[:, ~own] @ values[~own]])
 
-    design = problem.design([fitted.terms[k] for k in own], None, start, rounds=1)
+    design = problem.design(list(compress(fitted.terms, own)), None, start, rounds=1)
     errors = problem.reference(design)
     foretold = errors[_SLOW] <= _NOTHING * problem.floor[_SLOW]
     if count < FEWEST_RUNS and foretold:

@@ -82,7 +82,7 @@ class FittedSets(Proposals):
         What the past of a residual foretells is no evidence against a set, and a fall of what lasts
         alone is none for it.
         """
-        return float(self.likelihood(one.fit.errors * one.shares, one.counts)) - one.odds
+        return float(self.problem.likelihood(one.fit.errors * one.shares, one.counts)) - one.odds
 
     def _evaluate(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> Evaluated:
         """Fit a set as it is, losses included."""

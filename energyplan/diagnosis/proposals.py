@@ -20,8 +20,8 @@ from energyplan.diagnosis.part import Part
 from energyplan.fit.drives.design import Design
 from energyplan.fit.drives.drive import Drive, channels_of
 from energyplan.fit.drives.late import Late
-from energyplan.fit.least_squares import WEIGHTS, evidence_of, fit, solve, squared_errors
-from energyplan.fit.problem import FINE, PAPER, Problem
+from energyplan.fit.least_squares import WEIGHTS, fit, solve, squared_errors
+from energyplan.fit.problem import PAPER, Problem
 from energyplan.path import FloatArray
 from energyplan.power import Term
 from energyplan.power.effects import Effect
@@ -163,28 +163,6 @@ class Proposals:
             return False
         return True
 
-    def likelihood(self, errors: FloatArray, windows: FloatArray) -> FloatArray:
-        """Return the logarithm of a set's likelihood from its cross-validated errors.
-
-        Parameters
-        ----------
-        errors : ndarray, shape (scales, ...)
-            Mean square errors [W^2].
-        windows : ndarray, shape (scales,)
-            Number of windows.
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Normal likelihood, a weighted mean over the scales: each alone is one.
-        """
-        count = evidence_of(windows)
-        floor = (FINE * self.problem.floor[: len(windows)]).reshape(
-            -1, *[1] * (np.ndim(errors) - 1)
-        )
-        fall = np.log(np.maximum(errors, 0.0) + floor + 1e-300)
-        return np.asarray(-0.5 * np.tensordot(count, fall, axes=(0, 0)))
-
     def variants(self, effect: Effect) -> list[Part]:
         """Return an effect with every combination of the values to try of its parameters."""
         if effect.acts == "place":
@@ -256,7 +234,7 @@ class Proposals:
                 low, high = bounds[:, index[:, :-1]]
                 possible = np.all((values >= low) & (values <= high), axis=-1)
                 squares = squared_errors(part, held.swapaxes(0, 1)).sum(axis=1)
-                score = self.likelihood(squares / design.counts[:, None], design.evidence)
+                score = self.problem.likelihood(squares / design.counts[:, None], design.evidence)
                 found[some] = np.where(possible, score, -np.inf)
         prior = [sum(candidates[one].prior for one in chosen) for chosen in sets]
         return np.asarray(found + np.array(prior))

@@ -85,7 +85,7 @@ class Search(SettledSets):
         def loss(late: Late) -> float:
             design = unknown.delayed(late).design(terms)
             errors = fit(design, np.ones(len(design.rows))).errors
-            return -float(self.likelihood(errors, design.evidence))
+            return -float(self.problem.likelihood(errors, design.evidence))
 
         found = least_late(loss, -RARE, _APART)
         if len(found) == 1 or not any(part.lossy for part in parts):
@@ -393,7 +393,7 @@ class Search(SettledSets):
             design = one.problem.design(terms_of(one.parts), self.errors)
             errors = one.problem.reference(design)
             accounts.append(Account(design, fit(design, errors), errors))
-        number = classes(accounts, lambda e, n: float(self.likelihood(e, n)))
+        number = classes(accounts, lambda e, n: float(self.problem.likelihood(e, n)))
         share = np.array([one.probability for one in compared])
         pairs = zip(compared, accounts, strict=True)
         like = np.array([likeness(e.problem.vehicle, e.parts, a.fit) for e, a in pairs])

@@ -9,8 +9,8 @@ import numpy as np
 
 from energyplan.fit.drives.columns import columns_of
 from energyplan.fit.drives.drive import Drive, parted
-from energyplan.fit.least_squares import evidence_of, fit
-from energyplan.fit.problem import FINE, PAPER, Problem
+from energyplan.fit.least_squares import fit
+from energyplan.fit.problem import PAPER, Problem
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TRACTION, Term
 from energyplan.power.effect_terms import COPPER_LOSS
@@ -86,15 +86,13 @@ def _of_totals(problem: Problem, usual: Sequence[Term]) -> Problem:
 
     If they hold, what is lost there follows from no motion, and no law of sliding explains it.
     """
+    drives = problem.of_totals.drives
     free, held = (
         Problem(
-            [
-                replace(one, between=None, breakaway=holds * one.drift, drift=0.0, fields={})
-                for one in problem.drives
-            ],
+            [replace(one, breakaway=breakaway, drift=0.0, fields={}) for one in drives],
             problem.vehicle, problem.memory,
         )
-        for holds in (0.0, 1.0)
+        for breakaway in (0.0, drives[0].drift)
     )  # fmt: skip
     drifting = (
         one.holds & (one.motion.omega != 0.0) & (one.motion.v != 0.0) for one in held.drives
@@ -112,9 +110,9 @@ def _likelihood(problem: Problem, terms: Sequence[Term]) -> float:
     """Logarithm of the likelihood of terms, with what it took that moments were not known."""
     errors = problem.reference(problem.design(terms))
     design = problem.design(terms, errors)
-    found, count = fit(design, errors), evidence_of(design.evidence)
-    fall = np.log(found.errors + FINE * problem.floor[: len(count)])
-    return -0.5 * float(count @ fall) - problem.odds(terms, found.values)
+    found = fit(design, errors)
+    likelihood = float(problem.likelihood(found.errors, design.evidence))
+    return likelihood - problem.odds(terms, found.values)
 
 
 def _holding(problem: Problem, breakaway: float) -> Problem:

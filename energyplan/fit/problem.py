@@ -241,6 +241,26 @@ class Problem:
             problem = self.with_factors(spread.factors)
         return problem
 
+    def likelihood(self, errors: FloatArray, windows: FloatArray) -> FloatArray:
+        """Return the logarithm of the likelihood of terms from their cross-validated errors.
+
+        Parameters
+        ----------
+        errors : ndarray, shape (scales, ...)
+            Mean square errors [W^2].
+        windows : ndarray, shape (scales,)
+            Number of windows.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Normal likelihood, a weighted mean over the scales: each alone is one.
+        """
+        count = evidence_of(windows)
+        floor = (FINE * self.floor[: len(windows)]).reshape(-1, *[1] * (np.ndim(errors) - 1))
+        fall = np.log(np.maximum(errors, 0.0) + floor + 1e-300)
+        return np.asarray(-0.5 * np.tensordot(count, fall, axes=(0, 0)))
+
     def tables(self, terms: Sequence[Term], values: FloatArray) -> Tables:
         """Return, for each drive, the columns of the terms and the power they are to explain.
 

@@ -190,7 +190,7 @@ def test_straight_lines_are_not_told_to_hold_anything() -> None:
 
 def test_a_stretch_holds_what_its_power_tells_up_to_the_limit_of_friction() -> None:
     """By copper's loss, which grows with the square: a quarter of the most is half the moment."""
-    seconds, loss, limit = [4.0, 4.0, 30.0], 4.5e-4, 100.0
+    seconds, loss, limit = [6.0, 6.0, 30.0], 4.5e-4, 100.0
     stretch = np.repeat(range(3), (np.array(seconds) / PERIOD).astype(int))
     v = np.array([0.6, -0.6, 0.6])[stretch]
     most = 1.5 * limit  # contacts at rest hold half as much again

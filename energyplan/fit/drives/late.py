@@ -149,9 +149,7 @@ def least_late(loss: Callable[[Late], float], worth: float, shortest: float) -> 
     losses = np.array([loss(Late(delay)) for delay in DELAYS.tolist()])
     near = np.pad(losses, 1, constant_values=np.inf)
     lowest = np.flatnonzero((losses <= near[:-2]) & (losses < near[2:]))
-    if not len(lowest):  # not one is better than another
-        lowest = np.array([np.argmin(losses)])
-    found = [_near(loss, int(k), worth, shortest) for k in lowest[np.argsort(losses[lowest])]]
+    found = (_near(loss, k, worth, shortest) for k in lowest.tolist())
     return [late for _, late in sorted(found)]
 
 
