@@ -75,7 +75,8 @@ class Outcome:
     """What one diagnosis said, and what was true.
 
     `others` are effects that were reported and not hidden, `excess` the residual over the noise, of
-    samples and of means over two seconds, whichever is more.
+    samples and of means over two seconds, whichever is more; `ratio` is the error of the hold-out
+    drive over that of a model that was told, `left` over that of the paper's model.
     """
 
     seed: int
@@ -83,6 +84,7 @@ class Outcome:
     stated: tuple[tuple[tuple[str, ...], float], ...]
     covered: tuple[bool, ...]
     ratio: float
+    left: float
     verdict: str
     adequate: bool
     excess: float
@@ -264,8 +266,8 @@ def case(seed: int, robots: str, fewest: int, most: int, drives: int) -> Outcome
     quality = told.adequacy
     claimed = [one.name for one in told.effects if one.name not in {*usual, *sizes}]
     return Outcome(
-        seed, true, tuple(stated.items()), covered, told.after.rmse / oracle, told.verdict,
-        quality.adequate,
+        seed, true, tuple(stated.items()), covered, told.after.rmse / oracle,
+        told.after.rmse / told.before.rmse, told.verdict, quality.adequate,
         max(quality.residual / quality.noise, quality.slow_residual / quality.slow_noise),
         tuple(claimed), made.kind, time.process_time() - start,
     )  # fmt: skip
@@ -350,6 +352,7 @@ def report(some: list[Outcome]) -> str:
             )
     covered = [hit for one in some for hit in one.covered]
     ratios = np.array([one.ratio for one in some])
+    left = np.array([one.left for one in some if one.verdict == "effect_found"] or [1.0])
     whole = [one for one in some if one.adequate]
     sound = np.mean([one.first for one in whole]) if whole else np.nan
     silent = [one for one in some if one.verdict == "no_effect"]
@@ -362,7 +365,10 @@ def report(some: list[Outcome]) -> str:
             f"{len(covered)} sizes, {np.mean(covered):.0%} lay within their 95 % interval. The",
             "RMSE of the hold-out drive was at most 1.15 times that of a model that was given the",
             f"hidden effects in {np.mean(ratios <= 1.15):.0%}, and {ratios.max():.2f} times at",
-            f"worst. The verdict was `no_effect` {len(silent)} times,",
+            f"worst. Where an effect was found, it was {np.median(left):.2f} times that of the",
+            f"paper's model in the median, and more than that in {np.sum(left > 1.0)} of",
+            f"{len(left)} drives, {left.max():.2f} times at most. The verdict was",
+            f"`no_effect` {len(silent)} times,",
             f"{sum(one.excess > 2.0 for one in silent)} of them with a residual of more than twice",
             f"the noise. Where `adequacy` reports nothing missing ({len(whole)} drives), the right",
             f"explanation came first in {sound:.0%}. The temperature that scales the log",

@@ -47,6 +47,9 @@ _LASTING = 0.45
 Changes that are there leave half and more; an odd block that some line or time fits, two fifths at
 most."""
 
+_LASTING_ALONE = 0.3
+"""The same where the set leaves nothing beyond noise: then no block is odd."""
+
 _BY_CHANCE = 1e-3  # that noise alone leaves something of a set, over all scales
 _FEWEST = 4  # samples that tell no noise
 
@@ -189,7 +192,7 @@ class FittedSets(Proposals):
 
         However small, an effect is needed where the others are impossible without it.
         """
-        return (self._large(gain, full) or not less.sound) and self._shown(gain, one)
+        return (self._large(gain, full) or not less.sound) and self._shown(gain, one, full)
 
     def _large(self, gain: Gain, full: Evaluated) -> bool:
         """Tell whether an effect is large enough to be named."""
@@ -197,12 +200,13 @@ class FittedSets(Proposals):
             gain.share > WORTH or gain.share > self._missing(full)
         )
 
-    def _shown(self, gain: Gain, one: Candidate) -> bool:
+    def _shown(self, gain: Gain, one: Candidate, full: Evaluated) -> bool:
         """Tell whether drives show an effect, however small it is."""
         if one.part.effect.acts in ("change", "place"):
             # Where or when something changes was searched with all blocks: the block that shows
             # most of it is not foretold by the others.
-            foretold = gain.lasting > _LASTING * gain.improvement
+            part = _LASTING if self._missing(full) > 0.0 else _LASTING_ALONE
+            foretold = gain.lasting > part * gain.improvement
         else:
             foretold = gain.lasting > 0.0 or gain.improvement > gain.error
         return foretold and gain.p_value < _CHANCE and gain.weight + one.prior > 0.0

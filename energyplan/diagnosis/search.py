@@ -8,26 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations, product
 
 import numpy as np
 
 from energyplan.diagnosis.change_points import mark_changes
 from energyplan.diagnosis.evidence import Account, classes
-from energyplan.diagnosis.explanations import Evaluated, Explanation, Found
+from energyplan.diagnosis.explanations import Explanation, Found
 from energyplan.diagnosis.fitted_sets import LATE, WORTHWHILE
+from energyplan.diagnosis.neighbouring_sets import NeighbouringSets
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.plausible import likeness
 from energyplan.diagnosis.proposals import (
     OF_LOG,
-    PAIRED,
     RARE,
     Candidate,
     Set,
     terms_of,
 )
-from energyplan.diagnosis.settled_sets import SettledSets, Weighed
-from energyplan.diagnosis.stand_ins import followed_in
+from energyplan.diagnosis.settled_sets import Weighed
 from energyplan.fit.drives.drive import Drive
 from energyplan.fit.drives.late import ON_TIME, Late, least_late
 from energyplan.fit.least_squares import fit
@@ -39,7 +37,6 @@ from energyplan.power.effects import Effect
 SIGNIFICANCE = 0.01
 """Chance that a channel is called a reason where it is none, over all channels together."""
 
-_TRIED = 18  # neighbours of the best set, each of other effects, that are fitted as they are
 _AS_GOOD = 1.5  # odds of two explanations up to which neither is the better one
 _COMPARED = 1e-3  # probability from which on explanations are held against each other
 _APART = 0.05  # delays that are worth sets of their own [s]
@@ -48,7 +45,7 @@ _SAMPLES = 60_000  # that the search works on
 _DRIVES = 40  # and of so many drives
 
 
-class Search(SettledSets):
+class Search(NeighbouringSets):
     """Joint search over a catalogue.
 
     Parameters
@@ -157,52 +154,42 @@ class Search(SettledSets):
         The quick search weighs sets about coefficients of another one. About its own, a set shows
         what else it needs.
         """
+        stones: set[tuple[Set, Late]] = set()
         for _ in range(self.limit):
             self._redelay(weighed, pools)
             self._settle_best(weighed, pools)
             self._settle_delay(weighed, pools)
             chosen, late = max(weighed, key=lambda key: weighed[key])
             now, candidates = tuple(sorted(chosen)), pools[late]
-            one = self._evaluate(now, candidates, late)
-            about = self._about(one.problem, one.parts, one.errors)
-            design = self._table(self.problem.delayed(late), candidates, about)
-            self.followed = followed_in(design, candidates, one)
-            others = [k for k in range(len(candidates)) if k not in chosen]
-            # A change takes up what others of its set are beside the truth by: without one, too.
-            cores = [now, tuple(k for k in now if candidates[k].marked is None)]
-            trials = [set(core) for core in cores if core != now]
-            for core in dict.fromkeys(cores):
-                trials += [{*core, new} for new in others]
-                trials += [
-                    {*core, new} - {old} for old in core for new in others
-                    if not candidates[old].always
-                ]  # fmt: skip
-            sets = [tuple(sorted(some)) for some in trials]
-            sets = [some for some in sets if self._compatible(candidates, some)]
-            scores = self._scores(design, candidates, sets, one.errors)
-            pairs = [
-                one
-                for core in dict.fromkeys(cores)
-                for one in self._pairs(core, sets, scores, candidates)
-            ]
-            scores = np.append(scores, self._scores(design, candidates, pairs, one.errors))
-            sets += pairs
             before = set(weighed)
-            best: dict[frozenset[str], Set] = {}
-            for k in np.argsort(-scores, kind="stable"):
-                best.setdefault(frozenset(candidates[j].name for j in sets[k]), sets[k])
-            tried = [*best.values()][:_TRIED]
-            tried += self._losses(sets, scores, candidates, one)
-            tried += self._other_losses(now, candidates, late)
-            for some in [*tried, *self._settled_lines(sets, scores, candidates, one)]:
-                if set(now) < set(some):
-                    self._fit_from(now, some, candidates, late)
-                self._weigh(weighed, some, candidates, late)
-            own = float(self._scores(design, candidates, [now], one.errors)[0])
-            self.odds = self._odds(now, sets, scores - own, candidates, late)
+            sets, scores, self.followed = self._tried_about(weighed, now, candidates, late)
+            self.odds = self._odds(now, sets, scores, candidates, late)
+            stone = self._stepping_stone(weighed, pools, stones)
+            if max(weighed, key=lambda key: weighed[key]) in before and stone is not None:
+                stones.add(stone)
+                self._tried_about(weighed, stone[0], pools[stone[1]], stone[1])
             if max(weighed, key=lambda key: weighed[key]) in before:
                 self._lessened(weighed, now, candidates, late)
                 return
+
+    def _stepping_stone(
+        self,
+        weighed: Weighed,
+        pools: Mapping[Late, list[Candidate]],
+        stones: set[tuple[Set, Late]],
+    ) -> tuple[Set, Late] | None:
+        """Return a set that is more probable than the best, and of which something earns no place.
+
+        What it lacks may be what hides that: of two strong effects each may be nothing alone.
+        """
+        found = {
+            (some, late): self._posterior(some, pools[late], late)
+            for (some, late), one in self.evaluated.items()
+            if one.sound and late in pools
+            and (frozenset(some), late) not in weighed and (some, late) not in stones
+        }  # fmt: skip
+        best = max(found, key=lambda key: found[key], default=None)
+        return best if best and found[best] > max(weighed.values()) - RARE else None
 
     def _odds(
         self, now: Set, sets: Sequence[Set], scores: FloatArray, candidates: Sequence[Candidate],
@@ -225,7 +212,7 @@ class Search(SettledSets):
             likely = np.exp(score) if score < 0.0 else 0.0
             if full is not None and new in full.gains:
                 gain = full.gains[new]
-                if self._shown(gain, one) and not self._large(gain, full):
+                if self._shown(gain, one, full) and not self._large(gain, full):
                     likely = 1.0
             odds[one.name] = min(odds.get(one.name, 0.0) + float(likely), 1.0)
         return odds
@@ -239,55 +226,6 @@ class Search(SettledSets):
             if self._evaluate(less, candidates, late).sound:
                 self._gains(less, candidates, late)
                 weighed.setdefault((frozenset(less), late), self._posterior(less, candidates, late))
-
-    def _pairs(
-        self, now: Set, sets: Sequence[Set], scores: FloatArray, candidates: Sequence[Candidate]
-    ) -> list[Set]:
-        """Return a set with two further effects, of those that add most to it: they may mask."""
-        best: dict[str, int] = {}
-        for k in np.argsort(-scores, kind="stable"):
-            if set(now) < set(sets[k]) and len(sets[k]) == len(now) + 1:
-                (new,) = set(sets[k]) - set(now)
-                best.setdefault(candidates[new].name, new)
-        pairs = combinations(list(best.values())[:PAIRED], 2)
-        some = (tuple(sorted({*now, *pair})) for pair in pairs)
-        return [one for one in some if self._compatible(candidates, one)]
-
-    def _losses(
-        self, sets: Sequence[Set], scores: FloatArray, candidates: Sequence[Candidate],
-        now: Evaluated,
-    ) -> list[Set]:  # fmt: skip
-        """Return the best set with each loss.
-
-        How much a loss explains, the quick search cannot see: it takes for linear what multiplies
-        all other forces.
-        """
-        found: dict[str, Set] = {}
-        names = {part.effect.name for part in now.parts}
-        for k in np.argsort(-scores, kind="stable"):
-            for one in (candidates[j] for j in sets[k]):
-                if one.name not in names and one.part.lossy:
-                    found.setdefault(one.name, sets[k])
-        return list(found.values())
-
-    def _other_losses(self, now: Set, candidates: Sequence[Candidate], late: Late) -> list[Set]:
-        """Return sets with another loss in place of one, where these explain nearly as much.
-
-        What is lost while drawing divides all forces, and powers tell it from what is lost while
-        returning by little or nothing. Both are to be weighed, and the quick search sees neither.
-        """
-        names = {candidates[k].name for k in now}
-        losses = [k for k, one in enumerate(candidates) if one.part.lossy]
-        new = [k for k in losses if candidates[k].name not in names]
-        least = self.score(self._evaluate(now, candidates, late)) + RARE
-        found = []
-        for old, other in product(set(now) & set(losses), new):
-            some = tuple(sorted({*now, other} - {old}))
-            if self._compatible(candidates, some):
-                one = self._evaluate(some, candidates, late)
-                if one.sound and self.score(one) > least:
-                    found.append(some)
-        return found
 
     def _redelay(
         self,
@@ -415,15 +353,20 @@ class Search(SettledSets):
         return [told[k] for k in sorted(range(len(told)), key=lambda k: (shares[k], places[k]))]
 
     def take_all(self) -> Found:
-        """Take every effect whether it helps or not, in the order given."""
+        """Take every effect whether it helps or not, in the order given.
+
+        Losses are fitted first: what they take looks like other effects, whose parameters are
+        chosen one effect after the other.
+        """
         parts: list[Part] = []
         problem = self.problem
-        for effect in self.effects:
+        for effect in sorted(self.effects, key=lambda effect: not Part(effect).lossy):
             variants = self.variants(effect)
             if effect.acts == "change":
                 problem = mark_changes(problem, terms_of(parts), _errors(problem, parts))
             trials = [self._fitted(problem, [*parts, part]) for part in variants]
             parts.append(variants[int(np.argmax([self.score(one) for one in trials]))])
+        parts.sort(key=lambda part: self.effects.index(part.effect))
         if self.delay is not None:
             late = self._best_delay(parts, problem)
             problem = problem.delayed(late)

@@ -6,9 +6,10 @@ terms without losses is linear as it is.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,9 +40,8 @@ ROUNDS = 20
 _SLIP_LAW = 0.05  # part of the sides' difference that no law of sliding friction foretells
 _KEPT = 0.1  # of friction and resistance in a step, at least
 _SETTLED = 5e-3  # fall of the negative logarithm of the likelihood that is none
-_INSTEAD = (None, None, 0.4, None)
-"""What is tried where a step has led to nothing better, in turn: such a part of the step, or, where
-there is no number, `_Tried.rest`."""
+_SHORTER = 0.4  # part of a step that is tried where the step has led to nothing better
+_PROMISED = 2.0  # by which a still shorter step is to lower that logarithm, to be tried
 
 _RUNS = 6  # drives from which on each has a factor before effects are looked for
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # its multiples spread evenly
@@ -86,12 +86,18 @@ class _Tried:
     hoped: float
 
     def step(self, to: FloatArray) -> FloatArray:
-        """Return coefficients to try next, of which the paper's lose nine tenths at most.
+        """Return coefficients to try next: the paper's, and losses, lose nine tenths at most.
 
-        A loss that multiplies all forces asks for so much less of them that they would push.
+        A loss that multiplies all forces asks for so much less of them that they would push, and
+        forces that are too small for so much less of a loss that it would give.
         """
         kept = _KEPT * self.values
-        return np.where(self.drag & (kept > 0.0), np.maximum(to, kept), to)
+        return np.where((self.drag | self.loss) & (kept > 0.0), np.maximum(to, kept), to)
+
+    @property
+    def promised(self) -> float:
+        """By how much a full step is to lower the misfit."""
+        return self.misfit - self.hoped
 
     @property
     def on(self) -> FloatArray:
@@ -306,8 +312,9 @@ class Problem:
         What losses take bends where a side begins to return power, or a stretch to be held, and
         multiplies the forces. A step that leads to nothing better is not undone at once: the other
         coefficients are found for the losses that it led to, once and again. Then the same is tried
-        with a shorter step. What it takes from the likelihood that what contacts hold is not known
-        counts: else a loss that leaves more of it open would seem to fit better.
+        with shorter steps, as long as they promise something. What it takes from the likelihood
+        that what contacts hold is not known counts: else a loss that leaves more of it open would
+        seem to fit better.
 
         Parameters
         ----------
@@ -316,7 +323,9 @@ class Problem:
         errors : ndarray, shape (scales,), optional
             Reference mean square errors [W^2].
         start : mapping of str to float, optional
-            Coefficients to start from, by name of their term.
+            Coefficients to start from, by name of their term, others at zero. Where not given, the
+            fit starts from those found before, or, if some are not known and that explains more,
+            from a fit without losses.
         rounds : int
             Largest number of steps.
 
@@ -326,33 +335,27 @@ class Problem:
             Columns, and the power that they are to explain; where they were tried in more than one
             round, with the coefficients that were most likely of those.
         """
-        if start is None:
-            names = {term.name for term in terms}
-            start = self.memory if names <= set(self.memory) else self._start(terms, errors)
-        values = np.array([start.get(term.name, 0.0) for term in terms])
         if not any(is_lossy(drive, terms) for drive in self.drives):
-            return self.design_about(terms, values)
-        best: _Tried | None = None
-        failures = 0
-        for _ in range(rounds):
-            here = self._tried(terms, values, errors)
-            if best is not None and not here.misfit < best.misfit:
-                if failures == len(_INSTEAD):
-                    break
-                part = _INSTEAD[failures]
-                failures += 1
-                values = here.rest if part is None else best.values + part * (best.on - best.values)
-                if np.allclose(values, best.values, rtol=1e-4):
-                    break
-                continue
-            gain = np.inf if best is None else best.misfit - here.misfit
-            best, values, failures = here, here.on, 0
-            if min(gain, here.misfit - here.hoped) < _SETTLED or np.allclose(
-                values, here.values, rtol=1e-4
-            ):
+            return self.design_about(terms, np.zeros(len(terms)))
+        starts = self._starts(terms, errors) if start is None else [start]
+        begun = [
+            self._tried(terms, np.array([one.get(term.name, 0.0) for term in terms]), errors)
+            for one in starts
+        ]
+        best = min(begun, key=lambda one: one.misfit)
+        values, gain, instead = best.on, np.inf, _instead(best.promised)
+        for _ in range(rounds - 1):
+            if min(gain, best.promised) < _SETTLED and best.promised < _PROMISED:
                 break
-        if best is None:
-            return self.design_about(terms, values)
+            if np.allclose(values, best.values, rtol=1e-4):
+                break
+            here = self._tried(terms, values, errors)
+            if here.misfit < best.misfit:
+                gain = best.misfit - here.misfit
+                best, values, instead = here, here.on, _instead(here.promised)
+            else:
+                part = next(instead, 0.0)
+                values = here.rest if part is None else best.values + part * (best.on - best.values)
         self.memory |= {t.name: float(v) for t, v in zip(terms, best.values, strict=True)}
         return replace(best.design, ended=best.values) if rounds > 1 else best.design
 
@@ -381,14 +384,31 @@ class Problem:
         loss = max(float(signed @ gram @ signed), 0.0) + nothing + 1e-300
         return 0.5 * float(evidence_of(design.evidence).sum()) * float(np.log(loss))
 
-    def _start(self, terms: Sequence[Term], errors: FloatArray | None) -> dict[str, float]:
+    def _starts(
+        self, terms: Sequence[Term], errors: FloatArray | None
+    ) -> list[Mapping[str, float]]:
+        """Return coefficients to start from: those found before, or of a fit without losses, too.
+
+        What losses take looks like other terms, of any size: terms that it makes impossible are
+        left out.
+        """
+        if {term.name for term in terms} <= set(self.memory):
+            return [self.memory]
         linear = [term for term in terms if term.kind != "loss"]
-        if len(linear) == len(terms):
-            return {}
-        design = self.design(linear, errors, {})
-        scale = np.ones(len(design.rows)) if errors is None else errors
-        values = solve(weighted(design, scale).sum(axis=0))
-        return {term.name: float(v) for term, v in zip(linear, values, strict=True)}
+        values = np.zeros(len(linear))
+        while len(linear) < len(terms):
+            design = self.design(linear, errors, {})
+            scale = np.ones(len(design.rows)) if errors is None else errors
+            values = solve(weighted(design, scale).sum(axis=0))
+            possible = [
+                term in PAPER or term.bounds[0] <= value <= term.bounds[1]
+                for term, value in zip(linear, values, strict=True)
+            ]
+            if all(possible):
+                break
+            linear = list(compress(linear, possible))
+        plain = {term.name: float(v) for term, v in zip(linear, values, strict=True)}
+        return [plain, self.memory] if self.memory else [plain]
 
     def means(
         self, extra: Sequence[Term], terms: Sequence[Term] = (), values: FloatArray | None = None
@@ -427,3 +447,15 @@ class Problem:
         for _ in range(2):
             errors = fit(design, errors).errors + self.floor
         return errors
+
+
+def _instead(promised: float) -> Iterator[float | None]:
+    """Yield what to try where a step has led to nothing better.
+
+    That is such a part of the step, or, where there is no number, `_Tried.rest`. A step that
+    promises much is made shorter and shorter.
+    """
+    part = _SHORTER
+    yield from (None, None, part, None)
+    while (part := _SHORTER * part) * promised > _PROMISED:
+        yield from (part, None)

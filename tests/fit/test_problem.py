@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from energyplan.fit.drives.drive import prepared
 from energyplan.fit.least_squares import fit
 from energyplan.fit.problem import PAPER, Problem
 from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS
+from energyplan.power.effect_terms import COPPER_LOSS, STRIBECK
 
 LOST = 0.7
 TERMS = [*PAPER, DRIVE_LOSS]
@@ -76,6 +78,38 @@ def test_a_fit_with_a_loss_ends_at_the_least_of_all_whatever_the_loss(
         for loss in (0.1, 0.3, 1.0, 3.0, 10.0)
     ]
     assert left(None) < 1.02 * min(others)
+
+
+@pytest.fixture(scope="module", params=["total", "sides"])
+def slipping(request: pytest.FixtureRequest) -> tuple[PowerModel, Problem]:
+    """A drive of a robot with copper loss, whose treads stick more the slower they slide."""
+    stribeck = replace(STRIBECK, params={"slip_speed": 0.08})
+    truth = PowerModel.preset("quadriga:full:concrete").with_term(stribeck, 0.2)
+    truth = truth.with_term(COPPER_LOSS, 1.5e-3)
+    log = simulate.drive(
+        truth, simulate.IDENTIFICATION, seed=1, rate=10.0, power_noise=5.0, speed_noise=0.002,
+        without={"accel_x"}, measured=request.param,
+    )  # fmt: skip
+    return truth, Problem(prepared([log], truth.vehicle), truth.vehicle)
+
+
+@pytest.mark.parametrize("far", [(0.5, 0.4, 0.0, 8.0), (0.6, 0.45, 0.0, 2.5), None])
+def test_a_fit_with_losses_comes_from_far_off(
+    slipping: tuple[PowerModel, Problem], far: tuple[float, ...] | None
+) -> None:
+    """Where whole steps lead to nothing better, short ones do; impossible sizes are no start."""
+    truth, problem = slipping
+    errors = problem.reference(problem.design(PAPER))
+
+    def left(factors: tuple[float, ...] | None) -> float:
+        start = None
+        if factors is not None:
+            values = truth.coefficients * np.array(factors)
+            start = dict(zip((term.name for term in truth.terms), values.tolist(), strict=True))
+        fresh = Problem(problem.drives, truth.vehicle)
+        return fit(fresh.design(truth.terms, errors, start), errors).loss
+
+    assert left(far) == pytest.approx(left((1.0, 1.0, 1.0, 1.0)), rel=0.02)
 
 
 def test_with_losses_as_they_are_the_rest_is_a_linear_fit(returning: Problem) -> None:
