@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from energyplan.diagnosis.part import Part
 from energyplan.fit.drives.columns import field_of
+from energyplan.fit.drives.late import ON_TIME, Late
 from energyplan.fit.drives.linear import held_loss
 from energyplan.fit.least_squares import Fit
 from energyplan.fit.problem import PAPER, Problem
@@ -124,15 +125,21 @@ class Rest:
     """What the robot draws at rest, where the drives show it."""
 
     def __init__(self, problem: Problem) -> None:
-        samples = []
-        for drive in problem.drives:
-            still = (drive.motion.v_left == 0) & (drive.motion.v_right == 0)
-            samples.append(drive.power[still])
-        power: NDArray[np.float64] = np.concatenate(samples)
-        self.count = len(power)
-        self.mean = float(power.mean()) if len(power) else 0.0
+        self.drives = problem.drives
+        self._drawn: dict[Late, tuple[int, float]] = {}
 
-    def allows(self, constant: float, held: float = 0.0) -> bool:
+    def drawn(self, late: Late) -> tuple[int, float]:
+        """Return how many samples show the robot at rest, and the mean of their power [W].
+
+        Where the power is logged late, what a sample shows is of before.
+        """
+        if late not in self._drawn:
+            late_drives = [replace(drive, late=late) for drive in self.drives]
+            power = np.concatenate([drive.power[drive.rests] for drive in late_drives])
+            self._drawn[late] = len(power), float(power.mean()) if len(power) else 0.0
+        return self._drawn[late]
+
+    def allows(self, constant: float, held: float = 0.0, late: Late = ON_TIME) -> bool:
         """Tell whether a constant power agrees with what is drawn at rest.
 
         Parameters
@@ -141,11 +148,14 @@ class Rest:
             The power [W].
         held : float
             The most that losses may take at rest beside it [W].
+        late : Late
+            How the logged power is behind the motion.
         """
-        if self.count < 10 or constant == 0.0:
+        count, mean = self.drawn(late)
+        if count < 10 or constant == 0.0:
             return True
         slack = 0.5 * abs(constant)
-        return -slack <= self.mean - constant <= slack + held
+        return -slack <= mean - constant <= slack + held
 
     def agrees(self, problem: Problem, parts: Sequence[Part], found: Fit) -> bool:
         """Tell whether coefficients are possible, and what the robot draws at rest too."""
@@ -175,4 +185,5 @@ class Rest:
             for term, value in zip(terms, found.values, strict=True)
             if term.name in constant
         )
-        return self.allows(resting, most_held(problem, terms, found.values))
+        held = most_held(problem, terms, found.values)
+        return self.allows(resting, held, problem.drives[0].late)

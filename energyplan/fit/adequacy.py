@@ -224,9 +224,9 @@ def adequacy(drives: Sequence[Drive], residuals: Sequence[FloatArray]) -> Adequa
         if len(residual) > 4:
             readings = drive.power if drive.hold is None else drive.power[drive.hold.first]
             (whites if drive.hold is None else seldom).append(speed_noise(readings))
-        still = (drive.motion.v_left == 0) & (drive.motion.v_right == 0)
-        if np.count_nonzero(still) >= _RESTING:
-            rests.append(residual[still] - np.median(residual[still]))
+        if np.count_nonzero(drive.rests) >= _RESTING:
+            resting = residual[drive.rests]
+            rests.append(resting - np.median(resting))
     every = np.concatenate(residuals)
     size = float(np.sqrt(np.mean(np.concatenate([d.power for d in drives]) ** 2)))
     known = whites or ([] if rests else seldom) or [0.0]

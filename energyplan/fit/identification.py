@@ -369,10 +369,7 @@ def _missing(
 def _draw_at_rest(drives: Sequence[Drive], powers: Sequence[FloatArray]) -> list[str]:
     """Warn of power that the robot draws standing still and no term explains."""
     residual = np.concatenate(
-        [
-            (drive.power - power)[(drive.motion.v_left == 0) & (drive.motion.v_right == 0)]
-            for drive, power in zip(drives, powers, strict=True)
-        ]
+        [(drive.power - power)[drive.rests] for drive, power in zip(drives, powers, strict=True)]
     )
     if len(residual) < _LEAST_INDEPENDENT:
         return []

@@ -9,8 +9,9 @@ import pytest
 from by_day import by_day
 
 from energyplan import diagnose, simulate
-from energyplan.diagnosis.plausible import drags, drivable
+from energyplan.diagnosis.plausible import Rest, drags, drivable
 from energyplan.fit.drives.drive import prepared
+from energyplan.fit.drives.late import Late
 from energyplan.fit.problem import Problem
 from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel
 from energyplan.power.effect_terms import (
@@ -92,3 +93,20 @@ def test_the_robots_mass_tells_what_powers_cannot(loss: str) -> None:
     assert inertia.value == pytest.approx(mass, rel=0.05)
     other = {"drive_efficiency", "regeneration_efficiency"} - {loss}
     assert any(other & set(names) for names in told.explanations[0].alike)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.5])
+def test_power_that_is_logged_late_shows_rest_late(delay: float) -> None:
+    """Right after a stop it is still that of the drive: no load at rest."""
+    load = 20.0
+    truth = PowerModel.preset("quadriga:full:concrete").with_term(HOTEL, load)
+    log = simulate.drive(
+        truth, [("spin", 6.0), ("rest", 2.0)] * 8, rate=10.0, accel_limit=2.0, seed=1,
+        power_noise=1.0, measured="total", delays={"power": delay} if delay else None,
+    )  # fmt: skip
+    rest = Rest(Problem(prepared([log], truth.vehicle), truth.vehicle))
+    count, mean = rest.drawn(Late(delay))
+    assert count > 50
+    assert mean == pytest.approx(load, abs=0.5)
+    if delay:
+        assert rest.drawn(Late())[1] > 1.5 * load

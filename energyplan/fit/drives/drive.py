@@ -26,6 +26,7 @@ MOMENT = 0.5
 """Time over which what contacts hold is taken for one [s]."""
 
 _ALL = 0.999  # share of a reading's time in which contacts slide
+_STILL = 0.99  # of a sample that shows the robot at rest, at least
 _ROUNDING = 1e-6  # of samples a period
 _ROWS = 4  # that a reading stands in, at least, where rows are left out: else it seems late
 _PIECE = 4 * BLOCK  # length of the pieces that stand for a drive, at least [s]
@@ -220,6 +221,12 @@ class Drive:
             late = self.clock.lagged(late, self.late.lag)
         late = late if self.hold is None else self.hold.shown(late)
         return late if self.factor == 1.0 else late * self.factor
+
+    @cached_property
+    def rests(self) -> NDArray[np.bool_]:
+        """Which samples show the power of the robot at rest: where it is late, that of before."""
+        still = (self.motion.v_left == 0) & (self.motion.v_right == 0)
+        return replace(self, factor=1.0).seen(still.astype(float)) > _STILL
 
     def in_time(self, measured: FloatArray) -> FloatArray:
         """Return a measured power as the model has it: not late, and without the run's factor."""
