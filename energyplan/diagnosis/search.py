@@ -355,12 +355,16 @@ class Search(NeighbouringSets):
     def take_all(self) -> Found:
         """Take every effect whether it helps or not, in the order given.
 
-        Losses are fitted first: what they take looks like other effects, whose parameters are
-        chosen one effect after the other.
+        Losses are fitted first, and where something changes last: what they take, and what is
+        missing, looks like other effects, whose parameters are chosen one effect after the other.
         """
         parts: list[Part] = []
         problem = self.problem
-        for effect in sorted(self.effects, key=lambda effect: not Part(effect).lossy):
+
+        def place(effect: Effect) -> int:
+            return -1 if Part(effect).lossy else int(effect.acts in ("change", "place"))
+
+        for effect in sorted(self.effects, key=place):
             variants = self.variants(effect)
             if effect.acts == "change":
                 problem = mark_changes(problem, terms_of(parts), _errors(problem, parts))
