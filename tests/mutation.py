@@ -53,7 +53,8 @@ TESTS = {
     "steering": "tests/steering", "planning/bound": "tests/planning/test_bound.py",
     "fit": "tests/fit tests/diagnosis/test_one_core.py tests/diagnosis/test_probabilities.py "
            "tests/diagnosis/test_both_sides.py tests/diagnosis/test_adequacy.py",
-    "mission": "tests/mission", "limits": "tests/limits", "battery": "tests/battery",
+    "diagnosis": "tests/diagnosis", "mission": "tests/mission", "limits": "tests/limits",
+    "battery": "tests/battery",
 }  # fmt: skip
 """What is changed, below the package, and the tests that should notice."""
 

@@ -47,7 +47,7 @@ _LASTING = 0.45
 Changes that are there leave half and more; an odd block that some line or time fits, two fifths at
 most."""
 
-_LASTING_ALONE = 0.3
+_LASTING_COMPLETE = 0.3
 """The same where the set leaves nothing beyond noise: then no block is odd."""
 
 _BY_CHANCE = 1e-3  # that noise alone leaves something of a set, over all scales
@@ -205,7 +205,7 @@ class FittedSets(Proposals):
         if one.part.effect.acts in ("change", "place"):
             # Where or when something changes was searched with all blocks: the block that shows
             # most of it is not foretold by the others.
-            part = _LASTING if self._missing(full) > 0.0 else _LASTING_ALONE
+            part = _LASTING if self._missing(full) > 0.0 else _LASTING_COMPLETE
             foretold = gain.lasting > part * gain.improvement
         else:
             foretold = gain.lasting > 0.0 or gain.improvement > gain.error

@@ -18,9 +18,9 @@ _TRIED = 18  # neighbours of a set, each of other effects, that are fitted as th
 
 
 class NeighbouringSets(SettledSets):
-    """Sets with a neighbour's effects; its parameters are those of `Proposals`."""
+    """Sets that differ from another one by an effect or two; parameters as of `Proposals`."""
 
-    def _tried_about(
+    def _weigh_neighbours(
         self, weighed: Weighed, now: Set, candidates: list[Candidate], late: Late
     ) -> tuple[list[Set], FloatArray, FloatArray]:
         """Weigh the neighbours of a set that promise most.

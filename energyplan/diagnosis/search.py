@@ -162,12 +162,12 @@ class Search(NeighbouringSets):
             chosen, late = max(weighed, key=lambda key: weighed[key])
             now, candidates = tuple(sorted(chosen)), pools[late]
             before = set(weighed)
-            sets, scores, self.followed = self._tried_about(weighed, now, candidates, late)
+            sets, scores, self.followed = self._weigh_neighbours(weighed, now, candidates, late)
             self.odds = self._odds(now, sets, scores, candidates, late)
             stone = self._stepping_stone(weighed, pools, stones)
             if max(weighed, key=lambda key: weighed[key]) in before and stone is not None:
                 stones.add(stone)
-                self._tried_about(weighed, stone[0], pools[stone[1]], stone[1])
+                self._weigh_neighbours(weighed, stone[0], pools[stone[1]], stone[1])
             if max(weighed, key=lambda key: weighed[key]) in before:
                 self._lessened(weighed, now, candidates, late)
                 return
