@@ -144,11 +144,16 @@ class SettledSets(FittedSets):
         """Return the best set with each effect of a place, its line moved to where it fits best.
 
         Lines of a grid lie up to half a step beside the border, and tell only part of it. One that
-        tells nothing is beside none.
+        tells nothing is beside none. Sets with a further loss do not count: the quick search takes
+        it for linear about none.
         """
         found: list[Set] = []
-        order = np.argsort(-scores, kind="stable")
-        plain = [k for k in order if not any(candidates[j].marked for j in sets[k])]
+        losses = {part.effect.name for part in now.parts if part.lossy}
+        plain = [
+            k for k in np.argsort(-scores, kind="stable")
+            if not any(candidates[j].marked for j in sets[k])
+            and losses >= {candidates[j].name for j in sets[k] if candidates[j].part.lossy}
+        ]  # fmt: skip
         known = {part.effect.name for part in now.parts}
         if any(part.effect.acts == "change" for part in now.parts):
             known = set()

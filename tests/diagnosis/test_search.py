@@ -323,10 +323,11 @@ def test_effects_that_no_single_one_leads_to_are_found(
 @pytest.mark.nightly
 @pytest.mark.parametrize(
     ("seed", "drives"),
-    [(95046, 1), (95087, 1), (98037, 1), (129090, 3), (129481, 1)],
+    [(95046, 1), (95087, 1), (98037, 1), (129090, 3), (129481, 1), (129401, 1)],
     ids=[
         "ends elsewhere", "needs no delay", "masked pair", "delay behind contacts",
         "a border that few blocks show",
+        "a border beside a loss",
     ],
 )  # fmt: skip
 def test_effects_that_a_quick_search_misses_are_found(
