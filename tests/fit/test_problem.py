@@ -11,7 +11,7 @@ import pytest
 from energyplan import PowerModel, simulate
 from energyplan.fit.drives.drive import prepared
 from energyplan.fit.least_squares import fit
-from energyplan.fit.problem import PAPER, Problem
+from energyplan.fit.problem import PAPER, Problem, _instead
 from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS
 from energyplan.power.effect_terms import COPPER_LOSS, STRIBECK
 
@@ -110,6 +110,18 @@ def test_a_fit_with_losses_comes_from_far_off(
         return fit(fresh.design(truth.terms, errors, start), errors).loss
 
     assert left(far) == pytest.approx(left((1.0, 1.0, 1.0, 1.0)), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("promised", "shorter"), [(0.0, []), (20.0, [0.16]), (40.0, [0.16, 0.064])]
+)
+def test_steps_are_made_shorter_as_long_as_they_promise_something(
+    promised: float, shorter: list[float]
+) -> None:
+    tried = list(_instead(promised))
+    assert tried[:4] == [None, None, 0.4, None]
+    assert tried[4::2] == pytest.approx(shorter)
+    assert tried[5::2] == [None] * len(shorter)
 
 
 def test_with_losses_as_they_are_the_rest_is_a_linear_fit(returning: Problem) -> None:
