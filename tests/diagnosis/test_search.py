@@ -77,6 +77,16 @@ def test_pairs_hold_the_set_and_two_effects_more(search: Search) -> None:
     assert search._pairs((0,), singles, np.zeros(3), candidates) == [(0, 1, 2)]
 
 
+def test_the_best_set_with_each_loss_is_tried_whatever_the_quick_search_says(
+    search: Search,
+) -> None:
+    candidates = search._candidates(None)
+    plain, lossy = (search._evaluate(some, candidates, ON_TIME) for some in ((1,), (0, 1)))
+    sets, scores = [(1, 2), (0, 1), (0, 1, 2), (0,)], np.array([4.0, 1.0, 3.0, 2.0])
+    assert search._losses(sets, scores, candidates, plain) == [(0, 1, 2)]
+    assert search._losses(sets, scores, candidates, lossy) == []
+
+
 def test_a_more_probable_set_that_earns_no_place_is_a_stepping_stone(search: Search) -> None:
     pools = {ON_TIME: search._candidates(None)}
     plain, whole = (search._posterior(s, pools[ON_TIME], ON_TIME) for s in ((), (0, 1, 2)))
