@@ -205,8 +205,10 @@ class FittedSets(Proposals):
         if one.part.effect.acts in ("change", "place"):
             # Where or when something changes was searched with all blocks: the block that shows
             # most of it is not foretold by the others.
-            part = _LASTING if self._missing(full) > 0.0 else _LASTING_COMPLETE
-            foretold = gain.lasting > part * gain.improvement
+            foretold = gain.lasting > _LASTING * gain.improvement or (
+                gain.lasting > _LASTING_COMPLETE * gain.improvement
+                and not self._missing(full) > 0.0
+            )
         else:
             foretold = gain.lasting > 0.0 or gain.improvement > gain.error
         return foretold and gain.p_value < _CHANCE and gain.weight + one.prior > 0.0

@@ -25,7 +25,7 @@ from energyplan.diagnosis.proposals import (
     Set,
     terms_of,
 )
-from energyplan.diagnosis.settled_sets import Weighed
+from energyplan.diagnosis.settled_sets import Weighed, most_probable
 from energyplan.fit.drives.drive import Drive
 from energyplan.fit.drives.late import ON_TIME, Late, least_late
 from energyplan.fit.least_squares import fit
@@ -159,16 +159,18 @@ class Search(NeighbouringSets):
             self._redelay(weighed, pools)
             self._settle_best(weighed, pools)
             self._settle_delay(weighed, pools)
-            chosen, late = max(weighed, key=lambda key: weighed[key])
+            chosen, late = most_probable(weighed)
             now, candidates = tuple(sorted(chosen)), pools[late]
             before = set(weighed)
             sets, scores, self.followed = self._weigh_neighbours(weighed, now, candidates, late)
             self.odds = self._odds(now, sets, scores, candidates, late)
+            if most_probable(weighed) not in before:
+                continue
             stone = self._stepping_stone(weighed, pools, stones)
-            if max(weighed, key=lambda key: weighed[key]) in before and stone is not None:
+            if stone is not None:
                 stones.add(stone)
                 self._weigh_neighbours(weighed, stone[0], pools[stone[1]], stone[1])
-            if max(weighed, key=lambda key: weighed[key]) in before:
+            if most_probable(weighed) in before:
                 self._lessened(weighed, now, candidates, late)
                 return
 
@@ -237,7 +239,7 @@ class Search(NeighbouringSets):
         Each offset has a pool of its own. A set of which one pool has only a part may be found in
         that of an offset that it does not need.
         """
-        chosen, found = max(weighed, key=lambda key: weighed[key])
+        chosen, found = most_probable(weighed)
         wanted = [pools[found][k] for k in sorted(chosen)]
         for late, candidates in pools.items():
             same = [
@@ -360,11 +362,10 @@ class Search(NeighbouringSets):
         """
         parts: list[Part] = []
         problem = self.problem
-
-        def place(effect: Effect) -> int:
-            return -1 if Part(effect).lossy else int(effect.acts in ("change", "place"))
-
-        for effect in sorted(self.effects, key=place):
+        order = sorted(
+            self.effects, key=lambda e: (not Part(e).lossy, e.acts in ("change", "place"))
+        )
+        for effect in order:
             variants = self.variants(effect)
             if effect.acts == "change":
                 problem = mark_changes(problem, terms_of(parts), _errors(problem, parts))

@@ -26,6 +26,11 @@ Weighed = dict[tuple[frozenset[int], Late], float]
 """Likelihood times prior of sets at time offsets, as logarithms."""
 
 
+def most_probable(weighed: Weighed) -> tuple[frozenset[int], Late]:
+    """Return the most probable set, and its time offset."""
+    return max(weighed, key=lambda key: weighed[key])
+
+
 class SettledSets(FittedSets):
     """Sets with parameters where they fit best; its parameters are those of `Proposals`."""
 
@@ -45,7 +50,7 @@ class SettledSets(FittedSets):
 
         What a value of the grid beside the true one leaves would look like one effect or another.
         """
-        chosen, late = max(weighed, key=lambda key: weighed[key])
+        chosen, late = most_probable(weighed)
         candidates = pools[late]
         one = self._evaluate(tuple(sorted(chosen)), candidates, late)
         moved: Set | None = None
@@ -65,7 +70,7 @@ class SettledSets(FittedSets):
         It was found without most of the set, and what it is beside the true one by looks like one
         effect or another.
         """
-        chosen, late = max(weighed, key=lambda key: weighed[key])
+        chosen, late = most_probable(weighed)
         if self.delay is None or late == ON_TIME:
             return
         one = self._evaluate(tuple(sorted(chosen)), pools[late], late)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -387,28 +386,33 @@ class Problem:
     def _starts(
         self, terms: Sequence[Term], errors: FloatArray | None
     ) -> list[Mapping[str, float]]:
-        """Return coefficients to start from: those found before, or of a fit without losses, too.
-
-        What losses take looks like other terms, of any size: terms that it makes impossible are
-        left out.
-        """
+        """Return coefficients to start from: found before, or of a fit without losses, too."""
         if {term.name for term in terms} <= set(self.memory):
             return [self.memory]
+        plain = self._start(terms, errors)
+        return [plain, self.memory] if self.memory else [plain]
+
+    def _start(self, terms: Sequence[Term], errors: FloatArray | None) -> dict[str, float]:
+        """Return coefficients of a fit without losses.
+
+        What losses take looks like other terms, of any size: those that it makes impossible are
+        left out.
+        """
         linear = [term for term in terms if term.kind != "loss"]
-        values = np.zeros(len(linear))
-        while len(linear) < len(terms):
+        if len(linear) == len(terms):
+            return {}
+        while True:
             design = self.design(linear, errors, {})
             scale = np.ones(len(design.rows)) if errors is None else errors
             values = solve(weighted(design, scale).sum(axis=0))
+            found = {term.name: float(v) for term, v in zip(linear, values, strict=True)}
             possible = [
-                term in PAPER or term.bounds[0] <= value <= term.bounds[1]
-                for term, value in zip(linear, values, strict=True)
-            ]
-            if all(possible):
-                break
-            linear = list(compress(linear, possible))
-        plain = {term.name: float(v) for term, v in zip(linear, values, strict=True)}
-        return [plain, self.memory] if self.memory else [plain]
+                term for term in linear
+                if term in PAPER or term.bounds[0] <= found[term.name] <= term.bounds[1]
+            ]  # fmt: skip
+            if len(possible) == len(linear):
+                return found
+            linear = possible
 
     def means(
         self, extra: Sequence[Term], terms: Sequence[Term] = (), values: FloatArray | None = None

@@ -74,10 +74,9 @@ def test_a_fit_with_losses_starts_from_that_without(errors: np.ndarray | None) -
     motion = Motion(left, right, MODEL.vehicle.icr)
     exact = Drive("exact", 0.1 * np.arange(400), motion, MODEL.power(motion))
     problem = Problem([exact], MODEL.vehicle)
-    (start,) = problem._starts((*TERMS, COPPER_LOSS), errors)
+    start = problem._start((*TERMS, COPPER_LOSS), errors)
     assert start == pytest.approx({t.name: MODEL.coefficient(t.name) for t in TERMS}, rel=1e-7)
-    (nothing,) = problem._starts(TERMS, errors)
-    assert not any(nothing.values())
+    assert problem._start(TERMS, errors) == {}
 
 
 @pytest.mark.parametrize(

@@ -226,7 +226,7 @@ class Drive:
     def rests(self) -> NDArray[np.bool_]:
         """Which samples show the power of the robot at rest: where it is late, that of before."""
         still = (self.motion.v_left == 0) & (self.motion.v_right == 0)
-        return replace(self, factor=1.0).seen(still.astype(float)) > _STILL
+        return self.seen(still.astype(float)) > _STILL * self.factor
 
     def in_time(self, measured: FloatArray) -> FloatArray:
         """Return a measured power as the model has it: not late, and without the run's factor."""
