@@ -23,8 +23,17 @@ NORMAL_MAD = 1.4826
 HUBER_TUNING = 1.345
 """Where Huber's loss turns linear, in standard deviations (95 % efficient for normal noise)."""
 
-_BAND = 4000
+_BAND = 1000
 """Least rows that a reduced linear program holds; up to twice as many are solved as they are."""
+
+_SAMPLED = 8
+"""One row in so many leads near the solution of all."""
+
+_REACH = 12.0
+"""Rows of a band, over the root of coefficients times rows: four standard errors of that lead."""
+
+_ROUNDING = 1e-12
+"""Residual over the largest target that is zero but for rounding."""
 
 _FEW_WRONG = 0.1
 """Share of the band, up to which rows with another sign than expected join it."""
@@ -162,14 +171,19 @@ def lad(X: FloatArray, y: FloatArray, bounds: Bounds) -> FloatArray:
         c, _ = _lad_program(Xs, ys, inner, np.zeros(X.shape[1]))
         return bounds.clip(c * target / scale)
     # Rows evenly picked lead near the solution, however skew the residual; squares would not.
-    few = slice(None, None, -(-len(ys) // (2 * _BAND)))
-    c = lad(Xs[few], ys[few], inner)
-    size = max(_BAND, round(3.0 * len(ys) ** (2 / 3)))
+    c = lad(Xs[::_SAMPLED], ys[::_SAMPLED], inner)
+    size = max(_BAND, round(_REACH * np.sqrt(Xs.size)))
     band, sign = _band(ys - Xs @ c, size)
     while True:
         fixed = Xs[~band].T @ sign[~band]
-        found, _ = _lad_program(Xs[band], ys[band], inner, fixed)
-        wrong = ~band & ((ys - Xs @ found) * sign < 0)
+        try:
+            found, _ = _lad_program(Xs[band], ys[band], inner, fixed)
+        except NotIdentifiableError:
+            if band.all():
+                raise
+            wrong = ~band  # the rows of the band do not hold a coefficient that all rows hold
+        else:
+            wrong = ~band & ((ys - Xs @ found) * sign < -_ROUNDING)
         count = np.count_nonzero(wrong)
         if count == 0:
             return bounds.clip(found * target / scale)
@@ -181,11 +195,11 @@ def lad(X: FloatArray, y: FloatArray, bounds: Bounds) -> FloatArray:
 
 
 def _band(residual: FloatArray, size: int) -> tuple[NDArray[np.bool_], FloatArray]:
-    """Mark the rows of the smallest residuals, and return the signs of all."""
+    """Mark the rows of the smallest residuals, and return the signs of all; zero counts as above."""
     band = np.ones(len(residual), bool)
     if size < len(residual):
         band[np.argpartition(np.abs(residual), size)[size:]] = False
-    return band, np.sign(residual)
+    return band, np.where(residual < 0.0, -1.0, 1.0)
 
 
 def simplex(

@@ -136,10 +136,15 @@ def test_lad_of_many_rows_is_certified_optimal(seed: int) -> None:
     assert np.all(np.abs(np.linalg.solve(X[basis].T, -pull)) <= 1 + 1e-6)
 
 
-def test_lad_of_quantised_speeds_has_ties() -> None:
-    rng = np.random.default_rng(0)
-    X = rng.integers(0, 6, (20_000, 2)) / 5.0
-    y = np.round(X @ [3.0, 7.0] + rng.normal(size=len(X)), 0)
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("levels", "step"), [(6, 1.0), (3, 3.0), (6, 10.0)], ids=["fine", "few arcs", "coarse power"]
+)
+def test_lad_of_quantised_speeds_has_ties(levels: int, step: float, seed: int) -> None:
+    """A reading may be the fitted power exactly, in more rows than any band holds."""
+    rng = np.random.default_rng(seed)
+    X = rng.integers(0, levels, (30_000, 2)) / 5.0
+    y = step * np.round((X @ [3.0, 7.0] + rng.normal(size=len(X))) / step)
     free = solvers.Bounds(np.full(2, -np.inf), np.full(2, np.inf))
     found = solvers.lad(X, y, free)
     rows, counts = np.unique(np.column_stack([X, y]), axis=0, return_counts=True)
