@@ -195,7 +195,7 @@ def lad(X: FloatArray, y: FloatArray, bounds: Bounds) -> FloatArray:
 
 
 def _band(residual: FloatArray, size: int) -> tuple[NDArray[np.bool_], FloatArray]:
-    """Mark the rows of the smallest residuals, and return the signs of all; zero counts as above."""
+    """Mark the rows of the smallest residuals, and return the signs of all (zero: positive)."""
     band = np.ones(len(residual), bool)
     if size < len(residual):
         band[np.argpartition(np.abs(residual), size)[size:]] = False
