@@ -31,9 +31,16 @@ ROBOT = PowerModel.preset("quadriga:full:concrete")
 NAMES = ("copper_loss", "dragging_wheel_left", "towed_drag")
 
 
+@pytest.fixture
+def search(made: Search) -> Search:
+    """A search over three effects, on a drive that has them; no set is fitted yet."""
+    made.evaluated.clear()
+    return made
+
+
 @pytest.fixture(scope="module")
-def search() -> Search:
-    """A search over three effects, on a drive that has them."""
+def made() -> Search:
+    """The same for all tests: they number candidates differently, and share what was fitted."""
     model = ROBOT
     for term, size in ((COPPER_LOSS, 4e-4), (DRAGGING_LEFT, 40.0), (TOWED_DRAG, 45.0)):
         model = model.with_term(term, size)
@@ -42,9 +49,9 @@ def search() -> Search:
     )
     effects = [catalogue()[name] for name in NAMES]
     problem = Problem(prepared([log], ROBOT.vehicle), ROBOT.vehicle)
-    made = Search(problem, effects, lambda *_: None, 4)
-    made.errors = problem.reference(problem.design(ROBOT.terms))
-    return made
+    found = Search(problem, effects, lambda *_: None, 4)
+    found.errors = problem.reference(problem.design(ROBOT.terms))
+    return found
 
 
 def test_a_set_is_fitted_again_from_a_part_of_it_that_explains_more(search: Search) -> None:
