@@ -69,7 +69,8 @@ class NeighbouringSets(SettledSets):
                 self._fit_from(now, some, candidates, late)
             self._weigh(weighed, some, candidates, late)
         own = float(self._scores(design, candidates, [now], one.errors)[0])
-        return sets, scores - own, follows
+        # Where the quick search takes the set itself for impossible, it has no odds to tell.
+        return sets, scores - own if np.isfinite(own) else np.full(len(sets), -np.inf), follows
 
     def _pairs(
         self, now: Set, sets: Sequence[Set], scores: FloatArray, candidates: Sequence[Candidate]

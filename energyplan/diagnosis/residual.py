@@ -97,13 +97,14 @@ def signals(drives: Sequence[Drive]) -> list[str]:
     names = [*DERIVED, *sorted(channels_of(drives) - _NOT_SIGNALS)]
     kept = []
     power = np.concatenate([drive.power for drive in drives])
+    steady = np.ptp(power) == 0.0  # nothing follows from what never changes
     for name in names:
         if name.startswith(_POWER_PARTS):
             continue
         spread = np.ptp(np.concatenate([signal(drive.motion, name) for drive in drives]))
         if spread <= 1e-6:
             continue
-        if name not in DERIVED and name not in CHANNELS:
+        if name not in DERIVED and name not in CHANNELS and not steady:
             values = np.concatenate([signal(drive.motion, name) for drive in drives])
             if abs(np.corrcoef(values, power)[0, 1]) > _CONSEQUENCE:
                 continue

@@ -25,6 +25,7 @@ from energyplan.diagnosis.proposals import (
     Set,
     terms_of,
 )
+from energyplan.diagnosis.separable import separable, varies
 from energyplan.diagnosis.settled_sets import Weighed, most_probable
 from energyplan.fit.drives.drive import Drive
 from energyplan.fit.drives.late import ON_TIME, Late, least_late
@@ -128,6 +129,7 @@ class Search(NeighbouringSets):
         means = self.whole.averaged(_PERIOD)
         self.problem = means.excerpt(_SAMPLES, _DRIVES)
         self.excerpted = self.problem is not means
+        self._leave_inseparable()
         pools: dict[Late, tuple[list[Candidate], list[Set]]] = {}
         for late in self._delays(nuisance):
             pools[late] = self.pool(late, usual)
@@ -143,6 +145,22 @@ class Search(NeighbouringSets):
         candidates_at = {late: pool[0] for late, pool in pools.items()}
         self._climb(weighed, candidates_at)
         return self._explained(weighed, candidates_at)
+
+    def _leave_inseparable(self) -> None:
+        """Leave out effects that drives of such motions do not tell from friction."""
+        tried = [e for e in self.effects if e.terms and e.acts in ("motion", "log")]
+        parts = [part for effect in tried for part in self.variants(effect)]
+        told = {
+            part.effect.name
+            for part, one in zip(parts, separable(self.problem, parts), strict=True) if one
+        }  # fmt: skip
+        gone = [effect for effect in tried if effect.name not in told]
+        self.effects = [effect for effect in self.effects if effect not in gone]
+        if self.delay is not None and not varies(self.problem):
+            gone.append(self.delay)
+            self.delay = None
+        reason = "these drives hold too few motions to tell it from friction"
+        self.untested.extend((effect.name, reason) for effect in gone)
 
     def _climb(
         self,

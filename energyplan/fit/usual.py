@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,20 @@ USUAL = {"slip_friction": (0.6, 0.3), "traction_resistance": (0.1, 0.05)}
 presets: from ice to asphalt, from 17 to 470 kg."""
 
 _UNTOLD = 1e3  # standard deviations of the usual, by which what drives do not tell is unknown
+
+
+class UsualFriction(NamedTuple):
+    """Mean and standard deviation of a coefficient over robots and grounds."""
+
+    mean: float
+    deviation: float
+
+
+def usual_friction(term: Term, vehicle: Vehicle) -> UsualFriction:
+    """Return what a coefficient of the paper usually is for a robot: mu, or K [N]."""
+    scale = vehicle.mass * GRAVITY if term.name == "traction_resistance" else 1.0
+    mean, deviation = USUAL[term.name]
+    return UsualFriction(scale * mean, scale * deviation)
 
 
 def with_usual(
@@ -48,11 +63,9 @@ def with_usual(
         Both, combined with the usual values as with a measurement, and the names of the terms of
         which those were taken.
     """
-    scales = {"slip_friction": 1.0, "traction_resistance": vehicle.mass * GRAVITY}
     which = [k for k, term in enumerate(terms) if term.name in USUAL]
-    mean, error = np.array(
-        [scales[terms[k].name] * np.array(USUAL[terms[k].name]) for k in which]
-    ).reshape(-1, 2).T  # fmt: skip
+    known = [usual_friction(terms[k], vehicle) for k in which]
+    mean, error = np.array(known).reshape(-1, 2).T
     values, covariance = np.array(values), np.array(covariance)
     size = np.sqrt(np.diagonal(gram)[which])
     for k, (place, shown) in enumerate(zip(which, size > 0.0, strict=True)):

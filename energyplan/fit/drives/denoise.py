@@ -277,7 +277,8 @@ class Steps:
         -------
         Steps
             The mean reading of a value errs periodically with it: noise damps each harmonic of the
-            rounding error, as of a dithered quantiser.
+            rounding error, as of a dithered quantiser. Readings that are all alike show no step: of
+            what a model expects, as of a power, they may be one step each.
 
         References
         ----------
@@ -286,8 +287,11 @@ class Steps:
         levels = np.unique(values)
         gaps = np.diff(levels)
         gaps = gaps[gaps > 1e-9 * np.max(np.abs(levels), initial=0.0)]
-        if len(levels) < 2 or len(values) < _FEWEST or not len(gaps):
+        if len(values) < _FEWEST:
             return cls()
+        if not len(gaps):
+            only = 0.0 if expected is None else float(np.max(np.abs(levels)))
+            return cls(only, only / np.sqrt(12.0))
         size = float(np.min(gaps))
         if np.any(np.abs(gaps / size - np.round(gaps / size)) > _LATTICE * gaps / size):
             return cls()
