@@ -189,6 +189,8 @@ class Search(NeighbouringSets):
                 stones.add(stone)
                 self._weigh_neighbours(weighed, stone[0], pools[stone[1]], stone[1])
             if most_probable(weighed) in before:
+                self._search_lines_again(weighed, pools)
+            if most_probable(weighed) in before:
                 self._lessened(weighed, now, candidates, late)
                 return
 

@@ -18,6 +18,7 @@ from energyplan.fit.problem import PAPER, Problem
 from energyplan.path import FloatArray
 
 _KEPT = 8  # lines about which others are tried
+KEPT_LAST = 16  # the same where nothing else is sought any more: more of them find no better line
 _TOGETHER = 16  # lines in one table
 _TELLS = 5.0  # by which a line raises the logarithm of the likelihood, at least; chance up to 4
 _SAMPLES = 5  # in a shortest window, that tell where a line may be
@@ -60,6 +61,26 @@ class SettledSets(FittedSets):
         if moved is not None:
             self._weigh(weighed, moved, candidates, late)
 
+    def _search_lines_again(
+        self,
+        weighed: Weighed,
+        pools: Mapping[Late, list[Candidate]],
+    ) -> None:
+        """Look for the lines of the best set once more: they were found without most of it."""
+        chosen, late = most_probable(weighed)
+        candidates, now = pools[late], tuple(sorted(chosen))
+        names = frozenset(candidates[k].name for k in now)
+        if names in self.searched:
+            return
+        self.searched.add(names)
+        one = self._evaluate(now, candidates, late)
+        moved: Set | None = None
+        for k in now:
+            if candidates[k].settled and candidates[k].part.effect.acts == "place":
+                moved = self._settle(k, moved or now, candidates, one, KEPT_LAST) or moved
+        if moved is not None:
+            self._weigh(weighed, moved, candidates, late)
+
     def _settle_delay(
         self,
         weighed: Weighed,
@@ -83,7 +104,7 @@ class SettledSets(FittedSets):
             self._weigh(weighed, tuple(sorted(chosen)), pools[moved], moved)
 
     def _settle(
-        self, k: int, chosen: Set, candidates: list[Candidate], now: Evaluated
+        self, k: int, chosen: Set, candidates: list[Candidate], now: Evaluated, kept: int = _KEPT
     ) -> Set | None:
         """Return a set with a candidate's parameters moved to where it fits best, if it does.
 
@@ -91,7 +112,7 @@ class SettledSets(FittedSets):
         """
         parts, at = [candidates[j].part for j in chosen], chosen.index(k)
         if parts[at].effect.acts == "place":
-            parts[at] = self._nearest(parts, at, now)
+            parts[at] = self._nearest(parts, at, now, kept)
         part, made = parts[at], self._moved(parts, at, now.problem)
         better = settled(part, made, now.errors)
         if better is None:
@@ -104,7 +125,9 @@ class SettledSets(FittedSets):
         candidates.append(replace(candidates[k], part=part, columns=columns, settled=True))
         return tuple(sorted({*chosen, len(candidates) - 1} - {k}))
 
-    def _nearest(self, parts: Sequence[Part], at: int, now: Evaluated) -> Part:
+    def _nearest(
+        self, parts: Sequence[Part], at: int, now: Evaluated, kept: int = KEPT_LAST
+    ) -> Part:
         """Return the line with which a set fits best, of many: the nearest to start from.
 
         Wheels cross a border one after the other, so that lines beside the best one are worse than
@@ -126,7 +149,7 @@ class SettledSets(FittedSets):
                 ]
             )
             ranked = [best[k] for k in np.argsort(-scores, kind="stable")]
-            best = ground.apart(ranked, level)[:_KEPT]
+            best = ground.apart(ranked, level)[:kept]
         return best[0]
 
     def _alone(
