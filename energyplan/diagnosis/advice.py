@@ -167,7 +167,7 @@ def drive_advice(dependences: Sequence[Dependence], significance: float) -> list
 
 
 def untested_advice(untested: Sequence[tuple[str, str]], effects: Sequence[str]) -> list[str]:
-    """Say which effects could not be tested for want of a channel."""
+    """Say which effects could not be tested, and why."""
     by_reason: dict[str, list[str]] = {}
     for name, reason in untested:
         if name not in effects:

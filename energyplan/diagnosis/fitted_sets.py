@@ -71,7 +71,6 @@ class FittedSets(Proposals):
         super().__init__(problem, effects, limit, judged)
         self.rest = Rest(problem)
         self.evaluated: dict[tuple[Set, Late], Evaluated] = {}
-        self.searched: set[frozenset[str]] = set()  # sets whose lines were looked for again
 
     def _best_of(self, pools: Mapping[Late, tuple[list[Candidate], list[Set]]]) -> Evaluated:
         every = [

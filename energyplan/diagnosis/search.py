@@ -173,6 +173,7 @@ class Search(NeighbouringSets):
         what else it needs.
         """
         stones: set[tuple[Set, Late]] = set()
+        searched: set[frozenset[str]] = set()
         for _ in range(self.limit):
             self._redelay(weighed, pools)
             self._settle_best(weighed, pools)
@@ -189,7 +190,7 @@ class Search(NeighbouringSets):
                 stones.add(stone)
                 self._weigh_neighbours(weighed, stone[0], pools[stone[1]], stone[1])
             if most_probable(weighed) in before:
-                self._search_lines_again(weighed, pools)
+                self._search_lines_again(weighed, pools, searched)
             if most_probable(weighed) in before:
                 self._lessened(weighed, now, candidates, late)
                 return

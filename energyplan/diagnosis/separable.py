@@ -50,10 +50,10 @@ def separable(problem: Problem, parts: Sequence[Part]) -> NDArray[np.bool_]:
         A regressor that is zero throughout is no combination.
     """
     usual = _friction(problem)
-    shares = [_means(problem, parts, usual[0] + by * usual[1]) for by in (0.0, _TURNING)]
+    means = [_means(problem, parts, usual[0] + by * usual[1]) for by in (0.0, _TURNING)]
     owner = np.repeat(np.arange(len(parts)), np.array([len(part.terms) for part in parts], int))
-    told = np.bincount(owner, np.any([_tells(one) for one in shares], axis=0), len(parts)) > 0
-    acts = np.bincount(owner, shares[0][:, len(PAPER) :].any(axis=0), len(parts)) > 0
+    told = np.bincount(owner, np.any([_tells(one) for one in means], axis=0), len(parts)) > 0
+    acts = np.bincount(owner, means[0][:, len(PAPER) :].any(axis=0), len(parts)) > 0
     return np.asarray(told | ~acts)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from energyplan.fit.problem import PAPER, Problem
 from energyplan.path import FloatArray
 
 _KEPT = 8  # lines about which others are tried
-KEPT_LAST = 16  # the same where nothing else is sought any more: more of them find no better line
+_KEPT_LAST = 16  # the same where nothing else is sought any more: more of them find no better line
 _TOGETHER = 16  # lines in one table
 _TELLS = 5.0  # by which a line raises the logarithm of the likelihood, at least; chance up to 4
 _SAMPLES = 5  # in a shortest window, that tell where a line may be
@@ -51,33 +51,42 @@ class SettledSets(FittedSets):
 
         What a value of the grid beside the true one leaves would look like one effect or another.
         """
-        chosen, late = most_probable(weighed)
-        candidates = pools[late]
-        one = self._evaluate(tuple(sorted(chosen)), candidates, late)
-        moved: Set | None = None
-        for k in sorted(chosen):
-            if candidates[k].part.params and not candidates[k].settled:
-                moved = self._settle(k, moved or tuple(sorted(chosen)), candidates, one) or moved
-        if moved is not None:
-            self._weigh(weighed, moved, candidates, late)
+        self._settle_some(weighed, pools, lambda one: bool(one.part.params) and not one.settled)
 
     def _search_lines_again(
         self,
         weighed: Weighed,
         pools: Mapping[Late, list[Candidate]],
+        searched: set[frozenset[str]],
     ) -> None:
-        """Look for the lines of the best set once more: they were found without most of it."""
+        """Look for the lines of the best set once more: they were found without most of it.
+
+        Names of sets for which that was done are in `searched`, and join it.
+        """
+        chosen, late = most_probable(weighed)
+        names = frozenset(pools[late][k].name for k in chosen)
+        if names not in searched:
+            searched.add(names)
+            self._settle_some(
+                weighed, pools, lambda one: one.settled and one.part.effect.acts == "place",
+                _KEPT_LAST,
+            )  # fmt: skip
+
+    def _settle_some(
+        self,
+        weighed: Weighed,
+        pools: Mapping[Late, list[Candidate]],
+        which: Callable[[Candidate], bool],
+        kept: int = _KEPT,
+    ) -> None:
+        """Weigh the best set with the parameters of some of its effects where it fits best."""
         chosen, late = most_probable(weighed)
         candidates, now = pools[late], tuple(sorted(chosen))
-        names = frozenset(candidates[k].name for k in now)
-        if names in self.searched:
-            return
-        self.searched.add(names)
         one = self._evaluate(now, candidates, late)
         moved: Set | None = None
         for k in now:
-            if candidates[k].settled and candidates[k].part.effect.acts == "place":
-                moved = self._settle(k, moved or now, candidates, one, KEPT_LAST) or moved
+            if which(candidates[k]):
+                moved = self._settle(k, moved or now, candidates, one, kept) or moved
         if moved is not None:
             self._weigh(weighed, moved, candidates, late)
 
@@ -126,7 +135,7 @@ class SettledSets(FittedSets):
         return tuple(sorted({*chosen, len(candidates) - 1} - {k}))
 
     def _nearest(
-        self, parts: Sequence[Part], at: int, now: Evaluated, kept: int = KEPT_LAST
+        self, parts: Sequence[Part], at: int, now: Evaluated, kept: int = _KEPT_LAST
     ) -> Part:
         """Return the line with which a set fits best, of many: the nearest to start from.
 
