@@ -24,6 +24,9 @@ _LEAST_TURNING = 1.0
 _WINDOW = 200
 """Samples over which the noise of increments is judged."""
 
+_LARGEST_ERROR = 0.25
+"""Standard error of a slip track over it; beyond, what wheelbase and track predict is better."""
+
 _LEAST_GRIP = 0.05
 """Measured turning over what the wheels say; below, the wheels do not drive the body."""
 
@@ -191,7 +194,8 @@ def fit_icr(
     Raises
     ------
     NotIdentifiableError
-        If the logs have no yaw, do not turn, or lack the pose that asymmetric ICRs need.
+        If the logs have no yaw, do not turn, do not tell the slip track to a quarter of itself, or
+        lack the pose that asymmetric ICRs need.
 
     Notes
     -----
@@ -242,6 +246,12 @@ def fit_icr(
     value, variance = zip(*(_instrumented(eq, data, pieces) for eq in equations), strict=True)
     # The equations see different noise: that of the speeds' difference, of their mean, of the pose.
     covariance = np.diag(np.pad(np.array(variance), (0, 3 - len(variance))))
+    if not np.sqrt(variance[0]) <= _LARGEST_ERROR * value[0]:
+        raise NotIdentifiableError(
+            f"the tread ICRs cannot be identified: by {channel} the slip track is {value[0]:.3g} "
+            f"+- {np.sqrt(variance[0]):.2g} m; log speeds and yaw more often, or add a spin of "
+            "several turns"
+        )
     track, shift = value[0], value[1] if pose else 0.5 * (prior.left - prior.right)
     ahead = -value[2] if pose else prior.longitudinal
     turn = np.array([[0.5, 1.0, 0.0], [0.5, -1.0, 0.0], [0.0, 0.0, -1.0]])

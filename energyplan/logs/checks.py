@@ -25,6 +25,7 @@ _BRIDGE = 1.0  # longest hole in a further channel that is bridged by interpolat
 _PAUSE = 10.0  # time between recordings whose clocks begin anew [s]
 _LATE = 0.01  # share of the rows that may come late
 _LATEST = 5.0  # how late they may come [s]
+_FAR = 0.01  # share of the steps in which a heading may change by more than a third of a turn
 _SPARSE = 0.1  # share of rows that may be set aside for want of a further channel
 
 
@@ -196,6 +197,7 @@ def clean(columns: Mapping[str, ArrayLike], label: str, place: Place) -> Cleaned
     cleaner.order()
     for name in [name for name in channels if name not in needed]:
         cleaner.bridge(name)
+    cleaner.follow_heading()
     if len(cleaner.rows) < 2:
         told = "; ".join(str(item) for item in cleaner.aside)
         raise DriveLogError(
@@ -420,3 +422,18 @@ class _Cleaner:
             del self.channels[name]
         else:
             self.drop(hole, f"{name} has no usable reading for more than {_BRIDGE:g} s; left out")
+
+    def follow_heading(self) -> None:
+        """Leave out a heading, from 0 to one turn, that is read too seldom to tell the turns."""
+        yaw, t = self.channels.get("yaw"), self.channels["t"]
+        if yaw is None or len(t) < 3 or np.ptp(yaw) > 2 * np.pi:
+            return
+        change = np.abs(np.angle(np.exp(1j * np.diff(yaw))))[np.diff(t) <= gap_limit(t)]
+        far = np.count_nonzero(change > 2 * np.pi / 3)
+        if far > max(1.0, _FAR * len(change)):
+            self.warnings.append(
+                f"yaw is left out: in {far / len(change):.0%} of the steps from reading to reading "
+                "it changes by more than a third of a turn, which does not tell how far the robot"
+                " turned, or which way; log it more often"
+            )
+            del self.channels["yaw"]

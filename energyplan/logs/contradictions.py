@@ -175,6 +175,9 @@ def _sides(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
         factors = np.linalg.solve(gram, speeds @ rate)
         if correlation(factors @ speeds, rate) < 0.93:
             continue
+        as_they_are = correlation(speeds[1] - speeds[0], rate)
+        if 1.0 - as_they_are**2 < 2.0 * (1.0 - correlation(factors @ speeds, rate) ** 2):
+            continue  # the difference itself tells the turns about as well
         left, right = (float(factor) for factor in factors)
         shares = np.abs(factors) * scale
         if shares.min() < 0.08 * shares.max():
@@ -252,8 +255,9 @@ def _courses(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> _Cour
         edges = np.arange(t[run][0], t[run][-1], max(1.0, 5 * float(np.median(np.diff(t)))))
         if len(edges) < 2:
             continue
-        steps = np.diff(t[run], prepend=t[run][0])
-        way = np.cumsum(speed[run] * np.exp(1j * heading[run]) * steps)
+        # The heading amid two readings: in a step, a robot that turns goes along neither.
+        amid, rolled = (0.5 * (part[run][1:] + part[run][:-1]) for part in (heading, speed))
+        way = np.append(0.0, np.cumsum(rolled * np.exp(1j * amid) * np.diff(t[run])))
         place = channels["x"][run] + 1j * channels["y"][run]
         goes = np.diff(np.interp(edges, t[run], way.real) + 1j * np.interp(edges, t[run], way.imag))
         went = np.diff(

@@ -13,6 +13,7 @@ from energyplan.path import FloatArray
 
 _WINDOW = 3.0  # length of the stretches over which distances are compared [s]
 _ENOUGH = 20  # samples or windows below which nothing is concluded
+_JITTER = 6.0  # least displacement of a pose, over the noise of its readings, that tells a length
 _ALIKE = 0.9  # correlation from which the turning tells a slip track
 _INERTIA_ERROR = 0.13  # share to which a mass must be told, three of which are the range's margin
 
@@ -179,6 +180,11 @@ def distance_ratio(channels: Mapping[str, FloatArray], runs: Sequence[slice]) ->
     far = wheel > 0.3 * wheel.max()
     wheel, pose = wheel[far], pose[far]
     if len(wheel) < 3 or not np.any(pose):
+        return np.nan
+    jitter = np.concatenate(
+        [np.diff(channels[name][run], 2) for name in ("x", "y") for run in runs]
+    )
+    if np.mean(pose**2) < _JITTER**2 * float(np.mean(jitter**2)) / 6.0:
         return np.nan
     ratio = float(wheel @ wheel) / float(wheel @ pose)
     # Stretches that contradict each other (slipping, a lost pose) tell nothing.

@@ -20,6 +20,7 @@ _LONG = 5.0  # time of driving straight in which no power stays the same [s]
 _FOLLOWS = 0.9  # correlation with a side's speed, of a robot that turns about the other
 _TURNS = 0.3  # yaw rate over a second that no robot has which is driven straight [rad/s]
 _SHARE = 0.05  # share of the samples in which it must
+_BY_DIFFERENCE = 0.7  # correlation of a yaw rate with the speeds' difference that makes it
 _FEW, _TOLD = 5, 5.0  # samples, and seconds, that tell a sign at least
 _DRAGGED = 1.3  # times the resistance of straight lines, which no side on the inside draws
 _UNLIKE = 60.0  # ratio of both sides' powers that no ground explains
@@ -150,18 +151,38 @@ def _signs(channels: Mapping[str, FloatArray], rates: Mapping[str, FloatArray]) 
     top = float(np.quantile(left + right, 0.99))
     if min(left.min(), right.min()) < -0.02 * top or np.array_equal(left, right):
         return ""
-    equal = (np.abs(right - left) < 0.15 * (left + right)) & (left + right > 0.2 * top)
+    difference = right - left
+    equal = (np.abs(difference) < 0.15 * (left + right)) & (left + right > 0.2 * top)
     for name, rate in rates.items():
-        spinning = equal & (
-            np.abs(rate) > max(_TURNS, 0.5 * float(np.quantile(np.abs(rate), 0.99)))
-        )
-        if np.count_nonzero(spinning) > max(_ENOUGH, 0.5 * _SHARE * len(left)):
+        turning = np.abs(rate) > _TURNS
+        spinning = equal & turning & (np.abs(rate) > 0.5 * np.quantile(np.abs(rate), 0.99))
+        if np.count_nonzero(spinning) <= max(_ENOUGH, 0.5 * _SHARE * len(left)):
+            continue
+        if not _turns_by(difference, rate, spinning, turning & ~spinning):
             return (
                 f"{name} shows that the robot spins where both treads seem to go forwards: the "
                 "tread speeds lost their sign; log them with it, for unsigned speeds show "
                 "neither turns nor reversing"
             )
     return ""
+
+
+def _turns_by(
+    difference: FloatArray, rate: FloatArray, some: NDArray[np.bool_], others: NDArray[np.bool_]
+) -> bool:
+    """Whether the speeds' difference makes the turns of some samples, as it does those of others.
+
+    So it does in wide arcs of a robot that never turns on the spot: both sides are about as fast.
+    """
+    if abs(correlation(difference[some], rate[some])) < _BY_DIFFERENCE:
+        return False
+    if np.count_nonzero(others) < _ENOUGH:
+        return True
+    tracks = [
+        float(difference[part] @ rate[part]) / float(rate[part] @ rate[part])
+        for part in (some, others)
+    ]
+    return abs(tracks[0]) > 0.5 * abs(tracks[1])
 
 
 def compare_powers(channels: Mapping[str, FloatArray]) -> str:

@@ -29,6 +29,7 @@ _SUFFICIENT = 200_000  # samples that tell a time offset as well as more would
 _ENOUGH = 20  # samples below which nothing is concluded
 _TURNING = 0.05  # difference of the tread speeds from which the robot surely turns [m/s]
 _DIGITS = 4  # different speeds below which no step is concluded
+_TELLING = 3.0  # time that a side must do what shows a sign [s]: no stop, which gives back, lasts so
 _MOVING = 0.03  # tread speed from which it surely moves [m/s]
 
 
@@ -349,8 +350,14 @@ def _check_power(
     effort = np.abs(left) + np.abs(right)
     moving = effort > 2 * _MOVING
     told: list[str] = []
-    if np.count_nonzero(moving) < _ENOUGH:
+    driven = np.count_nonzero(moving)
+    if driven < _ENOUGH and 2 * driven < len(t):
         return ["the robot hardly moves; its power parameters cannot be found"]
+    if driven < _ENOUGH:
+        return [
+            f"{driven} readings of driving are too few: power parameters cannot be found from this "
+            "log alone, nor mistakes with it; log longer, or more often"
+        ]
     if not np.any(power):
         return ["power is zero all along"]
     told += _check_steps(left, right)
@@ -365,7 +372,7 @@ def _check_power(
         for period, names in together.items()
     ]
     sides = [name for name in ("p_left", "p_right") if {"p_left", "p_right"} <= set(channels)]
-    flipped = [name for name in sides if _dragging(channels, name)]
+    flipped = [name for name in sides if _flipped(channels, name)]
     if len(flipped) != 1:
         wrong = _wrong_sign(power[moving]) and not _descends(channels)
         source = ["current"] if "current" in channels and "power" not in channels else ["power"]
@@ -395,27 +402,32 @@ def _check_power(
     return told
 
 
-def _dragging(channels: Mapping[str, FloatArray], side: str) -> bool:
-    """Whether a side's power falls as its tread drives, whichever way the robot turns.
+def _flipped(channels: Mapping[str, FloatArray], side: str) -> bool:
+    """Whether a side's power is negative where the side can only draw.
 
-    The inner side of an arc generates: its power is that of the slip force, which changes sign with
-    the turn, and of a resistance, which does not. Only the latter tells a wrong sign.
+    On the outside of an arc and on the spot it works against slip and resistance at once. The inner
+    side of an arc generates, and on a straight line one side may push the other along; but where
+    there are straight lines only, two sides that work equally against each other go nowhere.
     """
+    other = "p_left" if side == "p_right" else "p_right"
     speed = channels["v_right" if side == "p_right" else "v_left"]
     outwards = 1.0 if side == "p_right" else -1.0
-    turn = outwards * np.clip((channels["v_right"] - channels["v_left"]) / _TURNING, -1.0, 1.0)
-    X, y = np.stack([turn * speed, np.abs(speed)]), channels[side]
-    if not np.any(y) or not np.any(speed):
+    turn = outwards * (channels["v_right"] - channels["v_left"])
+    effort = np.abs(channels["v_left"]) + np.abs(channels["v_right"])
+    outer = (turn * speed > 0) & (np.abs(turn) > np.maximum(_TURNING, 0.15 * effort))
+    outer &= np.abs(speed) > _MOVING
+    enough = max(_ENOUGH, _TELLING / float(np.median(np.diff(channels["t"]))))
+    drawn = channels[side][outer]
+    negative = _wrong_sign(drawn)
+    if len(drawn) >= enough or (len(drawn) and not negative):
+        return negative
+    straight = (np.abs(turn) < 0.1 * effort) & (effort > 2 * _MOVING)
+    # An arc of a large radius, to one side, looks the same, and ends elsewhere.
+    bent = abs(float(turn[straight].sum())) > 0.01 * float(effort[straight].sum())
+    if np.count_nonzero(straight) < enough or bent:
         return False
-    gram, cross = X @ X.T, X @ y
-    alike = correlation(X[0], X[1])
-    if abs(alike) > 0.97:
-        # Not to be told apart. In spins and on the outer side both draw; on the inner side, who
-        # knows.
-        return alike > 0 and _wrong_sign(y[X[1] > _MOVING])
-    slip, resistance = np.linalg.pinv(gram, rcond=1e-12, hermitian=True) @ cross
-    explained = (slip * cross[0] + resistance * cross[1]) / float(y @ y)
-    return bool(explained > 0.5 and gram[1, 1] > 0 and resistance < -0.1 * abs(slip))
+    power, opposite = channels[side][straight], channels[other][straight]
+    return _wrong_sign(power) and bool(0.5 < -opposite.mean() / power.mean() < 2.0)
 
 
 def _wrong_sign(power: FloatArray) -> bool:

@@ -391,6 +391,20 @@ def test_coarse_pose_tells_the_slip_track_only(truth: PowerModel) -> None:
     np.testing.assert_allclose(found.model.coefficients, truth.coefficients, rtol=0.02)
 
 
+def test_an_icr_that_is_hardly_known_is_kept_and_said_so(truth: PowerModel) -> None:
+    """Read once a second, where commands last as long, the slip track is 0.65 +- 0.69 m."""
+    speeds = np.random.default_rng(3).uniform(-0.6, 0.6, (40, 2))
+    log = simulate.drive(
+        truth, [simulate.Setpoint(*pair, hold=1.0) for pair in speeds], rate=1.0, accel_limit=3.0,
+        speed_noise=0.02, noise={"yaw_rate": 0.02}, without=("x", "y", "yaw"), seed=3,
+    )  # fmt: skip
+    with pytest.raises(NotIdentifiableError, match=r"slip track is .* \+- .* more often"):
+        fit_icr(log, truth.vehicle.icr)
+    found = identify(log, truth.vehicle)
+    assert found.icr == truth.vehicle.icr
+    assert any("were kept" in text and "more often" in text for text in found.warnings)
+
+
 def test_without_yaw_the_icr_is_kept_and_said_so(truth: PowerModel) -> None:
     log = simulate.drive(truth, "spiral", seed=1, without=("x", "y", "yaw", "yaw_rate"), **NOISE)
     found = identify(log, truth.vehicle)
