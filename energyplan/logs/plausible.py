@@ -29,7 +29,7 @@ _SUFFICIENT = 200_000  # samples that tell a time offset as well as more would
 _ENOUGH = 20  # samples below which nothing is concluded
 _TURNING = 0.05  # difference of the tread speeds from which the robot surely turns [m/s]
 _DIGITS = 4  # different speeds below which no step is concluded
-_TELLING = 3.0  # time that a side must do what shows a sign [s]: no stop, which gives back, lasts so
+_TELLING = 3.0  # time that a side must do what shows a sign [s]: stops, which give back, are short
 _MOVING = 0.03  # tread speed from which it surely moves [m/s]
 
 

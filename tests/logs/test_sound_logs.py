@@ -15,8 +15,8 @@ from energyplan.vehicle import Vehicle
 Columns = dict[str, np.ndarray]
 KINDS = ("teleop", "survey", "path", "spins", "straights", "circles")
 ALARMS = (
-    "wrong sign", "lost their sign", "swapped", "counts", "straight stretches", "alone, as", "beside",
-    "mirror", "degrees", "hangs",
+    "wrong sign", "lost their sign", "swapped", "counts", "straight stretches", "alone, as",
+    "beside", "mirror", "degrees", "hangs",
 )  # fmt: skip
 
 
