@@ -74,7 +74,7 @@ def test_penalties_tell_the_energy(controls):
     unit = float(COST.segment_energy(1.0, 0.0)) * controls.resolution
     spins = [primitive_energy(COST, p) for p in controls.primitives if p.length == 0]
     assert told.rotation * unit == pytest.approx(np.mean(spins))
-    assert told.reverse == 1.0
+    assert told.reverse == pytest.approx(1.0)
     arcs = [p for p in controls.primitives if p.arc > 0]
     true = np.array([primitive_energy(COST, p) for p in arcs])
     length = np.array([p.length for p in arcs]) / controls.resolution * unit
