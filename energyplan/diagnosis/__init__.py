@@ -18,7 +18,13 @@ from energyplan.diagnosis.averaging import FEWEST_RUNS, averaged, note_of
 from energyplan.diagnosis.change_points import change_time
 from energyplan.diagnosis.explanations import Found
 from energyplan.diagnosis.holdout import ErrorInterval, Prediction, interval, predict, score
-from energyplan.diagnosis.joint_fit import FinalFit, final_fit, size_error, size_spread
+from energyplan.diagnosis.joint_fit import (
+    FinalFit,
+    final_fit,
+    least_known,
+    size_error,
+    size_spread,
+)
 from energyplan.diagnosis.mass_centre import MassCentre, find_mass_centre
 from energyplan.diagnosis.mimics import without_mimics
 from energyplan.diagnosis.part import Part
@@ -289,6 +295,10 @@ class _Case:
         if choose and outcome.maps:
             maps = outcome.maps
             outcome = test(tuple(part for part in parts if part not in maps))
+        vague: list[Part] = []
+        while choose and (least := least_known(outcome.fitted.model, outcome.effects)) is not None:
+            vague.append(least)
+            outcome = test(tuple(part for part in outcome.effects if part is not least))
         chosen, parts, left = outcome.effects, outcome.parts, outcome.left
         fitted, quality, present = outcome.fitted, outcome.quality, outcome.present
         weighed = averaged(best.problem, fitted, parts, len(self.entries)) if choose else None
@@ -323,6 +333,7 @@ class _Case:
             *open_in_words(told.model, told.assumed),
             *_advice.mimic_advice(left, names, mimics),
             *_advice.map_advice([part.effect.name for part in maps]),
+            *_advice.vague_advice([part.effect for part in vague]),
             *_advice.adequacy_advice(quality, bool(left)),
             *_advice.drive_advice(outcome.dependences, SIGNIFICANCE),
             *_advice.small_advice(searched.likely),
@@ -360,7 +371,7 @@ class _Case:
             paper=replace(self.paper, residual=errors[0]),
             dependences_before=told_before,
             dependences_after=outcome.dependences,
-            withdrawn=(*mimics, *(part.effect.name for part in maps)),
+            withdrawn=(*mimics, *(part.effect.name for part in (*maps, *vague))),
             predictions_before=tuple(one.power for one in before),
             predictions_after=tuple(one.power for one in after),
             explanations=others,

@@ -153,6 +153,15 @@ def map_advice(maps: Sequence[str]) -> list[str]:
     ]
 
 
+def vague_advice(vague: Sequence[Effect]) -> list[str]:
+    """Say that an effect was dropped whose size is anything, by its other parameter."""
+    return [
+        f"{_plain(effect.name)} was dropped: with its other parameter a little different, any size "
+        f"of it fits these drives as well; to tell it: {effect.manoeuvre}"
+        for effect in vague
+    ]
+
+
 def drive_advice(dependences: Sequence[Dependence], significance: float) -> list[str]:
     """Say that drives differ as a whole, where they do, and what no model can then reach."""
     return [

@@ -113,24 +113,35 @@ class _Rows:
         Power that they are to explain [W].
     block : ndarray of int, shape (w,)
         Block of each.
+    given, free : ndarray, shapes (2,) and (2, k)
+        Coefficients are the given ones and any combination of the free ones.
     """
 
     columns: FloatArray
     power: FloatArray
     block: NDArray[np.intp]
+    given: FloatArray
+    free: FloatArray
 
     @classmethod
-    def of(cls, design: Design, usual: FloatArray, scale: int) -> _Rows:
-        """Take the windows of a scale; the columns after the paper's have given coefficients."""
+    def of(cls, design: Design, usual: FloatArray, scale: int, fitted: FinalFit) -> _Rows:
+        """Take the windows of a scale; the columns after the paper's have given coefficients.
+
+        A friction that the drives leave open is the explanation's; where they leave both open, the
+        explanation's are both in one proportion.
+        """
         scale %= len(SCALES)
         table, first = design.rows[scale], len(PAPER)
-        return cls(
-            table[:, :first], table[:, -1] - table[:, first:-1] @ usual, design.blocks[scale]
-        )
+        values = np.array([fitted.model.coefficient(term.name) for term in PAPER])
+        open_ = np.array([term.name in fitted.assumed for term in PAPER])
+        given = np.where(open_ & ~open_.all(), values, 0.0)
+        free = values[:, None] if open_.all() else np.eye(first)[:, ~open_]
+        power = table[:, -1] - table[:, first:-1] @ usual
+        return cls(table[:, :first], power, design.blocks[scale], given, free)
 
     def fit(self, kept: NDArray[np.bool_]) -> FloatArray:
         """Fit by least absolute errors some of the rows (iteratively reweighted)."""
-        X, y = self.columns[kept], self.power[kept]
+        X, y = self.columns[kept] @ self.free, (self.power - self.columns @ self.given)[kept]
         level = float(np.mean(np.abs(y))) or 1.0
         size = np.sqrt(np.mean(X**2, axis=0))
         scale = np.divide(level, size, out=np.zeros_like(size), where=size > 0)
@@ -140,7 +151,7 @@ class _Rows:
             normal = Z.T @ (Z * pull[:, None]) + 1e-8 * level**2 * np.eye(Z.shape[1])
             found = np.linalg.solve(normal, Z.T @ (pull * y))
             pull = 1.0 / len(y) / np.maximum(np.abs(y - Z @ found) / level, _CORE)
-        return np.asarray(found * scale)
+        return np.asarray(self.given + self.free @ (found * scale))
 
 
 @dataclass(frozen=True)
@@ -233,8 +244,8 @@ def averaged(
         and term.kind != "loss"
     ]  # fmt: skip
     inert = np.array([start[term.name] for term in usual])
-    short = _Rows.of(plain.design([*PAPER, *usual]), inert, 0)
-    long = _Rows.of(plain.design([*PAPER, *usual]), inert, -1)
+    inertial = plain.design([*PAPER, *usual])
+    short, long = (_Rows.of(inertial, inert, scale, fitted) for scale in (0, -1))
     paper = short.fit(np.ones(len(short.block), bool))
 
     # What contacts hold on straights was found beside the fit, and stays as it is.
@@ -265,7 +276,7 @@ def averaged(
         missed = float(np.sqrt(np.mean(runs.mixed(weight) ** 2)))
     if 1.0 - weight < _NEGLIGIBLE:
         return None if missed is None else Averaged(replace(fitted, run_error=missed), None)
-    model = _mixed(fitted.model, [*PAPER, *usual], np.append(paper, inert), worst, weight)
+    model = _mixed(fitted, [*PAPER, *usual], np.append(paper, inert), worst, weight)
     about = {t.name: float(v) for t, v in zip(model.terms, model.coefficients, strict=True)}
     between = RunSpread.of(
         plain.design(model.terms, None, about, rounds=1), np.array(model.coefficients)
@@ -359,13 +370,14 @@ def _compared(
 
 
 def _mixed(
-    model: PowerModel,
+    fitted: FinalFit,
     terms: Sequence[Term],
     paper: FloatArray,
     compared: _Comparison,
     weight: float,
 ) -> PowerModel:
     """Average coefficients; their covariance counts by how much the models differ too."""
+    model = fitted.model
     every = {term.name: term for term in chain(model.terms, terms)}
     names, first = list(every), len(model.terms)
     one, other = np.zeros(len(names)), np.zeros(len(names))
@@ -381,6 +393,9 @@ def _mixed(
     covariance[np.ix_(at[:width], at[:width])] += (
         (1.0 - weight) * (number - 1) / number * centred.T @ centred
     )
+    if model.covariance is not None:  # what no drive tells, leaving one out does not
+        open_ = [names.index(name) for name in fitted.assumed]
+        covariance[np.ix_(open_, open_)] += (1.0 - weight) * model.covariance[np.ix_(open_, open_)]
     for values, share in ((one, weight), (other, 1.0 - weight)):
         covariance += share * np.outer(values - mean, values - mean)
     return PowerModel(

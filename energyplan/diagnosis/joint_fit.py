@@ -163,6 +163,34 @@ def size_error(effect: Effect, model: PowerModel) -> float:
     return float(np.sqrt(max(float(gradient @ model.covariance @ gradient), 0.0)))
 
 
+def least_known(model: PowerModel, parts: Sequence[Part]) -> Part | None:
+    """Return the effect whose size is known least, where the error exceeds the size.
+
+    Only of effects with a parameter that was searched: at the value that was found the size may
+    be far from zero, and at others, which fit as well, be anything.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The fitted model, whose covariance allows for the search.
+    parts : sequence of Part
+        Its effects.
+
+    Returns
+    -------
+    Part or None
+        None where all sizes are known better.
+    """
+    searched = [part for part in parts if part.terms and part.effect.grid]
+    ratios = [
+        size_error(part.effect, model) / max(abs(part.effect.value(model)), 1e-300)
+        for part in searched
+    ]
+    if not ratios or max(ratios) <= 1.0:
+        return None
+    return searched[int(np.argmax(ratios))]
+
+
 def size_spread(effect: Effect, size: float, explanations: Sequence[Explanation]) -> float:
     """Return by how much the size of an effect differs among explanations that have it.
 

@@ -96,17 +96,18 @@ def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None =
 
 
 def _within(problem: Problem, terms: Sequence[Term], design: Design, errors: FloatArray) -> Fit:
-    """Fit coefficients none of which is beyond its upper end; one that would be stands there.
+    """Fit coefficients none of which is beyond an end of its range; one that would be stands there.
 
     The covariance is that of the fit without ends.
     """
     found = fit(design, errors)
-    most = np.array([term.bounds[1] for term in terms])
+    least, most = np.array([term.bounds for term in terms]).T
     values = np.array(found.values)
-    ends = values > most
-    while np.any(values[ends] > most[ends]):
-        values[ends] = most[ends]
-        about = problem.design_about(terms, values)
-        values[~ends] = fit(about.fixed(ends, most), errors).values
-        ends |= values > most
+    ends = np.zeros(len(terms), bool)
+    while np.any(beyond := (values < least) | (values > most)):
+        ends |= beyond
+        values = np.clip(values, least, most)
+        if not np.all(ends):
+            about = problem.design_about(terms, values)
+            values[~ends] = fit(about.fixed(ends, values), errors).values
     return replace(found, values=values)
