@@ -219,3 +219,33 @@ def test_the_diagnosis_says_what_its_model_is_made_of() -> None:
     power = told.predictions_after[0]
     assert one.energy == pytest.approx(float(logs[5].weights @ power), rel=1e-9)
     assert one.measured == pytest.approx(logs[5].energy, rel=1e-3)
+
+
+def straights(model: PowerModel, seed: int, wear: float) -> DriveLog:
+    """Straight lines at many speeds, and a power that goes up and down with time."""
+    rng = np.random.default_rng(seed)
+    speeds, holds = rng.uniform(-0.3, 1.0, 14), rng.uniform(1.0, 6.0, 14)
+    log = simulate.drive(
+        model, [simulate.Setpoint(v, v, hold=float(h)) for v, h in zip(speeds, holds, strict=True)],
+        accel_limit=3.0, power_noise=2.0, speed_noise=0.02, measured="battery", seed=seed,
+        without=("x", "y", "yaw", "yaw_rate", "accel_x"),
+    )  # fmt: skip
+    current = log.channels["current"] * (1.0 + wear * np.sin(log.t / 6.0 + seed))
+    return DriveLog({**log.channels, "current": current}, "straight lines")
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_friction_that_no_drive_shows_is_as_usual_in_the_average_too(seed: int) -> None:
+    """Two terms fitted to straight lines alone had mu = 40, from the noise of the speeds."""
+    model = PowerModel.paper(VEHICLE, 40.0, 0.6)
+    model = model.with_term(catalogue()["linear_inertia"].terms[0], VEHICLE.mass)
+    train = straights(model.with_term(HOTEL, 30.0), seed, wear=0.2)
+    unseen = simulate.validation_drive(
+        model.with_term(HOTEL, 30.0), power_noise=2.0, measured="battery", seed=seed,
+        without=("x", "y", "yaw", "yaw_rate", "accel_x"),
+    )  # fmt: skip
+    told = diagnose(train, unseen, VEHICLE)
+    assert told.average is not None
+    assert told.model.coefficient("slip_friction") == pytest.approx(0.6, abs=0.05)
+    assert told.model.std_error("slip_friction") == pytest.approx(0.3, rel=0.1)
+    assert told.after.rmse < told.before.rmse

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter1d
 
-from energyplan import PowerModel, diagnose, simulate
-from energyplan.diagnosis.joint_fit import size_spread
+from energyplan import DriveLog, PowerModel, Vehicle, diagnose, simulate
+from energyplan.diagnosis.joint_fit import least_known, size_spread
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.plausible import likeness
 from energyplan.diagnosis.result import Explanation
@@ -18,7 +18,7 @@ from energyplan.fit.drives.drive import prepared
 from energyplan.fit.least_squares import Fit
 from energyplan.fit.problem import Problem
 from energyplan.power import DRIVE_LOSS, HOTEL, REGENERATION_LOSS
-from energyplan.power.effect_terms import DRAGGING_LEFT
+from energyplan.power.effect_terms import ANGULAR_INERTIA, DRAGGING_LEFT, LINEAR_INERTIA, STRIBECK
 from energyplan.power.effects import COPPER_LOSS, catalogue
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")
@@ -89,3 +89,46 @@ def test_what_the_beginning_of_a_turn_costs_is_no_fight_of_the_sides() -> None:
     assert np.count_nonzero(beside & (drive.motion.omega != 0.0)) > 5
     assert not case.moment[beside].any()
     assert case.moment.any()
+
+
+def of_stribeck(size: float, error: float) -> PowerModel:
+    """A model whose drives tell Stribeck friction to an error."""
+    model = ROBOT.with_term(STRIBECK, size)
+    return replace(model, covariance=np.diag([0.0, 0.0, error**2]))
+
+
+def test_an_effect_whose_error_exceeds_its_size_is_least_known() -> None:
+    part = Part(catalogue()["stribeck_friction"], tuple(STRIBECK.params.items()))
+    assert least_known(of_stribeck(0.3, 0.2), [part]) is None
+    assert least_known(of_stribeck(-0.3, 0.4), [part]) is part
+    assert least_known(of_stribeck(0.3, 3.0), []) is None
+
+
+def test_no_effect_is_told_whose_size_is_anything() -> None:
+    """Straight lines and turns at one speed each, read in steps of a twentieth of it."""
+    vehicle = Vehicle.from_geometry(
+        "own", mass=15.0, wheelbase=0.32, track=0.34, length=0.5, width=0.44
+    )
+    truth = PowerModel.paper(vehicle, K=6.4, mu=0.64).with_term(HOTEL, 1.3)
+    truth = truth.with_term(LINEAR_INERTIA, 15.0).with_term(ANGULAR_INERTIA, 0.4)
+    rng = np.random.default_rng(5)
+    points: list[simulate.Setpoint] = []
+    while sum(point.hold for point in points) < 100.0:
+        v, side = (0.43, 0.0) if rng.random() < 0.6 else (0.0, 0.25 * rng.choice([-1, 1]))
+        hold = float(rng.uniform(0.5, 8.0))
+        points.append(simulate.Setpoint(v - side, v + side, hold=hold, ramp=0.3))
+    noise = {"power_noise": 0.4, "noise": {"yaw_rate": 0.01}, "without": ("x", "y", "yaw")}
+    log = simulate.drive(
+        truth, points, accel_limit=3.0, speed_noise=0.001, rate=50.0, seed=5, **noise
+    )
+    steps = {n: 0.0215 * np.round(log.channels[n] / 0.0215) for n in ("v_left", "v_right")}
+    unseen = simulate.validation_drive(truth, speed=0.43, seed=105, **noise)
+    told = diagnose(DriveLog({**log.channels, **steps}, "survey"), unseen, vehicle)
+    searched = {name for name, entry in catalogue().items() if entry.grid}
+    for effect in told.effects:
+        assert effect.name not in searched or effect.std_error < abs(effect.value), effect
+    for name in told.withdrawn:
+        dropped = name.replace("_", " ") + " was dropped"
+        assert any(dropped in line and "to tell it" in line for line in told.advice)
+    assert told.model.coefficient("slip_friction") == pytest.approx(0.64, abs=0.03)
+    assert told.after.rmse <= told.before.rmse

@@ -405,6 +405,24 @@ def test_an_icr_that_is_hardly_known_is_kept_and_said_so(truth: PowerModel) -> N
     assert any("were kept" in text and "more often" in text for text in found.warnings)
 
 
+def test_no_friction_drives_a_robot_on() -> None:
+    """Noise puts a small resistance below zero: it is none then, and the other term fits that."""
+    vehicle = Vehicle.preset("husky_a200")
+    truth = PowerModel.paper(vehicle, K=0.3, mu=0.6)
+    found = [
+        identify(
+            simulate.identification_drive(truth, power_noise=8.0, seed=seed), vehicle,
+            method="windows",
+        ).model for seed in range(8)
+    ]  # fmt: skip
+    K = np.array([model.coefficient("traction_resistance") for model in found])
+    assert np.all(K >= 0.0)
+    assert np.any(K == 0.0)
+    for model, error in zip(found, K - 0.3, strict=True):
+        assert abs(error) < 4.0 * (model.std_error("traction_resistance") or 0.0)
+        assert model.coefficient("slip_friction") == pytest.approx(0.6, abs=0.01)
+
+
 def test_without_yaw_the_icr_is_kept_and_said_so(truth: PowerModel) -> None:
     log = simulate.drive(truth, "spiral", seed=1, without=("x", "y", "yaw", "yaw_rate"), **NOISE)
     found = identify(log, truth.vehicle)
