@@ -7,14 +7,14 @@ What `energyplan.diagnose` fits its models by, and `energyplan.identify` with th
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from energyplan.fit.drives.design import Design, window_means
+from energyplan.fit.drives.design import window_means
 from energyplan.fit.drives.readings import reading_covariance
-from energyplan.fit.least_squares import Fit, fit
+from energyplan.fit.least_squares import fit
 from energyplan.fit.problem import Problem
 from energyplan.fit.run_spread import RunSpread
 from energyplan.fit.usual import with_usual
@@ -70,44 +70,48 @@ def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None =
     """
     errors = problem.reference(problem.design(terms))
     design = problem.design(terms, errors)
-    found = _within(problem, terms, design, errors)
-    covariance, count = found.reported, len(terms)
+    found, count = fit(design, errors), len(terms)
+    covariance = found.reported
+    usual = partial(
+        with_usual, terms=terms, gram=design.grams.sum(axis=(0, 1))[:count, :count],
+        vehicle=problem.vehicle,
+    )  # fmt: skip
+    values, _, assumed = usual(found.values, covariance)  # what was searched does not move with it
+    values = _within(problem, terms, errors, values, assumed)
     names = [term.name for term in terms]
-    moved = further(dict(zip(names, found.values.tolist(), strict=True))) if further else ()
+    moved = further(dict(zip(names, values.tolist(), strict=True))) if further else ()
     if moved:
         columns = [np.stack(column, axis=-1) for column in zip(*moved, strict=True)]
         design = design.joined(window_means(problem.drives, columns))
         covariance = fit(design, errors).reported
-    covariance = covariance + reading_covariance(problem, terms, found.values, design, errors)
+    covariance = covariance + reading_covariance(problem, terms, values, design, errors)
     covariance, rest = covariance[:count, :count], covariance[count:, count:]
     plain = problem.of_totals.with_factors([1.0] * len(problem.drives))
-    spread = RunSpread.of(plain.design(terms), found.values)
+    spread = RunSpread.of(plain.design(terms), values)
     if spread is not None:
         # What all runs share is known no better than the mean of runs that differ.
         level = spread.deviation**2 / len(problem.drives)
-        covariance = covariance + level * np.outer(found.values, found.values)
-    gram = design.grams.sum(axis=(0, 1))[:count, :count]
-    usual = partial(with_usual, found.values, terms=terms, gram=gram, vehicle=problem.vehicle)
-    values, _, assumed = usual(found.reported)  # what was searched does not move with them
+        covariance = covariance + level * np.outer(values, values)
     if assumed:
-        covariance = usual(covariance)[1]
+        covariance = usual(values, covariance)[1]
     model = PowerModel(problem.vehicle, tuple(terms), values, 0.5 * (covariance + covariance.T))
     return JointFit(model, rest, None if spread is None else spread.deviation, assumed)
 
 
-def _within(problem: Problem, terms: Sequence[Term], design: Design, errors: FloatArray) -> Fit:
-    """Fit coefficients none of which is beyond an end of its range; one that would be stands there.
+def _within(
+    problem: Problem, terms: Sequence[Term], errors: FloatArray, values: FloatArray,
+    assumed: Sequence[str],
+) -> FloatArray:  # fmt: skip
+    """Put coefficients that are beyond an end of their range there, and fit the others again.
 
-    The covariance is that of the fit without ends.
+    Those that are assumed stay as they are.
     """
-    found = fit(design, errors)
     least, most = np.array([term.bounds for term in terms]).T
-    values = np.array(found.values)
-    ends = np.zeros(len(terms), bool)
+    fixed = np.array([term.name in assumed for term in terms])
     while np.any(beyond := (values < least) | (values > most)):
-        ends |= beyond
+        fixed |= beyond
         values = np.clip(values, least, most)
-        if not np.all(ends):
+        if not np.all(fixed):
             about = problem.design_about(terms, values)
-            values[~ends] = fit(about.fixed(ends, values), errors).values
-    return replace(found, values=values)
+            values[~fixed] = fit(about.fixed(fixed, values), errors).values
+    return values

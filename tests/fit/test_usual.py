@@ -9,9 +9,13 @@ import pytest
 
 from energyplan import PowerModel, diagnose, identify, simulate
 from energyplan.errors import DriveLogError
+from energyplan.fit.drives.drive import prepared
+from energyplan.fit.joint import joint_fit
+from energyplan.fit.problem import PAPER, Problem
 from energyplan.fit.usual import USUAL, with_usual
 from energyplan.io.husky import read_husky
 from energyplan.power import HOTEL, SLIP, TRACTION
+from energyplan.power.effect_terms import ANGULAR_INERTIA
 from energyplan.power.presets import MODEL_PRESETS
 from energyplan.vehicle import GRAVITY, Vehicle
 
@@ -126,3 +130,26 @@ def test_a_log_of_noise_does_not_choose_a_friction() -> None:
     assert [line.split()[3] for line in said] == ["slip_friction", "traction_resistance"]
     assert np.all(np.abs(found.model.coefficients - MEAN) < 2.0 * ERROR)
     assert np.all(np.sqrt(np.diag(found.model.covariance)) <= ERROR)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_turns_on_the_spot_alone_are_fitted_whatever_share_each_friction_has(seed: int) -> None:
+    """Noise of the speeds gives one of the two a wrong sign, which a usual share of both has not."""
+    vehicle = Vehicle.preset("husky_a200")
+    truth = PowerModel.paper(vehicle, K=40.0, mu=0.6).with_term(HOTEL, 30.0)
+    truth = truth.with_term(ANGULAR_INERTIA, 8.0)
+    rng = np.random.default_rng(seed)
+    sides, holds = rng.uniform(-0.8, 0.8, 25), rng.uniform(1.0, 6.0, 25)
+    log = simulate.drive(
+        truth, [simulate.Setpoint(-s, s, hold=float(h)) for s, h in zip(sides, holds, strict=True)],
+        accel_limit=3.0, power_noise=4.0, speed_noise=0.02, measured="total", seed=seed,
+        without=("x", "y", "yaw", "accel_x"),
+    )  # fmt: skip
+    problem = Problem(prepared([log], vehicle), vehicle)
+    terms = [*PAPER, HOTEL, ANGULAR_INERTIA]
+    told = joint_fit(problem, terms)
+    assert told.assumed == ("slip_friction", "traction_resistance")
+    longest = problem.design(terms).rows[-1]
+    left = longest[:, -1] - longest[:, :-1] @ np.array(told.model.coefficients)
+    assert np.sqrt(np.mean(left**2)) < 0.02 * np.sqrt(np.mean(longest[:, -1] ** 2))
+    assert told.model.coefficient("hotel_load") == pytest.approx(30.0, abs=3.0)
