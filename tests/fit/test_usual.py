@@ -134,7 +134,7 @@ def test_a_log_of_noise_does_not_choose_a_friction() -> None:
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_turns_on_the_spot_alone_are_fitted_whatever_share_each_friction_has(seed: int) -> None:
-    """Noise of the speeds gives one of the two a wrong sign, which a usual share of both has not."""
+    """Noise of the speeds gives one of both a wrong sign, which the usual share of both has not."""
     vehicle = Vehicle.preset("husky_a200")
     truth = PowerModel.paper(vehicle, K=40.0, mu=0.6).with_term(HOTEL, 30.0)
     truth = truth.with_term(ANGULAR_INERTIA, 8.0)
