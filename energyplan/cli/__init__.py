@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import _thread
+import codecs
 import errno
 import functools
+import io
+import signal
 import sys
+import threading
 import warnings
 from pathlib import Path
 from typing import Annotated, Any, TextIO
@@ -141,6 +146,11 @@ def commands() -> Any:
 def main() -> None:
     """Entry point: map errors to exit codes and one line on stderr."""
     warnings.showwarning = _show_warning
+    if sys.unraisablehook is sys.__unraisablehook__:  # not that of a program around this one
+        sys.unraisablehook = _interrupt_again
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="energyplan.escaped")
     try:
         code = commands()(prog_name="energyplan", standalone_mode=False) or 0
         if sys.stdout is not None:
@@ -158,6 +168,40 @@ def main() -> None:
     if code == INTERRUPTED:  # typer turns Ctrl-C into an exit with this code
         _fail("interrupted; files are as they were", code)
     sys.exit(code)
+
+
+def _escaped(error: UnicodeError) -> tuple[str | bytes, int]:
+    """Print what an encoding lacks: bytes of a file's name as they are, all else as an escape."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    lacking = error.object[error.start]
+    name = 0xDC80 <= ord(lacking) <= 0xDCFF  # how Python holds such bytes
+    shown = bytes([ord(lacking) - 0xDC00]) if name else lacking.encode("ascii", "backslashreplace")
+    return shown, error.start + 1
+
+
+codecs.register_error("energyplan.escaped", _escaped)
+
+
+def _interrupt_again(lost: sys.UnraisableHookArgs) -> None:
+    """Let Ctrl-C end the command where it came within a call from machine code.
+
+    Python drops what is raised there, such as while a kernel is loaded, and would go on.
+    """
+    if issubclass(lost.exc_type, KeyboardInterrupt):
+        again = threading.Timer(0.02, _press_ctrl_c)
+        again.daemon = True
+        again.start()
+    else:
+        sys.__unraisablehook__(lost)
+
+
+def _press_ctrl_c() -> None:
+    """Interrupt the main thread, even while it waits."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+    else:
+        _thread.interrupt_main()
 
 
 def _show_warning(

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from energyplan.cli._planning import AtBattery, Heights, MapFile, Speed, Surfaces, ground_of
+from energyplan.cli._planning import (
+    AtBattery,
+    Heights,
+    MapFile,
+    Speed,
+    Surfaces,
+    ground_of,
+    warn_of_surfaces,
+)
 from energyplan.cli.answers import answer, progress, verdict, write_report
 from energyplan.cli.app import app
 from energyplan.cli.inputs import parse_pose
@@ -254,6 +262,8 @@ def mission(
         )  # fmt: skip
     if effort is not None:
         asked = replace(asked, planning_effort=effort)
+    if asked.surfaces is not None:
+        warn_of_surfaces(asked.model.vehicle, asked.surfaces)
     with progress("evaluating the mission"), compiling(asked):
         told = evaluate(asked)
     if trajectories:

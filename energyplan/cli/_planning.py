@@ -12,7 +12,7 @@ import typer
 
 from energyplan.cli.answers import NO, answer, progress, verdict, warn, write_report
 from energyplan.cli.app import app
-from energyplan.cli.inputs import parse_pose
+from energyplan.cli.inputs import parse_pose, warn_of_another_robot
 from energyplan.cli.options import IMAGES, TABLES, Json, ModelName, Report, Strict, writes
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, NoPathError
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from energyplan.planning.driven import DrivenPath
     from energyplan.power import PowerModel
     from energyplan.terrain import HeightMap, SurfaceMap
+    from energyplan.vehicle import Vehicle
 
 RECORDING = ".mcap"
 MapFile = Annotated[Path, typer.Option("--map", help="The map: a YAML file of ROS map_server.")]
@@ -166,6 +167,8 @@ def ground_of(
     if tolerance is not None:
         power = replace(power, vehicle=replace(power.vehicle, tracking_tolerance=tolerance))
     ground = read_surfaces(surfaces) if surfaces else None
+    if ground is not None:
+        warn_of_surfaces(power.vehicle, ground)
     hills = read_heights(heights) if heights else None
     if knows_ground(power):
         warn(
@@ -180,6 +183,12 @@ def ground_of(
         power, ground = with_weight(power), with_weights(ground) if ground else None
     cost = EnergyCost(power, battery=battery, speed=asked_speed(speed, power.vehicle))
     return PricedGround(cost, ground, hills)
+
+
+def warn_of_surfaces(vehicle: Vehicle, ground: SurfaceMap) -> None:
+    """Say where the model of a surface is of another robot than the one that drives."""
+    others = (surface.model.vehicle for surface in ground.surfaces)
+    warn_of_another_robot("models of the surfaces are", vehicle, others)
 
 
 def model_without_map(name: str) -> PowerModel:
@@ -404,6 +413,8 @@ def check(
 
     cost, ground, hills = ground_of(model, surfaces, heights, battery, speed, tolerance)
     limits = read_vehicle(vehicle) if vehicle else None
+    if limits is not None:
+        warn_of_another_robot("the motor limits are", cost.vehicle, [limits])
     found = read_drive(trajectory, cost.icr.longitudinal)
     if not isinstance(found, Trajectory):
         if limits is not None:

@@ -32,6 +32,14 @@ def misuse(error: typer.TyperException) -> str:
     names = getattr(param, "opts", ())
     unit = re.search(r"\[(.+?)\]", getattr(param, "help", None) or "")
     words = context.meta.get(_ARGUMENTS, [])
+    if "--vehicle" in names and message.startswith("Missing option"):
+        message += " (or a project's, by --project)"
+    if message.startswith("Got unexpected extra argument"):
+        message += "; a pose, a list and a value with blanks are one word each, as in 2.0,3.5,90deg"
+    if message.startswith("No such option") and isinstance(context.command, TyperGroup):
+        message = (
+            message.partition(" (Possible")[0] + ", before a command; give it after the command"
+        )
     for word, following in pairwise([*words, ""]):
         name, joined, value = word.partition("=")
         if name in names:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from energyplan.cli.answers import progress
+from energyplan.cli.answers import progress, warn
 from energyplan.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -57,6 +57,18 @@ def contradictions(logs: list[DriveLog], vehicle: Vehicle) -> list[str]:
         )
         if not check.ok
     ]
+
+
+def warn_of_another_robot(what: str, vehicle: Vehicle, others: Iterable[Vehicle]) -> None:
+    """Say where something is of a robot with another footprint than the one that drives has."""
+    import numpy as np
+
+    for other in {other.name: other for other in others}.values():
+        if not np.allclose(vehicle.footprint, other.footprint, rtol=0.05):
+            warn(
+                f"{what} of another robot, {other.name}, whose footprint is not that of the "
+                f"model's {vehicle.name}"
+            )
 
 
 def notes(logs: list[DriveLog], told: Sequence[str] = ()) -> list[str]:

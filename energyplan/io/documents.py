@@ -132,7 +132,9 @@ def read_features(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     MapError
         If it is not a GeoJSON FeatureCollection; the message names the feature.
     """
-    document = read_json(file, MAX_JSON, MapError, "give a GeoJSON file of a part of it")
+    document = read_json(
+        file, MAX_JSON, MapError, "give a GeoJSON file, of a part if it is too large"
+    )
     features = document.get("features") if isinstance(document, dict) else None
     if not isinstance(document, dict) or not isinstance(features, list):
         raise MapError(f"{file}: give a GeoJSON FeatureCollection with a list of features")
@@ -244,9 +246,8 @@ class Document:
             message = str(first["msg"]).removeprefix("Value error, ")
             if first["type"] == "extra_forbidden":
                 message = f"there is no such key; the keys are {_keys(schema, place)}"
-                message += self._another_kind(schema)
             elif first["type"] == "missing":
-                message = "this key is missing; give it a value" + self._another_kind(schema)
+                message = "this key is missing; give it a value"
             elif first["type"] == "too_short":
                 message = (
                     f"the list has {first['ctx']['actual_length']} items; give at least "
@@ -254,7 +255,7 @@ class Document:
                 )
             elif not isinstance(first["input"], dict | list):
                 message = f"{message}, not {str(first['input'])[:60]!r}"
-            raise self.fail((*loc, *place), message) from None
+            raise self.fail((*loc, *place), message + self._another_kind(schema)) from None
 
     def _keys_of(self, problem: ErrorDetails) -> Loc:
         """Return where in the document a problem is, without the names of kinds that may stand."""
@@ -334,6 +335,8 @@ def parse(content: bytes | str, source: str, error: type[InvalidInputError]) -> 
     except (yaml.YAMLError, UnicodeDecodeError) as problem:
         text = " ".join(str(problem).split())[:150]
         raise error(f"{source} is no valid YAML: {text}") from None
+    if data is None:
+        raise error(f"{source} is empty; it must hold keys with values")
     if not isinstance(data, dict):
         raise error(f"{source} must hold a mapping of keys to values")
     return Document(source, data, lines, error)
@@ -426,10 +429,7 @@ def amount(kind: str, value: Any) -> Any:
     (300.0, 0.2)
     """
     if isinstance(value, int | float) and not isinstance(value, bool):
-        least, unit = _BARE.get(kind, (0.0, ""))
-        if 0.0 < value < least:
-            si = next(iter(UNITS[kind]))
-            raise ValueError(f"{value:g} has no unit, and would be {si}; write {value:g} {unit}")
+        return _bare(kind, value)
     if not isinstance(value, str):
         return value
     found = _AMOUNT.fullmatch(value)
@@ -438,4 +438,14 @@ def amount(kind: str, value: Any) -> Any:
         return value
     if found[2] and found[2] not in units:
         raise ValueError(f"the unit of a {kind} is one of {', '.join(units)}, or none for SI")
-    return float(found[1]) * units.get(found[2], 1.0)
+    number = float(found[1])
+    return number * units[found[2]] if found[2] else _bare(kind, number)
+
+
+def _bare(kind: str, number: float) -> float:
+    """Return a number without a unit, which is one of SI."""
+    least, unit = _BARE.get(kind, (0.0, ""))
+    if 0.0 < number < least:
+        si = next(iter(UNITS[kind]))
+        raise ValueError(f"{number:g} has no unit, and would be {si}; write {number:g} {unit}")
+    return number

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -53,7 +54,7 @@ def atomic_write(path: str | Path, content: bytes | str) -> Path:
     '42 J'
     """
     file = Path(path)
-    data = content.encode() if isinstance(content, str) else content
+    data = _utf8(content) if isinstance(content, str) else content
     with _writing(file):
         file.parent.mkdir(parents=True, exist_ok=True)
         target = _regular(file)
@@ -69,6 +70,16 @@ def atomic_write(path: str | Path, content: bytes | str) -> Path:
         finally:
             Path(name).unlink(missing_ok=True)
     return file
+
+
+def _utf8(text: str) -> bytes:
+    """Encode text, with a mark in place of what UTF-8 does not have.
+
+    Where the locale is not UTF-8, Python holds the bytes of a file's name as surrogates. They are
+    read as UTF-8 here, which they mostly are.
+    """
+    known = re.sub("[\ud800-\udc7f\udd00-\udfff]", "\ufffd", text)
+    return known.encode("utf-8", "surrogateescape").decode("utf-8", "replace").encode()
 
 
 @contextmanager

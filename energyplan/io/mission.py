@@ -419,7 +419,7 @@ class MissionReader:
         if not isinstance(value, str):
             return value
         try:
-            if value.strip().endswith("%"):
+            if value.strip()[-1:] in {*"%.0123456789"}:  # a number without a unit is a fraction
                 return float(amount("fraction", value))
             energy = float(amount("energy", value))
         except ValueError as problem:

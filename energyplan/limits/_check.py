@@ -318,5 +318,8 @@ def _reason(factor: float, peaks: list[Peak], slowest: list[Peak]) -> str:
             "ground, less load, another path or stronger motors"
         )
     if factor >= 1 - ROUNDING:
+        if factor < 1.00005:
+            return "some limit is reached: the robot can drive this path no faster"
         return f"every limit holds up to {factor:.4g} times the speed"
-    return f"too fast: {what}; feasible at {factor:.4g} times the speed"
+    digits = 4 if factor < 0.999 else 7
+    return f"too fast: {what}; feasible at {factor:.{digits}g} times the speed"

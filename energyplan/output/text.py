@@ -229,7 +229,7 @@ def driven_path(made: Plan, told: DrivenPath | None) -> list[str]:
         if abs(joules) > 0.002 * abs(told.energy)
     ]
     beside = "as much as"
-    if abs(more) > 1e-6 * abs(told.energy):
+    if abs(more) > 1e-4 * abs(told.energy):  # what the energies, to five digits, show
         beside = f"{number(abs(more))} J {'more' if more >= 0 else 'less'} than"
     return [
         f"driven: {number(told.energy, 5)} J in {number(told.duration)} s at "
@@ -273,9 +273,9 @@ def comparison(made: Comparison) -> list[str]:
 def energy_map(found: EnergyMap, areas: Sequence[Contour]) -> list[str]:
     """Return what ``energyplan range`` prints."""
     way = "there" if found.back is None else "there and back"
-    sure = "" if found.confidence is None else f", each place with {100 * found.confidence:g} %"
+    sure = "" if found.confidence is None else f" (at {100 * found.confidence:g} % confidence)"
     lines = [
-        f"{number(a.energy, 4)} J suffice to get {way} on {number(a.area.area)} m^2{sure}"
+        f"with {number(a.energy, 4)} J the robot gets {way} on {number(a.area.area)} m^2{sure}"
         for a in areas
     ]
     if not lines:
@@ -293,14 +293,10 @@ def feasibility(report: FeasibilityReport) -> list[str]:
     lines += [
         f"{found.kind.replace('_', ' ')} {found.side}: {number(found.start)} s to "
         f"{number(found.end)} s, peak {number(found.peak)}, limit {number(found.limit)}"
+        + (f" ({number(100 * (found.peak / found.limit - 1), 2)} % more)" if found.limit else "")
         for found in report.violations
     ]
-    lines += [
-        f"the motors allow up to {number(report.max_speed_scale)} times this trajectory's speed",
-        report.reason,
-        f"energy: {number(report.energy)} J",
-    ]
-    return lines
+    return [*lines, report.reason, f"energy: {number(report.energy)} J"]
 
 
 def mission(told: MissionReport) -> list[str]:

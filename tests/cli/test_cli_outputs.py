@@ -19,7 +19,7 @@ from energyplan import cli, simulate
 from energyplan.io.bundled import bundled
 from energyplan.io.config import write_vehicle
 from energyplan.io.files import files_behind, refuse_overwriting
-from energyplan.io.trajectory import write_log
+from energyplan.io.trajectory import write_log, write_trajectory
 
 pytestmark = pytest.mark.usefixtures("counted", "few_effects")
 
@@ -215,6 +215,122 @@ def test_an_answer_that_cannot_be_printed_is_one_line() -> None:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, check=False, text=True)
     assert done.returncode == 1
     assert len(done.stderr.splitlines()) == 1
+
+
+def program(code: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
+    """Run Python in a process of its own, and return what it printed."""
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(
+        command, capture_output=True, check=False, timeout=120, env={**os.environ, **environment}
+    )
+
+
+PRINTING = r"""
+import os, sys
+from energyplan import cli
+from energyplan.cli.answers import answer, warn
+name = os.fsdecode(b"Gr\xc3\xb6\xc3\x9fe")
+def work(**_):
+    warn("\u00dcber")
+    answer({}, ["pr\u00fcfen", name], json=False)
+cli.commands = lambda: work
+cli.main()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="names of files are bytes on POSIX")
+@pytest.mark.parametrize(
+    ("encoding", "shown"),
+    [("utf-8", "prüfen"), ("latin-1", "prüfen"), ("ascii", "pr\\xfcfen")],
+)
+def test_an_encoding_that_lacks_a_letter_prints_the_answer(encoding: str, shown: str) -> None:
+    locale = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    done = program(PRINTING, PYTHONIOENCODING=encoding, **locale)
+    assert done.returncode == 0, done.stderr
+    first, name, *rest = done.stdout.split(b"\n")
+    assert (first, name) == (shown.encode(encoding), "Größe".encode())
+    assert rest == [b""]
+    assert len(done.stderr.splitlines()) == 1
+
+
+INTERRUPTED = """
+import ctypes, sys, threading
+from energyplan import cli, demo
+
+@ctypes.CFUNCTYPE(None)
+def machine_code():
+    raise KeyboardInterrupt
+
+def work(out, say):
+    machine_code()
+    threading.Event().wait(60)
+
+demo.run = work
+sys.argv = ["energyplan", "demo", "--out", sys.argv[1]]
+cli.main()
+"""
+
+
+def test_ctrl_c_within_machine_code_ends_the_command(tmp_path: Path) -> None:
+    """Python drops what is raised in a call from machine code, and the command went on."""
+    done = program(INTERRUPTED, str(tmp_path / "demo"))
+    assert done.returncode == 130
+    assert done.stderr == b"energyplan: interrupted; files are as they were\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--json", "check", "t.csv"), "give it after the command"),
+        ((*PLAN, "4", "2"), "are one word each"),
+        (("identify", "a.csv"), "or a project's, by --project"),
+    ],
+)
+def test_usual_slips_are_told_with_their_remedy(
+    folder: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], said: str
+) -> None:
+    assert said in refused(folder, capsys, *words)
+
+
+@pytest.mark.parametrize("robot", ["quadriga:empty", "husky_a200"])
+def test_what_belongs_to_another_robot_is_told(
+    folder: Path, capsys: pytest.CaptureFixture[str], robot: str
+) -> None:
+    """Another load of the same robot is no other robot."""
+    path = ep.Path(ep.Pose(1.2, 2.0, 0.0), ds=[1.0], dtheta=[0.0])
+    write_trajectory(ep.speed.profile(path, MODEL), Path("t.csv"))
+    _, _, error = run(capsys, "check", "t.csv", "--model", "model.yaml", "--vehicle", robot)
+    assert ("limits are of another robot, husky" in error) == (robot == "husky_a200")
+    ground = ("--surfaces", bundled("office_surfaces.geojson"))
+    ground_model = {"husky_a200": "husky_a200:flooring"}.get(robot, "quadriga:empty:marble")
+    _, _, error = run(capsys, "check", "t.csv", "--model", ground_model, *ground)
+    assert ("surfaces are of another robot, quad" in error) == (robot == "husky_a200")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("mission", "model.yaml"), "this file seems to be a power model"),
+        (("identify", "a.csv", "--vehicle", "empty.yaml"), "empty.yaml is empty"),
+        (
+            (
+                "range",
+                "--map",
+                bundled("office_surfaces.geojson"),
+                "--model",
+                "model.yaml",
+                "--from",
+                "1.2,2,0",
+            ),
+            "these are surfaces and no obstacles",
+        ),
+    ],
+)
+def test_a_file_of_another_kind_or_without_content_is_told_as_such(
+    folder: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], said: str
+) -> None:
+    Path("empty.yaml").write_text("# to be written\n")
+    assert said in refused(folder, capsys, *words)
 
 
 @pytest.mark.parametrize(("suffix", "start"), [(".svg", b"<?xml"), (".pdf", b"%PDF"),

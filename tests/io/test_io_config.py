@@ -183,7 +183,7 @@ def test_a_term_that_no_file_could_name_is_refused(tmp_path):
         ("preset: horse\n", "line 1, preset: unknown vehicle preset"),
         ("preset: jackal\ntrack: 1\n", "line 2, track: the key contradicts"),
         ("kind: model\n", "holds a 'model', where a vehicle"),
-        ("", "must hold a mapping"),
+        ("", "is empty"),
         ("- 1\n", "must hold a mapping"),
         ("a: [1\n", "line 2 is no valid YAML"),
         ("a: !!python/object/apply:os.system [x]\n", "line 1: leave the tag"),

@@ -123,6 +123,13 @@ def test_a_pack_of_units_and_a_reserve_in_watt_hours(tmp_path):
     assert mission.reserve * stored == pytest.approx(360e3, rel=1e-3)
 
 
+@pytest.mark.parametrize("reserve", ["0.25", "'0.25'", "25 %"])
+def test_a_reserve_without_a_unit_is_a_fraction_as_text_too(tmp_path, reserve):
+    """On the command line all values are text: ``--reserve 0.25`` was a quarter of a joule."""
+    mission = read_mission(written(tmp_path, GOOD.replace("reserve: 20 %", f"reserve: {reserve}")))
+    assert mission.reserve == 0.25
+
+
 def test_payload_models(tmp_path):
     text = GOOD.replace("surfaces: warehouse_surfaces.geojson\n", "") + (
         "payload: 64 kg\npayload_models:\n  quadriga:empty:concrete: {64: quadriga:full:concrete}\n"
@@ -156,6 +163,8 @@ def test_examples_are_read(name):
         ("map: warehouse.yaml", "map: castle.yaml", 3, "castle.yaml"),
         ("temperature: 10", "capacity: -5 Ah", 5, "capacity is"),
         ("temperature: 10", "capacity: 200", 5, "200 has no unit, and would be C; write 200 Ah"),
+        ("temperature: 10", "capacity: '200'", 5, "200 has no unit"),
+        ("reserve: 20 %", "reserve: '20'", 26, "reserve is 20"),
         ("temperature: 10", "helth: 80 %", 5, "battery.helth: there is no such key"),
         ("temperature: 10", "temperature: cold", 5, "battery.temperature: give a number"),
         ("preset: quadriga", "preset: nuclear", 5, "unknown battery preset"),
