@@ -80,9 +80,9 @@ class Adequacy:
         """What is left, what noise makes, and how one differs from the other."""
         what = "lasts longer than noise would" if self.coloured else "is larger than noise"
         return (
-            f"{self.residual:.3g} W, where samples scatter by {self.noise:.3g} W, and over "
-            f"{self.time:.2g} s {self.slow_residual:.3g} W for {self.slow_noise:.3g} W: what is "
-            f"left {'is noise' if self.adequate else what}"
+            f"{self.residual:.3g} W, where noise makes {self.noise:.3g} W, and in means over "
+            f"{self.time:.2g} s {self.slow_residual:.3g} W, where noise makes "
+            f"{self.slow_noise:.3g} W: what is left {'is noise' if self.adequate else what}"
         )
 
 

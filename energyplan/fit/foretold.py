@@ -40,7 +40,7 @@ class Foretold:
     Examples
     --------
     >>> Foretold("stretch", 5, 30.0, 0.031, 0.079).in_words
-    'stretches of 30 s, each foretold from the others, miss their energy by 3.1 %, at most 7.9 %'
+    'stretches of 30 s, each predicted from the others, miss their energy by 3.1 %, at most 7.9 %'
     """
 
     left_out: Literal["drive", "stretch"]
@@ -54,8 +54,8 @@ class Foretold:
         """What was left out, and how far its energy was missed."""
         what = "drives" if self.left_out == "drive" else "stretches"
         return (
-            f"{what} of {self.duration:.3g} s, each foretold from the others, miss their energy by "
-            f"{100 * self.error:.2g} %, at most {100 * self.largest:.2g} %"
+            f"{what} of {self.duration:.3g} s, each predicted from the others, miss their energy "
+            f"by {100 * self.error:.2g} %, at most {100 * self.largest:.2g} %"
         )
 
 
