@@ -7,18 +7,18 @@ import signal
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from energyplan.cli.answers import answer, give_up_stdout, progress, say, warn_of_presets
+from energyplan.cli.answers import answer, give_up_stdout, progress, say, warn, warn_of_presets
 from energyplan.cli.app import app
 from energyplan.cli.inputs import read_logs
 from energyplan.cli.options import YAML, Columns, Json, Logs, OutModel, Topics, VehicleName, writes
-from energyplan.errors import InvalidInputError
+from energyplan.errors import InvalidInputError, NotIdentifiableError
 
 if TYPE_CHECKING:
     from energyplan.live import Event, Line, Restart
@@ -234,6 +234,13 @@ def icr(
         if spin:
             turned = None if angle is None else _number("--angle", "angle", angle)
             found = icr_from_spin(drives[0], turned, _number("--angle-error", "angle", angle_error))
+            with suppress(NotIdentifiableError):  # the log need not show the angle
+                shown = icr_from_spin(drives[0]).turning
+                if abs(shown - found.turning) > 0.1 * found.turning:
+                    warn(
+                        f"--angle {angle} is {found.turning:.4g} rad, but by its yaw the log turns "
+                        f"through {shown:.4g} rad in all, to either side; which is right?"
+                    )
         else:
             found = fit_icr(drives, robot.icr)
     if out:

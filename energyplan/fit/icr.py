@@ -352,7 +352,8 @@ def icr_from_spin(
     if travel <= 0 or drift > 0.2 * travel:
         raise NotIdentifiableError(
             f"{log.name}: no spin on the spot: the treads went {travel:.2f} m against and "
-            f"{drift:.2f} m with each other; cut the spin out, or use fit_icr"
+            f"{drift:.2f} m with each other; cut the spin out, or take the log for "
+            "any drive (fit_icr, icr without --spin)"
         )
     turning = float(way @ data.yaw) if angle is None else float(angle)
     if turning < _LEAST_TURNING:

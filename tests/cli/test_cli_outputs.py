@@ -292,6 +292,19 @@ def test_usual_slips_are_told_with_their_remedy(
     assert said in refused(folder, capsys, *words)
 
 
+@pytest.mark.parametrize(("turns", "told"), [(1.0, False), (2.0, True)])
+def test_an_angle_that_the_yaw_contradicts_is_told(
+    folder: Path, capsys: pytest.CaptureFixture[str], turns: float, told: bool
+) -> None:
+    spin = simulate.drive(MODEL, "spin")
+    write_log(spin, Path("spin.csv"))
+    angle = turns * float(np.abs(np.diff(spin.channel("yaw"))).sum())
+    icr = ("icr", "spin.csv", "--vehicle", "robot.yaml", "--spin")
+    code, _, error = run(capsys, *icr, "--angle", f"{angle}")
+    assert code == 0
+    assert ("which is right?" in error) == told
+
+
 @pytest.mark.parametrize("robot", ["quadriga:empty", "husky_a200"])
 def test_what_belongs_to_another_robot_is_told(
     folder: Path, capsys: pytest.CaptureFixture[str], robot: str
