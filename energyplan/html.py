@@ -58,6 +58,32 @@ def quantity(value: float, error: float | None, symbol: str) -> str:
     return f"{told} {unit(symbol)}".rstrip()
 
 
+def spanned(value: float, low: float, high: float) -> str:
+    """Return a value with its interval, whose width decides on the digits.
+
+    Parameters
+    ----------
+    value : float
+        The value.
+    low, high : float
+        The ends of its interval.
+
+    Returns
+    -------
+    str
+        Such as ``"-3.77 (-8.26 to 0.00)"``.
+
+    Examples
+    --------
+    >>> spanned(-3.771, -8.26, 0.0032), spanned(0.5, 0.5, 0.5), spanned(812.4, 700.0, 930.0)
+    ('-3.77 (-8.26 to 0.00)', '0.5 (0.5 to 0.5)', '812 (700 to 930)')
+    """
+    wide = high - low
+    places = max(0, 2 - math.floor(math.log10(wide))) if 0.0 < wide < math.inf else 9
+    shown = (f"{one:.{places}f}" if places < 9 else number(one, 3) for one in (value, low, high))
+    return "{} ({} to {})".format(*shown)
+
+
 WIDE = 4
 """A table of more columns than these is shown row by row where a page is narrow."""
 

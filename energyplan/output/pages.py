@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError
-from energyplan.html import number, quantity, words
+from energyplan.html import number, quantity, spanned, words
 from energyplan.output import plots
 from energyplan.output.report import Page
 from energyplan.path import wrap_angle
@@ -82,7 +82,7 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
                 for effect in told.effects
             ],
         )  # fmt: skip
-        page.paragraph("A size is told with its standard error.")
+        page.paragraph("After ± stands the standard error.")
     others = (
         ("the first, with effects that are too small or improbable to be named",
          told.further_effects),
@@ -355,9 +355,8 @@ def _names(told: Diagnosis) -> str:
 
 
 def _with_interval(residual: Residual, interval: object, key: str, scale: float = 1.0) -> str:
-    low, high = getattr(interval, key)
-    value = getattr(residual, key)
-    return f"{number(scale * value, 3)} ({number(scale * low, 3)} to {number(scale * high, 3)})"
+    told = (scale * one for one in (getattr(residual, key), *getattr(interval, key)))
+    return spanned(*told)
 
 
 def loop_page(made: Loop, problem: PlanningProblem) -> Page:
