@@ -211,6 +211,10 @@ def close_the_loop(
         if not logs.is_dir():
             raise InvalidInputError(f"{str(logs)!r} is no folder; give one that holds the logs")
         files = sorted(file for file in logs.iterdir() if file.suffix in TABLES)
+        if not files:
+            raise InvalidInputError(
+                f"{str(logs)!r} holds no log that ends with {', '.join(TABLES)}"
+            )
         source = read_logs(files, None, None, problem.cost.vehicle.name)
     else:
         robot = Robot.from_model(problem.cost.model)

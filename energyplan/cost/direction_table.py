@@ -104,8 +104,8 @@ class DirectionTable:
         wide_x, wide_y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
         out = np.empty(wide_x.size)
         element_energy(
-            np.ascontiguousarray(wide_x).ravel(),
-            np.ascontiguousarray(wide_y).ravel(),
+            np.array(wide_x, order="C").ravel(),  # NumPy warns of views that broadcasting made
+            np.array(wide_y, order="C").ravel(),
             self.ratio,
             self.table,
             self.special,

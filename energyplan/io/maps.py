@@ -98,7 +98,7 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
             ".map or a .geojson"
         )
     header = load(file, MapError).check(_MapHeader)
-    values, alpha = _pixels(beside(file, "image", header.image))
+    values, alpha = _pixels(_image(file, header.image))
     occupied, free = _interpret(values, alpha, header)
     try:
         return OccupancyGrid(
@@ -144,7 +144,7 @@ def read_costmap(path: str | Path) -> CostMap:
     """
     file = Path(path)
     header = load(file, MapError).check(_MapHeader)
-    shade, alpha = _pixels(beside(file, "image", header.image))
+    shade, alpha = _pixels(_image(file, header.image))
     if header.mode == "raw":
         value = np.round(shade * 255)
         known = value < 255
@@ -162,6 +162,14 @@ def read_costmap(path: str | Path) -> CostMap:
         return CostMap(costs[::-1], header.resolution, Pose(*header.origin))
     except MapError as error:
         raise MapError(f"{file}: {error}") from None
+
+
+def _image(file: Path, name: str) -> Path:
+    """Return the image that a map names."""
+    image = beside(file, "image", name)
+    if not image.exists():
+        raise MapError(f"{file}: image: there is no {name!r} beside the map; copy it there")
+    return image
 
 
 def _pixels(file: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:

@@ -79,8 +79,8 @@ def energy(start: ArrayLike, goal: ArrayLike, cost: EnergyCost) -> FloatArray:
             f"start of shape {first.shape} and goal of shape {last.shape} do not broadcast"
         ) from None
     out = np.empty(first.shape[:-1])
-    starts = np.ascontiguousarray(first).reshape(-1, 3)
-    goals = np.ascontiguousarray(last).reshape(-1, 3)
+    starts = np.array(first, order="C").reshape(-1, 3)  # no views, of which NumPy warns
+    goals = np.array(last, order="C").reshape(-1, 3)
     read = cost.steering_parameters
     if isinstance(read, StaticSteering):
         steer_energies(starts, goals, read, out.reshape(-1))

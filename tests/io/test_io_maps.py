@@ -212,7 +212,7 @@ def test_images_outside_the_folder_are_refused(tmp_path, name):
         ({"mode": "quaternary"}, "mode"),
         ({"free_thresh": 0.9}, "free_thresh"),
         ({"occupied_thresh": 7}, "occupied_thresh"),
-        ({"image": "missing.png"}, r"missing\.png"),
+        ({"image": "missing.png"}, r"there is no 'missing\.png' beside the map"),
         ({"image": "m.yaml"}, "not a PGM"),
         ({"image": "[1"}, r"line \d+ is no valid YAML"),
         ({"image": "!!python/object/apply:os.getcwd []"}, r"line 1: leave the tag"),

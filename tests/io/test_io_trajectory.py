@@ -96,6 +96,7 @@ TRAJECTORY = "t,x,y,yaw,v,omega\n"
         (read_path, PATH + "0,0,0\n1,zero,0\n", "line 3: 'y' is 'zero'"),
         (read_path, "x,y\n0,0\n1,0\n", "no column 'yaw'"),
         (read_drive, "t,x,y,yaw\n0,0,0,0\n1,1,0,0\n", "leave t out to have the poses timed"),
+        (read_trajectory, PATH + "0,0,0\n1,0,0\n", "plan --trajectory times one"),
         (read_drive, "time,velL,velR,power [W]\n0,0,0,9\n1,1,1,9\n", "energyplan identify"),
         (DriveLog.read, "x,y,yaw\n0,0,0\n1,0,0\n", "energyplan check reads it"),
         (read_path, PATH + "0,0,0\n1e9,0,0\n", "line 3: x is 1e[+]09, beyond"),

@@ -432,3 +432,20 @@ def test_a_turn_on_the_spot_is_one_spin(icr, turn):
     assert np.allclose(found.end[:2], spin.end[:2])
     assert np.cos(found.end.yaw - spin.end.yaw) == pytest.approx(1.0)
     assert cost.energy(found) == pytest.approx(steering.energy(start, spin.end, cost), rel=1e-9)
+
+
+@pytest.mark.filterwarnings("error::FutureWarning")
+def test_kernels_get_arrays_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """NumPy warns of views that broadcasting made when a kernel is first compiled for one."""
+    given: list[bool] = []
+
+    def kernel(*arguments: object) -> None:
+        arrays = (one for one in arguments if isinstance(one, np.ndarray))
+        given.extend(array.flags.writeable for array in arrays)
+
+    monkeypatch.setattr("energyplan.steering.steer_energies", kernel)
+    monkeypatch.setattr("energyplan.cost.direction_table.element_energy", kernel)
+    cost = EnergyCost(PowerModel.preset("quadriga:full:marble"))
+    steering.energy((0, 0, 0), [(3, 0, 0)], cost)
+    cost.segment_energy([1.0], 0.0)
+    assert len(given) >= 3
