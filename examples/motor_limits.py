@@ -140,12 +140,12 @@ def main() -> None:
         ax.set_xlabel("curvature [1/m]")
         ax.set_ylabel("speed [m/s]")
     keys = [
-        Line2D([], [], color="k", lw=2, label="fastest for ever"),
-        Line2D([], [], color="k", lw=1.2, ls="--", label="fastest for a while"),
-        Patch(color=BRIEF, label="only for a while"),
-        *(Patch(color=colour, label=f"never: {label}") for label, colour in REASONS.values()),
+        Line2D([], [], color="k", lw=2, label="fastest continuously"),
+        Line2D([], [], color="k", lw=1.2, ls="--", label="fastest for a short time"),
+        Patch(color=BRIEF, label="only for a short time"),
+        *(Patch(color=colour, label=f"not at all: {label}") for label, colour in REASONS.values()),
     ]
-    figure.legend(handles=keys, fontsize="small", loc="outside upper left", ncols=3, frameon=False)
+    figure.legend(handles=keys, fontsize="small", loc="outside upper left", ncols=2, frameon=False)
     heavy = quadriga("full:concrete")
     for name, value in (
         ("linear_inertia", heavy.vehicle.mass),

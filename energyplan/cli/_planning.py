@@ -209,6 +209,9 @@ def driven(made: Plan, trajectory: Path | None) -> DrivenPath | None:
     """Drive a plan and write its trajectory; None with a word why where it cannot be driven."""
     from energyplan.io.trajectory import write_trajectory
 
+    if trajectory is None and made.length == 0.0 and made.turning == 0.0:
+        warn("start and goal are the same pose: there is nothing to drive")
+        return None
     try:
         told = made.driven
     except (InfeasibleMotionError, InvalidInputError) as error:

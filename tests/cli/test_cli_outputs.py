@@ -292,6 +292,13 @@ def test_usual_slips_are_told_with_their_remedy(
     assert said in refused(folder, capsys, *words)
 
 
+def test_a_goal_at_the_start_is_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, error = run(capsys, *PLAN[:-1], PLAN[6], "--effort", 100)
+    assert code == 0
+    assert "energy: 0 J" in out
+    assert error.splitlines()[0] == "start and goal are the same pose: there is nothing to drive"
+
+
 @pytest.mark.parametrize(("turns", "told"), [(1.0, False), (2.0, True)])
 def test_an_angle_that_the_yaw_contradicts_is_told(
     folder: Path, capsys: pytest.CaptureFixture[str], turns: float, told: bool
