@@ -49,7 +49,7 @@ from energyplan.fit.breakaway import with_breakaway
 from energyplan.fit.drives.drive import Drive, check_long_enough, prepared
 from energyplan.fit.drives.late import Late
 from energyplan.fit.problem import PAPER, Problem
-from energyplan.fit.usual import open_in_words
+from energyplan.fit.usual import leaves_open, open_in_words
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
@@ -216,7 +216,7 @@ class _Case:
         self.limits: list[str] = []  # of what these drives can tell: said before anything else
         train, holdout = (self._in_step(logs) for logs in self.logs)
         self.problem = self._problem(train, vehicle)
-        self.paper = self._identified(train, vehicle)
+        self.paper, self.identified = self._identified(train, vehicle)
         self.before = [
             predict(self.paper, (), Drive.of(log, self.paper.vehicle)) for log in holdout
         ]
@@ -252,13 +252,14 @@ class _Case:
             moved.append(log)
         return moved
 
-    def _identified(self, train: Sequence[DriveLog], vehicle: Vehicle) -> PowerModel:
-        """Return the paper's model as `identify` gives it, or what the drives tell of it."""
+    def _identified(self, train: Sequence[DriveLog], vehicle: Vehicle) -> tuple[PowerModel, bool]:
+        """Return the paper's model, and whether drives tell more of it than is known of others."""
         try:
-            return identify(train, vehicle).model
+            model = identify(train, vehicle).model
+            return model, not leaves_open(model)
         except NotIdentifiableError as reason:
             self.limits.append(str(reason))
-            return final_fit(self.problem, ()).model
+            return final_fit(self.problem, ()).model, False
 
     def _mass_centre(self, vehicle: Vehicle) -> MassCentre | None:
         if not any(entry.name == "centre_of_mass" for entry in self.entries):
@@ -275,8 +276,9 @@ class _Case:
         parts = best.parts
         told_before = dependences(self.problem, PAPER, ("power",))
         report(0.9, "testing the residual against every channel")
-        averages = choose and len(self.logs[0]) >= FEWEST_RUNS
-        plain = None if averages or self.mass_centre is not None else self.paper
+        alone = not choose or len(self.logs[0]) < FEWEST_RUNS
+        keep = alone and self.identified and self.mass_centre is None
+        plain = self.paper if keep else None
         fighting = next((one for one in self.entries if one.acts == "hold"), None)
 
         def test(some: tuple[Part, ...]) -> Tested:

@@ -139,7 +139,7 @@ def tested(
         added = None
     fitted = final_fit(problem, parts if added is None else (*parts, added))
     if not parts and added is None and plain is not None:
-        fitted = replace(fitted, model=plain)
+        fitted = replace(fitted, model=plain, assumed=())
     fight = find_wheel_fight(problem, fitted.model) if fights else None
     if fight is not None:
         fitted = replace(fitted, model=fight.model)

@@ -18,6 +18,8 @@ USUAL = {"slip_friction": (0.6, 0.3), "traction_resistance": (0.1, 0.05)}
 presets: from ice to asphalt, from 17 to 470 kg."""
 
 _UNTOLD = 1e3  # standard deviations of the usual, by which what drives do not tell is unknown
+_UNLIKE = 9.0  # mean square of standard deviations from the usual, beyond which a robot is unlike
+_WIDER = 1.5  # factor of the usual variance, in steps, for a robot which is unlike others
 
 
 class UsualFriction(NamedTuple):
@@ -34,6 +36,14 @@ def usual_friction(term: Term, vehicle: Vehicle) -> UsualFriction:
     return UsualFriction(scale * mean, scale * deviation)
 
 
+def leaves_open(model: PowerModel) -> bool:
+    """Whether a model's own errors of a friction are larger than robots elsewhere differ."""
+    return any(
+        (model.std_error(term.name) or 0.0) > usual_friction(term, model.vehicle).deviation
+        for term in model.terms if term.name in USUAL
+    )  # fmt: skip
+
+
 def with_usual(
     values: FloatArray, covariance: FloatArray, terms: Sequence[Term], gram: FloatArray,
     vehicle: Vehicle,
@@ -42,7 +52,8 @@ def with_usual(
 
     A friction that no drive shows is not zero. Of two whose regressors are proportional, any share
     fits, and no block tells another one. Both are taken to be as of robots elsewhere, as far as
-    drives leave that open; the other coefficients move with them.
+    drives leave that open; the other coefficients move with them. A robot that is unlike all of
+    them, by what its drives tell, is allowed as much as it differs.
 
     Parameters
     ----------
@@ -80,12 +91,21 @@ def with_usual(
     loose = np.diagonal(covariance)[which] > error**2
     taken = [place for place, one in zip(which, loose, strict=True) if one]
     if taken:
-        total = covariance[np.ix_(taken, taken)] + np.diag(error[loose] ** 2)
-        gain = np.linalg.solve(total, covariance[taken]).T
-        values = values + gain @ (mean[loose] - values[taken])
+        away, total = mean[loose] - values[taken], covariance[np.ix_(taken, taken)]
+        usual = np.diag(error[loose] ** 2)
+        if _unlike(away, total + usual) > _UNLIKE:
+            while _unlike(away, total + usual) > 1.0:
+                usual *= _WIDER
+        gain = np.linalg.solve(total + usual, covariance[taken]).T
+        values = values + gain @ away
         covariance = covariance - gain @ covariance[taken]
     names = tuple(terms[k].name for k in taken)
     return values, covariance, names
+
+
+def _unlike(away: FloatArray, covariance: FloatArray) -> float:
+    """Return the mean square of deviations, in units of their standard ones."""
+    return float(away @ np.linalg.solve(covariance, away)) / len(away)
 
 
 def open_in_words(model: PowerModel, names: Sequence[str]) -> list[str]:
@@ -104,7 +124,7 @@ def open_in_words(model: PowerModel, names: Sequence[str]) -> list[str]:
         One sentence for each.
     """
     return [
-        f"these drives leave {term.name} open; as of robots elsewhere it is taken to be "
+        f"these drives leave {term.name} open; with what robots elsewhere have it is "
         f"{term.symbol} = {number(model.coefficient(term.name))} +- "
         f"{number(model.std_error(term.name) or 0.0, 2)} {unit(term.unit)}".rstrip()
         for term in model.terms if term.name in names

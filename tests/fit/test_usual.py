@@ -100,6 +100,21 @@ def test_who_only_drove_straight_foretells_turns_with_the_error_of_the_unknown()
     assert not any("traction_resistance open" in line for line in told.advice)
 
 
+def test_a_robot_that_is_unlike_all_others_is_not_made_like_them() -> None:
+    """One that is towed all the time, say, or whose mass is wrong by a factor of five."""
+    values, covariance = np.array([0.6, 12.0 * MEAN[1]]), np.diag([0.01**2, (2.0 * ERROR[1]) ** 2])
+    gram = np.diag([4.0, 9.0])
+    told, error, taken = with_usual(values, covariance, (SLIP, TRACTION), gram, MODEL.vehicle)
+    assert taken == ("traction_resistance",)
+    assert told[1] > 0.9 * values[1]
+    assert 0.9 * 2.0 * ERROR[1] < np.sqrt(error[1, 1]) < 2.0 * ERROR[1]
+    # one that is within three deviations is
+    values[1] = MEAN[1] + 6.0 * ERROR[1]
+    told, error, _ = with_usual(values, covariance, (SLIP, TRACTION), gram, MODEL.vehicle)
+    assert told[1] == pytest.approx(MEAN[1] + 6.0 / 5.0 * ERROR[1])
+    assert error[1, 1] == pytest.approx(0.8 * ERROR[1] ** 2)
+
+
 @pytest.mark.shared
 def test_single_runs_on_sandy_loam_foretell_others_within_their_intervals(
     shared_data: Path,
@@ -126,7 +141,20 @@ def test_a_log_of_noise_does_not_choose_a_friction() -> None:
     manoeuvres = [("straight", 20.0), ("spin", 20.0)]
     log = simulate.drive(MODEL, manoeuvres, seed=3, power_noise=4000.0, without={"accel_x"})
     found = identify(log, MODEL.vehicle, method="windows")
-    said = [line for line in found.warnings if "as of robots elsewhere" in line]
+    said = [line for line in found.warnings if "robots elsewhere have" in line]
+    assert [line.split()[3] for line in said] == ["slip_friction", "traction_resistance"]
+    assert np.all(np.abs(found.model.coefficients - MEAN) < 2.0 * ERROR)
+    assert np.all(np.sqrt(np.diag(found.model.covariance)) <= ERROR)
+
+
+def test_a_diagnosis_without_effects_has_the_usual_friction_that_it_tells_of() -> None:
+    """Not what `identify` fits, which knows of no other robots."""
+    noise = {"power_noise": 4000.0, "without": {"accel_x"}}
+    manoeuvres = [("straight", 20.0), ("spin", 20.0)]
+    log = simulate.drive(MODEL, manoeuvres, seed=3, **noise)
+    found = diagnose(log, simulate.drive(MODEL, manoeuvres, seed=4, **noise), MODEL.vehicle)
+    assert found.effects == ()
+    said = [line for line in found.advice if "robots elsewhere have" in line]
     assert [line.split()[3] for line in said] == ["slip_friction", "traction_resistance"]
     assert np.all(np.abs(found.model.coefficients - MEAN) < 2.0 * ERROR)
     assert np.all(np.sqrt(np.diag(found.model.covariance)) <= ERROR)
