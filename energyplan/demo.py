@@ -267,7 +267,7 @@ def _limits(demo: _Demo, made: Comparison) -> None:
     page.paragraph(
         f"The route, timed to the motors' limits, takes {trajectory.duration:.0f} s and is "
         f"{'feasible' if report.feasible else 'not feasible'}. "
-        f"At 1.5 times the speed: {fast.reason}."
+        f"At 1.5 times the speed it is {fast.reason}."
     )
     region = feasible_region(model, np.linspace(-3, 3, 181), np.linspace(0.05, 1.4, 109))
     figure = plots.figure()
