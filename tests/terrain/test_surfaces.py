@@ -128,6 +128,35 @@ def test_raster_agrees_with_points():
     assert not far.raster(grid).any()
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_cell_that_surfaces_share_is_of_the_highest_rank_there(seed):
+    rng = np.random.default_rng(seed)
+    yaw = 0.0 if seed == 3 else rng.uniform(-3, 3)
+    grid = OccupancyGrid(np.zeros((20, 25), bool), 0.25, Pose(-3.0, -2.5, yaw))
+    if seed == 3:  # edges on those of cells, which then share nothing
+        ground = SurfaceMap([Surface(shapely.box(-2.0, -2.0, 1.0, 1.5), MARBLE)] * 2)
+    else:
+        ground = random_surfaces(rng)
+    rank = rng.permutation(len(ground.surfaces) + 1)
+    # what shows of each surface, and of none
+    shown, above = [], shapely.Polygon()
+    for surface in reversed(ground.surfaces):
+        shown.append(surface.area.difference(above))
+        above = above.union(surface.area)
+    shown = [shapely.box(-99, -99, 99, 99).difference(above), *reversed(shown)]
+    row, column = np.indices(grid.shape)
+    corners = np.stack([column, row], -1)[:, :, None] + [(0, 0), (1, 0), (1, 1), (0, 1)]
+    cells = shapely.polygons(grid.to_world(corners))
+    parts = np.array([shapely.area(shapely.intersection(cells, area)) for area in shown])
+    there = np.where(parts > 1e-6, rank[:, None, None], -1)
+    # a sliver may be a surface's or not
+    unsure = ((parts > 1e-12) & (parts < 1e-6)).any(axis=0)
+    found = ground.raster(grid, rank)
+    assert np.array_equal(rank[found][~unsure], there.max(axis=0)[~unsure])
+    assert not np.array_equal(found, ground.raster(grid)) or seed == 3
+    assert len(np.unique(found)) > 1
+
+
 def test_malformed_surfaces_are_refused():
     with pytest.raises(MapError, match="polygon"):
         Surface(shapely.LineString([(0, 0), (1, 1)]), MARBLE)

@@ -175,7 +175,6 @@ class CompiledProblem:
             cos=float(np.cos(heights.origin.yaw)),
             sin=float(np.sin(heights.origin.yaw)),
             resolution=float(heights.resolution),
-            lateral=float(self.problem.cost.icr.centre[1]),
             steepest=self.steepest,
             bins=_slopes.BINS,
             piece=cells if several else max(cells, 0.5 * heights.resolution),
@@ -218,8 +217,13 @@ class CompiledProblem:
 
     @cached_property
     def _classes(self) -> NDArray[np.uint8]:
-        """Class of surface and level of the costmap of each cell; a single one if all are alike."""
-        surface = self.terrain.regions
+        """Class of surface and level of the costmap of each cell; a single one if all are alike.
+
+        A cell that surfaces share is of the dearest, so that no search gains by what is not there:
+        it would turn in a corner of the cheaper one that only the raster knows.
+        """
+        dear = self._priced.kept.reshape(len(self.costs), -1).mean(axis=1)
+        surface = self.terrain.dearest(dear)
         if self._levels > 1 and self.problem.costmap is not None:
             level = np.round(self.problem.costmap.over(self.grid) * (self._levels - 1))
             return np.asarray(surface * np.uint8(self._levels) + level.astype(np.uint8), np.uint8)
@@ -255,6 +259,7 @@ class CompiledProblem:
                 per_radian=static.metre * static.track + static.radian,
             ),
             half_track=problem.cost.half_track,
+            lateral=float(problem.cost.icr.centre[1]),
             reach=float(np.hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max))),
             least_metre=self.least.metre,
             least_radian=self.least.radian,
