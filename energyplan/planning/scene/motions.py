@@ -1,7 +1,7 @@
 """Kernels that price motions and join poses, on the ground and among the obstacles of one problem.
 
-Everything here is in the frame of the point midway between the tread ICRs, where every vehicle is
-symmetric: `KernelProblem.body` is the footprint seen from there.
+Everything here is in the frame of the centre that `CompiledProblem` follows, mostly the point
+midway between the tread ICRs: `KernelProblem.body` is the footprint seen from there.
 
 A price is a positively homogeneous function of (ds, dtheta). It is held as its values on
 `DIRECTIONS` rays of the plane ``(ds, C dtheta)`` and is linear between them. The kinks of the
