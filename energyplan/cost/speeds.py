@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from energyplan.errors import InvalidInputError
 from energyplan.path import FloatArray
@@ -22,7 +23,7 @@ _SLOWEST = 0.05  # slowest tread speed, as a fraction of the vehicle's limit
 _SCAN = 25  # rates tried before the best is refined
 _PARTS = 8  # parts in which an interval is cut first, all at once
 _CUTS = 64  # how often it is cut, at least by half: 2^-60 is below what numbers resolve
-_SAME = 1e-13  # part by which forces may differ by rounding
+_SAME = 1e-13  # part by which forces, and energies, may differ by rounding
 _AT_ONCE = 1 << 18  # numbers in an array of rates to try
 _ZOOMS, _TRIED = 12, 5  # rounds in which the best is enclosed, and rates tried in each
 
@@ -233,25 +234,31 @@ def cheapest_rate(
     Returns
     -------
     ndarray, shape (...)
-        Rates [1/s]: the least of a scan over the range, enclosed ever more tightly.
+        Rates [1/s]: the least of a scan over the range, enclosed ever more tightly; the fastest of
+        those that cost the same.
     """
     ratio = (limit / slowest) ** (1.0 / (scan - 1))
     best = np.full(limit.shape, np.inf)
     place = np.zeros(limit.shape, int)
     steps = np.arange(scan).reshape(-1, *[1] * limit.ndim)
+
+    def same(value: FloatArray, least: FloatArray) -> NDArray[np.bool_]:
+        return np.asarray(value <= least + _SAME * np.abs(least))
+
     for some in np.array_split(steps, np.ceil(scan * limit.size / _AT_ONCE) or 1):
         values = energy(slowest * ratio**some)
         for k, value in zip(some.flat, values, strict=True):
-            better = value <= best
-            best, place = np.where(better, value, best), np.where(better, k, place)
+            place = np.where(same(value, best), k, place)
+            best = np.minimum(value, best)
     low = slowest * ratio ** np.maximum(place - 1, 0)
     high = slowest * ratio ** np.minimum(place + 1, scan - 1)
     parts = np.arange(1, _TRIED + 1).reshape(-1, *[1] * limit.ndim) / (_TRIED + 1)
     for _ in range(_ZOOMS):
         gap = high - low
-        low = low + gap * (np.argmin(energy(low + gap * parts), axis=0) / (_TRIED + 1))
+        values = energy(low + gap * parts)
+        last = _TRIED - 1 - np.argmax(same(values, values.min(axis=0))[::-1], axis=0)
+        low = low + gap * (last / (_TRIED + 1))
         high = low + gap * (2 / (_TRIED + 1))
     rate = 0.5 * (low + high)
-    for end in (slowest, limit):
-        rate = np.where(energy(end) <= energy(rate), end, rate)
-    return np.asarray(rate)
+    rate = np.where(same(energy(rate), energy(slowest)), rate, slowest)
+    return np.where(same(energy(limit), energy(rate)), limit, rate)

@@ -207,6 +207,8 @@ def profile(
     for name, value in (("period", period), ("duration", 1.0 if duration is None else duration)):
         if not (np.isfinite(value) and value > 0):
             raise InvalidInputError(f"{name} is {value} s; give a positive number")
+    if not (path.ds.any() or path.dtheta.any()):
+        raise PathError("the path has no length; a speed profile needs a segment that moves")
     limits = Limits.of(
         vehicle or model.vehicle,
         lateral_acceleration=lateral_acceleration,
@@ -283,8 +285,6 @@ class _Task:
         )
         left, right = path.ds - icr.left * dtheta, path.ds + icr.right * dtheta
         length = np.maximum(np.abs(left), np.abs(right))
-        if not length.any():
-            raise PathError("the path has no length; a speed profile needs a segment that moves")
         moves = length > 1e-12 * length.max()
         share = np.column_stack([left[moves], right[moves]]) / length[moves, None]
         given = np.column_stack([np.zeros(count), *columns.values()])[moves]

@@ -439,13 +439,13 @@ class _Evaluation:
     def _holds(self, k: int, remedy: Remedy) -> bool:
         """Tell whether the whole mission with a remedy does the task.
 
-        Others that the remedy makes possible must not take from it what it gains.
+        Others that it makes possible must not take what it gains; at another speed routes change.
         """
         if self.mission.order == "free" and len(self.mission.tasks) > _CONFIRMED:
             return True
         changed = self.mission.with_remedy(remedy)
-        legs = None if remedy.kind == "drop" else self.legs.under(changed)
-        again = _Evaluation(changed, legs=legs)
+        anew = remedy.kind in ("drop", "speed", "cheapest_speed")
+        again = _Evaluation(changed, legs=None if anew else self.legs.under(changed))
         again.go()
         name = self.mission.tasks[k].name
         return any(changed.tasks[d].name == name for d in again.done)

@@ -60,6 +60,11 @@ def objective_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
     return weights
 
 
+def is_length(problem: PlanningProblem) -> bool:
+    """Tell whether length is all that counts."""
+    return {name for name, weight in problem.weights.items() if weight > 0} == {"length"}
+
+
 @dataclass(frozen=True)
 class PlanningProblem:
     """Start, goal, map and cost of a planning query.

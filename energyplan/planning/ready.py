@@ -145,6 +145,6 @@ def prepare(problem: PlanningProblem, *, guided: bool = True) -> None:
         Whether the planner looks at the free configurations.
     """
     query = CompiledProblem(problem)
-    if guided:
-        regions_for(query.setting)
+    if guided:  # searches follow the middle of the treads, whatever counts
+        regions_for(CompiledProblem(problem, problem.cost.icr.centre[1]).setting)
     prepare_bound(query)

@@ -36,14 +36,16 @@ from energyplan.planning.ready import compiled as compile_kernels
 from energyplan.planning.scene.compiled import CompiledProblem, Segments, merged
 from energyplan.terrain import OccupancyGrid
 
-AHEAD = (0.0, 0.05, 0.15, 0.3, 0.6, 1.2, 2.4)
-"""How far ahead of the nearest place a robot beside its path may get back to it [m]."""
+AHEAD = (0.0, 0.1, 0.3, 0.6, 1.25, 2.5, 5.0, 10.0, 20.0)
+"""How far ahead of the nearest place a robot beside its path may get back to it [half slip tracks].
+"""
 
-STEP = 0.05
-"""Distance between the places of a path that are looked at [m], [rad]."""
+STEP, TURN = 0.1, 0.05
+"""Distance between the places of a path that are looked at [half slip tracks], [rad]."""
 
-AROUND = (0.3, 1.0, 3.0)
-"""How far before and after what is closed of a path it is left and joined again [m]."""
+AROUND = (0.6, 2.0, 6.0)
+"""How far before and after what is closed of a path it is left and joined again [half slip tracks].
+"""
 
 DETOUR_SHARE = 0.25
 """Part of the budget that ways around what is closed may take."""
@@ -83,7 +85,7 @@ def remainder(path: Path, pose: ArrayLike, problem: PlanningProblem) -> Path | N
     4.0
     """
     here = as_pose(pose, "the robot's pose")
-    fine = path.subdivide(STEP, STEP)
+    fine = _places(path, problem)
     query = CompiledProblem(replace(problem, start=here, goal=path.end))
     best, least = None, np.inf
     for k in _places_ahead(fine, here, problem):
@@ -95,6 +97,11 @@ def remainder(path: Path, pose: ArrayLike, problem: PlanningProblem) -> Path | N
     return best
 
 
+def _places(path: Path, problem: PlanningProblem) -> Path:
+    """Return a path cut at the places that are looked at."""
+    return path.subdivide(STEP * problem.cost.half_track, TURN)
+
+
 def _places_ahead(fine: Path, here: Pose, problem: PlanningProblem) -> list[int]:
     """Return the vertices of a path at which a robot may get back to it, the nearest one first."""
     off = fine.vertices - np.array(here)
@@ -103,7 +110,7 @@ def _places_ahead(fine: Path, here: Pose, problem: PlanningProblem) -> list[int]
     # of a place that it passes twice the later time counts
     nearest = int(np.flatnonzero(away <= away.min() + ALIKE)[-1])
     along = np.concatenate([[0.0], np.cumsum(np.abs(fine.ds))])
-    ahead = np.searchsorted(along, along[nearest] + np.array(AHEAD))
+    ahead = np.searchsorted(along, along[nearest] + problem.cost.half_track * np.array(AHEAD))
     # the place itself, and the one after it, which the robot may have passed the first part of
     return sorted({nearest, *np.clip([nearest + 1, *ahead], nearest, len(fine)).tolist()})
 
@@ -133,14 +140,14 @@ def _closed(path: Path, grid: OccupancyGrid, problem: PlanningProblem) -> list[i
 def _bypassed(rest: Path, problem: PlanningProblem, budget: Budget) -> Path | None:
     """Return a path with what is closed of it bypassed, if a way around is found near it."""
     grid = problem.terrain.obstacles
-    fine = rest.subdivide(STEP, STEP)
+    fine = _places(rest, problem)
     shut = _closed(fine, grid, problem)
     if not shut:
         return rest
     vertices = fine.vertices
     free = np.flatnonzero(grid.footprint_free(vertices, problem.robot))
     along = np.concatenate([[0.0], np.cumsum(np.abs(fine.ds))])
-    for n, far in enumerate(AROUND):
+    for n, far in enumerate(problem.cost.half_track * np.array(AROUND)):
         own = budget.part(1.0 / (len(AROUND) - n))
         before = free[(free <= shut[0]) & (along[free] <= along[shut[0]] - far)]
         after = free[(free > shut[1]) & (along[free] >= along[shut[1] + 1] + far)]
@@ -164,7 +171,7 @@ def _bound_left(former: Plan, problem: PlanningProblem, here: Pose) -> float:
 
     The bound holds for the way that the robot came and the best way from here.
     """
-    fine = former.path.subdivide(STEP, STEP)
+    fine = _places(former.path, problem)
     least = np.inf
     for k in _places_ahead(fine, here, problem)[:1]:
         at = Pose(*(float(v) for v in fine.vertices[k]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import ceil
+from math import ceil, floor
 
 import numpy as np
 import shapely
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.base import BaseGeometry
 
 from energyplan.compilation import njit
-from energyplan.compilation.arrays import FloatTable, IntTable
+from energyplan.compilation.arrays import Column, FloatTable, IntTable
 from energyplan.cost import EnergyCost
 from energyplan.errors import MapError
 from energyplan.kinds import check_fields, described
@@ -182,12 +182,19 @@ class SurfaceMap:
             region[shapely.intersects_xy(surface.area, rows[..., 0], rows[..., 1])] = k
         return region
 
-    def raster(self, grid: OccupancyGrid) -> NDArray[np.intp]:
-        """Return the region at the centre of each cell of a map, shape (rows, columns)."""
+    def raster(self, grid: OccupancyGrid, rank: ArrayLike | None = None) -> NDArray[np.intp]:
+        """Return the region at the centre of each cell of a map, shape (rows, columns).
+
+        Where a rank is given for each region, a cell that several of them share is of the one
+        whose rank is highest.
+        """
         raster = np.zeros(grid.shape, np.int64)
         for k, surface in enumerate(self.surfaces, start=1):
             a, e = _rim(shapely.transform(surface.area, grid.to_cells))
+            before = None if rank is None else raster.copy()
             _fill(raster, a, a + e, k)
+            if before is not None:
+                _share(raster, before, a, a + e, k, np.asarray(rank, float))
         return raster
 
     @cached_property
@@ -315,6 +322,36 @@ def _fill(raster: IntTable, a: FloatTable, b: FloatTable, value: int) -> None:
             inside = inside != crossed[column]
             if inside:
                 raster[row, column] = value
+
+
+_INSIDE = 1e-6
+"""How far an edge must reach into a cell to share it [cells]: rounding."""
+
+
+@njit
+def _share(
+    raster: IntTable, before: IntTable, a: FloatTable, b: FloatTable, value: int, rank: Column
+) -> None:
+    """Set the cells that edges from `a` to `b` pass through to the higher rank on their two sides.
+
+    `before` is the raster as it was without the area that the edges bound.
+    """
+    rows, columns = raster.shape
+    for k in range(len(a)):
+        left, right = (a[k], b[k]) if a[k, 0] <= b[k, 0] else (b[k], a[k])
+        width = right[0] - left[0]
+        first = int(max(floor(left[0] + _INSIDE), 0.0))
+        for column in range(first, int(min(ceil(right[0] - _INSIDE), columns))):
+            y0 = left[1]
+            y1 = right[1]
+            if width > 0.0:
+                steep = (right[1] - left[1]) / width
+                y0 = left[1] + steep * max(column - left[0], 0.0)
+                y1 = right[1] - steep * max(right[0] - column - 1.0, 0.0)
+            bottom = int(max(floor(min(y0, y1) + _INSIDE), 0.0))
+            for row in range(bottom, int(min(ceil(max(y0, y1) - _INSIDE), rows))):
+                old = before[row, column]
+                raster[row, column] = value if rank[value] >= rank[old] else old
 
 
 @dataclass(frozen=True)

@@ -299,6 +299,7 @@ class Terrain:
         )
         if "regions" in self.__dict__:
             new.__dict__["regions"] = self.regions
+        new.__dict__["_dearest"] = self._dearest
         if self.ground.keep_out:
             height, width = np.shape(occupied)
             kept_out = self._kept_out[row : row + height, column : column + width]
@@ -338,6 +339,32 @@ class Terrain:
         if not self.ground.surfaces:
             return np.zeros((1, 1), np.uint8)
         return self.ground.raster(self.grid).astype(np.uint8)
+
+    @cached_property
+    def _dearest(self) -> dict[tuple[int, ...], NDArray[np.uint8]]:
+        return {}
+
+    def dearest(self, prices: ArrayLike) -> NDArray[np.uint8]:
+        """Return a region of each cell: of those that share it the dearest.
+
+        Parameters
+        ----------
+        prices : array_like, shape (regions,)
+            Which regions are dearer.
+
+        Returns
+        -------
+        ndarray of uint8, shape (rows, columns) or (1, 1)
+            The regions; a single one where there are no surfaces.
+        """
+        if not self.ground.surfaces:
+            return self.regions
+        rank = np.argsort(np.argsort(prices, kind="stable"))
+        found = self._dearest.get(tuple(rank.tolist()))
+        if found is None:
+            found = self.ground.raster(self.grid, rank).astype(np.uint8)
+            found = self._dearest.setdefault(tuple(rank.tolist()), found)
+        return found
 
     def region_at(self, points: ArrayLike) -> NDArray[np.intp]:
         """Return the region of each world point (..., 2) [m]; see `SurfaceMap`."""

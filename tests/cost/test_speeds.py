@@ -19,11 +19,13 @@ from energyplan.cost.speeds import (
 )
 from energyplan.cost.steering import _turn_table
 from energyplan.errors import InvalidInputError
-from energyplan.path import FloatArray
-from energyplan.power import Sides
+from energyplan.path import FloatArray, Path, Pose
+from energyplan.power import PowerModel, Sides
+from energyplan.power.effects import term
 from energyplan.vehicle import MotorLimits, TreadICR, Vehicle
 
 VEHICLE = Vehicle.preset("husky_a200")
+MODEL = PowerModel.paper(VEHICLE, K=40.0, mu=0.5)
 
 
 def test_what_is_asked_is_a_speed_the_cheapest_or_the_usual_one() -> None:
@@ -114,6 +116,28 @@ def test_the_cheapest_rate_is_the_least_of_a_range_or_its_end() -> None:
         lambda w: np.minimum(np.log(w / 0.2) ** 2 + 0.3, np.log(w / 2.0) ** 2),
     )  # fmt: skip
     assert_allclose(two, 2.0, rtol=1e-5)
+
+
+def test_of_rates_that_cost_the_same_it_is_the_fastest() -> None:
+    rng = np.random.default_rng(4)
+
+    def noisy(w: FloatArray, energy: FloatArray) -> FloatArray:
+        return energy * (1.0 + 1e-15 * rng.normal(size=w.shape))
+
+    slowest, limit = np.full(50, 0.05), np.linspace(0.2, 3.0, 50)
+    level = cheapest_rate(slowest, limit, lambda w: noisy(w, 7.0 + 0.0 * w))
+    assert level.tolist() == limit.tolist()
+    rising = cheapest_rate(slowest, limit, lambda w: noisy(w, 7.0 + np.maximum(w - 1.0, 0.0)))
+    assert_allclose(rising, np.minimum(limit, 1.0), rtol=1e-5)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-16, -1e-14, 1e-13])
+def test_a_straight_line_is_driven_fast_whatever_else_depends_on_speed(turn: float) -> None:
+    """Friction that falls as treads slide is none on a straight line: its energy knows no speed."""
+    model = replace(MODEL, vehicle=VEHICLE.with_icr(TreadICR(0.52, 0.41)))
+    cost = EnergyCost(model.with_term(term("stribeck_friction"), 0.3))
+    straight = Path(Pose(0, 0, 0), [0.0073], [turn])
+    assert cost.duration(straight) == pytest.approx(0.0073 / VEHICLE.motor.speed)
 
 
 def test_the_slowest_rate_is_a_twentieth_of_what_limits_it() -> None:

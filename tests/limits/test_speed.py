@@ -6,6 +6,7 @@ from by_day import by_day
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, linprog
 from scipy.sparse import diags_array, vstack
+from shapely import box
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
 from energyplan.limits import _timing
@@ -17,7 +18,8 @@ from energyplan.limits.speed import profile
 from energyplan.motion import Motion
 from energyplan.path import Path, Pose
 from energyplan.power import PowerModel
-from energyplan.power.effects import term
+from energyplan.power.effects import term, with_weight
+from energyplan.terrain import HeightMap, Surface, SurfaceMap
 from energyplan.vehicle import MotorLimits, TreadICR, Vehicle
 
 PAPER = PowerModel.preset("quadriga:empty:concrete")
@@ -496,8 +498,18 @@ def test_errors_name_the_remedy():
         profile(path, PAPER, smooth=-1.0)
     with pytest.raises(InvalidInputError, match="'slope' has shape"):
         profile(path, PAPER, channels={"slope": [0.0, 0.1]})
+
+
+@pytest.mark.parametrize("segments", [[], [0.0], [0.0, 0.0]])
+@pytest.mark.parametrize("surfaces", [None, SurfaceMap([Surface(box(-9, -9, 9, 9), PAPER)])])
+@pytest.mark.parametrize("heights", [None, HeightMap(np.zeros((9, 9)), 2.0, (-8.0, -8.0, 0.0))])
+def test_a_path_that_leads_nowhere_is_refused_on_any_ground(segments, surfaces, heights):
+    model = with_weight(PAPER)
     with pytest.raises(PathError, match="no length"):
-        profile(Path(START, [0.0], [0.0]), PAPER)
+        profile(
+            Path(START, segments, segments), model, surfaces=surfaces, heights=heights,
+            smooth=np.full(max(len(segments) - 1, 0), 0.1),
+        )  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["husky_a200", "jackal"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from statistics import NormalDist
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -19,6 +19,7 @@ from energyplan.errors import MissionError
 from energyplan.mission import Mission, Remedy, Spreads, Task, evaluate
 from energyplan.mission.tasks import RemedyKind
 from energyplan.path import FloatArray, Pose
+from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.power import HOTEL, PowerModel
 
 
@@ -169,6 +170,26 @@ def test_where_power_is_the_limit_the_remedy_names_power() -> None:
     battery = asked.battery
     fuller = replace(asked, battery=replace(battery, capacity=3 * battery.capacity))
     assert evaluate(fuller).tasks[0].verdict == "unreachable"
+
+
+def test_another_speed_is_told_with_the_routes_that_are_planned_for_it(monkeypatch) -> None:
+    """Energy depends on speed, so routes may: the mission with the remedy plans none anew."""
+    planned: list[float | None] = []
+
+    def watched(problem: PlanningProblem, *args: Any, **options: Any) -> Plan:
+        planned.append(problem.cost.speed)
+        return plan(problem, *args, **options)
+
+    monkeypatch.setattr("energyplan.mission.legs.plan", watched)
+    for name in ("current", "late"):
+        asked = troubled()[name]
+        asked = replace(asked, map=replace(asked.map))  # on which no route is known
+        told = [remedy for task in evaluate(asked).tasks for remedy in task.remedies]
+        (speed,) = {remedy.amount for remedy in told if remedy.kind == "speed"}
+        assert speed in planned
+        planned.clear()
+        assert evaluate(asked.with_remedy(Remedy("speed", speed, "m/s"))).feasible
+        assert planned == []
 
 
 def test_a_remedy_for_another_mission_is_refused() -> None:

@@ -425,6 +425,15 @@ def test_of_a_gate_without_end_only_the_way_straight_to_it_is_charged():
     assert turned == pytest.approx(600.0 + 160.0 * 0.5 - 200.0 * 0.4 * np.sin(0.5))
 
 
+@pytest.mark.parametrize("radian", [0.0, 5e-324, 1e-300, 1e-9])
+def test_turns_that_cost_nothing_leave_the_metres(radian):
+    steering_cost = static(200.0, 0.0, 0.0)._replace(per_radian=radian)
+    for start, end in ((0.0, 0.0), (1.0, -2.0)):
+        section = Section(3.0, 4.0, 0.0, 1.0, 0.0)
+        found = to_gate(section, start, end, steering_cost, 1e9, room_to_work()).cost
+        assert 0.99 * 1000.0 <= found <= 1000.0 + 1e-6
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_first_and_last_lines_cost_no_more_than_any_crossing(seed):
     """Headings between the nodes and all places on the gate are tried."""

@@ -7,7 +7,7 @@ from worlds import cluttered, free_poses
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
-from energyplan.path import Path
+from energyplan.path import Path, Pose, point_ahead
 from energyplan.planning import Budget, PlanningProblem, plan
 from energyplan.planning.budget import UNLIMITED
 from energyplan.planning.lattice.many_goals import energies
@@ -288,3 +288,25 @@ def test_a_turn_in_place_is_one_spin_and_not_pivots_of_the_same_energy(turn, icr
     assert found.path.turning == pytest.approx(abs(turn))
     assert len(found.path) == 1
     assert found.gap == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("treads", [(0.47, 0.47, 0.0), (0.62, 0.32, 0.0), (0.34, 0.6, -0.05)])
+def test_the_shortest_route_turns_where_turning_has_no_length(treads):
+    """Wherever the tread ICRs lie: about the reference point, whose metres count."""
+    model = replace(MODEL, vehicle=MODEL.vehicle.with_icr(TreadICR(*treads)))
+    cost = EnergyCost(model)
+    hall = np.zeros((100, 120), bool)
+    start, goal = (2.0, 5.0, 1.2), (9.0, 5.0, -1.9)
+    problem = PlanningProblem(OccupancyGrid(hall, 0.1), cost, start, goal, objective="length")
+    points = [point_ahead(Pose(*end), treads[2]) for end in (start, goal)]
+    apart = np.hypot(*np.subtract(*points))
+    found = plan(problem, effort=2000)
+    assert found.length == pytest.approx(apart, rel=1e-3)
+    assert found.gap < 0.01
+    # about a box, and seen from one place among many
+    hall[30:62, 50:58] = True
+    about = replace(problem, map=OccupancyGrid(hall, 0.1))
+    found = plan(about, effort=4000)
+    assert found.gap < 0.04
+    [told] = energies(about, [goal], effort=4000)
+    assert found.lower_bound <= told == pytest.approx(found.cost, rel=0.05)

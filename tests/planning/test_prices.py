@@ -11,12 +11,14 @@ import shapely
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
 from energyplan.path import Path, Pose
-from energyplan.planning import PlanningProblem
+from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.contract import priced_plan
 from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.scene.motions import motion_cost
 from energyplan.planning.scene.prices import TIE_BREAK, Prices
 from energyplan.power import HOTEL, PowerModel
-from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap, path_price
+from energyplan.power.effects import with_weight
+from energyplan.terrain import HeightMap, OccupancyGrid, Surface, SurfaceMap, path_price
 from energyplan.vehicle import MotorLimits, TreadICR
 
 MODEL = PowerModel.preset("quadriga:empty:concrete")
@@ -71,3 +73,50 @@ def test_only_time_asks_for_a_speed_limit():
     assert float(Prices(free, objective="length").motion(1.0, 0.0)) == pytest.approx(1.01)
     with pytest.raises(InvalidInputError, match="speed limit"):
         Prices(free, objective="time").motion(1.0, 0.0)
+
+
+@pytest.mark.parametrize("cost", [EnergyCost(MODEL), LOPSIDED])
+@pytest.mark.parametrize("heights", [None, HeightMap(np.zeros((9, 9)), 2.0, Pose(-1, -1, 0))])
+def test_no_search_gains_by_a_corner_of_a_surface_that_only_the_raster_knows(cost, heights):
+    """Pieces as searches price them cost no less than by the polygons, but for their middles."""
+    rng = np.random.default_rng(3)
+    ice = PowerModel.paper(cost.vehicle, K=20.0, mu=0.05, name="ice")
+    area = shapely.affinity.rotate(shapely.box(4.03, 3.02, 6.98, 6.91), 12.0)
+    room = OccupancyGrid(np.zeros((40, 40), bool), 0.25)
+    if heights is not None:
+        cost = EnergyCost(with_weight(cost.model))
+        ice = with_weight(ice)
+        tilted = heights.heights + 0.02 * np.arange(9)
+        heights = replace(heights, heights=tilted)
+    problem = PlanningProblem(
+        room, cost, (2, 2, 0), (8, 8, 0), SurfaceMap([Surface(area, ice)]), heights=heights
+    )
+    query = CompiledProblem(problem)
+    cheaper = 0
+    for _ in range(300):
+        pose = Pose(*rng.uniform((3, 2, -3), (8, 8, 3)))
+        turn = Path(pose, [cost.icr.centre[1]], [1.0], cost.icr.longitudinal).subdivide(1.0, 0.01)
+        motions = query.of_centre(turn)
+        searched, at = 0.0, turn.vertices
+        for k in range(len(turn)):
+            centre = query.centre(Pose(*at[k]))
+            searched += motion_cost(query.setting, *centre, motions.ds[k], motions.dtheta[k])
+        searched += query.worth(turn.end) - query.worth(turn.start)
+        assert searched >= query.value(turn) * (1 - 1e-3)
+        cheaper += query.value(turn) < 0.5 * EnergyCost(cost.model).energy(turn)
+    assert cheaper > 30
+
+
+@pytest.mark.parametrize("cost", [EnergyCost(MODEL), LOPSIDED])
+def test_a_plan_turns_where_the_ground_is_slippery_and_not_beside_it(cost):
+    """By hand: into the first cell of ice alone, around, and back; that before is half ice."""
+    ice = PowerModel.paper(cost.vehicle, K=60.0, mu=0.03, name="ice")
+    ground = SurfaceMap([Surface(shapely.box(5.07, 0, 10, 10), ice, "ice")])
+    room = OccupancyGrid(np.zeros((50, 50), bool), 0.2)
+    ahead = cost.icr.longitudinal
+    onto, spin = 5.21 - ahead - 4.5, cost.icr.centre[1] * np.pi
+    way = Path(Pose(4.5, 5, 0), [onto, spin, onto], [0, np.pi, 0], ahead)
+    problem = PlanningProblem(room, cost, way.start, way.end, ground)
+    by_hand = path_price(way, cost, ground).energy
+    for effort in (1000, 4000):
+        assert plan(problem, effort=effort).energy <= by_hand * (1 + 1e-3)

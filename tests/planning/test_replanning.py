@@ -10,6 +10,7 @@ import pytest
 from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, NoPathError, StartInCollisionError
+from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.replanning import remainder, replan
 from energyplan.power import PowerModel
@@ -72,6 +73,26 @@ def test_beside_the_path_the_way_leads_back_to_it(seed):
         assert grid.path_free(rest, COST.vehicle)
         assert np.allclose(rest.start, here)
         assert COST.energy(rest) >= steering.energy(here, problem.goal, COST) * (1 - 1e-9)
+
+
+@pytest.mark.parametrize("size", [0.08, 0.5, 6.0])
+def test_robots_of_any_size_get_back_to_their_path_over_a_way_of_their_size(size):
+    """A robot beside its path goes on at an angle rather than turning twice on the spot."""
+    hall = OccupancyGrid(np.zeros((100, 200), bool), 0.1 * size)
+    cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=500.0 * size, icr=0.5 * size)
+    start, goal = (3.0 * size, 5.0 * size, 0.0), (17.0 * size, 5.0 * size, 0.0)
+    problem = PlanningProblem(hall, cost, start, goal)
+    path = Path(Pose(*start), [14.0 * size], [0.0])
+    here = (6.0 * size, 5.2 * size, 0.05)
+    rest = remainder(path, here, problem)
+    least = float(steering.energy(here, goal, cost))
+    assert cost.energy(rest) <= 1.02 * least
+    # and around what has closed, though nothing but the path is known
+    row, column = 46, 110
+    shut = hall.updated(np.ones((8, 8), bool), row, column)
+    found = replan(problem, path, start=here, map=shut, effort=1500)
+    assert found.length > 11.0 * size
+    assert found.cost <= 1.1 * plan(replace(problem, start=here, map=shut), effort=6000).cost
 
 
 def test_while_nothing_became_free_the_rest_is_the_plan(door):

@@ -128,6 +128,42 @@ def test_raster_agrees_with_points():
     assert not far.raster(grid).any()
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_cell_that_surfaces_share_is_of_the_highest_rank_there(seed):
+    rng = np.random.default_rng(seed)
+    yaw = 0.0 if seed == 3 else 1.3 * seed
+    corner = -np.array(
+        [2.5 * np.cos(yaw) - 3.0 * np.sin(yaw), 2.5 * np.sin(yaw) + 3.0 * np.cos(yaw)]
+    )
+    grid = OccupancyGrid(np.zeros((24, 20), bool), 0.25, Pose(*corner.tolist(), yaw))
+    ground = random_surfaces(rng)
+    if seed == 3:  # edges on those of cells, which then share nothing
+        ground = SurfaceMap([Surface(shapely.box(-2.0, -2.0, 1.0, 1.5), MARBLE)] * 2)
+    rank = rng.permutation(len(ground.surfaces) + 1)
+    # what shows of each surface, and of none
+    shown, above = [], shapely.Polygon()
+    for surface in reversed(ground.surfaces):
+        shown.append(surface.area.difference(above))
+        above = above.union(surface.area)
+    shown = [shapely.box(-99, -99, 99, 99).difference(above), *reversed(shown)]
+    row, column = np.indices(grid.shape)
+    corners = np.stack([column, row], -1)[:, :, None] + [(0, 0), (1, 0), (1, 1), (0, 1)]
+    cells = shapely.polygons(grid.to_world(corners))
+    there = np.array([shapely.area(shapely.intersection(cells, area)) > 1e-6 for area in shown])
+    highest = np.where(there, rank[:, None, None], -1).max(axis=0)
+    edges = [shapely.intersects(cells, surface.area.boundary) for surface in ground.surfaces]
+    found, middle = ground.raster(grid, rank), ground.raster(grid)
+    assert np.all(rank[found] >= highest)
+    # where several edges meet a surface counts, too, of which none of them leaves anything
+    few = np.sum(edges, axis=0) <= 1
+    assert np.array_equal(rank[found][few], highest[few])
+    assert np.all(few) or few.mean() > 0.5
+    if seed == 3:
+        assert np.array_equal(found, middle)
+    else:
+        assert np.count_nonzero(found != middle) > 20
+
+
 def test_malformed_surfaces_are_refused():
     with pytest.raises(MapError, match="polygon"):
         Surface(shapely.LineString([(0, 0), (1, 1)]), MARBLE)

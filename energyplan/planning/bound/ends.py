@@ -193,7 +193,9 @@ def to_gate(
             continue
         low = start if left else start - total
         high = low + total
-        many = min(int((best - radian * total) / (2.0 * radian * BEYOND)) + 2, MOST)
+        many = MOST
+        if best - radian * total < (MOST - 2) * 2.0 * radian * BEYOND:
+            many = int((best - radian * total) / (2.0 * radian * BEYOND)) + 2
         for k in range(NORMALS):
             angle = shift + k * pi / NORMALS
             nx = cos(angle)

@@ -61,7 +61,7 @@ def least_excess(query: CompiledProblem, radius: float, limit: float) -> float:
     clear = clearance >= radius
     # the reference point lies within the disc: what its ground would cost at an edge of a surface
     # that runs along a wall, or along the map's edge, is of no matter
-    lateral = abs(query.problem.cost.icr.centre[1])
+    lateral = abs(query.middle[1])
     per_metre[clearance < radius - lateral - ROUNDING * grid.resolution] = np.inf
     factor = max(ceil(sqrt(per_metre.size / MOST_CELLS)), 1)
     per_metre = _blocks(per_metre, factor, np.inf).min(axis=(1, 3))

@@ -19,7 +19,7 @@ from energyplan.planning.lattice.slots import slot_work
 from energyplan.planning.lattice.tight_ends import Ends
 from energyplan.planning.lattice.turning import Turned, ways_with_turns
 from energyplan.planning.lattice.way_along import way_along
-from energyplan.planning.problem import PlanningProblem
+from energyplan.planning.problem import is_length
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.guide import TURNS, distance_to_go
 from energyplan.planning.scene.guide_kernels import DistanceToGo
@@ -123,11 +123,6 @@ SHORTEST_POLISH = 800
 """Attempts to make the way shorter."""
 
 
-def is_length(problem: PlanningProblem) -> bool:
-    """Tell whether length is all that counts."""
-    return {name for name, weight in problem.weights.items() if weight > 0} == {"length"}
-
-
 def _bound_part(budget: Budget) -> float:
     """Return what the bound may take of a budget at a time."""
     return BOUND_SHARE * min(budget.left, MOST_LEFT * PACE)
@@ -151,10 +146,16 @@ class Improvement(FirstPath):
             The problem with the length as its objective.
         *beside : Work
             What else to do at once.
+
+        Returns
+        -------
+        Segments
+            Motions of that problem's centre.
         """
         setting, enough = query.setting, Bounding(query).value * (1.0 + self.gap)
         short = Portfolio(setting, self.portfolio.seed)
-        every = [Refiner(setting, motions) for motions in [*self.found, self.portfolio.best]]
+        known = (query.motions_of(self.query, one) for one in [*self.found, self.portfolio.best])
+        every = [Refiner(setting, motions) for motions in known]
         for one in sorted(every, key=lambda one: one.cost)[:SHORT_ONES]:
             short.enter(one.segments)
 
@@ -170,7 +171,7 @@ class Improvement(FirstPath):
     @cached_property
     def _shortest(self) -> KernelProblem:
         """The problem with the shortest way as the objective, for the same body."""
-        return CompiledProblem(self.query.problem.shortest).setting
+        return CompiledProblem(self.query.problem.shortest, self.query.lateral).setting
 
     def search(self) -> None:
         """Find further paths until the searches' part of the budget is over, or the gap closed."""

@@ -30,11 +30,11 @@ from energyplan.planning.budget import Budget, Work, do_together
 from energyplan.planning.contract import Candidate
 from energyplan.planning.driven import stops_count
 from energyplan.planning.lattice.first_path import FirstPath
-from energyplan.planning.lattice.improvement import Improvement, is_length
+from energyplan.planning.lattice.improvement import Improvement
 from energyplan.planning.lattice.portfolio import SAME, Bounding
 from energyplan.planning.lattice.stops import SHARE, least_driven, stops_of
 from energyplan.planning.lattice.tight_ends import ways_out
-from energyplan.planning.problem import PlanningProblem, objective_weights
+from energyplan.planning.problem import PlanningProblem, is_length, objective_weights
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.guide import regions_for
 
@@ -137,7 +137,7 @@ def plan(
         own = budget.apart(work.kept)
         try:
             path = path_of(of, motions, own)
-            work.enter(motions)
+            work.enter(led.motions_of(of, motions))
         finally:
             budget.spend(own.spent)
         return _finished(of, [path])
@@ -207,7 +207,7 @@ def first_motions(problem: PlanningProblem, budget: Budget, finest: float = FINE
     led = _led_by(query)
     work = FirstPath(led, _searching(led, _without_stops(led, budget)), gap=0.0, seed=1)
     work.first_plan(finest)
-    motions = work.portfolio.best
+    motions = query.motions_of(led, work.portfolio.best)
     try:
         _ = query.path(motions)
     except PlanningError:  # between tight ends
@@ -258,7 +258,7 @@ def _with_fewer_motions(query: CompiledProblem, path: Path) -> Path:
     Path
         The path, with as few motions as that gives; free, and no dearer.
     """
-    ahead, lateral = query.problem.cost.icr.centre
+    ahead, lateral = query.middle
     ds, dtheta = path.ds, path.dtheta
     first = 0
     while first < len(ds):

@@ -1,7 +1,7 @@
 """A planning problem made ready for the kernels, and their answers made into paths.
 
-The kernels work in the frame of the point midway between the tread ICRs; `CompiledProblem`
-translates.
+The kernels work in the frame of the point midway between the tread ICRs, or, where length is all
+that counts, of the path's reference point; `CompiledProblem` translates.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
 from energyplan.errors import ModelError, PlanningError
 from energyplan.path import FloatArray, Path, Pose, point_ahead
-from energyplan.planning.problem import PlanningProblem
+from energyplan.planning.problem import PlanningProblem, is_length
 from energyplan.planning.scene import slopes as _slopes
 from energyplan.planning.scene.motions import DIRECTIONS, LEVEL, Hills, KernelProblem, free_energy
 from energyplan.planning.scene.prices import LeastPrices, Minorant, Prices, least_prices
@@ -43,7 +43,7 @@ MOST_CLASSES = 255
 
 
 class Segments(NamedTuple):
-    """Motions of the centre of the tread ICRs: arc lengths [m] and turns [rad]."""
+    """Motions of the centre that the kernels follow: arc lengths [m] and turns [rad]."""
 
     ds: FloatArray
     dtheta: FloatArray
@@ -51,12 +51,32 @@ class Segments(NamedTuple):
 
 @dataclass(frozen=True)
 class CompiledProblem:
-    """A problem, priced and translated for the kernels."""
+    """A problem, priced and translated for the kernels.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        The problem.
+    lateral : float, optional
+        How far to the left of the path's reference point the centre lies that the kernels follow
+        [m]. Where not given it is midway between the tread ICRs, about which turning takes least
+        energy; where length is all that counts it is the reference point, about which turning has
+        no length.
+    """
 
     problem: PlanningProblem
+    lateral: float | None = None
 
     def __post_init__(self) -> None:
         self.problem.check_poses()
+        if self.lateral is None:
+            treads = 0.0 if is_length(self.problem) else self.problem.cost.icr.centre[1]
+            object.__setattr__(self, "lateral", float(treads))
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """The point that the kernels follow, in the body frame [m]."""
+        return self.problem.cost.icr.longitudinal, float(self.lateral or 0.0)
 
     # -- prices ---------------------------------------------------------------------------------
 
@@ -140,7 +160,8 @@ class CompiledProblem:
     def least_prices(self) -> LeastPrices:
         """What motions cost at least on any ground and slope."""
         sloping = self.steepest > _slopes.FLAT
-        return least_prices(self.objective, self.steepest if sloping else 0.0, self._priced.worth)
+        steepest = self.steepest if sloping else 0.0
+        return least_prices(self.objective, steepest, self._priced.worth, self.middle[1])
 
     @property
     def least(self) -> Minorant:
@@ -175,7 +196,6 @@ class CompiledProblem:
             cos=float(np.cos(heights.origin.yaw)),
             sin=float(np.sin(heights.origin.yaw)),
             resolution=float(heights.resolution),
-            lateral=float(self.problem.cost.icr.centre[1]),
             steepest=self.steepest,
             bins=_slopes.BINS,
             piece=cells if several else max(cells, 0.5 * heights.resolution),
@@ -183,8 +203,8 @@ class CompiledProblem:
 
     @cached_property
     def body(self) -> Body:
-        """The footprint, seen from the centre of the tread ICRs."""
-        c_x, c_y = self.problem.cost.icr.centre
+        """The footprint, seen from the centre that the kernels follow."""
+        c_x, c_y = self.middle
         (x_min, y_min), (x_max, y_max) = self.problem.robot.footprint.tolist()
         return Body(x_min - c_x, y_min - c_y, x_max - c_x, y_max - c_y)
 
@@ -218,8 +238,13 @@ class CompiledProblem:
 
     @cached_property
     def _classes(self) -> NDArray[np.uint8]:
-        """Class of surface and level of the costmap of each cell; a single one if all are alike."""
-        surface = self.terrain.regions
+        """Class of surface and level of the costmap of each cell; a single one if all are alike.
+
+        A cell that surfaces share is of the dearest, so that no search gains by what is not there:
+        it would turn in a corner of the cheaper one that only the raster knows.
+        """
+        dear = self._priced.kept.reshape(len(self.costs), -1).mean(axis=1)
+        surface = self.terrain.dearest(dear)
         if self._levels > 1 and self.problem.costmap is not None:
             level = np.round(self.problem.costmap.over(self.grid) * (self._levels - 1))
             return np.asarray(surface * np.uint8(self._levels) + level.astype(np.uint8), np.uint8)
@@ -255,6 +280,7 @@ class CompiledProblem:
                 per_radian=static.metre * static.track + static.radian,
             ),
             half_track=problem.cost.half_track,
+            lateral=self.middle[1],
             reach=float(np.hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max))),
             least_metre=self.least.metre,
             least_radian=self.least.radian,
@@ -276,18 +302,23 @@ class CompiledProblem:
     # -- translation ----------------------------------------------------------------------------
 
     def centre(self, pose: Pose) -> Pose:
-        """Return the pose of the centre of the tread ICRs, given that of the body frame."""
-        c_x, c_y = self.problem.cost.icr.centre
+        """Return the pose of the centre that the kernels follow, given that of the body frame."""
+        c_x, c_y = self.middle
         c, s = np.cos(pose.yaw), np.sin(pose.yaw)
         return Pose(float(pose.x + c * c_x - s * c_y), float(pose.y + s * c_x + c * c_y), pose.yaw)
 
     def reference(self, ds: FloatArray, dtheta: FloatArray) -> Segments:
         """Return motions of `Path`'s reference point, given those of the centre."""
-        return Segments(ds + self.problem.cost.icr.centre[1] * dtheta, dtheta)
+        return Segments(ds + self.middle[1] * dtheta, dtheta)
 
     def of_centre(self, path: Path) -> Segments:
         """Return motions of the centre, given the path of the reference point."""
-        return Segments(path.ds - self.problem.cost.icr.centre[1] * path.dtheta, path.dtheta)
+        return Segments(path.ds - self.middle[1] * path.dtheta, path.dtheta)
+
+    def motions_of(self, other: CompiledProblem, motions: Segments) -> Segments:
+        """Return motions of the centre, given those of another one's in the same vehicle."""
+        turned = (other.middle[1] - self.middle[1]) * motions.dtheta
+        return Segments(motions.ds + turned, motions.dtheta)
 
     def path(self, segments: Segments) -> Path:
         """Return the path that starts at the problem's start.

@@ -1,7 +1,7 @@
 """Kernels that price motions and join poses, on the ground and among the obstacles of one problem.
 
-Everything here is in the frame of the point midway between the tread ICRs, where every vehicle is
-symmetric: `KernelProblem.body` is the footprint seen from there.
+Everything here is in the frame of the centre that `CompiledProblem` follows, mostly the point
+midway between the tread ICRs: `KernelProblem.body` is the footprint seen from there.
 
 A price is a positively homogeneous function of (ds, dtheta). It is held as its values on
 `DIRECTIONS` rays of the plane ``(ds, C dtheta)`` and is linear between them. The kinks of the
@@ -53,9 +53,6 @@ class Hills(NamedTuple):
         Position of node (0, 0), and cosine and sine of the raster's yaw.
     resolution : float
         Distance between nodes [m].
-    lateral : float
-        How far to the left of the path's reference point, which is what climbs, the centre of the
-        tread ICRs lies [m].
     steepest : float
         Steepest slope, as rise over run.
     bins : int
@@ -70,7 +67,6 @@ class Hills(NamedTuple):
     cos: float
     sin: float
     resolution: float
-    lateral: float
     steepest: float
     bins: int
     piece: float
@@ -78,7 +74,7 @@ class Hills(NamedTuple):
 
 _FLAT = np.zeros((1, 1))
 _FLAT.setflags(write=False)  # as those of a `HeightMap`: the kernels are compiled for one kind
-LEVEL = Hills(_FLAT, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 1, 1.0)
+LEVEL = Hills(_FLAT, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0, 1, 1.0)
 """Level ground."""
 
 
@@ -101,6 +97,9 @@ class KernelProblem(NamedTuple):
         The static cost that steering solves.
     half_track : float
         Half the slip track [m].
+    lateral : float
+        How far to the left of the path's reference point, under which the ground lies, the centre
+        of the tread ICRs lies [m].
     reach : float
         Distance of the body's furthest corner [m].
     least_metre, least_radian : float
@@ -116,6 +115,7 @@ class KernelProblem(NamedTuple):
     hills: Hills
     steering: StaticSteering
     half_track: float
+    lateral: float
     reach: float
     least_metre: float
     least_radian: float
@@ -146,10 +146,10 @@ def price(prices: FloatTable, kind: int, half_track: float, ds: float, dtheta: f
 
 
 @inner
-def surface_at(setting: KernelProblem, x: float, y: float) -> int:
-    """Class of the surface under a point, that of the nearest cell outside the map."""
+def surface_at(setting: KernelProblem, x: float, y: float, yaw: float) -> int:
+    """Class of the surface that the robot is on, that of the nearest cell outside the map."""
     rows, columns = setting.surface.shape
-    here = in_cells(setting.space, x, y)
+    here = in_cells(setting.space, x + setting.lateral * sin(yaw), y - setting.lateral * cos(yaw))
     row = int(here.row)
     column = int(here.column)
     return int(setting.surface[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)])
@@ -197,11 +197,11 @@ def sloping_cost(
     after = size / pieces * sin(into) / sin(spread)
 
     several = len(setting.prices) > hills.bins
-    travel = (ds + hills.lateral * dtheta) / pieces
+    travel = (ds + setting.lateral * dtheta) / pieces
     turn = dtheta / pieces
     chord = ds / pieces * chord_factor(turn)
-    px = x + hills.lateral * sin(yaw)
-    py = y - hills.lateral * cos(yaw)
+    px = x + setting.lateral * sin(yaw)
+    py = y - setting.lateral * cos(yaw)
     height = height_at(hills, px, py)
     total = 0.0
     for k in range(pieces):
@@ -210,12 +210,12 @@ def sloping_cost(
         if several:
             mx = x + 0.5 * chord * cos(mid)
             my = y + 0.5 * chord * sin(mid)
-            row = hills.bins * surface_at(setting, mx, my)
+            row = hills.bins * surface_at(setting, mx, my, mid)
         x += chord * cos(mid)
         y += chord * sin(mid)
         if abs(travel) > STILL:
-            px = x + hills.lateral * sin(mid + 0.5 * turn)
-            py = y - hills.lateral * cos(mid + 0.5 * turn)
+            px = x + setting.lateral * sin(mid + 0.5 * turn)
+            py = y - setting.lateral * cos(mid + 0.5 * turn)
             next_height = height_at(hills, px, py)
             steep = (next_height - height) / travel
             height = next_height
@@ -247,7 +247,8 @@ def motion_cost(
         return price(setting.prices, 0, setting.half_track, ds, dtheta)
     if setting.hills.bins > 1:
         return sloping_cost(setting, x, y, yaw, ds, dtheta)
-    pieces = max(ceil(2.0 * abs(ds) / setting.space.resolution), 1)
+    furthest = max(abs(ds), abs(ds + setting.lateral * dtheta))
+    pieces = max(ceil(2.0 * furthest / setting.space.resolution), 1)
     piece_ds = ds / pieces
     piece_turn = dtheta / pieces
     chord = piece_ds * chord_factor(piece_turn)
@@ -258,7 +259,7 @@ def motion_cost(
         mid = yaw + (k + 0.5) * piece_turn
         mx = x + 0.5 * chord * cos(mid)
         my = y + 0.5 * chord * sin(mid)
-        kind = surface_at(setting, mx, my)
+        kind = surface_at(setting, mx, my, mid)
         if kind != last:
             unit = price(setting.prices, kind, setting.half_track, piece_ds, piece_turn)
             last = kind

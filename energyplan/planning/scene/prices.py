@@ -149,7 +149,7 @@ class _Remembered(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LeastPrices:
-    """Infima of the prices of motions of the centre of the tread ICRs.
+    """Infima of the prices of motions of the centre that the kernels follow.
 
     Parameters
     ----------
@@ -159,11 +159,14 @@ class LeastPrices:
         Steepest slope, as rise over run; zero on level ground.
     worth : float
         Price of height, which is taken off [J/m for energy].
+    lateral : float
+        How far to the left of the path's reference point the centre lies [m].
     """
 
     objective: Prices
     steepest: float
     worth: float
+    lateral: float
     _kept: _Remembered
 
     def price(
@@ -183,9 +186,8 @@ class LeastPrices:
         ndarray, shape (grounds, n)
             Prices, less what the rise is worth.
         """
-        icr = self.objective.cost.icr
-        turn = y / icr.half_track
-        ds = x + icr.centre[1] * turn
+        turn = y / self.objective.cost.half_track
+        ds = x + self.lateral * turn
         grounds = range(len(self.objective.costs)) if grounds is None else grounds
         return np.array([self._cheapest(k, ds, turn) for k in grounds])
 
@@ -219,12 +221,12 @@ class LeastPrices:
     @cached_property
     def _special(self) -> tuple[float, ...]:
         """Travel over turn times the half slip track where some ground's model may jump."""
-        icr = self.objective.cost.icr
         about = [0.0]  # to the left of the reference point: what does not move
         for cost in self.objective.costs:
             lateral = cost.icr.centre[1]
             about += [lateral, lateral - cost.half_track, lateral + cost.half_track]
-        return tuple((point - icr.centre[1]) / icr.half_track for point in about)
+        half_track = self.objective.cost.half_track
+        return tuple((point - self.lateral) / half_track for point in about)
 
     def minorant(self, track: float) -> Minorant:
         """Return the greatest minorant with this `track` [m] below all prices."""
@@ -256,7 +258,9 @@ class LeastPrices:
 _known: WeakKeyDictionary[EnergyCost, dict[Hashable, _Remembered]] = WeakKeyDictionary()
 
 
-def least_prices(objective: Prices, steepest: float = 0.0, worth: float = 0.0) -> LeastPrices:
+def least_prices(
+    objective: Prices, steepest: float = 0.0, worth: float = 0.0, lateral: float | None = None
+) -> LeastPrices:
     """Return the infima of prices; what they come to is remembered with the cost.
 
     Parameters
@@ -265,6 +269,9 @@ def least_prices(objective: Prices, steepest: float = 0.0, worth: float = 0.0) -
         What the objective makes of motions.
     steepest, worth : float
         Steepest slope, as rise over run, and the price of height that is taken off.
+    lateral : float, optional
+        How far to the left of the path's reference point the centre lies [m]; midway between the
+        tread ICRs where not given.
 
     Returns
     -------
@@ -272,8 +279,9 @@ def least_prices(objective: Prices, steepest: float = 0.0, worth: float = 0.0) -
         The infima.
     """
     surfaces = objective.surfaces
+    centre = objective.cost.icr.centre[1] if lateral is None else lateral
     weights = tuple(sorted(objective_weights(objective.objective).items()))
-    key = id(surfaces), steepest, worth, weights
+    key = id(surfaces), steepest, worth, centre, weights
     kept = _known.setdefault(objective.cost, {})
     # surfaces hold the costs last asked for, so that a cost must not hold surfaces
     known = kept.get(key)
@@ -282,7 +290,7 @@ def least_prices(objective: Prices, steepest: float = 0.0, worth: float = 0.0) -
             kept.clear()
         whose = ref(surfaces) if surfaces is not None else _nothing
         known = kept[key] = _Remembered(whose, {}, {})
-    return LeastPrices(objective, steepest, worth, known)
+    return LeastPrices(objective, steepest, worth, centre, known)
 
 
 def _nothing() -> None:
