@@ -9,9 +9,11 @@ import numpy as np
 
 from energyplan.errors import DriveLogError
 from energyplan.logs.cells import Table
+from energyplan.logs.evidence import correlation
 from energyplan.logs.guess import ENCODER, Guess, guess, halves, numbered_speeds, words
 
 _ALIKE = 0.9  # correlation from which two columns tell the same
+_ONE_SIDE = 0.7  # correlation through the origin of the speeds of one side's wheels, at least
 _HALF = 0.2  # of the larger, that powers or currents of two sides are at least
 
 
@@ -110,3 +112,40 @@ def refuse_halves(table: Table, found: Mapping[str, Guess], channels: set[str]) 
                 f"--columns 'p_left={one.name},p_right={name}' for powers, else name the whole, as "
                 f"in --columns 'power={one.name}'"
             )
+
+
+def refuse_unlike(table: Table, found: Mapping[str, Guess]) -> None:
+    """Refuse to take the mean of one side's wheels where these do not go alike.
+
+    One may be dead or count the other way, or they may be of two robots.
+
+    Parameters
+    ----------
+    table : Table
+        The log.
+    found : mapping of str to Guess
+        Columns that channels were guessed to be.
+
+    Raises
+    ------
+    DriveLogError
+        If two columns of a side's speed do not follow each other.
+    """
+    for channel in ("v_left", "v_right"):
+        one = found.get(channel)
+        if one is None:
+            continue
+        for name in one.fellows:
+            first, second = (table.columns[each] for each in (one.name, name))
+            both = np.isfinite(first) & np.isfinite(second)
+            if not np.any(first[both]) and not np.any(second[both]):
+                continue
+            alike = correlation(first[both], second[both])
+            if alike < _ONE_SIDE:
+                way = "go opposite ways" if alike < -_ONE_SIDE else "do not go alike"
+                raise DriveLogError(
+                    f"{table.source}: {one.name} and {name} seem to be speeds of the same side, "
+                    f"and {way} (correlation {alike:.2f}): one is dead or counts the other way, or "
+                    "they are of two robots; name those that are right, the power among them, as "
+                    f"in --columns '{channel}={one.name}'"
+                )

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from energyplan.errors import DriveLogError
 from energyplan.kinds import described, numbers
 from energyplan.logs.align import gap_limit
+from energyplan.logs.bursts import spread_bursts
 from energyplan.logs.glitches import find_glitches
 from energyplan.logs.joining import RECORDING, join_rows
 from energyplan.logs.reach import ANY, LIMITS, likely_unit
@@ -301,6 +302,8 @@ class _Cleaner:
             self.sort()
         if np.any(np.diff(self.channels["t"]) == 0):
             self.average()
+        if np.all(np.diff(self.channels["t"]) > 0):
+            self.spread()
         t = self.channels["t"]
         back = np.append(False, np.diff(t) <= 0)
         if np.any(back):
@@ -391,6 +394,14 @@ class _Cleaner:
                 mean = np.angle(total) if angle else total / count
             self.channels[name] = np.where(count > 0, mean, np.nan)
         self.channels["t"], self.rows = t[first], self.rows[first]
+
+    def spread(self) -> None:
+        """Give rows that were buffered, and came several at once, the times of their readings."""
+        t, speeds = self.channels["t"], [self.channels[name] for name in ("v_left", "v_right")]
+        times = spread_bursts(t, np.stack(speeds))
+        if times is not None:
+            self.note(times != t, "the row came with others in one burst; spread over the time")
+            self.channels["t"] = times
 
     def bridge(self, name: str) -> None:
         """Fill short holes of a further channel; leave it out where most of it is missing."""

@@ -159,27 +159,65 @@ def turning_against(channels: Mapping[str, FloatArray], runs: Sequence[slice], n
     )
 
 
-def _sides(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
-    """Whether the sides' speeds count alike: the yaw rate must be that of their difference.
+class _Factors(NamedTuple):
+    """By what the sides' speeds must be multiplied to make the yaw rate [1/m]."""
 
-    The yaw rate is fitted by both speeds: with opposite factors of one size if all is well, with
-    factors of one sign where a side counts the other way, as of a motor mounted in the mirror, and
-    with factors of two sizes where the sides have two units.
-    """
+    left: float
+    right: float
+
+    @property
+    def mirrored(self) -> str:
+        """The side that counts the other way; empty where none does."""
+        if self.left * self.right > 0 and 0.4 < abs(self.right / self.left) < 2.5:
+            return "v_right" if self.right < 0 else "v_left"
+        return ""
+
+
+def _factors(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> list[_Factors]:
+    """Return the factors of each yaw rate that the speeds' difference does not make as well."""
     speeds = np.stack([channels["v_left"], channels["v_right"]])
     gram = speeds @ speeds.T
     scale = np.sqrt(np.diag(gram))
     if np.any(scale <= 0) or np.linalg.cond(gram / np.outer(scale, scale)) > 400:
-        return ""
+        return []
+    found = []
     for rate in yaw_rates(channels, runs).values():
         factors = np.linalg.solve(gram, speeds @ rate)
-        if correlation(factors @ speeds, rate) < 0.93:
-            continue
+        alike = correlation(factors @ speeds, rate)
         as_they_are = correlation(speeds[1] - speeds[0], rate)
-        if 1.0 - as_they_are**2 < 2.0 * (1.0 - correlation(factors @ speeds, rate) ** 2):
-            continue  # the difference itself tells the turns about as well
-        left, right = (float(factor) for factor in factors)
-        shares = np.abs(factors) * scale
+        if alike >= 0.93 and 1.0 - as_they_are**2 >= 2.0 * (1.0 - alike**2):
+            found.append(_Factors(*map(float, factors)))
+    return found
+
+
+def mirrored_side(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
+    """Name the side whose speed counts the other way, as of a motor mounted in the mirror.
+
+    Parameters
+    ----------
+    channels : mapping of str to ndarray, shape (n,)
+        Sound channels.
+    runs : sequence of slice
+        Stretches without a gap.
+
+    Returns
+    -------
+    str
+        ``"v_left"`` or ``"v_right"``; empty where neither does, or no yaw rate tells.
+    """
+    return next((one.mirrored for one in _factors(channels, runs)), "")
+
+
+def _sides(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
+    """Whether the sides' speeds count alike: the yaw rate must be that of their difference.
+
+    The yaw rate is fitted by both speeds: with opposite factors of one size if all is well, with
+    factors of one sign where a side counts the other way, and with factors of two sizes where the
+    sides have two units.
+    """
+    scale = np.sqrt([np.sum(channels[side] ** 2) for side in ("v_left", "v_right")])
+    for one in _factors(channels, runs):
+        shares = np.abs(one) * scale
         if shares.min() < 0.08 * shares.max():
             turning = ("v_left", "v_right")[int(np.argmax(shares))]
             return (
@@ -187,14 +225,14 @@ def _sides(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
                 "other the robot's forward speed: tread speeds are those of the left and of the "
                 "right wheels"
             )
-        size = abs(right / left) if left else np.inf
-        if left * right > 0 and 0.4 < size < 2.5:
-            side = "v_right" if right < 0 else "v_left"
+        if one.mirrored:
             return (
                 "the robot turns with the sum of the tread speeds, not with their difference: "
-                f"{side} counts the other way; map {side}=NAME[-m/s]"
+                f"{one.mirrored} counts the other way; map {one.mirrored} with a minus before its "
+                f"unit, as in {one.mirrored}=NAME[-m/s]"
             )
-        if left * right < 0 and not 0.6 < size < 1.6:
+        size = abs(one.right / one.left) if one.left else np.inf
+        if one.left * one.right < 0 and not 0.6 < size < 1.6:
             return (
                 f"the yaw rate shows that v_left counts {size:.3g} times as much as v_right: one "
                 "side is in another unit or has another wheel radius; give both the same, or map "

@@ -16,6 +16,7 @@ from energyplan.logs.contradictions import find_contradictions, turning_against
 from energyplan.logs.evidence import correlation, yaw_rates
 from energyplan.logs.held import held_periods
 from energyplan.logs.one_side import find_dead
+from energyplan.logs.units import UNITS
 from energyplan.path import FloatArray
 
 if TYPE_CHECKING:  # which imports this module
@@ -23,6 +24,7 @@ if TYPE_CHECKING:  # which imports this module
 
 LARGEST_OFFSET = 2.0
 """Longest time offset between channels that is looked for [s]."""
+_USUAL_STEP = 0.05  # of logs of drives [s]
 LONGEST_STEP = 20.0
 """Longest usual time from sample to sample [s]: beyond, it is in another unit."""
 _SUFFICIENT = 200_000  # samples that tell a time offset as well as more would
@@ -236,8 +238,8 @@ def _check_time(t: FloatArray, runs: Sequence[slice], label: str) -> list[str]:
     """
     step = float(np.median(np.diff(t)))
     if not 1e-4 <= step <= LONGEST_STEP:
-        usual = {"min": 60.0, "h": 3600.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-        unit = next((name for name, size in usual.items() if 1e-3 <= step * size <= 5), "min")
+        sizes = {name: size for name, size in UNITS["t"].items() if name != "s"}
+        unit = min(sizes, key=lambda name: abs(np.log(step * sizes[name] / _USUAL_STEP)))
         raise DriveLogError(
             f"{label}: the time step of t is {step:g} s; between 0.1 ms and "
             f"{LONGEST_STEP:g} s is possible; name "

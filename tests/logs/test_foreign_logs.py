@@ -23,7 +23,9 @@ from foreign_logs import (
     electrical_rates,
     encoders_alone,
     four_motors,
+    motors_in_the_mirror,
     numbered_axes,
+    rows_in_bursts,
     stamps_in_two_columns,
     torques,
     two_recordings,
@@ -40,6 +42,10 @@ from energyplan.output import documents
 BY_NAME = {"argnames": "write", "ids": lambda write: write.__name__}
 
 
+GEARED = {motors_in_the_mirror: np.nan}
+"""Logs from which the way that goes with a turn of the motors is to be found."""
+
+
 @cache
 def sensors(robot: Robot, rate: float = 10.0) -> At:
     return At(drive(robot, rate), robot)
@@ -54,7 +60,7 @@ def coefficients(robot: Robot) -> np.ndarray:
 def started(write: Writer, robot: Robot, folder: Path) -> ep.DriveLog:
     """Read a log by what `start` makes of it."""
     file = write(sensors(robot), folder)
-    made = start(file, Given(**robot.measures))
+    made = start(file, Given(**robot.measures | {"wheel_radius": GEARED.get(write, robot.radius)}))
     assert made.sound, made.checks
     return ep.DriveLog.read(file, dict(made.project.columns), others=False)
 
@@ -63,8 +69,10 @@ def started(write: Writer, robot: Robot, folder: Path) -> ep.DriveLog:
 def test_start_reads_what_others_write(tmp_path: Path, write: Writer) -> None:
     log = started(write, ROVER, tmp_path)
     found = ep.identify(log, ROVER.vehicle).model.coefficients
-    # Stamps of a quarter of a second average the steps of speed, and another recording differs.
-    within = 0.01 if write.__name__ in ("coarse_stamps", "two_recordings") else 0.004
+    # Stamps of a quarter of a second average the steps of speed, bursts arrive unevenly, and
+    # another recording differs.
+    rough = ("coarse_stamps", "two_recordings", "rows_in_bursts")
+    within = 0.01 if write.__name__ in rough else 0.004
     np.testing.assert_allclose(found, coefficients(ROVER), rtol=within)
 
 
@@ -177,6 +185,30 @@ def test_counters_of_a_robot_that_goes_ahead_alone_are_counters(tmp_path: Path) 
     known = Given(**{**ROVER.measures, "counts_per_revolution": 2 * np.pi * ROVER.radius / 0.00025})
     log = ep.DriveLog.read(file, dict(start(file, known).project.columns), others=False)
     np.testing.assert_allclose(log.channel("v_left")[5:], speed[5:], atol=0.03)
+
+
+def test_a_side_in_the_mirror_is_turned_and_told(tmp_path: Path) -> None:
+    known = {name: value for name, value in ROVER.measures.items() if name != "wheel_radius"}
+    made = start(motors_in_the_mirror(sensors(ROVER), tmp_path), Given(**known))
+    assert "v_left had the opposite sign, which was corrected" in made.notes
+    assert made.project.columns["v_left"].unit.startswith("-rpm*")
+
+
+def test_rows_that_came_in_bursts_are_counted(tmp_path: Path) -> None:
+    at = sensors(ROVER)
+    log = started(rows_in_bursts, ROVER, tmp_path)
+    told = [item for item in log.set_aside if "in one burst" in item.reason]
+    assert len(told) == 1 and told[0].count > 0.7 * len(at.t)
+    assert np.quantile(np.abs(np.diff(log.t) - np.diff(at.t)), 0.99) < 0.01
+
+
+@pytest.mark.parametrize("step", [1.0, 0.004])
+def test_a_sensor_that_sleeps_between_bursts_keeps_its_times(step: float) -> None:
+    """Quick bursts of readings differ from each other, and messages in rows of their own repeat."""
+    t = np.repeat(np.arange(40.0), 5) + np.tile(1e-3 * np.arange(5), 40)
+    speed = 0.5 + 0.2 * np.sin(t if step == 1.0 else np.floor(t))
+    made = {"t": t, "v_left": speed, "v_right": speed, "power": 100.0 * speed}
+    assert not any("burst" in one.reason for one in ep.DriveLog.from_columns(made).set_aside)
 
 
 def test_stamps_in_two_columns_serve(tmp_path: Path) -> None:
