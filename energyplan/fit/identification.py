@@ -446,9 +446,14 @@ def _doubts(model: PowerModel, bounds: Bounds, independent: float) -> list[str]:
     ):
         error = model.std_error(term.name) or 0.0
         if value <= low or value >= high:
+            shown = (
+                "more of it shows in these logs than is possible: the vehicle's mass or a unit"
+                if value > 0.0 and value >= high
+                else "nothing of it shows in these logs, a sign"
+            )
             found.append(
                 f"{term.name} ({term.symbol}) is at the end {value:g} of its possible range: "
-                "nothing of it shows in these logs, a sign is wrong, or a term is missing"
+                f"{shown} is wrong, or a term is missing"
             )
         elif error > 0.5 * abs(value):
             found.append(

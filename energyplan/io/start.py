@@ -40,6 +40,7 @@ from energyplan.path import FloatArray
 _SOME = 20_000  # readings that suffice to tell a unit
 _FASTEST_TURN = 3.0  # yaw rate that hardly a robot reaches that skids [rad/s]
 _FULL_TURN = 6.5  # [rad]; headings beyond are unwrapped, or degrees
+_TURNS = 3 * _FULL_TURN  # beyond, they are rather degrees
 _HIGHEST_VOLTAGE = 1000.0  # of a battery, beyond which readings are millivolts [V]
 _DATE = 1e4  # days after which spreadsheets' dates begin, at least: such a clock may count days
 _NEEDED = {"t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current"}
@@ -233,14 +234,12 @@ def _with_units(
             wheels = ("rad/s*", "rpm*") if isfinite(radius) else ()
             units = ("m/s", *wheels, "km/h", "mm/s", "cm/s")
             choices.append(_Choice(("v_left", "v_right"), units))
-    choices += [
-        _Choice((channel,), units)
-        for channel, units, most in (
-            ("yaw_rate", ("rad/s", "deg/s"), _FASTEST_TURN),
-            ("yaw", ("rad", "deg"), _FULL_TURN),
-        )
-        if channel in free and _size(table, columns[channel]) > most  # else these are no degrees
-    ]
+    if "yaw_rate" in free and _size(table, columns["yaw_rate"]) > _FASTEST_TURN:
+        choices.append(_Choice(("yaw_rate",), ("rad/s", "deg/s")))
+    heading = _size(table, columns["yaw"]) if "yaw" in free else 0.0
+    if heading > _FULL_TURN:  # else these are no degrees
+        likely = ("deg", "rad") if heading > _TURNS else ("rad", "deg")
+        choices.append(_Choice(("yaw",), likely))
     if "voltage" in free and _size(table, columns["voltage"]) > _HIGHEST_VOLTAGE:
         choices.append(_Choice(("voltage",), ("mV",)))
     # A thousand is more than robots' resistances differ by: their weight tells which it is.
@@ -283,8 +282,9 @@ def _with_units(
         rank = sum(choice.units.index(unit) for choice, unit in zip(choices, each, strict=True))
         # The measures may be what is wrong: they only decide where the log alone does not.
         cost = strain(evidence, Measures()) + 0.2 * strain(evidence, measures) + 0.01 * rank
-        # A heading in another unit does not turn with the treads at all.
+        # A heading in another unit does not turn with the treads, or a gyroscope, at all.
         cost += 0.5 * bool(np.isnan(evidence.slip_track))
+        cost += 0.5 * ({"yaw", "yaw_rate"} <= set(trial) and bool(np.isnan(evidence.rotation)))
         if best is None or cost < best[0] - 1e-9:
             best = cost, chosen
     chosen = best[1] if best else first

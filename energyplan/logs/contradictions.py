@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.logs.evidence import correlation, distance_ratio, yaw_rates
+from energyplan.logs.evidence import correlation, distance_ratio, lasts, yaw_rates
 from energyplan.logs.held import POWERS, held_periods
 from energyplan.logs.one_side import (
     compare_powers,
@@ -181,7 +181,7 @@ def _factors(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> list[
     if np.any(scale <= 0) or np.linalg.cond(gram / np.outer(scale, scale)) > 400:
         return []
     found = []
-    for rate in yaw_rates(channels, runs).values():
+    for rate in filter(lasts, yaw_rates(channels, runs).values()):
         factors = np.linalg.solve(gram, speeds @ rate)
         alike = correlation(factors @ speeds, rate)
         as_they_are = correlation(speeds[1] - speeds[0], rate)

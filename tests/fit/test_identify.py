@@ -575,7 +575,13 @@ def test_bounds_are_respected_and_reported(truth: PowerModel) -> None:
     for method in ("lad", "simplex", "huber"):
         found = identify(log, truth.vehicle, terms=model.terms, method=method)
         assert found.model.coefficient("hotel_load") == 0.0
-        assert any("hotel_load" in t and "possible range" in t for t in found.warnings)
+        assert any("hotel_load" in t and "nothing of it shows" in t for t in found.warnings)
+    light = Vehicle.from_geometry(
+        "light", mass=0.2 * truth.vehicle.mass, wheelbase=0.475, track=0.5, length=1.0, width=0.6
+    )
+    found = identify(simulate.identification_drive(truth, seed=1, **NOISE), light)
+    assert found.model.coefficient("slip_friction") == 2.0
+    assert any("slip_friction" in t and "vehicle's mass" in t for t in found.warnings)
 
 
 # -- logs together, residuals -------------------------------------------------------------------

@@ -194,6 +194,23 @@ def test_a_side_in_the_mirror_is_turned_and_told(tmp_path: Path) -> None:
     assert made.project.columns["v_left"].unit.startswith("-rpm*")
 
 
+@pytest.mark.parametrize("gyroscope", [True, False])
+@pytest.mark.parametrize("unit", ["rad", "deg"])
+def test_the_unit_of_a_heading_that_jitters_is_found(
+    tmp_path: Path, unit: str, gyroscope: bool
+) -> None:
+    """As of laser scans that are matched; in radians it goes on beyond a turn."""
+    at = sensors(ROVER, 20.0)
+    yaw = at.yaw + np.random.default_rng(5).normal(0.0, 0.06, len(at.t))
+    assert 2 * np.pi < np.max(np.abs(yaw))
+    columns = {"time": at.t, "left_speed": at.left, "right_speed": at.right, "power": at.power,
+               "heading": yaw if unit == "rad" else np.degrees(yaw) % 360}  # fmt: skip
+    columns |= {"gyro_z": at.yaw_rate} if gyroscope else {}
+    pd.DataFrame(columns).to_csv(tmp_path / "slam.csv", index=False)
+    made = start(tmp_path / "slam.csv", Given(**ROVER.measures))
+    assert made.project.columns["yaw"].unit == ("" if unit == "rad" else "deg")
+
+
 def test_rows_that_came_in_bursts_are_counted(tmp_path: Path) -> None:
     at = sensors(ROVER)
     log = started(rows_in_bursts, ROVER, tmp_path)
