@@ -267,7 +267,7 @@ def identify(
     linear = [term for term in terms if term.kind != "loss"]
     if linear:
         first = PowerModel(vehicle, tuple(linear), np.zeros(len(linear)))
-        doubts = check_identifiable(first, _stacked(first, clean, ready))
+        doubts = check_identifiable(first, _stacked(first, clean, ready), turning)
     problem = PowerRegression(ready, model)
     if method == "windows":
         joint = joint_fit(_both_sides(drives, vehicle, terms), terms)
@@ -276,7 +276,7 @@ def identify(
     else:
         model = problem.solve(method, bounds)
     if len(linear) < len(terms):
-        doubts = check_identifiable(model, _stacked(model, clean, ready))
+        doubts = check_identifiable(model, _stacked(model, clean, ready), turning)
     warnings += doubts
 
     covariance = problem.covariance(model, method) if model.covariance is None else model.covariance

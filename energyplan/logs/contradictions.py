@@ -14,6 +14,7 @@ from energyplan.logs.one_side import (
     find_dead,
     find_dying,
     find_false_speeds,
+    find_frozen,
     find_lost_sign,
 )
 from energyplan.path import FloatArray
@@ -49,6 +50,7 @@ def find_contradictions(
         *find_false_speeds(channels, runs),
         *find_dead(channels, yaw_rates(channels, runs)),
         *find_dying(channels),
+        *find_frozen(channels, yaw_rates(channels, runs)),
         _sides(channels, runs),
         compare_powers(channels),
         find_lost_sign(channels),

@@ -14,6 +14,7 @@ from energyplan.path import FloatArray
 _WINDOW = 3.0  # length of the stretches over which distances are compared [s]
 _ENOUGH = 20  # samples or windows below which nothing is concluded
 _JITTER = 6.0  # least displacement of a pose, over the noise of its readings, that tells a length
+_CHANCE = 4.0  # standard errors beyond which a mean power is none by chance
 _ALIKE = 0.9  # correlation from which the turning tells a slip track
 _INERTIA_ERROR = 0.13  # share to which a mass must be told, three of which are the range's margin
 
@@ -83,7 +84,10 @@ def gather(
     moving = effort > max(0.1 * top, 1e-6)
     force = np.nan
     if np.count_nonzero(moving) >= _ENOUGH:
-        force = float(np.abs(power[moving].mean()) / effort[moving].mean())
+        drawn = power[moving]
+        chance = _CHANCE * float(drawn.std()) / np.sqrt(len(drawn))  # a dead sensor's noise
+        if abs(drawn.mean()) > chance:
+            force = float(np.abs(drawn.mean()) / effort[moving].mean())
     return Evidence(
         slip_track=np.nan if rate is None else _slip_track(rate, right - left),
         from_pose="yaw_rate" not in rates,

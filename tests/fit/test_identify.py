@@ -197,8 +197,11 @@ def test_hoisted_vehicle() -> None:
     found = identify(log, vehicle, terms=[TRACTION])
     assert found.model.coefficient("traction_resistance") == pytest.approx(59.0, rel=0.02)
     assert any("tread ICRs were kept" in text for text in found.warnings)
-    with pytest.raises(NotIdentifiableError, match=r"slip_friction \(mu\).*spin"):
+    with pytest.raises(NotIdentifiableError, match=r"\(mu\).* did not turn .* --hoisted"):
         identify(log, vehicle)
+    straight = _hoisted(simulate.drive(PowerModel.paper(vehicle, 59.0, 0.0), "straight", seed=4))
+    with pytest.raises(NotIdentifiableError, match=r"slip_friction \(mu\).*spin"):
+        identify(straight, vehicle)
 
 
 # -- standard errors ----------------------------------------------------------------------------
