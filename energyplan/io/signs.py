@@ -68,6 +68,9 @@ def _named(text: str, columns: Mapping[str, Column]) -> list[str]:
         subject = text.rpartition(": ")[0] if ": " not in text else text.split(": ", 1)[1]
         subject = subject.split(" has the wrong sign")[0].split(" have the wrong")[0]
         return [name for name in subject.replace(",", " ").split() if name in columns]
+    sides = [side for side in ("v_left", "v_right") if f"{side} counts the other way" in text]
+    if sides:
+        return sides
     if "gyroscope's axis is flipped" in text:
         return ["yaw_rate"]
     return ["yaw"] if "yaw counts clockwise" in text else []

@@ -133,6 +133,9 @@ def turning_against(channels: Mapping[str, FloatArray], runs: Sequence[slice], n
     str
         The causes that the other channels leave, and the remedies.
     """
+    mirrored = mirrored_side(channels, runs)
+    if mirrored:
+        return _in_the_mirror(mirrored)
     difference = channels["v_right"] - channels["v_left"]
     signs = {
         source: correlation(rate, difference) for source, rate in yaw_rates(channels, runs).items()
@@ -180,11 +183,19 @@ def _factors(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> list[
     speeds = np.stack([channels["v_left"], channels["v_right"]])
     gram = speeds @ speeds.T
     scale = np.sqrt(np.diag(gram))
-    if np.any(scale <= 0) or np.linalg.cond(gram / np.outer(scale, scale)) > 400:
+    if np.any(scale <= 0):
         return []
+    # Speeds that hardly differ but for their sign tell no factor of each, only that of the sum.
+    apart = np.linalg.cond(gram / np.outer(scale, scale)) <= 400
+    total = speeds.sum(axis=0)
     found = []
     for rate in filter(lasts, yaw_rates(channels, runs).values()):
-        factors = np.linalg.solve(gram, speeds @ rate)
+        if apart:
+            factors = np.linalg.solve(gram, speeds @ rate)
+        elif speeds[0] @ speeds[1] < 0.0 < total @ total:
+            factors = np.full(2, total @ rate / (total @ total))
+        else:
+            continue
         alike = correlation(factors @ speeds, rate)
         as_they_are = correlation(speeds[1] - speeds[0], rate)
         if alike >= 0.93 and 1.0 - as_they_are**2 >= 2.0 * (1.0 - alike**2):
@@ -210,6 +221,14 @@ def mirrored_side(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> 
     return next((one.mirrored for one in _factors(channels, runs)), "")
 
 
+def _in_the_mirror(side: str) -> str:
+    return (
+        "the robot turns with the sum of the tread speeds, not with their difference: "
+        f"{side} counts the other way; map {side} with a minus before its unit, as in "
+        f"{side}=NAME[-m/s]"
+    )
+
+
 def _sides(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
     """Whether the sides' speeds count alike: the yaw rate must be that of their difference.
 
@@ -228,11 +247,7 @@ def _sides(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
                 "right wheels"
             )
         if one.mirrored:
-            return (
-                "the robot turns with the sum of the tread speeds, not with their difference: "
-                f"{one.mirrored} counts the other way; map {one.mirrored} with a minus before its "
-                f"unit, as in {one.mirrored}=NAME[-m/s]"
-            )
+            return _in_the_mirror(one.mirrored)
         size = abs(one.right / one.left) if one.left else np.inf
         if one.left * one.right < 0 and not 0.6 < size < 1.6:
             return (

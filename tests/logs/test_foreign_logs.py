@@ -34,6 +34,7 @@ from foreign_logs import (
 )
 
 import energyplan as ep
+from energyplan import simulate
 from energyplan.errors import DriveLogError
 from energyplan.io.robot import Given
 from energyplan.io.start import start
@@ -209,6 +210,33 @@ def test_the_unit_of_a_heading_that_jitters_is_found(
     pd.DataFrame(columns).to_csv(tmp_path / "slam.csv", index=False)
     made = start(tmp_path / "slam.csv", Given(**ROVER.measures))
     assert made.project.columns["yaw"].unit == ("" if unit == "rad" else "deg")
+
+
+def test_a_side_in_the_mirror_is_turned_on_a_winding_path_too(tmp_path: Path) -> None:
+    """The yaw seemed to fall while the right side was the faster."""
+    rng = np.random.default_rng(23)
+    bends = [simulate.Setpoint(0.8 - b, 0.8 + b, hold=2.0) for b in rng.normal(-0.03, 0.06, 30)]
+    log = simulate.drive(ROVER.model, bends, rate=5.0, power_noise=0.5, seed=1)
+    columns = {"time": log.t, "left_speed": -log.channel("v_left"), "power": log.power,
+               "right_speed": log.channel("v_right"),
+               "gyro_z": log.channel("yaw_rate")}  # fmt: skip
+    pd.DataFrame(columns).to_csv(tmp_path / "path.csv", index=False)
+    made = start(tmp_path / "path.csv", Given(**ROVER.measures))
+    assert made.sound
+    assert "v_left had the opposite sign, which was corrected" in made.notes
+
+
+@pytest.mark.parametrize("name", ["power", "current"])
+def test_powers_of_few_digits_are_doubted(name: str) -> None:
+    at = sensors(ROVER)
+    columns = {"t": at.t, "v_left": at.left, "v_right": at.right, "yaw_rate": at.yaw_rate}
+    columns |= {"power": at.power} if name == "power" else {"voltage": at.volts, "current": at.amps}
+    assert ep.DriveLog.from_columns(columns).warnings == ()
+    usual = float(np.median(np.abs(columns[name])))
+    for step, told in ((0.3, True), (0.03, False)):
+        rough = {**columns, name: step * usual * np.round(columns[name] / (step * usual))}
+        warnings = ep.DriveLog.from_columns(rough).warnings
+        assert any(f"{name} comes in steps of" in text for text in warnings) == told
 
 
 def test_rows_that_came_in_bursts_are_counted(tmp_path: Path) -> None:
