@@ -29,6 +29,7 @@ from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
 from energyplan.logs.one_side import find_lost_sign, refuse_one_side
+from energyplan.logs.repeats import find_repeats
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Term
@@ -248,7 +249,7 @@ def identify(
         raise NotIdentifiableError(
             f"{drives[0].name}: the measured power is zero throughout; check its channel"
         )
-    warnings: list[str] = []
+    warnings = find_repeats(drives)
     if not any(term.kind == "loss" for term in terms):  # which may be that of the sign
         lost = {log.name: find_lost_sign(log.channels) for log in drives}
         warnings += [

@@ -10,6 +10,7 @@ from energyplan.errors import DriveLogError
 from energyplan.logs import DriveLog
 from energyplan.logs.columns import Column, column_from
 from energyplan.logs.contradictions import mirrored_side
+from energyplan.logs.units import UNITS
 
 
 class Signed(NamedTuple):
@@ -57,7 +58,9 @@ def read_signed(file: Path, columns: Mapping[str, Column]) -> Signed:
                 return Signed(log, made, tuple(notes))
         for name in turned:
             one = made[name]
-            made[name] = column_from(name, one.source, _negative(one.unit), one.times, one.plus)
+            made[name] = column_from(
+                name, one.source, _negative(name, one.unit), one.times, one.plus
+            )
         done |= set(turned)
         notes.append(f"{' and '.join(turned)} had the opposite sign, which was corrected")
 
@@ -76,5 +79,5 @@ def _named(text: str, columns: Mapping[str, Column]) -> list[str]:
     return ["yaw"] if "yaw counts clockwise" in text else []
 
 
-def _negative(unit: str) -> str:
-    return unit[1:] if unit.startswith("-") else f"-{unit or '*1'}"
+def _negative(channel: str, unit: str) -> str:
+    return unit[1:] if unit.startswith("-") else f"-{unit or next(iter(UNITS[channel]))}"

@@ -200,9 +200,9 @@ def clean(columns: Mapping[str, ArrayLike], label: str, place: Place) -> Cleaned
         cleaner.bridge(name)
     cleaner.follow_heading()
     if len(cleaner.rows) < 2:
-        told = "; ".join(str(item) for item in cleaner.aside)
+        told = "".join(f"; {item}" for item in cleaner.aside)
         raise DriveLogError(
-            f"{label}: {len(cleaner.rows)} usable samples are left, two are needed. {told}"
+            f"{label}: {len(cleaner.rows)} usable samples are left, two are needed{told}"
         )
     return Cleaned(cleaner.channels, cleaner.rows, cleaner.aside, cleaner.warnings)
 
