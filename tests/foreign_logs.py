@@ -483,6 +483,12 @@ def rates_beside_a_blank_gyroscope(at: At, folder: Path) -> Path:
     return csv(named, folder / "blank.csv")
 
 
+def a_counter_that_overflows(at: At, folder: Path) -> Path:
+    """Milliseconds in sixteen bits."""
+    house = at.house().assign(t=(np.round(1e3 * at.t) + 30_000) % 65_536)
+    return csv(house.rename(columns={"t": "t_ms"}), folder / "overflow.csv")
+
+
 # -- logs that are to be refused, or doubted ------------------------------------------------------
 
 
@@ -578,6 +584,18 @@ def two_robots(at: At, folder: Path) -> Path:
     }, folder / "two.csv")  # fmt: skip
 
 
+def packs_in_series(at: At, folder: Path) -> Path:
+    return csv({
+        "time": at.t, "v_left": at.left, "v_right": at.right, "battery1_voltage": 0.5 * at.volts,
+        "battery2_voltage": 0.5 * at.volts, "battery_current": at.amps, "yaw_rate": at.yaw_rate,
+    }, folder / "packs.csv")  # fmt: skip
+
+
+def row_numbers(at: At, folder: Path) -> Path:
+    return csv(at.house().assign(t=np.arange(len(at.t))).rename(columns={"t": "n"}),
+               folder / "rows.csv")  # fmt: skip
+
+
 def a_dead_wheel(at: At, folder: Path) -> Path:
     wheels = at.wheels(RPM, ("fl_rpm", "fr_rpm", "rl_rpm", "rr_rpm"))
     wheels["rl_rpm"] = 0.0 * wheels["rl_rpm"]
@@ -601,7 +619,7 @@ READ: tuple[Writer, ...] = (
     aligned_by_spaces, newest_first, units_in_names, rostopic_echo, encoders_of_four_wheels,
     encoders_and_a_satellite_receiver, encoders_from_row_to_row, encoders_that_tell_a_rate,
     status_topic, flight_controller, flattened_messages, italian, portuguese, dutch, days,
-    motors_in_the_mirror, rows_in_bursts, rates_beside_a_blank_gyroscope,
+    motors_in_the_mirror, rows_in_bursts, a_counter_that_overflows, rates_beside_a_blank_gyroscope,
 )  # fmt: skip
 """Logs from which the right coefficients must come."""
 REFUSED: dict[Writer, str] = {
@@ -614,6 +632,8 @@ REFUSED: dict[Writer, str] = {
     torques: r"p_left=left_wheel_joint_effort\*RATE",
     units_in_cells: "line 2: 'v_left' is '.* m/s', which is no number",
     two_robots: "robot1/left_speed and robot2/left_speed .* do not go alike .* of two robots",
+    packs_in_series: r"series .* 'voltage=battery1_voltage\+battery2_voltage'",
+    row_numbers: r"'n' counts rows: .* t=n\[\*0.05\]",
     a_dead_wheel: "fl_rpm and rl_rpm .* do not go alike .* one is dead",
     a_wheel_in_the_mirror: "fr_rpm and rr_rpm .* go opposite ways",
     thousands: r"line \d+: 'power \[mW\]' is '-?\d+,\d+.\d', which is no .* without marks",

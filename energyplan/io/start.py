@@ -17,15 +17,15 @@ from energyplan.io.bags import is_bag, read_bag
 from energyplan.io.encoders import counted_columns, position_columns, total_power
 from energyplan.io.husky import is_husky
 from energyplan.io.logs import read_log
-from energyplan.io.missing import refuse, refuse_halves, refuse_unlike
+from energyplan.io.missing import counts_rows, refuse, refuse_halves, refuse_unlike
 from energyplan.io.project import Project
 from energyplan.io.robot import Given, build_vehicle, known_measures
 from energyplan.io.signs import read_signed
 from energyplan.io.topics import TOPIC_MAPS, TopicMap, topic_map_of
 from energyplan.logs import DriveLog
-from energyplan.logs.bursts import spread_bursts
 from energyplan.logs.cells import Table
 from energyplan.logs.checks import find_runs
+from energyplan.logs.clock import spread_bursts
 from energyplan.logs.columns import Column, column_from, parse_columns
 from energyplan.logs.consistency import Check, Measures, check_consistency, strain
 from energyplan.logs.contradictions import find_contradictions, mirrored_side
@@ -206,7 +206,8 @@ def _clock(table: Table, taken: set[str]) -> str | None:
     """Return the column that increases all along, if there is one."""
     for name, values in table.columns.items():
         steps = np.diff(values)
-        if name not in taken and len(steps) and np.all(np.isfinite(steps)) and np.all(steps > 0):
+        increases = len(steps) and np.all(np.isfinite(steps)) and np.all(steps > 0)
+        if name not in taken and increases and not counts_rows(values):
             return name
     return None
 

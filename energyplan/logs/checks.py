@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from energyplan.errors import DriveLogError
 from energyplan.kinds import described, numbers
 from energyplan.logs.align import gap_limit
-from energyplan.logs.bursts import spread_bursts
+from energyplan.logs.clock import spread_bursts, unwrap_clock
 from energyplan.logs.glitches import find_glitches
 from energyplan.logs.joining import RECORDING, join_rows
 from energyplan.logs.reach import ANY, LIMITS, likely_unit
@@ -297,6 +297,8 @@ class _Cleaner:
             if np.all(np.diff(self.channels["t"][~again]) > 0):
                 self.drop(again, "the row repeats an earlier one; left out")
         if np.any(np.diff(self.channels["t"]) < 0):
+            self.unwrap()
+        if np.any(np.diff(self.channels["t"]) < 0):
             self.restart()
         if np.any(np.diff(self.channels["t"]) < 0):
             self.sort()
@@ -327,6 +329,15 @@ class _Cleaner:
         """Keep some rows, in their order."""
         self.channels = {name: values[rows] for name, values in self.channels.items()}
         self.rows = self.rows[rows]
+
+    def unwrap(self) -> None:
+        """Let a clock go on that overflowed."""
+        t = self.channels["t"]
+        times = unwrap_clock(t)
+        if times is not None:
+            where = self.where(np.append(False, np.diff(t) < 0))
+            self.channels["t"] = times
+            self.warnings.append(f"t overflows at {where}, as a counter does, and goes on")
 
     def restart(self) -> None:
         """Put recordings one after the other that were appended to each other."""

@@ -25,6 +25,8 @@ from foreign_logs import (
     four_motors,
     motors_in_the_mirror,
     numbered_axes,
+    packs_in_series,
+    row_numbers,
     rows_in_bursts,
     stamps_in_two_columns,
     torques,
@@ -113,6 +115,8 @@ def test_what_cannot_be_known_is_asked_for(tmp_path: Path, write: Writer) -> Non
 
 
 REMEDIES = {
+    packs_in_series: {"columns": "voltage=battery1_voltage+battery2_voltage"},
+    row_numbers: {"columns": "t=n[*0.1]"},
     encoders_alone: {"counts_per_revolution": 4096.0},
     numbered_axes: {
         "columns": "v_left=axis0.encoder.vel_estimate[rev/s*0.11],"

@@ -1,4 +1,4 @@
-"""Rows whose times are those of their arrival, several at once."""
+"""Clocks of loggers: counters that overflow, and rows that arrive several at once."""
 
 from __future__ import annotations
 
@@ -12,6 +12,39 @@ _APART = 10.0  # times the usual step, from which on a step is one between burst
 _REGULAR = 0.9  # share of bursts that come with the clock
 _CHANGING = 0.6  # share of the steps within bursts in which readings change
 _ALIKE = 3.0  # times a change within a burst that one between bursts is at most
+_ROUNDS = tuple(2.0**bits * unit for bits in (16, 31, 32) for unit in (1.0, 1e-3, 1e-6))
+"""Times after which counters of seconds, their thousandths or millionths overflow [s]."""
+_NEAR = 10.0  # usual steps within which a counter that overflowed goes on
+
+
+def unwrap_clock(t: FloatArray) -> FloatArray | None:
+    """Return the times of a counter that overflowed and went on from zero.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Times that go back here and there [s].
+
+    Returns
+    -------
+    ndarray, shape (n,), or None
+        Times that increase; None where it does not go back by a full round of a counter each time.
+
+    Examples
+    --------
+    >>> unwrap_clock(np.array([65.4, 65.5, 0.064, 0.164])).round(3).tolist()
+    [65.4, 65.5, 65.6, 65.7]
+    >>> unwrap_clock(np.array([65.4, 65.5, 12.0, 12.1])) is None
+    True
+    """
+    steps = np.diff(t)
+    back = steps < 0.0
+    usual = float(np.median(steps))
+    for whole in _ROUNDS:
+        over = steps[back] + whole
+        if np.any(back) and np.all((over > 0.0) & (over <= _NEAR * usual)):
+            return np.asarray(t + whole * np.append(0.0, np.cumsum(back)))
+    return None
 
 
 def spread_bursts(t: FloatArray, readings: FloatArray) -> FloatArray | None:
