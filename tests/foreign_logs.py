@@ -412,6 +412,83 @@ def flight_controller(at: At, folder: Path) -> Path:
     return csv(pd.concat(rows).sort_values("TimeUS"), folder / "rover.csv")
 
 
+def flattened_messages(at: At, folder: Path) -> Path:
+    """As messages are flattened: w is a part of a quaternion, x and y are of a magnetometer too."""
+    wheel = "/joint_states/{}_wheel_joint/velocity".format
+    turn = {"z": np.sin(0.5 * at.yaw), "w": np.cos(0.5 * at.yaw)}
+    still = dict.fromkeys("xy", np.zeros(len(at.t)))
+    return csv({
+        "__time": EPOCH + at.t, wheel("left"): at.left / at.robot.radius,
+        wheel("right"): at.right / at.robot.radius,
+        **{f"/imu/orientation/{axis}": cells for axis, cells in {**still, **turn}.items()},
+        "/tf/base_link/rotation/w": turn["w"], "/imu/angular_velocity/z": at.yaw_rate,
+        "/imu/mag/x": np.cos(at.yaw), "/imu/mag/y": -np.sin(at.yaw),
+        "/battery_state/voltage": at.volts, "/battery_state/current": -at.amps,
+        "/battery_state/percentage": 0.9 - 1e-5 * at.t,
+    }, folder / "flat.csv")  # fmt: skip
+
+
+def italian(at: At, folder: Path) -> Path:
+    return csv({
+        "tempo [s]": at.t, "velocit\u00e0 ruota sinistra [m/s]": at.left,
+        "velocit\u00e0 ruota destra [m/s]": at.right, "tensione [V]": at.volts,
+        "corrente [A]": at.amps, "imbardata [deg]": DEG * at.yaw % 360,
+    }, folder / "guida.csv", sep=";", decimal=",")  # fmt: skip
+
+
+def portuguese(at: At, folder: Path) -> Path:
+    return csv({
+        "tempo": at.t, "velocidade_esquerda": at.left, "velocidade_direita": at.right,
+        "tens\u00e3o (V)": at.volts, "corrente (A)": at.amps, "guinada": at.yaw,
+    }, folder / "percurso.csv")  # fmt: skip
+
+
+def dutch(at: At, folder: Path) -> Path:
+    return csv({
+        "tijd": at.t, "snelheid_links": at.left, "snelheid_rechts": at.right,
+        "vermogen [kW]": 1e-3 * at.power, "koers": at.yaw,
+    }, folder / "rit.csv")  # fmt: skip
+
+
+def days(at: At, folder: Path) -> Path:
+    """As spreadsheets count time."""
+    house = at.house().assign(t=46_000.0 + at.t / 86400.0)
+    return csv(house.rename(columns={"t": "Date Time"}), folder / "sheet.csv")
+
+
+def motors_in_the_mirror(at: At, folder: Path) -> Path:
+    """Rates of motors before a gear; those of the left turn backwards on the way ahead."""
+    rate = 30 * RPM / at.robot.radius
+    return csv({
+        "time": at.t, "motor_left_rpm": -rate * at.left, "motor_right_rpm": rate * at.right,
+        "x": 5e5 + at.log.channel("x"), "y": 5e6 + at.log.channel("y"), "gyro_z": at.yaw_rate,
+        "power": at.power,
+    }, folder / "mirror.csv")  # fmt: skip
+
+
+def rows_in_bursts(at: At, folder: Path) -> Path:
+    """Five rows at once, with the times of their arrival."""
+    rows = np.arange(len(at.t))
+    last = np.minimum(rows // 5 * 5 + 4, rows[-1])
+    arrival = at.t[last] + 1e-4 * (rows - last) + 0.01 * np.sin(last)
+    return csv(at.house().assign(t=arrival), folder / "bursts.csv")
+
+
+def rates_beside_a_blank_gyroscope(at: At, folder: Path) -> Path:
+    house = at.house().assign(yaw_rate=np.nan)
+    wheels = {f"wheel_{side}": house[f"v_{side}"] / at.robot.radius for side in ("left", "right")}
+    named = house.drop(columns=["v_left", "v_right"]).assign(
+        **{f"{name} [rad/s]": values for name, values in wheels.items()}
+    )
+    return csv(named, folder / "blank.csv")
+
+
+def a_counter_that_overflows(at: At, folder: Path) -> Path:
+    """Milliseconds in sixteen bits."""
+    house = at.house().assign(t=(np.round(1e3 * at.t) + 30_000) % 65_536)
+    return csv(house.rename(columns={"t": "t_ms"}), folder / "overflow.csv")
+
+
 # -- logs that are to be refused, or doubted ------------------------------------------------------
 
 
@@ -496,6 +573,41 @@ def currents_without_sign(at: At, folder: Path) -> Path:
     }, folder / "unsigned.csv")  # fmt: skip
 
 
+def two_robots(at: At, folder: Path) -> Path:
+    other = At(drive(at.robot, seed=4), at.robot)
+    shift = len(at.t) // 3
+    return csv({
+        "time": at.t, "robot1/left_speed": at.left, "robot1/right_speed": at.right,
+        "robot1/power": at.power, "robot2/left_speed": np.roll(other.left, shift),
+        "robot2/right_speed": np.roll(other.right, shift),
+        "robot2/power": np.roll(other.power, shift),
+    }, folder / "two.csv")  # fmt: skip
+
+
+def packs_in_series(at: At, folder: Path) -> Path:
+    return csv({
+        "time": at.t, "v_left": at.left, "v_right": at.right, "battery1_voltage": 0.5 * at.volts,
+        "battery2_voltage": 0.5 * at.volts, "battery_current": at.amps, "yaw_rate": at.yaw_rate,
+    }, folder / "packs.csv")  # fmt: skip
+
+
+def row_numbers(at: At, folder: Path) -> Path:
+    return csv(at.house().assign(t=np.arange(len(at.t))).rename(columns={"t": "n"}),
+               folder / "rows.csv")  # fmt: skip
+
+
+def a_dead_wheel(at: At, folder: Path) -> Path:
+    wheels = at.wheels(RPM, ("fl_rpm", "fr_rpm", "rl_rpm", "rr_rpm"))
+    wheels["rl_rpm"] = 0.0 * wheels["rl_rpm"]
+    return csv({"time": at.t, **wheels, "power": at.power}, folder / "dead.csv")
+
+
+def a_wheel_in_the_mirror(at: At, folder: Path) -> Path:
+    wheels = at.wheels(RPM, ("fl_rpm", "fr_rpm", "rl_rpm", "rr_rpm"))
+    wheels["rr_rpm"] = -wheels["rr_rpm"]
+    return csv({"time": at.t, **wheels, "power": at.power}, folder / "turned.csv")
+
+
 Writer = Callable[[At, Path], Path]
 READ: tuple[Writer, ...] = (
     four_wheels_in_rpm, four_motors, german, german_in_short, utf16, byte_order_mark,
@@ -506,7 +618,8 @@ READ: tuple[Writer, ...] = (
     a_row_for_each_message, stamps_in_two_columns, date_and_time_of_day, american_dates,
     aligned_by_spaces, newest_first, units_in_names, rostopic_echo, encoders_of_four_wheels,
     encoders_and_a_satellite_receiver, encoders_from_row_to_row, encoders_that_tell_a_rate,
-    status_topic, flight_controller,
+    status_topic, flight_controller, flattened_messages, italian, portuguese, dutch, days,
+    motors_in_the_mirror, rows_in_bursts, a_counter_that_overflows, rates_beside_a_blank_gyroscope,
 )  # fmt: skip
 """Logs from which the right coefficients must come."""
 REFUSED: dict[Writer, str] = {
@@ -518,6 +631,11 @@ REFUSED: dict[Writer, str] = {
     electrical_rates: r"v_left=left_erpm\[rpm\*F\]",
     torques: r"p_left=left_wheel_joint_effort\*RATE",
     units_in_cells: "line 2: 'v_left' is '.* m/s', which is no number",
+    two_robots: "robot1/left_speed and robot2/left_speed .* do not go alike .* of two robots",
+    packs_in_series: r"series .* 'voltage=battery1_voltage\+battery2_voltage'",
+    row_numbers: r"'n' counts rows: .* t=n\[\*0.05\]",
+    a_dead_wheel: "fl_rpm and rl_rpm .* do not go alike .* one is dead",
+    a_wheel_in_the_mirror: "fr_rpm and rr_rpm .* go opposite ways",
     thousands: r"line \d+: 'power \[mW\]' is '-?\d+,\d+.\d', which is no .* without marks",
 }
 """Logs that must be refused, and the words of the remedy."""

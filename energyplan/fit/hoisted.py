@@ -11,6 +11,7 @@ import numpy as np
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit.covariance import autocorrelation
 from energyplan.logs import DriveLog
+from energyplan.logs.evidence import correlation, distance_ratio, lasts, yaw_rates
 from energyplan.logs.plausible import find_doubts
 from energyplan.path import FloatArray
 
@@ -19,6 +20,7 @@ _BIN = 0.1  # width of the speed classes that are told [m/s]
 _STEADY = 0.15  # largest tread acceleration of a steady sample [m/s^2]
 _ENOUGH = 20
 _TRAVEL = {"x", "y", "yaw", "yaw_rate", "accel_x"}
+_TOGETHER = 0.7  # correlation of the turning with the treads' of a robot that drives
 _PILED = 0.05  # share of moving readings at the least one, from which it is a dead band
 
 
@@ -99,7 +101,7 @@ def hoisted(
     Raises
     ------
     NotIdentifiableError
-        If a side hardly turns.
+        If a side hardly turns, or yaw or pose show that the robot drove.
     InvalidInputError
         If the logs lack the power of a side.
 
@@ -108,7 +110,24 @@ def hoisted(
     Morales et al. (2010), section IV: 59 N were found so.
     """
     drives = [logs] if isinstance(logs, DriveLog) else list(logs)
+    for log in drives:
+        _refuse_driving(log)
     return tuple(_side(drives, side, motor_constant) for side in ("left", "right"))
+
+
+def _refuse_driving(log: DriveLog) -> None:
+    """Refuse a drive on the ground, where slip and rolling resist too."""
+    difference = log.channels["v_right"] - log.channels["v_left"]
+    rates = yaw_rates(log.channels, log.runs)
+    turns = [name for name, rate in rates.items()
+             if lasts(rate) and correlation(rate, difference) > _TOGETHER]  # fmt: skip
+    goes = np.isfinite(distance_ratio(log.channels, log.runs))
+    if turns or goes:
+        raise NotIdentifiableError(
+            f"{log.name}: {turns[0] if turns else 'the pose'} follows the treads, so the wheels "
+            "were on the ground; what resists them there is not the friction inside: leave out "
+            "--hoisted, or give drives with the wheels in the air"
+        )
 
 
 def doubts_off_the_ground(log: DriveLog) -> tuple[str, ...]:

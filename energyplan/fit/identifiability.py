@@ -26,6 +26,10 @@ _NEARLY_COLLINEAR = 0.1
 """Smallest singular value below which it is told that regressors hardly differ."""
 
 
+_SPIN = "a spin on the spot"
+_STRAIGHT = "straight lines at several constant speeds"
+
+
 def is_linear(model: PowerModel) -> bool:
     """Tell whether the power is linear in the coefficients: no loss depends on the forces."""
     return all(term.kind != "loss" for term in model.terms)
@@ -101,8 +105,8 @@ def _manoeuvres(icr: TreadICR) -> dict[str, Motion]:
     speeds, forth = np.array([0.25, 0.5, 0.75, 1.0]), np.array([0.5, -0.5, 0.8, -0.8])
     ramp, change = np.array([0.3, 0.6, 0.6, 0.3]), np.array([0.5, 0.5, -0.5, -0.5])
     return {
-        "a spin on the spot": motion(-speeds, speeds),
-        "straight lines at several constant speeds": motion(speeds, speeds),
+        _SPIN: motion(-speeds, speeds),
+        _STRAIGHT: motion(speeds, speeds),
         "a stop of some seconds with the drives on": motion(np.zeros(4), np.zeros(4)),
         "arcs of several radii to both sides": motion([0.2, 0.4, 0.6, 0.8], [0.8, 0.6, 0.4, 0.2]),
         "spins to both sides": motion(-forth, forth),
@@ -140,7 +144,9 @@ def _best(values: dict[str, float]) -> str:
     return next(name for name, value in values.items() if value >= 0.99 * most)
 
 
-def check_identifiable(model: PowerModel, jacobian: FloatArray) -> tuple[str, ...]:
+def check_identifiable(
+    model: PowerModel, jacobian: FloatArray, turning: bool = True
+) -> tuple[str, ...]:
     """Refuse data that cannot tell the coefficients.
 
     Parameters
@@ -149,6 +155,8 @@ def check_identifiable(model: PowerModel, jacobian: FloatArray) -> tuple[str, ..
         The model.
     jacobian : ndarray, shape (n, p)
         Its regressors on cleaned motion (`signal_motion`).
+    turning : bool
+        As for `signal_motion`.
 
     Returns
     -------
@@ -172,6 +180,12 @@ def check_identifiable(model: PowerModel, jacobian: FloatArray) -> tuple[str, ..
         if size[k] <= _NO_DATA * max(common.values(), default=0.0) or size[k] == 0:
             varied = f"drives in which {' and '.join(term.channels) or 'it acts'} vary"
             remedy = _best(common) if any(common.values()) else varied
+            if not turning and not common.get(_STRAIGHT) and common.get(_SPIN):
+                raise NotIdentifiableError(
+                    f"{_named([term])} cannot be identified: by its yaw the robot did not turn "
+                    "where its treads did; if the wheels were off the ground, identify with "
+                    "--hoisted; if the yaw is dead, leave that channel out"
+                )
             raise NotIdentifiableError(
                 f"{_named([term])} cannot be identified: what it multiplies is zero throughout "
                 f"these logs; add {remedy}, or leave the term out"

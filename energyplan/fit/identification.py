@@ -29,6 +29,7 @@ from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
 from energyplan.logs.one_side import find_lost_sign, refuse_one_side
+from energyplan.logs.repeats import find_repeats
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Term
@@ -248,7 +249,7 @@ def identify(
         raise NotIdentifiableError(
             f"{drives[0].name}: the measured power is zero throughout; check its channel"
         )
-    warnings: list[str] = []
+    warnings = find_repeats(drives)
     if not any(term.kind == "loss" for term in terms):  # which may be that of the sign
         lost = {log.name: find_lost_sign(log.channels) for log in drives}
         warnings += [
@@ -267,7 +268,7 @@ def identify(
     linear = [term for term in terms if term.kind != "loss"]
     if linear:
         first = PowerModel(vehicle, tuple(linear), np.zeros(len(linear)))
-        doubts = check_identifiable(first, _stacked(first, clean, ready))
+        doubts = check_identifiable(first, _stacked(first, clean, ready), turning)
     problem = PowerRegression(ready, model)
     if method == "windows":
         joint = joint_fit(_both_sides(drives, vehicle, terms), terms)
@@ -276,7 +277,7 @@ def identify(
     else:
         model = problem.solve(method, bounds)
     if len(linear) < len(terms):
-        doubts = check_identifiable(model, _stacked(model, clean, ready))
+        doubts = check_identifiable(model, _stacked(model, clean, ready), turning)
     warnings += doubts
 
     covariance = problem.covariance(model, method) if model.covariance is None else model.covariance
@@ -446,9 +447,14 @@ def _doubts(model: PowerModel, bounds: Bounds, independent: float) -> list[str]:
     ):
         error = model.std_error(term.name) or 0.0
         if value <= low or value >= high:
+            shown = (
+                "more of it shows in these logs than is possible: the vehicle's mass or a unit"
+                if value > 0.0 and value >= high
+                else "nothing of it shows in these logs, a sign"
+            )
             found.append(
                 f"{term.name} ({term.symbol}) is at the end {value:g} of its possible range: "
-                "nothing of it shows in these logs, a sign is wrong, or a term is missing"
+                f"{shown} is wrong, or a term is missing"
             )
         elif error > 0.5 * abs(value):
             found.append(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import NoReturn
 
@@ -9,9 +10,12 @@ import numpy as np
 
 from energyplan.errors import DriveLogError
 from energyplan.logs.cells import Table
+from energyplan.logs.evidence import correlation
 from energyplan.logs.guess import ENCODER, Guess, guess, halves, numbered_speeds, words
+from energyplan.path import FloatArray
 
 _ALIKE = 0.9  # correlation from which two columns tell the same
+_ONE_SIDE = 0.7  # correlation through the origin of the speeds of one side's wheels, at least
 _HALF = 0.2  # of the larger, that powers or currents of two sides are at least
 
 
@@ -61,6 +65,12 @@ def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
                 "where it counts on, [ticks/sample*0.0001] where it counts from row to row, "
                 "[ticks/s*0.0001] where it counts in a second"
             )
+    numbers = [name for name, values in table.columns.items() if counts_rows(values)]
+    if "t" in needed and numbers:
+        hint += (
+            f"; {numbers[0]!r} counts rows: if they come at a steady rate, give the time from row "
+            f"to row, as in t={numbers[0]}[*0.05] for 50 ms"
+        )
     torques = [name for name in names if {"effort", "torque"} & set(words(name))]
     if "power" in needed and torques:
         hint += (
@@ -71,6 +81,17 @@ def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
         f"{table.source}: nothing seems to be {' or '.join(needed)}{hint}; the columns are "
         f"{', '.join(names[:30])}; say which it is with --columns {needed[0]}=NAME"
     )
+
+
+def counts_rows(values: FloatArray) -> bool:
+    """Tell whether a column is the number of its row: that is no time.
+
+    Examples
+    --------
+    >>> counts_rows(np.array([7.0, 8.0, 9.0])), counts_rows(np.array([7.0, 8.0, 9.5]))
+    (True, False)
+    """
+    return len(values) > 1 and bool(np.all(np.diff(values) == 1.0))
 
 
 def refuse_halves(table: Table, found: Mapping[str, Guess], channels: set[str]) -> None:
@@ -90,11 +111,15 @@ def refuse_halves(table: Table, found: Mapping[str, Guess], channels: set[str]) 
     Raises
     ------
     DriveLogError
-        If there is another column like that of the power, or of the current that makes it.
+        If there is another column like that of the power, or of the current or the voltage that
+        make it.
     """
     one = found.get("power" if "power" in channels else "current")
     if one is None or {"p_left", "p_right"} <= channels:
         return
+    volts = found.get("voltage")
+    if "power" not in channels and volts is not None and not one.fellows:
+        _refuse_packs(table, volts.name)
     used = {name for other in found.values() for name in (other.name, *other.fellows)}
     for name in halves(one.name, [other for other in table.columns if other not in used]):
         pair = np.array([table.columns[each] for each in (one.name, name)], float)
@@ -110,3 +135,53 @@ def refuse_halves(table: Table, found: Mapping[str, Guess], channels: set[str]) 
                 f"--columns 'p_left={one.name},p_right={name}' for powers, else name the whole, as "
                 f"in --columns 'power={one.name}'"
             )
+
+
+def _refuse_packs(table: Table, name: str) -> None:
+    """Refuse to take one of several numbered voltages beside one current for the whole."""
+    alike = re.sub(r"\d+", "0", name)
+    packs = [other for other in table.columns if re.sub(r"\d+", "0", other) == alike]
+    usual = [float(np.nanmedian(table.columns[pack])) for pack in packs]
+    if len(packs) > 1 and min(usual) > _ALIKE * max(usual):
+        raise DriveLogError(
+            f"{table.source}: {' and '.join(packs[:3])} are several voltages beside one current; "
+            f"where they are in series say so, as in --columns 'voltage={'+'.join(packs)}', else "
+            f"as in --columns 'voltage={name}'"
+        )
+
+
+def refuse_unlike(table: Table, found: Mapping[str, Guess]) -> None:
+    """Refuse to take the mean of one side's wheels where these do not go alike.
+
+    One may be dead or count the other way, or they may be of two robots.
+
+    Parameters
+    ----------
+    table : Table
+        The log.
+    found : mapping of str to Guess
+        Columns that channels were guessed to be.
+
+    Raises
+    ------
+    DriveLogError
+        If two columns of a side's speed do not follow each other.
+    """
+    for channel in ("v_left", "v_right"):
+        one = found.get(channel)
+        if one is None:
+            continue
+        for name in one.fellows:
+            first, second = (table.columns[each] for each in (one.name, name))
+            both = np.isfinite(first) & np.isfinite(second)
+            if not np.any(first[both]) and not np.any(second[both]):
+                continue
+            alike = correlation(first[both], second[both])
+            if alike < _ONE_SIDE:
+                way = "go opposite ways" if alike < -_ONE_SIDE else "do not go alike"
+                raise DriveLogError(
+                    f"{table.source}: {one.name} and {name} seem to be speeds of the same side, "
+                    f"and {way} (correlation {alike:.2f}): one is dead or counts the other way, or "
+                    "they are of two robots; name those that are right, the power among them, as "
+                    f"in --columns '{channel}={one.name}'"
+                )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
 from math import isfinite, nan, pi
@@ -17,19 +17,22 @@ from energyplan.io.bags import is_bag, read_bag
 from energyplan.io.encoders import counted_columns, position_columns, total_power
 from energyplan.io.husky import is_husky
 from energyplan.io.logs import read_log
-from energyplan.io.missing import refuse, refuse_halves
+from energyplan.io.missing import counts_rows, refuse, refuse_halves, refuse_unlike
 from energyplan.io.project import Project
 from energyplan.io.robot import Given, build_vehicle, known_measures
+from energyplan.io.signs import read_signed
 from energyplan.io.topics import TOPIC_MAPS, TopicMap, topic_map_of
 from energyplan.logs import DriveLog
 from energyplan.logs.cells import Table
 from energyplan.logs.checks import find_runs
+from energyplan.logs.clock import spread_bursts
 from energyplan.logs.columns import Column, column_from, parse_columns
 from energyplan.logs.consistency import Check, Measures, check_consistency, strain
-from energyplan.logs.contradictions import find_contradictions
+from energyplan.logs.contradictions import find_contradictions, mirrored_side
 from energyplan.logs.evidence import gather
 from energyplan.logs.guess import guess, guess_encoders
-from energyplan.logs.joining import join_rows
+from energyplan.logs.joining import RECORDING, join_rows
+from energyplan.logs.reach import possible
 from energyplan.logs.tables import read_table
 from energyplan.logs.units import is_count, is_wheel_rate, scale_of
 from energyplan.path import FloatArray
@@ -37,8 +40,11 @@ from energyplan.path import FloatArray
 _SOME = 20_000  # readings that suffice to tell a unit
 _FASTEST_TURN = 3.0  # yaw rate that hardly a robot reaches that skids [rad/s]
 _FULL_TURN = 6.5  # [rad]; headings beyond are unwrapped, or degrees
+_TURNS = 3 * _FULL_TURN  # beyond, they are rather degrees
 _HIGHEST_VOLTAGE = 1000.0  # of a battery, beyond which readings are millivolts [V]
+_DATE = 1e4  # days after which spreadsheets' dates begin, at least: such a clock may count days
 _NEEDED = {"t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current"}
+_SMALLEST_RADIUS, _LARGEST_RADIUS = 2e-4, 0.8  # of a wheel, or of one over its gear ratio [m]
 _RATES = {"rad/s": 1.0, "rpm": pi / 30, "deg/s": pi / 180}
 
 
@@ -139,6 +145,7 @@ def _start_table(file: Path, known: Given) -> Start:
     if needed:
         refuse(table, needed)
     refuse_halves(table, found, {*columns, *found})
+    refuse_unlike(table, found)
     for channel, one in found.items():
         unit = one.unit
         if is_wheel_rate(unit) and channel.startswith("v_"):
@@ -155,7 +162,7 @@ def _start_table(file: Path, known: Given) -> Start:
             columns["t"] = _timed(table, columns["t"])
         columns, assumed = counted_columns(table, columns, encoders, known)
     columns = _with_units(table, columns, found, known)
-    log = _read_signed(file, columns)
+    log = read_signed(file, columns)
     used = {name for one in log.columns.values() for name in one.names}
     idle = [name for name in table.columns if name not in used]
     notes = (f"columns that serve for nothing: {', '.join(idle[:20])}",) if idle else ()
@@ -199,7 +206,8 @@ def _clock(table: Table, taken: set[str]) -> str | None:
     """Return the column that increases all along, if there is one."""
     for name, values in table.columns.items():
         steps = np.diff(values)
-        if name not in taken and len(steps) and np.all(np.isfinite(steps)) and np.all(steps > 0):
+        increases = len(steps) and np.all(np.isfinite(steps)) and np.all(steps > 0)
+        if name not in taken and increases and not counts_rows(values):
             return name
     return None
 
@@ -227,14 +235,12 @@ def _with_units(
             wheels = ("rad/s*", "rpm*") if isfinite(radius) else ()
             units = ("m/s", *wheels, "km/h", "mm/s", "cm/s")
             choices.append(_Choice(("v_left", "v_right"), units))
-    choices += [
-        _Choice((channel,), units)
-        for channel, units, most in (
-            ("yaw_rate", ("rad/s", "deg/s"), _FASTEST_TURN),
-            ("yaw", ("rad", "deg"), _FULL_TURN),
-        )
-        if channel in free and _size(table, columns[channel]) > most  # else these are no degrees
-    ]
+    if "yaw_rate" in free and _size(table, columns["yaw_rate"]) > _FASTEST_TURN:
+        choices.append(_Choice(("yaw_rate",), ("rad/s", "deg/s")))
+    heading = _size(table, columns["yaw"]) if "yaw" in free else 0.0
+    if heading > _FULL_TURN:  # else these are no degrees
+        likely = ("deg", "rad") if heading > _TURNS else ("rad", "deg")
+        choices.append(_Choice(("yaw",), likely))
     if "voltage" in free and _size(table, columns["voltage"]) > _HIGHEST_VOLTAGE:
         choices.append(_Choice(("voltage",), ("mV",)))
     # A thousand is more than robots' resistances differ by: their weight tells which it is.
@@ -253,12 +259,12 @@ def _with_units(
     raw = {channel: _some(table, column, t) for channel, column in columns.items()}
     joined = join_rows(raw, [name for name in raw if name in _NEEDED])
     raw = raw if joined is None else joined.channels
-    sound = np.all([np.isfinite(values) for values in raw.values()], axis=0)
-    sound &= np.append(True, np.diff(np.maximum.accumulate(raw["t"])) > 0)
-    if np.count_nonzero(sound) < 20:
-        return columns
-    raw = {channel: values[sound] for channel, values in raw.items()}
+    raw = _whole_rows(raw)
+    mirrored = mirrored_side(raw, find_runs(raw["t"])) if len(raw["t"]) >= RECORDING else ""
+    raw |= {mirrored: -raw[mirrored]} if mirrored else {}  # `read_signed` turns it round
     measures = known_measures(known)
+    first = {channel: choice.units[0] for choice in choices for channel in choice.channels}
+    rolling = {channel for channel, unit in first.items() if unit.endswith("*")}
     best: tuple[float, dict[str, str]] | None = None
     for each in product(*(choice.units for choice in choices)):
         chosen = {
@@ -270,22 +276,23 @@ def _with_units(
             channel: values * _factor(channel, chosen.get(channel, ""), known)
             for channel, values in raw.items()
         }
+        sized = {c: v for c, v in trial.items() if isfinite(radius) or c not in rolling}
+        if len(trial["t"]) < RECORDING or not possible(sized):
+            continue
         evidence = gather(trial, total_power(trial), find_runs(trial["t"]))
         rank = sum(choice.units.index(unit) for choice, unit in zip(choices, each, strict=True))
         # The measures may be what is wrong: they only decide where the log alone does not.
         cost = strain(evidence, Measures()) + 0.2 * strain(evidence, measures) + 0.01 * rank
-        # A heading in another unit does not turn with the treads at all.
+        # A heading in another unit does not turn with the treads, or a gyroscope, at all.
         cost += 0.5 * bool(np.isnan(evidence.slip_track))
+        cost += 0.5 * ({"yaw", "yaw_rate"} <= set(trial) and bool(np.isnan(evidence.rotation)))
         if best is None or cost < best[0] - 1e-9:
             best = cost, chosen
-    chosen = best[1] if best else {}
+    chosen = best[1] if best else first
     if any(unit.endswith("*") for unit in chosen.values()) and not isfinite(radius):
-        radius = _radius_from(raw, chosen, measures)
+        radius = _radius_from(raw, chosen)
         if not isfinite(radius):
-            raise InvalidInputError(
-                "the tread speeds are the wheels' rates, and there is no pose to find "
-                "the radius from: give the wheel radius [m], as in --wheel-radius 0.165"
-            )
+            raise InvalidInputError(f"{table.source}: {_no_radius(raw)}")
     made = dict(columns)
     for channel, unit in chosen.items():
         if channel not in made:
@@ -299,6 +306,20 @@ def _with_units(
         plain = plain or written == "m/s"
         made[channel] = _column(channel, one.source, "" if plain else written, one.plus, one.times)
     return made
+
+
+def _whole_rows(raw: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return rows that hold every channel; without those that leave too few rows."""
+    clock = np.append(True, np.diff(np.fmax.accumulate(raw["t"])) > 0)
+    known = {channel: np.isfinite(values) for channel, values in raw.items()}
+    others = sorted((c for c in raw if c not in _NEEDED), key=lambda c: np.count_nonzero(known[c]))
+    while True:
+        whole = clock & np.all(list(known.values()), axis=0)
+        if np.count_nonzero(whole) >= RECORDING or not others:
+            rows = {channel: raw[channel][whole] for channel in known}
+            times = spread_bursts(rows["t"], np.stack([rows["v_left"], rows["v_right"]]))
+            return rows if times is None else {**rows, "t": times}
+        del known[others.pop(0)]
 
 
 def _size(table: Table, column: Column) -> float:
@@ -321,6 +342,8 @@ def _timed(table: Table, clock: Column) -> Column:
         return clock
     step = float(np.median(steps))
     sizes = {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+    if np.nanmedian(table.column(clock.source)[:_SOME]) > _DATE:
+        sizes |= {"d": 86400.0}
     unit = next((name for name, size in sizes.items() if 5e-4 <= step * size <= 2.5), "")
     return column_from("t", clock.source, unit or None)
 
@@ -334,58 +357,35 @@ def _factor(channel: str, unit: str, known: Given) -> float:
     return scale_of(channel, unit).factor
 
 
-def _radius_from(
-    raw: Mapping[str, FloatArray], chosen: Mapping[str, str], measures: Measures
-) -> float:
+def _radius_from(raw: Mapping[str, FloatArray], chosen: Mapping[str, str]) -> float:
     """Return the wheel radius that the pose tells: the way gone over the angle rolled."""
+    if len(raw["t"]) < RECORDING:
+        return nan
     trial = {
         channel: values * _factor(channel, chosen.get(channel, ""), Given(wheel_radius=1.0))
         for channel, values in raw.items()
     }
     evidence = gather(trial, total_power(trial), find_runs(trial["t"]))
-    radius = 1.0 / evidence.distance
-    return radius if isfinite(radius) and 0.02 <= radius <= 0.8 else nan
+    return _radius_of(evidence.distance)
 
 
-class _Read(NamedTuple):
-    """A log, the columns it was read by, and what was turned to read it."""
-
-    log: DriveLog
-    columns: dict[str, Column]
-    notes: tuple[str, ...]
+def _radius_of(angle: float) -> float:
+    """Return the radius at which wheels, or motors before their gear, roll so far in a metre."""
+    return 1.0 / angle if 1.0 / _LARGEST_RADIUS <= angle <= 1.0 / _SMALLEST_RADIUS else nan
 
 
-def _read_signed(file: Path, columns: dict[str, Column]) -> _Read:
-    """Read a table; a power or a yaw that counts the other way is turned round."""
-    notes: list[str] = []
-    made = dict(columns)
-    for _ in range(4):
-        try:
-            return _Read(DriveLog.read(file, made, others=False), made, tuple(notes))
-        except DriveLogError as problem:
-            text = str(problem)
-            if "wrong sign" in text:
-                subject = text.rpartition(": ")[0] if ": " not in text else text.split(": ", 1)[1]
-                subject = subject.split(" has the wrong sign")[0].split(" have the wrong")[0]
-                turned = [name for name in subject.replace(",", " ").split() if name in made]
-            elif "gyroscope's axis is flipped" in text:
-                turned = ["yaw_rate"]
-            elif "yaw counts clockwise" in text:
-                turned = ["yaw"]
-            else:
-                raise
-            if not turned or any(name in note for note in notes for name in turned):
-                raise
-            for name in turned:
-                one = made[name]
-                unit = _negative(one.unit)
-                made[name] = column_from(name, one.source, unit, one.times, one.plus)
-            notes.append(f"{' and '.join(turned)} had the opposite sign, which was corrected")
-    return _Read(DriveLog.read(file, made, others=False), made, tuple(notes))
-
-
-def _negative(unit: str) -> str:
-    return unit[1:] if unit.startswith("-") else f"-{unit or '*1'}"
+def _no_radius(channels: Collection[str]) -> str:
+    """Say why no wheel radius is known."""
+    why = "there is no pose to find the radius from"
+    if {"x", "y"} <= set(channels):
+        why = (
+            "the pose does not tell the radius: the wheels hardly ever roll straight ahead by it, "
+            "as where one side counts the other way"
+        )
+    return (
+        f"the tread speeds are the wheels' rates, and {why}; give the wheel radius [m], as in "
+        "--wheel-radius 0.165"
+    )
 
 
 # -- bags ---------------------------------------------------------------------------------------
@@ -413,12 +413,9 @@ def _start_bag(file: Path, known: Given) -> Start:
     assumed: dict[str, str] = {}
     if rates and not isfinite(radius):
         evidence = gather(log.channels, log.power, log.runs)
-        radius = 1.0 / evidence.distance
-        if not (isfinite(radius) and 0.02 <= radius <= 0.8):
-            raise InvalidInputError(
-                f"{file.name}: the tread speeds are the wheels' rates, and there is no pose to "
-                "find the radius from: give the wheel radius [m], as in --wheel-radius 0.165"
-            )
+        radius = _radius_of(evidence.distance)
+        if not isfinite(radius):
+            raise InvalidInputError(f"{file.name}: {_no_radius(log.channels)}")
         assumed["wheel_radius"] = f"{radius:.4g} m, from the pose"
         log = read_bag(file, mapped(radius))
     topics = mapped(radius if isfinite(radius) else 1.0)

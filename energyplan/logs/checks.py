@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from energyplan.errors import DriveLogError
 from energyplan.kinds import described, numbers
 from energyplan.logs.align import gap_limit
+from energyplan.logs.clock import spread_bursts, unwrap_clock
 from energyplan.logs.glitches import find_glitches
 from energyplan.logs.joining import RECORDING, join_rows
 from energyplan.logs.reach import ANY, LIMITS, likely_unit
@@ -199,9 +200,9 @@ def clean(columns: Mapping[str, ArrayLike], label: str, place: Place) -> Cleaned
         cleaner.bridge(name)
     cleaner.follow_heading()
     if len(cleaner.rows) < 2:
-        told = "; ".join(str(item) for item in cleaner.aside)
+        told = "".join(f"; {item}" for item in cleaner.aside)
         raise DriveLogError(
-            f"{label}: {len(cleaner.rows)} usable samples are left, two are needed. {told}"
+            f"{label}: {len(cleaner.rows)} usable samples are left, two are needed{told}"
         )
     return Cleaned(cleaner.channels, cleaner.rows, cleaner.aside, cleaner.warnings)
 
@@ -296,11 +297,15 @@ class _Cleaner:
             if np.all(np.diff(self.channels["t"][~again]) > 0):
                 self.drop(again, "the row repeats an earlier one; left out")
         if np.any(np.diff(self.channels["t"]) < 0):
+            self.unwrap()
+        if np.any(np.diff(self.channels["t"]) < 0):
             self.restart()
         if np.any(np.diff(self.channels["t"]) < 0):
             self.sort()
         if np.any(np.diff(self.channels["t"]) == 0):
             self.average()
+        if np.all(np.diff(self.channels["t"]) > 0):
+            self.spread()
         t = self.channels["t"]
         back = np.append(False, np.diff(t) <= 0)
         if np.any(back):
@@ -324,6 +329,15 @@ class _Cleaner:
         """Keep some rows, in their order."""
         self.channels = {name: values[rows] for name, values in self.channels.items()}
         self.rows = self.rows[rows]
+
+    def unwrap(self) -> None:
+        """Let a clock go on that overflowed."""
+        t = self.channels["t"]
+        times = unwrap_clock(t)
+        if times is not None:
+            where = self.where(np.append(False, np.diff(t) < 0))
+            self.channels["t"] = times
+            self.warnings.append(f"t overflows at {where}, as a counter does, and goes on")
 
     def restart(self) -> None:
         """Put recordings one after the other that were appended to each other."""
@@ -391,6 +405,14 @@ class _Cleaner:
                 mean = np.angle(total) if angle else total / count
             self.channels[name] = np.where(count > 0, mean, np.nan)
         self.channels["t"], self.rows = t[first], self.rows[first]
+
+    def spread(self) -> None:
+        """Give rows that were buffered, and came several at once, the times of their readings."""
+        t, speeds = self.channels["t"], [self.channels[name] for name in ("v_left", "v_right")]
+        times = spread_bursts(t, np.stack(speeds))
+        if times is not None:
+            self.note(times != t, "the row came with others in one burst; spread over the time")
+            self.channels["t"] = times
 
     def bridge(self, name: str) -> None:
         """Fill short holes of a further channel; leave it out where most of it is missing."""

@@ -7,13 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.logs.evidence import correlation, distance_ratio, yaw_rates
+from energyplan.logs.evidence import correlation, distance_ratio, lasts, yaw_rates
 from energyplan.logs.held import POWERS, held_periods
 from energyplan.logs.one_side import (
     compare_powers,
     find_dead,
     find_dying,
     find_false_speeds,
+    find_frozen,
     find_lost_sign,
 )
 from energyplan.path import FloatArray
@@ -49,6 +50,7 @@ def find_contradictions(
         *find_false_speeds(channels, runs),
         *find_dead(channels, yaw_rates(channels, runs)),
         *find_dying(channels),
+        *find_frozen(channels, yaw_rates(channels, runs)),
         _sides(channels, runs),
         compare_powers(channels),
         find_lost_sign(channels),
@@ -131,6 +133,9 @@ def turning_against(channels: Mapping[str, FloatArray], runs: Sequence[slice], n
     str
         The causes that the other channels leave, and the remedies.
     """
+    mirrored = mirrored_side(channels, runs)
+    if mirrored:
+        return _in_the_mirror(mirrored)
     difference = channels["v_right"] - channels["v_left"]
     signs = {
         source: correlation(rate, difference) for source, rate in yaw_rates(channels, runs).items()
@@ -159,27 +164,81 @@ def turning_against(channels: Mapping[str, FloatArray], runs: Sequence[slice], n
     )
 
 
+class _Factors(NamedTuple):
+    """By what the sides' speeds must be multiplied to make the yaw rate [1/m]."""
+
+    left: float
+    right: float
+
+    @property
+    def mirrored(self) -> str:
+        """The side that counts the other way; empty where none does."""
+        if self.left * self.right > 0 and 0.4 < abs(self.right / self.left) < 2.5:
+            return "v_right" if self.right < 0 else "v_left"
+        return ""
+
+
+def _factors(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> list[_Factors]:
+    """Return the factors of each yaw rate that the speeds' difference does not make as well."""
+    speeds = np.stack([channels["v_left"], channels["v_right"]])
+    gram = speeds @ speeds.T
+    scale = np.sqrt(np.diag(gram))
+    if np.any(scale <= 0):
+        return []
+    # Speeds that hardly differ but for their sign tell no factor of each, only that of the sum.
+    apart = np.linalg.cond(gram / np.outer(scale, scale)) <= 400
+    total = speeds.sum(axis=0)
+    found = []
+    for rate in filter(lasts, yaw_rates(channels, runs).values()):
+        if apart:
+            factors = np.linalg.solve(gram, speeds @ rate)
+        elif speeds[0] @ speeds[1] < 0.0 < total @ total:
+            factors = np.full(2, total @ rate / (total @ total))
+        else:
+            continue
+        alike = correlation(factors @ speeds, rate)
+        as_they_are = correlation(speeds[1] - speeds[0], rate)
+        if alike >= 0.93 and 1.0 - as_they_are**2 >= 2.0 * (1.0 - alike**2):
+            found.append(_Factors(*map(float, factors)))
+    return found
+
+
+def mirrored_side(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
+    """Name the side whose speed counts the other way, as of a motor mounted in the mirror.
+
+    Parameters
+    ----------
+    channels : mapping of str to ndarray, shape (n,)
+        Sound channels.
+    runs : sequence of slice
+        Stretches without a gap.
+
+    Returns
+    -------
+    str
+        ``"v_left"`` or ``"v_right"``; empty where neither does, or no yaw rate tells.
+    """
+    return next((one.mirrored for one in _factors(channels, runs)), "")
+
+
+def _in_the_mirror(side: str) -> str:
+    return (
+        "the robot turns with the sum of the tread speeds, not with their difference: "
+        f"{side} counts the other way; map {side} with a minus before its unit, as in "
+        f"{side}=NAME[-m/s]"
+    )
+
+
 def _sides(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
     """Whether the sides' speeds count alike: the yaw rate must be that of their difference.
 
     The yaw rate is fitted by both speeds: with opposite factors of one size if all is well, with
-    factors of one sign where a side counts the other way, as of a motor mounted in the mirror, and
-    with factors of two sizes where the sides have two units.
+    factors of one sign where a side counts the other way, and with factors of two sizes where the
+    sides have two units.
     """
-    speeds = np.stack([channels["v_left"], channels["v_right"]])
-    gram = speeds @ speeds.T
-    scale = np.sqrt(np.diag(gram))
-    if np.any(scale <= 0) or np.linalg.cond(gram / np.outer(scale, scale)) > 400:
-        return ""
-    for rate in yaw_rates(channels, runs).values():
-        factors = np.linalg.solve(gram, speeds @ rate)
-        if correlation(factors @ speeds, rate) < 0.93:
-            continue
-        as_they_are = correlation(speeds[1] - speeds[0], rate)
-        if 1.0 - as_they_are**2 < 2.0 * (1.0 - correlation(factors @ speeds, rate) ** 2):
-            continue  # the difference itself tells the turns about as well
-        left, right = (float(factor) for factor in factors)
-        shares = np.abs(factors) * scale
+    scale = np.sqrt([np.sum(channels[side] ** 2) for side in ("v_left", "v_right")])
+    for one in _factors(channels, runs):
+        shares = np.abs(one) * scale
         if shares.min() < 0.08 * shares.max():
             turning = ("v_left", "v_right")[int(np.argmax(shares))]
             return (
@@ -187,14 +246,10 @@ def _sides(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
                 "other the robot's forward speed: tread speeds are those of the left and of the "
                 "right wheels"
             )
-        size = abs(right / left) if left else np.inf
-        if left * right > 0 and 0.4 < size < 2.5:
-            side = "v_right" if right < 0 else "v_left"
-            return (
-                "the robot turns with the sum of the tread speeds, not with their difference: "
-                f"{side} counts the other way; map {side}=NAME[-m/s]"
-            )
-        if left * right < 0 and not 0.6 < size < 1.6:
+        if one.mirrored:
+            return _in_the_mirror(one.mirrored)
+        size = abs(one.right / one.left) if one.left else np.inf
+        if one.left * one.right < 0 and not 0.6 < size < 1.6:
             return (
                 f"the yaw rate shows that v_left counts {size:.3g} times as much as v_right: one "
                 "side is in another unit or has another wheel radius; give both the same, or map "

@@ -14,6 +14,7 @@ from energyplan.path import FloatArray
 _WINDOW = 3.0  # length of the stretches over which distances are compared [s]
 _ENOUGH = 20  # samples or windows below which nothing is concluded
 _JITTER = 6.0  # least displacement of a pose, over the noise of its readings, that tells a length
+_CHANCE = 4.0  # standard errors beyond which a mean power is none by chance
 _ALIKE = 0.9  # correlation from which the turning tells a slip track
 _INERTIA_ERROR = 0.13  # share to which a mass must be told, three of which are the range's margin
 
@@ -83,12 +84,15 @@ def gather(
     moving = effort > max(0.1 * top, 1e-6)
     force = np.nan
     if np.count_nonzero(moving) >= _ENOUGH:
-        force = float(np.abs(power[moving].mean()) / effort[moving].mean())
+        drawn = power[moving]
+        chance = _CHANCE * float(drawn.std()) / np.sqrt(len(drawn))  # a dead sensor's noise
+        if abs(drawn.mean()) > chance:
+            force = float(np.abs(drawn.mean()) / effort[moving].mean())
     return Evidence(
         slip_track=np.nan if rate is None else _slip_track(rate, right - left),
         from_pose="yaw_rate" not in rates,
         distance=distance_ratio(channels, runs),
-        rotation=_rotation(rates),
+        rotation=_rotation(t, channels, rates),
         top_speed=top if np.count_nonzero(moving) >= _ENOUGH else np.nan,
         force=force if force else np.nan,
         electric=_electric(channels),
@@ -113,24 +117,37 @@ def correlation(one: FloatArray, other: FloatArray) -> float:
     return float(one @ other) / norm if norm > 0 else 0.0
 
 
+def lasts(values: FloatArray) -> bool:
+    """Tell whether readings are large for long enough to conclude from, not for one jerk."""
+    size = np.abs(values)
+    return bool(np.count_nonzero(size > 0.2 * np.max(size, initial=0.0)) >= _ENOUGH)
+
+
 def _slip_track(rate: FloatArray, difference: FloatArray) -> float:
     """Difference of the tread speeds over the yaw rate; NaN where they do not follow each other."""
-    if np.count_nonzero(np.abs(difference) > 0.2 * np.max(np.abs(difference), initial=0)) < _ENOUGH:
+    if not lasts(difference):
         return np.nan
     if abs(correlation(rate, difference)) < _ALIKE:
         return np.nan
     return abs(float(difference @ difference) / float(difference @ rate))
 
 
-def _rotation(rates: Mapping[str, FloatArray]) -> float:
-    """Gyroscope over heading."""
-    if len(rates) < 2:
+def _rotation(
+    t: FloatArray, channels: Mapping[str, FloatArray], rates: Mapping[str, FloatArray]
+) -> float:
+    """Gyroscope over heading; of a heading that jitters, over what it changes in some seconds."""
+    if len(rates) < 2 or not lasts(rates["yaw_rate"]):
         return np.nan
     gyro, heading = rates["yaw_rate"], rates["yaw"]
-    if abs(correlation(gyro, heading)) < 0.7:
-        return np.nan
-    # The jitter of the heading's rate is in the denominator only where it is the regressor.
-    return abs(float(gyro @ gyro) / float(gyro @ heading))
+    angles = _integral(t, gyro), np.unwrap(channels["yaw"])
+    for window in (0.0, _WINDOW, 3 * _WINDOW):
+        if window > 0.0:
+            edges = np.arange(t[0], t[-1], window)
+            gyro, heading = (np.diff(np.interp(edges, t, angle)) for angle in angles)
+        if len(gyro) >= _ENOUGH and abs(correlation(gyro, heading)) >= 0.7:
+            # The jitter of the heading is in the denominator only where it is the regressor.
+            return abs(float(gyro @ gyro) / float(gyro @ heading))
+    return np.nan
 
 
 def distance_ratio(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> float:

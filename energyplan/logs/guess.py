@@ -5,31 +5,34 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable
 from typing import NamedTuple
+from unicodedata import combining, normalize
 
 from energyplan.logs.units import split_unit, split_words, unit_in
 
 _WORDS = {
     "left": {"left", "l", "lh", "port", "fl", "rl", "bl", "ml", "lf", "lr", "lb", "lm",
-             "links", "li", "gauche", "izquierda", "izq"},
+             "links", "li", "gauche", "izquierda", "izq", "sinistra", "sinistro", "esquerda"},
     "right": {"right", "r", "rh", "starboard", "fr", "rr", "br", "mr", "rf", "rb", "rm",
-              "rechts", "re", "droite", "derecha", "der"},
+              "rechts", "re", "droite", "derecha", "der", "destra", "destro", "direita"},
     "speed": {
         "v", "vel", "velocity", "speed", "wheel", "wheels", "track", "tread", "rpm", "omega",
         "rate", "spd", "w", "velocities", "speeds", "angvel", "rotation",
-        "geschwindigkeit", "geschw", "vitesse", "roue", "velocidad", "rueda",
+        "geschwindigkeit", "geschw", "vitesse", "roue", "velocidad", "rueda", "velocita", "ruota",
+        "velocidade", "roda", "snelheid", "wiel",
     },
-    "power": {"p", "pw", "power", "watt", "watts", "pwr", "leistung", "puissance", "potencia"},
+    "power": {"p", "pw", "power", "watt", "watts", "pwr", "leistung", "puissance", "potencia",
+              "potenza", "vermogen"},
     "voltage": {"u", "volt", "volts", "voltage", "vbat", "vbatt", "ubat", "vbus", "spannung",
-                "tension"},
+                "tension", "tensione", "tensao", "spanning"},
     "current": {"i", "cur", "curr", "current", "amp", "amps", "ampere", "amperes", "currents",
                 "ibat", "ibatt", "ibus",
-                "strom", "courant", "corriente"},
+                "strom", "courant", "corriente", "corrente", "stroom"},
     "time": {"t", "time", "timestamp", "stamp", "sec", "secs", "seconds", "clock", "elapsed",
-             "zeit", "uhrzeit", "zeitstempel", "temps", "tiempo", "epoch", "utc", "ts",
-             "datetime", "tstamp", "millis", "micros", "nanos"},
+             "zeit", "uhrzeit", "zeitstempel", "temps", "tiempo", "tempo", "tijd", "epoch", "utc",
+             "ts", "datetime", "tstamp", "millis", "micros", "nanos"},
     "yaw": {"yaw", "heading", "theta", "psi", "hdg", "course", "azimuth", "gierwinkel", "compass",
             "kompass",
-            "kurs", "cap", "rumbo"},
+            "kurs", "cap", "rumbo", "imbardata", "guinada", "koers"},
     "turn": {"gyro", "angular", "yawrate", "wz", "gz", "gyr", "omega", "drehrate", "gierrate"},
     "accel": {"acc", "accel", "acceleration", "ax"},
     "temperature": {"temp", "temperature"},
@@ -65,6 +68,13 @@ _TOLD_BY_UNIT = {"power": "power", "voltage": "voltage", "current": "current", "
 
 
 _WHOLE = {"curr"}  # no abbreviation of a quantity and a side
+_ROTATIONS = {"orientation", "rotation", "quat", "quaternion"}
+_NO_PLACE = {
+    *_ROTATIONS, "vel", "velocity", "speed", "linear", "twist",
+    "mag", "magnetic", "magnetometer", "magnet", "compass", "field", "gravity", "force", "torque",
+    "euler", "tilt", "angle", "joy", "stick", "imu",
+}  # fmt: skip
+"""Words of vectors that are no place."""
 
 
 class Guess(NamedTuple):
@@ -88,7 +98,8 @@ def words(name: str) -> list[str]:
     (['wheel', 'speed', 'l'], ['vel', 'r'])
     """
     found: list[str] = []
-    for part in split_words(re.sub(r"[0-9]+", " ", split_unit(name)[0])):
+    plain = "".join(c for c in normalize("NFKD", split_unit(name)[0]) if not combining(c))
+    for part in split_words(re.sub(r"[0-9]+", " ", plain)):
         word = part.lower()
         if word in _WHOLE:
             found.append(word)
@@ -166,9 +177,8 @@ def _score(channel: str, name: str) -> float:
         return (2.0 + whole) * has[channel] * (not any(has[other] for other in others))
     if channel in ("x", "y"):
         place = said & {"pos", "pose", "position", "odom", "odometry", "slam", "gps", "map"}
-        other = {"vel", "velocity", "speed", "orientation", "linear", "twist"}
-        moving = has["turn"] or has["accel"] or said & other
-        return (1.0 + bool(place)) * (told[-1:] == [channel]) * (not moving)
+        vector = has["turn"] or has["accel"] or bool(said & _NO_PLACE)
+        return (1.0 + bool(place)) * (told[-1:] == [channel]) * (not vector)
     if channel == "yaw":
         return 2.0 * has["yaw"] * (not (said & {"rate", "vel", "velocity", "speed", "dot"}))
     if channel == "yaw_rate":
@@ -181,6 +191,15 @@ def _score(channel: str, name: str) -> float:
     if channel == "temperature":
         return 0.0  # whose it is a name does not tell
     return 0.0
+
+
+def _quaternions(names: Collection[str]) -> set[str]:
+    """Return names that end with w, of a rotation or beside one with z: they hold no watts."""
+    there = {name.lower() for name in names}
+    return {
+        name for name in names if name.lower().endswith("w")
+        and (f"{name.lower()[:-1]}z" in there or _ROTATIONS & set(words(name)))
+    }  # fmt: skip
 
 
 def guess_encoders(names: Iterable[str]) -> dict[str, Guess]:
@@ -312,8 +331,12 @@ def guess(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, Guess]
     {'t': 'Time [ms]', 'v_left': 'velL', 'v_right': 'velR', 'yaw_rate': 'gyro_z'}
     >>> list(guess(["Zeit", "Kurs [deg]"]))
     ['t', 'yaw']
+    >>> guess(["imu.orientation.z", "imu.orientation.w"])
+    {}
     """
-    left = [name for name in names if name not in taken]
+    every = list(names)
+    others = {*taken, *_quaternions(every)}
+    left = [name for name in every if name not in others]
     groups = _groups(left)
     rated = []
     for channel in CHANNELS:

@@ -108,6 +108,44 @@ def find_dying(channels: Mapping[str, FloatArray]) -> list[str]:
     return told
 
 
+def find_frozen(channels: Mapping[str, FloatArray], rates: Mapping[str, FloatArray]) -> list[str]:
+    """Tell whether a yaw is the same from some time on, or up to it, while the treads turn.
+
+    Parameters
+    ----------
+    channels : mapping of str to ndarray, shape (n,)
+        Channels of a log.
+    rates : mapping of str to ndarray, shape (n,)
+        Yaw rates, by the channel that shows them [rad/s].
+
+    Returns
+    -------
+    list of str
+        What is told.
+    """
+    t, difference = channels["t"], channels["v_right"] - channels["v_left"]
+    turns = np.abs(difference) > 0.4 * float(np.quantile(np.abs(difference), 0.95))
+    time = np.gradient(t) * turns
+    told = []
+    for name, rate in rates.items():
+        starts = np.concatenate([[0], np.flatnonzero(np.diff(channels[name])) + 1])
+        lasts = np.append(starts[1:], len(t)) - 1
+        turned = np.add.reduceat(time, starts)
+        for k in {0, len(starts) - 1}:
+            frozen = np.zeros(len(t), bool)
+            frozen[starts[k] : lasts[k] + 1] = True
+            alive = np.abs(rate[turns & ~frozen])
+            # A steady turn may repeat a reading; one that is far below all others does not.
+            still = len(alive) and np.median(np.abs(rate[frozen])) < 0.1 * np.median(alive)
+            if turned[k] > _LONG and still:
+                told.append(
+                    f"{name} stays at {channels[name][starts[k]]:.4g} from t = {t[starts[k]]:.2f} "
+                    f"to {t[lasts[k]]:.2f} s while the treads turn: its sensor is dead there, or "
+                    "the wheels are off the ground; leave that stretch out"
+                )
+    return told
+
+
 def find_false_speeds(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> list[str]:
     """Tell whether the speeds are not those of two sides: one column twice, or without signs.
 

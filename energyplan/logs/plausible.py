@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from energyplan.errors import DriveLogError
 from energyplan.logs._smooth import derivative
@@ -16,6 +17,7 @@ from energyplan.logs.contradictions import find_contradictions, turning_against
 from energyplan.logs.evidence import correlation, yaw_rates
 from energyplan.logs.held import held_periods
 from energyplan.logs.one_side import find_dead
+from energyplan.logs.units import UNITS
 from energyplan.path import FloatArray
 
 if TYPE_CHECKING:  # which imports this module
@@ -23,11 +25,13 @@ if TYPE_CHECKING:  # which imports this module
 
 LARGEST_OFFSET = 2.0
 """Longest time offset between channels that is looked for [s]."""
+_USUAL_STEP = 0.05  # of logs of drives [s]
 LONGEST_STEP = 20.0
 """Longest usual time from sample to sample [s]: beyond, it is in another unit."""
 _SUFFICIENT = 200_000  # samples that tell a time offset as well as more would
 _ENOUGH = 20  # samples below which nothing is concluded
 _TURNING = 0.05  # difference of the tread speeds from which the robot surely turns [m/s]
+_POWERS = {"p_left", "p_right", "power"}
 _DIGITS = 4  # different speeds below which no step is concluded
 _TELLING = 3.0  # time that a side must do what shows a sign [s]: stops, which give back, are short
 _MOVING = 0.03  # tread speed from which it surely moves [m/s]
@@ -236,8 +240,8 @@ def _check_time(t: FloatArray, runs: Sequence[slice], label: str) -> list[str]:
     """
     step = float(np.median(np.diff(t)))
     if not 1e-4 <= step <= LONGEST_STEP:
-        usual = {"min": 60.0, "h": 3600.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-        unit = next((name for name, size in usual.items() if 1e-3 <= step * size <= 5), "min")
+        sizes = {name: size for name, size in UNITS["t"].items() if name != "s"}
+        unit = min(sizes, key=lambda name: abs(np.log(step * sizes[name] / _USUAL_STEP)))
         raise DriveLogError(
             f"{label}: the time step of t is {step:g} s; between 0.1 ms and "
             f"{LONGEST_STEP:g} s is possible; name "
@@ -318,22 +322,41 @@ def _offset_warning(offset: Offset) -> str:
     )
 
 
-def _check_steps(left: FloatArray, right: FloatArray) -> list[str]:
-    """Tell of speeds with so few digits that a steady speed is not known, however long it lasts."""
-    speeds = np.abs(np.concatenate([left, right]))
+def _step(values: FloatArray, usual: float) -> float:
+    """Return the step in which readings come; 0 where it is below a tenth of what is usual."""
+    found = np.unique(np.round(values, 9))
+    if not _DIGITS <= len(found) <= len(values) / 4:
+        return 0.0
+    step = float(min(np.abs(found[found != 0.0]).min(), np.diff(found).min()))
+    if step < 0.1 * usual or np.any(np.abs(found / step - np.round(found / step)) > 0.02):
+        return 0.0
+    return step
+
+
+def _check_steps(channels: Mapping[str, FloatArray], moving: NDArray[np.bool_]) -> list[str]:
+    """Tell of readings with so few digits that a steady one is not known, however long it lasts."""
+    told = []
+    speeds = np.abs(np.concatenate([channels["v_left"], channels["v_right"]]))
     speeds = speeds[speeds > _MOVING]
-    values = np.unique(np.round(speeds, 9))
-    if not _DIGITS <= len(values) <= len(speeds) / 4:
-        return []
-    step = float(min(values[0], np.diff(values).min()))
     usual = float(np.median(speeds))
-    if step < 0.1 * usual or np.any(np.abs(values / step - np.round(values / step)) > 0.02):
-        return []
-    return [
-        f"the tread speeds come in steps of {step:.3g} m/s, where {usual:.2g} m/s is usual: a "
-        f"steady speed, and with it the power parameters, may be wrong by "
-        f"{50 * step / usual:.0f} %; log more digits"
-    ]
+    if step := _step(speeds, usual):
+        told.append(
+            f"the tread speeds come in steps of {step:.3g} m/s, where {usual:.2g} m/s is usual: a "
+            f"steady speed, and with it the power parameters, may be wrong by "
+            f"{50 * step / usual:.0f} %; log more digits"
+        )
+    for name in ("p_left", "p_right", "power", "current"):
+        if name not in channels or (name == "current" and _POWERS & set(channels)):
+            continue
+        usual = float(np.median(np.abs(channels[name][moving])))
+        if usual > 0.0 and (step := _step(channels[name][moving], usual)):
+            unit = "A" if name == "current" else "W"
+            told.append(
+                f"{name} comes in steps of {step:.3g} {unit}, where {usual:.2g} {unit} is usual: "
+                f"power parameters may be wrong by {50 * step / usual:.0f} %, and more than their "
+                "standard errors; log more digits"
+            )
+    return told
 
 
 def _check_power(
@@ -360,7 +383,7 @@ def _check_power(
         ]
     if not np.any(power):
         return ["power is zero all along"]
-    told += _check_steps(left, right)
+    told += _check_steps(channels, moving)
     held = held_periods(channels)
     together: dict[str, list[str]] = {}
     for name, period in held.items():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from energyplan.path import FloatArray
@@ -27,6 +29,7 @@ LIMITS = {
 """Range in which a reading is possible at all, by channel."""
 ANY = (-1e30, 1e30, "in its unit")
 """The same of other channels."""
+_MOST = 0.99  # share of readings that are possible where a channel is in its unit
 _OTHER_UNIT = {
     "s": "ns",
     "rad": "deg",
@@ -45,6 +48,31 @@ _SPEED_UNITS = {
     "deg/s*WHEEL_RADIUS": 0.0025,
 }
 _USUAL_SPEED = 0.7  # of robots that skid, as they are driven [m/s]
+
+
+def possible(channels: Mapping[str, FloatArray]) -> bool:
+    """Tell whether nearly all readings are such as a robot's channels can hold.
+
+    Parameters
+    ----------
+    channels : mapping of str to ndarray, shape (n,)
+        Channels of finite readings, in the library's units.
+
+    Returns
+    -------
+    bool
+        Whether they are.
+
+    Examples
+    --------
+    >>> possible({"power": np.array([90.0, 120.0])}), possible({"power": np.array([9e5, 1e6])})
+    (True, False)
+    """
+    for name, values in channels.items():
+        low, high, _ = LIMITS.get(name, ANY)
+        if np.mean((values >= low) & (values <= high)) < _MOST:
+            return False
+    return True
 
 
 def likely_unit(name: str, unit: str, values: FloatArray) -> str:

@@ -16,7 +16,7 @@ class Scale(NamedTuple):
     offset: float = 0.0
 
 
-_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048, "in": 0.0254}
 _SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6, "mph": 0.44704, "ft/s": 0.3048}
 _ANGLE = {"rad": 1.0, "deg": pi / 180, "mrad": 1e-3, "rev": 2 * pi}
@@ -47,7 +47,7 @@ _OFFSETS = {"K": -273.15, "degF": -160 / 9}
 _ALIASES = {
     "sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "millisecond": "ms",
     "milliseconds": "ms", "usec": "us", "\u00b5s": "us", "\u03bcs": "us", "microseconds": "us",
-    "nsec": "ns", "nanoseconds": "ns", "minutes": "min", "hours": "h",
+    "nsec": "ns", "nanoseconds": "ns", "minutes": "min", "hours": "h", "day": "d", "days": "d",
     "meter": "m", "meters": "m", "metre": "m", "metres": "m",
     "mps": "m/s", "m s-1": "m/s", "m s^-1": "m/s", "meters/s": "m/s", "kmh": "km/h",
     "kph": "km/h", "kmph": "km/h",

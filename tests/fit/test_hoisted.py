@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import energyplan as ep
+from energyplan import simulate
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit.hoisted import doubts_off_the_ground, hoisted
 from energyplan.logs import DriveLog
@@ -127,3 +129,14 @@ def test_a_robot_in_the_air_need_not_turn_with_its_wheels() -> None:
     kept = doubts_off_the_ground(replace(log, warnings=(*log.warnings, "a column of text")))
     assert not any("yaw" in text or " x and y" in text for text in kept), kept
     assert "a column of text" in kept
+
+
+@pytest.mark.parametrize("shown", [("yaw_rate",), ("yaw",), ("x", "y")])
+def test_a_robot_that_drove_was_not_in_the_air(shown: tuple[str, ...]) -> None:
+    """Slip and rolling were told as the friction inside."""
+    model = ep.PowerModel.preset("quadriga:empty:marble")
+    log = simulate.identification_drive(model, power_noise=5.0, speed_noise=0.005, seed=1)
+    kept = {k: v for k, v in log.channels.items() if k not in ("x", "y", "yaw", "yaw_rate")}
+    driven = DriveLog({**kept, **{name: log.channel(name) for name in shown}}, "driven")
+    with pytest.raises(NotIdentifiableError, match=r"driven: .* the wheels were on the ground"):
+        hoisted([DriveLog(drive(), "hoisted"), driven])

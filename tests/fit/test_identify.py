@@ -197,8 +197,11 @@ def test_hoisted_vehicle() -> None:
     found = identify(log, vehicle, terms=[TRACTION])
     assert found.model.coefficient("traction_resistance") == pytest.approx(59.0, rel=0.02)
     assert any("tread ICRs were kept" in text for text in found.warnings)
-    with pytest.raises(NotIdentifiableError, match=r"slip_friction \(mu\).*spin"):
+    with pytest.raises(NotIdentifiableError, match=r"\(mu\).* did not turn .* --hoisted"):
         identify(log, vehicle)
+    straight = _hoisted(simulate.drive(PowerModel.paper(vehicle, 59.0, 0.0), "straight", seed=4))
+    with pytest.raises(NotIdentifiableError, match=r"slip_friction \(mu\).*spin"):
+        identify(straight, vehicle)
 
 
 # -- standard errors ----------------------------------------------------------------------------
@@ -496,6 +499,16 @@ def test_what_hardly_acts_is_not_identified(weight: float, column: int) -> None:
         check_identifiable(model, jacobian)
 
 
+def test_samples_that_count_twice_are_told(truth: PowerModel) -> None:
+    """A copy of a log made standard errors smaller by the root of two."""
+    log = simulate.identification_drive(truth, seed=1, **NOISE)
+    copy, part = replace(log, name="copy"), replace(log.segment(40.0, 90.0), name="part")
+    other = replace(simulate.identification_drive(truth, seed=2, **NOISE), name="other")
+    for second, told in ((copy, True), (part, True), (other, False)):
+        found = identify([log, second], truth.vehicle)
+        assert any(f"{second.name} hold the same" in t for t in found.warnings) == told
+
+
 def test_hardly_known_is_said(truth: PowerModel) -> None:
     log = simulate.identification_drive(truth, seed=1, **NOISE)
     terms = [SLIP, TRACTION, effects.LINEAR_INERTIA]
@@ -575,7 +588,13 @@ def test_bounds_are_respected_and_reported(truth: PowerModel) -> None:
     for method in ("lad", "simplex", "huber"):
         found = identify(log, truth.vehicle, terms=model.terms, method=method)
         assert found.model.coefficient("hotel_load") == 0.0
-        assert any("hotel_load" in t and "possible range" in t for t in found.warnings)
+        assert any("hotel_load" in t and "nothing of it shows" in t for t in found.warnings)
+    light = Vehicle.from_geometry(
+        "light", mass=0.2 * truth.vehicle.mass, wheelbase=0.475, track=0.5, length=1.0, width=0.6
+    )
+    found = identify(simulate.identification_drive(truth, seed=1, **NOISE), light)
+    assert found.model.coefficient("slip_friction") == 2.0
+    assert any("slip_friction" in t and "vehicle's mass" in t for t in found.warnings)
 
 
 # -- logs together, residuals -------------------------------------------------------------------

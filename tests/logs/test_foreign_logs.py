@@ -23,7 +23,11 @@ from foreign_logs import (
     electrical_rates,
     encoders_alone,
     four_motors,
+    motors_in_the_mirror,
     numbered_axes,
+    packs_in_series,
+    row_numbers,
+    rows_in_bursts,
     stamps_in_two_columns,
     torques,
     two_recordings,
@@ -32,12 +36,17 @@ from foreign_logs import (
 )
 
 import energyplan as ep
+from energyplan import simulate
 from energyplan.errors import DriveLogError
 from energyplan.io.robot import Given
 from energyplan.io.start import start
 from energyplan.output import documents
 
 BY_NAME = {"argnames": "write", "ids": lambda write: write.__name__}
+
+
+GEARED = {motors_in_the_mirror: np.nan}
+"""Logs from which the way that goes with a turn of the motors is to be found."""
 
 
 @cache
@@ -54,7 +63,7 @@ def coefficients(robot: Robot) -> np.ndarray:
 def started(write: Writer, robot: Robot, folder: Path) -> ep.DriveLog:
     """Read a log by what `start` makes of it."""
     file = write(sensors(robot), folder)
-    made = start(file, Given(**robot.measures))
+    made = start(file, Given(**robot.measures | {"wheel_radius": GEARED.get(write, robot.radius)}))
     assert made.sound, made.checks
     return ep.DriveLog.read(file, dict(made.project.columns), others=False)
 
@@ -63,8 +72,10 @@ def started(write: Writer, robot: Robot, folder: Path) -> ep.DriveLog:
 def test_start_reads_what_others_write(tmp_path: Path, write: Writer) -> None:
     log = started(write, ROVER, tmp_path)
     found = ep.identify(log, ROVER.vehicle).model.coefficients
-    # Stamps of a quarter of a second average the steps of speed, and another recording differs.
-    within = 0.01 if write.__name__ in ("coarse_stamps", "two_recordings") else 0.004
+    # Stamps of a quarter of a second average the steps of speed, bursts arrive unevenly, and
+    # another recording differs.
+    rough = ("coarse_stamps", "two_recordings", "rows_in_bursts")
+    within = 0.01 if write.__name__ in rough else 0.004
     np.testing.assert_allclose(found, coefficients(ROVER), rtol=within)
 
 
@@ -104,6 +115,8 @@ def test_what_cannot_be_known_is_asked_for(tmp_path: Path, write: Writer) -> Non
 
 
 REMEDIES = {
+    packs_in_series: {"columns": "voltage=battery1_voltage+battery2_voltage"},
+    row_numbers: {"columns": "t=n[*0.1]"},
     encoders_alone: {"counts_per_revolution": 4096.0},
     numbered_axes: {
         "columns": "v_left=axis0.encoder.vel_estimate[rev/s*0.11],"
@@ -177,6 +190,74 @@ def test_counters_of_a_robot_that_goes_ahead_alone_are_counters(tmp_path: Path) 
     known = Given(**{**ROVER.measures, "counts_per_revolution": 2 * np.pi * ROVER.radius / 0.00025})
     log = ep.DriveLog.read(file, dict(start(file, known).project.columns), others=False)
     np.testing.assert_allclose(log.channel("v_left")[5:], speed[5:], atol=0.03)
+
+
+def test_a_side_in_the_mirror_is_turned_and_told(tmp_path: Path) -> None:
+    known = {name: value for name, value in ROVER.measures.items() if name != "wheel_radius"}
+    made = start(motors_in_the_mirror(sensors(ROVER), tmp_path), Given(**known))
+    assert "v_left had the opposite sign, which was corrected" in made.notes
+    assert made.project.columns["v_left"].unit.startswith("-rpm*")
+
+
+@pytest.mark.parametrize("gyroscope", [True, False])
+@pytest.mark.parametrize("unit", ["rad", "deg"])
+def test_the_unit_of_a_heading_that_jitters_is_found(
+    tmp_path: Path, unit: str, gyroscope: bool
+) -> None:
+    """As of laser scans that are matched; in radians it goes on beyond a turn."""
+    at = sensors(ROVER, 20.0)
+    yaw = at.yaw + np.random.default_rng(5).normal(0.0, 0.06, len(at.t))
+    assert 2 * np.pi < np.max(np.abs(yaw))
+    columns = {"time": at.t, "left_speed": at.left, "right_speed": at.right, "power": at.power,
+               "heading": yaw if unit == "rad" else np.degrees(yaw) % 360}  # fmt: skip
+    columns |= {"gyro_z": at.yaw_rate} if gyroscope else {}
+    pd.DataFrame(columns).to_csv(tmp_path / "slam.csv", index=False)
+    made = start(tmp_path / "slam.csv", Given(**ROVER.measures))
+    assert made.project.columns["yaw"].unit == ("" if unit == "rad" else "deg")
+
+
+def test_a_side_in_the_mirror_is_turned_on_a_winding_path_too(tmp_path: Path) -> None:
+    """The yaw seemed to fall while the right side was the faster."""
+    rng = np.random.default_rng(23)
+    bends = [simulate.Setpoint(0.8 - b, 0.8 + b, hold=2.0) for b in rng.normal(-0.03, 0.06, 30)]
+    log = simulate.drive(ROVER.model, bends, rate=5.0, power_noise=0.5, seed=1)
+    columns = {"time": log.t, "left_speed": -log.channel("v_left"), "power": log.power,
+               "right_speed": log.channel("v_right"),
+               "gyro_z": log.channel("yaw_rate")}  # fmt: skip
+    pd.DataFrame(columns).to_csv(tmp_path / "path.csv", index=False)
+    made = start(tmp_path / "path.csv", Given(**ROVER.measures))
+    assert made.sound
+    assert "v_left had the opposite sign, which was corrected" in made.notes
+
+
+@pytest.mark.parametrize("name", ["power", "current"])
+def test_powers_of_few_digits_are_doubted(name: str) -> None:
+    at = sensors(ROVER)
+    columns = {"t": at.t, "v_left": at.left, "v_right": at.right, "yaw_rate": at.yaw_rate}
+    columns |= {"power": at.power} if name == "power" else {"voltage": at.volts, "current": at.amps}
+    assert ep.DriveLog.from_columns(columns).warnings == ()
+    usual = float(np.median(np.abs(columns[name])))
+    for step, told in ((0.3, True), (0.03, False)):
+        rough = {**columns, name: step * usual * np.round(columns[name] / (step * usual))}
+        warnings = ep.DriveLog.from_columns(rough).warnings
+        assert any(f"{name} comes in steps of" in text for text in warnings) == told
+
+
+def test_rows_that_came_in_bursts_are_counted(tmp_path: Path) -> None:
+    at = sensors(ROVER)
+    log = started(rows_in_bursts, ROVER, tmp_path)
+    told = [item for item in log.set_aside if "in one burst" in item.reason]
+    assert len(told) == 1 and told[0].count > 0.7 * len(at.t)
+    assert np.quantile(np.abs(np.diff(log.t) - np.diff(at.t)), 0.99) < 0.01
+
+
+@pytest.mark.parametrize("step", [1.0, 0.004])
+def test_a_sensor_that_sleeps_between_bursts_keeps_its_times(step: float) -> None:
+    """Quick bursts of readings differ from each other, and messages in rows of their own repeat."""
+    t = np.repeat(np.arange(40.0), 5) + np.tile(1e-3 * np.arange(5), 40)
+    speed = 0.5 + 0.2 * np.sin(t if step == 1.0 else np.floor(t))
+    made = {"t": t, "v_left": speed, "v_right": speed, "power": 100.0 * speed}
+    assert not any("burst" in one.reason for one in ep.DriveLog.from_columns(made).set_aside)
 
 
 def test_stamps_in_two_columns_serve(tmp_path: Path) -> None:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 import pytest
 
 import energyplan as ep
 from energyplan import simulate
+from energyplan.io.robot import Given
+from energyplan.io.start import start
 from energyplan.logs.one_side import compare_powers, find_lost_sign
 
 
@@ -58,3 +63,41 @@ def test_a_side_that_alone_lost_its_sign_is_told(side: str) -> None:
     lost = {**log.channels, side: np.abs(log.channel(side))}
     assert find_lost_sign(log.channels) == ""
     assert find_lost_sign(lost).startswith(f"{side} is never negative")
+
+
+def _survey(seed: int = 1) -> dict[str, np.ndarray]:
+    model = ep.PowerModel.preset("quadriga:full:concrete")
+    log = simulate.identification_drive(model, power_noise=5.0, speed_noise=0.005, seed=seed)
+    return {name: np.array(values) for name, values in log.channels.items()}
+
+
+@pytest.mark.parametrize("name", ["yaw", "yaw_rate"])
+@pytest.mark.parametrize("late", [True, False])
+def test_a_yaw_that_freezes_is_told(name: str, late: bool) -> None:
+    """The slip track came out two fifths too large."""
+    made = _survey()
+    some = made["t"] > 80.0 if late else made["t"] < 60.0
+    assert not any("stays at" in text for text in ep.DriveLog.from_columns(made).warnings)
+    made[name] = np.where(some, 0.0, made[name])
+    (told,) = [t for t in ep.DriveLog.from_columns(made).warnings if "stays at" in t]
+    assert told.startswith(f"{name} stays at 0 from t = {'80.05' if late else '0.00'}")
+
+
+def test_a_steady_turn_by_a_gyroscope_of_few_digits_is_no_frozen_one() -> None:
+    spot = [simulate.Setpoint(-0.3, 0.3, hold=20.0), simulate.Setpoint(0.5, 0.2, hold=40.0)]
+    model = ep.PowerModel.preset("quadriga:full:concrete")
+    made = {**simulate.drive(model, spot, speed_noise=0.005, seed=1).channels}
+    made["yaw_rate"] = np.round(made["yaw_rate"], 1)
+    log = ep.DriveLog.from_columns({k: v[:-60] for k, v in made.items() if k != "yaw"})
+    assert np.ptp(log.channel("yaw_rate")[-400:]) == 0.0
+    assert not any("stays at" in text for text in log.warnings)
+
+
+def test_the_noise_of_a_dead_ammeter_is_in_no_other_unit(tmp_path: Path) -> None:
+    """It had been taken for kilowatts, in which a robot's power may be that small."""
+    made = _survey()
+    rng = np.random.default_rng(3)
+    made |= {name: rng.normal(0.0, 0.5, len(made["t"])) for name in ("p_left", "p_right")}
+    pd.DataFrame(made).to_csv(tmp_path / "dead.csv", index=False)
+    begun = start(tmp_path / "dead.csv", Given(track=0.5, wheelbase=0.475, mass=147.0))
+    assert {begun.project.columns[name].unit for name in ("p_left", "p_right")} == {""}

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 import pytest
 
 import energyplan as ep
 from energyplan.errors import DriveLogError
+from energyplan.io.robot import Given
+from energyplan.io.start import start
 from energyplan.power import PowerModel
 from energyplan.power.effects import ANGULAR_INERTIA, LINEAR_INERTIA
 from energyplan.simulate import Setpoint, drive
@@ -161,3 +166,20 @@ def test_few_readings_of_driving_are_not_called_a_standstill() -> None:
     log = ep.DriveLog.from_columns(made, "short")
     (told,) = [text for text in log.warnings if "cannot be found" in text]
     assert "readings" in told and "hardly" not in told
+
+
+def test_a_robot_that_hardly_moves_contradicts_nothing(tmp_path: Path) -> None:
+    """One jerk at the end of a minute shows no side, no unit and no axis."""
+    t = np.arange(0.0, 60.0, 0.05)
+    before, jerk = (np.exp(-(((t - at) / 0.15) ** 2)) for at in (59.3, 59.6))
+    rng = np.random.default_rng(2)
+    noise = [rng.normal(0.0, size, len(t)) for size in (1e-4, 1e-4, 1e-3, 0.02, 5.0)]
+    columns = {
+        "t": t, "v_left": 0.7 * before, "v_right": 1.2 * jerk, "yaw_rate": 0.36 * jerk,
+        "yaw": 0.02 * np.cumsum(jerk) * 0.05, "power": 300.0 * jerk,
+    }  # fmt: skip
+    made = {k: v + e for (k, v), e in zip(columns.items(), [0.0, *noise], strict=True)}
+    pd.DataFrame(made).to_csv(tmp_path / "jerk.csv", index=False)
+    begun = start(tmp_path / "jerk.csv", Given(track=1.1, wheelbase=0.9, mass=470.0))
+    assert begun.sound, begun.checks
+    assert any("hardly moves" in note for note in begun.notes)
