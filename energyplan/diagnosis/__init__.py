@@ -49,10 +49,11 @@ from energyplan.fit.breakaway import with_breakaway
 from energyplan.fit.drives.drive import Drive, check_long_enough, prepared
 from energyplan.fit.drives.late import Late
 from energyplan.fit.problem import PAPER, Problem
-from energyplan.fit.usual import open_in_words
+from energyplan.fit.usual import ends_in_words, open_in_words
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
+from energyplan.logs.copies import without_copies
 from energyplan.logs.one_side import refuse_one_side
 from energyplan.logs.plausible import yaw_rate_offset
 from energyplan.power import PowerModel, Residual
@@ -148,8 +149,7 @@ def diagnose(
     """
     report: Progress = progress or (lambda fraction, message: None)
     learned, held_out = _logs(train, "train"), _logs(holdout, "holdout")
-    if any(log is other for log in learned for other in held_out):
-        raise InvalidInputError("a drive stands in train and in holdout; give it to one of them")
+    learned, copies = without_copies(learned, held_out)
     entries = tuple(catalogue().values()) if effects is None else tuple(effects)
     _answerable(learned)
     refuse_one_side([*learned, *held_out])
@@ -157,6 +157,7 @@ def diagnose(
     report(0.0, "fitting the paper's model")
     vehicle = _with_icr(learned, vehicle)
     case = _Case(learned, held_out, vehicle, entries)
+    case.limits[:0] = copies
     report(0.1, "choosing effects")
     search = Search(
         case.problem, entries, lambda share, text: report(0.1 + 0.7 * share, text), max_effects,
@@ -271,8 +272,7 @@ class _Case:
         self, searched: Found, choose: bool, empirical: bool, report: Progress
     ) -> Diagnosis:
         """Judge the most probable explanation on the hold-out drives and put it into words."""
-        before, best = self.before, searched.best
-        parts = best.parts
+        before, best, parts = self.before, searched.best, searched.best.parts
         told_before = dependences(self.problem, PAPER, ("power",))
         report(0.9, "testing the residual against every channel")
         averages = choose and len(self.logs[0]) >= FEWEST_RUNS
@@ -331,6 +331,7 @@ class _Case:
         advice = [
             *self.limits,
             *open_in_words(told.model, told.assumed),
+            *ends_in_words(told.model),
             *_advice.mimic_advice(left, names, mimics),
             *_advice.map_advice([part.effect.name for part in maps]),
             *_advice.vague_advice([part.effect for part in vague]),

@@ -24,7 +24,7 @@ from energyplan.fit.problem import Problem
 from energyplan.fit.regression import Method, PowerRegression
 from energyplan.fit.residuals import statistics
 from energyplan.fit.solvers import Bounds
-from energyplan.fit.usual import open_in_words
+from energyplan.fit.usual import ends_in_words, open_in_words
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
@@ -287,7 +287,7 @@ def identify(
     independent = residual.duration / max(2 * residual.correlation_time, 1e-300)
     model = replace(model, covariance=covariance, residual=residual)
     icr_covariance = None if estimate is None else estimate.covariance
-    warnings += _doubts(model, bounds, independent)
+    warnings += _doubts(model, independent)
     warnings += _draw_at_rest(ready, powers)
     usual = beside(usual_terms(terms), model, ready)
     quality = adequacy(ready, usual.residuals)
@@ -438,19 +438,12 @@ def _find_icr(
     return estimate
 
 
-def _doubts(model: PowerModel, bounds: Bounds, independent: float) -> list[str]:
+def _doubts(model: PowerModel, independent: float) -> list[str]:
     """Warnings about what was found."""
-    found = []
-    for term, value, low, high in zip(
-        model.terms, model.coefficients, bounds.lower, bounds.upper, strict=True
-    ):
+    found = ends_in_words(model)
+    for term, value in zip(model.terms, model.coefficients, strict=True):
         error = model.std_error(term.name) or 0.0
-        if value <= low or value >= high:
-            found.append(
-                f"{term.name} ({term.symbol}) is at the end {value:g} of its possible range: "
-                "nothing of it shows in these logs, a sign is wrong, or a term is missing"
-            )
-        elif error > 0.5 * abs(value):
+        if error > 0.5 * abs(value) and term.bounds[0] < value < term.bounds[1]:
             found.append(
                 f"{term.name} ({term.symbol}) is hardly known: {value:.4g} with a standard error "
                 f"of {error:.2g}{'' if term.unit == '1' else ' ' + term.unit}; drive more of what "

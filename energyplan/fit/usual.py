@@ -109,3 +109,24 @@ def open_in_words(model: PowerModel, names: Sequence[str]) -> list[str]:
         f"{number(model.std_error(term.name) or 0.0, 2)} {unit(term.unit)}".rstrip()
         for term in model.terms if term.name in names
     ]  # fmt: skip
+
+
+def ends_in_words(model: PowerModel) -> list[str]:
+    """Say which coefficients are at an end of what is possible.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The model.
+
+    Returns
+    -------
+    list of str
+        One sentence for each.
+    """
+    return [
+        f"{term.name} ({term.symbol}) is at the end {value:g} of its possible range: "
+        "nothing of it shows in these logs, a sign is wrong, or a term is missing"
+        for term, value in zip(model.terms, model.coefficients, strict=True)
+        if not term.bounds[0] < value < term.bounds[1]
+    ]
