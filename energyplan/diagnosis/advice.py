@@ -154,10 +154,10 @@ def map_advice(maps: Sequence[str]) -> list[str]:
 
 
 def vague_advice(vague: Sequence[Effect]) -> list[str]:
-    """Say that an effect was dropped whose size is anything, by its other parameter."""
+    """Say that an effect was dropped of which any size fits about as well."""
     return [
-        f"{_plain(effect.name)} was dropped: with its other parameter a little different, any size "
-        f"of it fits these drives as well; to tell it: {effect.manoeuvre}"
+        f"{_plain(effect.name)} was dropped: its error exceeds its size, so that another one, or "
+        f"none, fits these drives about as well; to tell it: {effect.manoeuvre}"
         for effect in vague
     ]
 
