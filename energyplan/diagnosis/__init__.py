@@ -342,7 +342,7 @@ class _Case:
             *_advice.mass_advice(fitted.model, names),
             *_advice.log_advice(used),
             *_advice.worse_advice(names, *errors, known),
-            *([] if held or not found else _advice.unheld_advice(names, quality, known)),
+            *([] if held else _advice.unheld_advice(names, quality, known)),
             *_advice.change_advice(undated),
             *_advice.untested_advice(searched.untested, names),
             *(() if average is None else [note_of(average, names)]),
@@ -356,7 +356,7 @@ class _Case:
             if not usual:
                 enough = explains(quality, errors[0].rmse, known.rmse, present.stranger)
             verdict = "effect_found" if held and enough else "unexplained"
-        elif left or not quality.adequate:
+        elif left or not (quality.adequate and held):
             verdict = "unexplained"
         report(1.0, "done")
         return Diagnosis(

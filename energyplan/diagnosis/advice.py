@@ -76,8 +76,8 @@ def worse_advice(
 
 
 def unheld_advice(effects: Sequence[str], quality: Adequacy, after: Residual) -> list[str]:
-    """Say that what was found does not hold on the drives that took no part."""
-    names = ", ".join(_plain(name) for name in effects)
+    """Say that what was found, if anything, does not hold on the drives that took no part."""
+    names = ", ".join(_plain(name) for name in effects) or "resistance and friction alone"
     return [
         f"{names} fit the training drives (rmse {quality.residual:.3g} W) and not the hold-out "
         f"drives ({after.rmse:.3g} W): do not believe them; something else, or another state of "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -221,3 +222,16 @@ def test_what_is_at_an_end_of_its_range_is_told() -> None:
     told = diagnose(*logs, small)
     assert told.model.coefficient("slip_friction") == 2.0
     assert any("slip_friction (mu) is at the end 2 of its" in line for line in told.advice)
+
+
+def test_a_holdout_in_another_state_is_no_proof_that_nothing_is_missing() -> None:
+    log = simulate.identification_drive(MODEL, seed=1, **NOISE)
+    heavy = replace(MODEL, coefficients=1.4 * MODEL.coefficients)
+    told = diagnose(log, simulate.validation_drive(heavy, seed=2, **NOISE), MODEL.vehicle)
+    assert not told.effects
+    assert told.adequacy.adequate
+    assert told.verdict == "unexplained"
+    assert any(
+        "alone fit the training drives" in line and "not the hold-out drives" in line
+        for line in told.advice
+    )
