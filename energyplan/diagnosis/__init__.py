@@ -18,13 +18,7 @@ from energyplan.diagnosis.averaging import FEWEST_RUNS, averaged, note_of
 from energyplan.diagnosis.change_points import change_time
 from energyplan.diagnosis.explanations import Found
 from energyplan.diagnosis.holdout import ErrorInterval, Prediction, interval, predict, score
-from energyplan.diagnosis.joint_fit import (
-    FinalFit,
-    final_fit,
-    least_known,
-    size_error,
-    size_spread,
-)
+from energyplan.diagnosis.joint_fit import FinalFit, final_fit, least_known, size_error, size_spread
 from energyplan.diagnosis.mass_centre import MassCentre, find_mass_centre
 from energyplan.diagnosis.mimics import without_mimics
 from energyplan.diagnosis.part import Part
@@ -49,10 +43,11 @@ from energyplan.fit.breakaway import with_breakaway
 from energyplan.fit.drives.drive import Drive, check_long_enough, prepared
 from energyplan.fit.drives.late import Late
 from energyplan.fit.problem import PAPER, Problem
-from energyplan.fit.usual import leaves_open, open_in_words
+from energyplan.fit.usual import ends_in_words, leaves_open, open_in_words
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
+from energyplan.logs.copies import without_copies
 from energyplan.logs.one_side import refuse_one_side
 from energyplan.logs.plausible import yaw_rate_offset
 from energyplan.power import PowerModel, Residual
@@ -148,8 +143,7 @@ def diagnose(
     """
     report: Progress = progress or (lambda fraction, message: None)
     learned, held_out = _logs(train, "train"), _logs(holdout, "holdout")
-    if any(log is other for log in learned for other in held_out):
-        raise InvalidInputError("a drive stands in train and in holdout; give it to one of them")
+    learned, copies = without_copies(learned, held_out)
     entries = tuple(catalogue().values()) if effects is None else tuple(effects)
     _answerable(learned)
     refuse_one_side([*learned, *held_out])
@@ -157,6 +151,7 @@ def diagnose(
     report(0.0, "fitting the paper's model")
     vehicle = _with_icr(learned, vehicle)
     case = _Case(learned, held_out, vehicle, entries)
+    case.limits[:0] = copies
     report(0.1, "choosing effects")
     search = Search(
         case.problem, entries, lambda share, text: report(0.1 + 0.7 * share, text), max_effects,
@@ -272,8 +267,7 @@ class _Case:
         self, searched: Found, choose: bool, empirical: bool, report: Progress
     ) -> Diagnosis:
         """Judge the most probable explanation on the hold-out drives and put it into words."""
-        before, best = self.before, searched.best
-        parts = best.parts
+        before, best, parts = self.before, searched.best, searched.best.parts
         told_before = dependences(self.problem, PAPER, ("power",))
         report(0.9, "testing the residual against every channel")
         alone = not choose or len(self.logs[0]) < FEWEST_RUNS
@@ -333,6 +327,7 @@ class _Case:
         advice = [
             *self.limits,
             *open_in_words(told.model, told.assumed),
+            *ends_in_words(told.model),
             *_advice.mimic_advice(left, names, mimics),
             *_advice.map_advice([part.effect.name for part in maps]),
             *_advice.vague_advice([part.effect for part in vague]),
@@ -343,7 +338,7 @@ class _Case:
             *_advice.mass_advice(fitted.model, names),
             *_advice.log_advice(used),
             *_advice.worse_advice(names, *errors, known),
-            *([] if held or not found else _advice.unheld_advice(names, quality, known)),
+            *([] if held else _advice.unheld_advice(names, quality, known)),
             *_advice.change_advice(undated),
             *_advice.untested_advice(searched.untested, names),
             *(() if average is None else [note_of(average, names)]),
@@ -357,7 +352,7 @@ class _Case:
             if not usual:
                 enough = explains(quality, errors[0].rmse, known.rmse, present.stranger)
             verdict = "effect_found" if held and enough else "unexplained"
-        elif left or not quality.adequate:
+        elif left or not (quality.adequate and held):
             verdict = "unexplained"
         report(1.0, "done")
         return Diagnosis(

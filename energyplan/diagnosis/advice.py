@@ -76,8 +76,8 @@ def worse_advice(
 
 
 def unheld_advice(effects: Sequence[str], quality: Adequacy, after: Residual) -> list[str]:
-    """Say that what was found does not hold on the drives that took no part."""
-    names = ", ".join(_plain(name) for name in effects)
+    """Say that what was found, if anything, does not hold on the drives that took no part."""
+    names = ", ".join(_plain(name) for name in effects) or "resistance and friction alone"
     return [
         f"{names} fit the training drives (rmse {quality.residual:.3g} W) and not the hold-out "
         f"drives ({after.rmse:.3g} W): do not believe them; something else, or another state of "
@@ -154,10 +154,10 @@ def map_advice(maps: Sequence[str]) -> list[str]:
 
 
 def vague_advice(vague: Sequence[Effect]) -> list[str]:
-    """Say that an effect was dropped whose size is anything, by its other parameter."""
+    """Say that an effect was dropped of which any size fits about as well."""
     return [
-        f"{_plain(effect.name)} was dropped: with its other parameter a little different, any size "
-        f"of it fits these drives as well; to tell it: {effect.manoeuvre}"
+        f"{_plain(effect.name)} was dropped: its error exceeds its size, so that another one, or "
+        f"none, fits these drives about as well; to tell it: {effect.manoeuvre}"
         for effect in vague
     ]
 

@@ -48,7 +48,7 @@ Changes that are there leave half and more; an odd block that some line or time 
 most."""
 
 _LASTING_COMPLETE = 0.3
-"""The same where the set leaves nothing beyond noise: then no block is odd."""
+"""The same where what the set leaves beyond noise is worth no effect: then no block is odd."""
 
 _BY_CHANCE = 1e-3  # that noise alone leaves something of a set, over all scales
 _FEWEST = 4  # samples that tell no noise
@@ -206,8 +206,7 @@ class FittedSets(Proposals):
             # Where or when something changes was searched with all blocks: the block that shows
             # most of it is not foretold by the others.
             foretold = gain.lasting > _LASTING * gain.improvement or (
-                gain.lasting > _LASTING_COMPLETE * gain.improvement
-                and not self._missing(full) > 0.0
+                gain.lasting > _LASTING_COMPLETE * gain.improvement and self._missing(full) <= WORTH
             )
         else:
             foretold = gain.lasting > 0.0 or gain.improvement > gain.error

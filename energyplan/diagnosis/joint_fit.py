@@ -166,8 +166,8 @@ def size_error(effect: Effect, model: PowerModel) -> float:
 def least_known(model: PowerModel, parts: Sequence[Part]) -> Part | None:
     """Return the effect whose size is known least, where the error exceeds the size.
 
-    Only of effects with a parameter that was searched: at the value that was found the size may
-    be far from zero, and at others, which fit as well, be anything.
+    Where a parameter was searched, the size may be far from zero at the value that was found, and
+    be anything at others, which fit as well: so it may be with a time constant, or a delay.
 
     Parameters
     ----------
@@ -181,14 +181,14 @@ def least_known(model: PowerModel, parts: Sequence[Part]) -> Part | None:
     Part or None
         None where all sizes are known better.
     """
-    searched = [part for part in parts if part.terms and part.effect.grid]
+    sized = [part for part in parts if part.terms]
     ratios = [
         size_error(part.effect, model) / max(abs(part.effect.value(model)), 1e-300)
-        for part in searched
+        for part in sized
     ]
     if not ratios or max(ratios) <= 1.0:
         return None
-    return searched[int(np.argmax(ratios))]
+    return sized[int(np.argmax(ratios))]
 
 
 def size_spread(effect: Effect, size: float, explanations: Sequence[Explanation]) -> float:

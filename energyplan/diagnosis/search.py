@@ -400,7 +400,7 @@ class Search(NeighbouringSets):
         full = self._fitted(problem, parts)
         for k, part in enumerate(parts):
             if part.effect.acts == "place":
-                parts[k] = self._nearest(parts, k, full)
+                parts[k] = self._nearest(parts, k, full) or part
                 full = self._fitted(problem, parts)
         gains = []
         for part in parts:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -61,6 +61,7 @@ class SettledSets(FittedSets):
     ) -> None:
         """Look for the lines of the best set once more: they were found without most of it.
 
+        And for lines that it lacks: none of a grid may be near enough to the border to tell of it.
         Names of sets for which that was done are in `searched`, and join it.
         """
         chosen, late = most_probable(weighed)
@@ -71,6 +72,32 @@ class SettledSets(FittedSets):
                 weighed, pools, lambda one: one.settled and one.part.effect.acts == "place",
                 _KEPT_LAST,
             )  # fmt: skip
+            for some in self._with_lines(chosen, pools[late], late):
+                self._weigh(weighed, some, pools[late], late)
+
+    def _with_lines(
+        self, chosen: Iterable[int], candidates: list[Candidate], late: Late
+    ) -> list[Set]:
+        """Return a set with a line of each effect of a place that it lacks, where one tells much.
+
+        And without its changes: what a border does looks like a change, which is always found where
+        it fits best.
+        """
+        now = tuple(sorted(chosen))
+        found = []
+        for core in dict.fromkeys([now, tuple(k for k in now if candidates[k].marked is None)]):
+            one = self._evaluate(core, candidates, late)
+            first: dict[str, int] = {}
+            for k, other in enumerate(candidates):
+                if other.part.effect.acts == "place":
+                    first.setdefault(other.name, k)
+            for name in first.keys() - {candidates[k].name for k in core}:
+                line = first[name]
+                some = tuple(sorted((*core, line)))
+                moved = self._settle(line, some, candidates, one, least=_TELLS)
+                if moved is not None:
+                    found.append(moved)
+        return found
 
     def _settle_some(
         self,
@@ -113,15 +140,20 @@ class SettledSets(FittedSets):
             self._weigh(weighed, tuple(sorted(chosen)), pools[moved], moved)
 
     def _settle(
-        self, k: int, chosen: Set, candidates: list[Candidate], now: Evaluated, kept: int = _KEPT
-    ) -> Set | None:
+        self, k: int, chosen: Set, candidates: list[Candidate], now: Evaluated, kept: int = _KEPT,
+        least: float = -np.inf,
+    ) -> Set | None:  # fmt: skip
         """Return a set with a candidate's parameters moved to where it fits best, if it does.
 
-        What is moved becomes a further candidate, as probable before the data as it was.
+        What is moved becomes a further candidate, as probable before the data as it was. A line
+        has to raise the logarithm of the likelihood by `least`.
         """
         parts, at = [candidates[j].part for j in chosen], chosen.index(k)
         if parts[at].effect.acts == "place":
-            parts[at] = self._nearest(parts, at, now, kept)
+            line = self._nearest(parts, at, now, kept, least)
+            if line is None:
+                return None
+            parts[at] = line
         part, made = parts[at], self._moved(parts, at, now.problem)
         better = settled(part, made, now.errors)
         if better is None:
@@ -135,13 +167,14 @@ class SettledSets(FittedSets):
         return tuple(sorted({*chosen, len(candidates) - 1} - {k}))
 
     def _nearest(
-        self, parts: Sequence[Part], at: int, now: Evaluated, kept: int = _KEPT_LAST
-    ) -> Part:
+        self, parts: Sequence[Part], at: int, now: Evaluated, kept: int = _KEPT_LAST,
+        least: float = -np.inf,
+    ) -> Part | None:  # fmt: skip
         """Return the line with which a set fits best, of many: the nearest to start from.
 
         Wheels cross a border one after the other, so that lines beside the best one are worse than
         others that are far from it. About the best of a grid further ones are tried, closer and
-        closer to each other.
+        closer to each other. None where none of that grid tells as much as `least`.
         """
         problem = now.problem.thinned(_SAMPLES)
         about = self._about(now.problem, now.parts, now.errors)
@@ -151,12 +184,13 @@ class SettledSets(FittedSets):
         for level in range(ground.levels + 1):
             if level:
                 best = list(ground.about(best, level))
-            scores = np.concatenate(
-                [
-                    self._alone(rest, best[k : k + _TOGETHER], problem, about, now.errors)
-                    for k in range(0, len(best), _TOGETHER)
-                ]
-            )
+            tables = [
+                self._alone(rest, best[k : k + _TOGETHER], problem, about, now.errors)
+                for k in range(0, len(best), _TOGETHER)
+            ]
+            scores = np.concatenate([table[1:] for table in tables])
+            if scores.max() < tables[0][0] + least:
+                return None
             ranked = [best[k] for k in np.argsort(-scores, kind="stable")]
             best = ground.apart(ranked, level)[:kept]
         return best[0]
@@ -165,14 +199,15 @@ class SettledSets(FittedSets):
         self, rest: Sequence[Part], new: Sequence[Part], problem: Problem, about: About,
         errors: FloatArray,
     ) -> FloatArray:  # fmt: skip
-        """Score a set with one of several further parts each."""
+        """Score a set, and the set with one of several further parts each."""
         candidates, first = [], len(PAPER)
         for part in (*rest, *new):
             columns = tuple(range(first, first + len(part.terms)))
             first += len(columns)
             candidates.append(Candidate(part, columns, 0.0))
         design = self._table(problem, candidates, about)
-        sets = [(*range(len(rest)), len(rest) + k) for k in range(len(new))]
+        own = tuple(range(len(rest)))
+        sets = [own, *((*own, len(rest) + k) for k in range(len(new)))]
         return self._scores(design, candidates, sets, errors)
 
     def _settled_lines(

@@ -24,12 +24,12 @@ from energyplan.fit.problem import Problem
 from energyplan.fit.regression import Method, PowerRegression
 from energyplan.fit.residuals import statistics
 from energyplan.fit.solvers import Bounds
-from energyplan.fit.usual import open_in_words
+from energyplan.fit.usual import ends_in_words, open_in_words
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import set_aside_by_drive
+from energyplan.logs.copies import without_copies
 from energyplan.logs.one_side import find_lost_sign, refuse_one_side
-from energyplan.logs.repeats import find_repeats
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Term
@@ -237,7 +237,7 @@ def identify(
     >>> abs(found.model.coefficient("traction_resistance") / 90.0 - 1) < 0.02
     True
     """
-    drives = _drives(logs)
+    drives, warnings = without_copies(_drives(logs), [])
     refuse_one_side(drives)
     if not terms:
         raise InvalidInputError("no terms to identify; give at least one")
@@ -249,7 +249,6 @@ def identify(
         raise NotIdentifiableError(
             f"{drives[0].name}: the measured power is zero throughout; check its channel"
         )
-    warnings = find_repeats(drives)
     if not any(term.kind == "loss" for term in terms):  # which may be that of the sign
         lost = {log.name: find_lost_sign(log.channels) for log in drives}
         warnings += [
@@ -288,7 +287,7 @@ def identify(
     independent = residual.duration / max(2 * residual.correlation_time, 1e-300)
     model = replace(model, covariance=covariance, residual=residual)
     icr_covariance = None if estimate is None else estimate.covariance
-    warnings += _doubts(model, bounds, independent)
+    warnings += _doubts(model, independent)
     warnings += _draw_at_rest(ready, powers)
     usual = beside(usual_terms(terms), model, ready)
     quality = adequacy(ready, usual.residuals)
@@ -439,24 +438,12 @@ def _find_icr(
     return estimate
 
 
-def _doubts(model: PowerModel, bounds: Bounds, independent: float) -> list[str]:
+def _doubts(model: PowerModel, independent: float) -> list[str]:
     """Warnings about what was found."""
-    found = []
-    for term, value, low, high in zip(
-        model.terms, model.coefficients, bounds.lower, bounds.upper, strict=True
-    ):
+    found = ends_in_words(model)
+    for term, value in zip(model.terms, model.coefficients, strict=True):
         error = model.std_error(term.name) or 0.0
-        if value <= low or value >= high:
-            shown = (
-                "more of it shows in these logs than is possible: the vehicle's mass or a unit"
-                if value > 0.0 and value >= high
-                else "nothing of it shows in these logs, a sign"
-            )
-            found.append(
-                f"{term.name} ({term.symbol}) is at the end {value:g} of its possible range: "
-                f"{shown} is wrong, or a term is missing"
-            )
-        elif error > 0.5 * abs(value):
+        if error > 0.5 * abs(value) and term.bounds[0] < value < term.bounds[1]:
             found.append(
                 f"{term.name} ({term.symbol}) is hardly known: {value:.4g} with a standard error "
                 f"of {error:.2g}{'' if term.unit == '1' else ' ' + term.unit}; drive more of what "

@@ -129,3 +129,32 @@ def open_in_words(model: PowerModel, names: Sequence[str]) -> list[str]:
         f"{number(model.std_error(term.name) or 0.0, 2)} {unit(term.unit)}".rstrip()
         for term in model.terms if term.name in names
     ]  # fmt: skip
+
+
+def ends_in_words(model: PowerModel) -> list[str]:
+    """Say which coefficients are at an end of what is possible.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The model.
+
+    Returns
+    -------
+    list of str
+        One sentence for each.
+    """
+    found = []
+    for term, value in zip(model.terms, model.coefficients, strict=True):
+        if term.bounds[0] < value < term.bounds[1]:
+            continue
+        shown = (
+            "more of it shows in these logs than is possible: the vehicle's mass or a unit"
+            if 0.0 < value >= term.bounds[1]
+            else "nothing of it shows in these logs, a sign"
+        )
+        found.append(
+            f"{term.name} ({term.symbol}) is at the end {value:g} of its possible range: "
+            f"{shown} is wrong, or a term is missing"
+        )
+    return found

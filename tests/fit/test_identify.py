@@ -499,14 +499,16 @@ def test_what_hardly_acts_is_not_identified(weight: float, column: int) -> None:
         check_identifiable(model, jacobian)
 
 
-def test_samples_that_count_twice_are_told(truth: PowerModel) -> None:
-    """A copy of a log made standard errors smaller by the root of two."""
+def test_a_copy_of_a_log_is_learned_from_once(truth: PowerModel) -> None:
+    """It made standard errors smaller by the root of two."""
     log = simulate.identification_drive(truth, seed=1, **NOISE)
     copy, part = replace(log, name="copy"), replace(log.segment(40.0, 90.0), name="part")
     other = replace(simulate.identification_drive(truth, seed=2, **NOISE), name="other")
-    for second, told in ((copy, True), (part, True), (other, False)):
+    alone = identify(log, truth.vehicle)
+    for second, twice in ((copy, True), (part, True), (other, False)):
         found = identify([log, second], truth.vehicle)
-        assert any(f"{second.name} hold the same" in t for t in found.warnings) == told
+        assert any(f"{second.name} holds the same" in t for t in found.warnings) == twice
+        assert np.array_equal(found.model.covariance, alone.model.covariance) == twice
 
 
 def test_hardly_known_is_said(truth: PowerModel) -> None:
