@@ -247,7 +247,11 @@ def _routes(demo: _Demo) -> Comparison:
     )
     demo.picture(
         "routes.png",
-        plots.routes(grid, {label: p.path for label, p in plans.items()}, surfaces=ground.polygons),
+        plots.routes(
+            grid,
+            {f"{label}: {p.energy:.0f} J": p.path for label, p in plans.items()},
+            surfaces=ground.polygons,
+        ),
         f"The route of least energy saves {100 * made.saving:.1f} % of the shortest one's energy.",
     )
     figure = plots.figure(size=(plots.WIDTH, 2.0))

@@ -10,6 +10,8 @@ import io
 import signal
 import sys
 import threading
+import time
+import traceback
 import warnings
 from pathlib import Path
 from typing import Annotated, Any, TextIO
@@ -189,17 +191,21 @@ def _interrupt_again(lost: sys.UnraisableHookArgs) -> None:
     Python drops what is raised there, such as while a kernel is loaded, and would go on.
     """
     if issubclass(lost.exc_type, KeyboardInterrupt):
-        again = threading.Timer(0.02, _press_ctrl_c)
-        again.daemon = True
-        again.start()
+        threading.Thread(target=_press_ctrl_c, daemon=True).start()
     else:
         sys.__unraisablehook__(lost)
 
 
 def _press_ctrl_c() -> None:
-    """Interrupt the main thread, even while it waits."""
+    """Interrupt the main thread, even while it waits, once it has left `_interrupt_again`."""
+    main = threading.main_thread().ident or 0
+    while any(
+        frame.f_code is _interrupt_again.__code__
+        for frame, _ in traceback.walk_stack(sys._current_frames().get(main))
+    ):
+        time.sleep(0.01)
     if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+        signal.pthread_kill(main, signal.SIGINT)
     else:
         _thread.interrupt_main()
 

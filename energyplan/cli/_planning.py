@@ -323,8 +323,8 @@ def compare(
     if out:
         write_plans(out, problem, least_energy=made.energy_optimal, shortest=made.shortest)
     if plot:
-        both = {"least energy": made.energy_optimal.path, "shortest": made.shortest.path}
-        _draw(problem, both, plot)
+        both = (("least energy", made.energy_optimal), ("shortest", made.shortest))
+        _draw(problem, {f"{name}: {route.energy:.0f} J": route.path for name, route in both}, plot)
     if report:
         write_report(comparison_page(made, problem), report)
     document = documents.comparison(made)

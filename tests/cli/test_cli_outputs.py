@@ -261,19 +261,26 @@ from energyplan import cli, demo
 def machine_code():
     raise KeyboardInterrupt
 
+busy, begin = float(sys.argv[2]), threading.Thread.start
+def late(thread):
+    begin(thread)
+    threading.Event().wait(busy)  # as on a machine that does much else
+
 def work(out, say):
+    threading.Thread.start = late
     machine_code()
     threading.Event().wait(60)
 
 demo.run = work
-sys.argv = ["energyplan", "demo", "--out", sys.argv[1]]
+sys.argv[1:] = ["demo", "--out", sys.argv[1]]
 cli.main()
 """
 
 
-def test_ctrl_c_within_machine_code_ends_the_command(tmp_path: Path) -> None:
+@pytest.mark.parametrize("busy", [0.0, 0.3])
+def test_ctrl_c_within_machine_code_ends_the_command(tmp_path: Path, busy: float) -> None:
     """Python drops what is raised in a call from machine code, and the command went on."""
-    done = program(INTERRUPTED, str(tmp_path / "demo"))
+    done = program(INTERRUPTED, str(tmp_path / "demo"), str(busy))
     assert done.returncode == 130
     assert done.stderr == b"energyplan: interrupted; files are as they were\n"
 
