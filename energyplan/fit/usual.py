@@ -132,7 +132,7 @@ def open_in_words(model: PowerModel, names: Sequence[str]) -> list[str]:
 
 
 def ends_in_words(model: PowerModel) -> list[str]:
-    """Say which coefficients are at an end of what is possible.
+    """Say which coefficients are at an end of what is possible, or beyond what a robot weighs.
 
     Parameters
     ----------
@@ -144,8 +144,14 @@ def ends_in_words(model: PowerModel) -> list[str]:
     list of str
         One sentence for each.
     """
-    found = []
+    found, weight = [], model.vehicle.mass * GRAVITY
     for term, value in zip(model.terms, model.coefficients, strict=True):
+        if term.name == "traction_resistance" and 2.0 * value > weight:
+            found.append(
+                f"the traction resistance of both sides is {number(2.0 * value)} N, more than the "
+                f"robot weighs, {number(weight)} N: the vehicle's mass, or a unit of speeds or "
+                "powers, is wrong"
+            )
         if term.bounds[0] < value < term.bounds[1]:
             continue
         shown = (

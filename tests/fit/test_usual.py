@@ -115,6 +115,16 @@ def test_a_robot_that_is_unlike_all_others_is_not_made_like_them() -> None:
     assert error[1, 1] == pytest.approx(0.8 * ERROR[1] ** 2)
 
 
+@pytest.mark.parametrize(("unit", "told"), [(1.0, False), (100.0, True)])
+def test_a_resistance_beyond_the_weight_is_doubted(unit: float, told: bool) -> None:
+    """As where centimetres per second are taken for metres, or kilowatts for watts."""
+    K = unit * MODEL.coefficient("traction_resistance")
+    shown = PowerModel.paper(MODEL.vehicle, K=K, mu=0.5)
+    log = simulate.identification_drive(shown, seed=1, power_noise=5.0)
+    found = identify(log, MODEL.vehicle)
+    assert any("more than the robot weighs" in line for line in found.warnings) == told
+
+
 @pytest.mark.shared
 def test_single_runs_on_sandy_loam_foretell_others_within_their_intervals(
     shared_data: Path,
