@@ -254,8 +254,10 @@ def test_an_encoding_that_lacks_a_letter_prints_the_answer(encoding: str, shown:
 
 
 INTERRUPTED = """
-import ctypes, sys, threading
+import ctypes, signal, sys, threading
 from energyplan import cli, demo
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
 
 @ctypes.CFUNCTYPE(None)
 def machine_code():
