@@ -40,42 +40,17 @@ _STRIKES = 2
 
 
 class BatchError(EnergyPlanError):
-    """An item of a batch failed; the message is that of its error.
-
-    Examples
-    --------
-    >>> try:
-    ...     Outcome(1, (), error="ValueError: no such map").value
-    ... except BatchError as error:
-    ...     print(error)
-    ...
-    item 1 failed: ValueError: no such map
-    """
+    """An item of a batch failed; the message is that of its error."""
 
 
 @dataclass(frozen=True)
 class Outcome(Generic[R]):
-    """What came of one item.
+    """What came of one item."""
 
-    Parameters
-    ----------
-    index : int
-        Place of the item among all.
-    error : str
-        Kind and message of its error; empty if it went well.
-    trace : str
-        Where the error came from.
-
-    Examples
-    --------
-    >>> Outcome(0, (42,)).value, Outcome(1, (), error="ValueError: no such map").ok
-    (42, False)
-    """
-
-    index: int
+    index: int  # place of the item among all
     _value: tuple[R, ...]
-    error: str = ""
-    trace: str = ""
+    error: str = ""  # kind and message of its error
+    trace: str = ""  # where the error came from
 
     @property
     def ok(self) -> bool:
@@ -84,13 +59,7 @@ class Outcome(Generic[R]):
 
     @property
     def value(self) -> R:
-        """The result.
-
-        Raises
-        ------
-        BatchError
-            If the item failed.
-        """
+        """The result."""
         if self.error:
             raise BatchError(f"item {self.index} failed: {self.error}")
         return self._value[0]
@@ -106,44 +75,7 @@ def run(
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[Outcome[R]]:
-    """Apply a function to many items, and yield what comes of each as it is ready.
-
-    Parameters
-    ----------
-    function : callable
-        Called as ``function(item)``, or ``function(item, shared)`` where something is shared. It
-        must be importable by the workers.
-    items : iterable
-        The items; read as they are needed, so there may be any number.
-    shared : object, optional
-        What all items have in common, such as a map. It travels once to each worker of a pool or
-        a cluster; to a foreign executor with each item.
-    executor : concurrent.futures.Executor, optional
-        Where to run; it is left open.
-    scheduler : str, optional
-        Address of a Dask scheduler, such as ``tcp://10.0.0.1:8786``.
-    workers : int, optional
-        Number of processes where neither is given; one for each core by default.
-    progress : callable, optional
-        Called with the number of items that are done and of those that failed.
-
-    Yields
-    ------
-    Outcome
-        One for each item, in the order of their completion.
-
-    Raises
-    ------
-    MissingDependencyError
-        If a scheduler is given and Dask is not installed.
-
-    Examples
-    --------
-    >>> from concurrent.futures import ThreadPoolExecutor
-    >>> with ThreadPoolExecutor(2) as pool:
-    ...     sorted(outcome.value for outcome in run(abs, [-3, 2, -1], executor=pool))
-    [1, 2, 3]
-    """
+    """Apply a function to many items, and yield what comes of each as it is ready."""
     place = _place(function, shared, executor, scheduler, workers)
     try:
         yield from _counted(_Flow(place, iter(enumerate(items))), progress)
@@ -175,39 +107,6 @@ def evaluate_variants(
 
     The routes that the mission will need are planned first, each by one worker, and travel to all
     of them. What a variant needs beyond travels with its report to those that begin later.
-
-    Parameters
-    ----------
-    mission : Mission
-        The mission; it travels once to each worker, its map included.
-    variants : iterable of mapping
-        Values to change, by the names of `Mission`.
-    executor, scheduler, workers, progress
-        As in `run`.
-
-    Yields
-    ------
-    Outcome
-        With the mission's report.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> mission = ep.Mission(
-    ...     model, hall, ep.Battery.preset("quadriga"), (1, 2, 0),
-    ...     (ep.Task("look", (4, 2, 0), dwell=60.0, power=20.0),),
-    ...     planning_effort=1000, coefficient_spread=0.05,
-    ... )
-    >>> from concurrent.futures import ThreadPoolExecutor
-    >>> charges = [{"soc": 0.9}, {"soc": 0.3}]
-    >>> with ThreadPoolExecutor(1) as pool:
-    ...     made = list(evaluate_variants(mission, charges, executor=pool))
-    ...
-    >>> sorted((one.index, one.value.feasible) for one in made)
-    [(0, True), (1, True)]
     """
     from energyplan.mission.foresight import known_routes, learn_routes
 

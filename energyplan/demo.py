@@ -82,20 +82,7 @@ class _Demo:
 
 
 def run(out: Path, say: Callable[[str], None]) -> list[Path]:
-    """Run the chain and write its files.
-
-    Parameters
-    ----------
-    out : Path
-        Folder for the files; created if absent.
-    say : callable
-        Told in one line what happens next.
-
-    Returns
-    -------
-    list of Path
-        The files made, ``index.html`` last.
-    """
+    """Run the chain and write its files."""
     demo = _Demo(out, say, Page("energyplan: from drive logs to a mission's battery"))
     demo.page.paragraph(
         "Everything on this page was computed just now from the files beside it. The drives are "

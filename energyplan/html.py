@@ -29,27 +29,7 @@ def unit(symbol: str) -> str:
 
 
 def quantity(value: float, error: float | None, symbol: str) -> str:
-    """Return a value with its standard error and unit; the error decides on the digits.
-
-    Parameters
-    ----------
-    value : float
-        The value.
-    error : float, optional
-        Its standard error, where it is known.
-    symbol : str
-        The unit, such as ``"m/s^2"``; ``"1"`` for a pure number.
-
-    Returns
-    -------
-    str
-        Such as ``"144.2 ± 2.8 kg"``; the value alone where the error is zero or not known.
-
-    Examples
-    --------
-    >>> quantity(144.1963, 2.794, "kg"), quantity(0.25, None, "1")
-    ('144.2 ± 2.8 kg', '0.25')
-    """
+    """Return a value with its standard error and unit; the error decides on the digits."""
     told = number(value)
     if error is not None and math.isfinite(error) and error > 0:
         places = max(0, 1 - math.floor(math.log10(error)))
@@ -59,25 +39,7 @@ def quantity(value: float, error: float | None, symbol: str) -> str:
 
 
 def spanned(value: float, low: float, high: float) -> str:
-    """Return a value with its interval, whose width decides on the digits.
-
-    Parameters
-    ----------
-    value : float
-        The value.
-    low, high : float
-        The ends of its interval.
-
-    Returns
-    -------
-    str
-        Such as ``"-3.77 (-8.26 to 0.00)"``.
-
-    Examples
-    --------
-    >>> spanned(-3.771, -8.26, 0.0032), spanned(0.5, 0.5, 0.5), spanned(812.4, 700.0, 930.0)
-    ('-3.77 (-8.26 to 0.00)', '0.5 (0.5 to 0.5)', '812 (700 to 930)')
-    """
+    """Return a value with its interval, whose width decides on the digits."""
     wide = high - low
     places = max(0, 2 - math.floor(math.log10(wide))) if 0.0 < wide < math.inf else 9
     shown = (f"{one:.{places}f}" if places < 9 else number(one, 3) for one in (value, low, high))

@@ -51,13 +51,7 @@ _TEXT = 60  # characters of a value that a message shows
 
 
 def described(value: object) -> str:
-    """Return a value in words, short enough for a message.
-
-    Examples
-    --------
-    >>> described("jackal"), described(np.zeros((2, 3))), described(int)
-    ("the text 'jackal'", 'an array of shape (2, 3)', 'the class int')
-    """
+    """Return a value in words, short enough for a message."""
     if value is None or isinstance(value, bool | Real):
         return f"{value}"
     if isinstance(value, str):
@@ -81,36 +75,7 @@ def numbers(
     last: int | None = None,
     words: str = "numbers",
 ) -> NDArray[np.float64]:
-    """Return numbers as an array of floats.
-
-    Parameters
-    ----------
-    value : array_like, shape (...)
-        The numbers.
-    name : str
-        What they are, for the message.
-    error : type
-        The error to raise.
-    last : int, optional
-        Length of the last axis.
-    words : str
-        What to give, for the message.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        The numbers; the array that was given, where it was one of floats.
-
-    Raises
-    ------
-    InvalidInputError
-        Or `error`: if they are texts, dates, complex, ragged, or have another last axis.
-
-    Examples
-    --------
-    >>> numbers([1, 2], "ds")
-    array([1., 2.])
-    """
+    """Return numbers as an array of floats."""
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "biufO":
@@ -287,17 +252,7 @@ def _check(kind: _Kind, value: object, name: str, error: type[Exception], whose:
 def instance(
     value: object, wanted: type, name: str, error: type[Exception] = InvalidInputError
 ) -> None:
-    """Check that a value is of a class: quick, for what is called by the million.
-
-    Raises
-    ------
-    InvalidInputError
-        Or `error`: if it is not.
-
-    Examples
-    --------
-    >>> instance(3.0, float, "value")
-    """
+    """Check that a value is of a class: quick, for what is called by the million."""
     if not isinstance(value, wanted):
         kind = _of_class(wanted)
         words = kind.words if kind else SOURCES.get(wanted.__name__, f"a {wanted.__name__}")
@@ -308,28 +263,6 @@ def check_fields(record: Any, error: type[Exception], whose: str = "") -> None:
     """Check a dataclass's fields against their annotations, where it is built.
 
     A number of NumPy becomes Python's, so that it is shown and saved as one.
-
-    Parameters
-    ----------
-    record : dataclass
-        The dataclass, in its ``__post_init__``.
-    error : type
-        The error to raise.
-    whose : str
-        What goes before the name of a field in the message, such as ``"task 'gate': "``.
-
-    Raises
-    ------
-    InvalidInputError
-        Or `error`: if a field holds another kind of value than its annotation says.
-
-    Examples
-    --------
-    >>> from energyplan.vehicle import TreadICR
-    >>> TreadICR(0.4, "0.4")
-    Traceback (most recent call last):
-    ...
-    energyplan.errors.VehicleError: tread ICR right is the text '0.4'; give a number, in SI units
     """
     for name, kind in _kinds(type(record)).items():  # type: ignore[arg-type]
         value = getattr(record, name)
@@ -341,23 +274,7 @@ def check_fields(record: Any, error: type[Exception], whose: str = "") -> None:
 
 
 def checked(error: type[Exception] = InvalidInputError) -> Callable[[Function], Function]:
-    """Decorate a function so that its arguments are checked against its annotations.
-
-    Parameters
-    ----------
-    error : type
-        The error to raise.
-
-    Examples
-    --------
-    >>> @checked()
-    ... def double(value: float) -> float:
-    ...     return 2 * value
-    >>> double("2")
-    Traceback (most recent call last):
-    ...
-    energyplan.errors.InvalidInputError: value is the text '2'; give a number, in SI units
-    """
+    """Decorate a function so that its arguments are checked against its annotations."""
 
     def decorate(function: Function) -> Function:
         signature = inspect.signature(function)

@@ -33,13 +33,7 @@ CHANNELS = {
 
 
 def _common_shape(arrays: Mapping[str, FloatArray]) -> tuple[int, ...]:
-    """Return the shape of all arrays together.
-
-    Raises
-    ------
-    InvalidInputError
-        If they have none.
-    """
+    """Return the shape of all arrays together."""
     try:
         return np.broadcast_shapes(*{array.shape for array in arrays.values()})
     except ValueError:

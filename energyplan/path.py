@@ -43,24 +43,6 @@ def refuse_degrees(
 
     Yaws in radians are hardly ever whole or half numbers, all of them, beyond ten; those in degrees
     mostly are.
-
-    Parameters
-    ----------
-    angles : ndarray, shape (...)
-        Angles [rad].
-    name : str
-        Whose they are, for the message.
-    error : type
-        The error to raise.
-
-    Raises
-    ------
-    InvalidInputError
-        Or `error`: if all are such numbers.
-
-    Examples
-    --------
-    >>> refuse_degrees(np.array([1.0, 62.83]), "yaw")
     """
     wide = angles[np.abs(angles) >= _TURNED]
     if wide.size and np.all(2 * angles == np.round(2 * angles)):
@@ -73,33 +55,7 @@ def refuse_degrees(
 def as_pose(
     value: ArrayLike, name: str, error: type[InvalidInputError] = InvalidInputError
 ) -> Pose:
-    """Return a pose from three finite numbers.
-
-    Parameters
-    ----------
-    value : array_like, shape (3,)
-        x, y [m], yaw [rad].
-    name : str
-        Whose pose it is, for the message.
-    error : type
-        The error to raise.
-
-    Returns
-    -------
-    Pose
-        The pose.
-
-    Raises
-    ------
-    InvalidInputError
-        Or `error`: if they are not three finite numbers, or the yaw of what is not yet a pose seems
-        to be in degrees.
-
-    Examples
-    --------
-    >>> as_pose([1, 2, 0.5], "start")
-    Pose(x=1.0, y=2.0, yaw=0.5)
-    """
+    """Return a pose from three finite numbers."""
     words = "x, y [m] and yaw [rad]"
     row = numbers(value, name, error, words=words)
     if row.shape != (3,) or not np.all(np.isfinite(row)):
@@ -110,37 +66,12 @@ def as_pose(
 
 
 def wrap_angle(angle: ArrayLike) -> FloatArray:
-    """Return `angle` [rad] shifted by full turns into (-pi, pi].
-
-    Examples
-    --------
-    >>> float(wrap_angle(3 * np.pi).round(6))
-    3.141593
-    """
+    """Return `angle` [rad] shifted by full turns into (-pi, pi]."""
     return np.asarray(np.pi - np.mod(np.pi - np.asarray(angle, float), 2 * np.pi))
 
 
 def point_ahead(pose: ArrayLike, distance: ArrayLike) -> FloatArray:
-    """Return the point that lies ahead of a pose, along its heading.
-
-    Parameters
-    ----------
-    pose : array_like, shape (..., 3)
-        Poses x, y [m], yaw [rad].
-    distance : array_like, shape (...)
-        How far ahead [m]; negative behind.
-
-    Returns
-    -------
-    ndarray, shape (..., 2)
-        Points x, y [m].
-
-    Examples
-    --------
-    >>> point_ahead([(1.0, 2.0, 0.0), (1.0, 2.0, np.pi)], 0.5)
-    array([[1.5, 2. ],
-           [0.5, 2. ]])
-    """
+    """Return the point that lies ahead of a pose, along its heading."""
     rows = np.asarray(pose, float)
     heading = np.stack([np.cos(rows[..., 2]), np.sin(rows[..., 2])], axis=-1)
     return np.asarray(rows[..., :2] + np.asarray(distance, float)[..., None] * heading)

@@ -31,13 +31,6 @@ class ReadOnly:
     """Base of frozen dataclasses with arrays or mappings: nobody can write to those of a copy.
 
     Pickles and deep copies forget that an array is read-only, and refuse read-only mappings.
-
-    Examples
-    --------
-    >>> from copy import deepcopy
-    >>> from energyplan.path import Path, Pose
-    >>> deepcopy(Path(Pose(0, 0, 0), [1, 2], [0, 0])).ds.flags.writeable
-    False
     """
 
     def __getstate__(self) -> dict[str, Any]:
@@ -81,12 +74,6 @@ class ByValue(ReadOnly):
     """Base of dataclasses with arrays among their fields: equal where all fields are.
 
     Declare them with ``eq=False``: what `dataclass` writes cannot compare arrays.
-
-    Examples
-    --------
-    >>> from energyplan.path import Path, Pose
-    >>> Path(Pose(0, 0, 0), [1, 2], [0, 0]) == Path(Pose(0, 0, 0), [1, 2], [0, 0])
-    True
     """
 
     def __eq__(self, other: object) -> bool:

@@ -23,40 +23,20 @@ NONE, VOLTAGE, CHARGE, CURRENT = 0, 1, 2, 3
 
 
 class Circuit(NamedTuple):
-    """Constants of a pack.
+    """Constants of a pack."""
 
-    Attributes
-    ----------
-    capacity : float
-        Charge [C].
-    resistance : float
-        Series resistance [ohm].
-    pair_resistance, pair_time : float
-        Resistance [ohm] and time constant [s] of the resistance-capacitance pair.
-    peukert, rated : float
-        Peukert's exponent, and the current above which it counts [A].
-    efficiency : float
-        Fraction of the charge that charging keeps.
-    least_voltage, least_charge : float
-        Voltage [V] and state of charge at which it cuts off.
-    most_voltage : float
-        Largest voltage [V].
-    most_current, most_charging : float
-        Largest discharge and charge current [A].
-    """
-
-    capacity: float
-    resistance: float
+    capacity: float  # charge [C]
+    resistance: float  # series resistance [ohm]
     pair_resistance: float
-    pair_time: float
-    peukert: float
-    rated: float
-    efficiency: float
-    least_voltage: float
-    least_charge: float
-    most_voltage: float
-    most_current: float
-    most_charging: float
+    pair_time: float  # resistance [ohm] and time constant [s] of the resistance-capacitance pair
+    peukert: float  # peukert's exponent, and the current above which it counts [A]
+    rated: float  # peukert's exponent, and the current above which it counts [A]
+    efficiency: float  # fraction of the charge that charging keeps
+    least_voltage: float  # voltage [V] and state of charge at which it cuts off
+    least_charge: float  # voltage [V] and state of charge at which it cuts off
+    most_voltage: float  # largest voltage [V]
+    most_current: float  # largest discharge and charge current [A]
+    most_charging: float  # largest discharge and charge current [A]
 
 
 @njit
@@ -70,30 +50,7 @@ def discharge(
     circuit: Circuit,
     out: FloatTable,
 ) -> tuple[float, int, float]:
-    """Run a power profile through the battery.
-
-    Parameters
-    ----------
-    t, power : ndarray, shape (n,)
-        Sample times [s] and the power from each to the next [W], positive when drawn.
-    soc : float
-        State of charge at ``t[0]``.
-    u1 : float
-        Voltage of the resistance-capacitance pair at ``t[0]`` [V].
-    soc_points, ocv_points : ndarray, shape (m,)
-        Open-circuit voltage of the pack [V] over state of charge.
-    circuit : Circuit
-        The other constants of the pack.
-    out : ndarray, shape (5, n)
-        Filled with state of charge, voltage [V] and current [A] at each sample, and energy [J]
-        lost in the battery and burnt on brake resistors since the start.
-
-    Returns
-    -------
-    tuple of float, int and float
-        Instant of the brown-out [s], infinite if there was none, its reason, and the pair's
-        voltage at the end [V].
-    """
+    """Run a power profile through the battery."""
     capacity, r0 = circuit.capacity, circuit.resistance
     r1, tau = circuit.pair_resistance, circuit.pair_time
     peukert, rated, efficiency = circuit.peukert, circuit.rated, circuit.efficiency

@@ -8,39 +8,19 @@ from typing import TypedDict
 
 @dataclass(frozen=True)
 class Chemistry:
-    """What all batteries of one chemistry have in common.
+    """What all batteries of one chemistry have in common."""
 
-    Parameters
-    ----------
-    name : str
-        Identifier.
-    soc, ocv : tuple of float
-        State of charge, ascending from 0 to 1, and open-circuit voltage of one unit [V].
-    temperature, capacity_factor : tuple of float
-        Temperature [degC], ascending, and capacity there over capacity at 25 degC.
-    resistance_coefficient : float
-        Relative rise of the internal resistance per kelvin below 25 degC [1/K].
-    peukert : float
-        Peukert exponent.
-    charge_efficiency : float
-        Charge stored over charge supplied.
-    cutoff_voltage, max_voltage : float
-        Voltage of one unit at which discharging and charging must end [V].
-    source : str
-        Where the open-circuit voltage and the derating come from.
-    """
-
-    name: str
-    soc: tuple[float, ...]
-    ocv: tuple[float, ...]
-    temperature: tuple[float, ...]
-    capacity_factor: tuple[float, ...]
-    resistance_coefficient: float
-    peukert: float
-    charge_efficiency: float
-    cutoff_voltage: float
-    max_voltage: float
-    source: str
+    name: str  # identifier
+    soc: tuple[float, ...]  # [V]
+    ocv: tuple[float, ...]  # [V]
+    temperature: tuple[float, ...]  # [degC]
+    capacity_factor: tuple[float, ...]  # [degC]
+    resistance_coefficient: float  # [1/K]
+    peukert: float  # peukert exponent
+    charge_efficiency: float  # charge stored over charge supplied
+    cutoff_voltage: float  # voltage of one unit at which discharging and charging must end [V]
+    max_voltage: float  # voltage of one unit at which discharging and charging must end [V]
+    source: str  # where the open-circuit voltage and the derating come from
 
 
 LEAD_ACID = Chemistry(

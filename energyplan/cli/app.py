@@ -186,13 +186,7 @@ def _project_option() -> Any:
 
 
 def check_standard_output() -> None:
-    """Refuse to begin where nobody can read the answer.
-
-    Raises
-    ------
-    InvalidInputError
-        If the standard output is closed, or is a pipe that nobody reads.
-    """
+    """Refuse to begin where nobody can read the answer."""
     if sys.stdout is None:
         raise InvalidInputError("the standard output is closed; the answer has no place to go")
     try:

@@ -21,16 +21,6 @@ def writes(*suffixes: str) -> Callable[..., Path | None]:
 
     Such an option is checked before the command begins: its suffix, its folder, and that it is none
     of the files that are read.
-
-    Parameters
-    ----------
-    *suffixes : str
-        What the file's name may end with.
-
-    Returns
-    -------
-    callable
-        The callback, for ``typer.Option(callback=...)``.
     """
 
     def callback(ctx: typer.Context, param: typer.CallbackParam, value: Path | None) -> Path | None:

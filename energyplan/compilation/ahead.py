@@ -38,27 +38,13 @@ class Compiled(NamedTuple):
 
 
 class Preparation(NamedTuple):
-    """What was compiled ahead.
+    """What was compiled ahead."""
 
-    Attributes
-    ----------
-    compiled : tuple of Compiled
-        The kernels that were compiled.
-    found : int
-        Number of kernels that were on disk, or loaded, already.
-    kept : bool
-        Whether machine code can be kept on disk.
-    processes : int
-        Number of processes that took part.
-    seconds : float
-        Time it took [s].
-    """
-
-    compiled: tuple[Compiled, ...]
-    found: int
-    kept: bool
-    processes: int
-    seconds: float
+    compiled: tuple[Compiled, ...]  # the kernels that were compiled
+    found: int  # number of kernels that were on disk, or loaded, already
+    kept: bool  # whether machine code can be kept on disk
+    processes: int  # number of processes that took part
+    seconds: float  # time it took [s]
 
 
 def kernel_modules() -> list[str]:
@@ -76,22 +62,7 @@ _one_at_a_time = threading.Lock()
 
 
 def compile_kernels(*modules: str, processes: int | None = None) -> Preparation:
-    """Compile all kernels of some modules, or load them from disk.
-
-    Parameters
-    ----------
-    *modules : str
-        Modules, or packages of which all modules that are imported count.
-    processes : int, optional
-        How many processes share the work; as many as there are processors, up to
-        `MOST_PROCESSES`, where not given. One where machine code cannot be kept on disk. Where
-        others compile already (`compiling_beside`), these go on.
-
-    Returns
-    -------
-    Preparation
-        What was compiled.
-    """
+    """Compile all kernels of some modules, or load them from disk."""
     begun = time.perf_counter()
     with _one_at_a_time:
         wanted = list(dict.fromkeys([*_kernels(modules), *_all_ahead]))
@@ -129,14 +100,6 @@ def compiling_beside(*modules: str, all_ahead: bool = False) -> Iterator[None]:
     it waits for that one. At the end of the block the others stop, after an error at once. Where
     there is one processor, or machine code cannot be kept on disk, kernels are compiled when they
     are called.
-
-    Parameters
-    ----------
-    *modules : str
-        Modules, or packages of which all modules that are imported count.
-    all_ahead : bool
-        Whether `compile_kernels` within the block waits for all of these kernels, so that no
-        process is busy with one afterwards.
     """
     wanted = [kernel for kernel in _kernels(modules) if not kernel.inner]
     missing = _missing(wanted)

@@ -65,18 +65,7 @@ def cache_folder() -> Path:
 
 
 def source_digest(file: Path) -> str:
-    """Return a digest of a module's source and of all sources of the package that it imports.
-
-    Parameters
-    ----------
-    file : Path
-        The module's source file, within the package.
-
-    Returns
-    -------
-    str
-        Hexadecimal digest, which also stands for the versions of Python, Numba and NumPy.
-    """
+    """Return a digest of a module's source and of all sources of the package that it imports."""
     found: dict[Path, bytes] = {}
     pending = [file]
     while pending:
@@ -127,35 +116,15 @@ class _Reduced(caching.CompileResultCacheImpl):
 
 
 class _Kept(NamedTuple):
-    """What a file holds.
+    """What a file holds."""
 
-    Attributes
-    ----------
-    reduced : tuple
-        Machine code, as Numba reduces it.
-    addressed : bool
-        Whether others call it by its address.
-    calls : tuple of (str, str)
-        Names and symbols of the kernels that it calls by their addresses.
-    """
-
-    reduced: tuple[Any, ...]
-    addressed: bool
+    reduced: tuple[Any, ...]  # machine code, as Numba reduces it
+    addressed: bool  # whether others call it by its address
     calls: tuple[tuple[str, str], ...]
 
 
 class KernelCache(caching.FunctionCache):
-    """Machine code of one kernel, a file for each signature and processor.
-
-    Parameters
-    ----------
-    function : callable
-        The kernel.
-    missed : callable
-        Called when there is no machine code; true where there is some now.
-    load_called : callable
-        Has the kernel of a name loaded, or compiled.
-    """
+    """Machine code of one kernel, a file for each signature and processor."""
 
     def __init__(
         self,

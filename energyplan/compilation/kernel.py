@@ -36,38 +36,18 @@ call its machine code instead.
 
 
 class Compiling(NamedTuple):
-    """What is about to be compiled.
+    """What is about to be compiled."""
 
-    Attributes
-    ----------
-    name : str
-        Module and name of the kernel; empty when all those compiled ahead are done.
-    done, total : int
-        How many kernels of those compiled ahead are done, and their number; both zero where a
-        kernel is compiled because it was called.
-    """
-
-    name: str
-    done: int = 0
-    total: int = 0
+    name: str  # module and name of the kernel
+    done: int = 0  # how many kernels of those compiled ahead are done, and their number
+    total: int = 0  # how many kernels of those compiled ahead are done, and their number
 
 
 _listeners: list[Callable[[Compiling], None]] = []
 
 
 def on_compile(listener: Callable[[Compiling], None]) -> Callable[[], None]:
-    """Have a function told of every kernel that is about to be compiled.
-
-    Parameters
-    ----------
-    listener : callable
-        Called with a `Compiling`, perhaps from another thread.
-
-    Returns
-    -------
-    callable
-        Ends it.
-    """
+    """Have a function told of every kernel that is about to be compiled."""
     _listeners.append(listener)
     return lambda: _listeners.remove(listener)
 
@@ -79,20 +59,7 @@ def say_compiling(what: Compiling) -> None:
 
 
 def njit(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a kernel to machine code, at its first call or ahead.
-
-    Parameters
-    ----------
-    function : callable
-        A function of numbers, named tuples and arrays in Numba's subset of Python. Its arguments
-        are annotated: `float`, `int`, `bool`, a named tuple of such, or an array as in
-        `energyplan.compilation.arrays`.
-
-    Returns
-    -------
-    callable
-        The compiled function; ``.py_func`` is the plain one.
-    """
+    """Compile a kernel to machine code, at its first call or ahead."""
     return _kernel(function, inner=False)
 
 
@@ -101,16 +68,6 @@ def inner(function: Callable[P, R]) -> Callable[P, R]:
 
     The wrapper that Python calls a kernel through takes as long to compile as the kernel itself, so
     this one has none: called from Python it runs as plain Python.
-
-    Parameters
-    ----------
-    function : callable
-        As in `njit`.
-
-    Returns
-    -------
-    callable
-        The compiled function; ``.py_func`` is the plain one.
     """
     return _kernel(function, inner=True)
 
@@ -130,13 +87,7 @@ def _load(name: str) -> None:
 
 
 class Kernel(CPUDispatcher):
-    """A function that is compiled for the types of its annotations.
-
-    Parameters
-    ----------
-    function : callable
-        The plain function.
-    """
+    """A function that is compiled for the types of its annotations."""
 
     inner = False
     """Whether only other kernels call it."""

@@ -16,11 +16,6 @@ class Pool:
 
     This process and others take from it. What this process calls before its turn it compiles at
     once, or waits for where another process has begun with it: nothing is compiled twice.
-
-    Parameters
-    ----------
-    say : callable
-        Told of each kernel that is handed out: its name, how many are done, how many there are.
     """
 
     def __init__(self, say: Callable[[str, int, int], None]) -> None:
@@ -59,18 +54,7 @@ class Pool:
             self._condition.notify_all()
 
     def take(self, until: Collection[Kernel] | None = None) -> Kernel | None:
-        """Return the next kernel, as soon as one can be compiled.
-
-        Parameters
-        ----------
-        until : collection of Kernel, optional
-            What this process waits for; absent where another process is to compile the kernel.
-
-        Returns
-        -------
-        Kernel or None
-            None when all of `until` are done, and for other processes when they are to end.
-        """
+        """Return the next kernel, as soon as one can be compiled."""
         begun = self._elsewhere if until is None else self._here
         with self._condition:
             while not self._stopped:
@@ -108,13 +92,7 @@ class Pool:
             self._condition.notify_all()
 
     def claim(self, kernel: Kernel) -> bool:
-        """Say that this process is about to compile a kernel, as it has been called.
-
-        Returns
-        -------
-        bool
-            Whether another process has just compiled it, so that it can be loaded.
-        """
+        """Say that this process is about to compile a kernel, as it has been called."""
         with self._condition:
             begun = kernel in self._elsewhere
             self._condition.wait_for(lambda: self._stopped or kernel not in self._elsewhere)

@@ -32,18 +32,10 @@ _Value = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class LowerBound:
-    """Coefficients of a lower bound on the energy of any motion.
+    """Coefficients of a lower bound on the energy of any motion."""
 
-    Parameters
-    ----------
-    per_metre : float
-        Least energy per metre that a body point travels [J/m].
-    per_radian : float
-        Least energy per radian of turning, on top of it [J/rad].
-    """
-
-    per_metre: float
-    per_radian: float
+    per_metre: float  # least energy per metre that a body point travels [J/m]
+    per_radian: float  # least energy per radian of turning, on top of it [J/rad]
 
     def energy(self, length: ArrayLike, turn: ArrayLike) -> FloatArray:
         """Return the bound [J] for a length travelled [m] and a turn [rad]."""
@@ -61,19 +53,10 @@ class Infimum:
     scanned, the more closely the nearer to straight motion, spin and pivot, and the lowest places
     of the scan are enclosed ever more tightly. So a value is found up to `SLACK` unless it hides in
     a dip that is narrower than the intervals of the scan and lies away from all others.
-
-    Parameters
-    ----------
-    price : callable
-        ``price(x, y)`` of directions of shape (n,), to shape (..., n): rows for different grounds.
-    even : int
-        Intervals of each octant that are scanned.
-    around : tuple of float
-        Values of ``x / y`` at which prices may jump, beside straight motion, spin and pivot.
     """
 
     price: Callable[[FloatArray, FloatArray], FloatArray]
-    even: int = 64
+    even: int = 64  # intervals of each octant that are scanned
     around: tuple[float, ...] = ()
 
     @cached_property
@@ -112,18 +95,7 @@ class Infimum:
         return rate - self.slack * abs(rate)
 
     def least(self, value: _Value) -> float:
-        """Return the least value over all directions and grounds.
-
-        Parameters
-        ----------
-        value : callable
-            ``value(x, y, price)``, broadcasting; infinite where a direction does not matter.
-
-        Returns
-        -------
-        float
-            The least value that was met; up to `SLACK` the infimum.
-        """
+        """Return the least value over all directions and grounds."""
 
         def lowest(octant: FloatArray, ratio: FloatArray) -> FloatArray:
             x, y = (
@@ -158,22 +130,7 @@ class Infimum:
         return best
 
     def rates(self, half_track: float, track: float = 0.0) -> LowerBound:
-        """Return rates: no price is below ``metre max(|ds|, track |dtheta|) + radian |dtheta|``.
-
-        Parameters
-        ----------
-        half_track : float
-            Half the slip track, by which ``y`` counts turns [m].
-        track : float
-            Distance that a radian counts as at least [m].
-
-        Returns
-        -------
-        LowerBound
-            The price of straight motion, where turning costs something beyond it however wide the
-            arc is. Else a metre is priced lower, so that a radian is worth more: as is best for a
-            path that turns by a tenth of a radian over half the slip track.
-        """
+        """Return rates: no price is below ``metre max(|ds|, track |dtheta|) + radian |dtheta|``."""
 
         def travel(x: FloatArray, y: FloatArray) -> FloatArray:
             return np.maximum(np.abs(x), track / half_track * np.abs(y))
@@ -239,23 +196,7 @@ def beyond(
 def lower_bound(
     price: Callable[[FloatArray, FloatArray], FloatArray], icr: TreadICR, point: tuple[float, float]
 ) -> LowerBound:
-    """Return the coefficients for the path of a body point.
-
-    Parameters
-    ----------
-    price : callable
-        ``price(x, y)`` of elements ``(ds, C dtheta)`` of the centre of the tread ICRs.
-    icr : TreadICR
-        Tread ICRs.
-    point : tuple of float
-        Body coordinates of the point [m].
-
-    Returns
-    -------
-    LowerBound
-        With the largest price of a metre, that of the cheapest straight line unless a turn moves
-        the point for less.
-    """
+    """Return the coefficients for the path of a body point."""
     lx, ly = icr.centre
 
     def travel(x: FloatArray, y: FloatArray) -> FloatArray:

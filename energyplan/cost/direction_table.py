@@ -28,21 +28,7 @@ _EDGE = 1e-6  # an octant's limits towards its ends are extrapolated from here
 def element_energy(
     x: Floats, y: Floats, ratio: Floats, table: FloatTable, special: Floats, out: Floats
 ) -> None:
-    """Energy of path elements, by linear interpolation of a direction table.
-
-    Parameters
-    ----------
-    x, y : ndarray, shape (m,)
-        Arc length of the centre and turn times half the slip track [m].
-    ratio : ndarray, shape (n + 1,)
-        Nodes of the table in each octant, from 0 to 1.
-    table : ndarray, shape (8, n + 1)
-        Energy on the square at these ratios of each octant.
-    special : ndarray, shape (8,)
-        Energy in the special directions, ordered as in `SPECIAL`.
-    out : ndarray, shape (m,)
-        Filled with the energies [J].
-    """
+    """Energy of path elements, by linear interpolation of a direction table."""
     last = len(ratio) - 1
     for i in range(len(out)):
         a, b = abs(x[i]), abs(y[i])
@@ -79,25 +65,12 @@ OUTSIDE = 1e-7
 
 @dataclass(frozen=True)
 class DirectionTable:
-    """Energy over the direction of motion.
+    """Energy over the direction of motion."""
 
-    Parameters
-    ----------
-    ratio : ndarray, shape (n + 1,)
-        Nodes in each octant, from 0 to 1; close together where the energy bends.
-    table : ndarray, shape (8, n + 1)
-        Energy on the square at these ratios of each octant, with one-sided limits at its
-        ends [J/m].
-    special : ndarray, shape (8,)
-        Energy in the special directions [J/m].
-    error : float
-        Largest relative error of interpolating the table, measured between its nodes.
-    """
-
-    ratio: FloatArray
-    table: FloatArray
-    special: FloatArray
-    error: float
+    ratio: FloatArray  # (n + 1,): nodes in each octant, from 0 to 1
+    table: FloatArray  # (8, n + 1) [J/m]
+    special: FloatArray  # (8,): energy in the special directions [J/m]
+    error: float  # largest relative error of interpolating the table, measured between its nodes
 
     def __call__(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return the energy [J] of elements ``(x, y)`` of any shape [m]."""
@@ -142,14 +115,7 @@ class DirectionTable:
         )
 
     def corners(self) -> Corners:
-        """Return the corners of the cheapest mixtures.
-
-        Returns
-        -------
-        Corners
-            All corners where there are few; a selection with its error where a smooth energy has
-            many.
-        """
+        """Return the corners of the cheapest mixtures."""
         points = self.directions / self.values[:, None]
         points[len(SPECIAL) :] *= 1.0 - 1e-12  # special directions win ties
         chosen, error = _simplify(_convex_hull(points))
@@ -160,19 +126,11 @@ class DirectionTable:
 
 @dataclass(frozen=True)
 class Corners:
-    """Corners of the elements ``(x, y)`` that one joule can pay for, mixtures included [m].
+    """Corners of the elements ``(x, y)`` that one joule can pay for, mixtures included [m]."""
 
-    Parameters
-    ----------
-    left, right : ndarray, shape (m, 2)
-        Corners that turn left, and right.
-    error : float
-        How much the energy of a mixture may exceed the least one, as a fraction.
-    """
-
-    left: FloatArray
-    right: FloatArray
-    error: float
+    left: FloatArray  # (m, 2): corners that turn left, and right
+    right: FloatArray  # (m, 2): corners that turn left, and right
+    error: float  # how much the energy of a mixture may exceed the least one, as a fraction
 
 
 def octant_directions(ratio: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -194,20 +152,6 @@ def tabulate(
     An interval between two nodes is halved as long as the energy is off the straight line at its
     quarters. So nodes gather where the energy bends, be it between straight motion and the widest
     arcs that anybody would draw.
-
-    Parameters
-    ----------
-    energy : callable
-        ``energy(x, y)`` [J] of elements [m], arrays of any one shape.
-    tolerance : float
-        Largest relative error wanted.
-    most : int
-        Largest number of intervals per octant, beyond which the worst are halved no more.
-
-    Returns
-    -------
-    DirectionTable
-        The table with its measured error. Piecewise linear energies need one interval.
     """
     special = energy(SPECIAL[:, 0], SPECIAL[:, 1])
     near = energy(*octant_directions(np.array([_EDGE, 2 * _EDGE, 1 - 2 * _EDGE, 1 - _EDGE])))
@@ -245,18 +189,7 @@ def tabulate(
 
 
 def scan_ratios(even: int) -> FloatArray:
-    """Return ratios of an octant to look at first: `even` intervals, and ever less to its ends.
-
-    Parameters
-    ----------
-    even : int
-        Number of intervals of one width.
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Ratios from 0 to 1, rising; those next to the ends are 1e-7 away from them.
-    """
+    """Return ratios of an octant to look at first: `even` intervals, and ever less to its ends."""
     fine = np.geomspace(1e-7, 1.0 / even, 25)[:-1]
     inner = np.concatenate([fine, np.arange(1, even) / even, 1.0 - fine[::-1]])
     return np.concatenate([[0.0], inner, [1.0]])

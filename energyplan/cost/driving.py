@@ -32,32 +32,13 @@ def _pivot_and_rest(x: FloatArray, y: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class SteadyDriving:
-    """Path elements driven steadily on level ground, each at its own speed.
+    """Path elements driven steadily on level ground, each at its own speed."""
 
-    Parameters
-    ----------
-    model : PowerModel
-        The power model with its vehicle.
-    battery : bool
-        Whether power is that of the battery rather than of the treads.
-    speed : float, optional
-        Tread speed to drive at [m/s]; the cheapest admissible one where not given.
-    channels : mapping of str to float
-        Constant values of further channels that the model's terms read.
-    time_value : float
-        What a second is worth where the cheapest speed is chosen [J/s].
-
-    Raises
-    ------
-    InvalidInputError
-        If `speed` is not positive, or `time_value` is negative or not finite.
-    """
-
-    model: PowerModel
-    battery: bool = False
-    speed: float | None = None
+    model: PowerModel  # the power model with its vehicle
+    battery: bool = False  # whether power is that of the battery rather than of the treads
+    speed: float | None = None  # tread speed to drive at [m/s]
     channels: Mapping[str, float] = field(default_factory=dict)
-    time_value: float = 0.0
+    time_value: float = 0.0  # what a second is worth where the cheapest speed is chosen [J/s]
 
     def __post_init__(self) -> None:
         check_fields(self, InvalidInputError)
@@ -193,18 +174,6 @@ class SteadyDriving:
 
         The inner side of an arc may be dragged along. If its motor takes no power back, no speed
         is slow enough for the arc; a pivot and a line lead the same way.
-
-        Parameters
-        ----------
-        of : callable
-            ``of(x, y, slope, rate)``: what elements take at given rates.
-        x, y, slope : array_like
-            The elements, and the slope that they are driven on.
-
-        Raises
-        ------
-        ModelError
-            If the motors cannot drive these either.
         """
         stuck = self._stuck(x, y)
         if not np.any(stuck):
@@ -229,37 +198,11 @@ class SteadyDriving:
         return total
 
     def admissible_speed(self, curvature: ArrayLike) -> FloatArray:
-        """Return the largest speed that the vehicle's limits allow on arcs of this curvature.
-
-        Parameters
-        ----------
-        curvature : array_like, shape (...)
-            Curvature [1/m], positive to the left.
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Speed of the reference point [m/s], from the limits of tread speed, yaw rate, and each
-            side's continuous power and regeneration; infinite where there is no limit.
-        """
+        """Return the largest speed that the vehicle's limits allow on arcs of this curvature."""
         return self._admissible_rate(*self._element(np.ones(np.shape(curvature)), curvature))
 
     def cheapest_speed(self, curvature: ArrayLike) -> FloatArray:
-        """Return the admissible speed of least energy per metre on arcs of this curvature.
-
-        Parameters
-        ----------
-        curvature : array_like, shape (...)
-            Curvature [1/m], positive to the left.
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Speed of the reference point [m/s]; the fastest where several cost the same, and that
-            of `speed` where it was given; `time_value` counts. Treads run at a twentieth of the
-            motor's speed limit or faster, else the cheapest speed would be zero where time costs
-            nothing.
-        """
+        """Return the admissible speed of least energy per metre on arcs of this curvature."""
         return self._rate(*self._element(np.ones(np.shape(curvature)), curvature))
 
     # -- duration -------------------------------------------------------------------------------
@@ -268,11 +211,6 @@ class SteadyDriving:
         """Return the time that a path takes at the speeds of this cost [s].
 
         Speed changes take no time here; `speed.profile` accounts for accelerations.
-
-        Raises
-        ------
-        InvalidInputError
-            If neither the vehicle nor `speed` limits the speed.
         """
         return float(np.sum(self._element_duration(*self._moving(path)[:2])))
 
@@ -308,11 +246,6 @@ class SteadyDriving:
 
         It comes from a table like that of `gauge` unless it must be `exact`, or is that of the
         `fastest` speed within the limits rather than of the cheapest.
-
-        Raises
-        ------
-        InvalidInputError
-            If neither the vehicle nor `speed` limits the speed.
         """
         x, y = np.broadcast_arrays(*self._element(ds, dtheta))
         if not exact and not fastest:

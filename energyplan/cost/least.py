@@ -26,36 +26,7 @@ def least_energy(path: Path, cost: EnergyCost) -> float:
     that stands still between two arcs takes no less, however it speeds up and brakes; one that
     drives on can carry motion from an arc on which a side returns power to another.
 
-    Parameters
-    ----------
-    path : Path
-        The path.
-    cost : EnergyCost
-        Its model and where it counts; its own speed makes no difference.
-
-    Returns
-    -------
-    float
-        The energy [J].
-
-    Raises
-    ------
-    InvalidInputError
-        If the path belongs to a vehicle with tread ICRs elsewhere along its x axis.
-    ModelError
-        If the energy depends on speed and the vehicle has no speed limit.
-
-    References
-    ----------
-    docs/theory, section 3.
-
-    Examples
-    --------
-    >>> from energyplan.path import Pose
-    >>> from energyplan.power import PowerModel
-    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"), speed=0.5)
-    >>> least_energy(Path(Pose(0, 0, 0), ds=[2.0], dtheta=[0.0]), cost)
-    452.0
+    Source: docs/theory, section 3.
     """
     motor = MotorLimits(speed=cost.vehicle.motor.speed)
     model = replace(cost.model, vehicle=replace(cost.vehicle, motor=motor))

@@ -29,26 +29,7 @@ _ZOOMS, _TRIED = 12, 5  # rounds in which the best is enclosed, and rates tried 
 
 
 def asked_speed(asked: float | str | None, vehicle: Vehicle) -> float | None:
-    """Return the tread speed that motions are priced and driven at, None for the cheapest.
-
-    Parameters
-    ----------
-    asked : float, str or None
-        Metres per second, as a number or its text; or `CHEAPEST`; or nothing, which stands for the
-        vehicle's usual speed, else the fastest of its motors.
-    vehicle : Vehicle
-        The vehicle.
-
-    Returns
-    -------
-    float or None
-        What `EnergyCost` takes as its speed [m/s].
-
-    Raises
-    ------
-    InvalidInputError
-        If what is asked is neither a positive number nor `CHEAPEST`, or above what motors can do.
-    """
+    """Return the tread speed that motions are priced and driven at, None for the cheapest."""
     if asked is None:
         usual = vehicle.driving_speed
         return usual if np.isfinite(usual) else None
@@ -77,24 +58,7 @@ def admissible_rate(
     forces: Callable[[FloatArray, FloatArray, FloatArray], Sides],
     fastest: float = np.inf,
 ) -> FloatArray:
-    """Return the largest rate within the limits of tread speed, yaw rate and motor power.
-
-    Parameters
-    ----------
-    x, y : ndarray, shape (...)
-        Elements [m].
-    vehicle : Vehicle
-        Its motor's speed, continuous power and regeneration, and its yaw rate, are the limits.
-    forces : callable
-        Tread forces [N] of elements x and y at given rates.
-    fastest : float
-        Tread speed that is not to be exceeded, beside the motor's [m/s].
-
-    Returns
-    -------
-    ndarray, shape (...)
-        Rates [1/s], infinite where there is no limit.
-    """
+    """Return the largest rate within the limits of tread speed, yaw rate and motor power."""
     motor = vehicle.motor
     with np.errstate(divide="ignore"):
         limit = np.minimum(
@@ -158,20 +122,7 @@ def _relative(value: FloatArray, limit: float) -> FloatArray:
 def last_within(
     use: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray
 ) -> FloatArray:
-    """Return the largest values up to which all that are tried are within limits.
-
-    Parameters
-    ----------
-    use : callable
-        Use of the limits at values of shape (m, n); within them up to 1.
-    low, high : ndarray, shape (n,)
-        Values that are within, and values that are not; not negative.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        The values, within, to the last bit or two.
-    """
+    """Return the largest values up to which all that are tried are within limits."""
     parts = np.arange(1, _PARTS).reshape(-1, *[1] * np.ndim(low)) / _PARTS
     cuts = low + (high - low) * parts
     below, above = np.full(np.shape(low), np.nan), use(high[None])[0]
@@ -220,23 +171,7 @@ def cheapest_rate(
     energy: Callable[[FloatArray], FloatArray],
     scan: int = _SCAN,
 ) -> FloatArray:
-    """Return the rate of least energy between `slowest` and `limit`.
-
-    Parameters
-    ----------
-    slowest, limit : ndarray, shape (...)
-        Range of rates [1/s], finite.
-    energy : callable
-        Energy [J] of the elements at given rates, shape (n, ...).
-    scan : int
-        Rates that are tried before the best is refined, in even ratios.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        Rates [1/s]: the least of a scan over the range, enclosed ever more tightly; the fastest of
-        those that cost the same.
-    """
+    """Return the rate of least energy between `slowest` and `limit`."""
     ratio = (limit / slowest) ** (1.0 / (scan - 1))
     best = np.full(limit.shape, np.inf)
     place = np.zeros(limit.shape, int)

@@ -13,50 +13,25 @@ from energyplan.vehicle import TreadICR
 
 
 class StaticSteering(NamedTuple):
-    """A cost that two numbers describe: ``a max(|ds|, C |dtheta|) + beta |dtheta|``.
+    """A cost that two numbers describe: ``a max(|ds|, C |dtheta|) + beta |dtheta|``."""
 
-    Attributes
-    ----------
-    half_track : float
-        Half the slip track ``C`` [m].
-    longitudinal, lateral : float
-        The point midway between the tread ICRs, in the body frame [m].
-    per_metre : float
-        Cost of straight driving, ``a`` [J/m].
-    per_radian : float
-        Cost of turning within the slip track, ``a C + beta`` [J/rad].
-    """
-
-    half_track: float
-    longitudinal: float
-    lateral: float
-    per_metre: float
-    per_radian: float
+    half_track: float  # half the slip track ``C`` [m]
+    longitudinal: float  # the point midway between the tread ICRs, in the body frame [m]
+    lateral: float  # the point midway between the tread ICRs, in the body frame [m]
+    per_metre: float  # cost of straight driving, ``a`` [J/m]
+    per_radian: float  # cost of turning within the slip track, ``a C + beta`` [J/rad]
 
 
 class PolygonSteering(NamedTuple):
-    """A cost whose cheapest elements are mixtures of the corners of a polygon.
+    """A cost whose cheapest elements are mixtures of the corners of a polygon."""
 
-    Attributes
-    ----------
-    half_track : float
-        Half the slip track [m].
-    longitudinal, lateral : float
-        The point midway between the tread ICRs, in the body frame [m].
-    ahead, behind : float
-        Cost of driving straight by half the slip track, forwards and backwards [J].
-    left, right : ndarray, shape (3, m)
-        Corners that turn left and right: ``m = ds/dtheta`` in half slip tracks, rising; joules per
-        radian; the slope to the next corner, infinite at the last one.
-    """
-
-    half_track: float
-    longitudinal: float
-    lateral: float
-    ahead: float
-    behind: float
-    left: FloatTable
-    right: FloatTable
+    half_track: float  # half the slip track [m]
+    longitudinal: float  # the point midway between the tread ICRs, in the body frame [m]
+    lateral: float  # the point midway between the tread ICRs, in the body frame [m]
+    ahead: float  # cost of driving straight by half the slip track, forwards and backwards [J]
+    behind: float  # cost of driving straight by half the slip track, forwards and backwards [J]
+    left: FloatTable  # (3, m): corners that turn left and right
+    right: FloatTable  # (3, m): corners that turn left and right
 
 
 def polygon_steering(table: DirectionTable, corners: Corners, icr: TreadICR) -> PolygonSteering:

@@ -27,43 +27,16 @@ PROBES = (0.25, 0.5, 0.75)
 
 @dataclass(frozen=True, eq=False)
 class CostTable:
-    """Energies by direction and speed.
+    """Energies by direction and speed."""
 
-    Parameters
-    ----------
-    angle : ndarray, shape (n,)
-        Directions, rising from -pi to pi [rad].
-    speed : ndarray, shape (m,)
-        Speeds of the faster tread, rising [m/s]; a single 0 where the cheapest speed counts.
-    energy : ndarray, shape (n, m)
-        Energy per size of a motion [J/m].
-    half_track : float
-        The C of sizes and directions [m].
-    error : float
-        Largest relative error between two neighbouring directions, as measured.
-    """
-
-    angle: FloatArray
-    speed: FloatArray
-    energy: FloatArray
-    half_track: float
-    error: float
+    angle: FloatArray  # (n,): directions, rising from -pi to pi [rad]
+    speed: FloatArray  # (m,): speeds of the faster tread, rising [m/s]
+    energy: FloatArray  # (n, m): energy per size of a motion [J/m]
+    half_track: float  # the C of sizes and directions [m]
+    error: float  # largest relative error between two neighbouring directions, as measured
 
     def segment_energy(self, ds: ArrayLike, dtheta: ArrayLike, speed: ArrayLike) -> FloatArray:
-        """Return energies read off the table, as a planner would.
-
-        Parameters
-        ----------
-        ds, dtheta : array_like, shape (...)
-            Steps [m] and turns [rad].
-        speed : array_like, shape (...)
-            Speed of the faster tread [m/s]; beyond the table that of its edge.
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Energies [J].
-        """
+        """Return energies read off the table, as a planner would."""
         x, y, v = np.broadcast_arrays(
             np.asarray(ds, float), self.half_track * np.asarray(dtheta, float), speed
         )
@@ -81,39 +54,7 @@ class CostTable:
 def tabulate(
     cost: EnergyCost, speeds: Sequence[float] | None = None, tolerance: float = 1e-3
 ) -> CostTable:
-    """Return the table of a cost, as fine as it must be.
-
-    Parameters
-    ----------
-    cost : EnergyCost
-        The cost.
-    speeds : sequence of float, optional
-        Speeds of the faster tread [m/s]; the cost's own, or the cheapest, if left out. Where the
-        motors do not reach one, the speed that they do reach counts.
-    tolerance : float
-        Relative error between two directions at which no more are put between them.
-
-    Returns
-    -------
-    CostTable
-        The table, with the error that is left.
-
-    Raises
-    ------
-    InvalidInputError
-        If a speed or the tolerance is not positive.
-
-    Examples
-    --------
-    >>> from energyplan.power import PowerModel
-    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
-    >>> table = tabulate(cost, [0.5])
-    >>> bool(table.error <= 1e-3)
-    True
-    >>> exact = EnergyCost(cost.model, speed=0.5).segment_energy(1.0, 0.3)
-    >>> bool(abs(table.segment_energy(1.0, 0.3, 0.5) / exact - 1) <= 1e-3)
-    True
-    """
+    """Return the table of a cost, as fine as it must be."""
     if not tolerance > 0:
         raise InvalidInputError(f"tolerance is {tolerance}; give a positive number")
     asked = [cost.speed] if speeds is None else sorted(set(map(float, speeds)))

@@ -170,13 +170,7 @@ def _logs(logs: DriveLog | Sequence[DriveLog], name: str) -> list[DriveLog]:
 
 
 def _answerable(logs: Sequence[DriveLog]) -> None:
-    """Refuse drives that tell nothing.
-
-    Raises
-    ------
-    NotIdentifiableError
-        If the robot never moves, or never draws any power.
-    """
+    """Refuse drives that tell nothing."""
     names = ", ".join(log.name for log in logs[:3])
     if not any(np.any(log.power) for log in logs):
         raise NotIdentifiableError(f"{names}: the measured power is zero throughout; check it")

@@ -36,44 +36,12 @@ def with_contacts(model: PowerModel, one: Prediction) -> Prediction:
 
 
 def holds(quality: Adequacy, error: float) -> bool:
-    """Tell whether what was found on the training drives holds on others.
-
-    Parameters
-    ----------
-    quality : Adequacy
-        What the model leaves of the training drives.
-    error : float
-        Its root mean square error on drives that took no part [W], what contacts hold known alike.
-
-    Returns
-    -------
-    bool
-        False where that is clearly more than what is left of the training drives and than noise:
-        then effects that were looked for at any time or place fitted those drives alone.
-    """
+    """Tell whether what was found on the training drives holds on others."""
     return error <= _HOLDS * max(quality.residual, quality.noise)
 
 
 def explains(quality: Adequacy, before: float, after: float, stranger: float = 0.0) -> bool:
-    """Tell whether what was found explains the error, where more is left than noise.
-
-    Parameters
-    ----------
-    quality : Adequacy
-        What the model leaves of the training drives.
-    before, after : float
-        Root mean square errors on drives that took no part, of the paper's model and of the model
-        with what was found [W].
-    stranger : float
-        Probability that behind what was found is something else.
-
-    Returns
-    -------
-    bool
-        False where what is left is no noise and the errors on other drives grew, and where far more
-        than noise is left, or a stranger is more probable, and they are still more than half:
-        something else is there.
-    """
+    """Tell whether what was found explains the error, where more is left than noise."""
     strange = stranger > 0.5
     if quality.adequate and not strange:
         return True
@@ -91,20 +59,6 @@ def energies(
     is taken to be that of robots elsewhere, by a distribution that says how little is known of it.
     Where runs were left out, one at a time, an interval is no narrower than what they were missed
     by tells: runs that a model was fitted to differ less from it than others do.
-
-    Parameters
-    ----------
-    problem : Problem
-        Training drives.
-    fitted : FinalFit
-        The model.
-    predictions : sequence of Prediction
-        What it predicts.
-
-    Returns
-    -------
-    tuple of EnergyPrediction
-        One for each drive.
     """
     model = fitted.model
     plain = problem.as_predicted.with_factors([1.0] * len(problem.drives))

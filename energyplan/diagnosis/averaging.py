@@ -50,38 +50,20 @@ _DRAWS = 400  # of the Bayesian bootstrap
 
 @dataclass(frozen=True)
 class Averaged:
-    """A model for runs to come.
+    """A model for runs to come."""
 
-    Parameters
-    ----------
-    fitted : FinalFit
-        The average: terms of both models, coefficients by weight.
-    average : Average, optional
-        Weight of the explanation, and why; None where it stands alone.
-    """
-
-    fitted: FinalFit
-    average: Average | None
+    fitted: FinalFit  # the average
+    average: Average | None  # weight of the explanation, and why
 
 
 @dataclass(frozen=True)
 class _Windows:
-    """Means of plain totals over the longest windows.
+    """Means of plain totals over the longest windows."""
 
-    Parameters
-    ----------
-    run, block : ndarray of int, shape (w,)
-        Run and block of each window.
-    time : ndarray, shape (w,)
-        Time that a window stands for [s].
-    power : ndarray, shape (w,)
-        Measured power [W].
-    """
-
-    run: NDArray[np.intp]
-    block: NDArray[np.intp]
-    time: FloatArray
-    power: FloatArray
+    run: NDArray[np.intp]  # (w,): run and block of each window
+    block: NDArray[np.intp]  # (w,): run and block of each window
+    time: FloatArray  # (w,): time that a window stands for [s]
+    power: FloatArray  # (w,): measured power [W]
 
     @classmethod
     def of(cls, problem: Problem, design: Design) -> _Windows:
@@ -103,25 +85,13 @@ class _Windows:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Means of the paper's columns, and of the power that inertia leaves them.
+    """Means of the paper's columns, and of the power that inertia leaves them."""
 
-    Parameters
-    ----------
-    columns : ndarray, shape (w, 2)
-        Columns of the paper's terms.
-    power : ndarray, shape (w,)
-        Power that they are to explain [W].
-    block : ndarray of int, shape (w,)
-        Block of each.
-    given, free : ndarray, shapes (2,) and (2, k)
-        Coefficients are the given ones and any combination of the free ones.
-    """
-
-    columns: FloatArray
-    power: FloatArray
-    block: NDArray[np.intp]
-    given: FloatArray
-    free: FloatArray
+    columns: FloatArray  # (w, 2): columns of the paper's terms
+    power: FloatArray  # (w,): power that they are to explain [W]
+    block: NDArray[np.intp]  # (w,): block of each
+    given: FloatArray  # coefficients are the given ones and any combination of the free ones
+    free: FloatArray  # coefficients are the given ones and any combination of the free ones
 
     @classmethod
     def of(cls, design: Design, usual: FloatArray, scale: int, fitted: FinalFit) -> _Rows:
@@ -156,22 +126,12 @@ class _Rows:
 
 @dataclass(frozen=True)
 class _Comparison:
-    """Two models on what was left out, fold by fold, neither of them fitted to it.
+    """Two models on what was left out, fold by fold, neither of them fitted to it."""
 
-    Parameters
-    ----------
-    what : str
-        What a fold is.
-    explanation, paper : ndarray, shape (folds,)
-        Relative errors of the energies.
-    refits : ndarray, shape (folds, 2)
-        Coefficients of the paper's terms without each fold.
-    """
-
-    what: str
-    explanation: FloatArray
-    paper: FloatArray
-    refits: FloatArray
+    what: str  # what a fold is
+    explanation: FloatArray  # (folds,): relative errors of the energies
+    paper: FloatArray  # (folds,): relative errors of the energies
+    refits: FloatArray  # (folds, 2): coefficients of the paper's terms without each fold
 
     def mixed(self, weight: float) -> FloatArray:
         """Relative errors of the average, by the weight of the explanation."""
@@ -206,26 +166,6 @@ def averaged(
     logarithm of their number from the odds (Foster and George 1994, "The risk inflation criterion
     for multiple regression"). So an explanation has to be clearly better than two terms before it
     leaves them behind, and what is predicted is seldom worse than by two terms alone.
-
-    Parameters
-    ----------
-    problem : Problem
-        Training drives, with factors and delays of the explanation.
-    fitted : FinalFit
-        The explanation, fitted to them.
-    parts : sequence of Part
-        Its effects.
-    tried : int
-        Number of effects that they were picked out of.
-
-    Returns
-    -------
-    Averaged or None
-        None where the paper's terms say nothing beside the explanation and no runs were left out,
-        or the drives took no energy. One run without an effect that only some robots have is left
-        as it is, and so are fewer than `FEWEST_RUNS` that the explanation foretells, block by block
-        over two seconds, as well as runs are alike: then little is left that another motion could
-        bring to light.
     """
     count = len(problem.drives)
     picked = sum(bool(part.terms) and not part.effect.usual for part in parts)

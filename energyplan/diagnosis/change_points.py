@@ -51,22 +51,7 @@ def _loss(gram: FloatArray) -> FloatArray:
 
 
 def mark_changes(problem: Problem, terms: Sequence[Term], errors: FloatArray) -> Problem:
-    """Find when each drive changed state, and give the drives the channel ``changed``.
-
-    Parameters
-    ----------
-    problem : Problem
-        The drives.
-    terms : sequence of Term
-        Terms of the present model.
-    errors : ndarray, shape (scales,)
-        Reference mean square errors [W^2].
-
-    Returns
-    -------
-    Problem
-        The same problem where no change improves the fit.
-    """
+    """Find when each drive changed state, and give the drives the channel ``changed``."""
     design = problem.design(terms, errors)
     values = solve(design.grams.sum(axis=(0, 1)))
     sums = _window_grams(problem, terms, values)
@@ -112,27 +97,7 @@ def _marked(drive: Drive, window: int, rising: bool) -> Drive:
 def settle_change(
     drive: Drive, base: FloatArray, terms: Sequence[Term], values: FloatArray, vehicle: Vehicle
 ) -> Drive:
-    """Find when a drive changed state, its coefficients known.
-
-    Parameters
-    ----------
-    drive : Drive
-        A drive that was not fitted.
-    base : ndarray, shape (n,)
-        Power predicted without the change [W].
-    terms : sequence of Term
-        The terms of the change.
-    values : ndarray
-        Their coefficients.
-    vehicle : Vehicle
-        The vehicle.
-
-    Returns
-    -------
-    Drive
-        The drive with the channel ``changed``: in the state that fits it best, with one change
-        where that fits better.
-    """
+    """Find when a drive changed state, its coefficients known."""
     whole = drive.with_channels(changed=np.ones(len(drive.t)))
     step = sum(
         (column(term, whole, vehicle) * float(v)

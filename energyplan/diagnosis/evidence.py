@@ -38,39 +38,17 @@ def innovations(design: Design, left: Sequence[FloatArray]) -> FloatArray:
 
 @dataclass(frozen=True)
 class Account:
-    """An explanation as it accounts for the drives.
+    """An explanation as it accounts for the drives."""
 
-    Parameters
-    ----------
-    design : Design
-        Its columns about its coefficients.
-    fit : Fit
-        The coefficients.
-    errors : ndarray, shape (scales,)
-        Reference mean square errors, by which scales weigh [W^2].
-    """
-
-    design: Design
-    fit: Fit
-    errors: FloatArray
+    design: Design  # its columns about its coefficients
+    fit: Fit  # the coefficients
+    errors: FloatArray  # (scales,): reference mean square errors, by which scales weigh [W^2]
 
     def told_from(self, other: Account, likelihood: Likelihood) -> bool:
         """Tell whether drives like these would tell the other explanation apart, were this true.
 
         The other is fitted to what this one predicts; what it cannot follow would be left in its
         residual, on top of what is left in this one's.
-
-        Parameters
-        ----------
-        other : Account
-            The other explanation of the same drives.
-        likelihood : callable
-            ``likelihood(errors, windows)`` as of `Proposals.likelihood`.
-
-        Returns
-        -------
-        bool
-            Whether the odds are expected to be more than some 20 to 1.
         """
         own = residuals(self.design, self.fit.values)
         gaps = [b - a for a, b in zip(own, residuals(other.design, other.fit.values), strict=True)]
@@ -92,21 +70,7 @@ class Account:
 
 
 def classes(accounts: Sequence[Account], likelihood: Likelihood) -> list[int]:
-    """Give explanations that the drives cannot tell apart the same number.
-
-    Parameters
-    ----------
-    accounts : sequence of Account
-        The explanations, the most probable one first.
-    likelihood : callable
-        ``likelihood(errors, windows)`` as of `Proposals.likelihood`.
-
-    Returns
-    -------
-    list of int
-        The first member of each one's class. Two belong together where one of them, were it true,
-        could not be told from the other.
-    """
+    """Give explanations that the drives cannot tell apart the same number."""
     heads: list[int] = []
     found: list[int] = []
     for k, one in enumerate(accounts):

@@ -16,26 +16,12 @@ _RIVAL = 0.05  # probability of another explanation, over that of the best, that
 
 @dataclass(frozen=True)
 class Explanation:
-    """A set of effects that may be the reason.
+    """A set of effects that may be the reason."""
 
-    Parameters
-    ----------
-    parts : tuple of Part
-        The effects, the one that explains most first.
-    probability : float
-        That this set is the right one, among those of the catalogue.
-    problem : Problem
-        The drives, with delays, factors and times of changes as this set has them.
-    gains : tuple of Gain
-        What each effect of the set is worth in it.
-    alike : tuple of tuple of str
-        Effects of the explanations that the drives cannot tell from this one.
-    """
-
-    parts: tuple[Part, ...]
-    probability: float
-    problem: Problem
-    gains: tuple[Gain, ...]
+    parts: tuple[Part, ...]  # the effects, the one that explains most first
+    probability: float  # that this set is the right one, among those of the catalogue
+    problem: Problem  # the drives, with delays, factors and times of changes as this set has them
+    gains: tuple[Gain, ...]  # what each effect of the set is worth in it
     alike: tuple[tuple[str, ...], ...] = ()
 
     @property
@@ -46,33 +32,15 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Gain:
-    """What an effect is worth beside the others of its set.
-
-    Parameters
-    ----------
-    improvement, error : float
-        Fall of the cross-validated error when it joins, mean over the scales, and its standard
-        error.
-    p_value : float
-        Of its coefficients being zero, times the number of candidates.
-    weight : float
-        By how much it raises the logarithm of the set's likelihood.
-    share : float
-        Root of the fall of the mean square error, over the root mean square power.
-    falls : ndarray, shape (scales,)
-        Fall of the cross-validated mean square error of the total power, at each scale [W^2].
-    lasting : float
-        Fall of the cross-validated loss without the block that shows most of it. Where blocks
-        differ much in what is left of them, the standard error exceeds the fall that many show.
-    """
+    """What an effect is worth beside the others of its set."""
 
     improvement: float
     error: float
-    p_value: float
-    weight: float
-    share: float
-    falls: FloatArray
-    lasting: float
+    p_value: float  # of its coefficients being zero, times the number of candidates
+    weight: float  # by how much it raises the logarithm of the set's likelihood
+    share: float  # root of the fall of the mean square error, over the root mean square power
+    falls: FloatArray  # (scales,) [W^2]
+    lasting: float  # fall of the cross-validated loss without the block that shows most of it
 
 
 @dataclass(frozen=True)

@@ -30,18 +30,10 @@ _VISITS = 3
 
 @dataclass(frozen=True)
 class Ground:
-    """Where the contacts of a robot were while it moved.
+    """Where the contacts of a robot were while it moved."""
 
-    Parameters
-    ----------
-    drives : sequence of Drive
-        Drives with ``x`` and ``y``.
-    vehicle : Vehicle
-        Tells where the contacts are.
-    """
-
-    drives: Sequence[Drive]
-    vehicle: Vehicle
+    drives: Sequence[Drive]  # drives with ``x`` and ``y``
+    vehicle: Vehicle  # tells where the contacts are
 
     @cached_property
     def places(self) -> tuple[FloatArray, ...]:
@@ -86,22 +78,7 @@ class Ground:
         return np.array([direction, apart + self.middle @ _normal(direction)])
 
     def lines(self, effect: Effect, fine: bool = False) -> Iterator[Part]:
-        """Yield variants of an effect for lines that cross the ground driven on.
-
-        Parameters
-        ----------
-        effect : Effect
-            An effect with the parameters ``direction`` and ``offset``.
-        fine : bool
-            Lines closer to each other.
-
-        Yields
-        ------
-        Part
-            Eight directions, five offsets each, so that contacts are a fifth of the time on either
-            side; of fine ones twice the directions, and offsets to the least share that tells. None
-            where the robot never moves.
-        """
+        """Yield variants of an effect for lines that cross the ground driven on."""
         count, shares = (16, _FINE_SHARES) if fine else (8, _SHARES)
         for direction in np.arange(count) * np.pi / count:
             along = self._visited @ _normal(direction)
@@ -143,19 +120,7 @@ class Ground:
         return kept
 
     def crosses(self, line: FloatArray) -> bool:
-        """Tell whether contacts were on both sides of a line for long enough, or often enough.
-
-        Parameters
-        ----------
-        line : ndarray, shape (2,)
-            Its direction [rad] and offset [m].
-
-        Returns
-        -------
-        bool
-            False where a moment beyond the line would have to tell of all the ground there, or a
-            single visit: whatever happened meanwhile would seem to be due to the place.
-        """
+        """Tell whether contacts were on both sides of a line for long enough, or often enough."""
         along = [place @ _normal(line[0]) - line[1] for place in self.places]
         beyond = [each > 0.0 for each in along]
         before = [each < 0.0 for each in along]

@@ -22,70 +22,27 @@ _RESAMPLES = 400
 
 @dataclass(frozen=True)
 class ErrorInterval:
-    """95 % intervals of an error on the hold-out drives, from resampled blocks.
+    """95 % intervals of an error on the hold-out drives, from resampled blocks."""
 
-    Parameters
-    ----------
-    rmse, mae, bias : tuple of float
-        Lower and upper end [W].
-    energy_error : tuple of float
-        Lower and upper end of predicted over measured energy, minus 1.
-
-    Examples
-    --------
-    >>> after = ErrorInterval((4.8, 5.5), (3.7, 4.3), (-0.4, 0.5), energy_error=(-0.01, 0.02))
-    >>> low, high = after.energy_error
-    >>> low < 0 < high  # no bias of the energy is shown
-    True
-    """
-
-    rmse: tuple[float, float]
-    mae: tuple[float, float]
-    bias: tuple[float, float]
+    rmse: tuple[float, float]  # lower and upper end [W]
+    mae: tuple[float, float]  # lower and upper end [W]
+    bias: tuple[float, float]  # lower and upper end [W]
     energy_error: tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Predicted power of a drive.
+    """Predicted power of a drive."""
 
-    Parameters
-    ----------
-    drive : Drive
-        The drive, its power freed of delay.
-    power : ndarray, shape (n,)
-        Predicted power [W].
-    change : float or None
-        When it changed state [s]; None where it did not.
-    """
-
-    drive: Drive
-    power: FloatArray
-    change: float | None = None
+    drive: Drive  # the drive, its power freed of delay
+    power: FloatArray  # (n,): predicted power [W]
+    change: float | None = None  # when it changed state [s]
 
 
 def predict(
     model: PowerModel, parts: Sequence[Part], drive: Drive, *, dated: bool = True
 ) -> Prediction:
-    """Predict a drive; when it changed state is found on the drive itself.
-
-    Parameters
-    ----------
-    model : PowerModel
-        The model.
-    parts : sequence of Part
-        Effects in it.
-    drive : Drive
-        A drive that it was not fitted to.
-    dated : bool
-        False leaves the drive throughout in the state after the change, as a planner would: the
-        time of a change is not taken from the drive that is predicted.
-
-    Returns
-    -------
-    Prediction
-        Prediction by the model, its coefficients as they are.
-    """
+    """Predict a drive; when it changed state is found on the drive itself."""
     for part in parts:
         if part.effect.name == "time_offset":
             drive = replace(drive, late=Late.of(part.params))
@@ -118,20 +75,7 @@ def score(predictions: Sequence[Prediction]) -> Residual:
 
 
 def interval(predictions: Sequence[Prediction], seed: int = 0) -> ErrorInterval:
-    """Return 95 % intervals of the statistics by resampling blocks of driving.
-
-    Parameters
-    ----------
-    predictions : sequence of Prediction
-        Predictions of the hold-out drives.
-    seed : int
-        Seed of the resampling.
-
-    Returns
-    -------
-    ErrorInterval
-        Percentiles over resampled blocks.
-    """
+    """Return 95 % intervals of the statistics by resampling blocks of driving."""
     rows = []
     for one in predictions:
         t = one.drive.t

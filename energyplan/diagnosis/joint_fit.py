@@ -26,28 +26,13 @@ _LOOKED_FOR = float(np.ptp(DELAYS) / np.sqrt(12.0))
 
 @dataclass(frozen=True)
 class FinalFit:
-    """A fitted model.
+    """A fitted model."""
 
-    Parameters
-    ----------
-    model : PowerModel
-        The model with its covariance.
-    errors : mapping of str to float
-        Standard errors of the parameters in which the terms are not linear, by name.
-    run_spread : float, optional
-        Relative standard deviation of the power between runs; None where there were too few.
-    run_error : float, optional
-        Root mean square relative error of the energies of runs that were left out one at a time;
-        None where there were too few.
-    assumed : tuple of str
-        Terms of which the drives tell less than is known of any robot.
-    """
-
-    model: PowerModel
+    model: PowerModel  # the model with its covariance
     errors: Mapping[str, float]
-    run_spread: float | None = None
+    run_spread: float | None = None  # relative standard deviation of the power between runs
     run_error: float | None = None
-    assumed: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()  # terms of which the drives tell less than is known of any robot
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -61,18 +46,6 @@ def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
     The covariance is the jackknife's over blocks, by Student's distribution. Where a part has a
     parameter that was searched, such as a time constant, the derivative of its power by it joins
     the columns, so that the standard errors allow for the search.
-
-    Parameters
-    ----------
-    problem : Problem
-        The drives.
-    parts : sequence of Part
-        The effects.
-
-    Returns
-    -------
-    FinalFit
-        The model with its covariance.
     """
     terms = [*PAPER, *(term for part in parts for term in part.terms)]
     moved: dict[str, list[FloatArray]] = {}
@@ -168,18 +141,6 @@ def least_known(model: PowerModel, parts: Sequence[Part]) -> Part | None:
 
     Where a parameter was searched, the size may be far from zero at the value that was found, and
     be anything at others, which fit as well: so it may be with a time constant, or a delay.
-
-    Parameters
-    ----------
-    model : PowerModel
-        The fitted model, whose covariance allows for the search.
-    parts : sequence of Part
-        Its effects.
-
-    Returns
-    -------
-    Part or None
-        None where all sizes are known better.
     """
     sized = [part for part in parts if part.terms]
     ratios = [
@@ -196,20 +157,6 @@ def size_spread(effect: Effect, size: float, explanations: Sequence[Explanation]
 
     Which of them is right is not known either: of two efficiencies that powers cannot tell apart,
     one divides the sizes of all other effects (docs/theory, section 6).
-
-    Parameters
-    ----------
-    effect : Effect
-        The effect.
-    size : float
-        The size that is told.
-    explanations : sequence of Explanation
-        What may be the reason.
-
-    Returns
-    -------
-    float
-        Root mean square difference from that size; zero of what no model holds.
     """
     some = [one for one in explanations if effect.name in one.effects]
     share = np.array([one.probability for one in some])

@@ -31,27 +31,14 @@ _LEAST_OFFSET = 0.01  # centre of mass that is as good as centred [m]
 
 @dataclass(frozen=True)
 class MassCentre:
-    """Centre of mass in the body frame.
+    """Centre of mass in the body frame."""
 
-    Parameters
-    ----------
-    forward, left : float
-        Offset [m].
-    covariance : ndarray, shape (2, 2)
-        Of both [m^2], allowing for correlation within blocks.
-    improvement, improvement_error : float
-        Fall of the mean square error of the predicted twist against symmetric tread ICRs of the
-        best slip track, as a fraction, and its standard error over blocks.
-    p_value : float
-        Of a centred mass.
-    """
-
-    forward: float
-    left: float
-    covariance: FloatArray
+    forward: float  # offset [m]
+    left: float  # offset [m]
+    covariance: FloatArray  # (2, 2): of both [m^2], allowing for correlation within blocks
     improvement: float
     improvement_error: float
-    p_value: float
+    p_value: float  # of a centred mass
 
     def effect(self, entry: Effect) -> FoundEffect:
         """Return it as an effect of a diagnosis."""
@@ -85,24 +72,7 @@ class MassCentre:
 def twist(
     vehicle: Vehicle, shares: FloatArray, left: FloatArray, right: FloatArray, lateral: FloatArray
 ) -> FloatArray:
-    """Forward, sideways and yaw speed that lose the least power to friction.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        For its contacts.
-    shares : ndarray, shape (w,)
-        Share of the weight on each contact.
-    left, right : ndarray, shape (n,)
-        Tread speeds [m/s].
-    lateral : ndarray, shape (n,)
-        Lateral acceleration over friction coefficient times gravity.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Body twist [m/s, m/s, rad/s].
-    """
+    """Forward, sideways and yaw speed that lose the least power to friction."""
     x, y = vehicle.contacts.T
     tread = np.where(y > 0, left[:, None], right[:, None])
     ahead = np.stack([np.ones_like(x), np.zeros_like(x), -y], axis=1)
@@ -124,22 +94,7 @@ def twist(
 
 
 def find_mass_centre(drives: Sequence[Drive], vehicle: Vehicle, mu: float) -> MassCentre | None:
-    """Find the centre of mass from pose and tread speeds.
-
-    Parameters
-    ----------
-    drives : sequence of Drive
-        Drives with ``x``, ``y`` and ``yaw``.
-    vehicle : Vehicle
-        For its contacts and loads.
-    mu : float
-        Friction coefficient.
-
-    Returns
-    -------
-    MassCentre or None
-        None where a drive has no pose, or the drives hardly turn.
-    """
+    """Find the centre of mass from pose and tread speeds."""
     if not all({"x", "y", "yaw"} <= set(drive.motion.channels) for drive in drives):
         return None
     data, blocks = _turning(drives)

@@ -29,20 +29,6 @@ def without_mimics(problem: Problem, parts: tuple[Part, ...]) -> tuple[tuple[Par
     """Take out effects that only stand in for what the catalogue does not have.
 
     A smooth term of the channel that explains most without them is what they may stand in for.
-
-    Parameters
-    ----------
-    problem : Problem
-        The drives.
-    parts : tuple of Part
-        Effects that were found.
-
-    Returns
-    -------
-    tuple
-        What is left of the parts, and the names of those taken out: effects that are of no use
-        beside the smooth term, where that alone does better than all of them, or as well as they
-        do and they leave more than noise.
     """
     usual = [part for part in parts if part.effect.usual or not part.terms]
     if not any(part.terms and not part.effect.usual for part in parts):

@@ -23,17 +23,7 @@ class NeighbouringSets(SettledSets):
     def _weigh_neighbours(
         self, weighed: Weighed, now: Set, candidates: list[Candidate], late: Late
     ) -> tuple[list[Set], FloatArray, FloatArray]:
-        """Weigh the neighbours of a set that promise most.
-
-        Returns
-        -------
-        sets : list of tuple of int
-            All its neighbours: with one effect more, another in place of one, two more.
-        scores : ndarray, shape (sets,)
-            Logarithms of their odds against the set, by the quick search about its coefficients.
-        follows : ndarray
-            How well each effect would be followed by another one.
-        """
+        """Weigh the neighbours of a set that promise most."""
         one = self._evaluate(now, candidates, late)
         about = self._about(one.problem, one.parts, one.errors)
         design = self._table(self.problem.delayed(late), candidates, about)

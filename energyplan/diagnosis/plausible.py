@@ -29,20 +29,6 @@ def likeness(vehicle: Vehicle, parts: Sequence[Part], found: Fit) -> float:
 
     Powers tell forces and masses over an efficiency (docs/theory, section 6): of two explanations
     that drives cannot tell apart, the vehicle's mass may tell which is right.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    parts : sequence of Part
-        The effects.
-    found : Fit
-        Coefficients of the paper's terms and of theirs.
-
-    Returns
-    -------
-    float
-        At most one, which is that of effects that tell no mass of the robot.
     """
     apart, at = 0.0, len(PAPER)
     for part in parts:
@@ -59,20 +45,6 @@ def drivable(problem: Problem, terms: Sequence[Term], model: PowerModel) -> bool
 
     The drives were driven, so that no part of what the motors gave exceeds what they can: their
     force, their peak power at the speed of the tread, and the weight, beyond which wheels spin.
-
-    Parameters
-    ----------
-    problem : Problem
-        The drives.
-    terms : sequence of Term
-        Terms of the effect.
-    model : PowerModel
-        The fitted model, which holds them.
-
-    Returns
-    -------
-    bool
-        True also for an effect that is no force.
     """
     forces = [term for term in terms if term.kind == "force"]
     if not forces:
@@ -99,20 +71,7 @@ def most_held(problem: Problem, terms: Sequence[Term], values: FloatArray) -> fl
 
 
 def drags(terms: Sequence[Term], values: FloatArray) -> bool:
-    """Tell whether friction and resistance still drag after a change, as plans take them then.
-
-    Parameters
-    ----------
-    terms : sequence of Term
-        Terms of the model.
-    values : ndarray, shape (k,)
-        Their coefficients.
-
-    Returns
-    -------
-    bool
-        True also where nothing changes.
-    """
+    """Tell whether friction and resistance still drag after a change, as plans take them then."""
     now = {term.name: float(value) for term, value in zip(terms, values, strict=True)}
     return all(
         now.get(usual.name, 0.0) + now[change.name] >= 0.0
@@ -140,17 +99,7 @@ class Rest:
         return self._drawn[late]
 
     def allows(self, constant: float, held: float = 0.0, late: Late = ON_TIME) -> bool:
-        """Tell whether a constant power agrees with what is drawn at rest.
-
-        Parameters
-        ----------
-        constant : float
-            The power [W].
-        held : float
-            The most that losses may take at rest beside it [W].
-        late : Late
-            How the logged power is behind the motion.
-        """
+        """Tell whether a constant power agrees with what is drawn at rest."""
         count, mean = self.drawn(late)
         if count < 10 or constant == 0.0:
             return True

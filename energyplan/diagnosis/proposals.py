@@ -44,26 +44,12 @@ _BATCH = 128  # sets evaluated at once
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect with some values of its parameters, and where its columns are.
+    """An effect with some values of its parameters, and where its columns are."""
 
-    Parameters
-    ----------
-    part : Part
-        The effect.
-    columns : tuple of int
-        Its columns in the table of all candidates.
-    prior : float
-        Logarithm of its odds before the data.
-    marked : Problem or None
-        The drives with the times of a change; None where nothing changes.
-    settled : bool
-        Whether its parameters were moved from a grid's to where a set fits best.
-    """
-
-    part: Part
-    columns: tuple[int, ...]
-    prior: float
-    marked: Problem | None = None
+    part: Part  # the effect
+    columns: tuple[int, ...]  # its columns in the table of all candidates
+    prior: float  # logarithm of its odds before the data
+    marked: Problem | None = None  # the drives with the times of a change
     settled: bool = False
 
     @property
@@ -113,19 +99,7 @@ def terms_of(parts: Sequence[Part]) -> list[Term]:
 
 
 class Proposals:
-    """Quick search over the sets of a catalogue.
-
-    Parameters
-    ----------
-    problem : Problem
-        Training drives.
-    effects : sequence of Effect
-        The catalogue.
-    limit : int
-        Largest number of effects.
-    judged : sequence of Drive
-        Drives that are to be predicted: of them counts only which channels they carry.
-    """
+    """Quick search over the sets of a catalogue."""
 
     def __init__(
         self,

@@ -51,45 +51,16 @@ _WINDOWS = 4  # longest windows that a drive needs to show how much it scatters
 
 @dataclass(frozen=True)
 class Dependence:
-    """How a residual depends on one signal.
+    """How a residual depends on one signal."""
 
-    Parameters
-    ----------
-    channel : str
-        The signal.
-    carrier : {"power", "traction", "slip", "whole", "ground"}
-        Whether it acts as a power, on the traction resistance, on the slip friction, on all forces,
-        or as a force along the axis of the ground that the signal is.
-    shape : str
-        In words.
-    explained_variance : float
-        Share of the cross-validated error that it explains, mean over the time scales.
-    std_error : float
-        Standard error of that share.
-    p_value : float
-        Adjusted for the number of signals tried.
-    knots, values : tuple of float
-        The fitted shape; values in the carrier's unit. Of drives that differ as a whole, the
-        standard deviation between them as a fraction of their power.
-
-    Examples
-    --------
-    >>> seen = Dependence(
-    ...     "slope", "power", "rises with slope", explained_variance=0.5, std_error=0.05,
-    ...     p_value=1e-6, knots=(-0.1, 0.1), values=(-80.0, 80.0),
-    ... )
-    >>> (seen.values[1] - seen.values[0]) / (seen.knots[1] - seen.knots[0])
-    800.0
-    """
-
-    channel: str
+    channel: str  # the signal
     carrier: str
-    shape: str
+    shape: str  # in words
     explained_variance: float
-    std_error: float
-    p_value: float
-    knots: tuple[float, ...] = ()
-    values: tuple[float, ...] = ()
+    std_error: float  # standard error of that share
+    p_value: float  # adjusted for the number of signals tried
+    knots: tuple[float, ...] = ()  # the fitted shape
+    values: tuple[float, ...] = ()  # the fitted shape
 
 
 def signals(drives: Sequence[Drive]) -> list[str]:
@@ -155,23 +126,7 @@ def _shape_columns(
 def dependences(
     problem: Problem, terms: Sequence[Term], carriers: Sequence[str] = tuple(CARRIERS)
 ) -> tuple[Dependence, ...]:
-    """Test the residual of a model against every signal.
-
-    Parameters
-    ----------
-    problem : Problem
-        The drives.
-    terms : sequence of Term
-        Terms of the model.
-    carriers : sequence of str
-        Carriers to try.
-
-    Returns
-    -------
-    tuple of Dependence
-        All that were tried, the largest explained share first; p-values by Holm's method, but for
-        the one question that is asked whatever the channels: whether drives differ as a whole.
-    """
+    """Test the residual of a model against every signal."""
     problem = problem.of_totals
     errors = problem.reference(problem.design(terms))
     design = problem.design(terms, errors)
@@ -213,11 +168,6 @@ def _place(problem: Problem, now: Fit, design: Design) -> str | None:
 
     A bump of friction about every point of a grid, of several reaches, is held against the means
     over two seconds.
-
-    Returns
-    -------
-    str or None
-        Name of the signal; None where the drives know no place.
     """
     drives = problem.drives
     if not {"x", "y"} <= channels_of(drives):
@@ -252,9 +202,8 @@ def _between_drives(now: Fit, design: Design) -> list[Dependence]:
     part of their variance that the scatter within drives does not explain is Paule's and Mandel's.
     What only differs from drive to drive no other drive can foretell; no term is made of it.
 
-    References
-    ----------
-    Welch (1951), Biometrika 38, 330-336. Paule and Mandel (1982), J. Res. NBS 87, 377-385.
+    Source: Welch (1951), Biometrika 38, 330-336. Paule and Mandel (1982), J. Res. NBS 87,
+    377-385.
     """
     table, owner = design.longest
     predicted = table[:, :-1] @ now.values

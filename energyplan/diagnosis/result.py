@@ -20,74 +20,28 @@ Verdict = Literal["effect_found", "no_effect", "unexplained"]
 
 @dataclass(frozen=True)
 class Evidence:
-    """Why an effect was added.
+    """Why an effect was added."""
 
-    Parameters
-    ----------
-    improvement : float
-        Fall of the cross-validated mean square error, as a fraction; averaged over the errors of
-        means of half a second, two and eight seconds.
-    improvement_std_error : float
-        Its standard error over blocks.
-    p_value : float
-        Probability of such coefficients by chance, times the number of candidates tried.
-
-    Examples
-    --------
-    >>> evidence = Evidence(improvement=0.42, improvement_std_error=0.06, p_value=1e-8)
-    >>> evidence.improvement > 3 * evidence.improvement_std_error
-    True
-    """
-
-    improvement: float
-    improvement_std_error: float
+    improvement: float  # fall of the cross-validated mean square error, as a fraction
+    improvement_std_error: float  # its standard error over blocks
     p_value: float
 
 
 @dataclass(frozen=True)
 class FoundEffect(ReadOnly):
-    """An effect that was found.
+    """An effect that was found."""
 
-    Parameters
-    ----------
-    name, symbol, unit, meaning : str
-        As in the catalogue.
-    value, std_error : float
-        Its size.
-    evidence : Evidence
-        Why it was added.
-    probability : float
-        That it is there, over all explanations; the lower, the more may be missing that it may
-        stand in for.
-    rivals : tuple of str
-        Effects that these drives cannot separate from it.
-    details : mapping of str to float
-        Further numbers, such as a time constant or a direction.
-    planner : str
-        Whether a planner can use it, or what it needs to.
-
-    Examples
-    --------
-    >>> found = FoundEffect(
-    ...     name="hotel_load", symbol="P_0", value=40.2, unit="W", std_error=0.6,
-    ...     evidence=Evidence(0.42, 0.06, 1e-8), probability=0.98, rivals=(), details={},
-    ...     meaning="a load that is always on", planner="counted",
-    ... )
-    >>> f"{found.name} = {found.value} +- {found.std_error} {found.unit}"
-    'hotel_load = 40.2 +- 0.6 W'
-    """
-
-    name: str
-    symbol: str
-    value: float
-    unit: str
-    std_error: float
-    evidence: Evidence
-    probability: float = 1.0
-    rivals: tuple[str, ...] = ()
+    name: str  # as in the catalogue
+    symbol: str  # as in the catalogue
+    value: float  # its size
+    unit: str  # as in the catalogue
+    std_error: float  # its size
+    evidence: Evidence  # why it was added
+    probability: float = 1.0  # that it is there, over all explanations
+    rivals: tuple[str, ...] = ()  # effects that these drives cannot separate from it
     details: Mapping[str, float] = field(default_factory=dict)
-    meaning: str = ""
-    planner: str = "yes"
+    meaning: str = ""  # as in the catalogue
+    planner: str = "yes"  # whether a planner can use it, or what it needs to
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "details", MappingProxyType(dict(self.details)))
@@ -95,64 +49,22 @@ class FoundEffect(ReadOnly):
 
 @dataclass(frozen=True)
 class Explanation:
-    """A set of effects that may be the reason, as a whole.
+    """A set of effects that may be the reason, as a whole."""
 
-    Parameters
-    ----------
-    effects : tuple of str
-        Their names, the one that explains most first; none where the paper's model may do.
-    probability : float
-        That it is the right one. With `Diagnosis.none_of_these` and `Diagnosis.further_effects`
-        they sum to one.
-    model : PowerModel
-        The model with these effects, fitted to the training drives.
-    alike : tuple of tuple of str
-        Effects of the explanations that the drives cannot separate from this one. Each, fitted to
-        the predictions of the other, follows them so closely that odds of 20 to 1 are not to be
-        expected. The most usual one is named first; their probabilities add up.
-
-    Examples
-    --------
-    >>> from energyplan.power import HOTEL, PowerModel
-    >>> model = PowerModel.preset("quadriga:full:marble").with_term(HOTEL, 40.0)
-    >>> told = Explanation(("hotel_load",), probability=0.97, model=model)
-    >>> told.model.coefficient("hotel_load")
-    40.0
-    """
-
-    effects: tuple[str, ...]
-    probability: float
-    model: PowerModel
+    effects: tuple[str, ...]  # their names, the one that explains most first
+    probability: float  # that it is the right one
+    model: PowerModel  # the model with these effects, fitted to the training drives
     alike: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True)
 class EnergyPrediction:
-    """Energy of a drive that took no part.
+    """Energy of a drive that took no part."""
 
-    Parameters
-    ----------
-    drive : str
-        Name of the drive.
-    energy : float
-        Predicted energy [J].
-    energy_interval : tuple of float
-        Ends of its 90 % interval: coefficients, noise, and by how much runs differ as a whole [J].
-    measured : float
-        Measured energy [J].
-
-    Examples
-    --------
-    >>> told = EnergyPrediction("b.csv", 980.0, energy_interval=(930.0, 1030.0), measured=1010.0)
-    >>> low, high = told.energy_interval
-    >>> low <= told.measured <= high
-    True
-    """
-
-    drive: str
-    energy: float
-    energy_interval: tuple[float, float]
-    measured: float
+    drive: str  # name of the drive
+    energy: float  # predicted energy [J]
+    energy_interval: tuple[float, float]  # ends of its 90 % interval [J]
+    measured: float  # measured energy [J]
 
 
 @dataclass(frozen=True)
@@ -160,63 +72,23 @@ class Average:
     """What the model for runs to come is made of: an explanation and the paper's two terms.
 
     Each counts by how it predicts energies of what it was not fitted to.
-
-    Parameters
-    ----------
-    weight : float
-        Weight of the explanation, in [0, 1]; the rest is that of the paper's terms, fitted by least
-        absolute errors.
-    left_out : {"run", "kind of motion", "part of the ground"}
-        What was left out, one after the other: whole runs, or with fewer than four of them kinds of
-        motion, and parts of the ground where an effect has a place there, whichever the
-        explanation foretells worst.
-    explanation_error, cautious_error : float
-        Mean size of the relative error of its energy, by each alone.
-
-    Examples
-    --------
-    A drag that was seen in left turns alone is no guide to right turns:
-
-    >>> told = Average(0.02, "kind of motion", explanation_error=0.19, cautious_error=0.09)
-    >>> told.weight < 0.5
-    True
     """
 
-    weight: float
-    left_out: str
-    explanation_error: float
-    cautious_error: float
+    weight: float  # weight of the explanation, in [0, 1]
+    left_out: str  # what was left out, one after the other
+    explanation_error: float  # mean size of the relative error of its energy, by each alone
+    cautious_error: float  # mean size of the relative error of its energy, by each alone
 
 
 @dataclass(frozen=True)
 class Unexplained:
-    """A channel that still explains part of the residual.
+    """A channel that still explains part of the residual."""
 
-    Parameters
-    ----------
-    channel : str
-        The channel or derived signal.
-    shape : str
-        The dependence in words.
-    explained_variance : float
-        Share of the cross-validated error of the extended model that it explains.
-    p_value : float
-        Adjusted for the number of signals tried.
-    empirical : bool
-        Whether a smooth term of the channel was added to the model.
-
-    Examples
-    --------
-    >>> left = Unexplained("temperature", "falls with temperature", 0.12, 0.003, empirical=False)
-    >>> f"{left.channel} explains {left.explained_variance:.0%} of what is left"
-    'temperature explains 12% of what is left'
-    """
-
-    channel: str
-    shape: str
+    channel: str  # the channel or derived signal
+    shape: str  # the dependence in words
     explained_variance: float
-    p_value: float
-    empirical: bool = False
+    p_value: float  # adjusted for the number of signals tried
+    empirical: bool = False  # whether a smooth term of the channel was added to the model
 
 
 @dataclass(frozen=True)

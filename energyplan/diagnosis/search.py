@@ -47,15 +47,7 @@ _DRIVES = 40  # and of so many drives
 
 
 class Search(NeighbouringSets):
-    """Joint search over a catalogue.
-
-    Parameters
-    ----------
-    problem, effects, limit, judged
-        As of `Proposals`.
-    progress : callable
-        Called with a fraction in [0, 1] and what is being done.
-    """
+    """Joint search over a catalogue."""
 
     def __init__(
         self,

@@ -33,22 +33,7 @@ _TURNING = np.array([1.0, -1.0])
 
 
 def separable(problem: Problem, parts: Sequence[Part]) -> NDArray[np.bool_]:
-    """Tell which effects drives tell from the paper's two terms.
-
-    Parameters
-    ----------
-    problem : Problem
-        The drives.
-    parts : sequence of Part
-        Effects on how the robot moves, or of the log.
-
-    Returns
-    -------
-    ndarray of bool, shape (parts,)
-        False where a combination of the regressors that has the effect in it is no more than noise,
-        at the usual friction and where turning takes more of it, so that inner sides return power.
-        A regressor that is zero throughout is no combination.
-    """
+    """Tell which effects drives tell from the paper's two terms."""
     usual = _friction(problem)
     means = [_means(problem, parts, usual[0] + by * usual[1]) for by in (0.0, _TURNING)]
     owner = np.repeat(np.arange(len(parts)), np.array([len(part.terms) for part in parts], int))

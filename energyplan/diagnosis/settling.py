@@ -25,20 +25,6 @@ def settled(part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
 
     While they move, losses are linear about the coefficients found where they start; the outcome is
     taken where the fit with losses as they are finds it better, too.
-
-    Parameters
-    ----------
-    part : Part
-        The part, its parameters as a grid has them.
-    made : callable
-        From parameters to the parts and drives with them.
-    errors : ndarray, shape (scales,)
-        Reference mean square errors [W^2].
-
-    Returns
-    -------
-    ndarray or None
-        The parameters; None where those of the grid are as good.
     """
     start = part.values
     trial, case = made(start)

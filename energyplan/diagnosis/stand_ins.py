@@ -29,22 +29,7 @@ _ALMOST = 1e-9  # share of a column's square that the model's own columns leave 
 def followed(
     gram: FloatArray, base: Sequence[int], groups: Mapping[str, Sequence[tuple[int, ...]]]
 ) -> FloatArray:
-    """Return how well each effect is followed by the best other one.
-
-    Parameters
-    ----------
-    gram : ndarray, shape (k, k)
-        Gram matrix of all columns.
-    base : sequence of int
-        Columns that every model has.
-    groups : mapping of str to sequence of tuple of int
-        Columns of each variant of each effect.
-
-    Returns
-    -------
-    ndarray, shape (effects,)
-        Share of its square, ascending; the median over the variants of each.
-    """
+    """Return how well each effect is followed by the best other one."""
     own = list(base)
     size = np.diagonal(gram)
     scale = 1.0 / np.sqrt(np.maximum(size, 1e-300))
@@ -76,22 +61,7 @@ def followed(
 
 
 def followed_in(design: Design, candidates: Sequence[Candidate], best: Evaluated) -> FloatArray:
-    """Return how well each effect is followed by the best other one in drives.
-
-    Parameters
-    ----------
-    design : Design
-        Columns of all candidates.
-    candidates : sequence of Candidate
-        The catalogue.
-    best : Evaluated
-        The best set: what it has of what nearly every robot has is in every model.
-
-    Returns
-    -------
-    ndarray, shape (effects,)
-        As of `followed`.
-    """
+    """Return how well each effect is followed by the best other one in drives."""
     base, groups = [*range(len(PAPER))], dict[str, list[tuple[int, ...]]]()
     usual = {part.effect.name for part in best.parts if part.effect.usual}
     for one in candidates:
@@ -103,38 +73,17 @@ def followed_in(design: Design, candidates: Sequence[Candidate], best: Evaluated
 
 
 def chance_to_stand_in(share: float, known: FloatArray) -> float:
-    """Return the chance that a cause the catalogue lacks is followed as well as this, or better.
-
-    Parameters
-    ----------
-    share : float
-        Part that an effect explains of what it and the missing cause make together.
-    known : ndarray
-        What `followed` returns.
-
-    Returns
-    -------
-    float
-        One where nothing is explained, zero where nothing is left.
-    """
+    """Return the chance that a cause the catalogue lacks is followed as well as this, or better."""
     at = np.concatenate([[0.0], known, [1.0]])
     return float(np.interp(share, at, np.linspace(1.0, 0.0, len(at))))
 
 
 @dataclass(frozen=True)
 class Presence:
-    """Whether what was named is there, or stands in for what the catalogue lacks.
+    """Whether what was named is there, or stands in for what the catalogue lacks."""
 
-    Parameters
-    ----------
-    chances : mapping of str to float
-        Of each effect, that it is there.
-    stranger : float
-        That behind a name, or behind none, is something that the catalogue lacks.
-    """
-
-    chances: Mapping[str, float]
-    stranger: float
+    chances: Mapping[str, float]  # of each effect, that it is there
+    stranger: float  # that behind a name, or behind none, is something that the catalogue lacks
 
     def of(self, name: str) -> float:
         """Return the chance that an effect is there."""
@@ -153,25 +102,6 @@ def presence(
     Where more than noise is left, a name is as probable as few effects of the catalogue, were they
     not known, would be followed as well by another. What lasts counts for more, as in the
     likelihood of explanations.
-
-    Parameters
-    ----------
-    searched : Found
-        The explanations.
-    parts : sequence of Part
-        Effects of the best one that are told.
-    quality : Adequacy
-        What they leave.
-    left : sequence of Dependence
-        What the rest still depends on.
-    otherwise : bool
-        Whether something was found by other means, which nothing stands in for.
-
-    Returns
-    -------
-    Presence
-        Certain where noise is left that depends on nothing, and where nothing was chosen. What
-        nearly every robot has is not doubted, and is no reason for what is still left.
     """
     depends = max((one.explained_variance for one in left if one.channel != "drive"), default=0.0)
     if (quality.adequate and depends == 0.0) or not len(searched.followed):

@@ -26,36 +26,16 @@ _DOUBTED = 0.5
 
 @dataclass(frozen=True)
 class Tested:
-    """A set of effects as a model, and what that leaves.
+    """A set of effects as a model, and what that leaves."""
 
-    Parameters
-    ----------
-    effects : tuple of Part
-        The effects.
-    added : Part or None
-        A smooth term that the model has beside them.
-    fitted : FinalFit
-        The model.
-    fight : WheelFight or None
-        What it costs that the sides push against each other, where the model has it.
-    quality : Adequacy
-        What the model leaves, against noise.
-    dependences : tuple of Dependence
-        How what the effects leave depends on every signal.
-    left : list of Dependence
-        Those that are reasons.
-    present : Presence
-        Chances that the effects are there.
-    """
-
-    effects: tuple[Part, ...]
-    added: Part | None
-    fitted: FinalFit
+    effects: tuple[Part, ...]  # the effects
+    added: Part | None  # A smooth term that the model has beside them
+    fitted: FinalFit  # the model
     fight: WheelFight | None
-    quality: Adequacy
-    dependences: tuple[Dependence, ...]
-    left: list[Dependence]
-    present: Presence
+    quality: Adequacy  # what the model leaves, against noise
+    dependences: tuple[Dependence, ...]  # how what the effects leave depends on every signal
+    left: list[Dependence]  # those that are reasons
+    present: Presence  # chances that the effects are there
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -105,28 +85,7 @@ def tested(
     otherwise: bool,
     smooth: Callable[[Part], bool],
 ) -> Tested:
-    """Fit effects of the best explanation and test what they leave.
-
-    Parameters
-    ----------
-    searched : Found
-        The explanations.
-    parts : tuple of Part
-        Effects of the best one.
-    plain : PowerModel or None
-        The model without any effect, where it is not to be fitted again.
-    fights : bool
-        Whether the catalogue has what contacts hold on straights.
-    otherwise : bool
-        Whether something was found by other means.
-    smooth : callable
-        Tells whether a smooth term of the channel that explains most is to be added.
-
-    Returns
-    -------
-    Tested
-        The model and what it leaves.
-    """
+    """Fit effects of the best explanation and test what they leave."""
     problem = searched.best.problem
     told = dependences(problem, terms_of(parts))
     left = [

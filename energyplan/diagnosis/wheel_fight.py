@@ -31,25 +31,13 @@ _CHANCE = 0.01  # chance that none is there, from which on it is not named
 
 @dataclass(frozen=True)
 class WheelFight:
-    """The moment that contacts hold on straights, as one that costs as much at any time.
+    """The moment that contacts hold on straights, as one that costs as much at any time."""
 
-    Parameters
-    ----------
-    size, std_error : float
-        Friction that it uses: the moment over the slip moment of friction one.
-    share : float
-        Share of the drives' energy that it costs.
-    p_value : float
-        Chance that another drive as long pays nothing for it, from blocks.
-    model : PowerModel
-        The model with the term.
-    """
-
-    size: float
-    std_error: float
-    share: float
-    p_value: float
-    model: PowerModel
+    size: float  # friction that it uses
+    std_error: float  # friction that it uses
+    share: float  # share of the drives' energy that it costs
+    p_value: float  # chance that another drive as long pays nothing for it, from blocks
+    model: PowerModel  # the model with the term
 
     def effect(self, entry: Effect) -> FoundEffect:
         """Return it as an effect of a diagnosis."""
@@ -66,18 +54,6 @@ def find_wheel_fight(problem: Problem, model: PowerModel) -> WheelFight | None:
     Without losses it costs nothing: what one side pushes the other gets back (docs/theory,
     section 6). With them it does. The power of both sides shows it at each instant, a total what
     it costs on each stretch.
-
-    Parameters
-    ----------
-    problem : Problem
-        The drives.
-    model : PowerModel
-        The fitted model.
-
-    Returns
-    -------
-    WheelFight or None
-        None where there is no loss, or it is not worth naming.
     """
     if not all(is_lossy(drive, model.terms) for drive in problem.drives):
         return None

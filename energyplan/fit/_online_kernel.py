@@ -155,33 +155,7 @@ def advance(
     scalars: Floats,
     settings: Floats,
 ) -> bool:
-    """Take in one sample.
-
-    Parameters
-    ----------
-    phi : ndarray, shape (p,)
-        Power per prior standard deviation of each coefficient [W].
-    power : float
-        Measured power [W].
-    dt : float
-        Time since the last sample [s].
-    matrices : ndarray, shape (2, p, p)
-        Information and covariance of the coefficients.
-    vectors : ndarray, shape (2, p)
-        Coefficients, and the change that the windows show.
-    ring : ndarray, shape (LONGEST + 1, p + p * p + 1)
-        For each of the last ticks, and in the last row for the present one: score, information,
-        power squared.
-    scalars : ndarray, shape (SCALARS,)
-        The rest of the state.
-    settings : ndarray, shape (SETTINGS,)
-        Memory, memory of the noise [s], threshold of the statistic and of the change.
-
-    Returns
-    -------
-    bool
-        Whether the coefficients have changed faster than forgetting can follow.
-    """
+    """Take in one sample."""
     p = len(phi)
     information, covariance, c = matrices[INFORMATION], matrices[COVARIANCE], vectors[COEFFICIENTS]
     residual, excitation = power, 0.0
@@ -287,13 +261,7 @@ def advance_all(
     scalars: Floats,
     settings: Floats,
 ) -> int:
-    """Take in samples up to and with one that reveals a change.
-
-    Returns
-    -------
-    int
-        Index of the sample that revealed a change; the number of samples where none did.
-    """
+    """Take in samples up to and with one that reveals a change."""
     for k in range(len(power)):
         if advance(design[k], power[k], dt[k], matrices, vectors, ring, scalars, settings):
             return k

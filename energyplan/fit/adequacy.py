@@ -32,43 +32,15 @@ _SIGMA = 4.0  # standard deviations that noise does not exceed
 
 @dataclass(frozen=True)
 class Adequacy:
-    """Residual on the drives of a fit, beside the noise that no model can explain.
+    """Residual on the drives of a fit, beside the noise that no model can explain."""
 
-    Parameters
-    ----------
-    noise : float
-        Of a sample: from neighbouring samples, or from standstill where that is larger [W].
-    residual : float
-        Root mean square residual of the model [W].
-    slow_noise, slow_residual : float
-        The same of means over `time` [W].
-    coloured : bool
-        Whether the residual lasts longer than noise would, by more than chance.
-    time : float
-        Of half a second, two and eight seconds the one over which means differ most from those of
-        noise [s].
-    missing : tuple of float
-        Mean square of what is left beyond noise, of means over half a second, two and eight
-        seconds [W^2].
-
-    Examples
-    --------
-    Noise that varies quickly averages out over two seconds; something that is missing does not:
-
-    >>> left = Adequacy(
-    ...     noise=5.0, residual=5.4, slow_noise=0.8, slow_residual=2.3, coloured=True, time=2.0
-    ... )
-    >>> round(left.slow_residual / left.slow_noise, 1)
-    2.9
-    """
-
-    noise: float
-    residual: float
-    slow_noise: float
-    slow_residual: float
-    coloured: bool
-    time: float
-    missing: tuple[float, ...] = (0.0, 0.0, 0.0)
+    noise: float  # of a sample [W]
+    residual: float  # root mean square residual of the model [W]
+    slow_noise: float  # the same of means over `time` [W]
+    slow_residual: float  # the same of means over `time` [W]
+    coloured: bool  # whether the residual lasts longer than noise would, by more than chance
+    time: float  # [s]
+    missing: tuple[float, ...] = (0.0, 0.0, 0.0)  # [W^2]
 
     @property
     def adequate(self) -> bool:
@@ -124,21 +96,11 @@ def left_over(model: PowerModel, drives: Sequence[Drive]) -> list[FloatArray]:
 
 @dataclass(frozen=True)
 class Beside:
-    """What further terms do to a fitted model.
+    """What further terms do to a fitted model."""
 
-    Parameters
-    ----------
-    residuals : list of ndarray, shape (n,)
-        What is left of each drive [W].
-    moved : ndarray, shape (k,)
-        By how much the model's own coefficients move.
-    errors : ndarray, shape (k,)
-        Standard errors of those coefficients, once the further terms are fitted too.
-    """
-
-    residuals: list[FloatArray]
-    moved: FloatArray
-    errors: FloatArray
+    residuals: list[FloatArray]  # (n,): what is left of each drive [W]
+    moved: FloatArray  # (k,): by how much the model's own coefficients move
+    errors: FloatArray  # (k,)
 
     def moves(self, model: PowerModel) -> list[str]:
         """Name the coefficients that move by more than their standard errors admit."""
@@ -204,18 +166,6 @@ def adequacy(drives: Sequence[Drive], residuals: Sequence[FloatArray]) -> Adequa
     as many samples as told the noise), and by more than is as good as nothing. What contacts hold
     on a straight no model foretells: where losses make it cost, what the total shows of it is no
     residual.
-
-    Parameters
-    ----------
-    drives : sequence of Drive
-        The drives.
-    residuals : sequence of ndarray, shape (n,)
-        What the model leaves of each [W].
-
-    Returns
-    -------
-    Adequacy
-        Both, of samples and of means over the time that shows most.
     """
     rests: list[FloatArray] = []
     whites: list[float] = []

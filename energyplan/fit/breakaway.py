@@ -37,21 +37,6 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
     they hold it is whatever steering built up (docs/theory, section 6). Classes of yaw rate in
     which the moment scatters by more than noise, from the slowest on, are those that hold.
     In the slowest one a fit takes contacts to hold in any case.
-
-    Parameters
-    ----------
-    problem : Problem
-        The drives.
-    usual : sequence of Term
-        Terms that nearly every robot has, beside the paper's.
-
-    Returns
-    -------
-    Problem
-        The total alone where the difference of the sides was not logged or does not follow from the
-        motion, or where sensors show what a side returns as if it were drawn: then nothing tells
-        the sign. A total shows what contacts do through losses alone; they hold in the slowest
-        class if that makes one of the losses much more probable.
     """
     vehicle = problem.vehicle
     edges = _SLIP_SPEEDS / (vehicle.slip_moment / float(vehicle.loads.sum()))

@@ -115,19 +115,10 @@ def _extended(covariance: FloatArray, count: int, longest: int) -> FloatArray:
 
 @dataclass(frozen=True)
 class Correlation:
-    """Autocorrelation of the noise behind a residual.
+    """Autocorrelation of the noise behind a residual."""
 
-    Parameters
-    ----------
-    rho : ndarray, shape (m,)
-        Autocorrelation at lags from 0 until it has died out.
-    kept : float
-        Fraction of the noise's variance that the residual still has: the fit took the rest for
-        signal.
-    """
-
-    rho: FloatArray
-    kept: float = 1.0
+    rho: FloatArray  # (m,): autocorrelation at lags from 0 until it has died out
+    kept: float = 1.0  # fraction of the noise's variance that the residual still has
 
     @property
     def repeats(self) -> float:
@@ -140,24 +131,7 @@ def autocorrelation(
 ) -> Correlation:
     """Autocorrelation of a series, or of the noise that a fit left it from.
 
-    Parameters
-    ----------
-    series : ndarray, shape (n,)
-        The series; its mean is taken off.
-    pieces : sequence of slice
-        Stretches without a break: no correlation is taken across their ends.
-    regressors : ndarray, shape (n, p), optional
-        What the series is the residual of. What the fit took from slow noise is added back.
-
-    Returns
-    -------
-    Correlation
-        The sample's autocorrelation up to the order of an autoregression chosen by Akaike's
-        criterion, and that of the autoregression beyond.
-
-    References
-    ----------
-    Brockwell and Davis (1991), Time Series: Theory and Methods, sections 8.1 and 9.3.
+    Source: Brockwell and Davis (1991), Time Series: Theory and Methods, sections 8.1 and 9.3.
     """
     count = len(series)
     longest = max(s.stop - s.start for s in pieces)
@@ -187,22 +161,8 @@ def innovation_share(series: FloatArray, pieces: Sequence[slice]) -> float:
     One for white noise. The likelihood of a normal series depends on its innovations alone: what
     repeats is no new evidence (Schweppe's form).
 
-    Parameters
-    ----------
-    series : ndarray, shape (n,)
-        The series; its mean is taken off.
-    pieces : sequence of slice
-        Stretches without a break.
-
-    Returns
-    -------
-    float
-        In (0, 1], of the autoregression with the least value of Akaike's criterion, as corrected
-        for short series.
-
-    References
-    ----------
-    Schweppe (1965), IEEE Trans. Inf. Theory 11, 61-70. Hurvich and Tsai (1989), Biometrika 76.
+    Source: Schweppe (1965), IEEE Trans. Inf. Theory 11, 61-70. Hurvich and Tsai (1989),
+    Biometrika 76.
     """
     count = len(series)
     lags = min(_LARGEST_ORDER, max(s.stop - s.start for s in pieces) // 4)
@@ -228,24 +188,7 @@ def innovation_share(series: FloatArray, pieces: Sequence[slice]) -> float:
 def sum_covariance(
     regressors: FloatArray, scale: FloatArray, rho: FloatArray, pieces: Sequence[slice]
 ) -> FloatArray:
-    """Covariance of ``sum_t regressors[t] * e[t]`` for autocorrelated noise ``e``.
-
-    Parameters
-    ----------
-    regressors : ndarray, shape (n, p)
-        The regressors.
-    scale : ndarray, shape (n,)
-        Standard deviation of ``e``.
-    rho : ndarray, shape (m,)
-        Its autocorrelation at lags from 0.
-    pieces : sequence of slice
-        Stretches without a break.
-
-    Returns
-    -------
-    ndarray, shape (p, p)
-        The covariance.
-    """
+    """Covariance of ``sum_t regressors[t] * e[t]`` for autocorrelated noise ``e``."""
     loaded = regressors * scale[:, None]
     total = loaded.T @ _spread(loaded, rho, pieces)
     return np.asarray(0.5 * (total + total.T))
@@ -274,19 +217,5 @@ def correlation_time(residual: FloatArray, period: float, pieces: Sequence[slice
 
     White noise has half a sample period; a series of duration T holds about ``T / (2 time
     scale)`` independent samples.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (n,)
-        The series; its mean is taken off.
-    period : float
-        Sample period [s].
-    pieces : sequence of slice
-        Stretches without a break.
-
-    Returns
-    -------
-    float
-        The time scale [s], half a period or more.
     """
     return 0.5 * period * autocorrelation(residual, pieces).repeats

@@ -24,30 +24,13 @@ _LEAST = 0.1
 
 @dataclass(frozen=True)
 class Foretold:
-    """Errors of energies, each foretold from all other driving.
-
-    Parameters
-    ----------
-    left_out : {"drive", "stretch"}
-        Whether whole drives were left out, one after the other, or stretches of few drives.
-    count : int
-        How many.
-    duration : float
-        Their median length [s].
-    error, largest : float
-        Mean and largest size of the relative error of their energies.
-
-    Examples
-    --------
-    >>> Foretold("stretch", 5, 30.0, 0.031, 0.079).in_words
-    'stretches of 30 s, each predicted from the others, miss their energy by 3.1 %, at most 7.9 %'
-    """
+    """Errors of energies, each foretold from all other driving."""
 
     left_out: Literal["drive", "stretch"]
-    count: int
-    duration: float
-    error: float
-    largest: float
+    count: int  # how many
+    duration: float  # their median length [s]
+    error: float  # mean and largest size of the relative error of their energies
+    largest: float  # mean and largest size of the relative error of their energies
 
     @property
     def in_words(self) -> str:
@@ -67,20 +50,6 @@ def foretold(
     The coefficients without it are those of the fit, moved by one step of robust least squares of
     all other samples: those that the fit misses by more than half of the samples count less, as in
     Huber's estimate. What only the stretch itself shows is taken from it.
-
-    Parameters
-    ----------
-    model : PowerModel
-        The model, fitted to all drives.
-    drives : sequence of Drive
-        The drives.
-    powers : sequence of ndarray, shape (n,)
-        Power of each that the model foretells [W].
-
-    Returns
-    -------
-    Foretold or None
-        None where the drives took no energy.
     """
     parts = _parts(drives)
     table = np.concatenate(

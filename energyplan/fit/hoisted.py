@@ -26,54 +26,26 @@ _PILED = 0.05  # share of moving readings at the least one, from which it is a d
 
 @dataclass(frozen=True)
 class SpeedClass:
-    """Mean force of a side in a class of speeds.
+    """Mean force of a side in a class of speeds."""
 
-    Parameters
-    ----------
-    speed : float
-        Mean tread speed [m/s].
-    force : float
-        Mean force at the tread [N].
-    std_error : float
-        Its standard error [N].
-    samples : int
-        How many samples.
-    """
-
-    speed: float
-    force: float
-    std_error: float
-    samples: int
+    speed: float  # mean tread speed [m/s]
+    force: float  # mean force at the tread [N]
+    std_error: float  # its standard error [N]
+    samples: int  # how many samples
 
 
 @dataclass(frozen=True)
 class InternalFriction:
-    """Friction inside one side of the robot, ``F(v) = force + slope * (|v| - speed)``.
+    """Friction inside one side of the robot, ``F(v) = force + slope * (|v| - speed)``."""
 
-    Parameters
-    ----------
-    side : {"left", "right"}
-        The side.
-    force, force_error : float
-        Force at the mean speed of the drives, and its standard error [N].
-    speed : float
-        That mean speed [m/s].
-    slope, slope_error : float
-        How the force changes with the tread speed, and its standard error [N s/m].
-    classes : tuple of SpeedClass
-        The force by speed.
-    left_out : int
-        Moving samples in the sensor's dead band, which give only an upper limit.
-    """
-
-    side: str
-    force: float
-    force_error: float
-    speed: float
-    slope: float
-    slope_error: float
-    classes: tuple[SpeedClass, ...]
-    left_out: int
+    side: str  # the side
+    force: float  # force at the mean speed of the drives, and its standard error [N]
+    force_error: float  # force at the mean speed of the drives, and its standard error [N]
+    speed: float  # that mean speed [m/s]
+    slope: float  # how the force changes with the tread speed, and its standard error [N s/m]
+    slope_error: float  # how the force changes with the tread speed, and its standard error [N s/m]
+    classes: tuple[SpeedClass, ...]  # the force by speed
+    left_out: int  # moving samples in the sensor's dead band, which give only an upper limit
 
 
 def hoisted(
@@ -84,30 +56,7 @@ def hoisted(
     Nothing but the friction of motor, gear, chain and bearings resists then. Samples of steady
     speed are used, so that no inertia counts.
 
-    Parameters
-    ----------
-    logs : DriveLog or sequence of DriveLog
-        The drives, with ``p_left`` and ``p_right``, or with the channels ``current_left`` and
-        ``current_right`` of the motors where `motor_constant` is given.
-    motor_constant : float, optional
-        Force at the tread per ampere of motor current [N/A], which is also the motor's voltage per
-        tread speed [V s/m].
-
-    Returns
-    -------
-    tuple of InternalFriction
-        Of the left and of the right side.
-
-    Raises
-    ------
-    NotIdentifiableError
-        If a side hardly turns, or yaw or pose show that the robot drove.
-    InvalidInputError
-        If the logs lack the power of a side.
-
-    References
-    ----------
-    Morales et al. (2010), section IV: 59 N were found so.
+    Source: Morales et al. (2010), section IV: 59 N were found so.
     """
     drives = [logs] if isinstance(logs, DriveLog) else list(logs)
     for log in drives:
@@ -135,16 +84,6 @@ def doubts_off_the_ground(log: DriveLog) -> tuple[str, ...]:
 
     It neither travels nor turns: what its pose or yaw rate would contradict on the ground, or lag
     behind, is as it should be.
-
-    Parameters
-    ----------
-    log : DriveLog
-        A drive with the wheels in the air.
-
-    Returns
-    -------
-    tuple of str
-        Its warnings, without those that its pose and yaw rate alone give rise to.
     """
     power, runs = log.power, log.runs
     kept = {name: v for name, v in log.channels.items() if name not in _TRAVEL}

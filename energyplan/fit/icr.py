@@ -33,33 +33,12 @@ _LEAST_GRIP = 0.05
 
 @dataclass(frozen=True)
 class ICREstimate:
-    """Tread ICRs identified from logs.
+    """Tread ICRs identified from logs."""
 
-    Parameters
-    ----------
-    icr : TreadICR
-        The tread ICRs.
-    covariance : ndarray, shape (3, 3)
-        Covariance of left, right and longitudinal [m^2]; zero where a coordinate was assumed.
-    turning : float
-        Yaw that the logs turned through in all [rad].
-    source : str
-        What it comes from: ``"spin"``, ``"yaw"``, ``"yaw_rate"`` or ``"pose"``.
-
-    Examples
-    --------
-    >>> from energyplan import simulate
-    >>> from energyplan.power import PowerModel
-    >>> truth = PowerModel.preset("quadriga:full:marble")
-    >>> found = fit_icr(simulate.drive(truth, "spiral"), truth.vehicle.icr)
-    >>> round(found.icr.half_track, 2), found.source
-    (0.47, 'pose')
-    """
-
-    icr: TreadICR
-    covariance: FloatArray
-    turning: float
-    source: str
+    icr: TreadICR  # the tread ICRs
+    covariance: FloatArray  # (3, 3): covariance of left, right and longitudinal [m^2]
+    turning: float  # yaw that the logs turned through in all [rad]
+    source: str  # what it comes from
 
     @property
     def std_error(self) -> dict[str, float]:
@@ -146,21 +125,7 @@ def _stack(logs: Sequence[DriveLog], channel: str, pose: bool) -> tuple[_Increme
 
 
 def turned(logs: Sequence[DriveLog], icr: TreadICR) -> bool:
-    """Tell whether the yaw shows the robot turning as its wheels say, however slipping.
-
-    Parameters
-    ----------
-    logs : sequence of DriveLog
-        Logs; those without a yaw channel are passed over.
-    icr : TreadICR
-        Roughly known tread ICRs.
-
-    Returns
-    -------
-    bool
-        False where the wheels say that it turned and the yaw says that it did not: wheels off the
-        ground, or a dead sensor.
-    """
+    """Tell whether the yaw shows the robot turning as its wheels say, however slipping."""
     channel = yaw_channel(logs)
     if channel is None:
         return True
@@ -175,46 +140,12 @@ def fit_icr(
 ) -> ICREstimate:
     """Identify tread ICRs from any logs with yaw or yaw rate.
 
-    Parameters
-    ----------
-    logs : DriveLog or sequence of DriveLog
-        Logs with ``yaw`` or ``yaw_rate``, others are passed over; with ``x``, ``y`` and ``yaw`` for
-        asymmetric ICRs.
-    prior : TreadICR
-        Tells what the logs cannot: without a pose, the point midway between the ICRs.
-    asymmetric : bool, optional
-        Whether to identify left, right and longitudinal apart. By default where the logs have a
-        pose.
-
-    Returns
-    -------
-    ICREstimate
-        The tread ICRs with their covariance.
-
-    Raises
-    ------
-    NotIdentifiableError
-        If the logs have no yaw, do not turn, do not tell the slip track to a quarter of itself, or
-        lack the pose that asymmetric ICRs need.
-
-    Notes
-    -----
     Between samples, ``int (V_r - V_l) dt = B dyaw`` (Eq. 1), the body's origin moves forward by
     ``int (V_l + V_r)/2 dt + (C_l - C_r)/2 dyaw`` and sideways by ``-c_y dyaw``. A bias of the yaw
     rate, an error of the wheel radius and a pose that looks askew are nuisances of the fit if
     the log determines them.
 
-    References
-    ----------
-    Morales et al. (2010), Eq. 1 and 5; docs/theory, section 1.
-
-    Examples
-    --------
-    >>> import energyplan as ep
-    >>> truth = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> found = fit_icr(ep.simulate.identification_drive(truth), truth.vehicle.icr)
-    >>> round(found.icr.slip_track, 3)
-    0.94
+    Source: Morales et al. (2010), Eq. 1 and 5; docs/theory, section 1.
     """
     drives = [logs] if isinstance(logs, DriveLog) else list(logs)
     channel = yaw_channel(drives)
@@ -306,37 +237,7 @@ def icr_from_spin(
 ) -> ICREstimate:
     """Symmetric tread ICR from a spin on the spot (Eq. 5).
 
-    Parameters
-    ----------
-    log : DriveLog
-        A log of a spin: treads at equal opposite speeds. Spins to both sides may follow each other.
-    angle : float, optional
-        Angle turned through in all [rad], counted positive to either side; from the log's yaw or
-        yaw rate where not given.
-    angle_error : float
-        Standard error of `angle` [rad].
-
-    Returns
-    -------
-    ICREstimate
-        The tread ICR ``C = int V dt / angle`` with ``V = (V_r - V_l)/2``.
-
-    Raises
-    ------
-    NotIdentifiableError
-        If the log is no spin, or has no angle and none is given.
-
-    References
-    ----------
-    Morales et al. (2010), Eq. 5.
-
-    Examples
-    --------
-    >>> from energyplan.logs import DriveLog
-    >>> spin = DriveLog({"t": [0.0, 5.0, 10.0], "v_left": [-0.5] * 3, "v_right": [0.5] * 3,
-    ...                  "power": [90.0] * 3})
-    >>> round(icr_from_spin(spin, angle=10.0).icr.left, 3)
-    0.5
+    Source: Morales et al. (2010), Eq. 5.
     """
     channel = yaw_channel([log])
     if angle is None and channel is None:

@@ -36,23 +36,7 @@ def is_linear(model: PowerModel) -> bool:
 
 
 def linearise(model: PowerModel, motion: Motion, battery: bool = False) -> Linear:
-    """Linearise a model's total power about its coefficients, instant by instant.
-
-    Parameters
-    ----------
-    model : PowerModel
-        The model.
-    motion : Motion, shape (n,)
-        The motion.
-    battery : bool
-        Linearise what the battery delivers: the vehicle's known efficiencies are in the power but
-        are no coefficients.
-
-    Returns
-    -------
-    Linear
-        Power, shape (n, 1), and derivatives, shape (n, 1, k), one column for each term of `model`.
-    """
+    """Linearise a model's total power about its coefficients, instant by instant."""
     drive = Drive.at(replace(motion, icr=model.vehicle.icr), battery)
     return linearise_drive(drive, model.vehicle, model.terms, model.coefficients)
 
@@ -61,18 +45,6 @@ def signal_motion(drive: Drive, turning: bool = True) -> Motion:
     """Return a drive's motion averaged over a second: what its manoeuvres tell.
 
     Regressors of the motion itself are never quite proportional, for the noise of its speeds.
-
-    Parameters
-    ----------
-    drive : Drive
-        The drive.
-    turning : bool
-        False for a robot whose yaw shows that it did not turn, whatever the treads did.
-
-    Returns
-    -------
-    Motion
-        Averaged speeds, and their accelerations.
     """
     motion, window = drive.motion, min(drive.samples_in(1.0), max(len(drive.t) // 2, 1))
     left, right = np.empty(len(drive.t)), np.empty(len(drive.t))
@@ -147,28 +119,7 @@ def _best(values: dict[str, float]) -> str:
 def check_identifiable(
     model: PowerModel, jacobian: FloatArray, turning: bool = True
 ) -> tuple[str, ...]:
-    """Refuse data that cannot tell the coefficients.
-
-    Parameters
-    ----------
-    model : PowerModel
-        The model.
-    jacobian : ndarray, shape (n, p)
-        Its regressors on cleaned motion (`signal_motion`).
-    turning : bool
-        As for `signal_motion`.
-
-    Returns
-    -------
-    tuple of str
-        Warnings about coefficients that the data can hardly tell apart.
-
-    Raises
-    ------
-    NotIdentifiableError
-        If a regressor is zero throughout, or regressors are collinear; the message names the terms
-        and the manoeuvre that would tell.
-    """
+    """Refuse data that cannot tell the coefficients."""
     tests = {
         name: columns
         for name, motion in _manoeuvres(model.vehicle.icr).items()

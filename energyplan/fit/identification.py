@@ -304,32 +304,6 @@ def fit_residual(model: PowerModel, logs: DriveLog | Sequence[DriveLog]) -> Resi
 
     Speeds are freed of their sensors' noise first, as in `identify` and `energyplan.diagnose`; a
     tread slower than 2 mm/s counts as at rest.
-
-    Parameters
-    ----------
-    model : PowerModel
-        The model.
-    logs : DriveLog or sequence of DriveLog
-        Drives, best ones that the model was not fitted to.
-
-    Returns
-    -------
-    Residual
-        Statistics of measured minus predicted power.
-
-    Raises
-    ------
-    MissingChannelError
-        If a term needs a channel that a log lacks.
-    InvalidInputError
-        If there are no logs.
-
-    Examples
-    --------
-    >>> import energyplan as ep
-    >>> truth = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> round(fit_residual(truth, ep.simulate.validation_drive(truth)).rmse, 3)
-    0.037
     """
     drives = [Drive.of(log, model.vehicle) for log in _drives(logs)]
     return statistics(drives, PowerRegression(drives, model).powers(model))

@@ -28,46 +28,16 @@ shape (n, equations) each."""
 
 @dataclass(frozen=True)
 class JointFit:
-    """A sum of terms fitted to drives.
+    """A sum of terms fitted to drives."""
 
-    Parameters
-    ----------
-    model : PowerModel
-        The model with its covariance.
-    further : ndarray, shape (q, q)
-        Covariance of further parameters, at whose values the terms were fitted.
-    run_spread : float or None
-        Relative standard deviation of the power between runs; None where there were too few.
-    assumed : tuple of str
-        Terms of which drives tell less than is known of any robot: taken to be as usual.
-    """
-
-    model: PowerModel
-    further: FloatArray
-    run_spread: float | None
-    assumed: tuple[str, ...]
+    model: PowerModel  # the model with its covariance
+    further: FloatArray  # covariance of further parameters, at whose values the terms were fitted
+    run_spread: float | None  # relative standard deviation of the power between runs
+    assumed: tuple[str, ...]  # terms of which drives tell less than is known of any robot
 
 
 def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None = None) -> JointFit:
-    """Fit terms together.
-
-    Parameters
-    ----------
-    problem : Problem
-        The drives.
-    terms : sequence of Term
-        The terms.
-    further : callable, optional
-        Derivatives by parameters that were searched: they join the columns, so that the covariance
-        allows for the search.
-
-    Returns
-    -------
-    JointFit
-        The covariance is the jackknife's over blocks, by Student's distribution, that of runs that
-        differ as a whole, and that of sensors that read in steps. A friction of which drives tell
-        less than is known of any robot is taken to be as usual.
-    """
+    """Fit terms together."""
     errors = problem.reference(problem.design(terms))
     design = problem.design(terms, errors)
     found, count = fit(design, errors), len(terms)

@@ -24,30 +24,14 @@ WEIGHTS = np.array([1.0, 2.0, 3.0]) / 6.0
 
 @dataclass(frozen=True)
 class Fit:
-    """Coefficients of a design, with what leaving out blocks or drives does to them.
+    """Coefficients of a design, with what leaving out blocks or drives does to them."""
 
-    Parameters
-    ----------
-    values : ndarray, shape (k,)
-        Coefficients.
-    losses : ndarray, shape (b,)
-        Cross-validated loss of each block; they sum to the number of scales for the reference.
-    covariance : ndarray, shape (k, k)
-        Jackknife over the blocks.
-    squares : ndarray, shape (scales, b)
-        What each block adds to the cross-validated mean square error at each scale [W^2].
-    blocks : int
-        Blocks that say something of the coefficients.
-    deviations : ndarray, shape (b, k)
-        The jackknife's coefficients, less their mean.
-    """
-
-    values: FloatArray
-    losses: FloatArray
-    covariance: FloatArray
-    squares: FloatArray
-    blocks: int
-    deviations: FloatArray
+    values: FloatArray  # (k,): coefficients
+    losses: FloatArray  # (b,): cross-validated loss of each block
+    covariance: FloatArray  # (k, k): jackknife over the blocks
+    squares: FloatArray  # (scales, b) [W^2]
+    blocks: int  # blocks that say something of the coefficients
+    deviations: FloatArray  # (b, k): the jackknife's coefficients, less their mean
 
     @property
     def reported(self) -> FloatArray:
@@ -120,23 +104,7 @@ def weighted(design: Design, errors: FloatArray) -> FloatArray:
 
 
 def fit(design: Design, errors: FloatArray, by_block: bool = False) -> Fit:
-    """Fit a design and cross-validate it.
-
-    Parameters
-    ----------
-    design : Design
-        Columns and power.
-    errors : ndarray, shape (scales,)
-        Reference mean square error of each scale [W^2].
-    by_block : bool
-        Leave out blocks also where there are many drives: for what differs from drive to drive.
-
-    Returns
-    -------
-    Fit
-        Drives are left out where there are four or more and none outweighs the others, else blocks;
-        the covariance always comes from blocks.
-    """
+    """Fit a design and cross-validate it."""
     grams = weighted(design, errors)
     total = grams.sum(axis=0)
     values = solve(total)

@@ -39,25 +39,12 @@ _RAMP_TIME = 0.15
 
 @dataclass(frozen=True)
 class SurfaceChange:
-    """A change of the coefficients that came too fast for forgetting.
+    """A change of the coefficients that came too fast for forgetting."""
 
-    Parameters
-    ----------
-    t : float
-        When it was detected [s].
-    onset : float
-        About when it happened [s]: the start of the window that shows it best.
-    statistic : float
-        How clear it is: chi-squared, with one degree of freedom a coefficient, where nothing
-        changed.
-    before : PowerModel
-        The model up to then.
-    """
-
-    t: float
-    onset: float
-    statistic: float
-    before: PowerModel
+    t: float  # when it was detected [s]
+    onset: float  # about when it happened [s]
+    statistic: float  # how clear it is
+    before: PowerModel  # the model up to then
 
 
 def _typical(term: Term, vehicle: Vehicle) -> float:

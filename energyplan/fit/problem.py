@@ -49,20 +49,10 @@ _LEVELLING = 4  # rounds in which factors of runs and coefficients settle
 
 @dataclass(frozen=True)
 class Tables:
-    """Columns of terms on drives, linearised about coefficients.
+    """Columns of terms on drives, linearised about coefficients."""
 
-    Parameters
-    ----------
-    columns : list of ndarray, shape (n, equations, k)
-        Of each drive.
-    targets : list of ndarray, shape (n, equations)
-        Power that they are to explain [W].
-    odds : float
-        Logarithm of what it took from the likelihood that what contacts hold was not known.
-    """
-
-    columns: list[FloatArray]
-    targets: list[FloatArray]
+    columns: list[FloatArray]  # (n, equations, k): of each drive
+    targets: list[FloatArray]  # (n, equations): power that they are to explain [W]
     odds: float
 
 
@@ -121,18 +111,7 @@ class _Tried:
 
 
 class Problem:
-    """Drives, vehicle, and the columns of terms on them.
-
-    Parameters
-    ----------
-    drives : sequence of Drive
-        Training drives.
-    vehicle : Vehicle
-        With the tread ICRs of the drives' motions.
-    memory : mapping of str to float, optional
-        Coefficients found before, by name of their term, for fits that are not linear to start
-        from.
-    """
+    """Drives, vehicle, and the columns of terms on them."""
 
     def __init__(
         self, drives: Sequence[Drive], vehicle: Vehicle, memory: Mapping[str, float] | None = None
@@ -221,17 +200,6 @@ class Problem:
 
         A random effect of each run, as far as it is more than the scatter within runs (Henderson's
         equations, the model and the factors in turn). Without it long runs decide what all share.
-
-        Parameters
-        ----------
-        terms : sequence of Term
-            Terms that no more than a factor is to come on top of.
-
-        Returns
-        -------
-        Problem
-            The same problem where there are fewer than `_RUNS` drives: the factors of so few say
-            as much as any effect that not every drive shows.
         """
         problem = self
         if len(self.drives) < _RUNS:
@@ -247,20 +215,7 @@ class Problem:
         return problem
 
     def likelihood(self, errors: FloatArray, windows: FloatArray) -> FloatArray:
-        """Return the logarithm of the likelihood of terms from their cross-validated errors.
-
-        Parameters
-        ----------
-        errors : ndarray, shape (scales, ...)
-            Mean square errors [W^2].
-        windows : ndarray, shape (scales,)
-            Number of windows.
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Normal likelihood, a weighted mean over the scales: each alone is one.
-        """
+        """Return the logarithm of the likelihood of terms from their cross-validated errors."""
         count = evidence_of(windows)
         floor = (FINE * self.floor[: len(windows)]).reshape(-1, *[1] * (np.ndim(errors) - 1))
         fall = np.log(np.maximum(errors, 0.0) + floor + 1e-300)
@@ -314,25 +269,6 @@ class Problem:
         with shorter steps, as long as they promise something. What it takes from the likelihood
         that what contacts hold is not known counts: else a loss that leaves more of it open would
         seem to fit better.
-
-        Parameters
-        ----------
-        terms : sequence of Term
-            The terms.
-        errors : ndarray, shape (scales,), optional
-            Reference mean square errors [W^2].
-        start : mapping of str to float, optional
-            Coefficients to start from, by name of their term, others at zero. Where not given, the
-            fit starts from those found before, or, if some are not known and that explains more,
-            from a fit without losses.
-        rounds : int
-            Largest number of steps.
-
-        Returns
-        -------
-        Design
-            Columns, and the power that they are to explain; where they were tried in more than one
-            round, with the coefficients that were most likely of those.
         """
         if not any(is_lossy(drive, terms) for drive in self.drives):
             return self.design_about(terms, np.zeros(len(terms)))
@@ -417,22 +353,7 @@ class Problem:
     def means(
         self, extra: Sequence[Term], terms: Sequence[Term] = (), values: FloatArray | None = None
     ) -> list[FloatArray]:
-        """Return window means of the columns of further terms beside a model's.
-
-        Parameters
-        ----------
-        extra : sequence of Term
-            The further terms, none of them a loss.
-        terms : sequence of Term
-            Terms of the model; where one is a loss, a further force changes it too.
-        values : ndarray, optional
-            Their coefficients.
-
-        Returns
-        -------
-        list of ndarray
-            Means at each scale.
-        """
+        """Return window means of the columns of further terms beside a model's."""
         columns = []
         for drive in self.drives:
             if values is not None and is_lossy(drive, terms):

@@ -40,16 +40,6 @@ def telling(design: FloatArray) -> NDArray[np.bool_]:
 
     A robot at rest says nothing about friction, however long it stands: its residual is not that
     of a driving one, and where half of a log is rest, its residual is the whole log's median.
-
-    Parameters
-    ----------
-    design : ndarray, shape (n, p)
-        Regressors.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        Where some regressor is more than `_IDLE` of its own usual size.
     """
     size = np.abs(design)
     usual = np.sqrt(np.einsum("ij,ij->j", size, size) / np.maximum((size > 0).sum(axis=0), 1))

@@ -23,40 +23,14 @@ def pieces_of(drives: Sequence[Drive]) -> list[slice]:
 
 
 def energy_error(missing: float, measured: float) -> float:
-    """Return the error of a predicted energy, over the measured one.
-
-    Parameters
-    ----------
-    missing, measured : float
-        Energy that the prediction lacks, and that was measured [J].
-
-    Returns
-    -------
-    float
-        Infinite, with its sign, where none was measured; zero where none is missing either.
-    """
+    """Return the error of a predicted energy, over the measured one."""
     if measured == 0.0:
         return 0.0 if missing == 0.0 else -float(np.copysign(np.inf, missing))
     return -missing / measured
 
 
 def unfounded(model: PowerModel, confidence: float, spread: float) -> str:
-    """Tell why nothing can be said of a model's energies with a probability.
-
-    Parameters
-    ----------
-    model : PowerModel
-        The model.
-    confidence : float
-        The probability; of 0.5 the mean is enough.
-    spread : float
-        Relative standard deviation of its coefficients that somebody stated; 0 where nobody did.
-
-    Returns
-    -------
-    str
-        The reason and the remedy; nothing where the model knows its errors.
-    """
+    """Tell why nothing can be said of a model's energies with a probability."""
     if model.residual is not None and not np.isfinite(model.residual.energy_error):
         return (
             f"the model {model.name!r} missed all the energy of the drives that it was judged on, "
@@ -73,20 +47,7 @@ def unfounded(model: PowerModel, confidence: float, spread: float) -> str:
 
 
 def statistics(drives: Sequence[Drive], powers: Sequence[FloatArray]) -> Residual:
-    """Return the statistics of measured minus predicted power.
-
-    Parameters
-    ----------
-    drives : sequence of Drive
-        The drives.
-    powers : sequence of ndarray, shape (n,)
-        Predicted power of each [W].
-
-    Returns
-    -------
-    Residual
-        Energies count gaps for nothing.
-    """
+    """Return the statistics of measured minus predicted power."""
     residual = np.concatenate([d.power - p for d, p in zip(drives, powers, strict=True)])
     weights = np.concatenate([drive.weights for drive in drives])
     measured = sum(float(drive.weights @ drive.power) for drive in drives)

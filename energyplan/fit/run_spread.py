@@ -13,42 +13,18 @@ from energyplan.path import FloatArray
 
 @dataclass(frozen=True)
 class RunSpread:
-    """How much runs differ as a whole, each by a factor of its power.
-
-    Parameters
-    ----------
-    deviation : float
-        Standard deviation of the factor between runs, beyond the scatter within them.
-    factors : tuple of float
-        Factor of each run, shrunk towards 1 as far as its own scatter leaves it open.
-    excess, variances : ndarray, shape (drives,)
-        Each run's own estimate of its factor, less 1, and the variance of that.
-    """
+    """How much runs differ as a whole, each by a factor of its power."""
 
     deviation: float
     factors: tuple[float, ...]
-    excess: FloatArray
-    variances: FloatArray
+    excess: FloatArray  # each run's own estimate of its factor, less 1, and the variance of that
+    variances: FloatArray  # each run's own estimate of its factor, less 1, and the variance of that
 
     @classmethod
     def of(cls, design: Design, values: FloatArray) -> RunSpread | None:
         """Compare runs by their longest windows (Paule's and Mandel's estimate).
 
-        Parameters
-        ----------
-        design : Design
-            Columns and power.
-        values : ndarray, shape (k,)
-            Coefficients that all runs share.
-
-        Returns
-        -------
-        RunSpread or None
-            None where there are fewer than three runs, or none has two windows.
-
-        References
-        ----------
-        Paule and Mandel (1982), J. Res. NBS 87, 377-385.
+        Source: Paule and Mandel (1982), J. Res. NBS 87, 377-385.
         """
         table, owner = design.longest
         count = int(owner.max()) + 1

@@ -103,11 +103,6 @@ def _lad_program(
 
     The dual has one bounded variable a row and one equation a coefficient; the coefficients are
     the multipliers of the equations. A finite bound of a coefficient is one more variable.
-
-    Returns
-    -------
-    tuple of ndarray
-        The coefficients, and the dual variable of each row in [-1, 1].
     """
     n, p = X.shape
     low, high = np.flatnonzero(np.isfinite(bounds.lower)), np.flatnonzero(np.isfinite(bounds.upper))
@@ -135,29 +130,8 @@ def lad(X: FloatArray, y: FloatArray, bounds: Bounds) -> FloatArray:
     then the solution is that of the whole problem, because the reduced objective never exceeds the
     full one and equals it there.
 
-    Parameters
-    ----------
-    X : ndarray, shape (n, p)
-        Design matrix.
-    y : ndarray, shape (n,)
-        Target.
-    bounds : Bounds
-        Range of each coefficient.
-
-    Returns
-    -------
-    ndarray, shape (p,)
-        The coefficients: a vertex of the linear program.
-
-    Raises
-    ------
-    NotIdentifiableError
-        If the linear program has no unique multipliers.
-
-    References
-    ----------
-    Portnoy and Koenker (1997), "The Gaussian hare and the Laplacian tortoise", Statistical
-    Science 12(4); docs/theory, section 6.
+    Source: Portnoy and Koenker (1997), "The Gaussian hare and the Laplacian tortoise",
+    Statistical Science 12(4); docs/theory, section 6.
     """
     acting = np.any(X != 0.0, axis=1)  # the residual of any other row is what it is
     if not acting.any():
@@ -207,23 +181,7 @@ def simplex(
 ) -> FloatArray:
     """Minimise an objective by Nelder and Mead's simplex, restarted until it stays where it is.
 
-    Parameters
-    ----------
-    objective : callable
-        The sum to minimise, a function of the coefficients.
-    start : ndarray, shape (p,)
-        Where to start.
-    bounds : Bounds
-        Range of each coefficient.
-
-    Returns
-    -------
-    ndarray, shape (p,)
-        The coefficients.
-
-    References
-    ----------
-    Morales et al. (2010), Eq. 7 and reference 14.
+    Source: Morales et al. (2010), Eq. 7 and reference 14.
     """
     unit = np.where(np.abs(start) > 0, np.abs(start), 1.0)
     limits = optimize.Bounds(bounds.lower / unit, bounds.upper / unit)

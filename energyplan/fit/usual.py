@@ -54,25 +54,6 @@ def with_usual(
     fits, and no block tells another one. Both are taken to be as of robots elsewhere, as far as
     drives leave that open; the other coefficients move with them. A robot that is unlike all of
     them, by what its drives tell, is allowed as much as it differs.
-
-    Parameters
-    ----------
-    values : ndarray, shape (k,)
-        Fitted coefficients.
-    covariance : ndarray, shape (k, k)
-        Their covariance.
-    terms : sequence of Term
-        The k terms.
-    gram : ndarray, shape (k, k)
-        Products of their regressors in the drives.
-    vehicle : Vehicle
-        The robot.
-
-    Returns
-    -------
-    tuple
-        Both, combined with the usual values as with a measurement, and the names of the terms of
-        which those were taken.
     """
     which = [k for k, term in enumerate(terms) if term.name in USUAL]
     known = [usual_friction(terms[k], vehicle) for k in which]
@@ -109,20 +90,7 @@ def _unlike(away: FloatArray, covariance: FloatArray) -> float:
 
 
 def open_in_words(model: PowerModel, names: Sequence[str]) -> list[str]:
-    """Say which frictions drives leave open, and what they are taken to be.
-
-    Parameters
-    ----------
-    model : PowerModel
-        The model, with their usual values in it.
-    names : sequence of str
-        Names of their terms.
-
-    Returns
-    -------
-    list of str
-        One sentence for each.
-    """
+    """Say which frictions drives leave open, and what they are taken to be."""
     return [
         f"these drives leave {term.name} open; with what robots elsewhere have it is "
         f"{term.symbol} = {number(model.coefficient(term.name))} +- "
@@ -132,18 +100,7 @@ def open_in_words(model: PowerModel, names: Sequence[str]) -> list[str]:
 
 
 def ends_in_words(model: PowerModel) -> list[str]:
-    """Say which coefficients are at an end of what is possible, or beyond what a robot weighs.
-
-    Parameters
-    ----------
-    model : PowerModel
-        The model.
-
-    Returns
-    -------
-    list of str
-        One sentence for each.
-    """
+    """Say which coefficients are at an end of what is possible, or beyond what a robot weighs."""
     found, weight = [], model.vehicle.mass * GRAVITY
     for term, value in zip(model.terms, model.coefficients, strict=True):
         if term.name == "traction_resistance" and 2.0 * value > weight:

@@ -32,20 +32,6 @@ def least_energy(
     by one class, at its own price; what a class takes is no more than its batteries hold at the
     start and its visits to chargers add; no group of places is a round trip of its own. Windows
     are left out, and each robot's battery beyond the sum over its class.
-
-    Parameters
-    ----------
-    problems : sequence of RobotProblem
-        Each robot's part.
-    tasks : ndarray of int
-        The tasks.
-    best : float
-        Energy that is known to do [J]; ways that cannot be part of less are left out.
-
-    Returns
-    -------
-    float
-        The bound [J], at most `best`.
     """
     idle = sum(float(problem.finish[0]) for problem in problems)  # of robots that do nothing
     if not len(tasks):
@@ -56,25 +42,13 @@ def least_energy(
 
 @dataclass(frozen=True)
 class _Arcs:
-    """Ways of one class; node -1 stands for all starts and ends.
+    """Ways of one class; node -1 stands for all starts and ends."""
 
-    Parameters
-    ----------
-    tail, head : ndarray of int
-        Nodes: the tasks asked for, then the chargers.
-    cost : ndarray
-        Energy that counts [J]: with the task at its head; less what a start spares.
-    drawn : ndarray
-        Energy that the batteries give, less what they hold at a start or gain at a charger [J].
-    robot : ndarray of int
-        The robot that starts, else -1.
-    """
-
-    tail: np.ndarray
-    head: np.ndarray
-    cost: FloatArray
-    drawn: FloatArray
-    robot: np.ndarray
+    tail: np.ndarray  # nodes
+    head: np.ndarray  # nodes
+    cost: FloatArray  # energy that counts [J]
+    drawn: FloatArray  # [J]
+    robot: np.ndarray  # the robot that starts, else -1
 
 
 def _classes(problems: Sequence[RobotProblem]) -> list[list[int]]:

@@ -37,43 +37,7 @@ _LEAST_SCALE = 0.8
 def evaluate_fleet(fleet: Fleet, progress: Callable[[str], None] | None = None) -> FleetReport:
     """Tell who does what and charges when: required tasks first, then prizes, then energy.
 
-    Parameters
-    ----------
-    fleet : Fleet
-        The fleet.
-    progress : callable, optional
-        Called with one line of text whenever a route is planned or an assignment is found.
-
-    Returns
-    -------
-    FleetReport
-        What each robot does, with its budget at the confidence asked.
-
-    Raises
-    ------
-    MissionError
-        If a bound is asked of models without a known uncertainty.
-    MissingDependencyError
-        If there are many robots or tasks and OR-Tools is not installed.
-
-    References
-    ----------
-    docs/fleets.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> mission = ep.Mission(
-    ...     ep.PowerModel.preset("quadriga:empty:marble"), hall, ep.Battery.preset("quadriga"),
-    ...     start=(1, 2, 0), tasks=[ep.Task("look", (5, 2, 0), dwell=60.0)], confidence=0.5,
-    ...     planning_effort=5000,
-    ... )
-    >>> from energyplan.fleet import Fleet, Robot, evaluate_fleet
-    >>> report = evaluate_fleet(Fleet((Robot("alpha", mission),)))
-    >>> round(report.energy / 1000, 1)  # [kJ]
-    1.4
+    Source: docs/fleets.
     """
     walks = tuple(Walk(Legs(robot.mission, progress)) for robot in fleet.robots)
     sources = Sources(fleet, walks)

@@ -32,27 +32,13 @@ _EQUAL = 1e-6
 
 @dataclass(frozen=True)
 class Solution:
-    """Who does what, in which order.
+    """Who does what, in which order."""
 
-    Parameters
-    ----------
-    sequences : tuple of tuple of int
-        Each robot's stops: nodes of tasks and chargers.
-    worth : float
-        Worth of the tasks done.
-    energy : float
-        Energy of all robots [J].
-    bound : float
-        Energy that no solution of this worth undercuts [J].
-    proven : bool
-        Whether no better one exists.
-    """
-
-    sequences: tuple[tuple[int, ...], ...]
-    worth: float
-    energy: float
-    bound: float
-    proven: bool
+    sequences: tuple[tuple[int, ...], ...]  # each robot's stops
+    worth: float  # worth of the tasks done
+    energy: float  # energy of all robots [J]
+    bound: float  # energy that no solution of this worth undercuts [J]
+    proven: bool  # whether no better one exists
 
 
 def is_small(robots: int, tasks: int) -> bool:
@@ -66,22 +52,7 @@ class _Label(NamedTuple):
 
 
 def solve(problems: Sequence[RobotProblem], worth: FloatArray, places: Sequence[int]) -> Solution:
-    """Find the assignment of greatest worth, and of least energy among those.
-
-    Parameters
-    ----------
-    problems : sequence of RobotProblem
-        Each robot's part.
-    worth : ndarray, shape (n,)
-        Worth of each task.
-    places : sequence of int
-        Places of each charger.
-
-    Returns
-    -------
-    Solution
-        The best one.
-    """
+    """Find the assignment of greatest worth, and of least energy among those."""
     robots, n = len(problems), len(worth)
     best = [_subsets(problem) for problem in problems]
     least = np.full((robots, 2**n), np.inf)
@@ -101,20 +72,7 @@ def solve(problems: Sequence[RobotProblem], worth: FloatArray, places: Sequence[
 
 
 def best_tour(problem: RobotProblem, tasks: Collection[int]) -> tuple[float, tuple[int, ...]]:
-    """Return the way of least energy of one robot through some tasks, all of them.
-
-    Parameters
-    ----------
-    problem : RobotProblem
-        The robot's part.
-    tasks : collection of int
-        The tasks; few.
-
-    Returns
-    -------
-    tuple of float and tuple of int
-        The energy [J], infinite where it cannot do them, and the stops.
-    """
+    """Return the way of least energy of one robot through some tasks, all of them."""
     mine = np.array(sorted(tasks), int)
     nodes = np.array([0, *(mine + 1), *range(1 + problem.tasks, len(problem.energy))])
     part = replace(

@@ -23,43 +23,21 @@ _SLACK = 1e-9
 
 @dataclass(frozen=True)
 class RobotProblem:
-    """One robot's part. Node 0 is its start, 1 to n the tasks, then the chargers.
+    """One robot's part. Node 0 is its start, 1 to n the tasks, then the chargers."""
 
-    Parameters
-    ----------
-    energy, time : ndarray, shape (N, N)
-        From node to node [J], [s]; infinite where there is no way, or the task is not for it.
-    finish, finish_time : ndarray, shape (N,)
-        To the nearest place where it may end.
-    refuge : ndarray, shape (N,)
-        Energy to the nearest place of safety, home or a charger [J].
-    service, service_time : ndarray, shape (n,)
-        What each task takes [J], [s].
-    idle : ndarray, shape (N,)
-        Power of standing still [W].
-    window : ndarray, shape (n, 2)
-        Earliest and latest start of each task [s].
-    budget : float
-        Energy at the start, the reserve taken off [J].
-    capacity, charge_power : ndarray, shape (m,)
-        Energy on leaving each charger [J], and what is stored a second there [W].
-    start_time : float
-        Time at the start [s].
-    """
-
-    energy: FloatArray
-    time: FloatArray
-    finish: FloatArray
-    finish_time: FloatArray
-    refuge: FloatArray
-    service: FloatArray
-    service_time: FloatArray
-    idle: FloatArray
-    window: FloatArray
-    budget: float
-    capacity: FloatArray
-    charge_power: FloatArray
-    start_time: float = 0.0
+    energy: FloatArray  # (N, N): from node to node [J], [s]
+    time: FloatArray  # (N, N): from node to node [J], [s]
+    finish: FloatArray  # (N,): to the nearest place where it may end
+    finish_time: FloatArray  # (N,): to the nearest place where it may end
+    refuge: FloatArray  # (N,): energy to the nearest place of safety, home or a charger [J]
+    service: FloatArray  # (n,): what each task takes [J], [s]
+    service_time: FloatArray  # (n,): what each task takes [J], [s]
+    idle: FloatArray  # (N,): power of standing still [W]
+    window: FloatArray  # (n, 2): earliest and latest start of each task [s]
+    budget: float  # energy at the start, the reserve taken off [J]
+    capacity: FloatArray  # (m,)
+    charge_power: FloatArray  # (m,)
+    start_time: float = 0.0  # time at the start [s]
 
     @property
     def tasks(self) -> int:
@@ -75,22 +53,12 @@ class RobotProblem:
 
 
 class Status(NamedTuple):
-    """A robot under way.
+    """A robot under way."""
 
-    Parameters
-    ----------
-    node : int
-        Where it is.
-    left, spent : float
-        Energy left in its battery, and spent in all [J].
-    time : float
-        Time [s].
-    """
-
-    node: int
-    left: float
-    spent: float
-    time: float
+    node: int  # where it is
+    left: float  # energy left in its battery, and spent in all [J]
+    spent: float  # energy left in its battery, and spent in all [J]
+    time: float  # time [s]
 
 
 def begin(problem: RobotProblem) -> Status:
@@ -142,15 +110,7 @@ def end(problem: RobotProblem, status: Status) -> Status | None:
 
 
 class Sources:
-    """The problems of a fleet, from the routes that are planned so far.
-
-    Parameters
-    ----------
-    fleet : Fleet
-        The fleet.
-    walks : sequence of Walk
-        Each robot's mission.
-    """
+    """The problems of a fleet, from the routes that are planned so far."""
 
     def __init__(self, fleet: Fleet, walks: tuple[Walk, ...]) -> None:
         self.fleet, self.walks = fleet, walks
@@ -275,13 +235,7 @@ class Sources:
 
 
 class Docks:
-    """Chargers with so many places each; robots are served in the order of their arrival.
-
-    Parameters
-    ----------
-    places : sequence of int
-        Places of each charger.
-    """
+    """Chargers with so many places each; robots are served in the order of their arrival."""
 
     def __init__(self, places: Sequence[int]) -> None:
         self._free = [np.full(count, -np.inf) for count in places]
@@ -296,39 +250,16 @@ class Docks:
 
 
 class Outcome(NamedTuple):
-    """What comes of sequences of stops.
+    """What comes of sequences of stops."""
 
-    Parameters
-    ----------
-    energy : float
-        Energy of all robots [J].
-    waited : float
-        Time spent waiting for chargers [s].
-    """
-
-    energy: float
-    waited: float
+    energy: float  # energy of all robots [J]
+    waited: float  # time spent waiting for chargers [s]
 
 
 def run(
     problems: Sequence[RobotProblem], sequences: Sequence[tuple[int, ...]], places: Sequence[int]
 ) -> Outcome | None:
-    """Run sequences of stops together.
-
-    Parameters
-    ----------
-    problems : sequence of RobotProblem
-        Each robot's part.
-    sequences : sequence of tuple of int
-        Each robot's stops: nodes of tasks and chargers.
-    places : sequence of int
-        Places of each charger.
-
-    Returns
-    -------
-    Outcome or None
-        None where a charge does not suffice or a window is missed.
-    """
+    """Run sequences of stops together."""
     docks, waited = Docks(places), 0.0
     left = [list(stops) for stops in sequences]
     states: list[Status | None] = [

@@ -36,29 +36,6 @@ def solve_by_search(
     """Find a good assignment by guided local search.
 
     Each charger may be used by every robot once; that they share it is looked at afterwards.
-
-    Parameters
-    ----------
-    problems : sequence of RobotProblem
-        Each robot's part.
-    worth : ndarray, shape (n,)
-        Worth of each task.
-    places : sequence of int
-        Places of each charger.
-    time_limit : float
-        Time to search [s].
-    effort : int, optional
-        Orders that the search may accept, in place of the time.
-
-    Returns
-    -------
-    Solution
-        The best one found; nothing bounds it yet (`energyplan.fleet.bound`).
-
-    Raises
-    ------
-    MissingDependencyError
-        If OR-Tools is not installed.
     """
     solver = constraint_solver("a fleet of many robots or tasks")
     rough = _Search(problems, worth, *solver).run(time_limit, effort)

@@ -15,26 +15,9 @@ from energyplan.records import ReadOnly
 
 @dataclass(frozen=True)
 class Robot:
-    """One of several robots.
+    """One of several robots."""
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    mission : Mission
-        What it is, where it is, what its battery holds, and all tasks that it could do.
-
-    Examples
-    --------
-    >>> import energyplan as ep
-    >>> from energyplan.io.bundled import bundled
-    >>> fleet = ep.read_fleet(bundled("fleet_warehouse.yaml"))
-    >>> robot = fleet.robots[0]
-    >>> robot.name, len(robot.mission.tasks) > 0
-    ('alpha', True)
-    """
-
-    name: str
+    name: str  # its name
     mission: Mission
 
     def __post_init__(self) -> None:
@@ -44,64 +27,21 @@ class Robot:
 
 @dataclass(frozen=True)
 class RobotState:
-    """Where a robot stands at some time.
+    """Where a robot stands at some time."""
 
-    Parameters
-    ----------
-    pose : Pose
-        Where it is.
-    soc : float
-        Its state of charge.
-    done : tuple of str
-        Tasks that it has done.
-    time : float
-        Time [s].
-
-    Examples
-    --------
-    >>> from energyplan.path import Pose
-    >>> RobotState(Pose(18.0, 2.0, 0.0), soc=0.34, done=("gate",), time=100.0).soc
-    0.34
-    """
-
-    pose: Pose
-    soc: float
-    done: tuple[str, ...] = ()
-    time: float = 0.0
+    pose: Pose  # where it is
+    soc: float  # its state of charge
+    done: tuple[str, ...] = ()  # tasks that it has done
+    time: float = 0.0  # time [s]
 
 
 @dataclass(frozen=True)
 class Fleet(ReadOnly):
-    """Robots that share tasks and chargers.
+    """Robots that share tasks and chargers."""
 
-    Parameters
-    ----------
-    robots : sequence of Robot
-        The robots. Each one's mission lists the tasks that this robot could do; each task is done
-        by one of those that list it. All missions list the same chargers.
-    places : mapping of str to int
-        Robots that a charger takes at a time; one where not given. Who comes first is served
-        first.
-    name : str
-        What to call the fleet.
-
-    Raises
-    ------
-    MissionError
-        If there is no robot, names are not unique, or what they share differs.
-
-    Examples
-    --------
-    >>> import energyplan as ep
-    >>> from energyplan.io.bundled import bundled
-    >>> fleet = ep.read_fleet(bundled("fleet_warehouse.yaml"))
-    >>> [robot.name for robot in fleet.robots]
-    ['alpha', 'beta', 'gamma']
-    """
-
-    robots: tuple[Robot, ...]
-    places: Mapping[str, int] = field(default_factory=dict)
-    name: str = "fleet"
+    robots: tuple[Robot, ...]  # the robots
+    places: Mapping[str, int] = field(default_factory=dict)  # robots that a charger takes at a time
+    name: str = "fleet"  # what to call the fleet
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "robots", tuple(self.robots))
@@ -149,25 +89,7 @@ class Fleet(ReadOnly):
         return self.robots[0].mission.chargers
 
     def resume(self, states: Mapping[str, RobotState], done: Iterable[str] = ()) -> Fleet:
-        """Return what is left for the robots that are still there.
-
-        Parameters
-        ----------
-        states : mapping of str to RobotState
-            Where each robot stands; one that is not named has failed.
-        done : iterable of str
-            Tasks done by others, such as those that have failed.
-
-        Returns
-        -------
-        Fleet
-            The rest, without robots that can do none of it.
-
-        Raises
-        ------
-        MissionError
-            If a robot is unknown, or nobody is left who can do what is left.
-        """
+        """Return what is left for the robots that are still there."""
         unknown = states.keys() - {robot.name for robot in self.robots}
         if unknown:
             raise MissionError(f"no robot is called {', '.join(sorted(unknown))}")
@@ -194,68 +116,21 @@ class Fleet(ReadOnly):
 
 @dataclass(frozen=True)
 class RobotReport:
-    """What one robot does.
+    """What one robot does."""
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    tasks : tuple of str
-        What it does, in this order.
-    route : tuple of Stop
-        Its timetable: start, tasks, charges, end.
-    energy, energy_upper : float
-        Energy that it takes, expected and at the confidence asked [J].
-    soc_end, soc_end_lower : float
-        State of charge at the end, expected and at the bound.
-    duration : float
-        Time from its start to its end [s].
-    waiting : float
-        Time of it spent waiting for chargers [s].
-    end : Condition
-        Where it ends, with all that it did.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> mission = ep.Mission(
-    ...     ep.PowerModel.preset("quadriga:empty:marble"), hall, ep.Battery.preset("quadriga"),
-    ...     start=(1, 2, 0), tasks=[ep.Task("look", (5, 2, 0), dwell=60.0)], confidence=0.5,
-    ...     planning_effort=5000,
-    ... )
-    >>> from energyplan.fleet import Fleet, Robot, evaluate_fleet
-    >>> report = evaluate_fleet(Fleet((Robot("alpha", mission),)))
-    >>> [robot] = report.robots
-    >>> robot.name, robot.tasks, [stop.kind for stop in robot.route]
-    ('alpha', ('look',), ['start', 'task', 'end'])
-    """
-
-    name: str
-    tasks: tuple[str, ...]
-    route: tuple[Stop, ...]
-    energy: float
-    energy_upper: float
-    soc_end: float
-    soc_end_lower: float
-    duration: float
-    waiting: float
-    end: Condition
+    name: str  # its name
+    tasks: tuple[str, ...]  # what it does, in this order
+    route: tuple[Stop, ...]  # its timetable
+    energy: float  # energy that it takes, expected and at the confidence asked [J]
+    energy_upper: float  # energy that it takes, expected and at the confidence asked [J]
+    soc_end: float  # state of charge at the end, expected and at the bound
+    soc_end_lower: float  # state of charge at the end, expected and at the bound
+    duration: float  # time from its start to its end [s]
+    waiting: float  # time of it spent waiting for chargers [s]
+    end: Condition  # where it ends, with all that it did
 
     def at(self, time: float) -> RobotState:
-        """Return where the robot stands at a time [s]; what it is at by then is ended first.
-
-        Parameters
-        ----------
-        time : float
-            Time [s].
-
-        Returns
-        -------
-        RobotState
-            On a drive, where it is then; at a task, a wait or a charge, where that has ended.
-        """
+        """Return where the robot stands at a time [s]; what it is at by then is ended first."""
         pose, soc, now = self.route[0].pose, self.route[0].soc, time
         for piece in self.end.pieces:
             if piece.t[0] > now:
@@ -280,85 +155,28 @@ class RobotReport:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A task that nobody does.
+    """A task that nobody does."""
 
-    Parameters
-    ----------
-    name : str
-        The task.
-    required : bool
-        Whether the fleet fails without it.
-    reasons : tuple of str
-        For each robot that could do it: why not, were it alone in the world; ``"none"`` where it
-        could, but not beside what it does.
-
-    Examples
-    --------
-    >>> task = LeftOut("hedge", required=False, reasons=("battery", "no_path"))
-    >>> all(reason != "none" for reason in task.reasons)  # no robot could do it
-    True
-    """
-
-    name: str
-    required: bool
-    reasons: tuple[str, ...]
+    name: str  # the task
+    required: bool  # whether the fleet fails without it
+    reasons: tuple[str, ...]  # for each robot that could do it
 
 
 @dataclass(frozen=True)
 class FleetReport:
-    """Who does what and charges when.
+    """Who does what and charges when."""
 
-    Parameters
-    ----------
-    fleet : Fleet
-        The fleet.
-    robots : tuple of RobotReport
-        What each robot does.
-    left_out : tuple of LeftOut
-        Tasks that nobody does.
-    energy, energy_upper : float
-        Energy of all robots [J]: expected, and the sum of their bounds.
-    proven : bool
-        Whether no better assignment exists, on the routes as planned.
-    gap : float
-        Part of the energy at the bound that the best assignment of the same tasks may save; NaN
-        where robots get into each other's way so that their energies do not add up.
-    feasible : bool
-        Whether all required tasks are done and each robot ends where it must.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> mission = ep.Mission(
-    ...     ep.PowerModel.preset("quadriga:empty:marble"), hall, ep.Battery.preset("quadriga"),
-    ...     start=(1, 2, 0), tasks=[ep.Task("look", (5, 2, 0), dwell=60.0)], confidence=0.5,
-    ...     planning_effort=5000,
-    ... )
-    >>> from energyplan.fleet import Fleet, Robot, evaluate_fleet
-    >>> report = evaluate_fleet(Fleet((Robot("alpha", mission),)))
-    >>> report.feasible, report.proven, report.left_out
-    (True, True, ())
-    """
-
-    fleet: Fleet
-    robots: tuple[RobotReport, ...]
-    left_out: tuple[LeftOut, ...]
-    energy: float
-    energy_upper: float
-    proven: bool
+    fleet: Fleet  # the fleet
+    robots: tuple[RobotReport, ...]  # what each robot does
+    left_out: tuple[LeftOut, ...]  # tasks that nobody does
+    energy: float  # energy of all robots [J]
+    energy_upper: float  # energy of all robots [J]
+    proven: bool  # whether no better assignment exists, on the routes as planned
     gap: float
-    feasible: bool
+    feasible: bool  # whether all required tasks are done and each robot ends where it must
 
     def robot(self, name: str) -> RobotReport:
-        """Return what a robot does.
-
-        Raises
-        ------
-        MissionError
-            If no robot bears the name.
-        """
+        """Return what a robot does."""
         for robot in self.robots:
             if robot.name == name:
                 return robot
@@ -369,23 +187,6 @@ class FleetReport:
         """Return what is left for the others when a robot fails at a time [s].
 
         What others are at then they end first. What the robot that failed has done stays done.
-
-        Parameters
-        ----------
-        name : str
-            The robot that fails.
-        time : float
-            When [s].
-
-        Returns
-        -------
-        Fleet
-            The rest, to be evaluated anew.
-
-        Raises
-        ------
-        MissionError
-            If no robot bears the name, or nobody is left who can do what is left.
         """
         failed = self.robot(name)
         done = [

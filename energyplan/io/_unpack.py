@@ -22,27 +22,7 @@ LARGEST_RATIO = 1000
 
 
 def unpacked(make: Callable[[], Any], data: bytes, most: int = LARGEST) -> bytes:
-    """Unpack a compressed part of a bag.
-
-    Parameters
-    ----------
-    make : callable
-        Returns a decompressor such as `bz2.BZ2Decompressor`.
-    data : bytes
-        The part.
-    most : int
-        Most that it may hold [bytes]; never more than `LARGEST`.
-
-    Returns
-    -------
-    bytes
-        Its content.
-
-    Raises
-    ------
-    ValueError
-        If it is damaged or holds more.
-    """
+    """Unpack a compressed part of a bag."""
     most = min(most, LARGEST)
     parts: list[bytes] = []
     while data or not parts:
@@ -61,15 +41,7 @@ def unpacked(make: Callable[[], Any], data: bytes, most: int = LARGEST) -> bytes
 
 
 class UnpackedFile:
-    """A compressed file as it is unpacked, with an end to its size.
-
-    Parameters
-    ----------
-    stream : file
-        Returns the content.
-    most : int
-        Most that it may hold [bytes].
-    """
+    """A compressed file as it is unpacked, with an end to its size."""
 
     def __init__(self, stream: BinaryIO, most: int) -> None:
         self._stream, self._left = stream, most
@@ -86,13 +58,7 @@ class UnpackedFile:
         self._stream.close()
 
     def read(self, size: int) -> bytes:
-        """Return the next bytes, at most so many.
-
-        Raises
-        ------
-        ValueError
-            If the file is damaged or holds more than it may.
-        """
+        """Return the next bytes, at most so many."""
         try:
             data = self._stream.read(size)
         except _zstd_error() as problem:

@@ -127,25 +127,7 @@ class BagFields:
 
 
 def bag_fields(path: str | Path) -> BagFields:
-    """List the numbers in the first message of each topic of a bag.
-
-    Parameters
-    ----------
-    path : str or Path
-        A bag, as for `energyplan.io.bags.read_bag`.
-
-    Returns
-    -------
-    BagFields
-        The fields.
-
-    Raises
-    ------
-    DriveLogError
-        If it is no sound bag.
-    MissingDependencyError
-        If the package rosbags is missing.
-    """
+    """List the numbers in the first message of each topic of a bag."""
     fields: dict[str, Field] = {}
     with opened_bag(Path(path)) as reader:
         for name, topic in sorted(reader.topics.items()):

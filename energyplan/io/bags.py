@@ -45,105 +45,32 @@ _UNSOUND = (
 
 @dataclass(frozen=True)
 class BagTopic:
-    """A topic of a bag.
+    """A topic of a bag."""
 
-    Parameters
-    ----------
-    name, type : str
-        Topic and message type.
-    count : int
-        Number of messages.
-    rate : float
-        Messages per second over the bag's length [Hz].
-    serves : str
-        Channels that it could serve for; empty where none is known.
-
-    Examples
-    --------
-    >>> BagTopic("/imu/data", "sensor_msgs/msg/Imu", 6000, 100.0, "yaw_rate, accel_x").serves
-    'yaw_rate, accel_x'
-    """
-
-    name: str
-    type: str
-    count: int
-    rate: float
-    serves: str
+    name: str  # topic and message type
+    type: str  # topic and message type
+    count: int  # number of messages
+    rate: float  # messages per second over the bag's length [Hz]
+    serves: str  # channels that it could serve for
 
 
 @dataclass(frozen=True)
 class BagInfo:
-    """What a bag holds.
+    """What a bag holds."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the file or folder.
-    duration : float
-        Time from the first to the last message [s].
-    topics : tuple of BagTopic
-        The topics.
-
-    Examples
-    --------
-    >>> imu = BagTopic("/imu/data", "sensor_msgs/msg/Imu", 6000, 100.0, "yaw_rate, accel_x")
-    >>> [topic.name for topic in BagInfo("drive.bag", 60.0, (imu,)).topics]
-    ['/imu/data']
-    """
-
-    name: str
-    duration: float
-    topics: tuple[BagTopic, ...]
+    name: str  # name of the file or folder
+    duration: float  # time from the first to the last message [s]
+    topics: tuple[BagTopic, ...]  # the topics
 
 
 def is_bag(path: str | Path) -> bool:
-    """Tell whether a path is a bag, by its suffix or its metadata.
-
-    Examples
-    --------
-    >>> is_bag("drive.mcap"), is_bag("drive.csv")
-    (True, False)
-    """
+    """Tell whether a path is a bag, by its suffix or its metadata."""
     file = Path(path)
     return file.suffix.lower() in BAG_SUFFIXES or is_file(file / "metadata.yaml")
 
 
 def bag_info(path: str | Path) -> BagInfo:
-    """Tell what a bag holds, and what it could serve for.
-
-    Parameters
-    ----------
-    path : str or Path
-        A ``.bag`` or ``.mcap`` file, or a ROS 2 bag's folder.
-
-    Returns
-    -------
-    BagInfo
-        Its topics.
-
-    Raises
-    ------
-    DriveLogError
-        If it is no sound bag.
-    MissingDependencyError
-        If the package rosbags is missing.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from rosbags.rosbag1 import Writer
-    >>> from rosbags.typesys import Stores, get_typestore
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "drive.bag"
-    ...     with Writer(file) as bag:
-    ...         kinds = get_typestore(Stores.ROS1_NOETIC)
-    ...         imu = bag.add_connection("/imu/data", "sensor_msgs/msg/Imu", typestore=kinds)
-    ...         bag.write(imu, 10**9, b"")
-    ...     told = bag_info(file)
-    ...
-    >>> [(topic.name, topic.count, topic.serves) for topic in told.topics]
-    [('/imu/data', 1, 'yaw_rate, accel_x')]
-    """
+    """Tell what a bag holds, and what it could serve for."""
     with opened_bag(Path(path)) as reader:
         duration = max(reader.duration, 1) * 1e-9
         topics = tuple(
@@ -170,39 +97,6 @@ def read_bag(
     The bag is streamed: no more is kept than the numbers wanted. Channels come to the clock of the
     left tread speed, averaged where they are faster and interpolated where they are slower.
     Messages count at their stamp, or at their arrival where they have none that can be believed.
-
-    Parameters
-    ----------
-    path : str or Path
-        A ``.bag`` or ``.mcap`` file, or a ROS 2 bag's folder.
-    topics : TopicMap, str or Path
-        Which field serves as which channel: a map, a ready-made one (``husky``, ``jackal``,
-        ``warthog``) or a YAML file. There is no default: a map holds the radius of the wheels.
-    progress : callable, optional
-        Called with the fraction of the bag that is read.
-
-    Returns
-    -------
-    DriveLog
-        The log; `warnings` says from what topic and how each channel came, with the error of
-        interpolation, and `set_aside` counts messages without a usable value.
-
-    Raises
-    ------
-    DriveLogError
-        If the bag is unsound, or lacks what a log needs; the message lists its topics. If no topic
-        map is given.
-    ConfigError
-        If the topic map is malformed.
-    MissingDependencyError
-        If the package rosbags is missing.
-
-    Examples
-    --------
-    >>> read_bag("drive.bag")
-    Traceback (most recent call last):
-    ...
-    energyplan.errors.DriveLogError: drive.bag: ... give topics='husky' or 'jackal' or ...
     """
     file = Path(path)
     if topics is None:
@@ -262,25 +156,7 @@ def _choose(mapping: TopicMap, names: list[str]) -> dict[str, _Chosen]:
 
 
 def channels_served(mapping: TopicMap, names: list[str]) -> tuple[str, ...]:
-    """Return the channels that a topic map finds among topics of these names, ``t`` included.
-
-    Parameters
-    ----------
-    mapping : TopicMap
-        The topic map.
-    names : list of str
-        Names of the topics.
-
-    Returns
-    -------
-    tuple of str
-        The channels.
-
-    Examples
-    --------
-    >>> channels_served(TopicMap.read("jackal"), ["/joint_states", "/imu/data"])
-    ('t', 'v_left', 'v_right', 'yaw_rate', 'accel_x')
-    """
+    """Return the channels that a topic map finds among topics of these names, ``t`` included."""
     chosen = _choose(mapping, sorted(names))
     return ("t", *chosen) if chosen else ()
 
@@ -344,37 +220,7 @@ def _collect(
 
 @contextmanager
 def opened_bag(file: Path) -> Iterator[Any]:
-    """Open a bag; what goes wrong inside it becomes a named error.
-
-    Parameters
-    ----------
-    file : Path
-        The bag.
-
-    Yields
-    ------
-    object
-        The reader of rosbags.
-
-    Raises
-    ------
-    DriveLogError
-        If it is no sound bag.
-    MissingDependencyError
-        If the package rosbags is missing.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from rosbags.rosbag1 import Writer
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     with Writer(Path(folder) / "drive.bag") as bag:
-    ...         pass
-    ...     with opened_bag(Path(folder) / "drive.bag") as reader:
-    ...         print(reader.message_count)
-    ...
-    0
-    """
+    """Open a bag; what goes wrong inside it becomes a named error."""
     try:
         from rosbags import rosbag1, rosbag2
         from rosbags.highlevel import AnyReader, AnyReaderError

@@ -95,13 +95,7 @@ class _Column(_Strict):
 
 
 class ProjectFile(_Strict):
-    """What a project's file holds; `energyplan.io.project` reads it.
-
-    Examples
-    --------
-    >>> ProjectFile(kind="project", vehicle={"preset": "husky_a200"}).vehicle.preset
-    'husky_a200'
-    """
+    """What a project's file holds; `energyplan.io.project` reads it."""
 
     kind: Literal["project"]
     name: str = "project"
@@ -239,35 +233,7 @@ def read_model(source: str | Path) -> PowerModel:
 
 
 def write_vehicle(vehicle: Vehicle, path: str | Path) -> Path:
-    """Write a vehicle as YAML, whole or not at all.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    path : str or Path
-        The file, which `read_vehicle` reads.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    InvalidInputError
-        If it cannot be written.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = write_vehicle(Vehicle.preset("quadriga:empty"), Path(folder) / "robot.yaml")
-    ...     robot = read_vehicle(file)
-    ...
-    >>> round(robot.mass, 1)
-    83.1
-    """
+    """Write a vehicle as YAML, whole or not at all."""
     return _dump({"kind": "vehicle", **plain_vehicle(vehicle)}, path)
 
 
@@ -450,13 +416,7 @@ def _plain(value: Any) -> Any:
 
 
 def plain_vehicle(vehicle: Vehicle) -> dict[str, Any]:
-    """Return a vehicle as a YAML file holds it.
-
-    Examples
-    --------
-    >>> plain_vehicle(Vehicle.preset("quadriga:empty"))["name"]
-    'quadriga:empty'
-    """
+    """Return a vehicle as a YAML file holds it."""
     found = _vehicle_fields(vehicle)
     for key in ("icr", "motor"):
         found[key] = {k: float(v) for k, v in vars(found[key]).items()}

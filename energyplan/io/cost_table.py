@@ -13,25 +13,6 @@ def write_cost_table(table: CostTable, path: str | Path) -> None:
 
     The first two lines are comments with the half-track [m] and the error; then come a line of
     column names, ``angle`` and the speeds [m/s], and one line for each direction.
-
-    Parameters
-    ----------
-    table : CostTable
-        The table.
-    path : str or Path
-        The file, ``.csv``. It is replaced as a whole.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import numpy as np
-    >>> turns = np.array([-np.pi, 0.0, np.pi])
-    >>> table = CostTable(turns, np.array([0.5]), np.array([[90.0], [80.0], [90.0]]), 0.4, 0.01)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_cost_table(table, Path(folder) / "cost.csv")
-    ...     print((Path(folder) / "cost.csv").read_text().splitlines()[:4])
-    ...
-    ['# half_track 0.4', '# error 0.01', 'angle,0.5', '-3.14159265,90']
     """
     names = ",".join(["angle", *(f"{speed:g}" for speed in table.speed.tolist())])
     rows = (

@@ -29,29 +29,7 @@ def read_bytes(
     error: type[InvalidInputError] = MapError,
     remedy: str = "crop or coarsen it",
 ) -> bytes:
-    """Return a file's content.
-
-    Parameters
-    ----------
-    file : Path
-        The file.
-    limit : int
-        Largest size [bytes].
-    error : type
-        Error to raise.
-    remedy : str
-        What to do about a larger file.
-
-    Returns
-    -------
-    bytes
-        Its content.
-
-    Raises
-    ------
-    InvalidInputError
-        As the given `error`: it cannot be read, or is larger.
-    """
+    """Return a file's content."""
     try:
         with file.open("rb") as stream:
             content = stream.read(limit + 1)
@@ -73,27 +51,7 @@ def read_json(file: Path, limit: int, error: type[InvalidInputError], remedy: st
 
 
 def beside(file: Path, key: str, name: str) -> Path:
-    """Return the file that another file names, if it lies in that one's folder or below.
-
-    Parameters
-    ----------
-    file : Path
-        The file that holds the name.
-    key : str
-        Where in it, for the message.
-    name : str
-        The name.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    MapError
-        If it lies elsewhere, be it by an absolute path, by ``..`` or by a link.
-    """
+    """Return the file that another file names, if it lies in that one's folder or below."""
     absolute = PurePosixPath(name).is_absolute() or PureWindowsPath(name).drive != ""
     if absolute or ".." in PurePosixPath(name.replace("\\", "/")).parts or "\0" in name:
         raise MapError(
@@ -113,25 +71,7 @@ def beside(file: Path, key: str, name: str) -> Path:
 
 
 def read_features(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Return a GeoJSON document and its features.
-
-    Parameters
-    ----------
-    file : Path
-        The file.
-
-    Returns
-    -------
-    dict
-        The whole document.
-    list of dict
-        Its features, each with a geometry and properties that are objects.
-
-    Raises
-    ------
-    MapError
-        If it is not a GeoJSON FeatureCollection; the message names the feature.
-    """
+    """Return a GeoJSON document and its features."""
     document = read_json(
         file, MAX_JSON, MapError, "give a GeoJSON file, of a part if it is too large"
     )
@@ -190,24 +130,12 @@ class Checked(BaseModel):
 
 @dataclass(frozen=True)
 class Document:
-    """A YAML document and the lines of its values.
+    """A YAML document and the lines of its values."""
 
-    Parameters
-    ----------
-    source : str
-        Name of the file, for messages.
-    data : object
-        Mappings, lists and scalars.
-    lines : dict
-        Line of each value by its place, a tuple of keys and indices.
-    error : type
-        Error to raise for bad content.
-    """
-
-    source: str
-    data: Any
-    lines: dict[Loc, int]
-    error: type[InvalidInputError]
+    source: str  # name of the file, for messages
+    data: Any  # mappings, lists and scalars
+    lines: dict[Loc, int]  # line of each value by its place, a tuple of keys and indices
+    error: type[InvalidInputError]  # error to raise for bad content
 
     def fail(self, loc: Sequence[int | str], problem: str) -> InvalidInputError:
         """Return the error for a place; of a missing value the line is that of its parent."""
@@ -221,13 +149,7 @@ class Document:
         return self.error(f"{where}{f', {name}' if name else ''}: {problem}")
 
     def check(self, schema: type[M], loc: Loc = ()) -> M:
-        """Return the document as checked by a pydantic model.
-
-        Raises
-        ------
-        InvalidInputError
-            Of the document's kind, naming the line and the key.
-        """
+        """Return the document as checked by a pydantic model."""
         try:
             return schema.model_validate(self.data)
         except ValidationError as problem:
@@ -294,25 +216,7 @@ def _keys(schema: type[BaseModel], loc: tuple[int | str, ...]) -> str:
 
 
 def load(path: str | Path, error: type[InvalidInputError]) -> Document:
-    """Read one YAML document that holds a mapping.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    error : type
-        Error to raise for bad content.
-
-    Returns
-    -------
-    Document
-        The document.
-
-    Raises
-    ------
-    InvalidInputError
-        As the given `error`: the file is missing, too large, no YAML, or names a key twice.
-    """
+    """Read one YAML document that holds a mapping."""
     file = Path(path)
     return parse(read_bytes(file, MAX_BYTES, error, NO_CONFIGURATION), file.name, error)
 
@@ -404,30 +308,7 @@ _AMOUNT = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z/%]*)\s*"
 
 
 def amount(kind: str, value: Any) -> Any:
-    """Read ``5 min``, ``20 %`` or a plain number in SI units.
-
-    Parameters
-    ----------
-    kind : str
-        What it is an amount of: a key of `UNITS`.
-    value : object
-        What a file or a person gave.
-
-    Returns
-    -------
-    object
-        The number in SI units; what is no number with a unit comes back as it is.
-
-    Raises
-    ------
-    ValueError
-        If it has a unit of something else, or none where it is so little that one was forgotten.
-
-    Examples
-    --------
-    >>> amount("time", "5 min"), amount("fraction", 0.2)
-    (300.0, 0.2)
-    """
+    """Read ``5 min``, ``20 %`` or a plain number in SI units."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return _bare(kind, value)
     if not isinstance(value, str):

@@ -60,29 +60,7 @@ def position_columns(table: Table, taken: set[str]) -> dict[str, Column]:
 def counted_columns(
     table: Table, columns: Mapping[str, Column], encoders: Mapping[str, Guess], known: Given
 ) -> Counted:
-    """Find out how encoders count and how far a count goes.
-
-    Parameters
-    ----------
-    table : Table
-        The log.
-    columns : mapping of str to Column
-        The other channels, time and power among them.
-    encoders : mapping of str to Guess
-        Names of the encoders of ``v_left`` and ``v_right``.
-    known : Given
-        What is given of the robot.
-
-    Returns
-    -------
-    Counted
-        The columns with ``v_left`` and ``v_right``.
-
-    Raises
-    ------
-    DriveLogError
-        If nothing tells how far a count goes.
-    """
+    """Find out how encoders count and how far a count goes."""
     others = dict(columns)
     taken = {name for one in columns.values() for name in one.names}
     ahead = guess_ahead(name for name in table.columns if name not in taken)

@@ -19,32 +19,7 @@ NO_DATA = -9999
 
 
 def write_energies(found: EnergyMap, path: str | Path) -> None:
-    """Write the energies of all places as an ESRI ASCII grid (``.asc``), in joules.
-
-    Parameters
-    ----------
-    found : EnergyMap
-        The energies.
-    path : str or Path
-        The file. It is replaced as a whole. -9999 stands for places out of reach.
-
-    Raises
-    ------
-    MapError
-        If the map is turned in the world, which such a file cannot say.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from energyplan.path import Pose
-    >>> start, energy = Pose(0.5, 0.5, 0.0), np.array([[0.0, 80.0, np.inf]])
-    >>> found = EnergyMap(energy, 1.0, Pose(0.0, 0.0, 0.0), start, back=None, complete_to=np.inf)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_energies(found, Path(folder) / "reach.asc")
-    ...     print((Path(folder) / "reach.asc").read_text().splitlines()[-1])
-    ...
-    0 80 -9999
-    """
+    """Write the energies of all places as an ESRI ASCII grid (``.asc``), in joules."""
     if found.origin.yaw != 0.0:
         raise MapError(
             f"{path}: an ESRI ASCII grid lies along the axes, and this map is turned by "
@@ -63,24 +38,7 @@ def write_energies(found: EnergyMap, path: str | Path) -> None:
 
 
 def contours_document(areas: Sequence[Contour]) -> dict[str, Any]:
-    """Return areas in reach as GeoJSON; each feature has its ``energy`` [J] and ``area`` [m^2].
-
-    Parameters
-    ----------
-    areas : sequence of Contour
-        The areas.
-
-    Returns
-    -------
-    dict
-        A FeatureCollection.
-
-    Examples
-    --------
-    >>> area = Contour(5000.0, shapely.MultiPolygon([shapely.box(0, 0, 4, 3)]))
-    >>> contours_document([area])["features"][0]["properties"]
-    {'energy': 5000.0, 'area': 12.0}
-    """
+    """Return areas in reach as GeoJSON; each feature has its ``energy`` [J] and ``area`` [m^2]."""
     features = [
         {
             "type": "Feature",
@@ -93,24 +51,5 @@ def contours_document(areas: Sequence[Contour]) -> dict[str, Any]:
 
 
 def write_contours(areas: Sequence[Contour], path: str | Path) -> None:
-    """Write areas in reach to a GeoJSON file; see `contours_document`.
-
-    Parameters
-    ----------
-    areas : sequence of Contour
-        The areas.
-    path : str or Path
-        The file. It is replaced as a whole.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> area = Contour(5000.0, shapely.MultiPolygon([shapely.box(0, 0, 4, 3)]))
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_contours([area], Path(folder) / "reach.geojson")
-    ...     document = json.loads((Path(folder) / "reach.geojson").read_text())
-    ...
-    >>> document["features"][0]["geometry"]["type"]
-    'MultiPolygon'
-    """
+    """Write areas in reach to a GeoJSON file; see `contours_document`."""
     atomic_write(Path(path), json.dumps(contours_document(areas), indent=1) + "\n")

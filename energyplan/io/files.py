@@ -25,33 +25,6 @@ def atomic_write(path: str | Path, content: bytes | str) -> Path:
 
     The content goes to a temporary file in the same folder, which then takes the file's place. A
     run that is killed leaves the old file whole.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file; its folder is made where it is absent.
-    content : bytes or str
-        The content; text is written as UTF-8.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    InvalidInputError
-        If the file cannot be written.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = atomic_write(Path(folder) / "new" / "note.txt", "42 J")
-    ...     text = file.read_text()
-    ...
-    >>> text
-    '42 J'
     """
     file = Path(path)
     data = _utf8(content) if isinstance(content, str) else content
@@ -105,31 +78,7 @@ def _regular(file: Path) -> Path:
 
 
 def check_output(path: str | Path, suffixes: Sequence[str] = ()) -> None:
-    """Refuse a file that could not be written, before the work for it begins.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file to be written.
-    suffixes : sequence of str
-        What its name may end with, such as ``".csv"``; empty for anything.
-
-    Raises
-    ------
-    InvalidInputError
-        If the suffix is another one, the folder is absent or takes no files, or the disk is full.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     try:
-    ...         check_output(Path(folder) / "path.yaml", (".csv",))
-    ...     except InvalidInputError as error:
-    ...         print(".csv" in str(error))
-    ...
-    True
-    """
+    """Refuse a file that could not be written, before the work for it begins."""
     file = Path(path)
     if suffixes and file.suffix.lower() not in suffixes:
         raise InvalidInputError(
@@ -145,25 +94,7 @@ def check_output(path: str | Path, suffixes: Sequence[str] = ()) -> None:
 
 
 def check_output_folder(path: str | Path) -> None:
-    """Refuse a folder of output that could not be made or filled, before the work begins.
-
-    Parameters
-    ----------
-    path : str or Path
-        The folder; it may be absent.
-
-    Raises
-    ------
-    InvalidInputError
-        If it is a file, or it or the folder to make it in takes no files.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     check_output_folder(Path(folder) / "new")  # it could be made
-    ...
-    """
+    """Refuse a folder of output that could not be made or filled, before the work begins."""
     folder = Path(path)
     with _writing(folder):
         there = folder.resolve()
@@ -187,29 +118,6 @@ def refuse_overwriting(outputs: Sequence[str | Path], inputs: Iterable[str | Pat
 
     The same file counts as the same by whatever name: through links, or from another folder. What
     an input names counts as an input too, such as the image of a map or the model of a mission.
-
-    Parameters
-    ----------
-    outputs : sequence of str or Path
-        Files or folders to be written.
-    inputs : iterable of str or Path
-        What is read; names that are no files do not matter.
-
-    Raises
-    ------
-    InvalidInputError
-        If a file would be lost.
-
-    Examples
-    --------
-    >>> from energyplan.io.bundled import bundled
-    >>> map_file = bundled("office.yaml")
-    >>> try:
-    ...     refuse_overwriting([map_file.with_suffix(".png")], [map_file])
-    ... except InvalidInputError as error:
-    ...     print("office.png" in str(error))
-    ...
-    True
     """
     written = [Path(output) for output in outputs]
     for k, output in enumerate(written):
@@ -230,23 +138,7 @@ def refuse_overwriting(outputs: Sequence[str | Path], inputs: Iterable[str | Pat
 
 
 def same_file(one: Path, other: Path) -> bool:
-    """Whether two names mean one file, through links too.
-
-    Parameters
-    ----------
-    one, other : Path
-        The names; there need not be such files.
-
-    Returns
-    -------
-    bool
-        Whether they do.
-
-    Examples
-    --------
-    >>> same_file(Path("drive.csv"), Path("./drive.csv"))
-    True
-    """
+    """Whether two names mean one file, through links too."""
     try:
         if one.exists() and other.exists():
             return one.samefile(other)
@@ -256,26 +148,7 @@ def same_file(one: Path, other: Path) -> bool:
 
 
 def files_behind(source: str | Path) -> list[Path]:
-    """Return the files that reading one may read: itself, and those that it names.
-
-    Parameters
-    ----------
-    source : str or Path
-        A file, or as a Path a folder; behind any other name, or other text, is nothing.
-
-    Returns
-    -------
-    list of Path
-        The files. A configuration file's strings that name files, beside it or of the library, are
-        followed, as are the folders of bags, and the file of inertial readings beside a Husky's
-        wheel file.
-
-    Examples
-    --------
-    >>> from energyplan.io.bundled import bundled
-    >>> [file.name for file in files_behind(bundled("office.yaml"))]
-    ['office.yaml', 'office.png']
-    """
+    """Return the files that reading one may read: itself, and those that it names."""
     found: dict[Path, None] = {}
     try:
         if isinstance(source, Path) and source.is_dir():
@@ -288,24 +161,7 @@ def files_behind(source: str | Path) -> list[Path]:
 
 
 def strings_behind(source: str | Path) -> set[str]:
-    """Return the strings in a configuration file and in those that it names.
-
-    Parameters
-    ----------
-    source : str or Path
-        A file; of any other name, and of other kinds of file, there are none.
-
-    Returns
-    -------
-    set of str
-        The strings.
-
-    Examples
-    --------
-    >>> from energyplan.io.bundled import bundled
-    >>> "office.png" in strings_behind(bundled("office.yaml"))
-    True
-    """
+    """Return the strings in a configuration file and in those that it names."""
     return {text for file in files_behind(source) for text in _strings(_content(file))}
 
 
@@ -347,23 +203,7 @@ def _strings(content: Any) -> Iterator[str]:
 
 
 def is_file(path: str | Path) -> bool:
-    r"""Tell whether there is a file of that name; one that no file can bear is none.
-
-    Parameters
-    ----------
-    path : str or Path
-        The name.
-
-    Returns
-    -------
-    bool
-        Whether there is.
-
-    Examples
-    --------
-    >>> is_file("no such file"), is_file("\0")
-    (False, False)
-    """
+    r"""Tell whether there is a file of that name; one that no file can bear is none."""
     try:
         return Path(path).is_file()
     except (OSError, ValueError):

@@ -140,26 +140,7 @@ def _lines(document: Document, robot: int, able: list[int], own: set[str]) -> di
 def read_mission_for(
     path: str | Path, tasks: Callable[[Mapping[str, Any]], list[dict[str, Any]]]
 ) -> Mission:
-    """Read a mission from YAML and put other tasks in the place of its own, in the order given.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    tasks : callable
-        Called with the poses that have names in the file (places, tasks and chargers), as they are
-        written; returns the tasks as the file would hold them.
-
-    Returns
-    -------
-    Mission
-        The mission.
-
-    Raises
-    ------
-    MissionError
-        If the file or a task is malformed.
-    """
+    """Read a mission from YAML and put other tasks in the place of its own, in the order given."""
     document = load(path, MissionError)
     named: dict[str, Any] = {}
     for key in ("chargers", "tasks"):

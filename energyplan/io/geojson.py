@@ -105,37 +105,6 @@ def read_obstacles(path: str | Path, resolution: float = 0.05) -> OccupancyGrid:
     MultiLineString in the world [m]. Polygons whose property ``kind`` is ``boundary`` are where
     the robot may be, with all beyond them occupied; the other features are obstacles, and every
     cell that one touches is occupied. The map is as large as all of them together.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    resolution : float
-        Size of a cell [m].
-
-    Returns
-    -------
-    OccupancyGrid
-        The map.
-
-    Raises
-    ------
-    MapError
-        If the file is missing or malformed, or asks for too many cells; the message names the
-        feature.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> shape = {"type": "Polygon", "coordinates": [[[0, 0], [4, 0], [4, 1], [0, 1], [0, 0]]]}
-    >>> feature = {"type": "Feature", "properties": {}, "geometry": shape}
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "wall.geojson"
-    ...     _ = file.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
-    ...     grid = read_obstacles(file, resolution=0.1)
-    ...
-    >>> bool(grid.occupied.any())
-    True
     """
     file = Path(path)
     _, features = read_features(file)
@@ -210,29 +179,7 @@ def _model(file: Path, feature: int, name: str) -> PowerModel:
 
 
 def write_surfaces(surfaces: SurfaceMap, path: str | Path) -> None:
-    """Write surfaces as GeoJSON; each model is named, not written.
-
-    Parameters
-    ----------
-    surfaces : SurfaceMap
-        The surfaces. Their models' names must be presets, or YAML files beside `path`, for
-        `read_surfaces` to find them again.
-    path : str or Path
-        The file. It is replaced as a whole.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from energyplan.io.bundled import bundled
-    >>> ground = read_surfaces(bundled("warehouse_surfaces.geojson"))
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "ground.geojson"
-    ...     write_surfaces(ground, file)
-    ...     again = read_surfaces(file)
-    ...
-    >>> len(again.surfaces) == len(ground.surfaces)
-    True
-    """
+    """Write surfaces as GeoJSON; each model is named, not written."""
     features = [
         _feature(s.area, {"model": s.model.name, "surface": s.name}) for s in surfaces.surfaces
     ]

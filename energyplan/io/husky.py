@@ -38,35 +38,13 @@ _CREDIBLE = 0.3  # share of the yaw rate's variance from which a clock offset is
 
 @dataclass(frozen=True)
 class HuskyDrive:
-    """The drive train, as far as the conversion of current to power needs it.
-
-    Parameters
-    ----------
-    back_emf : float
-        Motor constant [V s/rad], which is also its torque constant [N m/A].
-    gear : float
-        Reduction from motor to wheel.
-    wheel_radius : float
-        Wheel radius [m].
-    dead_band : float
-        Smallest current that the sensor shows [A]; of a motor that generates it reads
-        no more than this.
-    quantum : float
-        Step of the speed readings [m/s].
-
-    Examples
-    --------
-    >>> round(HuskyDrive().power_per_current, 1)
-    21.4
-    >>> round(HuskyDrive(wheel_radius=0.33).power_per_current, 1)
-    10.7
-    """
+    """The drive train, as far as the conversion of current to power needs it."""
 
     back_emf: float = 0.141 / pi
-    gear: float = 78.71
-    wheel_radius: float = 0.165
-    dead_band: float = 0.59
-    quantum: float = 1 / 127
+    gear: float = 78.71  # reduction from motor to wheel
+    wheel_radius: float = 0.165  # wheel radius [m]
+    dead_band: float = 0.59  # smallest current that the sensor shows [A]
+    quantum: float = 1 / 127  # step of the speed readings [m/s]
 
     @property
     def power_per_current(self) -> float:
@@ -91,47 +69,7 @@ def read_husky(
     The sensors read nothing while a motor generates, as the inner one may in an arc. Such samples
     show only that a side draws less than the dead band; `set_aside` counts them.
 
-    Parameters
-    ----------
-    wheels : str or Path
-        The file ``pro_NN.csv``.
-    imu : str or Path, optional
-        The file ``imu_NN.csv``; the one beside `wheels` where not given and there is one.
-    drive : HuskyDrive, optional
-        The drive train.
-    blind : {"keep", "drop"}
-        What to do with samples of arcs in which the inner motor reads nothing: ``keep`` takes the
-        inner motor's power as zero, which predicts best what whole drives draw; ``drop`` leaves
-        them out, up to half of a log, so that identified parameters are those of the ground.
-    largest_offset : float
-        Longest clock offset looked for [s].
-
-    Returns
-    -------
-    DriveLog
-        Channels ``t``, ``v_left``, ``v_right``, ``p_left``, ``p_right``; with an IMU ``yaw_rate``
-        and ``accel_x``. `set_aside` counts what was mended or left out, `warnings` states the clock
-        offset and what the sensors do not show.
-
-    Raises
-    ------
-    DriveLogError
-        If a file is malformed; the message names file, line and column.
-
-    References
-    ----------
-    LaRocque et al. (2024), arXiv 2403.16877.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "pro_01.csv"
-    ...     _ = file.write_text("time,curL,curR,velL,velR\n0,2,2,0.5,0.5\n0.1,3,2,0.5,0.5\n")
-    ...     log = read_husky(file)
-    ...
-    >>> log.channels["p_left"].round(1).tolist()  # [W]
-    [21.4, 32.1]
+    Source: LaRocque et al. (2024), arXiv 2403.16877.
     """
     train = drive or HuskyDrive()
     table = read_table(wheels, DriveLogError)
@@ -289,18 +227,7 @@ def _clock_offset(
 
 
 def is_husky(path: str | Path) -> bool:
-    r"""Tell whether a CSV file is a wheel file of a Husky, by its line of column names.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "pro_01.csv"
-    ...     _ = file.write_text("time,curL,curR,velL,velR\n0,2,2,0.5,0.5\n")
-    ...     is_husky(file)
-    ...
-    True
-    """
+    r"""Tell whether a CSV file is a wheel file of a Husky, by its line of column names."""
     try:
         return set(WHEEL_COLUMNS) <= set(column_names(path, DriveLogError))
     except DriveLogError:

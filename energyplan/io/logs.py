@@ -26,69 +26,25 @@ _RESTARTS = 0.01  # share of steps back in time, below which each begins another
 
 @dataclass(frozen=True)
 class LogEntry:
-    """A column of a table or a topic of a bag.
+    """A column of a table or a topic of a bag."""
 
-    Parameters
-    ----------
-    name, type : str
-        Its name; ``"numbers"`` or ``"text"`` of a column, the message type of a topic.
-    count : int
-        Number of readings.
-    rate : float
-        Readings per second [Hz]; 0 where the time is not known.
-    serves : str
-        Channels that it serves for or could serve for; empty where none is known.
-
-    Examples
-    --------
-    >>> LogEntry("power", "float64", 1200, rate=20.0, serves="power").serves
-    'power'
-    """
-
-    name: str
-    type: str
-    count: int
-    rate: float
-    serves: str
+    name: str  # its name
+    type: str  # its name
+    count: int  # number of readings
+    rate: float  # readings per second [Hz]
+    serves: str  # channels that it serves for or could serve for
 
 
 @dataclass(frozen=True)
 class LogInfo:
-    r"""What a file of a drive holds, and what it could serve for.
+    r"""What a file of a drive holds, and what it could serve for."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the file.
-    kind : {"table", "husky", "bag"}
-        How it would be read.
-    duration : float
-        Time from the first to the last reading [s]; 0 where the time is not known.
-    entries : tuple of LogEntry
-        Its columns or topics.
-    channels : mapping of str to tuple of str
-        Channels found by the ready-made topic maps, by map; of a table under ``"columns"``.
-    notes : tuple of str
-        What is missing for a drive log, and what is doubtful about it.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "drive.csv"
-    ...     _ = file.write_text("t,v_left,v_right,power\n0,0.5,0.5,120\n0.1,0.5,0.5,121\n")
-    ...     told = describe_log(file)
-    ...
-    >>> round(told.duration, 3)
-    0.1
-    """
-
-    name: str
-    kind: str
-    duration: float
-    entries: tuple[LogEntry, ...]
-    channels: Mapping[str, tuple[str, ...]]
-    notes: tuple[str, ...]
+    name: str  # name of the file
+    kind: str  # how it would be read
+    duration: float  # time from the first to the last reading [s]
+    entries: tuple[LogEntry, ...]  # its columns or topics
+    channels: Mapping[str, tuple[str, ...]]  # channels found by the ready-made topic maps, by map
+    notes: tuple[str, ...]  # what is missing for a drive log, and what is doubtful about it
 
 
 def read_log(
@@ -98,45 +54,7 @@ def read_log(
     topics: TopicMap | str | Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> DriveLog:
-    r"""Read a drive log of any known kind.
-
-    Parameters
-    ----------
-    path : str or Path
-        A table for `DriveLog.read`, a bag for `read_bag`, or, where `topics` says that the robot is
-        a Husky, its wheel file for `read_husky`.
-    columns : str or mapping of str to str or Column, optional
-        Which column serves as which channel, as for `DriveLog.read`, or a YAML file of them, such
-        as a project's; a table is then read as is.
-    topics : TopicMap, str or Path, optional
-        Which message field of a bag serves as which channel, as for `read_bag`; bags need it, and
-        wheel files of a Husky: ``"husky"``.
-    progress : callable, optional
-        Called with the fraction of a bag that is read.
-
-    Returns
-    -------
-    DriveLog
-        The log.
-
-    Raises
-    ------
-    DriveLogError
-        If the file is malformed or of an unknown kind; the message names file, line and channel.
-    MissingDependencyError
-        If reading such a file takes a package that is not installed.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "drive.csv"
-    ...     _ = file.write_text("t,v_left,v_right,power\n0,0.5,0.5,120\n0.1,0.5,0.5,121\n")
-    ...     log = read_log(file)
-    ...
-    >>> len(log), log.power.tolist()
-    (2, [120.0, 121.0])
-    """
+    r"""Read a drive log of any known kind."""
     if is_bag(path):
         return read_bag(path, topics, progress=progress)
     if isinstance(columns, str) and columns.endswith((".yaml", ".yml")):
@@ -159,34 +77,6 @@ def describe_log(path: str | Path) -> LogInfo:
     r"""Tell what a file of a drive holds, and what it could serve for.
 
     Nothing needs to be complete: a file without power or of foreign column names is described too.
-
-    Parameters
-    ----------
-    path : str or Path
-        A table or a bag, as for `read_log`.
-
-    Returns
-    -------
-    LogInfo
-        Its columns or topics. Of a bag the index alone is read, of a table everything.
-
-    Raises
-    ------
-    DriveLogError
-        If the file is malformed or of an unknown kind.
-    MissingDependencyError
-        If reading such a file takes a package that is not installed.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "drive.csv"
-    ...     _ = file.write_text("t,v_left,v_right,power\n0,0.5,0.5,120\n0.1,0.5,0.5,121\n")
-    ...     told = describe_log(file)
-    ...
-    >>> told.kind, [entry.name for entry in told.entries]
-    ('table', ['t', 'v_left', 'v_right', 'power'])
     """
     return _describe_bag(Path(path)) if is_bag(path) else _describe_table(Path(path))
 

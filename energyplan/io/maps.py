@@ -115,33 +115,7 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
 
 @checked(MapError)
 def read_costmap(path: str | Path) -> CostMap:
-    """Read the soft costs of a map_server YAML with an image of costs.
-
-    Parameters
-    ----------
-    path : str or Path
-        The YAML. In the mode ``scale``, costs rise from 0 at the threshold of free to 1 at that of
-        occupied. In the mode ``raw`` a pixel is a cost itself: from 0 to 100 where none is above
-        that, from 0 to 254 else, as costmaps count; 255 is unknown. In the mode ``trinary``
-        occupied cells cost 1. What is unknown costs nothing.
-
-    Returns
-    -------
-    CostMap
-        The costs.
-
-    Raises
-    ------
-    MapError
-        As for `read_map`.
-
-    Examples
-    --------
-    >>> from energyplan.io.bundled import bundled
-    >>> costs = read_costmap(bundled("office.yaml"))
-    >>> costs.costs.shape == read_map(bundled("office.yaml")).shape
-    True
-    """
+    """Read the soft costs of a map_server YAML with an image of costs."""
     file = Path(path)
     header = load(file, MapError).check(_MapHeader)
     shade, alpha = _pixels(_image(file, header.image))
@@ -265,31 +239,7 @@ def _read_movingai(file: Path) -> OccupancyGrid:
 
 
 def write_map(grid: OccupancyGrid, path: str | Path) -> None:
-    """Write a map as map_server YAML with a PNG of the same name beside it.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        The map.
-    path : str or Path
-        The YAML file. Both files are replaced as a whole.
-
-    Raises
-    ------
-    MapError
-        If the file's name does not end in ``.yaml`` or ``.yml``.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "hall.yaml"
-    ...     write_map(OccupancyGrid(np.eye(4, dtype=bool), 0.1), file)
-    ...     hall = read_map(file)
-    ...
-    >>> int(hall.occupied.sum())
-    4
-    """
+    """Write a map as map_server YAML with a PNG of the same name beside it."""
     file = Path(path)
     if file.is_dir():
         raise MapError(f"{str(file)!r} is a folder; give the map's .yaml in it")

@@ -20,20 +20,7 @@ _HALF = 0.2  # of the larger, that powers or currents of two sides are at least
 
 
 def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
-    """Say what is missing, and why what could be it is not.
-
-    Parameters
-    ----------
-    table : Table
-        The log.
-    needed : sequence of str
-        Channels that nothing in it seems to be.
-
-    Raises
-    ------
-    DriveLogError
-        Always.
-    """
+    """Say what is missing, and why what could be it is not."""
     text = guess(table.text)
     for channel in needed:
         ways = (channel,) if channel != "power" else ("power", "p_left", "current", "voltage")
@@ -84,13 +71,7 @@ def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
 
 
 def counts_rows(values: FloatArray) -> bool:
-    """Tell whether a column is the number of its row: that is no time.
-
-    Examples
-    --------
-    >>> counts_rows(np.array([7.0, 8.0, 9.0])), counts_rows(np.array([7.0, 8.0, 9.5]))
-    (True, False)
-    """
+    """Tell whether a column is the number of its row: that is no time."""
     return len(values) > 1 and bool(np.all(np.diff(values) == 1.0))
 
 
@@ -98,21 +79,6 @@ def refuse_halves(table: Table, found: Mapping[str, Guess], channels: set[str]) 
     """Refuse to take one of two columns that are named alike, and differ, for the whole power.
 
     They may be those of two sides in words that nobody knows here: half of the power would be lost.
-
-    Parameters
-    ----------
-    table : Table
-        The log.
-    found : mapping of str to Guess
-        Columns that channels were guessed to be.
-    channels : set of str
-        All channels, those that somebody named too.
-
-    Raises
-    ------
-    DriveLogError
-        If there is another column like that of the power, or of the current or the voltage that
-        make it.
     """
     one = found.get("power" if "power" in channels else "current")
     if one is None or {"p_left", "p_right"} <= channels:
@@ -154,18 +120,6 @@ def refuse_unlike(table: Table, found: Mapping[str, Guess]) -> None:
     """Refuse to take the mean of one side's wheels where these do not go alike.
 
     One may be dead or count the other way, or they may be of two robots.
-
-    Parameters
-    ----------
-    table : Table
-        The log.
-    found : mapping of str to Guess
-        Columns that channels were guessed to be.
-
-    Raises
-    ------
-    DriveLogError
-        If two columns of a side's speed do not follow each other.
     """
     for channel in ("v_left", "v_right"):
         one = found.get(channel)

@@ -44,13 +44,7 @@ PoseText = str | list[float | str]
 
 
 class Uncertain(NamedTuple):
-    """A number of a file, and its standard deviation if it has one.
-
-    Examples
-    --------
-    >>> Uncertain(0.8, 0.05).spread
-    0.05
-    """
+    """A number of a file, and its standard deviation if it has one."""
 
     value: float
     spread: float | None = None
@@ -218,31 +212,7 @@ def read_mission(path: str | Path) -> Mission:
 
 
 def mission_from(values: Mapping[str, Any] | str, folder: str | Path | None = None) -> Mission:
-    """Build a mission from what a mission's file would hold.
-
-    Parameters
-    ----------
-    values : mapping of str to object, or str
-        The keys of such a file; or its text, YAML or JSON.
-    folder : str or Path, optional
-        Where the files lie that it names; names that lead out of it are refused. Left out, names
-        count from the working folder, and may lead anywhere.
-
-    Returns
-    -------
-    Mission
-        The mission.
-
-    Raises
-    ------
-    MissionError
-        If a key is missing or makes no sense.
-
-    Examples
-    --------
-    >>> mission_from(bundled("mission_warehouse.yaml").read_text()).name
-    'warehouse cleaning'
-    """
+    """Build a mission from what a mission's file would hold."""
     if isinstance(values, str):
         given = parse(values.encode(), "mission", MissionError)
     else:
@@ -251,14 +221,7 @@ def mission_from(values: Mapping[str, Any] | str, folder: str | Path | None = No
 
 
 class MissionReader:
-    """Builds a mission from a document; whatever goes wrong gets its place in the file.
-
-    Examples
-    --------
-    >>> file = bundled("mission_warehouse.yaml")
-    >>> len(MissionReader(load(file, MissionError), file.parent).mission().tasks)
-    5
-    """
+    """Builds a mission from a document; whatever goes wrong gets its place in the file."""
 
     def __init__(self, document: Document, folder: Path, anywhere: bool = False) -> None:
         self._document = document

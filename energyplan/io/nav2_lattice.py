@@ -60,28 +60,7 @@ class _File(BaseModel):
 
 
 def write_lattice(controls: ControlSet, path: str | Path, *, made: date | None = None) -> None:
-    """Write a control set for SmacPlannerLattice (its parameter ``lattice_filepath``).
-
-    Parameters
-    ----------
-    controls : ControlSet
-        The primitives.
-    path : str or Path
-        The file. It is replaced as a whole.
-    made : date, optional
-        The date in the file; today if left out.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> straight = Primitive(0, 0, 0.1, 0.0, 0.0, 0.0, 1, 0)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "lattice.json"
-    ...     write_lattice(ControlSet(0.1, 0.5, (0.0,), (straight,)), file)
-    ...     json.loads(file.read_text())["primitives"][0]["trajectory_length"]
-    ...
-    0.1
-    """
+    """Write a control set for SmacPlannerLattice (its parameter ``lattice_filepath``)."""
     document = {
         "version": 1.0,
         "date_generated": (date.today() if made is None else made).isoformat(),
@@ -131,33 +110,7 @@ def _trajectory(number: int, primitive: Primitive, controls: ControlSet) -> dict
 
 
 def read_lattice(path: str | Path) -> ControlSet:
-    """Read a control set of SmacPlannerLattice.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file. Primitives that slide sideways, of an omnidirectional robot, are refused.
-
-    Returns
-    -------
-    ControlSet
-        The primitives.
-
-    Raises
-    ------
-    MapError
-        If the file is missing or malformed; the message names the primitive.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> controls = ControlSet(0.1, 0.5, (0.0,), (Primitive(0, 0, 0.1, 0.0, 0.0, 0.0, 1, 0),))
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_lattice(controls, Path(folder) / "lattice.json")
-    ...     read_lattice(Path(folder) / "lattice.json") == controls
-    ...
-    True
-    """
+    """Read a control set of SmacPlannerLattice."""
     file = Path(path)
     try:
         found = _File.model_validate_json(read_bytes(file, MAX_FILE))
@@ -230,27 +183,7 @@ def _first_straight(
 
 
 def write_penalties(penalties: Penalties, path: str | Path, lattice: str | Path) -> None:
-    """Write the penalties as parameters of SmacPlannerLattice (YAML).
-
-    Parameters
-    ----------
-    penalties : Penalties
-        The penalties.
-    path : str or Path
-        The file. It is replaced as a whole.
-    lattice : str or Path
-        The file of primitives that goes with them.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "penalties.yaml"
-    ...     write_penalties(Penalties(1.2, 0.0, 1.1, 4.0, 0.05), file, "lattice.json")
-    ...     yaml.safe_load(file.read_text())["GridBased"]["rotation_penalty"]
-    ...
-    4.0
-    """
+    """Write the penalties as parameters of SmacPlannerLattice (YAML)."""
     parameters = {
         "plugin": "nav2_smac_planner::SmacPlannerLattice",
         "lattice_filepath": str(lattice),

@@ -22,50 +22,18 @@ from energyplan.vehicle import Vehicle
 
 @dataclass(frozen=True)
 class Project(ReadOnly):
-    """How a robot's logs are read, and the robot.
+    """How a robot's logs are read, and the robot."""
 
-    Parameters
-    ----------
-    name : str
-        What to call it.
-    vehicle : Vehicle
-        The robot.
-    columns : mapping of str to Column
-        Which column of a table serves as which channel; empty where the logs are bags.
-    topics : TopicMap, optional
-        Which field of a bag serves as which channel.
-    log : str
-        Name of the log that the project was made from.
-    defaults : mapping of str to object
-        Values that nobody gave, by what they are, so that one can see them.
-    """
-
-    name: str
-    vehicle: Vehicle
+    name: str  # what to call it
+    vehicle: Vehicle  # the robot
     columns: Mapping[str, Column] = field(default_factory=lambda: MappingProxyType({}))
-    topics: TopicMap | None = None
-    log: str = ""
+    topics: TopicMap | None = None  # which field of a bag serves as which channel
+    log: str = ""  # name of the log that the project was made from
     defaults: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
 
 def read_project(path: str | Path) -> Project:
-    """Read a project.
-
-    Parameters
-    ----------
-    path : str or Path
-        A YAML file that `write_project` wrote.
-
-    Returns
-    -------
-    Project
-        The project.
-
-    Raises
-    ------
-    ConfigError
-        If the file is malformed; the message names file, line and key.
-    """
+    """Read a project."""
     document = load(path, ConfigError)
     if document.data.get("kind") != "project":
         raise document.fail(
@@ -89,23 +57,7 @@ def read_project(path: str | Path) -> Project:
 
 
 def read_columns(path: str | Path) -> dict[str, Column]:
-    """Read which column serves as which channel from a project's file.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-
-    Returns
-    -------
-    dict of str to Column
-        The columns.
-
-    Raises
-    ------
-    ConfigError
-        If the file is malformed, or the project was made from a bag.
-    """
+    """Read which column serves as which channel from a project's file."""
     project = read_project(path)
     if not project.columns:
         raise ConfigError(f"{path}: the project has no columns: it was made from a bag")
@@ -113,26 +65,7 @@ def read_columns(path: str | Path) -> dict[str, Column]:
 
 
 def write_project(project: Project, path: str | Path) -> Path:
-    """Write a project as YAML, whole or not at all.
-
-    Parameters
-    ----------
-    project : Project
-        The project.
-    path : str or Path
-        The file, which `read_project` reads; so do `read_vehicle`, `read_log` for its columns and
-        `TopicMap.read`.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    InvalidInputError
-        If it cannot be written.
-    """
+    """Write a project as YAML, whole or not at all."""
     data: dict[str, Any] = {"kind": "project", "name": project.name}
     data |= {"log": project.log} if project.log else {}
     data["vehicle"] = plain_vehicle(project.vehicle)

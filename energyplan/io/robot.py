@@ -21,36 +21,18 @@ _DENSITY = 250.0  # mass over wheelbase times track of a robot that nobody weigh
 
 @dataclass(frozen=True)
 class Given:
-    """What is known of the robot before its log is read; NaN where it is not.
+    """What is known of the robot before its log is read; NaN where it is not."""
 
-    Parameters
-    ----------
-    wheel_radius, track, wheelbase : float
-        Radius of the wheels; distance of left from right, and of front from rear contacts [m].
-    mass : float
-        Mass as it drives [kg].
-    counts_per_revolution : float
-        What an encoder counts while the wheel turns once.
-    length, width : float
-        Footprint [m].
-    name : str
-        What to call the robot.
-    like : Vehicle, optional
-        A vehicle to take the rest from.
-    columns : str
-        Columns that are known, as for `DriveLog.read`.
-    """
-
-    wheel_radius: float = nan
-    track: float = nan
-    wheelbase: float = nan
-    mass: float = nan
-    length: float = nan
-    width: float = nan
-    name: str = ""
-    like: Vehicle | None = None
-    columns: str | None = None
-    counts_per_revolution: float = nan
+    wheel_radius: float = nan  # radius of the wheels [m]
+    track: float = nan  # radius of the wheels [m]
+    wheelbase: float = nan  # radius of the wheels [m]
+    mass: float = nan  # mass as it drives [kg]
+    length: float = nan  # footprint [m]
+    width: float = nan  # footprint [m]
+    name: str = ""  # what to call the robot
+    like: Vehicle | None = None  # A vehicle to take the rest from
+    columns: str | None = None  # columns that are known, as for `DriveLog.read`
+    counts_per_revolution: float = nan  # what an encoder counts while the wheel turns once
 
     def __post_init__(self) -> None:
         for key in ("wheel_radius", "track", "wheelbase", "mass", "length", "width",
@@ -79,29 +61,7 @@ class Robot(NamedTuple):
 
 
 def build_vehicle(file: Path, log: DriveLog, evidence: Evidence, known: Given) -> Robot:
-    """Build a vehicle from what is given; the rest from the log, or as robots usually are.
-
-    Parameters
-    ----------
-    file : Path
-        The log's file, for messages and for a name.
-    log : DriveLog
-        The log.
-    evidence : Evidence
-        What it tells.
-    known : Given
-        What is given.
-
-    Returns
-    -------
-    Robot
-        The vehicle.
-
-    Raises
-    ------
-    InvalidInputError
-        If neither anybody nor the log tells how wide the robot is.
-    """
+    """Build a vehicle from what is given; the rest from the log, or as robots usually are."""
     assumed: dict[str, str] = {}
     measures = known_measures(known)
     track, wheelbase, mass = measures.track, measures.wheelbase, measures.mass

@@ -28,39 +28,7 @@ _MAX_ID = 2**32
 def read_route_graph(path: str | Path) -> RouteGraph:
     """Read a route graph.
 
-    Parameters
-    ----------
-    path : str or Path
-        A GeoJSON FeatureCollection as Nav2's route server takes it: points are nodes with the
-        property ``id``, lines are edges with ``id``, ``startid`` and ``endid``. Whatever else
-        the features hold is kept, so that `write_route_graph` writes it back.
-
-    Returns
-    -------
-    networkx.MultiDiGraph
-        Nodes by id with ``pos`` [m]; edges keyed by id with ``cost`` where the file has one. As in
-        the route server, an edge is the straight line between its nodes.
-
-    Raises
-    ------
-    MapError
-        If the file is missing or malformed; the message names the feature.
-
-    References
-    ----------
-    Nav2 documentation, "Route Graph Generation"; GeoJSON (RFC 7946).
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> graph = nx.MultiDiGraph([(0, 1, {"cost": 250.0})])
-    >>> nx.set_node_attributes(graph, {0: (0.0, 0.0), 1: (4.0, 3.0)}, "pos")
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_route_graph(graph, Path(folder) / "depot.geojson")
-    ...     again = read_route_graph(Path(folder) / "depot.geojson")
-    ...
-    >>> again.nodes[1]["pos"], again.edges[0, 1, 0]["cost"]
-    ((4.0, 3.0), 250.0)
+    Source: Nav2 documentation, "Route Graph Generation"; GeoJSON (RFC 7946).
     """
     file = Path(path)
     document, features = read_features(file)
@@ -127,32 +95,6 @@ def write_route_graph(graph: RouteGraph, path: str | Path) -> None:
     false``, without which the route server would replace it by the scores of its plug-ins. Edges
     that were read and are no longer in the graph are left out. Everything else that was read is
     written back as it was.
-
-    Parameters
-    ----------
-    graph : networkx graph
-        A graph from `read_route_graph`, or any directed graph whose nodes are whole numbers with
-        ``pos``; edges without an id as their key are numbered.
-    path : str or Path
-        The file. It is replaced as a whole.
-
-    Raises
-    ------
-    MapError
-        If a node or a cost is not what the route server takes: its costs must be positive.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> graph = nx.MultiDiGraph([(0, 1, {"cost": 250.0})])
-    >>> nx.set_node_attributes(graph, {0: (0.0, 0.0), 1: (4.0, 3.0)}, "pos")
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "depot.geojson"
-    ...     write_route_graph(graph, file)
-    ...     edge = json.loads(file.read_text())["features"][2]
-    ...
-    >>> edge["properties"]["cost"], edge["properties"]["overridable"]
-    (250.0, False)
     """
     document = graph.graph.get("document")
     read = document is not None

@@ -22,25 +22,7 @@ class Signed(NamedTuple):
 
 
 def read_signed(file: Path, columns: Mapping[str, Column]) -> Signed:
-    """Read a table, and turn round what counts the other way.
-
-    Parameters
-    ----------
-    file : Path
-        The table.
-    columns : mapping of str to Column
-        Its columns by channel.
-
-    Returns
-    -------
-    Signed
-        The log; the notes tell what was turned.
-
-    Raises
-    ------
-    DriveLogError
-        If the log is malformed, or contradicts itself in another way.
-    """
+    """Read a table, and turn round what counts the other way."""
     notes: list[str] = []
     made = dict(columns)
     done: set[str] = set()

@@ -50,21 +50,11 @@ _RATES = {"rad/s": 1.0, "rpm": pi / 30, "deg/s": pi / 180}
 
 @dataclass(frozen=True)
 class Start:
-    """A robot's project, and how well its log bears it out.
+    """A robot's project, and how well its log bears it out."""
 
-    Parameters
-    ----------
-    project : Project
-        Vehicle, columns or topics, and what was assumed.
-    checks : tuple of Check
-        What was held against what.
-    notes : tuple of str
-        What is doubtful about the log.
-    """
-
-    project: Project
-    checks: tuple[Check, ...]
-    notes: tuple[str, ...]
+    project: Project  # vehicle, columns or topics, and what was assumed
+    checks: tuple[Check, ...]  # what was held against what
+    notes: tuple[str, ...]  # what is doubtful about the log
 
     @property
     def sound(self) -> bool:
@@ -77,26 +67,6 @@ def start(path: str | Path, given: Given | None = None) -> Start:
 
     Names say which channel is what. Units come from the names, or are the ones with which
     odometry, gyroscope, pose, power and geometry agree on.
-
-    Parameters
-    ----------
-    path : str or Path
-        A table or a bag.
-    given : Given, optional
-        What is known of the robot.
-
-    Returns
-    -------
-    Start
-        The project, for `energyplan.io.project.write_project`, and the checks.
-
-    Raises
-    ------
-    DriveLogError
-        If a channel that is needed cannot be guessed, or channels contradict each other; the
-        message says which and what to give.
-    InvalidInputError
-        If a measure of the robot is missing that the log does not show.
     """
     known = given or Given()
     if is_bag(path):

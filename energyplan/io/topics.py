@@ -59,35 +59,14 @@ def _read(message: Any, field: str) -> float:
 
 
 class TopicSource(Checked, BaseModel):
-    """A message field that serves as a channel.
-
-    Parameters
-    ----------
-    topic : str
-        Topic; a bag's topic matches if it is the same or ends with a slash and it.
-    field : str
-        Field of the message, such as ``angular_velocity.z``. ``measured_currents[1]`` takes one
-        element, ``velocity[*left*]`` or ``velocity[fl|rl]`` the mean of the joints whose names
-        match, and ``yaw(pose.pose.orientation)`` the heading of a quaternion.
-    scale : float
-        Factor to the library's unit and sign.
-    times : str, optional
-        A further field of the same message to multiply by.
-
-    Examples
-    --------
-    >>> from types import SimpleNamespace as Message
-    >>> source = TopicSource(topic="battery_state", field="current", scale=-1.0)
-    >>> source.matches("/robot/battery_state"), source.value(Message(current=-3.5))
-    (True, 3.5)
-    """
+    """A message field that serves as a channel."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    topic: str
-    field: str
+    topic: str  # topic
+    field: str  # field of the message, such as ``angular_velocity.z``
     scale: Annotated[float, Field(allow_inf_nan=False)] = 1.0
-    times: str | None = None
+    times: str | None = None  # A further field of the same message to multiply by
 
     @field_validator("field", "times")
     @classmethod
@@ -108,31 +87,13 @@ class TopicSource(Checked, BaseModel):
 
 
 class TopicMap(BaseModel):
-    """Sources of each channel, the preferred one first.
-
-    Parameters
-    ----------
-    kind : {"topics"}
-        What a YAML file of a topic map says it is.
-    name : str
-        What to call it.
-    channels : mapping of str to list of TopicSource
-        The sources by channel; ``t`` comes from the messages' stamps.
-
-    Examples
-    --------
-    >>> TopicMap.read("jackal").channels["power"][0].topic
-    'platform/mcu/status/power'
-    >>> own = TopicMap(channels={"voltage": {"topic": "bms", "field": "voltage"}})
-    >>> own.channels["voltage"][0].matches("/robot/bms")
-    True
-    """
+    """Sources of each channel, the preferred one first."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    kind: Literal["topics"] = "topics"
-    name: str = "topics"
-    channels: dict[str, list[TopicSource]]
+    kind: Literal["topics"] = "topics"  # what a YAML file of a topic map says it is
+    name: str = "topics"  # what to call it
+    channels: dict[str, list[TopicSource]]  # the sources by channel
 
     @field_validator("channels", mode="before")
     @classmethod
@@ -146,13 +107,6 @@ class TopicMap(BaseModel):
         """Return a ready-made map (``husky``, ``jackal``, ``warthog``) or one from a YAML file.
 
         A project's file is read for the topic map that it holds.
-
-        Raises
-        ------
-        UnknownNameError
-            If there is neither such a map nor such a file.
-        ConfigError
-            If the file is malformed; the message names file, line and key.
         """
         if isinstance(source, str) and not source.endswith((".yaml", ".yml")):
             if source not in TOPIC_MAPS:
@@ -255,11 +209,5 @@ _PRESETS = {"husky_a200": "husky", "jackal": "jackal", "warthog": "warthog"}
 
 
 def topic_map_of(vehicle: str) -> str | None:
-    """Return the name of the ready-made topic map of a vehicle preset, if it has one.
-
-    Examples
-    --------
-    >>> topic_map_of("husky_a200"), topic_map_of("quadriga:full")
-    ('husky', None)
-    """
+    """Return the name of the ready-made topic map of a vehicle preset, if it has one."""
     return _PRESETS.get(vehicle.partition(":")[0])

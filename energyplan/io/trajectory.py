@@ -26,36 +26,7 @@ _FIRST = ("t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "cu
 
 
 def read_path(file: str | File, longitudinal: float = 0.0) -> Path:
-    r"""Read a path from a table with the columns ``x``, ``y``, ``yaw``.
-
-    Parameters
-    ----------
-    file : str or pathlib.Path
-        A ``.csv``, ``.csv.gz`` or ``.parquet`` file; SI units and radians.
-    longitudinal : float
-        x coordinate of the reference point in the body frame [m]; `TreadICR.longitudinal`.
-
-    Returns
-    -------
-    Path
-        The poses joined by arcs.
-
-    Raises
-    ------
-    PathError
-        If the file is malformed, or two poses ask for sideways motion.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = File(folder) / "path.csv"
-    ...     _ = file.write_text("x,y,yaw\n0,0,0\n1,0,0\n")
-    ...     path = read_path(file)
-    ...
-    >>> round(path.length, 6)
-    1.0
-    """
+    r"""Read a path from a table with the columns ``x``, ``y``, ``yaw``."""
     table = read_table(file, PathError)
     _check_kind(table, _PATH)
     poses = np.column_stack([_complete(table, name) for name in _PATH])
@@ -75,73 +46,13 @@ def read_path(file: str | File, longitudinal: float = 0.0) -> Path:
 def write_path(
     path: Path, file: str | File, *, max_ds: float = 0.05, max_dtheta: float = 0.05
 ) -> File:
-    """Write a path as a table with the columns ``x``, ``y``, ``yaw``.
-
-    Parameters
-    ----------
-    path : Path
-        The path.
-    file : str or pathlib.Path
-        A ``.csv``, ``.csv.gz`` or ``.parquet`` file, written whole or not at all.
-    max_ds, max_dtheta : float
-        Largest step between poses [m], [rad].
-
-    Returns
-    -------
-    pathlib.Path
-        The file.
-
-    Raises
-    ------
-    InvalidInputError
-        If the file's type is unknown or it cannot be written.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from energyplan.path import Pose
-    >>> straight = Path(Pose(0, 0, 0), ds=[2.0], dtheta=[0.0])
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = write_path(straight, File(folder) / "path.csv")
-    ...     path = read_path(file)
-    ...
-    >>> round(path.length, 6)
-    2.0
-    """
+    """Write a path as a table with the columns ``x``, ``y``, ``yaw``."""
     poses = path.poses(max_ds, max_dtheta)
     return _write(file, dict(zip(_PATH, poses.T, strict=True)))
 
 
 def read_trajectory(file: str | File) -> Trajectory:
-    r"""Read a trajectory: a table with the columns ``t``, ``x``, ``y``, ``yaw``, ``v``, ``omega``.
-
-    Parameters
-    ----------
-    file : str or pathlib.Path
-        A ``.csv``, ``.csv.gz`` or ``.parquet`` file; SI units and radians.
-
-    Returns
-    -------
-    Trajectory
-        The trajectory; yaw unwrapped.
-
-    Raises
-    ------
-    PathError
-        If the file is malformed, time does not increase, or poses and speeds contradict each other;
-        the message names the line.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = File(folder) / "slow.csv"
-    ...     _ = file.write_text("t,x,y,yaw,v,omega\n0,0,0,0,0.5,0\n2,1,0,0,0.5,0\n")
-    ...     slow = read_trajectory(file)
-    ...
-    >>> float(slow.duration)
-    2.0
-    """
+    r"""Read a trajectory: a table of ``t``, ``x``, ``y``, ``yaw``, ``v``, ``omega``."""
     table = read_table(file, PathError)
     _check_kind(table, _TRAJECTORY)
     t, x, y, yaw, v, omega = (_complete(table, name) for name in _TRAJECTORY)
@@ -163,36 +74,7 @@ def read_trajectory(file: str | File) -> Trajectory:
 
 
 def read_drive(file: str | File, longitudinal: float = 0.0) -> Trajectory | Path:
-    r"""Read a trajectory, or a path where the table has no times.
-
-    Parameters
-    ----------
-    file : str or pathlib.Path
-        A table as `read_trajectory` or `read_path` reads.
-    longitudinal : float
-        x coordinate of a path's reference point in the body frame [m].
-
-    Returns
-    -------
-    Trajectory or Path
-        A trajectory if there is a column ``t``.
-
-    Raises
-    ------
-    PathError
-        As the two.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = File(folder) / "path.csv"
-    ...     _ = file.write_text("x,y,yaw\n0,0,0\n1,0,0\n")
-    ...     found = read_drive(file)
-    ...
-    >>> type(found).__name__  # a path, since there are no times
-    'Path'
-    """
+    r"""Read a trajectory, or a path where the table has no times."""
     table = read_table(file, PathError)
     if {"t", "v", "omega"} & (set(table.columns) | set(table.text)):
         return read_trajectory(file)
@@ -257,71 +139,12 @@ def _agree(
 
 
 def write_trajectory(trajectory: Trajectory, file: str | File) -> File:
-    """Write a trajectory with the columns ``t``, ``x``, ``y``, ``yaw``, ``v``, ``omega``.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The trajectory.
-    file : str or pathlib.Path
-        A ``.csv``, ``.csv.gz`` or ``.parquet`` file, written whole or not at all.
-
-    Returns
-    -------
-    pathlib.Path
-        The file.
-
-    Raises
-    ------
-    InvalidInputError
-        If the file's type is unknown or it cannot be written.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> slow = Trajectory([0, 2], x=[0, 1], y=[0, 0], yaw=[0, 0], v=[0.5, 0.5], omega=[0, 0])
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     again = read_trajectory(write_trajectory(slow, File(folder) / "slow.csv"))
-    ...
-    >>> float(again.duration)
-    2.0
-    """
+    """Write a trajectory with the columns ``t``, ``x``, ``y``, ``yaw``, ``v``, ``omega``."""
     return _write(file, {name: getattr(trajectory, name) for name in _TRAJECTORY})
 
 
 def write_log(log: DriveLog, file: str | File) -> File:
-    """Write a drive log with one column for each of its channels.
-
-    Parameters
-    ----------
-    log : DriveLog
-        The log.
-    file : str or pathlib.Path
-        A ``.csv``, ``.csv.gz`` or ``.parquet`` file, written whole or not at all.
-
-    Returns
-    -------
-    pathlib.Path
-        The file, which `DriveLog.read` reads.
-
-    Raises
-    ------
-    InvalidInputError
-        If the file's type is unknown or it cannot be written.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from energyplan import simulate
-    >>> from energyplan.power import PowerModel
-    >>> model = PowerModel.preset("quadriga:empty:marble")
-    >>> log = simulate.drive(model, [simulate.Setpoint(0.4, 0.5, hold=5.0)])
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     first = write_log(log, File(folder) / "drive.csv").read_text().splitlines()[0]
-    ...
-    >>> first.split(",")[:3]
-    ['t', 'v_left', 'v_right']
-    """
+    """Write a drive log with one column for each of its channels."""
     first = [name for name in _FIRST if log.has(name)]
     rest = sorted(set(log.channels) - set(first))
     return _write(file, {name: log.channels[name] for name in (*first, *rest)})

@@ -29,27 +29,6 @@ def accepted(
 ) -> Trajectory:
     """Solve, and solve again within tighter limits, until `check` would accept the trajectory.
 
-    Parameters
-    ----------
-    solve : callable
-        Makes a profile within given limits.
-    survey : callable
-        Finds where a profile exceeds the limits as they are.
-    limits : Limits
-        The limits.
-    cool : callable, optional
-        Makes a profile within given limits, the continuous power among them, which `solve` leaves
-        alone.
-    hasty : bool
-        Whether `cool` comes before lowering the peak power.
-
-    Raises
-    ------
-    InfeasibleMotionError
-        If there is no profile within the limits.
-
-    Notes
-    -----
     A ladder keeps the limits at its rungs. Between them, across smooth corners, on other grounds
     and on slopes that change, a limit may be exceeded a little; it is tightened by as much. The
     continuous power, which looks at the past, is kept by tightening the peak power.

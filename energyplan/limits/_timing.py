@@ -167,25 +167,13 @@ ROUNDED = 0.15
 
 
 class Phases(NamedTuple):
-    """Phases of constant acceleration in order of time, arrays of one shape.
+    """Phases of constant acceleration in order of time, arrays of one shape."""
 
-    Parameters
-    ----------
-    run : ndarray of int
-        The run that the phase belongs to.
-    at : ndarray
-        Distance from the run's start along its faster tread [m].
-    rate, gain : ndarray
-        Rate at the start [m/s] and its acceleration [m/s^2].
-    time : ndarray
-        Duration [s], positive.
-    """
-
-    run: NDArray[np.int_]
-    at: FloatArray
-    rate: FloatArray
-    gain: FloatArray
-    time: FloatArray
+    run: NDArray[np.int_]  # the run that the phase belongs to
+    at: FloatArray  # distance from the run's start along its faster tread [m]
+    rate: FloatArray  # rate at the start [m/s] and its acceleration [m/s^2]
+    gain: FloatArray  # rate at the start [m/s] and its acceleration [m/s^2]
+    time: FloatArray  # duration [s], positive
 
     @property
     def duration(self) -> float:
@@ -201,62 +189,26 @@ class Sampled(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """Points along a course, and the cells between them.
+    """Points along a course, and the cells between them."""
 
-    Parameters
-    ----------
-    run : ndarray of int, shape (n,)
-        Run that the point lies on.
-    at : ndarray, shape (n,)
-        Distance from the run's start [m].
-    shape : ndarray, shape (n, 2)
-        Speed along the heading [1] and yaw rate [1/m] at unit rate; between those of both runs
-        where a corner is rounded.
-    cell : ndarray, shape (n - 1,)
-        Lengths of the cells [m].
-    """
-
-    run: NDArray[np.int_]
-    at: FloatArray
-    shape: FloatArray
-    cell: FloatArray
+    run: NDArray[np.int_]  # (n,): run that the point lies on
+    at: FloatArray  # (n,): distance from the run's start [m]
+    shape: FloatArray  # (n, 2): speed along the heading [1] and yaw rate [1/m] at unit rate
+    cell: FloatArray  # (n - 1,): lengths of the cells [m]
 
 
 @dataclass(frozen=True)
 class Course:
-    """A path as runs that meet at corners.
+    """A path as runs that meet at corners."""
 
-    Parameters
-    ----------
-    path : Path
-        The path, one segment per run, none of them empty.
-    length : ndarray, shape (n,)
-        Length of each run along its faster tread [m].
-    corner : ndarray, shape (n + 1,)
-        Largest rate at the start, at each corner and at the end [m/s].
-    through : ndarray of bool, shape (n - 1,)
-        Corners that are part of a smooth curve and driven through although the shares of the
-        treads jump.
-    tolerance : float
-        How far the robot may leave the path there [m].
-    """
-
-    path: Path
-    length: FloatArray
-    corner: FloatArray
-    through: NDArray[np.bool_]
-    tolerance: float
+    path: Path  # the path, one segment per run, none of them empty
+    length: FloatArray  # (n,): length of each run along its faster tread [m]
+    corner: FloatArray  # (n + 1,): largest rate at the start, at each corner and at the end [m/s]
+    through: NDArray[np.bool_]  # (n - 1,)
+    tolerance: float  # how far the robot may leave the path there [m]
 
     def phases(self, ladder: Ladder, cruise: FloatArray) -> Phases:
-        """Drive every run as fast as its ladder and cruising rate allow.
-
-        Parameters
-        ----------
-        ladder : Ladder
-            One ladder per run.
-        cruise : ndarray, shape (n,)
-            Largest rate on each run [m/s].
-        """
+        """Drive every run as fast as its ladder and cruising rate allow."""
         top = ladder.rate[-1]
         # The rates at start and end are given; cruising begins after and ends before them.
         cap = np.concatenate([top[:1], np.minimum(cruise[:-1], cruise[1:]), top[-1:]])

@@ -41,25 +41,13 @@ class Window(NamedTuple):
 
 
 class Fine(NamedTuple):
-    """A profile at places between its points: a window may begin and end anywhere.
+    """A profile at places between its points: a window may begin and end anywhere."""
 
-    Parameters
-    ----------
-    rate, time : ndarray, shape (m,)
-        Rates [m/s], times [s].
-    drawn : ndarray, shape (2, m)
-        What either side drew up to there [J].
-    cell : ndarray of int, shape (m,)
-        The cell in which the place lies.
-    part : ndarray, shape (m,)
-        Which part of the cell's time has gone.
-    """
-
-    rate: FloatArray
-    time: FloatArray
-    drawn: FloatArray
-    cell: NDArray[np.intp]
-    part: FloatArray
+    rate: FloatArray  # (m,): rates [m/s], times [s]
+    time: FloatArray  # (m,): rates [m/s], times [s]
+    drawn: FloatArray  # (2, m): what either side drew up to there [J]
+    cell: NDArray[np.intp]  # (m,): the cell in which the place lies
+    part: FloatArray  # (m,): which part of the cell's time has gone
 
     @classmethod
     def of(cls, rate: FloatArray, time: FloatArray, drawn: FloatArray) -> Fine:
@@ -93,21 +81,11 @@ class Sums(NamedTuple):
 
 
 class Basis(NamedTuple):
-    """Knots among the points, and the hat functions between them.
+    """Knots among the points, and the hat functions between them."""
 
-    Parameters
-    ----------
-    knots : ndarray of int, shape (k,)
-        The points that are knots.
-    behind : ndarray of int, shape (n,)
-        The knot at or before each point.
-    hats : ndarray, shape (n, k)
-        Weights of the knots at each point.
-    """
-
-    knots: NDArray[np.intp]
-    behind: NDArray[np.intp]
-    hats: FloatArray
+    knots: NDArray[np.intp]  # (k,): the points that are knots
+    behind: NDArray[np.intp]  # (n,): the knot at or before each point
+    hats: FloatArray  # (n, k): weights of the knots at each point
 
     @classmethod
     def over(cls, time: FloatArray, drawn: FloatArray, window: Window) -> Basis:
@@ -173,33 +151,15 @@ class Basis(NamedTuple):
 
 
 class Windows(NamedTuple):
-    """Windows of one side: from or to a point, over the energy that one window may hold.
+    """Windows of one side: from or to a point, over the energy that one window may hold."""
 
-    Parameters
-    ----------
-    side : int
-        Left or right.
-    forward : bool
-        Whether they begin, or end, at the points.
-    point : ndarray of int, shape (m,)
-        The points.
-    cell : ndarray of int, shape (m,)
-        Cell in which the other end lies.
-    part : ndarray, shape (m,)
-        Where in the cell, as a fraction.
-    lasts : ndarray, shape (m,)
-        How long they last [s].
-    least : float
-        How long they must last [s].
-    """
-
-    side: int
-    forward: bool
-    point: NDArray[np.intp]
-    cell: NDArray[np.intp]
-    part: FloatArray
-    lasts: FloatArray
-    least: float
+    side: int  # left or right
+    forward: bool  # whether they begin, or end, at the points
+    point: NDArray[np.intp]  # (m,): the points
+    cell: NDArray[np.intp]  # (m,): cell in which the other end lies
+    part: FloatArray  # (m,): where in the cell, as a fraction
+    lasts: FloatArray  # (m,): how long they last [s]
+    least: float  # how long they must last [s]
 
     @classmethod
     def found(cls, fine: Fine, window: Window, side: int, forward: bool) -> Windows:

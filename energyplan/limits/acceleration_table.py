@@ -33,26 +33,13 @@ CRAWL = 1e-6
 
 @dataclass(frozen=True)
 class Runs:
-    """Kinds of runs: body motion per unit of the faster tread's speed, n of them.
+    """Kinds of runs: body motion per unit of the faster tread's speed, n of them."""
 
-    Parameters
-    ----------
-    forward, turn : ndarray, shape (n,)
-        Speed along the heading [1] and yaw rate [1/m] at unit rate.
-    drift : ndarray, shape (4, n)
-        How fast `forward` and `turn` change along a smooth curve [1/m], [1/m^2]: about the start
-        of the run, then about its end. At rate r that takes acceleration in proportion to r^2.
-    model : PowerModel
-        The power model.
-    channels : mapping of str to ndarray, shape (n,)
-        Further channels, constant on a run.
-    """
-
-    forward: FloatArray
-    turn: FloatArray
-    drift: FloatArray
-    model: PowerModel
-    channels: Mapping[str, FloatArray]
+    forward: FloatArray  # (n,): speed along the heading [1] and yaw rate [1/m] at unit rate
+    turn: FloatArray  # (n,): speed along the heading [1] and yaw rate [1/m] at unit rate
+    drift: FloatArray  # how fast `forward` and `turn` change along a smooth curve [1/m], [1/m^2]
+    model: PowerModel  # the power model
+    channels: Mapping[str, FloatArray]  # (n,): further channels, constant on a run
 
     @cached_property
     def bend(self) -> FloatArray:
@@ -94,15 +81,7 @@ class Runs:
         return worst
 
     def top_rate(self, limits: Limits) -> FloatArray:
-        """Largest rate up to which every steady rate is within the limits.
-
-        Raises
-        ------
-        InvalidInputError
-            If nothing limits the speed.
-        InfeasibleMotionError
-            If the robot cannot even crawl along a run.
-        """
+        """Largest rate up to which every steady rate is within the limits."""
         full = min(limits.motor.acceleration, UNLIMITED)
         bounds = (
             np.full_like(self.turn, limits.motor.speed),
@@ -151,19 +130,11 @@ class Runs:
 
 @dataclass(frozen=True)
 class Ladder:
-    """Rates of each run with the acceleration between neighbouring ones.
+    """Rates of each run with the acceleration between neighbouring ones."""
 
-    Parameters
-    ----------
-    rate : ndarray, shape (m + 1, n)
-        Rungs from 0 to the top rate [m/s].
-    up, down : ndarray, shape (m, n)
-        Acceleration and deceleration between two rungs [m/s^2], both positive.
-    """
-
-    rate: FloatArray
-    up: FloatArray
-    down: FloatArray
+    rate: FloatArray  # (m + 1, n): rungs from 0 to the top rate [m/s]
+    up: FloatArray  # (m, n): acceleration and deceleration between two rungs [m/s^2], both positive
+    down: FloatArray  # acceleration and deceleration between two rungs [m/s^2], both positive
 
     @cached_property
     def square(self) -> FloatArray:

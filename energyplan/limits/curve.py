@@ -5,10 +5,8 @@ exactly as a trajectory is defined (`energyplan.limits.drive`). Limits are kept 
 what happens there, so nothing is given away to the worst case of a run: a tread that has to slow
 down for the curve anyway may do so while the other speeds up.
 
-References
-----------
-Pham and Pham (2018), "A new approach to time-optimal path parameterization based on reachability
-analysis".
+Source: Pham and Pham (2018), "A new approach to time-optimal path parameterization based on
+reachability analysis".
 """
 
 from __future__ import annotations
@@ -34,43 +32,21 @@ SLACK = 1e-9
 
 
 class Points(NamedTuple):
-    """Points along a curve with the motion at unit rate, n of them; cells lie between them.
+    """Points along a curve with the motion at unit rate, n of them; cells lie between them."""
 
-    Parameters
-    ----------
-    forward, turn : ndarray, shape (n,)
-        Speed along the heading [1] and yaw rate [1/m] at unit rate of the faster tread.
-    length : ndarray, shape (n - 1,)
-        Length of each cell along the faster tread [m].
-    channels : dict of str to ndarray, shape (n,)
-        Further channels.
-    """
-
-    forward: FloatArray
-    turn: FloatArray
-    length: FloatArray
-    channels: dict[str, FloatArray]
+    forward: FloatArray  # (n,)
+    turn: FloatArray  # (n,)
+    length: FloatArray  # (n - 1,): length of each cell along the faster tread [m]
+    channels: dict[str, FloatArray]  # (n,): further channels
 
 
 class Curve(NamedTuple):
-    """Points along a curve with what limits the motion there.
+    """Points along a curve with what limits the motion there."""
 
-    Parameters
-    ----------
-    points : Points
-        The points, n of them.
-    model : PowerModel
-        The power model.
-    limits : Limits
-        The limits.
-    cap : ndarray, shape (n,)
-        Largest steady rate at each point, and what is asked for at both ends [m/s].
-    """
-
-    points: Points
-    model: PowerModel
-    limits: Limits
-    cap: FloatArray
+    points: Points  # the points, n of them
+    model: PowerModel  # the power model
+    limits: Limits  # the limits
+    cap: FloatArray  # largest steady rate at each point, and what is asked for at both ends [m/s]
 
     @property
     def acceleration(self) -> float:
@@ -144,21 +120,7 @@ def fastest_rates(
     sides: AnyTable, length: Column, top: Column, most: float,
     up: Column, down: Column,
 ) -> FloatArray:  # fmt: skip
-    """Greatest rates at the points, within `top`; negative at a point that cannot be passed.
-
-    Parameters
-    ----------
-    sides : ndarray, shape (n, 2)
-        Speed of the left and of the right tread at unit rate.
-    length : ndarray, shape (n - 1,)
-        Length of each cell [m].
-    top : ndarray, shape (n,)
-        Largest rates [m/s]; those at both ends are what is asked for at most.
-    most : float
-        Largest acceleration of a tread [m/s^2].
-    up, down : ndarray, shape (n - 1,)
-        Largest rise and fall of the rate in each cell [m/s^2].
-    """
+    """Greatest rates at the points, within `top`; negative at a point that cannot be passed."""
     n = len(top)
     cap = top.copy()
     rate = np.empty(n)
@@ -199,26 +161,6 @@ def fastest_along(
 ) -> FloatArray:
     """Return the greatest rates at the points within all limits [m/s].
 
-    Parameters
-    ----------
-    points : Points
-        The points.
-    model : PowerModel
-        The power model.
-    limits : Limits
-        Limits; the continuous power is left to the caller.
-    top : ndarray, shape (n,)
-        Largest steady rate at each point, and what is asked for at both ends [m/s].
-    acceleration : float
-        Largest acceleration of a tread, finite [m/s^2].
-
-    Raises
-    ------
-    InfeasibleMotionError
-        If the curve cannot be driven.
-
-    Notes
-    -----
     Power and force bound the change of the rate in a cell by the part of it that the steady motion
     leaves; forces are straight in the acceleration. What is left depends on the rates, so it is
     found anew until nothing changes.

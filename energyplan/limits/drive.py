@@ -41,28 +41,11 @@ HALVINGS = 30
 
 @dataclass(frozen=True)
 class Ground:
-    """What is driven on: power models by place, and the slope.
+    """What is driven on: power models by place, and the slope."""
 
-    Parameters
-    ----------
-    model : PowerModel
-        The model outside all surfaces.
-    surfaces : SurfaceMap, optional
-        Grounds with models of their own.
-    heights : HeightMap, optional
-        Heights of the ground; level where not given.
-    others : tuple of PowerModel, optional
-        The surfaces' models, where they are not the surfaces' own, as with a payload on board.
-
-    Raises
-    ------
-    InvalidInputError
-        If there are not as many other models as surfaces.
-    """
-
-    model: PowerModel
-    surfaces: SurfaceMap | None = None
-    heights: HeightMap | None = None
+    model: PowerModel  # the model outside all surfaces
+    surfaces: SurfaceMap | None = None  # grounds with models of their own
+    heights: HeightMap | None = None  # heights of the ground
     others: tuple[PowerModel, ...] | None = None
 
     def __post_init__(self) -> None:
@@ -111,19 +94,11 @@ class Ground:
 
 
 class Pieces(NamedTuple):
-    """Parts of intervals between samples.
+    """Parts of intervals between samples."""
 
-    Parameters
-    ----------
-    interval : ndarray of int, shape (m,)
-        The interval that the piece is part of; interval k lies between samples k and k + 1.
-    begin, end : ndarray, shape (m,)
-        Where it begins and ends, as fractions of the interval.
-    """
-
-    interval: NDArray[np.int_]
-    begin: FloatArray
-    end: FloatArray
+    interval: NDArray[np.int_]  # (m,): the interval that the piece is part of
+    begin: FloatArray  # (m,): where it begins and ends, as fractions of the interval
+    end: FloatArray  # (m,): where it begins and ends, as fractions of the interval
 
     @property
     def parts(self) -> FloatArray:
@@ -145,70 +120,30 @@ class Pieces(NamedTuple):
 
 
 class Part(NamedTuple):
-    """Pieces on one ground, with their motion.
+    """Pieces on one ground, with their motion."""
 
-    Parameters
-    ----------
-    model : PowerModel
-        The power model there.
-    region : int
-        Its place among the ground's models.
-    which : ndarray of int, shape (m,)
-        Which of all pieces these are.
-    motion : Motion, shape (m, 3)
-        Motion at the beginning, the middle and the end of each piece.
-    """
-
-    model: PowerModel
-    region: int
-    which: NDArray[np.intp]
-    motion: Motion
+    model: PowerModel  # the power model there
+    region: int  # its place among the ground's models
+    which: NDArray[np.intp]  # (m,): which of all pieces these are
+    motion: Motion  # (m, 3): motion at the beginning, the middle and the end of each piece
 
 
 class Quadrature(NamedTuple):
-    """Parts of a drive on one ground, with weights that turn powers into energy.
+    """Parts of a drive on one ground, with weights that turn powers into energy."""
 
-    Parameters
-    ----------
-    region : int
-        The ground's place among its models.
-    motion : Motion, shape (m, 3)
-        Motion at three instants of each piece.
-    weight : ndarray, shape (m, 3)
-        Time that each instant stands for [s]: ``(weight * power).sum()`` is the energy.
-    interval : ndarray of int, shape (m,)
-        Interval between samples that each piece is part of.
-    """
-
-    region: int
-    motion: Motion
-    weight: FloatArray
-    interval: NDArray[np.int_]
+    region: int  # the ground's place among its models
+    motion: Motion  # (m, 3): motion at three instants of each piece
+    weight: FloatArray  # (m, 3): time that each instant stands for [s]
+    interval: NDArray[np.int_]  # (m,): interval between samples that each piece is part of
 
 
 @dataclass(frozen=True)
 class Drive:
-    """A trajectory with what is known along it and what it is driven on.
+    """A trajectory with what is known along it and what it is driven on."""
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The trajectory; `energyplan.limits.drive` says what it is between its samples.
-    ground : Ground
-        Power models and slope.
-    channels : mapping of str to array_like, shape () or (n,)
-        Further channels that the models' terms read: one value, or one for each sample with
-        straight lines between them.
-
-    Raises
-    ------
-    InvalidInputError
-        If a channel has another length than the trajectory.
-    """
-
-    trajectory: Trajectory
-    ground: Ground
-    channels: Mapping[str, ArrayLike] = field(default_factory=dict)
+    trajectory: Trajectory  # the trajectory
+    ground: Ground  # power models and slope
+    channels: Mapping[str, ArrayLike] = field(default_factory=dict)  # ()
 
     def __post_init__(self) -> None:
         wide = {}
@@ -337,17 +272,7 @@ class Drive:
     def refined(
         self, pieces: Pieces, power: FloatArray, scale: float = 1.0
     ) -> Iterator[tuple[Pieces, FloatArray]]:
-        """Yield pieces with their mean power [W], halved until Simpson's rule gives it.
-
-        Parameters
-        ----------
-        pieces : Pieces
-            The pieces.
-        power : ndarray, shape (m, 3)
-            Their power [W].
-        scale : float
-            Factor on the speed.
-        """
+        """Yield pieces with their mean power [W], halved until Simpson's rule gives it."""
         enough = PRECISION * float(np.mean(np.abs(power)))
         bent = np.abs(power[:, 0] - 2 * power[:, 1] + power[:, 2]) > enough
         if self.ground.surfaces is not None:

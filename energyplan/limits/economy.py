@@ -64,20 +64,7 @@ class Choice(NamedTuple):
 
 
 class Economy:
-    """Powers of each kind of run over rates and accelerations, to choose from at any price.
-
-    Parameters
-    ----------
-    runs : Runs
-        Kinds of runs.
-    fastest : Ladder
-        Their greatest accelerations.
-    slowest : float
-        Rates below this are not chosen to cruise at [m/s]. A model whose energy falls with speed
-        all the way would have the robot stand still.
-    grades : int
-        Number of accelerations between zero and the greatest one that are tried.
-    """
+    """Powers of each kind of run over rates and accelerations, to choose from at any price."""
 
     def __init__(self, runs: Runs, fastest: Ladder, slowest: float, grades: int = 12) -> None:
         self._fastest = fastest
@@ -105,17 +92,7 @@ class Economy:
         return gains, runs.power(middle, sign * gains)
 
     def choose(self, price: float, kinds: NDArray[np.int_], reach: FloatArray) -> Choice:
-        """Return ladders and cruising rates of least energy plus `price` times duration.
-
-        Parameters
-        ----------
-        price : float
-            Worth of a second [W].
-        kinds : ndarray of int, shape (n,)
-            Kind of each run.
-        reach : ndarray, shape (n,)
-            Length of the runs that begin and end at a standstill [m]; infinite for the others.
-        """
+        """Return ladders and cruising rates of least energy plus `price` times duration."""
         rate = self._fastest.rate[1:]
         worth = (self._steady + price) / rate
         least = np.min(worth, axis=0, where=rate >= self._lowest, initial=np.inf)

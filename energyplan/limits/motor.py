@@ -57,31 +57,13 @@ class Limit(NamedTuple):
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits that hold at every instant; infinite where there is none.
+    """Limits that hold at every instant; infinite where there is none."""
 
-    Parameters
-    ----------
-    motor : MotorLimits
-        Limits of each side's motor. `MotorLimits.acceleration` and
-        `MotorLimits.continuous_power` need the motion's past and are left to the caller.
-    yaw_rate : float
-        Largest yaw rate [rad/s].
-    lateral_acceleration : float
-        Largest ``|v omega|`` [m/s^2].
-    battery_power, battery_return : float
-        Largest power that the battery delivers, and takes back [W].
-
-    Raises
-    ------
-    InvalidInputError
-        If a limit is negative or not a number.
-    """
-
-    motor: MotorLimits = field(default_factory=MotorLimits)
-    yaw_rate: float = np.inf
-    lateral_acceleration: float = np.inf
-    battery_power: float = np.inf
-    battery_return: float = np.inf
+    motor: MotorLimits = field(default_factory=MotorLimits)  # limits of each side's motor
+    yaw_rate: float = np.inf  # largest yaw rate [rad/s]
+    lateral_acceleration: float = np.inf  # largest ``|v omega|`` [m/s^2]
+    battery_power: float = np.inf  # largest power that the battery delivers, and takes back [W]
+    battery_return: float = np.inf  # largest power that the battery delivers, and takes back [W]
 
     def __post_init__(self) -> None:
         for name in ("yaw_rate", "lateral_acceleration", "battery_power", "battery_return"):
@@ -139,18 +121,6 @@ class Limits:
 
         Shaft power is tread force times tread speed; losses between battery and shaft count
         towards the battery's limits, not the motor's.
-
-        Parameters
-        ----------
-        model : PowerModel
-            The power model. Inertia counts if the model has inertia terms.
-        motion : Motion, shape (...)
-            The motion, with the model's tread ICRs.
-
-        Returns
-        -------
-        Loads
-            Shaft power per side, and one array per bound.
         """
         forces = model.forces(motion)
         left, right = forces.left * motion.v_left, forces.right * motion.v_right
@@ -210,23 +180,7 @@ def relative(value: FloatArray, limit: float) -> FloatArray:
 def largest_within(
     use: Callable[[FloatArray], FloatArray], top: FloatArray, rungs: int = 64
 ) -> FloatArray:
-    """Largest value up to which a limit's use stays at or below 1, elementwise.
-
-    Parameters
-    ----------
-    use : callable
-        Use of the limits at values of shape (..., n), for n elements.
-    top : ndarray, shape (n,)
-        Where to stop looking; finite and not negative.
-    rungs : int
-        Number of values tried before the limit is enclosed: a stretch above the limit that is
-        narrower than ``top / rungs`` can be missed.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        The values; 0 where already the smallest speeds exceed a limit.
-    """
+    """Largest value up to which a limit's use stays at or below 1, elementwise."""
     parts = np.linspace(0.0, 1.0, rungs + 1)
     parts[0] = 1e-6  # friction has a direction only in motion
     exceeded = use(parts[:, None] * top) > 1

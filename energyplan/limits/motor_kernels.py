@@ -70,25 +70,15 @@ def _onesided(value: float, middle: float) -> float:
 
 
 class Nodes(NamedTuple):
-    """Motion at the begin, the middle and the end of pieces, each of shape (m, 3).
+    """Motion at the begin, the middle and the end of pieces, each of shape (m, 3)."""
 
-    Attributes
-    ----------
-    v_left, v_right : ndarray
-        Tread speeds [m/s].
-    accel, yaw_accel : ndarray
-        Acceleration [m/s^2] and yaw acceleration [rad/s^2].
-    x, y, yaw : ndarray
-        Pose [m], [rad].
-    """
-
-    v_left: Floats
-    v_right: Floats
-    accel: Floats
-    yaw_accel: Floats
-    x: Floats
-    y: Floats
-    yaw: Floats
+    v_left: Floats  # tread speeds [m/s]
+    v_right: Floats  # tread speeds [m/s]
+    accel: Floats  # acceleration [m/s^2] and yaw acceleration [rad/s^2]
+    yaw_accel: Floats  # acceleration [m/s^2] and yaw acceleration [rad/s^2]
+    x: Floats  # pose [m], [rad]
+    y: Floats  # pose [m], [rad]
+    yaw: Floats  # pose [m], [rad]
 
 
 @njit

@@ -7,10 +7,9 @@ A tangent to the time of a window asks for too much rather than too little, so a
 about a profile that keeps the limit finds a better one that keeps it, until nothing is gained. What
 depends on the rate in other ways is linear in the program and exact in the profiles between.
 
-References
-----------
-Verscheure et al. (2009), "Time-optimal path tracking for robots: a convex optimization approach";
-Lipp and Boyd (2016), "Variations and extension of the convex-concave procedure"; docs/limits.
+Source: Verscheure et al. (2009), "Time-optimal path tracking for robots: a convex optimization
+approach"; Lipp and Boyd (2016), "Variations and extension of the convex-concave procedure";
+docs/limits.
 """
 
 from __future__ import annotations
@@ -70,31 +69,15 @@ PROBE = 1e-4
 
 
 class _State(NamedTuple):
-    """A profile: rates, times and drawn energies up to the points, and how it fares.
+    """A profile: rates, times and drawn energies up to the points, and how it fares."""
 
-    Parameters
-    ----------
-    rate, time : ndarray, shape (n,)
-        Rates [m/s], times [s].
-    drawn : ndarray, shape (2, n)
-        What the left and the right side drew up to the points [J].
-    lack : float
-        Longest time by which a window is too short [s].
-    share : float
-        Shortest window over its length, at most 1.
-    windows : list of Windows
-        The windows.
-    fine : Fine
-        The profile at more places.
-    """
-
-    rate: FloatArray
-    time: FloatArray
-    drawn: FloatArray
-    lack: float
-    share: float
-    windows: list[Windows]
-    fine: Fine
+    rate: FloatArray  # (n,): rates [m/s], times [s]
+    time: FloatArray  # (n,): rates [m/s], times [s]
+    drawn: FloatArray  # (2, n): what the left and the right side drew up to the points [J]
+    lack: float  # longest time by which a window is too short [s]
+    share: float  # shortest window over its length, at most 1
+    windows: list[Windows]  # the windows
+    fine: Fine  # the profile at more places
 
     def merit(self, price: float) -> float:
         """Duration, and the lack of time in windows at a price [s]."""
@@ -102,13 +85,7 @@ class _State(NamedTuple):
 
 
 class Thermal:
-    """Curves that are driven one after the other, within the continuous power of their limits.
-
-    Parameters
-    ----------
-    curves : sequence of Curve
-        The curves, from stop to stop, of one model and one set of limits.
-    """
+    """Curves that are driven one after the other, within the continuous power of their limits."""
 
     def __init__(self, curves: Sequence[Curve]) -> None:
         self.curves, self.model = curves, curves[0].model
@@ -134,13 +111,7 @@ class Thermal:
         self.real = self.length > 0
 
     def rates(self) -> list[FloatArray]:
-        """Return the rates at the points of each curve [m/s].
-
-        Raises
-        ------
-        InfeasibleMotionError
-            If the motors get too warm however slowly the robot drives.
-        """
+        """Return the rates at the points of each curve [m/s]."""
         best = self._state(self.top)
         if best.lack <= TIGHT * self.window.time:
             return self._split(best.rate)

@@ -28,74 +28,22 @@ MAX_LINE = 1 << 16
 
 @dataclass(frozen=True)
 class Line:
-    r"""A line of a log.
+    r"""A line of a log."""
 
-    Parameters
-    ----------
-    number : int
-        Its number in the file; the first is 1.
-    text : str
-        Its text, without the end of line.
-    whole : bool
-        Whether its end has been written.
-
-    Examples
-    --------
-    >>> import io
-    >>> next(lines_of(io.BytesIO(b"t,power\n0,12\n")))
-    Line(number=1, text='t,power', whole=True)
-    """
-
-    number: int
-    text: str
-    whole: bool = True
+    number: int  # its number in the file
+    text: str  # its text, without the end of line
+    whole: bool = True  # whether its end has been written
 
 
 @dataclass(frozen=True)
 class Restart:
-    """The file begins anew.
+    """The file begins anew."""
 
-    Parameters
-    ----------
-    reason : str
-        What happened to it.
-
-    Examples
-    --------
-    >>> Restart("the file was cut").reason
-    'the file was cut'
-    """
-
-    reason: str
+    reason: str  # what happened to it
 
 
 def follow(path: str | Path, wait: Callable[[], bool] | None = None) -> Iterator[Line | Restart]:
-    """Yield the lines of a file, and those that are added to it.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    wait : callable, optional
-        Called where there is nothing new; it waits a moment, and returns whether to go on. Where
-        not given, the end of the file ends it.
-
-    Yields
-    ------
-    Line or Restart
-        The lines; a `Restart` where the file was cut or another took its place.
-
-    Raises
-    ------
-    DriveLogError
-        If the file cannot be read, or a line is too long.
-
-    Examples
-    --------
-    >>> from energyplan.io.bundled import bundled
-    >>> next(follow(bundled("warehouse.yaml"))).number
-    1
-    """
+    """Yield the lines of a file, and those that are added to it."""
     file = Path(path)
     stream = _open(file)
     try:
@@ -126,29 +74,7 @@ def follow(path: str | Path, wait: Callable[[], bool] | None = None) -> Iterator
 
 
 def lines_of(stream: BinaryIO | Iterable[bytes]) -> Iterator[Line | Restart]:
-    r"""Yield the lines of a pipe until it ends.
-
-    Parameters
-    ----------
-    stream : iterable of bytes
-        An open binary file, such as ``sys.stdin.buffer``, or lines with their ends.
-
-    Yields
-    ------
-    Line
-        The lines.
-
-    Raises
-    ------
-    DriveLogError
-        If a line is too long.
-
-    Examples
-    --------
-    >>> import io
-    >>> [line.text for line in lines_of(io.BytesIO(b"t,power\n0,12\n"))]
-    ['t,power', '0,12']
-    """
+    r"""Yield the lines of a pipe until it ends."""
     read = getattr(stream, "readline", None)
     raws = iter(stream) if read is None else iter(lambda: read(MAX_LINE + 1), b"")
     for number, raw in enumerate(raws, start=1):
@@ -189,44 +115,22 @@ def _text(raw: bytes) -> str:
 
 @dataclass(frozen=True)
 class Header:
-    """What a log holds.
+    """What a log holds."""
 
-    Parameters
-    ----------
-    channels : tuple of str
-        Its channels.
-    battery_side : bool
-        Whether its power was measured at the battery.
-    """
-
-    channels: tuple[str, ...]
-    battery_side: bool
+    channels: tuple[str, ...]  # its channels
+    battery_side: bool  # whether its power was measured at the battery
 
 
 @dataclass(frozen=True)
 class Sample:
-    """One sample.
+    """One sample."""
 
-    Parameters
-    ----------
-    place : str
-        Where it stands, such as ``"line 12"``.
-    t : float
-        Time [s].
-    v_left, v_right : float
-        Tread speeds [m/s].
-    power : float
-        Measured power [W].
-    channels : mapping of str to float
-        Further readings, finite ones only.
-    """
-
-    place: str
-    t: float
-    v_left: float
-    v_right: float
-    power: float
-    channels: Mapping[str, float]
+    place: str  # where it stands, such as ``"line 12"``
+    t: float  # time [s]
+    v_left: float  # tread speeds [m/s]
+    v_right: float  # tread speeds [m/s]
+    power: float  # measured power [W]
+    channels: Mapping[str, float]  # further readings, finite ones only
 
 
 @dataclass(frozen=True)
@@ -246,29 +150,7 @@ def read_samples(
     needed: Collection[str] = (),
     name: str = "log",
 ) -> Iterator[Header | Sample | Trouble]:
-    """Read samples from lines, the first of which names the columns.
-
-    Parameters
-    ----------
-    lines : iterable of Line or Restart
-        The lines.
-    columns : str or mapping, optional
-        Which column serves as which channel, as for `DriveLog.read`.
-    needed : collection of str
-        Further channels without which a sample is of no use.
-    name : str
-        What to call the log in messages.
-
-    Yields
-    ------
-    Header, Sample or Trouble
-        The header first; then samples, and what could not be used.
-
-    Raises
-    ------
-    DriveLogError
-        If the first line names no columns, or a channel is missing.
-    """
+    """Read samples from lines, the first of which names the columns."""
     table: _Table | None = None
     fresh = True  # whether the next line may name the columns
     for line in lines:

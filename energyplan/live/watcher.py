@@ -39,32 +39,13 @@ _FACING = 0.6
 
 @dataclass(frozen=True)
 class Settings:
-    """How a drive is watched.
+    """How a drive is watched."""
 
-    Parameters
-    ----------
-    every : float
-        Time between two reports of what was learned [s].
-    mission_every : float
-        Time between two looks at the rest of the mission, where nothing happens [s].
-    near : float
-        Distance to a task's place within which a robot that stands does the task [m].
-    soc : float, optional
-        State of charge at the first sample; the mission's where not given.
-    done : tuple of str
-        Tasks that were done before.
-
-    Raises
-    ------
-    InvalidInputError
-        If a value is out of range.
-    """
-
-    every: float = 10.0
-    mission_every: float = 60.0
-    near: float = 0.5
-    soc: float | None = None
-    done: tuple[str, ...] = ()
+    every: float = 10.0  # time between two reports of what was learned [s]
+    mission_every: float = 60.0  # [s]
+    near: float = 0.5  # [m]
+    soc: float | None = None  # state of charge at the first sample
+    done: tuple[str, ...] = ()  # tasks that were done before
 
     def __post_init__(self) -> None:
         for label in ("every", "mission_every", "near"):

@@ -21,23 +21,7 @@ def derivative(
     even sampling this is the Savitzky-Golay filter of order two. At the ends of a run the window
     is shifted inwards. Windows never cross the gap between two runs.
 
-    Parameters
-    ----------
-    t, values : ndarray, shape (n,)
-        Time [s] and channel.
-    runs : sequence of slice
-        Stretches without a gap, which together hold every sample.
-    window : float
-        Length of the window [s]; at least three samples are taken.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Rate of change [unit/s]; of the chord where a run has two samples, zero where it has one.
-
-    References
-    ----------
-    Savitzky and Golay (1964), doi 10.1021/ac60214a047.
+    Source: Savitzky and Golay (1964), doi 10.1021/ac60214a047.
     """
     rate = np.zeros(len(t))
     for run in runs:

@@ -45,20 +45,7 @@ def gap_limit(t: FloatArray) -> float:
 
 
 def time_weights(t: FloatArray, runs: Iterable[slice]) -> FloatArray:
-    """Return the time that each sample stands for [s]: the trapezoidal rule, gaps left out.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Time [s].
-    runs : iterable of slice
-        Stretches without a gap.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Times [s].
-    """
+    """Return the time that each sample stands for [s]: the trapezoidal rule, gaps left out."""
     weights = np.zeros(len(t))
     for run in runs:
         half = 0.5 * np.diff(t[run])
@@ -73,18 +60,6 @@ def align(series: Series, clock: FloatArray) -> Aligned:
     A channel that is sampled more than one and a half times as fast is averaged over the interval
     around each instant; a slower one is linear between its samples. Holes longer than a second, or
     than four of its steps, are not bridged.
-
-    Parameters
-    ----------
-    series : Series
-        The channel; time increases.
-    clock : ndarray, shape (n,)
-        Where to evaluate it [s].
-
-    Returns
-    -------
-    Aligned
-        The channel on the clock.
     """
     t, values = series
     if len(t) == len(clock) and np.array_equal(t, clock):
@@ -147,22 +122,6 @@ def interval_means(
 
     Channels count as linear between samples, so that an interval's mean is exact even where its
     ends fall between two of them.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Time [s].
-    channels : mapping of str to ndarray, shape (n,)
-        The channels, ``t`` among them: its mean is the interval's centre.
-    runs : sequence of slice
-        Stretches without a gap.
-    period : float
-        Length of an interval [s].
-
-    Returns
-    -------
-    Means
-        The means, arrays of shape (m,), and the count of samples that entered none.
     """
     unused = 0
     means: dict[str, list[FloatArray]] = {name: [] for name in channels}
@@ -186,15 +145,7 @@ def interval_means(
 def shift(
     t: FloatArray, values: FloatArray, runs: Sequence[slice], seconds: float
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Move a channel by `seconds`, later where positive.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        The channel, linear between samples.
-    ndarray of bool, shape (n,)
-        Where it is known: inside the moved runs.
-    """
+    """Move a channel by `seconds`, later where positive."""
     moved, known = np.zeros(len(t)), np.zeros(len(t), bool)
     for run in runs:
         source = t[run] - seconds

@@ -28,32 +28,14 @@ _CORRECT = "correct the cell or map another column"
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of numbers, and where they came from.
+    """Columns of numbers, and where they came from."""
 
-    Parameters
-    ----------
-    source : str
-        Name of the file, for messages.
-    columns : mapping of str to ndarray, shape (n,)
-        The columns that hold numbers; an empty cell is NaN.
-    text : mapping of str to str
-        The other columns, each with the place and content of its first cell that is no number.
-    first : int
-        Number of the first row of data.
-    unit : str
-        What that number counts: ``"line"`` of a text file or ``"row"`` of another.
-    error : type
-        Error to raise for bad content.
-    held : mapping of str to ndarray of int
-        Rows with a blank cell that holds the reading before; see `unchanged_held`.
-    """
-
-    source: str
-    columns: Mapping[str, FloatArray]
+    source: str  # name of the file, for messages
+    columns: Mapping[str, FloatArray]  # (n,): the columns that hold numbers
     text: Mapping[str, str]
-    first: int
-    unit: str
-    error: type[InvalidInputError]
+    first: int  # number of the first row of data
+    unit: str  # what that number counts
+    error: type[InvalidInputError]  # error to raise for bad content
     held: Mapping[str, NDArray[np.intp]] = field(default_factory=dict)
 
     def place(self, row: int) -> str:
@@ -66,13 +48,7 @@ class Table:
         return replace(self, columns=held.columns, held=held.rows)
 
     def column(self, name: str) -> FloatArray:
-        """Return a column.
-
-        Raises
-        ------
-        InvalidInputError
-            If there is no such column or it holds text.
-        """
+        """Return a column."""
         if name in self.columns:
             return self.columns[name]
         if name in self.text:

@@ -32,26 +32,11 @@ _SPARSE = 0.1  # share of rows that may be set aside for want of a further chann
 
 @dataclass(frozen=True)
 class SetAside:
-    """Samples that a log left out or mended, and why.
+    """Samples that a log left out or mended, and why."""
 
-    Parameters
-    ----------
-    reason : str
-        What was wrong with them, and what was done.
-    count : int
-        How many samples.
-    where : str
-        Where the first ones were.
-
-    Examples
-    --------
-    >>> str(SetAside("time goes back", 3, "from t = 12.1 s on").count)
-    '3'
-    """
-
-    reason: str
-    count: int
-    where: str
+    reason: str  # what was wrong with them, and what was done
+    count: int  # how many samples
+    where: str  # where the first ones were
 
     def __str__(self) -> str:
         return f"{self.count} samples: {self.reason} ({self.where})"
@@ -80,15 +65,7 @@ class _Cleaned(Protocol):
 
 
 def set_aside_by_drive(logs: Iterable[_Cleaned]) -> dict[str, dict[str, int]]:
-    """Count samples that were left out or mended, by drive and reason.
-
-    Examples
-    --------
-    >>> from energyplan.logs import DriveLog
-    >>> log = DriveLog({"t": [0, 1], "v_left": [0, 1], "v_right": [0, 1], "power": [0, 9]})
-    >>> set_aside_by_drive([log])
-    {}
-    """
+    """Count samples that were left out or mended, by drive and reason."""
     counts: dict[str, dict[str, int]] = {}
     for log in logs:
         for item in log.set_aside:
@@ -115,25 +92,7 @@ def find_runs(t: FloatArray) -> list[slice]:
 
 
 def needed_channels(names: Collection[str], label: str) -> tuple[str, ...]:
-    """Channels without which a sample is of no use: time, tread speeds and power.
-
-    Parameters
-    ----------
-    names : collection of str
-        The channels there are.
-    label : str
-        Name of the log.
-
-    Returns
-    -------
-    tuple of str
-        ``t``, ``v_left``, ``v_right`` and those of the power.
-
-    Raises
-    ------
-    DriveLogError
-        If one is missing.
-    """
+    """Channels without which a sample is of no use: time, tread speeds and power."""
     if not isinstance(names, Iterable):
         raise DriveLogError(f"{label} is {described(names)}; give channels by name")
     there = ", ".join(sorted(names)[:20]) or "nothing"
@@ -158,27 +117,7 @@ def needed_channels(names: Collection[str], label: str) -> tuple[str, ...]:
 
 
 def clean(columns: Mapping[str, ArrayLike], label: str, place: Place) -> Cleaned:
-    """Set aside what cannot be used, and refuse what cannot be mended.
-
-    Parameters
-    ----------
-    columns : mapping of str to array_like, shape (n,)
-        Channels in the library's units; NaN where there is no reading.
-    label : str
-        Name of the log.
-    place : callable
-        Names the place of a row.
-
-    Returns
-    -------
-    Cleaned
-        Channels of finite numbers over increasing time.
-
-    Raises
-    ------
-    DriveLogError
-        If a channel is missing or mostly out of range, or time does not increase.
-    """
+    """Set aside what cannot be used, and refuse what cannot be mended."""
     needed = needed_channels(columns, label)
     channels = {k: np.array(numbers(columns[k], f"{label}: {k}", DriveLogError)) for k in columns}
     shapes = {values.shape for values in channels.values()}
@@ -276,13 +215,7 @@ class _Cleaner:
         self.warnings.append(f"each row holds some of the channels; at the times of v_left: {told}")
 
     def order(self) -> None:
-        """Put rows in the order of time, and average those of one time.
-
-        Raises
-        ------
-        DriveLogError
-            If time stands still or runs backwards in a way that tells not what happened.
-        """
+        """Put rows in the order of time, and average those of one time."""
         if len(self.rows) < 2:
             return
         again = np.ones(len(self.rows) - 1, bool)

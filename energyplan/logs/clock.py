@@ -18,25 +18,7 @@ _NEAR = 10.0  # usual steps within which a counter that overflowed goes on
 
 
 def unwrap_clock(t: FloatArray) -> FloatArray | None:
-    """Return the times of a counter that overflowed and went on from zero.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Times that go back here and there [s].
-
-    Returns
-    -------
-    ndarray, shape (n,), or None
-        Times that increase; None where it does not go back by a full round of a counter each time.
-
-    Examples
-    --------
-    >>> unwrap_clock(np.array([65.4, 65.5, 0.064, 0.164])).round(3).tolist()
-    [65.4, 65.5, 65.6, 65.7]
-    >>> unwrap_clock(np.array([65.4, 65.5, 12.0, 12.1])) is None
-    True
-    """
+    """Return the times of a counter that overflowed and went on from zero."""
     steps = np.diff(t)
     back = steps < 0.0
     usual = float(np.median(steps))
@@ -53,25 +35,6 @@ def spread_bursts(t: FloatArray, readings: FloatArray) -> FloatArray | None:
     Such rows are readings of a steady rate: they change from row to row as they do from burst to
     burst. Bursts of a quick sensor that sleeps in between change far more from one to the next, and
     rows for each message repeat what others brought.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Times, increasing [s].
-    readings : ndarray, shape (k, n)
-        What is read with every row.
-
-    Returns
-    -------
-    ndarray, shape (n,), or None
-        Times with the rows of a burst spread evenly over the time since the burst before; None
-        where rows do not come in bursts.
-
-    Examples
-    --------
-    >>> t = np.repeat(0.5 * np.arange(1, 31), 5) + np.tile(1e-4 * np.arange(5), 30)
-    >>> spread_bursts(t, np.sin(np.arange(150.0))[None])[:4].round(2).tolist()
-    [0.1, 0.2, 0.3, 0.4]
     """
     steps = np.diff(t)
     if len(t) < _ROWS * _FEWEST:

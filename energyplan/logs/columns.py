@@ -17,26 +17,12 @@ from energyplan.path import FloatArray
 
 
 class Column(NamedTuple):
-    """A column of a file that serves as a channel.
+    """A column of a file that serves as a channel."""
 
-    Parameters
-    ----------
-    source : str
-        Name of the column.
-    scale : Scale
-        Conversion to the library's unit.
-    unit : str
-        The unit that the conversion came from, as it was written; empty where it is the library's.
-    times : str, optional
-        A further column to multiply by, as a voltage by a current.
-    plus : tuple of str
-        Further columns to add first, as the currents of a side's other motors.
-    """
-
-    source: str
-    scale: Scale = Scale()
-    unit: str = ""
-    times: str | None = None
+    source: str  # name of the column
+    scale: Scale = Scale()  # conversion to the library's unit
+    unit: str = ""  # the unit that the conversion came from, as it was written
+    times: str | None = None  # A further column to multiply by, as a voltage by a current
     plus: tuple[str, ...] = ()
 
     @property
@@ -80,31 +66,7 @@ def column_from(
     times: str | None = None,
     plus: Sequence[str] = (),
 ) -> Column:
-    """Return the column of a name that serves as a channel.
-
-    Parameters
-    ----------
-    channel : str
-        The channel.
-    column : str
-        Name of the column, whatever signs it holds.
-    unit : str, optional
-        As for `scale_of`; the library's where not given.
-    times : str, optional
-        A further column to multiply by.
-    plus : sequence of str
-        Further columns to add first.
-
-    Returns
-    -------
-    Column
-        The column.
-
-    Raises
-    ------
-    DriveLogError
-        If the channel cannot be in that unit.
-    """
+    """Return the column of a name that serves as a channel."""
     scale = scale_of(channel, unit) if unit else Scale()
     return Column(column, scale, unit or "", times, tuple(plus))
 
@@ -196,40 +158,7 @@ def _resolve(entry: _Entry, names: Collection[str]) -> Column:
 def parse_columns(
     columns: str | Mapping[str, str | Column] | None, names: Collection[str] = ()
 ) -> dict[str, Column]:
-    """Read which column serves as which channel.
-
-    Parameters
-    ----------
-    columns : str or mapping of str to str or Column, optional
-        ``"v_left=velL,yaw=heading[deg]"``, or ``{"v_left": "velL", "yaw": "heading[deg]"}``. In
-        brackets stands the unit where it is not the library's, with a minus before it where the
-        sign is opposite (``current=i[-A]``), a factor (``v_left=wheel_rate[*0.165]``), or both
-        (``v_left=wheel_rate[rpm*0.165]``). An encoder's counts take the metres per count: of one
-        that counts on ``v_left=enc[ticks*0.0001]``, of counts since the row before
-        ``[ticks/sample*0.0001]``. A name with commas or brackets stands in quotes
-        (``v_left="speed, left [km/h]"[km/h]``). Columns can be added, then multiplied by one
-        (``p_left=(current_fl+current_rl)*voltage``, ``v_left=front+rear[*0.5]``).
-    names : collection of str
-        Names of the columns there are: a name among them needs no quotes, and what it says of its
-        unit is believed.
-
-    Returns
-    -------
-    dict of str to Column
-        The columns by channel.
-
-    Raises
-    ------
-    DriveLogError
-        If an entry cannot be read, names a channel twice, or gives a unit that does not fit.
-
-    Examples
-    --------
-    >>> parse_columns("yaw=heading[deg]")["yaw"].source
-    'heading'
-    >>> parse_columns('v_left="wheel speed, left"[km/h]')["v_left"].source
-    'wheel speed, left'
-    """
+    """Read which column serves as which channel."""
     if columns is None or isinstance(columns, str):
         return {entry.channel: _resolve(entry, names) for entry in _entries(columns)}
     for key, item in columns.items():
@@ -251,28 +180,7 @@ class Chosen(NamedTuple):
 def choose_columns(
     table: Table, columns: str | Mapping[str, str | Column] | None, others: bool = True
 ) -> Chosen:
-    """Take a log's channels from a table.
-
-    Parameters
-    ----------
-    table : Table
-        The table.
-    columns : str or mapping of str to str or Column, optional
-        As in `parse_columns`; columns that bear a channel's name, with a unit or without, and any
-        others of numbers, need no mention.
-    others : bool
-        Whether to take those that are not mentioned.
-
-    Returns
-    -------
-    Chosen
-        The channels in the library's units.
-
-    Raises
-    ------
-    DriveLogError
-        If the mapping is malformed, or a column is missing or holds text.
-    """
+    """Take a log's channels from a table."""
     wanted = parse_columns(columns, (*table.columns, *table.text))
     if others:
         own = own_columns((*table.columns, *table.text), wanted)
@@ -286,21 +194,7 @@ def choose_columns(
 
 
 def own_columns(names: Iterable[str], wanted: Mapping[str, Column]) -> dict[str, Column]:
-    """Return the channels that columns are by their own names.
-
-    Parameters
-    ----------
-    names : iterable of str
-        Names of columns.
-    wanted : mapping of str to Column
-        The channels that are mapped already; their columns serve for no other.
-
-    Returns
-    -------
-    dict of str to Column
-        The others: of a channel's name, of one with a unit after it such as ``power_kW``, or else
-        channels of their own.
-    """
+    """Return the channels that columns are by their own names."""
     taken = {name for column in wanted.values() for name in column.names}
     left = [name for name in names if name and name not in taken]
     found = {name: Column(name) for name in left if name in UNITS and name not in wanted}

@@ -25,27 +25,13 @@ _NAMED = 4  # mistakes that are named, where several explain the same
 
 @dataclass(frozen=True)
 class Check:
-    """A quantity that is in a log twice, or that must lie in a range.
+    """A quantity that is in a log twice, or that must lie in a range."""
 
-    Parameters
-    ----------
-    what : str
-        What was compared.
-    value : float
-        What came out.
-    expected : str
-        What was expected.
-    ok : bool
-        Whether it came out so.
-    remedy : str
-        What to do if not.
-    """
-
-    what: str
-    value: float
-    expected: str
-    ok: bool
-    remedy: str = ""
+    what: str  # what was compared
+    value: float  # what came out
+    expected: str  # what was expected
+    ok: bool  # whether it came out so
+    remedy: str = ""  # what to do if not
 
     def __str__(self) -> str:
         return f"{self.what}: {self.value:.3g}, expected {self.expected}" + (
@@ -322,21 +308,7 @@ def _mistakes(state: _State) -> list[_Mistake]:
 
 
 def check_consistency(evidence: Evidence, known: Measures) -> list[Check]:
-    """Compare the quantities of a log with each other and with the robot's measures.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        What the log shows.
-    known : Measures
-        What is known of the robot.
-
-    Returns
-    -------
-    list of Check
-        One for each ratio that could be made. The remedies of those that fail name the mistakes
-        that would explain all of them, the likeliest first.
-    """
+    """Compare the quantities of a log with each other and with the robot's measures."""
     state = _State(evidence, known)
     ratios = [(span, value) for span, value in _ratios(evidence, known) if isfinite(value)]
     wrong = [span for span, value in ratios if not span.holds(value)]
@@ -353,20 +325,7 @@ def check_consistency(evidence: Evidence, known: Measures) -> list[Check]:
 
 
 def strain(evidence: Evidence, known: Measures) -> float:
-    """How far evidence and measures are from what is usual: the sum of squares over the ratios.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        What the log shows.
-    known : Measures
-        What is known of the robot.
-
-    Returns
-    -------
-    float
-        The sum, each ratio's distance in widths of its range; less is more usual.
-    """
+    """How far evidence and measures are from what is usual: the sum of squares over the ratios."""
     ratios = [(span, value) for span, value in _ratios(evidence, known) if isfinite(value)]
     return sum(span.strain(value) for span, value in ratios)
 

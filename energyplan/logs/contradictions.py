@@ -30,22 +30,7 @@ _STEPS = 0.05  # share of readings that repeat where a sensor reads in steps
 def find_contradictions(
     channels: Mapping[str, FloatArray], power: FloatArray, runs: Sequence[slice]
 ) -> list[str]:
-    """Compare the channels of a log with each other.
-
-    Parameters
-    ----------
-    channels : mapping of str to ndarray, shape (n,)
-        Sound channels.
-    power : ndarray, shape (n,)
-        Total power [W].
-    runs : sequence of slice
-        Stretches without a gap.
-
-    Returns
-    -------
-    list of str
-        What contradicts each other, and what would mend it.
-    """
+    """Compare the channels of a log with each other."""
     told = [
         *find_false_speeds(channels, runs),
         *find_dead(channels, yaw_rates(channels, runs)),
@@ -117,22 +102,7 @@ def _repeats(channels: Mapping[str, FloatArray], power: FloatArray) -> list[str]
 
 
 def turning_against(channels: Mapping[str, FloatArray], runs: Sequence[slice], name: str) -> str:
-    """Say what is wrong where a yaw rate falls while the right tread is the faster.
-
-    Parameters
-    ----------
-    channels : mapping of str to ndarray, shape (n,)
-        Sound channels.
-    runs : sequence of slice
-        Stretches without a gap.
-    name : str
-        The channel, ``yaw`` or ``yaw_rate``.
-
-    Returns
-    -------
-    str
-        The causes that the other channels leave, and the remedies.
-    """
+    """Say what is wrong where a yaw rate falls while the right tread is the faster."""
     mirrored = mirrored_side(channels, runs)
     if mirrored:
         return _in_the_mirror(mirrored)
@@ -204,20 +174,7 @@ def _factors(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> list[
 
 
 def mirrored_side(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
-    """Name the side whose speed counts the other way, as of a motor mounted in the mirror.
-
-    Parameters
-    ----------
-    channels : mapping of str to ndarray, shape (n,)
-        Sound channels.
-    runs : sequence of slice
-        Stretches without a gap.
-
-    Returns
-    -------
-    str
-        ``"v_left"`` or ``"v_right"``; empty where neither does, or no yaw rate tells.
-    """
+    """Name the side whose speed counts the other way, as of a motor mounted in the mirror."""
     return next((one.mirrored for one in _factors(channels, runs)), "")
 
 
@@ -259,20 +216,7 @@ def _sides(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> str:
 
 
 def course(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> float:
-    """Angle from where the treads would take the robot to where the pose goes [rad].
-
-    Parameters
-    ----------
-    channels : mapping of str to ndarray, shape (n,)
-        Sound channels.
-    runs : sequence of slice
-        Stretches without a gap.
-
-    Returns
-    -------
-    float
-        The angle; NaN where there is no pose, or it does not follow the treads.
-    """
+    """Angle from where the treads would take the robot to where the pose goes [rad]."""
     if not set(channels) >= _POSE:
         return np.nan
     direct = _courses(channels, runs).direct
@@ -280,18 +224,10 @@ def course(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> float:
 
 
 class _Course(NamedTuple):
-    """From where the treads would take the robot to where the pose goes.
+    """From where the treads would take the robot to where the pose goes."""
 
-    Parameters
-    ----------
-    angle : float
-        Angle between both [rad].
-    alike : float
-        How well one follows the other, at most 1.
-    """
-
-    angle: float
-    alike: float
+    angle: float  # angle between both [rad]
+    alike: float  # how well one follows the other, at most 1
 
 
 class _Courses(NamedTuple):

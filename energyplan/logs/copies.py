@@ -18,36 +18,7 @@ _ENOUGH = 20  # samples at the same times that are alike by no chance
 def without_copies(
     train: Sequence[DriveLog], holdout: Sequence[DriveLog]
 ) -> tuple[list[DriveLog], list[str]]:
-    """Take each drive once: what is read twice makes nothing surer, and judges nothing.
-
-    Parameters
-    ----------
-    train : sequence of DriveLog
-        Drives to learn from.
-    holdout : sequence of DriveLog
-        Drives to judge by.
-
-    Returns
-    -------
-    kept : list of DriveLog
-        The first without what is a copy, or a part, of another one.
-    told : list of str
-        What was left out of them, which of the others were learned from, and which drives hold a
-        part of each other.
-
-    Raises
-    ------
-    InvalidInputError
-        If a drive stands in both.
-
-    Examples
-    --------
-    >>> channels = {"t": [0, 1, 2], "v_left": [0, 1, 2], "v_right": [0, 1, 1], "power": [0, 9, 8]}
-    >>> one, same = DriveLog(channels, "a.csv"), DriveLog(channels, "b.csv")
-    >>> kept, told = without_copies([one, same], [])
-    >>> [log.name for log in kept], told
-    (['a.csv'], ['b.csv holds the same readings as a.csv; they were learned from once'])
-    """
+    """Take each drive once: what is read twice makes nothing surer, and judges nothing."""
     if any(log is other for log in train for other in holdout):
         raise InvalidInputError("a drive stands in train and in holdout; give it to one of them")
     kept: list[DriveLog] = []

@@ -19,13 +19,7 @@ _JUMP = 10.0  # times the fastest counting, from which on a counter was set back
 
 
 def counting(unit: str) -> str:
-    """Return how a unit counts: `TOTAL` or `SINCE`; empty where a factor is all that it takes.
-
-    Examples
-    --------
-    >>> counting("ticks*0.0001"), counting("rpm*0.165")
-    ('ticks', '')
-    """
+    """Return how a unit counts: `TOTAL` or `SINCE`; empty where a factor is all that it takes."""
     bare = unit.lstrip("-").partition("*")[0].strip()
     return bare if bare in (TOTAL, SINCE) else ""
 
@@ -34,25 +28,6 @@ def count_rate(t: FloatArray, counts: FloatArray, unit: str) -> FloatArray:
     """Return how fast an encoder counts.
 
     A counter that runs over at 8, 16 or 32 bits counts on; one that is set back begins anew.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Time [s]; NaN where unknown.
-    counts : ndarray, shape (n,)
-        The counter's readings; NaN where there is none.
-    unit : {"ticks", "ticks/sample"}
-        Whether they count on, or from the row before.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Counts per second, from the readings before and after each; NaN where there is none.
-
-    Examples
-    --------
-    >>> count_rate(np.array([0.0, 0.1, 0.2]), np.array([65530.0, 4.0, 14.0]), TOTAL).round(6)
-    array([100., 100., 100.])
     """
     rate = np.full(len(t), np.nan)
     rows = np.flatnonzero(np.isfinite(t) & np.isfinite(counts))

@@ -36,56 +36,18 @@ _NO_NUMBER = {"", "nan", "null", "none", "n/a", "na", "#n/a", "inf", "-inf"} | {
 
 
 class Dialect(NamedTuple):
-    """How a text file writes a table.
-
-    Parameters
-    ----------
-    names : list of str
-        Names of the columns, with their units in brackets where a line of its own tells them.
-    separator : str
-        What stands between cells, a regular expression where it is longer than one letter.
-    decimal : str
-        Decimal sign.
-    encoding : str
-        Encoding.
-    start : int
-        Where the readings begin [bytes].
-    line : int
-        Number of the first line of readings, from 1.
-    """
+    """How a text file writes a table."""
 
     names: list[str]
     separator: str
-    decimal: str
-    encoding: str
-    start: int
-    line: int
+    decimal: str  # decimal sign
+    encoding: str  # encoding
+    start: int  # where the readings begin [bytes]
+    line: int  # number of the first line of readings, from 1
 
 
 def find_dialect(head: bytes, whole: bool, file: object, error: type[InvalidInputError]) -> Dialect:
-    """Learn from its beginning how a text file writes a table.
-
-    Parameters
-    ----------
-    head : bytes
-        The beginning.
-    whole : bool
-        Whether that is all there is.
-    file : object
-        The file's name, for messages.
-    error : type
-        Error to raise.
-
-    Returns
-    -------
-    Dialect
-        How it is written.
-
-    Raises
-    ------
-    InvalidInputError
-        As the given `error`: no line names columns.
-    """
+    """Learn from its beginning how a text file writes a table."""
     mark = len(codecs.BOM_UTF8) if head.startswith(codecs.BOM_UTF8) else 0
     encoding = "utf-8"
     try:

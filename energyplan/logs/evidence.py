@@ -21,60 +21,23 @@ _INERTIA_ERROR = 0.13  # share to which a mass must be told, three of which are 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a log shows of a robot; NaN where it does not.
+    """What a log shows of a robot; NaN where it does not."""
 
-    Parameters
-    ----------
-    slip_track : float
-        Difference of the tread speeds over the yaw rate, where they follow each other [m].
-    from_pose : bool
-        Whether that yaw rate comes from the heading rather than from a gyroscope.
-    distance : float
-        Way of the treads over that of the pose, on straight stretches.
-    rotation : float
-        Gyroscope's yaw rate over that of the heading, whatever their signs.
-    top_speed : float
-        Speed that is reached one hundredth of the time [m/s].
-    force : float
-        Mean power over mean speed while driving [N].
-    electric : float
-        Power over voltage times current.
-    inertia : float
-        Mass that the power of speeding up tells [kg].
-    step : float
-        Time between samples [s].
-    """
-
-    slip_track: float = np.nan
+    slip_track: float = np.nan  # [m]
     from_pose: bool = False
-    distance: float = np.nan
-    rotation: float = np.nan
-    top_speed: float = np.nan
-    force: float = np.nan
-    electric: float = np.nan
-    inertia: float = np.nan
-    step: float = np.nan
+    distance: float = np.nan  # way of the treads over that of the pose, on straight stretches
+    rotation: float = np.nan  # gyroscope's yaw rate over that of the heading, whatever their signs
+    top_speed: float = np.nan  # speed that is reached one hundredth of the time [m/s]
+    force: float = np.nan  # mean power over mean speed while driving [N]
+    electric: float = np.nan  # power over voltage times current
+    inertia: float = np.nan  # mass that the power of speeding up tells [kg]
+    step: float = np.nan  # time between samples [s]
 
 
 def gather(
     channels: Mapping[str, FloatArray], power: FloatArray, runs: Sequence[slice]
 ) -> Evidence:
-    """Find what a log shows of the robot.
-
-    Parameters
-    ----------
-    channels : mapping of str to ndarray, shape (n,)
-        Sound channels.
-    power : ndarray, shape (n,)
-        Total power [W].
-    runs : sequence of slice
-        Stretches without a gap.
-
-    Returns
-    -------
-    Evidence
-        What it tells.
-    """
+    """Find what a log shows of the robot."""
     t, left, right = channels["t"], channels["v_left"], channels["v_right"]
     rates = yaw_rates(channels, runs)
     rate = rates.get("yaw_rate", rates.get("yaw"))
@@ -155,18 +118,6 @@ def distance_ratio(channels: Mapping[str, FloatArray], runs: Sequence[slice]) ->
 
     Displacements over whole stretches are compared, not the lengths of paths: a pose that jitters
     goes no further.
-
-    Parameters
-    ----------
-    channels : mapping of str to ndarray, shape (n,)
-        Sound channels.
-    runs : sequence of slice
-        Stretches without a gap.
-
-    Returns
-    -------
-    float
-        The ratio; NaN where there is no pose, or the robot never drives straight.
     """
     if not {"x", "y"} <= set(channels):
         return np.nan

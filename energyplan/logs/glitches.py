@@ -26,25 +26,6 @@ def find_glitches(channel: str, values: FloatArray) -> NDArray[np.bool_]:
     """Tell which readings stand out from those around as nothing that lasts does.
 
     A glitch lasts one reading or two, so a median over five does not show it.
-
-    Parameters
-    ----------
-    channel : str
-        The channel.
-    values : ndarray, shape (n,)
-        Its readings in the library's unit; NaN where there is none.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        The glitches; none where so many readings stand out that these are none.
-
-    Examples
-    --------
-    >>> speeds = np.full(30, 0.5)
-    >>> speeds[7] = 15.0
-    >>> np.flatnonzero(find_glitches("v_left", speeds)).tolist()
-    [7]
     """
     lost = np.zeros(len(values), bool)
     known = np.flatnonzero(np.isfinite(values))

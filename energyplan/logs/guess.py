@@ -90,13 +90,7 @@ class Guess(NamedTuple):
 
 
 def words(name: str) -> list[str]:
-    """Split a name into its words, in small letters.
-
-    Examples
-    --------
-    >>> words("wheelSpeed_L [rad/s]"), words("velR")
-    (['wheel', 'speed', 'l'], ['vel', 'r'])
-    """
+    """Split a name into its words, in small letters."""
     found: list[str] = []
     plain = "".join(c for c in normalize("NFKD", split_unit(name)[0]) if not combining(c))
     for part in split_words(re.sub(r"[0-9]+", " ", plain)):
@@ -110,13 +104,7 @@ def words(name: str) -> list[str]:
 
 
 def side_of(name: str) -> str:
-    """Return the side that a name tells, ``"left"`` or ``"right"``; empty where it tells none.
-
-    Examples
-    --------
-    >>> side_of("wheel_FL_joint"), side_of("drivewhl_r_joint"), side_of("mast")
-    ('left', 'right', '')
-    """
+    """Return the side that a name tells, ``"left"`` or ``"right"``; empty where it tells none."""
     said = set(words(name))
     sides = [side for side in ("left", "right") if said & _WORDS[side]]
     return sides[0] if len(sides) == 1 else ""
@@ -203,14 +191,7 @@ def _quaternions(names: Collection[str]) -> set[str]:
 
 
 def guess_encoders(names: Iterable[str]) -> dict[str, Guess]:
-    """Guess which names are encoders' of the left and right wheels; none where one is missing.
-
-    Examples
-    --------
-    >>> found = guess_encoders(["time", "enc_l", "enc_r", "enc_arm"])
-    >>> {channel: one.name for channel, one in found.items()}
-    {'v_left': 'enc_l', 'v_right': 'enc_r'}
-    """
+    """Guess which names are encoders' of the left and right wheels; none where one is missing."""
     asked = {"cmd", "command", "set", "setpoint", "target", "desired", "ref", "goal", "err",
              "error", "cov", "covariance", "temp"}  # fmt: skip
     counted = [n for n in names if ENCODER & set(words(n)) and not asked & set(words(n))]
@@ -226,13 +207,7 @@ def guess_encoders(names: Iterable[str]) -> dict[str, Guess]:
 
 
 def numbered_speeds(names: Iterable[str]) -> tuple[str, ...]:
-    """Return names of wheels' or motors' speeds that a number tells apart, not a side.
-
-    Examples
-    --------
-    >>> numbered_speeds(["axis0.encoder.vel_estimate", "axis1.encoder.vel_estimate", "v_left"])
-    ('axis0.encoder.vel_estimate', 'axis1.encoder.vel_estimate')
-    """
+    """Return names of wheels' or motors' speeds that a number tells apart, not a side."""
     kinds = _WORDS["speed"] | ENCODER | {"dist", "distance"}
     groups: dict[tuple[str, ...], list[str]] = {}
     for name in names:
@@ -242,15 +217,7 @@ def numbered_speeds(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def halves(name: str, others: Iterable[str]) -> list[str]:
-    """Return powers or currents named like one but for a word: of another side, it may be.
-
-    Examples
-    --------
-    >>> halves("power_west [W]", ["power_east [W]", "power", "temp_west [W]"])
-    ['power_east [W]']
-    >>> halves("battery_power", ["motor_power"])  # which says that it is the whole
-    []
-    """
+    """Return powers or currents named like one but for a word: of another side, it may be."""
     told = _tokens(name)
     if set(told) & (_BATTERY | {"total", "gesamt"}):
         return []
@@ -269,13 +236,7 @@ def _tokens(name: str) -> list[str]:
 
 
 def guess_ahead(names: Iterable[str]) -> list[str]:
-    """Return names that seem to be of the robot's own speed, of no side of it.
-
-    Examples
-    --------
-    >>> guess_ahead(["speed_left", "odom.twist.linear.x", "ground_speed", "cmd_vel.linear.x"])
-    ['odom.twist.linear.x', 'ground_speed']
-    """
+    """Return names that seem to be of the robot's own speed, of no side of it."""
     found = []
     for name in names:
         said = set(words(name))
@@ -288,13 +249,7 @@ def guess_ahead(names: Iterable[str]) -> list[str]:
 
 
 def guess_position(names: Iterable[str]) -> tuple[str, str] | None:
-    """Return the names that seem to be latitude and longitude; None where one is missing.
-
-    Examples
-    --------
-    >>> guess_position(["GPS.Lat", "GPS.Lng", "GPS.Alt"])
-    ('GPS.Lat', 'GPS.Lng')
-    """
+    """Return the names that seem to be latitude and longitude; None where one is missing."""
     said = {name: set(words(name)) for name in names}
     found = [
         next((name for name in said if said[name] & wanted), None)
@@ -310,30 +265,7 @@ CHANNELS = (
 
 
 def guess(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, Guess]:
-    """Guess which name is which channel.
-
-    Parameters
-    ----------
-    names : iterable of str
-        Names of columns, or of topics and fields.
-    taken : collection of str
-        Names that already serve.
-
-    Returns
-    -------
-    dict of str to Guess
-        The best name of each channel; ``current_left`` and the like, which make powers, too.
-
-    Examples
-    --------
-    >>> found = guess(["Time [ms]", "velL", "velR", "gyro_z", "cmd_vel_left"])
-    >>> {channel: one.name for channel, one in found.items()}
-    {'t': 'Time [ms]', 'v_left': 'velL', 'v_right': 'velR', 'yaw_rate': 'gyro_z'}
-    >>> list(guess(["Zeit", "Kurs [deg]"]))
-    ['t', 'yaw']
-    >>> guess(["imu.orientation.z", "imu.orientation.w"])
-    {}
-    """
+    """Guess which name is which channel."""
     every = list(names)
     others = {*taken, *_quaternions(every)}
     left = [name for name in every if name not in others]

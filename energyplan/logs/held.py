@@ -20,24 +20,6 @@ def held_periods(channels: Mapping[str, FloatArray]) -> dict[str, float]:
     """Return the powers that are held, and the time after which they are read again [s].
 
     Held readings change with a clock. Those that are steady, or have few digits, do not.
-
-    Parameters
-    ----------
-    channels : mapping of str to ndarray, shape (n,)
-        Channels of a log.
-
-    Returns
-    -------
-    dict of str to float
-        The periods by channel; those that are read with every row or so are left out.
-
-    Examples
-    --------
-    >>> t = 0.1 * np.arange(400)
-    >>> channels = {"t": t, "v_left": 0.5 + 0.1 * np.sin(t), "v_right": 0.5 + 0.1 * np.cos(t)}
-    >>> channels["power"] = (100.0 + np.sin(7.0 * t))[np.arange(400) // 10 * 10]
-    >>> {name: round(period, 3) for name, period in held_periods(channels).items()}
-    {'power': 1.0}
     """
     t, effort = channels["t"], np.abs(channels["v_left"]) + np.abs(channels["v_right"])
     moving = effort > 0.15 * float(np.quantile(effort, 0.95))

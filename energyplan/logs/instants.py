@@ -33,18 +33,10 @@ _FRACTIONS = {
 
 @dataclass(frozen=True)
 class Instants:
-    """How instants are written.
+    """How instants are written."""
 
-    Parameters
-    ----------
-    pattern : str
-        Regular expression of their parts; empty for ISO 8601.
-    day_first : bool
-        Whether the day stands before the month.
-    """
-
-    pattern: str
-    day_first: bool = True
+    pattern: str  # regular expression of their parts
+    day_first: bool = True  # whether the day stands before the month
 
     @property
     def of_day(self) -> bool:
@@ -84,25 +76,7 @@ class Instants:
 
 
 def instants_of(series: pd.Series[Any]) -> Instants | None:
-    """Learn from texts how their instants are written.
-
-    Parameters
-    ----------
-    series : Series
-        Texts.
-
-    Returns
-    -------
-    Instants or None
-        How; None if the first text is no instant.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> texts = pd.Series(["04.05.2026 23:59:59.5", "05.05.2026 00:00:00.5"], dtype="string")
-    >>> np.diff(instants_of(texts).seconds(texts)).tolist()
-    [1.0]
-    """
+    """Learn from texts how their instants are written."""
     there = series.dropna()
     if not len(there):
         return None
@@ -126,13 +100,7 @@ def instants_of(series: pd.Series[Any]) -> Instants | None:
 
 
 def over_midnight(seconds: FloatArray) -> FloatArray:
-    """Count times of day on where a day ends.
-
-    Examples
-    --------
-    >>> over_midnight(np.array([86399.0, 1.0])).tolist()
-    [86399.0, 86401.0]
-    """
+    """Count times of day on where a day ends."""
     known = np.isfinite(seconds)
     days = np.cumsum(np.diff(seconds[known], prepend=seconds[known][:1]) < -0.5 * _DAY)
     counted = seconds.copy()
@@ -144,11 +112,6 @@ def whole_stamps(numbers: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """Join stamps that stand in two columns each: whole seconds, and what is beyond them.
 
     So stamps of ROS messages do, as ``header.stamp.sec`` and ``header.stamp.nanosec``.
-
-    Examples
-    --------
-    >>> whole_stamps({"stamp.secs": np.array([7.0]), "stamp.nsecs": np.array([5e8])})
-    {'stamp [s]': array([7.5])}
     """
     made: dict[str, FloatArray] = {}
     parts: set[str] = set()

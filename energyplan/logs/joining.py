@@ -41,25 +41,6 @@ def hold_unchanged(columns: Mapping[str, FloatArray]) -> Held:
     Such a column never repeats the reading before, though it has few values: of `n` readings, drawn
     in any order, ``n`` times the sum of the squared shares of its values would. Where readings are
     left out for another reason, or come more seldom than rows, they do repeat.
-
-    Parameters
-    ----------
-    columns : mapping of str to ndarray, shape (n,)
-        Columns, NaN where a cell is blank.
-
-    Returns
-    -------
-    Held
-        The same columns where the logger is no such one. Columns that are read more seldom than
-        rows come stay as they are.
-
-    Examples
-    --------
-    >>> speed = np.array([0.0, 0.1, np.nan, np.nan, 0.2, 0.1] * 20)
-    >>> hold_unchanged({"v": speed}).columns["v"][:6].tolist()
-    [0.0, 0.1, 0.1, 0.1, 0.2, 0.1]
-    >>> hold_unchanged({"v": np.repeat(speed, 2)}).rows
-    {}
     """
     blanks = {name: np.isnan(values) for name, values in columns.items()}
     found, changing = [], False
@@ -99,39 +80,15 @@ def _instants(whole: Sequence[FloatArray], count: int) -> NDArray[np.intp]:
 
 
 class Joined(NamedTuple):
-    """Channels of several sources on the rows of one of them.
+    """Channels of several sources on the rows of one of them."""
 
-    Parameters
-    ----------
-    channels : dict of str to ndarray, shape (n,)
-        The channels.
-    rows : ndarray, shape (n,)
-        The rows that were kept.
-    how : dict of str to str
-        How channels came that had rows of their own.
-    """
-
-    channels: dict[str, FloatArray]
-    rows: NDArray[np.intp]
-    how: dict[str, str]
+    channels: dict[str, FloatArray]  # (n,): the channels
+    rows: NDArray[np.intp]  # (n,): the rows that were kept
+    how: dict[str, str]  # how channels came that had rows of their own
 
 
 def join_rows(channels: Mapping[str, FloatArray], needed: Collection[str]) -> Joined | None:
-    """Join rows that hold a part of the channels each, as of messages from several sources.
-
-    Parameters
-    ----------
-    channels : mapping of str to ndarray, shape (n,)
-        Channels over increasing time, NaN where a row does not hold one.
-    needed : collection of str
-        Channels without which a row is of no use.
-
-    Returns
-    -------
-    Joined or None
-        The channels at the times of the left tread speed, averaged where they are faster and
-        interpolated where they are slower; None where rows hold all that is needed.
-    """
+    """Join rows that hold a part of the channels each, as of messages from several sources."""
     known = {name: np.isfinite(values) for name, values in channels.items()}
     clock = np.flatnonzero(known["t"] & known["v_left"])
     fewest = min(np.count_nonzero(known[name]) for name in needed)

@@ -18,29 +18,7 @@ _MOST_PARTS = 4096  # names in a file
 def read_json_lines(
     lines: Iterable[bytes], file: object, most: int, error: type[InvalidInputError]
 ) -> pd.DataFrame:
-    """Read rows that are a JSON object each.
-
-    Parameters
-    ----------
-    lines : iterable of bytes
-        The lines of the file; empty ones hold nothing in any column.
-    file : object
-        The file's name, for messages.
-    most : int
-        Most cells that are read.
-    error : type
-        Error to raise.
-
-    Returns
-    -------
-    DataFrame
-        Rows as the lines; ``{"battery": {"voltage": 24}}`` is the column ``battery.voltage``.
-
-    Raises
-    ------
-    InvalidInputError
-        As the given `error`: a line is no JSON object, or there is too much in the file.
-    """
+    """Read rows that are a JSON object each."""
     import pandas as pd
 
     rows: list[dict[str, Any]] = []

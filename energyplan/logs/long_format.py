@@ -23,20 +23,12 @@ _OFTEN = 4  # readings of each name, on average
 
 @dataclass(frozen=True)
 class LongFormat:
-    """Which columns of a table hold the times, the names and the readings.
+    """Which columns of a table hold the times, the names and the readings."""
 
-    Parameters
-    ----------
-    time, name, value : str
-        Names of these columns.
-    unit : str or None
-        Name of a column of units.
-    """
-
-    time: str
-    name: str
-    value: str
-    unit: str | None = None
+    time: str  # names of these columns
+    name: str  # names of these columns
+    value: str  # names of these columns
+    unit: str | None = None  # name of a column of units
 
     def wide(self, frame: pd.DataFrame) -> pd.DataFrame:
         """Return a row for each time, with a column for each name.
@@ -73,25 +65,6 @@ def find_long(frame: pd.DataFrame) -> LongFormat | None:
 
     Beside a column of times and one of names there is just one of readings; others hold one text
     throughout, or units.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        The table, or its first rows, under its column names.
-
-    Returns
-    -------
-    LongFormat or None
-        None where rows hold several readings.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> frame = pd.DataFrame({
-    ...     "time": [0.0, 0.0, 0.1, 0.1] * 5, "topic": ["/v", "/p"] * 10, "value": [0.5, 9.0] * 10,
-    ... })
-    >>> find_long(frame).wide(frame[:4]).to_dict("list")
-    {'time': [0.0, 0.1], '/v': [0.5, 0.5], '/p': [9.0, 9.0]}
     """
     left = [name for name in map(str, frame) if frame[name].nunique() > 1]
     if not 3 <= len(left) <= 4:

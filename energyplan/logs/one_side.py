@@ -32,20 +32,7 @@ def _ahead(left: FloatArray, right: FloatArray) -> NDArray[np.bool_]:
 
 
 def find_dead(channels: Mapping[str, FloatArray], rates: Mapping[str, FloatArray]) -> list[str]:
-    """Tell whether a side shows nothing all along while the robot drives.
-
-    Parameters
-    ----------
-    channels : mapping of str to ndarray, shape (n,)
-        Channels of a log.
-    rates : mapping of str to ndarray, shape (n,)
-        Yaw rates, by the channel that shows them [rad/s].
-
-    Returns
-    -------
-    list of str
-        What is told.
-    """
+    """Tell whether a side shows nothing all along while the robot drives."""
     told = []
     for side, other in (("left", "right"), ("right", "left")):
         speed, theirs = channels[f"v_{side}"], channels[f"v_{other}"]
@@ -71,18 +58,7 @@ def find_dead(channels: Mapping[str, FloatArray], rates: Mapping[str, FloatArray
 
 
 def find_dying(channels: Mapping[str, FloatArray]) -> list[str]:
-    """Tell whether a side's power is the same from some time on, or up to it, while both go ahead.
-
-    Parameters
-    ----------
-    channels : mapping of str to ndarray, shape (n,)
-        Channels of a log.
-
-    Returns
-    -------
-    list of str
-        What is told.
-    """
+    """Find a side's power that is the same from or up to some time, while both go ahead."""
     told = []
     t, left, right = (channels[name] for name in ("t", "v_left", "v_right"))
     time = np.gradient(t) * _ahead(left, right)
@@ -109,20 +85,7 @@ def find_dying(channels: Mapping[str, FloatArray]) -> list[str]:
 
 
 def find_frozen(channels: Mapping[str, FloatArray], rates: Mapping[str, FloatArray]) -> list[str]:
-    """Tell whether a yaw is the same from some time on, or up to it, while the treads turn.
-
-    Parameters
-    ----------
-    channels : mapping of str to ndarray, shape (n,)
-        Channels of a log.
-    rates : mapping of str to ndarray, shape (n,)
-        Yaw rates, by the channel that shows them [rad/s].
-
-    Returns
-    -------
-    list of str
-        What is told.
-    """
+    """Tell whether a yaw is the same from some time on, or up to it, while the treads turn."""
     t, difference = channels["t"], channels["v_right"] - channels["v_left"]
     turns = np.abs(difference) > 0.4 * float(np.quantile(np.abs(difference), 0.95))
     time = np.gradient(t) * turns
@@ -147,20 +110,7 @@ def find_frozen(channels: Mapping[str, FloatArray], rates: Mapping[str, FloatArr
 
 
 def find_false_speeds(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> list[str]:
-    """Tell whether the speeds are not those of two sides: one column twice, or without signs.
-
-    Parameters
-    ----------
-    channels : mapping of str to ndarray, shape (n,)
-        Channels of a log.
-    runs : sequence of slice
-        Stretches without a gap.
-
-    Returns
-    -------
-    list of str
-        What is told.
-    """
+    """Tell whether the speeds are not those of two sides: one column twice, or without signs."""
     rates = yaw_rates(channels, runs)
     return [text for text in (_same(channels, rates), _signs(channels, rates)) if text]
 
@@ -224,18 +174,7 @@ def _turns_by(
 
 
 def compare_powers(channels: Mapping[str, FloatArray]) -> str:
-    """Tell whether both sides' powers are two powers, in one unit.
-
-    Parameters
-    ----------
-    channels : mapping of str to ndarray, shape (n,)
-        Channels of a log.
-
-    Returns
-    -------
-    str
-        What is told; nothing where they are.
-    """
+    """Tell whether both sides' powers are two powers, in one unit."""
     if not {"p_left", "p_right"} <= set(channels):
         return ""
     p_left, p_right = channels["p_left"], channels["p_right"]
@@ -279,16 +218,6 @@ def find_lost_sign(channels: Mapping[str, FloatArray]) -> str:
     were exchanged. On straight lines the resistance alone remains: there it is seen which of the
     two it is. An inner side that is held back more than a straight line costs is pushed by the
     other.
-
-    Parameters
-    ----------
-    channels : mapping of str to ndarray, shape (n,)
-        Channels of a log.
-
-    Returns
-    -------
-    str
-        What is told; nothing where the powers have their sign, or nothing tells.
     """
     if not {"p_left", "p_right"} <= set(channels):
         return ""
@@ -333,19 +262,7 @@ def find_lost_sign(channels: Mapping[str, FloatArray]) -> str:
 
 
 def refuse_one_side(logs: Sequence[DriveLog]) -> None:
-    """Refuse logs that lack a side: what is identified from the other one is half of what is.
-
-    Parameters
-    ----------
-    logs : sequence of DriveLog
-        The drives.
-
-    Raises
-    ------
-    NotIdentifiableError
-        If the speed or the power of one side stays the same all along while the robot drives, the
-        powers are no two powers in one unit, or the speeds are one column or have no signs.
-    """
+    """Refuse logs that lack a side: what is identified from the other one is half of what is."""
     for log in logs:
         reasons = [
             *find_dead(log.channels, yaw_rates(log.channels, log.runs)),

@@ -39,30 +39,14 @@ _MOVING = 0.03  # tread speed from which it surely moves [m/s]
 
 @dataclass(frozen=True)
 class Offset:
-    """Time offset of a channel against the tread speeds.
+    """Time offset of a channel against the tread speeds."""
 
-    Parameters
-    ----------
-    channel : str
-        The channel.
-    seconds : float
-        By how much it lags behind [s]; negative where it leads.
-    explained : float
-        Share of its variance that the tread speeds explain once it is shifted.
-    before : float
-        The same as logged.
-    sign : int
-        Sign of the relation at that offset.
-    duration : float
-        Length of the stretches compared [s].
-    """
-
-    channel: str
-    seconds: float
-    explained: float
-    before: float
-    sign: int
-    duration: float
+    channel: str  # the channel
+    seconds: float  # by how much it lags behind [s]
+    explained: float  # share of its variance that the tread speeds explain once it is shifted
+    before: float  # the same as logged
+    sign: int  # sign of the relation at that offset
+    duration: float  # length of the stretches compared [s]
 
     @property
     def certain(self) -> bool:
@@ -89,26 +73,6 @@ def find_offset(
     For each lag the explained variance of the least-squares fit follows from cross-correlations
     and running sums, so that all lags together cost a few Fourier transforms; a parabola through
     the best lag and its neighbours refines it.
-
-    Parameters
-    ----------
-    channel : str
-        Name of the channel.
-    t, values : ndarray, shape (n,)
-        Time [s] and the channel.
-    regressors : sequence of ndarray, shape (n,)
-        What explains it.
-    runs : sequence of slice
-        Stretches without a gap.
-    largest : float
-        Longest offset looked for [s].
-    centred : bool
-        Take means away, as for a channel with an unknown constant part.
-
-    Returns
-    -------
-    Offset or None
-        The offset; None where the log is too short or does not move.
     """
     long = [run for run in runs if t[run][-1] - t[run][0] >= 4 * largest]
     if not long:
@@ -198,29 +162,7 @@ def power_regressors(channels: Mapping[str, FloatArray], runs: Sequence[slice]) 
 def find_doubts(
     channels: Mapping[str, FloatArray], power: FloatArray, runs: Sequence[slice], label: str
 ) -> list[str]:
-    """Compare the channels with each other.
-
-    Parameters
-    ----------
-    channels : mapping of str to ndarray, shape (n,)
-        Sound channels.
-    power : ndarray, shape (n,)
-        Total power [W].
-    runs : sequence of slice
-        Stretches without a gap.
-    label : str
-        Name of the log.
-
-    Returns
-    -------
-    list of str
-        What is doubtful.
-
-    Raises
-    ------
-    DriveLogError
-        If channels contradict each other.
-    """
+    """Compare the channels with each other."""
     told = _check_time(channels["t"], runs, label)
     contradictions = find_contradictions(channels, power, runs)
     if not find_dead(channels, yaw_rates(channels, runs)):
@@ -231,13 +173,7 @@ def find_doubts(
 
 
 def _check_time(t: FloatArray, runs: Sequence[slice], label: str) -> list[str]:
-    """Refuse time in another unit; report gaps.
-
-    Raises
-    ------
-    DriveLogError
-        If the time step is out of range.
-    """
+    """Refuse time in another unit; report gaps."""
     step = float(np.median(np.diff(t)))
     if not 1e-4 <= step <= LONGEST_STEP:
         sizes = {name: size for name, size in UNITS["t"].items() if name != "s"}
@@ -262,13 +198,7 @@ def _check_time(t: FloatArray, runs: Sequence[slice], label: str) -> list[str]:
 def _check_turning(
     channels: Mapping[str, FloatArray], runs: Sequence[slice], label: str
 ) -> list[str]:
-    """Compare measured turning with the tread speeds.
-
-    Raises
-    ------
-    DriveLogError
-        If the log turns against its tread speeds, or turns in degrees.
-    """
+    """Compare measured turning with the tread speeds."""
     t, difference = channels["t"], channels["v_right"] - channels["v_left"]
     turning = np.abs(difference) > _TURNING
     told: list[str] = []
@@ -362,13 +292,7 @@ def _check_steps(channels: Mapping[str, FloatArray], moving: NDArray[np.bool_]) 
 def _check_power(
     channels: Mapping[str, FloatArray], power: FloatArray, runs: Sequence[slice], label: str
 ) -> list[str]:
-    """Compare power with the tread speeds: its sign, its side, its time.
-
-    Raises
-    ------
-    DriveLogError
-        If power or one side of it has the wrong sign.
-    """
+    """Compare power with the tread speeds: its sign, its side, its time."""
     t, left, right = channels["t"], channels["v_left"], channels["v_right"]
     effort = np.abs(left) + np.abs(right)
     moving = effort > 2 * _MOVING

@@ -51,23 +51,7 @@ _USUAL_SPEED = 0.7  # of robots that skid, as they are driven [m/s]
 
 
 def possible(channels: Mapping[str, FloatArray]) -> bool:
-    """Tell whether nearly all readings are such as a robot's channels can hold.
-
-    Parameters
-    ----------
-    channels : mapping of str to ndarray, shape (n,)
-        Channels of finite readings, in the library's units.
-
-    Returns
-    -------
-    bool
-        Whether they are.
-
-    Examples
-    --------
-    >>> possible({"power": np.array([90.0, 120.0])}), possible({"power": np.array([9e5, 1e6])})
-    (True, False)
-    """
+    """Tell whether nearly all readings are such as a robot's channels can hold."""
     for name, values in channels.items():
         low, high, _ = LIMITS.get(name, ANY)
         if np.mean((values >= low) & (values <= high)) < _MOST:
@@ -76,22 +60,7 @@ def possible(channels: Mapping[str, FloatArray]) -> bool:
 
 
 def likely_unit(name: str, unit: str, values: FloatArray) -> str:
-    """Guess the unit of readings that are impossible in the library's.
-
-    Parameters
-    ----------
-    name : str
-        The channel.
-    unit : str
-        Its unit in the library.
-    values : ndarray, shape (n,)
-        The readings.
-
-    Returns
-    -------
-    str
-        The unit as it may stand in brackets, or several with what stands between them.
-    """
+    """Guess the unit of readings that are impossible in the library's."""
     if name not in ("v_left", "v_right"):
         return _OTHER_UNIT.get(unit, "*0.001")
     size = float(np.nanquantile(np.abs(values), 0.9))

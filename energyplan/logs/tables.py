@@ -43,27 +43,7 @@ _INTERRUPTED = "Calling read(nbytes) on source failed"
 
 
 def read_table(path: str | Path, error: type[InvalidInputError]) -> Table:
-    """Read a table of numbers with one row of column names.
-
-    Parameters
-    ----------
-    path : str or Path
-        A ``.csv``, ``.csv.gz``, ``.parquet`` or ``.pq`` file.
-    error : type
-        Error to raise for bad content.
-
-    Returns
-    -------
-    Table
-        The table.
-
-    Raises
-    ------
-    InvalidInputError
-        As the given `error`: the file is missing, malformed or absurdly large.
-    MissingDependencyError
-        If a Parquet file is read without pyarrow.
-    """
+    """Read a table of numbers with one row of column names."""
     file = Path(path)
     with _reading(file, error):
         if _suffix(file, error) == ".parquet":
@@ -82,25 +62,7 @@ def read_table(path: str | Path, error: type[InvalidInputError]) -> Table:
 
 
 def table_of(frame: Any, error: type[InvalidInputError]) -> Table:
-    """Take a pandas DataFrame as a table.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        The columns.
-    error : type
-        Error to raise for bad content.
-
-    Returns
-    -------
-    Table
-        The table; its rows count from 0.
-
-    Raises
-    ------
-    InvalidInputError
-        As the given `error`: it is no DataFrame, or two columns have one name.
-    """
+    """Take a pandas DataFrame as a table."""
     names = [str(label) for label in getattr(frame, "columns", ())]
     if not names or not hasattr(frame, "iloc"):
         raise error(f"{type(frame).__name__} holds no columns; give a pandas DataFrame or a file")
@@ -117,13 +79,7 @@ def table_of(frame: Any, error: type[InvalidInputError]) -> Table:
 
 
 def column_names(path: str | Path, error: type[InvalidInputError]) -> list[str]:
-    """Return the column names of a CSV or gzipped CSV file, which is read no further.
-
-    Raises
-    ------
-    InvalidInputError
-        As the given `error`: the file is missing, of another kind, or its first line is malformed.
-    """
+    """Return the column names of a CSV or gzipped CSV file, which is read no further."""
     file = Path(path)
     with _reading(file, error):
         if _suffix(file, error) in (".parquet", ".jsonl"):

@@ -73,25 +73,7 @@ _OF_WHEELS = {**_RATE, **_COUNTS}
 
 
 def known_unit(channel: str, unit: str) -> str | None:
-    """Return a channel's unit by its usual spelling; None where the channel has no such unit.
-
-    Parameters
-    ----------
-    channel : str
-        The channel.
-    unit : str
-        A unit as people write it, such as ``"RPM"`` or ``"degrees"``.
-
-    Returns
-    -------
-    str or None
-        The unit. Rates of wheels count as units of tread speeds.
-
-    Examples
-    --------
-    >>> known_unit("v_left", "RPM"), known_unit("yaw", "m")
-    ('rpm', None)
-    """
+    """Return a channel's unit by its usual spelling; None where the channel has no such unit."""
     known = {**UNITS.get(channel, {}), **(_OF_WHEELS if channel in _WHEEL_CHANNELS else {})}
     bare = unit.strip()
     if bare in known:
@@ -114,27 +96,7 @@ def is_count(unit: str) -> bool:
 
 
 def scale_of(channel: str, unit: str) -> Scale:
-    """Return the conversion from a unit.
-
-    Parameters
-    ----------
-    channel : str
-        The channel.
-    unit : str
-        A unit's name, a factor after ``*``, or both, with a minus before it where the sign is
-        opposite: ``"deg"``, ``"-A"``, ``"*0.165"``, ``"rpm*0.165"``. Of encoders ``"ticks*F"``,
-        ``"ticks/sample*F"`` or ``"ticks/s*F"``, with F metres per count.
-
-    Returns
-    -------
-    Scale
-        The conversion.
-
-    Raises
-    ------
-    DriveLogError
-        If the channel cannot be in that unit, or the factor is none.
-    """
+    """Return the conversion from a unit."""
     sign = -1.0 if unit.startswith("-") else 1.0
     bare = unit.lstrip("-").strip()
     name, star, number = bare.rpartition("*")
@@ -202,13 +164,7 @@ _CAPITALS = {"kW", "mW", "mV", "mA", "degC", "degF"}
 
 
 def split_words(name: str) -> list[str]:
-    """Split a name at signs, and where small letters turn to capitals.
-
-    Examples
-    --------
-    >>> split_words("wheelSpeed_L.rpm")
-    ['wheel', 'Speed', 'L', 'rpm']
-    """
+    """Split a name at signs, and where small letters turn to capitals."""
     found: list[str] = []
     for part in re.split(r"[^A-Za-z0-9\u00b0\u00b5^]+", name):
         if part in _CAPITALS:
@@ -231,23 +187,6 @@ def unit_in(channel: str, name: str) -> NamedUnit | None:
 
     It stands in brackets at the end, as in ``speed [km/h]``, or is a word of the name, as in
     ``current_mA``, ``yaw_rate_deg_s`` or ``rpm_left``.
-
-    Parameters
-    ----------
-    channel : str
-        The channel that the column is to serve as.
-    name : str
-        The column's name.
-
-    Returns
-    -------
-    NamedUnit or None
-        The unit; None where the name tells none.
-
-    Examples
-    --------
-    >>> unit_in("current", "batt_current_mA"), unit_in("yaw_rate", "gyro z (deg/s)").unit
-    (NamedUnit(bare='batt_current', unit='mA'), 'deg/s')
     """
     bare, told = split_unit(name)
     if told:
@@ -269,12 +208,6 @@ def unit_in(channel: str, name: str) -> NamedUnit | None:
 
 
 def is_unit(text: str) -> bool:
-    """Tell whether a text is a unit of any channel.
-
-    Examples
-    --------
-    >>> is_unit("[km/h]"), is_unit("left")
-    (True, False)
-    """
+    """Tell whether a text is a unit of any channel."""
     bare = text.strip().strip("[]()").strip()
     return any(known_unit(channel, bare) is not None for channel in UNITS)

@@ -27,91 +27,38 @@ _EPSILON = 1e-9
 
 
 class Table(NamedTuple):
-    """An order problem as arrays; n tasks, m chargers, N places, L loads, M ways of driving.
+    """An order problem as arrays; n tasks, m chargers, N places, L loads, M ways of driving."""
 
-    Attributes
-    ----------
-    energy : ndarray, shape (L, M, N, N)
-        Energies from place to place [J]; infinite where no battery lasts for the way.
-    finish : ndarray, shape (L, N)
-        Energy to where the mission may end [J].
-    time : ndarray, shape (M, N, N)
-        Travel times [s].
-    finish_time : ndarray, shape (N,)
-        Time to where the mission may end [s].
-    service, service_time : ndarray, shape (n,)
-        Energy [J] and time [s] of each task.
-    window : ndarray, shape (n, 2)
-        Earliest and latest begin [s].
-    worth : ndarray, shape (n,)
-        What each task is worth.
-    worth_of : ndarray, shape (2^n,)
-        What each subset of tasks is worth.
-    load : ndarray, shape (2^n,)
-        Payload after each subset of tasks [kg].
-    load_index : ndarray of int, shape (2^n,)
-        Which of the L loads that is.
-    pressing : ndarray of bool, shape (2^n,)
-        Whether a window of the tasks that each subset leaves ends.
-    change : ndarray, shape (n,)
-        Change of the payload by each task [kg].
-    need : ndarray, shape (N,)
-        Charge without which no charger and no end is reached from a place [J].
-    capacity, charge_power : ndarray, shape (m,)
-        Energy on leaving each charger when full [J], and stored per second [W].
-    budget, full : float
-        Energy at the start and of a full battery [J].
-    start_time : float
-        Time at the start [s].
-    visits : int
-        Visits to chargers that are told apart.
-    most : int
-        Most labels to keep.
-    width : int
-        Most labels to keep of a subset and place; fewer than there are make the search quick and
-        its answer one that need not be the best.
-    """
-
-    energy: WideBlock
-    finish: FloatTable
-    time: FloatBlock
-    finish_time: Floats
-    service: Floats
-    service_time: Floats
-    window: FloatTable
-    worth: Floats
-    worth_of: Floats
-    load: Floats
-    load_index: Ints
-    pressing: Flags
-    change: Floats
-    need: Floats
-    capacity: Floats
-    charge_power: Floats
-    budget: float
-    full: float
-    start_time: float
-    visits: int
-    most: int
-    width: int
+    energy: WideBlock  # (L, M, N, N): energies from place to place [J]
+    finish: FloatTable  # (L, N): energy to where the mission may end [J]
+    time: FloatBlock  # (M, N, N): travel times [s]
+    finish_time: Floats  # (N,): time to where the mission may end [s]
+    service: Floats  # (n,): energy [J] and time [s] of each task
+    service_time: Floats  # (n,): energy [J] and time [s] of each task
+    window: FloatTable  # (n, 2): earliest and latest begin [s]
+    worth: Floats  # (n,): what each task is worth
+    worth_of: Floats  # (2^n,): what each subset of tasks is worth
+    load: Floats  # (2^n,): payload after each subset of tasks [kg]
+    load_index: Ints  # (2^n,): which of the L loads that is
+    pressing: Flags  # (2^n,): whether a window of the tasks that each subset leaves ends
+    change: Floats  # (n,): change of the payload by each task [kg]
+    need: Floats  # (N,): charge without which no charger and no end is reached from a place [J]
+    capacity: Floats  # energy on leaving each charger when full [J], and stored per second [W]
+    charge_power: Floats  # energy on leaving each charger when full [J], and stored per second [W]
+    budget: float  # energy at the start and of a full battery [J]
+    full: float  # energy at the start and of a full battery [J]
+    start_time: float  # time at the start [s]
+    visits: int  # visits to chargers that are told apart
+    most: int  # most labels to keep
+    width: int  # most labels to keep of a subset and place
 
 
 class Rest(NamedTuple):
-    """What is to be done at least, by bucket: a subset of tasks done and a place.
+    """What is to be done at least, by bucket: a subset of tasks done and a place."""
 
-    Attributes
-    ----------
-    energy : ndarray, shape (2^n * N, visits + 1)
-        Least energy with at least so many visits to chargers ahead [J].
-    latest : ndarray, shape (2^n * N,)
-        When to leave at the latest [s].
-    charge : float
-        Energy that one visit adds at most [J].
-    """
-
-    energy: FloatTable
-    latest: Floats
-    charge: float
+    energy: FloatTable  # least energy with at least so many visits to chargers ahead [J]
+    latest: Floats  # (2^n * N,): when to leave at the latest [s]
+    charge: float  # energy that one visit adds at most [J]
 
 
 @inner
@@ -133,20 +80,7 @@ def energy_left(rest: Rest, bucket: int, charge: float) -> float:
 
 @njit
 def completions(table: Table, worth: float) -> Rest:
-    """Bound what is left to do from each bucket on.
-
-    Parameters
-    ----------
-    table : Table
-        The problem.
-    worth : float
-        Worth that the whole order is to have at least.
-
-    Returns
-    -------
-    Rest
-        The bounds.
-    """
+    """Bound what is left to do from each bucket on."""
     n, m, ways = len(table.worth), len(table.capacity), table.energy.shape[1]
     places = 1 + n + m
     visits = table.visits if m > 0 else 0

@@ -27,55 +27,27 @@ _FAR = 1e15
 
 
 class Known(NamedTuple):
-    """An order that is known, and what is asked of a better one.
+    """An order that is known, and what is asked of a better one."""
 
-    Attributes
-    ----------
-    worth : float
-        Its worth; below zero where none is known.
-    energy, time : float
-        Its energy [J], and when it ends [s].
-    same : Rest
-        What it takes at least to reach its worth.
-    more : Rest
-        What it takes at least to reach more; empty where that is impossible.
-    """
-
-    worth: float
-    energy: float
-    time: float
-    same: Rest
-    more: Rest
+    worth: float  # its worth
+    energy: float  # its energy [J], and when it ends [s]
+    time: float  # its energy [J], and when it ends [s]
+    same: Rest  # what it takes at least to reach its worth
+    more: Rest  # what it takes at least to reach more
 
 
 class Found(NamedTuple):
-    """What the search found.
+    """What the search found."""
 
-    Attributes
-    ----------
-    better : bool
-        Whether it is better than what was known.
-    worth, energy, time : float
-        Worth and energy of the best order, the way to its end included [J], and its end [s].
-    bound : float
-        Energy that no order of this worth undercuts [J].
-    open : bool
-        Whether an order of greater worth may have been left out.
-    labels : int
-        Labels kept.
-    stops, ways : ndarray of int
-        Places in the order of their visits, and the way of driving to each.
-    """
-
-    better: bool
+    better: bool  # whether it is better than what was known
     worth: float
     energy: float
     time: float
-    bound: float
-    open: bool
-    labels: int
-    stops: Ints
-    ways: Ints
+    bound: float  # energy that no order of this worth undercuts [J]
+    open: bool  # whether an order of greater worth may have been left out
+    labels: int  # labels kept
+    stops: Ints  # places in the order of their visits, and the way of driving to each
+    ways: Ints  # places in the order of their visits, and the way of driving to each
 
 
 class Label(NamedTuple):
@@ -89,25 +61,12 @@ class Label(NamedTuple):
 
 
 class Store(NamedTuple):
-    """All labels.
+    """All labels."""
 
-    Attributes
-    ----------
-    value : ndarray, shape (n, 6)
-        Each label's fields, and the least energy of an order that it leads to [J].
-    link : ndarray of int, shape (n, 4)
-        Label before, place, way of driving, next label of the bucket.
-    head : ndarray of int, shape (2^n * places,)
-        First label of each bucket: a subset of tasks and a place.
-    lost : ndarray, shape (2,)
-        Least energy of an order that a label left out for want of room may have led to, for the
-        worth that is known; and 1 where it may have led to more worth.
-    """
-
-    value: FloatTable
-    link: IntTable
-    head: Ints
-    lost: Floats
+    value: FloatTable  # each label's fields, and the least energy of an order that it leads to [J]
+    link: IntTable  # (n, 4): label before, place, way of driving, next label of the bucket
+    head: Ints  # (2^n * places,): first label of each bucket
+    lost: Floats  # (2,)
 
 
 @inner
@@ -284,18 +243,6 @@ def search(table: Table, known: Known) -> Found:
     """Find an order of greater worth than the one known, or of the same and less energy.
 
     Of orders of the same energy the quickest is taken.
-
-    Parameters
-    ----------
-    table : Table
-        The problem.
-    known : Known
-        The order that is known.
-
-    Returns
-    -------
-    Found
-        The best order found, and whether a better one may have been left out.
     """
     n, m, ways = len(table.worth), len(table.capacity), table.energy.shape[1]
     places, width = 1 + n + m, table.width

@@ -25,20 +25,10 @@ from energyplan.planning.budget import PACE
 
 @dataclass(frozen=True)
 class Course:
-    """A way through the tasks in the order given.
+    """A way through the tasks in the order given."""
 
-    Parameters
-    ----------
-    state : Condition
-        Where it ends.
-    worth : float
-        Worth of what was done.
-    steps : tuple of (int, Condition, Attempt)
-        The tasks done, each with the condition before it and its attempt.
-    """
-
-    state: Condition
-    worth: float = 0.0
+    state: Condition  # where it ends
+    worth: float = 0.0  # worth of what was done
     steps: tuple[tuple[int, Condition, Attempt], ...] = ()
 
     @property
@@ -57,17 +47,6 @@ def best_course(walk: Walk) -> Course:
     Tasks are done one after the other as long as the battery lasts. Where it does not, all ways
     are followed side by side: with and without a charge before each task, with and without the
     task. Of two at the same place, the one that is worse in every respect is dropped.
-
-    Parameters
-    ----------
-    walk : Walk
-        The mission.
-
-    Returns
-    -------
-    Course
-        The way of greatest worth from which the mission can end; of those the one that does the
-        tasks that come first, with the least energy. Where none can end, the one of greatest worth.
     """
     tasks = walk.mission.tasks
     whole = sum(task.prize for task in tasks) + 1.0
@@ -117,25 +96,12 @@ _LOSSLESS = 1.0
 
 @dataclass(frozen=True)
 class Stops:
-    """The stops of a free order.
+    """The stops of a free order."""
 
-    Parameters
-    ----------
-    stops : tuple of int
-        Nodes in the order of their visits.
-    hurried : tuple of bool
-        Whether the way to each is driven as quickly as may be.
-    proven : bool
-        Whether no better order exists on the routes known.
-    gap : float
-        By which fraction of its energy a better order may exist at most; nan where one might do
-        more, or where nothing is known.
-    """
-
-    stops: tuple[int, ...]
-    hurried: tuple[bool, ...]
-    proven: bool
-    gap: float
+    stops: tuple[int, ...]  # nodes in the order of their visits
+    hurried: tuple[bool, ...]  # whether the way to each is driven as quickly as may be
+    proven: bool  # whether no better order exists on the routes known
+    gap: float  # by which fraction of its energy a better order may exist at most
 
 
 def best_stops(walk: Walk, progress: Callable[[str], None] | None = None) -> Stops:
@@ -145,18 +111,6 @@ def best_stops(walk: Walk, progress: Callable[[str], None] | None = None) -> Sto
     battery lost nothing: no other one can be better than that. If the battery lasts for it, it is
     the answer, and proven. If not, energies are taken at their bounds, and the first order bounds
     how much better another one could be.
-
-    Parameters
-    ----------
-    walk : Walk
-        The mission.
-    progress : callable, optional
-        Called with one line of text whenever an order is found.
-
-    Returns
-    -------
-    Stops
-        The stops.
     """
     hope = None
     if len(walk.mission.tasks) <= EXACT:
@@ -178,15 +132,7 @@ def _ways(order: Order) -> tuple[bool, ...]:
 
 
 class _Matrix:
-    """Energies between places, known or bounded, and the energy that the battery holds.
-
-    Parameters
-    ----------
-    walk : Walk
-        The mission.
-    hopeful : bool
-        Whether energies are as expected and the battery loses nothing, instead of at their bounds.
-    """
+    """Energies between places, known or bounded, and the energy that the battery holds."""
 
     def __init__(self, walk: Walk, hopeful: bool) -> None:
         self._walk = walk

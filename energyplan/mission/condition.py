@@ -16,94 +16,43 @@ _INSTANT = 1e-6
 
 
 class Charge(NamedTuple):
-    """The battery at one instant.
+    """The battery at one instant."""
 
-    Parameters
-    ----------
-    soc : float
-        State of charge.
-    polarisation : float
-        Voltage of its RC pair [V].
-    failure : str
-        Why it gave up on the way; ``"none"`` if it did not.
-    instant, load : float
-        When it gave up [s], and under which power [W].
-    """
-
-    soc: float
-    polarisation: float = 0.0
-    failure: str = "none"
-    instant: float = np.inf
-    load: float = 0.0
+    soc: float  # state of charge
+    polarisation: float = 0.0  # voltage of its RC pair [V]
+    failure: str = "none"  # why it gave up on the way
+    instant: float = np.inf  # when it gave up [s], and under which power [W]
+    load: float = 0.0  # when it gave up [s], and under which power [W]
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A stretch of the mission: a drive, a stay or a charge.
+    """A stretch of the mission: a drive, a stay or a charge."""
 
-    Parameters
-    ----------
-    kind : {"drive", "work", "wait", "charge"}
-        What the robot does.
-    goal : int
-        Node at its end.
-    t : ndarray, shape (n,)
-        Time [s].
-    power : ndarray, shape (n,)
-        Power from each time to the next [W]; the last value repeats.
-    soc, soc_lower : ndarray, shape (n,)
-        State of charge, expected and at the bound.
-    leg : Leg or None
-        The drive.
-    """
-
-    kind: str
-    goal: int
-    t: FloatArray
-    power: FloatArray
-    soc: FloatArray
-    soc_lower: FloatArray
-    leg: Leg | None = None
+    kind: str  # what the robot does
+    goal: int  # node at its end
+    t: FloatArray  # (n,): time [s]
+    power: FloatArray  # (n,): power from each time to the next [W]
+    soc: FloatArray  # (n,): state of charge, expected and at the bound
+    soc_lower: FloatArray  # (n,): state of charge, expected and at the bound
+    leg: Leg | None = None  # the drive
 
 
 @dataclass(frozen=True)
 class Condition:
-    """Where the robot stands.
+    """Where the robot stands."""
 
-    Parameters
-    ----------
-    node : int
-        Place.
-    payload : float
-        Payload [kg].
-    time : float
-        Time as expected [s].
-    lateness : ndarray, shape (n,)
-        How the time changes with each shared unknown [s].
-    spent, total : Estimate
-        Energy since the last charge as the battery feels it, what is open about the battery
-        included, and energy in all.
-    origin : tuple of float
-        State of charge and time after the last charge.
-    stretches : tuple of Estimate
-        What was spent between one charge and the next, so far.
-    expected, worst : Charge
-        The battery as expected, and where the energy is at its bound.
-    pieces : tuple of Piece
-        What it did so far.
-    """
-
-    node: int
-    payload: float
-    time: float
-    lateness: FloatArray
+    node: int  # place
+    payload: float  # payload [kg]
+    time: float  # time as expected [s]
+    lateness: FloatArray  # (n,): how the time changes with each shared unknown [s]
     spent: Estimate
     total: Estimate
-    origin: tuple[float, float]
-    expected: Charge
-    worst: Charge
-    pieces: tuple[Piece, ...] = ()
-    stretches: tuple[Estimate, ...] = ()
+    origin: tuple[float, float]  # state of charge and time after the last charge
+    expected: Charge  # the battery as expected, and where the energy is at its bound
+    worst: Charge  # the battery as expected, and where the energy is at its bound
+    pieces: tuple[Piece, ...] = ()  # what it did so far
+    stretches: tuple[Estimate, ...] = ()  # what was spent between one charge and the next, so far
 
     @property
     def time_spread(self) -> float:
@@ -112,28 +61,13 @@ class Condition:
 
 
 class Attempt(NamedTuple):
-    """What comes of a task.
-
-    Parameters
-    ----------
-    reason : str
-        ``"none"`` if it can be done, else ``"no_path"``, ``"motor"``, ``"battery"``, ``"late"``
-        or ``"payload"``.
-    after : Condition
-        When it is done; where the attempt ended if it cannot be.
-    safe : Condition
-        At the nearest safe place after it.
-    detail : str
-        Why not, in one sentence.
-    begin : float
-        When it begins at the bound [s].
-    """
+    """What comes of a task."""
 
     reason: str
-    after: Condition
-    safe: Condition
-    detail: str = ""
-    begin: float = np.nan
+    after: Condition  # when it is done
+    safe: Condition  # at the nearest safe place after it
+    detail: str = ""  # why not, in one sentence
+    begin: float = np.nan  # when it begins at the bound [s]
 
 
 def as_good(one: Condition, other: Condition) -> bool:

@@ -33,21 +33,11 @@ _USUAL_SPEED = 1.0
 
 @dataclass(frozen=True)
 class Estimate:
-    """An energy that is not known exactly.
+    """An energy that is not known exactly."""
 
-    Parameters
-    ----------
-    mean : float
-        Expected energy [J].
-    sensitivity : ndarray, shape (n,)
-        Change of the energy per standard deviation of each shared unknown [J].
-    noise : float
-        Variance of its own, independent of everything else [J^2].
-    """
-
-    mean: float
-    sensitivity: FloatArray
-    noise: float = 0.0
+    mean: float  # expected energy [J]
+    sensitivity: FloatArray  # (n,) [J]
+    noise: float = 0.0  # variance of its own, independent of everything else [J^2]
 
     def __add__(self, other: Estimate) -> Estimate:
         return Estimate(
@@ -65,18 +55,10 @@ class Estimate:
 
 
 class _Holdout(NamedTuple):
-    """What a model missed on drives that it was not fitted to.
+    """What a model missed on drives that it was not fitted to."""
 
-    Parameters
-    ----------
-    error : float
-        Relative error of the energy.
-    strength : float
-        Variance of the energy per second of driving [J^2/s].
-    """
-
-    error: float
-    strength: float
+    error: float  # relative error of the energy
+    strength: float  # variance of the energy per second of driving [J^2/s]
 
 
 @dataclass(frozen=True)
@@ -105,19 +87,7 @@ def _root(model: PowerModel) -> FloatArray:
 
 
 class Grounds:
-    """The power models of a mission, by surface and payload, with their unknowns.
-
-    Parameters
-    ----------
-    mission : Mission
-        The mission.
-
-    Raises
-    ------
-    MissionError
-        If models with payload do not fit together, or a bound is asked of models whose
-        uncertainty nothing tells.
-    """
+    """The power models of a mission, by surface and payload, with their unknowns."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission

@@ -14,18 +14,7 @@ from energyplan.terrain import OccupancyGrid
 
 
 def routes_wanted(mission: Mission) -> list[tuple[int, int, bool]]:
-    """Tell which routes an evaluation will plan, as far as can be told without obstacles.
-
-    Parameters
-    ----------
-    mission : Mission
-        The mission.
-
-    Returns
-    -------
-    list of tuple
-        Start and goal of each, as nodes of its legs, and whether it is for a hurry.
-    """
+    """Tell which routes an evaluation will plan, as far as can be told without obstacles."""
     legs = GuessedLegs(mission)
     walk = Walk(legs)
     if mission.order == "given":
@@ -36,13 +25,7 @@ def routes_wanted(mission: Mission) -> list[tuple[int, int, bool]]:
 
 
 class GuessedLegs(Legs):
-    """Legs that plan nothing: a route that is not known is guessed without obstacles, and noted.
-
-    Parameters
-    ----------
-    mission : Mission
-        The mission.
-    """
+    """Legs that plan nothing: a route that is not known is guessed without obstacles, and noted."""
 
     def __init__(self, mission: Mission) -> None:
         super().__init__(mission)
@@ -74,18 +57,7 @@ RouteKey = tuple[bytes, Pose, Pose, bool]
 
 
 def known_routes(grid: OccupancyGrid) -> dict[RouteKey, Route]:
-    """Return the routes that were planned on a map in this process, to be learned in another one.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        The map.
-
-    Returns
-    -------
-    dict
-        The routes by what decides them.
-    """
+    """Return the routes planned on a map in this process, to be learned in another one."""
     return {
         (digest, *pair): route
         for digest, routes in dict(PLANNED.get(grid, {})).items()
@@ -94,15 +66,7 @@ def known_routes(grid: OccupancyGrid) -> dict[RouteKey, Route]:
 
 
 def learn_routes(grid: OccupancyGrid, routes: Mapping[RouteKey, Route]) -> None:
-    """Take in routes that were planned elsewhere.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        The map.
-    routes : mapping
-        As from `known_routes`.
-    """
+    """Take in routes that were planned elsewhere."""
     known = PLANNED.setdefault(grid, {})
     for (digest, here, there, hurried), route in routes.items():
         known.setdefault(digest, {}).setdefault((here, there, hurried), route)

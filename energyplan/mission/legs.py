@@ -43,33 +43,15 @@ _OCTILE = np.cos(np.pi / 8)
 
 @dataclass(frozen=True)
 class Leg:
-    """A drive from one place to another.
+    """A drive from one place to another."""
 
-    Parameters
-    ----------
-    path : Path
-        Where it leads; empty where there is none.
-    trajectory : Trajectory or None
-        When the robot is where; None where it does not move, or cannot.
-    power : ndarray, shape (n,)
-        Mean power of each interval of the trajectory [W].
-    spread : ndarray, shape (n,)
-        Standard deviation of the power of each interval [W].
-    energy : Estimate
-        Its energy; infinite where it cannot be driven.
-    trouble : str
-        ``""``, ``"no_path"``, ``"motor"``, or ``"time"`` where planning took too long.
-    detail : str
-        What the trouble is.
-    """
-
-    path: Path
-    trajectory: Trajectory | None
-    power: FloatArray
-    spread: FloatArray
-    energy: Estimate
+    path: Path  # where it leads
+    trajectory: Trajectory | None  # when the robot is where
+    power: FloatArray  # (n,): mean power of each interval of the trajectory [W]
+    spread: FloatArray  # (n,): standard deviation of the power of each interval [W]
+    energy: Estimate  # its energy
     trouble: str = ""
-    detail: str = ""
+    detail: str = ""  # what the trouble is
 
     @property
     def duration(self) -> float:
@@ -97,13 +79,7 @@ _REMEMBERED = 32
 
 
 def compiling(*missions: Mission) -> AbstractContextManager[None]:
-    """Have the kernels compiled beside that evaluating some missions may call.
-
-    Parameters
-    ----------
-    *missions : Mission
-        The missions.
-    """
+    """Have the kernels compiled beside that evaluating some missions may call."""
     free = any(mission.order == "free" for mission in missions)
     beside = ("energyplan.battery", "energyplan.mission") if free else ("energyplan.battery",)
     return ready.compiling(*(Legs(mission).problem(0, 0) for mission in missions), beside=beside)
@@ -113,13 +89,6 @@ class Legs:
     """All legs of a mission, each planned when it is first asked for.
 
     Node 0 is the start; tasks, chargers and home follow.
-
-    Parameters
-    ----------
-    mission : Mission
-        The mission.
-    progress : callable, optional
-        Called with a line of text before each route is planned.
     """
 
     def __init__(self, mission: Mission, progress: Callable[[str], None] | None = None) -> None:
@@ -421,20 +390,6 @@ def shortest_ways(grid: OccupancyGrid, vehicle: Vehicle, points: FloatArray) -> 
     The largest disc about the origin inside the footprint moves over cells that are coarse enough
     for a quick search; a coarse cell is open if the disc fits at any place in it. The way along
     eight directions is at most 1.08 times the shortest; what the cells blur is taken off.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        Obstacles.
-    vehicle : Vehicle
-        The vehicle, for its footprint.
-    points : ndarray, shape (n, 2)
-        Points in the world [m].
-
-    Returns
-    -------
-    ndarray, shape (n, n)
-        Lengths [m]; infinite where no disc gets from one to the other.
     """
     rows, columns = grid.shape
     stride = max(int(np.ceil(np.sqrt(rows * columns / _CELLS))), 1)

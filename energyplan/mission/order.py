@@ -43,62 +43,24 @@ class OrderProblem:
     """Which tasks to do in which order.
 
     Node 0 is the start, nodes 1 to n the tasks, the others the chargers.
-
-    Parameters
-    ----------
-    energy : callable
-        Matrix of the energy from node to node [J] for a payload [kg], shape (N, N); infinite
-        where there is no way.
-    finish : callable
-        Energy from each node to the nearest place where the mission may end [J], for a payload,
-        shape (N,).
-    time : ndarray, shape (N, N)
-        Travel times [s].
-    finish_time : ndarray, shape (N,)
-        Time from each node to that place [s].
-    service, service_time : ndarray, shape (n,)
-        Energy [J] and time [s] that each task takes.
-    payload : float
-        Payload at the start [kg].
-    payload_change : ndarray, shape (n,)
-        Change of the payload by each task [kg].
-    prize : ndarray, shape (n,)
-        Prizes.
-    required : ndarray of bool, shape (n,)
-        Tasks that must be done.
-    window : ndarray, shape (n, 2)
-        Earliest and latest start of each task [s].
-    budget : float
-        Energy at the start, the reserve taken off [J].
-    capacity : ndarray, shape (m,)
-        Energy on leaving each charger, the reserve taken off [J].
-    charge_power : ndarray, shape (m,)
-        Energy stored per second at each charger [W].
-    start_time : float
-        Time at the start [s].
-    full : float
-        Energy of a full battery, the reserve taken off [J]: what comes back downhill finds no more
-        room than that.
-    hurried_energy, hurried_time : optional
-        As `energy` and `time`, for driving as quickly as may be; where windows press.
     """
 
     energy: Callable[[float], FloatArray]
-    finish: Callable[[float], FloatArray]
-    time: FloatArray
-    finish_time: FloatArray
-    service: FloatArray
-    service_time: FloatArray
-    payload: float
-    payload_change: FloatArray
-    prize: FloatArray
-    required: np.ndarray
-    window: FloatArray
-    budget: float
-    capacity: FloatArray
-    charge_power: FloatArray
-    start_time: float = 0.0
-    full: float = np.inf
+    finish: Callable[[float], FloatArray]  # [J]
+    time: FloatArray  # (N, N): travel times [s]
+    finish_time: FloatArray  # (N,): time from each node to that place [s]
+    service: FloatArray  # (n,): energy [J] and time [s] that each task takes
+    service_time: FloatArray  # (n,): energy [J] and time [s] that each task takes
+    payload: float  # payload at the start [kg]
+    payload_change: FloatArray  # (n,): change of the payload by each task [kg]
+    prize: FloatArray  # (n,): prizes
+    required: np.ndarray  # (n,): tasks that must be done
+    window: FloatArray  # (n, 2): earliest and latest start of each task [s]
+    budget: float  # energy at the start, the reserve taken off [J]
+    capacity: FloatArray  # (m,): energy on leaving each charger, the reserve taken off [J]
+    charge_power: FloatArray  # (m,): energy stored per second at each charger [W]
+    start_time: float = 0.0  # time at the start [s]
+    full: float = np.inf  # energy of a full battery, the reserve taken off [J]
     hurried_energy: Callable[[float], FloatArray] | None = None
     hurried_time: FloatArray | None = None
 
@@ -120,31 +82,14 @@ class OrderProblem:
 
 @dataclass(frozen=True)
 class Order:
-    """An order: nodes in the sequence of their visits, start and end left out.
+    """An order: nodes in the sequence of their visits, start and end left out."""
 
-    Parameters
-    ----------
-    stops : tuple of int
-        Nodes.
-    prize : float
-        Sum of the prizes of the tasks among them.
-    energy : float
-        Energy of the whole tour [J].
-    proven : bool
-        Whether no better order exists.
-    hurried : tuple of bool
-        Whether the way to each stop is driven as quickly as may be.
-    bound : float
-        Energy that no order of this worth undercuts [J]; nan where an order of greater worth is
-        not ruled out, or nothing is known.
-    """
-
-    stops: tuple[int, ...]
-    prize: float
-    energy: float
-    proven: bool
-    hurried: tuple[bool, ...] = ()
-    bound: float = np.nan
+    stops: tuple[int, ...]  # nodes
+    prize: float  # sum of the prizes of the tasks among them
+    energy: float  # energy of the whole tour [J]
+    proven: bool  # whether no better order exists
+    hurried: tuple[bool, ...] = ()  # whether the way to each stop is driven as quickly as may be
+    bound: float = np.nan  # energy that no order of this worth undercuts [J]
 
 
 def solve(
@@ -154,30 +99,7 @@ def solve(
     effort: int | None = None,
     progress: Callable[[float, float], None] | None = None,
 ) -> Order:
-    """Find the order of greatest worth, and of least energy among those.
-
-    Parameters
-    ----------
-    problem : OrderProblem
-        The problem.
-    time_limit : float
-        Time for the search where there are too many tasks for an exact answer [s].
-    effort : int, optional
-        Units of work for that search, in place of the time; see `energyplan.Budget`.
-    progress : callable, optional
-        Called with the seconds that have passed and the energy of the best order so far.
-
-    Returns
-    -------
-    Order
-        The order; required tasks come before any prize, and are left out only where they do not
-        fit.
-
-    Raises
-    ------
-    MissingDependencyError
-        If there are too many tasks for an exact answer and OR-Tools is not installed.
-    """
+    """Find the order of greatest worth, and of least energy among those."""
     if problem.tasks <= EXACT:
         return solve_exactly(problem)
     from energyplan.mission.routing import solve_by_search
@@ -186,20 +108,7 @@ def solve(
 
 
 def solve_exactly(problem: OrderProblem, widths: Sequence[int] = _WIDTHS) -> Order:
-    """Find the best order by labels over subsets and last stops.
-
-    Parameters
-    ----------
-    problem : OrderProblem
-        The problem.
-    widths : sequence of int
-        Labels of a subset and stop that each search keeps; what one finds spares the next labels.
-
-    Returns
-    -------
-    Order
-        The best order; not proven where more labels would be needed.
-    """
+    """Find the best order by labels over subsets and last stops."""
     table = _table(problem)
     tasks = slice(1, 1 + problem.tasks)
     nearest = table.energy.min(axis=(0, 1, 2))[tasks]

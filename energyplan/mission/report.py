@@ -23,236 +23,83 @@ Reason = Literal["none", "no_path", "motor", "battery", "blocked_by_earlier", "l
 
 @dataclass(frozen=True)
 class TaskReport:
-    """What comes of one task.
+    """What comes of one task."""
 
-    Parameters
-    ----------
-    name : str
-        The task.
-    verdict : {"reachable", "unreachable"}
-        Whether the robot can do it and still get to a safe place with its reserve, at the
-        confidence asked.
-    reason : {"none", "no_path", "motor", "battery", "blocked_by_earlier", "late", "time_limit"}
-        Why not; `late` is a window missed, `time_limit` a route that was not found in the time
-        for planning.
-    reachable_alone : bool
-        Whether it would be reachable as the mission's only task.
-    energy, energy_upper : float
-        Energy to get there from the stop before and do it, expected and at the bound [J]; nan
-        if there is no route.
-    soc_after : float
-        Expected state of charge when it is done; nan where it cannot be.
-    shortfall : float
-        Missing energy, including the route to a safe place and the reserve [J].
-    remedy : str
-        What would make the task reachable; empty if it is.
-    detail : str
-        Why not, in one sentence with figures.
-    start : float
-        When it begins [s]; nan where it does not.
-    start_upper : float
-        When it begins at the latest, at the confidence asked [s]; nan where it does not.
-    remedies : tuple of Remedy
-        The remedies that a program can apply; each was tried.
-    arrival, departure : float
-        When the robot gets there and leaves [s]; nan where the task is not done.
-    soc_lower : float
-        State of charge at the bound when it is done; nan where it cannot be.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> mission = ep.Mission(
-    ...     ep.PowerModel.preset("quadriga:empty:marble"), hall, ep.Battery.preset("quadriga"),
-    ...     start=(1, 2, 0), tasks=[ep.Task("look", (5, 2, 0), dwell=60.0)], confidence=0.5,
-    ...     planning_effort=5000,
-    ... )
-    >>> [task] = ep.evaluate(mission).tasks
-    >>> task.name, task.verdict, task.reason
-    ('look', 'reachable', 'none')
-    """
-
-    name: str
+    name: str  # the task
     verdict: Verdict
-    reason: Reason
-    reachable_alone: bool
-    energy: float
-    energy_upper: float
-    soc_after: float
-    shortfall: float
-    remedy: str
-    detail: str = ""
-    start: float = np.nan
-    remedies: tuple[Remedy, ...] = ()
-    arrival: float = np.nan
-    departure: float = np.nan
-    soc_lower: float = np.nan
-    start_upper: float = np.nan
+    reason: Reason  # why not
+    reachable_alone: bool  # whether it would be reachable as the mission's only task
+    energy: float  # [J]
+    energy_upper: float  # [J]
+    soc_after: float  # expected state of charge when it is done
+    shortfall: float  # missing energy, including the route to a safe place and the reserve [J]
+    remedy: str  # what would make the task reachable
+    detail: str = ""  # why not, in one sentence with figures
+    start: float = np.nan  # when it begins [s]
+    remedies: tuple[Remedy, ...] = ()  # the remedies that a program can apply
+    arrival: float = np.nan  # when the robot gets there and leaves [s]
+    departure: float = np.nan  # when the robot gets there and leaves [s]
+    soc_lower: float = np.nan  # state of charge at the bound when it is done
+    start_upper: float = np.nan  # when it begins at the latest, at the confidence asked [s]
 
 
 @dataclass(frozen=True)
 class Stop:
-    """A place at which the robot stops, and when.
+    """A place at which the robot stops, and when."""
 
-    Parameters
-    ----------
-    name : str
-        The place: a task, a charger, or where the mission starts or ends.
-    kind : {"start", "task", "charge", "end"}
-        What it stops for.
-    pose : Pose
-        Where [m], [rad].
-    arrival, departure : float
-        When it gets there and leaves [s].
-    soc, soc_lower : float
-        State of charge on leaving, expected and at the bound.
-
-    Examples
-    --------
-    >>> from energyplan.path import Pose
-    >>> stop = Stop("gate", "task", Pose(3.0, 1.0, 0.0), 95.0, 155.0, soc=0.81, soc_lower=0.79)
-    >>> stop.departure - stop.arrival
-    60.0
-    """
-
-    name: str
-    kind: StopKind
-    pose: Pose
-    arrival: float
-    departure: float
-    soc: float
-    soc_lower: float
+    name: str  # the place
+    kind: StopKind  # what it stops for
+    pose: Pose  # where [m], [rad]
+    arrival: float  # when it gets there and leaves [s]
+    departure: float  # when it gets there and leaves [s]
+    soc: float  # state of charge on leaving, expected and at the bound
+    soc_lower: float  # state of charge on leaving, expected and at the bound
 
 
 @dataclass(frozen=True, eq=False)
 class LegReport:
-    """A drive from one stop to the next.
+    """A drive from one stop to the next."""
 
-    Parameters
-    ----------
-    start, goal : str
-        The places.
-    departure : float
-        When it begins [s].
-    energy : float
-        Energy, as expected [J].
-    trajectory : Trajectory
-        The drive, from time 0.
-    soc, soc_lower : ndarray, shape (n,)
-        State of charge at each of its samples, expected and at the bound.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> mission = ep.Mission(
-    ...     ep.PowerModel.preset("quadriga:empty:marble"), hall, ep.Battery.preset("quadriga"),
-    ...     start=(1, 2, 0), tasks=[ep.Task("look", (5, 2, 0), dwell=60.0)], confidence=0.5,
-    ...     planning_effort=5000,
-    ... )
-    >>> leg = ep.evaluate(mission).legs[0]
-    >>> leg.goal, leg.trajectory.duration > 0, bool(leg.soc[-1] < leg.soc[0])
-    ('look', True, True)
-    """
-
-    start: str
-    goal: str
-    departure: float
-    energy: float
-    trajectory: Trajectory
-    soc: FloatArray
-    soc_lower: FloatArray
+    start: str  # the places
+    goal: str  # the places
+    departure: float  # when it begins [s]
+    energy: float  # energy, as expected [J]
+    trajectory: Trajectory  # the drive, from time 0
+    soc: FloatArray  # (n,): state of charge at each of its samples, expected and at the bound
+    soc_lower: FloatArray  # (n,): state of charge at each of its samples, expected and at the bound
 
 
 @dataclass(frozen=True)
 class ChargerReport:
-    """How a charger is used.
+    """How a charger is used."""
 
-    Parameters
-    ----------
-    name : str
-        The charger.
-    visits : int
-        How often the robot charges there.
-    duration : float
-        How long in all [s].
-    energy : float
-        Energy that it supplies, as expected [J].
-
-    Examples
-    --------
-    >>> used = ChargerReport("dock", visits=2, duration=1800.0, energy=5.4e5)
-    >>> used.energy / used.duration  # mean power [W]
-    300.0
-    """
-
-    name: str
-    visits: int
-    duration: float
-    energy: float
+    name: str  # the charger
+    visits: int  # how often the robot charges there
+    duration: float  # how long in all [s]
+    energy: float  # energy that it supplies, as expected [J]
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """What one unknown costs.
+    """What one unknown costs."""
 
-    Parameters
-    ----------
-    source : str
-        What is not known.
-    energy : float
-        Standard deviation that it alone gives the energy [J].
-    saving : float
-        Energy that need not be held back at the confidence asked once it is measured [J].
-
-    Examples
-    --------
-    >>> doubts = [Doubt("tools", 900.0, 150.0), Doubt("run to run", 2400.0, 1700.0)]
-    >>> max(doubts, key=lambda doubt: doubt.saving).source
-    'run to run'
-    """
-
-    source: str
-    energy: float
-    saving: float
+    source: str  # what is not known
+    energy: float  # standard deviation that it alone gives the energy [J]
+    saving: float  # [J]
 
 
 @dataclass(frozen=True)
 class Timeline:
-    """The mission over time; arrays of one shape.
+    """The mission over time; arrays of one shape."""
 
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Time [s].
-    x, y, yaw : ndarray, shape (n,)
-        Pose [m], [rad].
-    power : ndarray, shape (n,)
-        Power at the battery from each time to the next [W]; negative while charging.
-    soc, soc_lower, soc_upper : ndarray, shape (n,)
-        State of charge: expected, and the band that holds it with the confidence asked on
-        either side. The upper edge mirrors the lower one.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> t, still, soc = np.array([0.0, 1.0, 2.0]), np.zeros(3), np.array([0.9, 0.8, 0.7])
-    >>> over = Timeline(t, still, still, still, np.full(3, 50.0), soc, soc - 0.1, soc + 0.1)
-    >>> float(over.power[:-1] @ np.diff(over.t))  # energy [J]
-    100.0
-    """
-
-    t: FloatArray
-    x: FloatArray
-    y: FloatArray
-    yaw: FloatArray
-    power: FloatArray
-    soc: FloatArray
-    soc_lower: FloatArray
-    soc_upper: FloatArray
+    t: FloatArray  # (n,): time [s]
+    x: FloatArray  # (n,): pose [m], [rad]
+    y: FloatArray  # (n,): pose [m], [rad]
+    yaw: FloatArray  # (n,): pose [m], [rad]
+    power: FloatArray  # (n,): power at the battery from each time to the next [W]
+    soc: FloatArray  # (n,): state of charge
+    soc_lower: FloatArray  # (n,): state of charge
+    soc_upper: FloatArray  # (n,): state of charge
 
 
 @dataclass(frozen=True)

@@ -29,45 +29,13 @@ def solve_by_search(
     """Find a good order by guided local search.
 
     Energies are taken at the payload of the start; charging takes the time of a full charge.
-
-    Parameters
-    ----------
-    problem : OrderProblem
-        The problem.
-    time_limit : float
-        Time to search [s].
-    effort : int, optional
-        Units of work in place of the time.
-    progress : callable, optional
-        Called with the seconds that have passed and the energy of the best order so far.
-
-    Returns
-    -------
-    Order
-        The best order found; not proven.
-
-    Raises
-    ------
-    MissingDependencyError
-        If OR-Tools is not installed.
     """
     solver = constraint_solver("a free order of many tasks")
     return _Search(problem, *solver).run(time_limit, effort, progress)
 
 
 def constraint_solver(what: str) -> tuple[Any, Any]:
-    """Return OR-Tools' routing solver and its enumerations.
-
-    Parameters
-    ----------
-    what : str
-        What needs it, for the message.
-
-    Raises
-    ------
-    MissingDependencyError
-        If OR-Tools is not installed.
-    """
+    """Return OR-Tools' routing solver and its enumerations."""
     try:
         from ortools.constraint_solver import pywrapcp, routing_enums_pb2
     except ImportError as error:

@@ -32,13 +32,7 @@ class _Charging(NamedTuple):
 
 
 class Walk:
-    """Steps from condition to condition.
-
-    Parameters
-    ----------
-    legs : Legs
-        The legs of the mission.
-    """
+    """Steps from condition to condition."""
 
     def __init__(self, legs: Legs) -> None:
         self.legs = legs
@@ -279,22 +273,7 @@ class Walk:
     def leave_by(
         self, state: Condition, stops: Sequence[int], hurried: Sequence[bool] = ()
     ) -> float:
-        """Return when to leave a place at the latest so that no window of what follows is missed.
-
-        Parameters
-        ----------
-        state : Condition
-            The condition at the place.
-        stops : sequence of int
-            Places to come, tasks and chargers; no time is left for charging at the latter.
-        hurried : sequence of bool
-            Whether the way to each is driven quickly; not where it is not told.
-
-        Returns
-        -------
-        float
-            Time [s]; infinite where no window ends, minus infinite where a way cannot be driven.
-        """
+        """Return when to leave a place at the latest so that no later window is missed."""
         tasks, grounds = self.mission.tasks, self.legs.grounds
         ways = (*hurried, *(False for _ in stops[len(hurried) :]))
         node, payload, spent, late, latest = state.node, state.payload, 0.0, state.lateness, np.inf

@@ -32,33 +32,12 @@ _SENTENCES: dict[RemedyKind, str] = {
 
 @dataclass(frozen=True)
 class Remedy:
-    """A change of a mission that makes a task reachable; `Mission.with_remedy` applies it.
+    """A change of a mission that makes a task reachable; `Mission.with_remedy` applies it."""
 
-    Parameters
-    ----------
-    kind : str
-        What to change: ``"charge"`` (state of charge at the start), ``"capacity"`` (so much more
-        energy in the battery), ``"strings"`` (so many times the strings in parallel, where the
-        battery lacks power, not energy), ``"reserve"``, ``"speed"``, ``"cheapest_speed"``,
-        ``"window"`` (a task's window ends so much later), ``"drop"`` (leave a task out).
-    amount : float or None
-        How much, in `unit`; None where there is nothing to measure.
-    unit : {"", "1", "J", "m/s", "s"}
-        Unit of the amount; ``"1"`` is a fraction.
-    task : str
-        The task that is changed or dropped; empty where the whole mission is.
-
-    Examples
-    --------
-    >>> remedy = Remedy("charge", 0.88, "1", "")
-    >>> f"charge to {remedy.amount:.0%} before leaving"
-    'charge to 88% before leaving'
-    """
-
-    kind: RemedyKind
-    amount: float | None = None
-    unit: str = ""
-    task: str = ""
+    kind: RemedyKind  # what to change
+    amount: float | None = None  # how much, in `unit`
+    unit: str = ""  # unit of the amount
+    task: str = ""  # the task that is changed or dropped
 
     def __str__(self) -> str:
         amount = 0.0 if self.amount is None else self.amount
@@ -213,53 +192,17 @@ class Spreads:
     The defaults are round figures for robots that nobody has measured; what is known better is
     better said. A battery that is not a `Battery` has no health and no temperature of its own:
     all its uncertainty counts as that of the capacity.
-
-    Parameters
-    ----------
-    soc : float
-        State of charge that a gauge shows, at the start and after charging, absolute. Gauges that
-        count charge drift by 1 to 5 % between full charges.
-    capacity : float
-        Capacity of the battery, relative. New stationary lead-acid blocks must hold 95 % of what
-        is printed on them (IEC 60896-21): half of that is taken.
-    health : float
-        Health of the battery, absolute. Estimates of it are good to some 5 %.
-    temperature : float
-        Temperature of the battery [K]: that of the pack against that of the air.
-    power : float
-        Power of each tool, relative; for tasks that do not say their own.
-    dwell : float
-        Duration of each task, relative; for tasks that do not say their own.
-    run : float
-        Energy of all driving from run to run, relative, for models that do not bring it: what
-        diagnosis found is in ``PowerModel.residual.run_spread``.
-    speed : float
-        Time of all driving from run to run, relative: robots slow down for people, and followers
-        lag. It makes arrivals uncertain; what it takes in energy is part of `run`.
-    waiting : float
-        Waiting at each task, relative; 1 is that of waiting times that come at random
-        (exponential).
-
-    Raises
-    ------
-    MissionError
-        If a value is negative or not finite.
-
-    Examples
-    --------
-    >>> Spreads(soc=0.03, run=0.08).dwell  # what is not given has its default
-    0.1
     """
 
     soc: float = 0.02
-    capacity: float = 0.025
-    health: float = 0.05
-    temperature: float = 3.0
-    power: float = 0.1
-    dwell: float = 0.1
+    capacity: float = 0.025  # capacity of the battery, relative
+    health: float = 0.05  # health of the battery, absolute
+    temperature: float = 3.0  # temperature of the battery [K]
+    power: float = 0.1  # power of each tool, relative
+    dwell: float = 0.1  # duration of each task, relative
     run: float = USUAL_RUN_SPREAD
-    speed: float = 0.05
-    waiting: float = 1.0
+    speed: float = 0.05  # time of all driving from run to run, relative
+    waiting: float = 1.0  # waiting at each task, relative
 
     def __post_init__(self) -> None:
         for item in fields(self):

@@ -19,45 +19,20 @@ RUN = 0
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Places of the unknowns among their coordinates.
+    """Places of the unknowns among their coordinates."""
 
-    Parameters
-    ----------
-    labels : tuple of str
-        What each belongs to.
-    tools, dwells, waits : tuple of int
-        Place for each task; tasks with the same tool share one.
-    speed : int
-        Place of the time that driving takes.
-    gauge : int
-        Place of the state of charge.
-    gauge_energy : float
-        Energy that one standard deviation of it stands for [J].
-    battery : mapping of int to float
-        Places of what is open about the battery, each with the share of the energy by which it
-        delivers less after one standard deviation.
-    """
-
-    labels: tuple[str, ...]
-    tools: tuple[int, ...]
-    dwells: tuple[int, ...]
-    waits: tuple[int, ...]
-    speed: int
-    gauge: int
-    gauge_energy: float
+    labels: tuple[str, ...]  # what each belongs to
+    tools: tuple[int, ...]  # place for each task
+    dwells: tuple[int, ...]  # place for each task
+    waits: tuple[int, ...]  # place for each task
+    speed: int  # place of the time that driving takes
+    gauge: int  # place of the state of charge
+    gauge_energy: float  # energy that one standard deviation of it stands for [J]
     battery: Mapping[int, float]
 
     @classmethod
     def of(cls, mission: Mission, power: float) -> Unknowns:
-        """Return the unknowns of a mission.
-
-        Parameters
-        ----------
-        mission : Mission
-            The mission.
-        power : float
-            Power at which the battery is drawn from [W].
-        """
+        """Return the unknowns of a mission."""
         labels = ["difference from run to run"]
 
         def new(label: str) -> int:

@@ -34,65 +34,24 @@ _HOUR = 3600.0
 
 @dataclass(frozen=True)
 class FleetConfig:
-    """What a fleet adapter's configuration says of a robot's energy.
+    """What a fleet adapter's configuration says of a robot's energy."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the fleet.
-    voltage : float
-        Nominal voltage [V]: the mean over the charge.
-    capacity : float
-        Capacity [Ah]: what the battery gives at the power of driving straight, over the voltage.
-    charging_current : float
-        [A].
-    mass : float
-        [kg].
-    moment_of_inertia : float
-        About the vertical axis [kg m^2], of a plate of the footprint's size.
-    friction_coefficient : float
-        Of driving straight.
-    ambient_power : float
-        Of standing still [W].
-    tool_power : float
-        Of a tool at work [W].
-    linear, angular : tuple of float
-        Limits of velocity and acceleration [m/s], [m/s^2], [rad/s], [rad/s^2].
-    footprint : float
-        Radius of a disc that holds the footprint [m].
-    reversible : bool
-        Whether the robot may drive backwards.
-    recharge_threshold, recharge_soc : float
-        State of charge below which it goes to charge, and up to which.
-    notes : tuple of str
-        What stands on an assumption.
-
-    Examples
-    --------
-    >>> from energyplan.battery import Battery
-    >>> from energyplan.power import PowerModel
-    >>> model, battery = PowerModel.preset("quadriga:full:concrete"), Battery.preset("quadriga")
-    >>> config = fleet_config(model, battery, charging_current=10.0)
-    >>> round(config.friction_coefficient, 3), config.reversible
-    (0.164, True)
-    """
-
-    name: str
-    voltage: float
-    capacity: float
-    charging_current: float
-    mass: float
-    moment_of_inertia: float
-    friction_coefficient: float
-    ambient_power: float
-    tool_power: float
+    name: str  # name of the fleet
+    voltage: float  # nominal voltage [V]
+    capacity: float  # capacity [Ah]
+    charging_current: float  # [A]
+    mass: float  # [kg]
+    moment_of_inertia: float  # about the vertical axis [kg m^2], of a plate of the footprint's size
+    friction_coefficient: float  # of driving straight
+    ambient_power: float  # of standing still [W]
+    tool_power: float  # of a tool at work [W]
     linear: tuple[float, float]
     angular: tuple[float, float]
-    footprint: float
-    reversible: bool = True
+    footprint: float  # radius of a disc that holds the footprint [m]
+    reversible: bool = True  # whether the robot may drive backwards
     recharge_threshold: float = 0.2
-    recharge_soc: float = 1.0
-    notes: tuple[str, ...] = ()
+    recharge_soc: float = 1.0  # state of charge below which it goes to charge, and up to which
+    notes: tuple[str, ...] = ()  # what stands on an assumption
 
     def __post_init__(self) -> None:
         for key in ("voltage", "capacity", "charging_current", "mass", "moment_of_inertia",
@@ -132,50 +91,20 @@ class FleetConfig:
 
 @dataclass(frozen=True)
 class PowerError:
-    """What Open-RMF's estimate misses on routes of a map.
+    """What Open-RMF's estimate misses on routes of a map."""
 
-    Parameters
-    ----------
-    routes : int
-        Routes that were looked at.
-    energy, estimate : float
-        Energy of all of them by the model, and by Open-RMF [J].
-    bias : float
-        Relative error of their sum.
-    rms, worst : float
-        Root mean square, and the largest, of the relative errors of single routes.
-    turning : float
-        Part of the energy that is beyond that of driving as far straight on.
-    fitted_friction : float
-        Friction coefficient that is right for the sum of every other route; NaN where none is.
-    fitted_bias, fitted_rms, fitted_worst : float
-        The same errors with it, on the routes that did not choose it.
-    errors : tuple of float
-        Relative error of each route.
-
-    Examples
-    --------
-    >>> told = PowerError(
-    ...     routes=4, energy=20e3, estimate=19e3, bias=-0.05, rms=0.2, worst=-0.3, turning=0.25,
-    ...     fitted_friction=0.17, fitted_bias=-0.01, fitted_rms=0.2, fitted_worst=-0.3,
-    ...     errors=(-0.3, 0.1, 0.1, -0.1),
-    ... )
-    >>> f"{told.turning:.0%} of the energy goes into turning"
-    '25% of the energy goes into turning'
-    """
-
-    routes: int
-    energy: float
-    estimate: float
-    bias: float
-    rms: float
-    worst: float
-    turning: float
-    fitted_friction: float
-    fitted_bias: float
-    fitted_rms: float
-    fitted_worst: float
-    errors: tuple[float, ...] = field(repr=False, default=())
+    routes: int  # routes that were looked at
+    energy: float  # energy of all of them by the model, and by Open-RMF [J]
+    estimate: float  # energy of all of them by the model, and by Open-RMF [J]
+    bias: float  # relative error of their sum
+    rms: float  # root mean square, and the largest, of the relative errors of single routes
+    worst: float  # root mean square, and the largest, of the relative errors of single routes
+    turning: float  # part of the energy that is beyond that of driving as far straight on
+    fitted_friction: float  # friction coefficient that is right for the sum of every other route
+    fitted_bias: float  # the same errors with it, on the routes that did not choose it
+    fitted_rms: float  # the same errors with it, on the routes that did not choose it
+    fitted_worst: float  # the same errors with it, on the routes that did not choose it
+    errors: tuple[float, ...] = field(repr=False, default=())  # relative error of each route
 
 
 def _power(model: PowerModel, speed: float) -> float:
@@ -201,45 +130,7 @@ def fleet_config(
     reserve: float = 0.2,
     name: str = "",
 ) -> FleetConfig:
-    """Return what a fleet adapter's configuration needs, from a model and a battery.
-
-    Parameters
-    ----------
-    model : PowerModel
-        The identified model, with the vehicle.
-    battery : Battery
-        The battery.
-    charging_current : float, optional
-        [A]; the largest that the battery takes where not given.
-    tool_power : float
-        Power of a tool at work [W].
-    moment_of_inertia : float, optional
-        About the vertical axis [kg m^2]; of a plate of the footprint's size where not given.
-    friction_coefficient : float, optional
-        In place of that of driving straight, as `power_error` finds one.
-    reserve : float
-        State of charge below which the robot goes to charge.
-    name : str
-        Name of the fleet; the vehicle's where not given.
-
-    Returns
-    -------
-    FleetConfig
-        The configuration.
-
-    Raises
-    ------
-    InvalidInputError
-        If the charging current is not known, or a value is none that Open-RMF takes.
-
-    Examples
-    --------
-    >>> from energyplan.battery import Battery
-    >>> from energyplan.power import PowerModel
-    >>> model, battery = PowerModel.preset("quadriga:full:concrete"), Battery.preset("quadriga")
-    >>> fleet_config(model, battery, charging_current=10.0, tool_power=30.0).tool_power
-    30.0
-    """
+    """Return what a fleet adapter's configuration needs, from a model and a battery."""
     vehicle, speed = model.vehicle, _speed(model)
     notes = []
     if charging_current is None:
@@ -283,33 +174,7 @@ def fleet_config(
 
 
 def sink_energy(config: FleetConfig, trajectory: Trajectory) -> Mapping[str, float]:
-    """Return the energy that Open-RMF counts for a trajectory [J].
-
-    Parameters
-    ----------
-    config : FleetConfig
-        The configuration.
-    trajectory : Trajectory
-        The drive.
-
-    Returns
-    -------
-    mapping of str to float
-        ``friction``, ``acceleration`` and ``ambient``, as `SimpleMotionPowerSink` and
-        `SimpleDevicePowerSink` count them, in steps of half a second.
-
-    Examples
-    --------
-    >>> from energyplan import speed
-    >>> from energyplan.battery import Battery
-    >>> from energyplan.path import Path, Pose
-    >>> from energyplan.power import PowerModel
-    >>> model, battery = PowerModel.preset("quadriga:full:concrete"), Battery.preset("quadriga")
-    >>> config = fleet_config(model, battery, charging_current=10.0)
-    >>> spin = speed.profile(Path(Pose(0, 0, 0), ds=[0.0], dtheta=[3.0]), model)
-    >>> sink_energy(config, spin)["friction"]  # turning on the spot is free there
-    0.0
-    """
+    """Return the energy that Open-RMF counts for a trajectory [J]."""
     t = np.arange(trajectory.t[0], trajectory.t[-1] + 1e-9, _STEP)
     v = np.abs(np.interp(t, trajectory.t, trajectory.v))
     w = np.abs(np.interp(t, trajectory.t, trajectory.omega))
@@ -336,49 +201,7 @@ def power_error(
     seed: int = 0,
     effort: int = 3000,
 ) -> PowerError:
-    """Measure the error of Open-RMF's estimate on routes of least energy between random places.
-
-    Parameters
-    ----------
-    config : FleetConfig
-        The configuration.
-    model : PowerModel
-        The model that it was made from.
-    battery : Battery
-        The battery.
-    grid : OccupancyGrid
-        The map.
-    surfaces : SurfaceMap, optional
-        Grounds with models of their own.
-    routes : int
-        How many routes; four at least.
-    seed : int
-        Of the places.
-    effort : int
-        Units of work for each route.
-
-    Returns
-    -------
-    PowerError
-        The errors.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no room on the map, or too few routes are asked.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> model = ep.PowerModel.preset("quadriga:full:concrete")
-    >>> battery = ep.Battery.preset("quadriga")
-    >>> hall = ep.OccupancyGrid(np.zeros((60, 60), bool), resolution=0.1)
-    >>> config = fleet_config(model, battery, charging_current=10.0)
-    >>> told = power_error(config, model, battery, hall, routes=4, effort=3000)
-    >>> told.routes, -1 < told.bias < 0
-    (4, True)
-    """
+    """Measure the error of Open-RMF's estimate on routes of least energy between random places."""
     if routes < 4:
         raise InvalidInputError(f"{routes} routes are too few; ask for 4 or more")
     places = _places(model, grid, surfaces, routes + 1, seed)

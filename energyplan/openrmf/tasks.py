@@ -15,32 +15,7 @@ _KINDS = "patrol, delivery, compose, go_to_place"
 
 
 def read_requests(path: str | Path) -> list[dict[str, Any]]:
-    """Read task requests from JSON: one, a list of them, or one a line.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file. A request may stand in the envelope that the dispatcher takes
-        (``dispatch_task_request``, ``robot_task_request``).
-
-    Returns
-    -------
-    list of dict
-        The requests, without their envelopes.
-
-    Raises
-    ------
-    MissionError
-        If the file is no such JSON.
-
-    Examples
-    --------
-    >>> import pathlib, tempfile
-    >>> file = pathlib.Path(tempfile.mkdtemp(), "tasks.json")
-    >>> _ = file.write_text('{"category": "patrol", "description": {"places": ["gate"]}}')
-    >>> [request["category"] for request in read_requests(file)]
-    ['patrol']
-    """
+    """Read task requests from JSON: one, a list of them, or one a line."""
     file = Path(path)
     content = read_bytes(file, _MAX_BYTES, MissionError, "that is no task list")
     try:
@@ -74,32 +49,6 @@ def tasks_of(
     A patrol is a task at each place of each round; a delivery one at the pick-up and one at the
     drop-off; of a composed task each place that it goes to is one, and actions there are its dwell.
     A request's earliest start counts from the earliest of all.
-
-    Parameters
-    ----------
-    requests : list of dict
-        As from `read_requests`.
-    places : mapping of str to object
-        Poses of waypoints, as a mission's file writes them.
-    name : str
-        What to call the list in messages.
-
-    Returns
-    -------
-    list of dict
-        ``name``, ``pose``, ``dwell`` [s] and ``window`` [s] of each task.
-
-    Raises
-    ------
-    MissionError
-        If a request is of a kind that names no place, or names one that is not known.
-
-    Examples
-    --------
-    >>> request = {"category": "patrol", "description": {"places": ["gate", "shed"], "rounds": 1}}
-    >>> tasks = tasks_of([request], {"gate": [3, 1, 0], "shed": [9, 4, 0]})
-    >>> [task["pose"] for task in tasks]
-    [[3, 1, 0], [9, 4, 0]]
     """
     starts = [_start(r, f"{name}, request {k}") for k, r in enumerate(requests, start=1)]
     first = min((start for start in starts if start > 0), default=0.0)

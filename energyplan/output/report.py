@@ -68,43 +68,12 @@ code { background: #f2f2f2; padding: .1rem .3rem; overflow-wrap: anywhere; }
 
 
 def svg(figure: Figure) -> bytes:
-    """Return a figure as an SVG drawing; dense clouds of points in it are pictures.
-
-    Examples
-    --------
-    >>> from energyplan.output import plots
-    >>> svg(plots.figure())[:5]
-    b'<?xml'
-    """
+    """Return a figure as an SVG drawing; dense clouds of points in it are pictures."""
     return image(figure, ".svg")
 
 
 def image(figure: Figure, suffix: str) -> bytes:
-    """Return a figure as an image of the kind that a file's suffix names.
-
-    Parameters
-    ----------
-    figure : Figure
-        The figure.
-    suffix : {".png", ".svg", ".pdf"}
-        The kind.
-
-    Returns
-    -------
-    bytes
-        The image, the same for the same figure: it holds no date.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such kind.
-
-    Examples
-    --------
-    >>> from energyplan.output import plots
-    >>> image(plots.figure(), ".pdf")[:5]
-    b'%PDF-'
-    """
+    """Return a figure as an image of the kind that a file's suffix names."""
     undated: dict[str, dict[str, Any]] = {
         ".png": {"Software": None},
         ".svg": {"Date": None, "Creator": None},
@@ -138,35 +107,15 @@ def _laid_out(figure: Figure) -> Iterator[None]:
 
 
 def png(figure: Figure) -> bytes:
-    """Return a figure as a PNG image.
-
-    Examples
-    --------
-    >>> from energyplan.output import plots
-    >>> png(plots.figure())[1:4]
-    b'PNG'
-    """
+    """Return a figure as a PNG image."""
     return image(figure, ".png")
 
 
 @dataclass
 class Page:
-    """An HTML page that is built from top to bottom; all text is escaped.
+    """An HTML page that is built from top to bottom; all text is escaped."""
 
-    Parameters
-    ----------
-    title : str
-        Title of the page.
-
-    Examples
-    --------
-    >>> page = Page("Energy of a route")
-    >>> page.paragraph("Within 2 % of the measurement.")
-    >>> "<h1>Energy of a route</h1>" in page.html()
-    True
-    """
-
-    title: str
+    title: str  # title of the page
     _parts: list[str] = field(default_factory=list, repr=False)
     _origin: list[tuple[str, str]] = field(default_factory=list, repr=False)
 
@@ -207,22 +156,7 @@ class Page:
     def made_from(
         self, *, call: str = "", files: Iterable[Path] = (), model: PowerModel | None = None
     ) -> None:
-        """Say at the end of the page what it was made from; may be called several times.
-
-        Parameters
-        ----------
-        call : str
-            The command line or the call that made it.
-        files : iterable of Path
-            Files that were read; each is listed with its SHA-256 checksum.
-        model : PowerModel, optional
-            The power model; its vehicle is named as well.
-
-        Raises
-        ------
-        InvalidInputError
-            If a file can no longer be read.
-        """
+        """Say at the end of the page what it was made from; may be called several times."""
         lines = [("Made by", f"<code>{html.escape(call)}</code>")] if call else []
         if model is not None:
             robot = model.vehicle
@@ -246,11 +180,6 @@ class Page:
 
         The date is that of now, or of the environment variable ``SOURCE_DATE_EPOCH`` (seconds since
         1970), with which the same input gives the same bytes.
-
-        Raises
-        ------
-        InvalidInputError
-            If ``SOURCE_DATE_EPOCH`` is no number of seconds.
         """
         title = html.escape(self.title)
         origin = [("Date", _date()), ("Program", f"energyplan {__version__}"), *self._origin]

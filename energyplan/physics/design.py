@@ -30,26 +30,11 @@ _HINT = 0.02  # share of every manoeuvre that is taken to be driven while the fi
 
 @dataclass(frozen=True)
 class Explanation:
-    """Effects that may be there beside the model's own terms.
+    """Effects that may be there beside the model's own terms."""
 
-    Parameters
-    ----------
-    effects : tuple of str
-        Names of effects of the catalogue or of terms; none for the model as it is.
-    probability : float
-        How probable it is now; they need not add up to one.
-    values : mapping of str to float
-        Sizes of its terms where they are known.
-
-    Examples
-    --------
-    >>> Explanation(("viscous_loss", "air_drag")).label
-    'viscous loss and air drag'
-    """
-
-    effects: tuple[str, ...]
-    probability: float = 1.0
-    values: Mapping[str, float] | None = None
+    effects: tuple[str, ...]  # names of effects of the catalogue or of terms
+    probability: float = 1.0  # how probable it is now
+    values: Mapping[str, float] | None = None  # sizes of its terms where they are known
 
     @property
     def label(self) -> str:
@@ -57,13 +42,7 @@ class Explanation:
         return " and ".join(name.replace("_", " ") for name in self.effects) or "no effect"
 
     def terms(self) -> tuple[Term, ...]:
-        """Return the terms that its effects add.
-
-        Raises
-        ------
-        UnknownNameError
-            If an effect is unknown.
-        """
+        """Return the terms that its effects add."""
         entries = catalogue()
         found: list[Term] = []
         for name in self.effects:
@@ -73,54 +52,22 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Separation:
-    """How well a drive separates two explanations.
+    """How well a drive separates two explanations."""
 
-    Parameters
-    ----------
-    true, other : str
-        The explanation that is true, and the one that it is separated from.
-    log_odds : float
-        Expected log-likelihood ratio, after the other one was fitted as well as it can be.
-
-    Examples
-    --------
-    >>> Separation("air drag", "no effect", log_odds=4.0).log_odds > SETTLED  # told apart
-    True
-    """
-
-    true: str
-    other: str
+    true: str  # the explanation that is true, and the one that it is separated from
+    other: str  # the explanation that is true, and the one that it is separated from
     log_odds: float
 
 
 @dataclass(frozen=True)
 class Design:
-    """A drive that was designed.
+    """A drive that was designed."""
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The drive, from rest to rest.
-    manoeuvres : tuple of str
-        What it consists of.
-    separates : tuple of Separation
-        How well it separates explanations, every ordered pair.
-    probabilities_expected : tuple of tuple of str and float
-        For every explanation, how probable it will be after the drive if it is true.
-    sentence : str
-        The drive in words.
-
-    Examples
-    --------
-    >>> design(PowerModel.preset("quadriga:full:concrete"), duration=9.0).sentence.split(". ")[-1]
-    'This narrows the parameters most.'
-    """
-
-    trajectory: Trajectory
-    manoeuvres: tuple[str, ...]
-    separates: tuple[Separation, ...]
+    trajectory: Trajectory  # the drive, from rest to rest
+    manoeuvres: tuple[str, ...]  # what it consists of
+    separates: tuple[Separation, ...]  # how well it separates explanations, every ordered pair
     probabilities_expected: tuple[tuple[str, float], ...]
-    sentence: str
+    sentence: str  # the drive in words
 
 
 def design(
@@ -146,50 +93,7 @@ def design(
     With fewer than two explanations and `screen`, every effect of the catalogue that a drive on
     level ground can show counts as a parameter too, so that whatever is there shows.
 
-    Parameters
-    ----------
-    model : PowerModel
-        What is known; explanations add to its terms.
-    explanations : sequence of Explanation
-        What may be there. A size not given is as strong as the first's, or a sixth of the power.
-    grid : OccupancyGrid, optional
-        The map; an empty square where not given.
-    square : float
-        Side of the empty square [m].
-    start : Pose, optional
-        Where to begin; the middle of the largest free place of the map where not given.
-    duration : float
-        Longest time that the drive may take, up to `LONGEST` [s].
-    speed : float, optional
-        Largest tread speed [m/s]; 0.6 of what the motors reach where not given.
-    acceleration : float
-        Tread acceleration [m/s^2].
-    noise, correlation_time : float
-        Standard deviation [W] and correlation time [s] of what no model explains.
-    screen : bool
-        See above.
-
-    Returns
-    -------
-    Design
-        The drive.
-
-    Raises
-    ------
-    InvalidInputError
-        If an option is out of range, or there is no free place.
-
-    Examples
-    --------
-    >>> model = PowerModel.preset("quadriga:full:concrete")
-    >>> made = design(model, [Explanation(("viscous_loss",), values={"viscous_loss": 60.0}),
-    ...                       Explanation(("air_drag",))], duration=40.0)
-    >>> made.trajectory.duration <= 40.0, min(p for _, p in made.probabilities_expected) > 0.9
-    (True, True)
-
-    References
-    ----------
-    Atkinson and Fedorov (1975), on T-optimality; docs/theory, section 7.
+    Source: Atkinson and Fedorov (1975), on T-optimality; docs/theory, section 7.
     """
     values = {"square": square, "acceleration": acceleration, "noise": noise,
               "correlation_time": correlation_time}  # fmt: skip
@@ -260,29 +164,7 @@ def design(
 
 
 def explanations_of(report: Mapping[str, Any]) -> tuple[Explanation, ...]:
-    """Return what a diagnosis left open, from the document that ``diagnose --json`` printed.
-
-    Parameters
-    ----------
-    report : mapping
-        The document, with ``explanations`` or with ``effects`` and their ``rivals``.
-
-    Returns
-    -------
-    tuple of Explanation
-        The explanations, the likeliest first.
-
-    Raises
-    ------
-    InvalidInputError
-        If the document holds neither.
-
-    Examples
-    --------
-    >>> report = {"effects": [{"name": "air_drag", "value": 0.5, "rivals": ["viscous_loss"]}]}
-    >>> [found.label for found in explanations_of(report)]
-    ['air drag', 'viscous loss']
-    """
+    """Return what a diagnosis left open, from the document that ``diagnose --json`` printed."""
     try:
         sizes = {e["name"]: float(e["value"]) for e in report.get("effects", ())}
         if report.get("explanations"):

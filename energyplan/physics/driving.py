@@ -20,45 +20,16 @@ from energyplan.terrain import laid_out
 
 @dataclass(frozen=True)
 class Driven(html.Readable):
-    """A trajectory as it was driven.
+    """A trajectory as it was driven."""
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        What was asked.
-    run : Run
-        What happened.
-    told : dict of str to float
-        Energy that the power model predicts for the trajectory, by term [J].
-    taken : dict of str to float
-        Energy that the battery delivered, by the term that stands for it [J].
-    arrived : bool
-        Whether the robot stands at the end of the trajectory.
-    tracking_error, heading_error : float
-        Largest distance [m] and heading [rad] between the robot and where it should be at the
-        same time.
-    final_error : float
-        Distance from the end of the trajectory [m].
-
-    Examples
-    --------
-    >>> from energyplan.limits.speed import profile
-    >>> from energyplan.path import Path
-    >>> model = PowerModel.preset("quadriga:empty:concrete")
-    >>> path = Path(Pose(0, 0, 0), ds=[2.0], dtheta=[0.0])
-    >>> made = drive(profile(path, model), Robot.from_model(model), model)
-    >>> made.arrived, made.final_error < 0.05, [name for name, *_ in made.terms][0]
-    (True, True, 'traction_resistance')
-    """
-
-    trajectory: Trajectory
-    run: Run
-    told: dict[str, float]
-    taken: dict[str, float]
-    arrived: bool
+    trajectory: Trajectory  # what was asked
+    run: Run  # what happened
+    told: dict[str, float]  # energy that the power model predicts for the trajectory, by term [J]
+    taken: dict[str, float]  # energy that the battery delivered, by the term that stands for it [J]
+    arrived: bool  # whether the robot stands at the end of the trajectory
     tracking_error: float
     heading_error: float
-    final_error: float
+    final_error: float  # distance from the end of the trajectory [m]
 
     @property
     def energy_told(self) -> float:
@@ -97,32 +68,7 @@ class Driven(html.Readable):
 def energy_told(
     trajectory: Trajectory, model: PowerModel, ground: Ground | None = None
 ) -> dict[str, float]:
-    """Return the energy of a trajectory by term, as a power model predicts it [J].
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The trajectory.
-    model : PowerModel
-        The model; the efficiencies of its vehicle count.
-    ground : Ground, optional
-        Surfaces with models of their own, and heights.
-
-    Returns
-    -------
-    dict of str to float
-        Energy by term [J].
-
-    Examples
-    --------
-    >>> from energyplan.path import Path
-    >>> from energyplan.limits.speed import profile
-    >>> model = PowerModel.preset("quadriga:empty:concrete")
-    >>> path = Path(Pose(0, 0, 0), ds=[2.0], dtheta=[0.0])
-    >>> told = energy_told(profile(path, model), model)
-    >>> {name: round(joules) for name, joules in told.items() if joules > 1}
-    {'traction_resistance': 452}
-    """
+    """Return the energy of a trajectory by term, as a power model predicts it [J]."""
     here = ground or Ground()
     law, surfaces, heights = laid_out(model, trajectory.poses[:, :2], here.surfaces, here.heights)
     grounds = () if surfaces is None else surfaces.surfaces
@@ -139,43 +85,7 @@ def drive(
     ground: Ground | None = None,
     tracking: Tracking | None = None,
 ) -> Driven:
-    """Drive a trajectory in the engine.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        What to drive; the robot starts at its first pose, at rest.
-    robot : Robot
-        What is true of the robot.
-    model : PowerModel
-        The model of it: it predicts the energy, and the controller uses its tread ICRs.
-    ground : Ground, optional
-        Surfaces and heights, true and believed; level and even where not given.
-    tracking : Tracking, optional
-        Gains of the controller.
-
-    Returns
-    -------
-    Driven
-        What happened.
-
-    Raises
-    ------
-    MissingDependencyError
-        If MuJoCo is not installed.
-    PhysicsError
-        If a wheel leaves the ground.
-
-    Examples
-    --------
-    >>> from energyplan.limits.speed import profile
-    >>> from energyplan.path import Path
-    >>> model = PowerModel.preset("quadriga:empty:concrete")
-    >>> path = Path(Pose(0, 0, 0), ds=[8.0, 0.0], dtheta=[0.0, 1.0])
-    >>> made = drive(profile(path, model), Robot.from_model(model), model)
-    >>> made.arrived, abs(made.error) < 0.02
-    (True, True)
-    """
+    """Drive a trajectory in the engine."""
     gains = tracking or Tracking()
     tracker = Tracker(trajectory, model.vehicle, gains)
     start = Pose(*(float(value) for value in trajectory.poses[0]))

@@ -91,30 +91,14 @@ def _borders(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of effect.
+    """A kind of effect."""
 
-    Parameters
-    ----------
-    apply : callable
-        ``apply(robot, size, details) -> Robot``.
-    unit : str
-        Unit of the size.
-    meaning : str
-        One line.
-    draw : callable
-        ``draw(robot, rng) -> float``, a size worth finding.
-    details : tuple of str
-        Further numbers that it takes.
-    electrical : bool
-        Whether it acts between battery and shaft.
-    """
-
-    apply: _Apply
-    unit: str
-    meaning: str
-    draw: _Draw
-    details: tuple[str, ...] = ()
-    electrical: bool = False
+    apply: _Apply  # ``apply(robot, size, details) -> Robot``
+    unit: str  # unit of the size
+    meaning: str  # one line
+    draw: _Draw  # ``draw(robot, rng) -> float``, a size worth finding
+    details: tuple[str, ...] = ()  # further numbers that it takes
+    electrical: bool = False  # whether it acts between battery and shaft
 
 
 def _resistance(robot: Robot) -> float:
@@ -204,34 +188,11 @@ EFFECTS: Mapping[str, Kind] = MappingProxyType(_EFFECTS)
 
 @dataclass(frozen=True)
 class Effect(ReadOnly):
-    """An effect that the engine can switch on, and its size.
+    """An effect that the engine can switch on, and its size."""
 
-    Parameters
-    ----------
-    name : str
-        One of `EFFECTS`; where diagnosis knows the effect it has the same name.
-    size : float
-        Its size in the unit that `EFFECTS` names.
-    details : mapping of str to float
-        Further numbers: ``direction`` [rad] of a tilted plane or of a shift of the mass,
-        ``direction`` and ``offset`` [m] of a border, ``time_constant`` [s] of a cold drive.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such effect or detail.
-    InvalidInputError
-        If the size is not finite.
-
-    Examples
-    --------
-    >>> Effect.parse("tilted_plane=0.05,direction=1.57").size
-    0.05
-    """
-
-    name: str
-    size: float
-    details: Mapping[str, float] = field(default_factory=dict)
+    name: str  # one of `EFFECTS`
+    size: float  # its size in the unit that `EFFECTS` names
+    details: Mapping[str, float] = field(default_factory=dict)  # further numbers
 
     def __post_init__(self) -> None:
         if self.name not in _EFFECTS:
@@ -251,13 +212,7 @@ class Effect(ReadOnly):
 
     @classmethod
     def parse(cls, text: str) -> Effect:
-        """Return the effect that ``NAME=SIZE`` or ``NAME=SIZE,DETAIL=VALUE`` stands for.
-
-        Raises
-        ------
-        InvalidInputError
-            If the text is malformed.
-        """
+        """Return the effect that ``NAME=SIZE`` or ``NAME=SIZE,DETAIL=VALUE`` stands for."""
         try:
             pairs = [part.split("=") for part in text.split(",")]
             values = {name.strip(): float(value) for name, value in pairs}
@@ -271,15 +226,7 @@ class Effect(ReadOnly):
 
 
 def switch_on(robot: Robot, effects: Iterable[Effect]) -> Robot:
-    """Return a robot with effects switched on, one after the other.
-
-    Examples
-    --------
-    >>> from energyplan.power import PowerModel
-    >>> robot = Robot.from_model(PowerModel.preset("quadriga:empty:concrete"))
-    >>> switch_on(robot, [Effect("viscous_loss", 60.0), Effect("hotel_load", 25.0)]).hotel
-    25.0
-    """
+    """Return a robot with effects switched on, one after the other."""
     for effect in effects:
         robot = effect.on(robot)
     return robot
@@ -292,34 +239,7 @@ def draw_effects(
     names: tuple[str, ...] | None = None,
     around: ArrayLike = (0.0, 0.0),
 ) -> tuple[Effect, ...]:
-    """Draw hidden effects.
-
-    Parameters
-    ----------
-    robot : Robot
-        On whom; sizes are drawn in proportion to its own resistance, friction and mass.
-    seed : int
-        Seed of the draw.
-    count : int, optional
-        How many different ones; one or two, drawn too, where not given.
-    names : tuple of str, optional
-        What to draw from; all `EFFECTS` where not given.
-    around : array_like, shape (2,)
-        Point that a border passes through [m].
-
-    Returns
-    -------
-    tuple of Effect
-        The effects.
-
-    Examples
-    --------
-    >>> from energyplan.power import PowerModel
-    >>> robot = Robot.from_model(PowerModel.preset("quadriga:empty:concrete"))
-    >>> drawn = draw_effects(robot, seed=1, count=2)
-    >>> len(drawn), drawn == draw_effects(robot, seed=1, count=2)
-    (2, True)
-    """
+    """Draw hidden effects."""
     rng = np.random.default_rng([seed, 0x5EED])
     number = int(rng.integers(1, 3)) if count is None else count
     chosen = rng.choice(np.array(names or tuple(_EFFECTS)), number, replace=False)

@@ -59,13 +59,7 @@ _RATIO = 1e7  # stiffness of the tangential directions over the normal one
 
 
 def require_mujoco() -> Any:
-    """Return the engine's module.
-
-    Raises
-    ------
-    MissingDependencyError
-        If it is not installed; the message names the extra.
-    """
+    """Return the engine's module."""
     try:
         import mujoco
     except ImportError:
@@ -81,31 +75,7 @@ Controller = Callable[[State], tuple[float, float] | None]
 
 
 class Engine:
-    """A robot on its ground in MuJoCo.
-
-    Parameters
-    ----------
-    robot : Robot
-        The robot.
-    ground : Ground, optional
-        The ground; even and level where not given.
-    start : Pose
-        Where it stands.
-
-    Raises
-    ------
-    MissingDependencyError
-        If MuJoCo is not installed.
-
-    Examples
-    --------
-    >>> from energyplan.power import PowerModel
-    >>> from energyplan.physics import Engine, Robot
-    >>> robot = Robot.from_model(PowerModel.preset("quadriga:empty:concrete"))
-    >>> run = Engine(robot).drive(lambda state: 2 * (min(0.5, state.t),) if state.t < 2.0 else None)
-    >>> round(float(run.x[-1]), 1), run.taken > 0
-    (0.9, True)
-    """
+    """A robot on its ground in MuJoCo."""
 
     def __init__(
         self, robot: Robot, ground: Ground | None = None, start: Pose | None = None
@@ -190,28 +160,7 @@ class Engine:
     # -- driving ----------------------------------------------------------------------------------
 
     def drive(self, controller: Controller, longest: float = 3600.0) -> Run:
-        """Let a controller drive the robot.
-
-        Parameters
-        ----------
-        controller : callable
-            ``controller(state) -> (v_left, v_right)``, asked every tick; None ends the drive.
-        longest : float
-            When to give up [s].
-
-        Returns
-        -------
-        Run
-            What happened.
-
-        Raises
-        ------
-        PhysicsError
-            If a wheel leaves the ground, the motion diverges, the time is up, or more than
-            `BALANCE` of the work of the motors is unaccounted for.
-        InvalidInputError
-            If a command is not two finite numbers.
-        """
+        """Let a controller drive the robot."""
         data = self.mujoco.MjData(self.model)
         data.qpos[:2] = self.start[:2]
         data.qpos[3:7] = (np.cos(self.start.yaw / 2), 0.0, 0.0, np.sin(self.start.yaw / 2))

@@ -21,34 +21,7 @@ def exchanged(
 ) -> list[int]:
     """Exchange parts of a design, one at a time, for what improves the whole of it most.
 
-    Parameters
-    ----------
-    gain : callable
-        ``gain(before, after)``: by how much products of regressors are better.
-    grams : sequence of ndarray
-        Products of regressors of each part that there is.
-    times : ndarray, shape (n,)
-        Time that each takes [s].
-    chosen : sequence of int
-        The design to begin with.
-    duration : float
-        Longest time that it may take [s].
-
-    Returns
-    -------
-    list of int
-        A design as long that is no worse.
-
-    References
-    ----------
-    Fedorov (1972), "Theory of optimal experiments".
-
-    Examples
-    --------
-    >>> better = lambda before, after: float(after[0, 0] - before[0, 0])
-    >>> grams = [np.array([[value]]) for value in (1.0, 3.0, 9.0)]
-    >>> exchanged(better, grams, np.array([1.0, 1.0, 5.0]), [0, 0], 3.0)
-    [1, 1]
+    Source: Fedorov (1972), "Theory of optimal experiments".
     """
     design = list(chosen)
     for _ in range(_MOST):

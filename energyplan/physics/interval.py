@@ -34,47 +34,16 @@ ALIKE = 0.02
 
 
 class Overhead(NamedTuple):
-    """What drives take beyond what a model says of the routes that were asked.
+    """What drives take beyond what a model says of the routes that were asked."""
 
-    Parameters
-    ----------
-    share : float
-        What they took more, over what the model says.
-    deviation : float
-        How much that differs from drive to drive, relative; its normal 95 % interval is that of
-        Student's distribution.
-
-    Examples
-    --------
-    >>> told = 1000.0
-    >>> told * (1.0 + Overhead(share=0.02, deviation=0.01).share)
-    1020.0
-    """
-
-    share: float
-    deviation: float
+    share: float  # what they took more, over what the model says
+    deviation: float  # how much that differs from drive to drive, relative
 
 
 def overhead(ratios: Sequence[float]) -> Overhead:
     """Learn from drives made what the next one takes beyond what a model says of its route.
 
     A controller turns more than it is asked to, treads slip, and no sum of terms is all of a robot.
-
-    Parameters
-    ----------
-    ratios : sequence of float
-        For each drive so far, the energy that it took over what the model says of its route.
-
-    Returns
-    -------
-    Overhead
-        The mean, and the scatter: `USUAL` counts as `PRIOR` drives.
-
-    Examples
-    --------
-    >>> found = overhead([1.02, 1.03])
-    >>> round(found.share, 3), found.deviation < 0.02
-    (0.025, True)
     """
     share = float(np.mean(ratios)) - 1.0 if len(ratios) else 0.0
     freedom = PRIOR + max(len(ratios) - 1, 0)
@@ -84,59 +53,20 @@ def overhead(ratios: Sequence[float]) -> Overhead:
 
 
 def retold(model: PowerModel, log: DriveLog) -> float:
-    """Return the energy that a model predicts for the motion of a log [J].
-
-    Examples
-    --------
-    >>> from energyplan import simulate
-    >>> truth = PowerModel.preset("quadriga:empty:marble")
-    >>> log = simulate.drive(truth, "figure8", duration=30.0)
-    >>> round(retold(truth, log))
-    4036
-    """
+    """Return the energy that a model predicts for the motion of a log [J]."""
     return float(log.weights @ model.battery_side().power(log.motion(model.vehicle.icr)))
 
 
 class Steered(NamedTuple):
-    """A drive that followed a trajectory, and the tread ICRs that its controller believed in.
+    """A drive that followed a trajectory, and the tread ICRs that its controller believed in."""
 
-    Parameters
-    ----------
-    asked : Trajectory
-        What was to be driven.
-    log : DriveLog
-        What was driven.
-    icr : TreadICR
-        The tread ICRs.
-
-    Examples
-    --------
-    >>> import energyplan as ep
-    >>> truth = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> log = ep.simulate.drive(truth, "figure8", duration=15.0)
-    >>> asked = Trajectory([0, 2], x=[0, 1], y=[0, 0], yaw=[0, 0], v=[0.5, 0.5], omega=[0, 0])
-    >>> Steered(asked, log, truth.vehicle.icr).asked.duration
-    2.0
-    """
-
-    asked: Trajectory
-    log: DriveLog
-    icr: TreadICR
+    asked: Trajectory  # what was to be driven
+    log: DriveLog  # what was driven
+    icr: TreadICR  # the tread ICRs
 
 
 def asked_energy(trajectory: Trajectory, problem: PlanningProblem) -> float:
-    """Return what the model and the ground of a problem say that a trajectory takes [J].
-
-    Examples
-    --------
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> asked = Trajectory([0, 2], x=[1, 2], y=[2, 2], yaw=[0, 0], v=[0.5, 0.5], omega=[0, 0])
-    >>> round(asked_energy(asked, problem))
-    180
-    """
+    """Return what the model and the ground of a problem say that a trajectory takes [J]."""
     ground = Ground(problem.surfaces, problem.heights)
     return sum(energy_told(trajectory, problem.cost.model, ground).values())
 
@@ -150,34 +80,6 @@ def ratio(
     mind it leaves it in another way, which says nothing of the drives to come: then the motion that
     was made counts. No controller saves energy: a drive that took less was asked for more than
     motors do, or its route lies along the edge of some ground.
-
-    Parameters
-    ----------
-    drive : Steered
-        The drive.
-    model : PowerModel
-        The model, with what it knows of the ground.
-    asked : PlanningProblem
-        The problem as that model has it.
-    heights : HeightMap or None
-        Heights of the map, beside what the model found.
-
-    Returns
-    -------
-    float
-        The ratio.
-
-    Examples
-    --------
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> asked = Trajectory([0, 2], x=[1, 2], y=[2, 2], yaw=[0, 0], v=[0.5, 0.5], omega=[0, 0])
-    >>> log = ep.simulate.drive(model, "figure8", duration=15.0)
-    >>> made = Steered(asked, log, model.vehicle.icr)
-    >>> ratio(made, model, problem, None) == log.energy / asked_energy(asked, problem)
-    True
     """
     icr = model.vehicle.icr
     apart = np.subtract(astuple(icr), astuple(drive.icr))
@@ -192,37 +94,7 @@ def ratio(
 def interval(
     energy: float, model: PowerModel, motion: Motion, weights: FloatArray, share: float
 ) -> tuple[float, float] | None:
-    """Return the 95 % interval of an energy.
-
-    Parameters
-    ----------
-    energy : float
-        The energy [J].
-    model : PowerModel
-        The model that predicts it; its covariance and its residual count.
-    motion : Motion, shape (n,)
-        The motion.
-    weights : ndarray, shape (n,)
-        Time that each sample stands for [s].
-    share : float
-        Relative error of drives that the model does not say; `Overhead.deviation`.
-
-    Returns
-    -------
-    tuple of float or None
-        The interval [J]; None where the model has no covariance.
-
-    Examples
-    --------
-    >>> import energyplan as ep
-    >>> truth = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> log = ep.simulate.drive(truth, "figure8", duration=30.0, power_noise=5.0, seed=1)
-    >>> model = ep.identify(log, truth.vehicle).model
-    >>> motion = log.motion(model.vehicle.icr)
-    >>> low, high = interval(retold(model, log), model, motion, log.weights, share=0.005)
-    >>> low < retold(truth, log) < high
-    True
-    """
+    """Return the 95 % interval of an energy."""
     if model.covariance is None:
         return None
 

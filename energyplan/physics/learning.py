@@ -52,18 +52,6 @@ def learn(logs: Sequence[DriveLog], vehicle: Vehicle) -> Learned:
     None is held out: the next round is the test, whose energy is predicted before it is driven.
     Drives under `SHORTEST` show no effects. With less than `DIAGNOSED` of longer ones,
     only the paper's parameters are identified, from all.
-
-    Parameters
-    ----------
-    logs : sequence of DriveLog
-        The drives.
-    vehicle : Vehicle
-        The vehicle.
-
-    Returns
-    -------
-    Learned
-        Model and effects.
     """
     try:
         return _learned(logs, vehicle)

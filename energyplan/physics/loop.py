@@ -45,59 +45,19 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Round:
-    """One round of the loop: plan, drive, diagnose.
+    """One round of the loop: plan, drive, diagnose."""
 
-    Parameters
-    ----------
-    energy_told : float
-        Energy that the model of this round predicts, before the drive [J].
-    energy_interval : tuple of float, optional
-        Its 95 % interval [J]; None where the model has no covariance.
-    energy_taken : float
-        Energy that was measured [J].
-    plan : Plan
-        The route of this round.
-    model : PowerModel
-        The model that predicted.
-    effects : tuple of Found
-        What the diagnosis of all drives so far found, this one included.
-    log : DriveLog
-        The drive.
-    driven : Driven, optional
-        The drive in the engine; None where the log is real.
-    survey : Driven, optional
-        The designed drive that was made after it, to learn from; None where there was none.
-    note : str
-        Why nothing was learned, if so.
-    overhead : float
-        Share of the prediction that the model's terms do not give: what the drives so far took
-        beyond what the model says of the routes that were asked.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> truth = ep.PowerModel.preset("quadriga:empty:concrete")
-    >>> log = ep.simulate.drive(truth, "figure8", duration=30.0)
-    >>> first = close_loop(problem, [log], rounds=1, effort=1000).rounds[0]
-    >>> first.energy_told > first.energy_taken, first.within
-    (False, False)
-    """
-
-    energy_told: float
-    energy_interval: tuple[float, float] | None
-    energy_taken: float
-    plan: Plan
-    model: PowerModel
-    effects: tuple[Found, ...]
-    log: DriveLog
-    driven: Driven | None = None
-    survey: Driven | None = None
-    note: str = ""
-    overhead: float = 0.0
+    energy_told: float  # energy that the model of this round predicts, before the drive [J]
+    energy_interval: tuple[float, float] | None  # its 95 % interval [J]
+    energy_taken: float  # energy that was measured [J]
+    plan: Plan  # the route of this round
+    model: PowerModel  # the model that predicted
+    effects: tuple[Found, ...]  # what the diagnosis of all drives so far found, this one included
+    log: DriveLog  # the drive
+    driven: Driven | None = None  # the drive in the engine
+    survey: Driven | None = None  # the designed drive that was made after it, to learn from
+    note: str = ""  # why nothing was learned, if so
+    overhead: float = 0.0  # share of the prediction that the model's terms do not give
 
     @property
     def length(self) -> float:
@@ -120,34 +80,11 @@ class Round:
 
 @dataclass(frozen=True)
 class Loop(html.Readable):
-    """The rounds of a loop, and the model in the end.
+    """The rounds of a loop, and the model in the end."""
 
-    Parameters
-    ----------
-    rounds : tuple of Round
-        The rounds, in their order.
-    model : PowerModel
-        The model in the end.
-    closed : bool
-        Whether the last prediction was right: within its interval, or within the tolerance.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> truth = ep.PowerModel.preset("quadriga:empty:concrete")
-    >>> log = ep.simulate.drive(truth, "figure8", duration=30.0)
-    >>> made = close_loop(problem, [log, log], rounds=2, effort=1000)
-    >>> len(made.rounds), made.closed
-    (2, True)
-    """
-
-    rounds: tuple[Round, ...]
-    model: PowerModel
-    closed: bool
+    rounds: tuple[Round, ...]  # the rounds, in their order
+    model: PowerModel  # the model in the end
+    closed: bool  # whether the last prediction was right
 
     def _summaries(self) -> list[html.Summary]:
         rows = [
@@ -169,37 +106,11 @@ class Loop(html.Readable):
 
 @dataclass(frozen=True)
 class EngineDrives:
-    """Drives in the engine: each round's route, followed by the tracking controller.
+    """Drives in the engine: each round's route, followed by the tracking controller."""
 
-    Parameters
-    ----------
-    robot : Robot
-        What is true.
-    ground : Ground, optional
-        The true ground.
-    sensors : Sensors, optional
-        How drives are recorded. Where not given, an inclinometer and an accelerometer are there
-        only if the ground has heights: a slope that is not on the map has to be found.
-
-    Raises
-    ------
-    MissingDependencyError
-        If the engine is not installed: before anything is planned.
-
-    Examples
-    --------
-    >>> from energyplan.limits.speed import profile
-    >>> from energyplan.path import Path, Pose
-    >>> model = PowerModel.preset("quadriga:empty:concrete")
-    >>> drives = EngineDrives(Robot.from_model(model))
-    >>> made = drives(profile(Path(Pose(0, 0, 0), ds=[2.0], dtheta=[0.0]), model), model, 0)
-    >>> drives.log(made, 0).name
-    'round 0'
-    """
-
-    robot: Robot
-    ground: Ground | None = None
-    sensors: Sensors | None = None
+    robot: Robot  # what is true
+    ground: Ground | None = None  # the true ground
+    sensors: Sensors | None = None  # how drives are recorded
 
     def __post_init__(self) -> None:
         require_mujoco()
@@ -241,58 +152,6 @@ def close_loop(
 
     In the engine, a designed drive in the free space of the map follows the first round whose
     prediction was wrong. Routes alone show little, because they are short and mostly straight.
-
-    Parameters
-    ----------
-    problem : PlanningProblem
-        From where to where; its cost holds the model of the first round.
-    source : EngineDrives or sequence of DriveLog
-        The engine, or logs of a real robot: the first serves the first round, and so on. A log
-        need not follow the route. The model of the round predicts its energy from its own
-        motion, before it learns from it.
-    rounds : int
-        How many times round at most.
-    tolerance : float
-        Relative error of the energy that counts as none.
-    before : sequence of DriveLog
-        Drives made earlier, to learn from beside those of the rounds.
-    speed : float, optional
-        Tread speed to price and drive at [m/s]; where not given the vehicle's usual one, else
-        `SPEED_SHARE` of what the motors reach.
-    survey : float
-        Longest time of the designed drive [s]; 0 for none.
-    time_limit : float
-        Time for each plan [s].
-    effort : int, optional
-        Units of work for each plan, in place of the time limit.
-    planner : str
-        Planner.
-    progress : callable, optional
-        Called with a fraction and a text.
-
-    Returns
-    -------
-    Loop
-        The rounds. The loop ends when a prediction was right, the rounds or logs are over, or
-        nothing can be planned with what was learned, which is left out then with a note.
-
-    Raises
-    ------
-    InvalidInputError
-        If an option is out of range, or there is no log.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> truth = ep.PowerModel.preset("quadriga:empty:concrete")
-    >>> log = ep.simulate.drive(truth, "figure8", duration=30.0)
-    >>> made = close_loop(problem, [log, log], rounds=2, effort=1000)
-    >>> [round(100 * now.error) for now in made.rounds]
-    [-25, 0]
     """
     if rounds < 1 or not tolerance >= 0 or not survey >= 0:
         raise InvalidInputError(
@@ -399,18 +258,6 @@ def believed(problem: PlanningProblem, model: PowerModel, speed: float) -> Plann
 
     What the model found of the ground is put on the map. Where the map has heights, a model that
     was learned on level ground gets the vehicle's weight.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> from energyplan.power.effects import term
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> found = believed(problem, model.with_term(term("tilt_x"), 20.0), 0.5)
-    >>> found.heights is not None, [t.name for t in found.cost.model.terms]
-    (True, ['slip_friction', 'traction_resistance', 'grade'])
     """
     law = model if problem.heights is None else with_weight(model)
     cost = replace(problem.cost, model=law, battery=True, speed=speed)

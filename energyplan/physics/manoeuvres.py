@@ -19,49 +19,14 @@ STEP = 0.05
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """Tread speeds to reach and to hold, from rest to rest, back where it began.
+    """Tread speeds to reach and to hold, from rest to rest, back where it began."""
 
-    Parameters
-    ----------
-    name : str
-        What it is, in words.
-    legs : tuple of (float, float, float)
-        Tread speeds [m/s] and how long each is held [s].
-
-    Examples
-    --------
-    >>> there = Manoeuvre("2 m and back", ((0.5, 0.5, 4.0), (0, 0, 0), (-0.5, -0.5, 4.0)))
-    >>> sum(left * held for left, _, held in there.legs)  # ends where it began
-    0.0
-    """
-
-    name: str
-    legs: tuple[tuple[float, float, float], ...]
+    name: str  # what it is, in words
+    legs: tuple[tuple[float, float, float], ...]  # tread speeds [m/s] and how long each is held [s]
 
 
 def manoeuvres(vehicle: Vehicle, speed: float, reach: float) -> Iterator[Manoeuvre]:
-    """Yield manoeuvres that end where they begin.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    speed : float
-        Largest tread speed [m/s].
-    reach : float
-        How far straight lines go at most [m].
-
-    Yields
-    ------
-    Manoeuvre
-        Rest; spins both ways; straights and arcs forwards and backwards, at three speeds.
-
-    Examples
-    --------
-    >>> first, second, *_ = manoeuvres(Vehicle.preset("quadriga"), speed=1.0, reach=2.0)
-    >>> first.name, second.name
-    ('stand for 5 s', 'spin left and right at 0.35 m/s')
-    """
+    """Yield manoeuvres that end where they begin."""
     yield Manoeuvre("stand for 5 s", ((0.0, 0.0, 5.0),))
     icr = vehicle.icr
     for share in (0.35, 0.65, 1.0):
@@ -98,15 +63,7 @@ def manoeuvres(vehicle: Vehicle, speed: float, reach: float) -> Iterator[Manoeuv
 
 @dataclass(frozen=True)
 class Option:
-    """A manoeuvre and its trajectory from a given pose.
-
-    Examples
-    --------
-    >>> there = Manoeuvre("2 m and back", ((0.5, 0.5, 4.0), (0, 0, 0), (-0.5, -0.5, 4.0)))
-    >>> made = Option.of(there, Vehicle.preset("quadriga"), Pose(2, 2, 0), acceleration=0.5)
-    >>> round(float(made.trajectory.x.max()), 3), round(float(made.trajectory.x[-1]), 3)
-    (4.0, 2.0)
-    """
+    """A manoeuvre and its trajectory from a given pose."""
 
     manoeuvre: Manoeuvre
     trajectory: Trajectory
@@ -142,17 +99,7 @@ class Option:
 
 
 def fits(grid: OccupancyGrid, vehicle: Vehicle, trajectory: Trajectory) -> bool:
-    """Tell whether a vehicle that follows a trajectory stays on the map and touches nothing.
-
-    Examples
-    --------
-    >>> hall = OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> robot = Vehicle.preset("quadriga")
-    >>> there = Manoeuvre("2 m and back", ((0.5, 0.5, 4.0), (0, 0, 0), (-0.5, -0.5, 4.0)))
-    >>> ways = [Option.of(there, robot, Pose(x, 2, 0), 0.5).trajectory for x in (2, 5)]
-    >>> [fits(hall, robot, way) for way in ways]  # the second one leaves the map
-    [True, False]
-    """
+    """Tell whether a vehicle that follows a trajectory stays on the map and touches nothing."""
     poses = trajectory.poses
     if not np.all(grid.inside(poses[:, :2])):
         return False
@@ -161,15 +108,7 @@ def fits(grid: OccupancyGrid, vehicle: Vehicle, trajectory: Trajectory) -> bool:
 
 
 def roomiest(grid: OccupancyGrid, vehicle: Vehicle) -> Pose:
-    """Return the pose about which most is free, heading along the longer side of the map.
-
-    Examples
-    --------
-    >>> hall = OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> here = roomiest(hall, Vehicle.preset("quadriga"))
-    >>> round(here.y, 2), here.yaw  # halfway between the walls, along them
-    (1.95, 0.0)
-    """
+    """Return the pose about which most is free, heading along the longer side of the map."""
     rows, columns = grid.shape
     row, column = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
     rim = np.minimum.reduce([row, column, rows - 1 - row, columns - 1 - column])
@@ -183,15 +122,7 @@ def roomiest(grid: OccupancyGrid, vehicle: Vehicle) -> Pose:
 
 
 def joined(parts: Sequence[Trajectory]) -> Trajectory:
-    """Drive trajectories one after the other; each begins where the one before ended.
-
-    Examples
-    --------
-    >>> there = Manoeuvre("2 m and back", ((0.5, 0.5, 4.0), (0, 0, 0), (-0.5, -0.5, 4.0)))
-    >>> one = Option.of(there, Vehicle.preset("quadriga"), Pose(2, 2, 0), 0.5).trajectory
-    >>> one.duration, joined([one, one]).duration
-    (10.0, 20.0)
-    """
+    """Drive trajectories one after the other; each begins where the one before ended."""
     columns, clock = [], 0.0
     for k, part in enumerate(parts):
         first = 1 if k else 0

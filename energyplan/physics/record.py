@@ -16,65 +16,27 @@ PERIOD = STEP * TICK
 
 @dataclass(frozen=True)
 class Run:
-    """What truly happened, in means over each tick of the controller.
+    """What truly happened, in means over each tick of the controller."""
 
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Middle of each tick [s].
-    x, y, yaw : ndarray, shape (n,)
-        Pose of the body's origin at that time [m], [rad].
-    v, omega : ndarray, shape (n,)
-        Speed along the heading [m/s] and yaw rate [rad/s].
-    v_left, v_right : ndarray, shape (n,)
-        Tread speeds: wheel speed times radius [m/s].
-    force_left, force_right : ndarray, shape (n,)
-        What each motor delivers at its tread [N].
-    shaft_left, shaft_right : ndarray, shape (n,)
-        Shaft power of each motor [W].
-    battery_left, battery_right : ndarray, shape (n,)
-        What each side draws from the battery [W].
-    hotel : float
-        What is drawn beside them [W].
-    accel_x : ndarray, shape (n,)
-        Forward reading of an accelerometer, gravity included [m/s^2].
-    slope : ndarray, shape (n,)
-        Slope of the ground along the heading [rad].
-    energy : dict of str to float
-        Where the battery's energy went, by the term of a power model that stands for it [J]. Of
-        what no term stands for, ``contacts`` is what wheels take that are pressed into the ground.
-    closure : float
-        What the motors did beyond all mechanical terms [J]: the engine's own error.
-
-    Examples
-    --------
-    >>> from energyplan.physics import Engine, Robot
-    >>> from energyplan.power import PowerModel
-    >>> robot = Robot.from_model(PowerModel.preset("quadriga:empty:concrete"))
-    >>> run = Engine(robot).drive(lambda state: 2 * (min(0.5, state.t),) if state.t < 2.0 else None)
-    >>> round(float(run.x[-1]), 1), run.taken > 0, round(run.period, 3)
-    (0.9, True, 0.01)
-    """
-
-    t: FloatArray
-    x: FloatArray
-    y: FloatArray
-    yaw: FloatArray
-    v: FloatArray
-    omega: FloatArray
-    v_left: FloatArray
-    v_right: FloatArray
-    force_left: FloatArray
-    force_right: FloatArray
-    shaft_left: FloatArray
-    shaft_right: FloatArray
-    battery_left: FloatArray
-    battery_right: FloatArray
-    hotel: float
-    accel_x: FloatArray
-    slope: FloatArray
-    energy: dict[str, float]
-    closure: float
+    t: FloatArray  # (n,): middle of each tick [s]
+    x: FloatArray  # (n,): pose of the body's origin at that time [m], [rad]
+    y: FloatArray  # (n,): pose of the body's origin at that time [m], [rad]
+    yaw: FloatArray  # (n,): pose of the body's origin at that time [m], [rad]
+    v: FloatArray  # (n,): speed along the heading [m/s] and yaw rate [rad/s]
+    omega: FloatArray  # (n,): speed along the heading [m/s] and yaw rate [rad/s]
+    v_left: FloatArray  # (n,): tread speeds [m/s]
+    v_right: FloatArray  # (n,): tread speeds [m/s]
+    force_left: FloatArray  # (n,): what each motor delivers at its tread [N]
+    force_right: FloatArray  # (n,): what each motor delivers at its tread [N]
+    shaft_left: FloatArray  # (n,): shaft power of each motor [W]
+    shaft_right: FloatArray  # (n,): shaft power of each motor [W]
+    battery_left: FloatArray  # (n,): what each side draws from the battery [W]
+    battery_right: FloatArray  # (n,): what each side draws from the battery [W]
+    hotel: float  # what is drawn beside them [W]
+    accel_x: FloatArray  # (n,): forward reading of an accelerometer, gravity included [m/s^2]
+    slope: FloatArray  # (n,): slope of the ground along the heading [rad]
+    energy: dict[str, float]  # [J]
+    closure: float  # what the motors did beyond all mechanical terms [J]
 
     @property
     def period(self) -> float:
@@ -94,13 +56,7 @@ class Run:
 
 @dataclass(frozen=True)
 class State:
-    """What a controller is told: time [s], pose [m], [rad], and tread speeds [m/s].
-
-    Examples
-    --------
-    >>> State(t=0.0, pose=Pose(1.0, 2.0, 0.0), v_left=0.5, v_right=0.5).pose.x
-    1.0
-    """
+    """What a controller is told: time [s], pose [m], [rad], and tread speeds [m/s]."""
 
     t: float
     pose: Pose

@@ -34,29 +34,12 @@ _TILTS = ("tilt_x", "tilt_y")
 
 @dataclass(frozen=True)
 class Border:
-    """A straight border on the ground, beyond which wheels find another surface.
-
-    Parameters
-    ----------
-    friction, traction : float
-        What the friction coefficient [1] and each side's traction resistance [N] are more there.
-    direction : float
-        Direction of the normal that points beyond the border [rad].
-    offset : float
-        Distance of the border from the world's origin along that normal [m].
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> rough = Border(friction=0.2, offset=1.0)  # where x is over 1 m
-    >>> rough.beyond(np.array([[0.0, 0.0], [2.0, 0.0]])).tolist()
-    [False, True]
-    """
+    """A straight border on the ground, beyond which wheels find another surface."""
 
     friction: float = 0.0
     traction: float = 0.0
-    direction: float = 0.0
-    offset: float = 0.0
+    direction: float = 0.0  # direction of the normal that points beyond the border [rad]
+    offset: float = 0.0  # distance of the border from the world's origin along that normal [m]
 
     def beyond(self, points: FloatArray) -> np.ndarray:
         """Tell which points, shape (n, 2), lie beyond the border."""
@@ -70,79 +53,26 @@ class Robot:
 
     The tread ICRs of the vehicle are not used: they follow from the contacts. Only the tracking
     controller believes in them.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Contacts, loads, footprint (for the inertia), motor limits.
-    friction : float
-        Coulomb friction coefficient of every contact [1].
-    traction : tuple of float
-        Traction resistance of the left and of the right side on level ground, evenly loaded [N].
-    rolling_share : float
-        Share of the traction resistance that is proportional to the wheel's load; the rest is dry
-        friction of transmission and gears [1].
-    viscous : float
-        Force per tread speed of each side [N s/m].
-    drag : float
-        Force per square of the body's speed [N s^2/m^2].
-    towing : float
-        Constant force along the body's x axis that a motor must overcome; negative where it
-        helps forwards [N].
-    tilt : tuple of float
-        Gradient of the ground towards world x and y, beside that of the heights [1].
-    warm_up, warm_up_time : float
-        Further traction resistance of each side when cold [N], and its time constant [s].
-    slip_speed : float
-        Growth of the friction coefficient with a contact's slip speed [s/m].
-    border : Border, optional
-        Where the ground changes.
-    drive_loss, regeneration_loss : float
-        What a side draws beyond its shaft power, ``1/eta - 1``, and what it fails to return of
-        returned shaft power, ``1 - eta_r`` [1].
-    copper : float
-        Power lost per square of a side's force [W/N^2].
-    hotel : float
-        Constant draw [W].
-    sharing : float
-        Time constant in which motors that are asked for the same speed share the load [s]. With
-        infinity each has a controller of its own: once the robot has turned, both push against
-        each other until it turns again.
-    height : float, optional
-        Height of the centre of mass [m]; 0.35 of the wheelbase, which is about the height of the
-        axles, where not given.
-
-    Raises
-    ------
-    InvalidInputError
-        If a value is not finite or has the wrong sign, or three loaded contacts do not span an
-        area, so that the robot would tip over.
-
-    Examples
-    --------
-    >>> robot = Robot.from_model(PowerModel.preset("quadriga:empty:concrete"))
-    >>> robot.friction, robot.traction
-    (0.627, (113.0, 113.0))
     """
 
-    vehicle: Vehicle
-    friction: float
-    traction: tuple[float, float]
-    rolling_share: float = 0.5
-    viscous: float = 0.0
-    drag: float = 0.0
-    towing: float = 0.0
-    tilt: tuple[float, float] = (0.0, 0.0)
+    vehicle: Vehicle  # contacts, loads, footprint (for the inertia), motor limits
+    friction: float  # coulomb friction coefficient of every contact [1]
+    traction: tuple[float, float]  # [N]
+    rolling_share: float = 0.5  # [1]
+    viscous: float = 0.0  # force per tread speed of each side [N s/m]
+    drag: float = 0.0  # force per square of the body's speed [N s^2/m^2]
+    towing: float = 0.0  # constant force along the body's x axis that a motor must overcome [N]
+    tilt: tuple[float, float] = (0.0, 0.0)  # [1]
     warm_up: float = 0.0
     warm_up_time: float = 60.0
-    slip_speed: float = 0.0
-    border: Border | None = None
-    drive_loss: float = 0.0
-    regeneration_loss: float = 0.0
-    copper: float = 0.0
-    hotel: float = 0.0
-    sharing: float = 0.1
-    height: float | None = None
+    slip_speed: float = 0.0  # growth of the friction coefficient with a contact's slip speed [s/m]
+    border: Border | None = None  # where the ground changes
+    drive_loss: float = 0.0  # [1]
+    regeneration_loss: float = 0.0  # [1]
+    copper: float = 0.0  # power lost per square of a side's force [W/N^2]
+    hotel: float = 0.0  # constant draw [W]
+    sharing: float = 0.1  # [s]
+    height: float | None = None  # height of the centre of mass [m]
 
     def __post_init__(self) -> None:
         for name in ("friction", "height", "warm_up_time"):
@@ -186,25 +116,7 @@ class Robot:
 
     @classmethod
     def from_model(cls, model: PowerModel) -> Robot:
-        """Return the robot that a power model describes.
-
-        Parameters
-        ----------
-        model : PowerModel
-            The model. Terms of inertia and weight are left out: the engine has the mass. The
-            drive and regeneration efficiencies of its vehicle count where it has no terms for
-            them.
-
-        Returns
-        -------
-        Robot
-            The robot.
-
-        Raises
-        ------
-        ModelError
-            If the model has no slip friction, or a term that has no counterpart in the engine.
-        """
+        """Return the robot that a power model describes."""
         model = model.battery_side()
         for name in ("slip_friction", "traction_resistance"):
             if not model.has(name):
@@ -247,27 +159,10 @@ class Robot:
 
 @dataclass(frozen=True)
 class Ground:
-    """Where friction, resistance and slope change on the way.
+    """Where friction, resistance and slope change on the way."""
 
-    Parameters
-    ----------
-    surfaces : SurfaceMap, optional
-        Surfaces; of each one's model the slip friction and the traction resistance count, at
-        every wheel. Elsewhere the robot's own values hold.
-    heights : HeightMap, optional
-        Heights of the ground; its gradient under the robot tilts gravity.
-
-    Examples
-    --------
-    >>> from energyplan.terrain import HeightMap
-    >>> hills = HeightMap(np.array([[0.0, 0.1], [0.0, 0.1]]), resolution=1.0)
-    >>> robot = Robot.from_model(PowerModel.preset("quadriga:empty:concrete"))
-    >>> Ground(heights=hills).gradient(robot, 1.0, 1.0).round(3).tolist()
-    [0.1, 0.0]
-    """
-
-    surfaces: SurfaceMap | None = None
-    heights: HeightMap | None = None
+    surfaces: SurfaceMap | None = None  # surfaces
+    heights: HeightMap | None = None  # heights of the ground
 
     def grip(self, robot: Robot, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return friction [1] and a factor on the traction resistance [1] at points (n, 2)."""

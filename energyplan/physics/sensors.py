@@ -16,64 +16,21 @@ from energyplan.physics.record import Run
 
 @dataclass(frozen=True)
 class Sensors:
-    """How a drive is recorded.
+    """How a drive is recorded."""
 
-    Parameters
-    ----------
-    rate : float
-        Samples per second [Hz]; each is a mean over its time, as of a counter.
-    power_noise : float
-        Standard deviation of each side's power [W].
-    speed_noise, speed_step : float
-        Standard deviation of the tread speeds, and the step to which they are rounded [m/s].
-    current_step : float
-        Step to which currents are rounded, and below which none is read [A].
-    pose_noise, yaw_noise : float
-        Standard deviation of the position [m] and of the heading and the yaw rate [rad], [rad/s].
-    delay : float
-        By how much power is logged later than speed [s].
-    unsigned : bool
-        Whether the sensors of the sides lose the sign of the power.
-    measured : {"sides", "total", "battery"}
-        Log ``p_left`` and ``p_right``, or ``power``, or ``voltage`` and ``current``.
-    voltage : float
-        Battery voltage [V].
-    without : collection of str
-        Channels that the log does not have.
-    seed : int
-        Seed of the noise.
-
-    Raises
-    ------
-    InvalidInputError
-        If a number is out of range.
-    UnknownNameError
-        If there is no such way to measure.
-
-    Examples
-    --------
-    >>> from energyplan.physics import Engine, Robot
-    >>> from energyplan.power import PowerModel
-    >>> robot = Robot.from_model(PowerModel.preset("quadriga:empty:concrete"))
-    >>> run = Engine(robot).drive(lambda state: 2 * (min(0.5, state.t),) if state.t < 2.0 else None)
-    >>> log = Sensors(rate=10.0, measured="battery").log(run)
-    >>> len(log), "voltage" in log.channels, "p_left" in log.channels
-    (20, True, False)
-    """
-
-    rate: float = 20.0
-    power_noise: float = 2.0
-    speed_noise: float = 0.002
-    speed_step: float = 0.0
-    current_step: float = 0.0
+    rate: float = 20.0  # samples per second [Hz]
+    power_noise: float = 2.0  # standard deviation of each side's power [W]
+    speed_noise: float = 0.002  # [m/s]
+    speed_step: float = 0.0  # [m/s]
+    current_step: float = 0.0  # [A]
     pose_noise: float = 0.0
     yaw_noise: float = 0.0
-    delay: float = 0.0
-    unsigned: bool = False
+    delay: float = 0.0  # by how much power is logged later than speed [s]
+    unsigned: bool = False  # whether the sensors of the sides lose the sign of the power
     measured: Literal["sides", "total", "battery"] = "sides"
-    voltage: float = 24.0
-    without: Collection[str] = ()
-    seed: int = 0
+    voltage: float = 24.0  # battery voltage [V]
+    without: Collection[str] = ()  # channels that the log does not have
+    seed: int = 0  # seed of the noise
 
     def __post_init__(self) -> None:
         if self.measured not in ("sides", "total", "battery"):
@@ -91,28 +48,7 @@ class Sensors:
                     )
 
     def log(self, run: Run, name: str = "engine drive") -> DriveLog:
-        """Return a drive as these sensors record it.
-
-        Parameters
-        ----------
-        run : Run
-            What truly happened.
-        name : str
-            What to call the log.
-
-        Returns
-        -------
-        DriveLog
-            ``t``, ``v_left``, ``v_right``, power as `measured` says, ``x``, ``y``, ``yaw``,
-            ``yaw_rate``, ``accel_x`` and, where the ground is not level, ``slope``.
-
-        Raises
-        ------
-        InvalidInputError
-            If the drive is too short for two samples.
-        UnknownNameError
-            If a channel to leave out does not exist.
-        """
+        """Return a drive as these sensors record it."""
         wide = max(1, round(1.0 / (self.rate * run.period)))
         count = len(run.t) // wide
         if count < 2:

@@ -28,46 +28,18 @@ LEAST = 0.03
 class Tracking:
     """Gains of the tracking controller, and when it has arrived.
 
-    Parameters
-    ----------
-    along : float
-        Speed per distance that the robot is behind the reference [1/s].
-    across : float
-        Yaw rate per speed and distance to the side of it [1/m^2].
-    heading : float
-        Yaw rate per heading error [1/s].
-    slack : float
-        How far beside a straight reference the robot may be heading, over half the slip track [1].
-        Within it nothing is corrected.
-    settle : float
-        Time after the trajectory's end in which the robot may still close up [s].
-    position, angle : float
-        How near the end counts as arrived [m], [rad].
-
-    Raises
-    ------
-    InvalidInputError
-        If a value is not a number from 0 on.
-
-    References
-    ----------
-    Samson (1993), "Time-varying feedback stabilization of car-like wheeled mobile robots";
-    Kanayama et al. (1990), "A stable tracking control method for an autonomous mobile robot".
-
-    Examples
-    --------
-    >>> careful = Tracking(position=0.02, angle=0.02)
-    >>> careful.across, careful.position
-    (6.0, 0.02)
+    Source: Samson (1993), "Time-varying feedback stabilization of car-like wheeled mobile
+    robots"; Kanayama et al. (1990), "A stable tracking control method for an autonomous mobile
+    robot".
     """
 
-    along: float = 2.0
-    across: float = 6.0
-    heading: float = 3.0
-    slack: float = 0.02
-    settle: float = 0.5
-    position: float = 0.1
-    angle: float = 0.1
+    along: float = 2.0  # speed per distance that the robot is behind the reference [1/s]
+    across: float = 6.0  # yaw rate per speed and distance to the side of it [1/m^2]
+    heading: float = 3.0  # yaw rate per heading error [1/s]
+    slack: float = 0.02  # [1]
+    settle: float = 0.5  # time after the trajectory's end in which the robot may still close up [s]
+    position: float = 0.1  # how near the end counts as arrived [m], [rad]
+    angle: float = 0.1  # how near the end counts as arrived [m], [rad]
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -76,18 +48,7 @@ class Tracking:
 
 
 class Tracker:
-    """A controller that follows a trajectory with what it believes of the vehicle.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        What to follow; its times count from its first sample.
-    vehicle : Vehicle
-        Whose tread ICRs turn speed and yaw rate into tread speeds, and whose largest tread speed
-        is kept.
-    gains : Tracking
-        Gains.
-    """
+    """A controller that follows a trajectory with what it believes of the vehicle."""
 
     def __init__(self, trajectory: Trajectory, vehicle: Vehicle, gains: Tracking) -> None:
         self.trajectory, self.vehicle, self.gains = trajectory, vehicle, gains

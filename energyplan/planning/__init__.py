@@ -77,15 +77,7 @@ def planners() -> tuple[str, ...]:
 
 
 def find(name: str) -> Planner:
-    """Return a planner with what it can do.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none of this name.
-    PlanningError
-        If what another package offers under it is no `Planner`.
-    """
+    """Return a planner with what it can do."""
     if name in PLANNERS:
         return PLANNERS[name]
     for entry in entry_points(group="energyplan.planning"):

@@ -235,22 +235,6 @@ def side_by_side(
 
     What they do does not depend on how many threads there are, nor on which of them ends first, as
     long as the budget is one of effort.
-
-    Parameters
-    ----------
-    budget : Budget
-        What they may spend together; they spend from it in their order.
-    tasks : sequence of callable
-        The tasks. None may touch what another one does.
-    units : float or sequence of float
-        Units of work that each may spend at most. Where there are not as many, those that ask for
-        more than an equal part share what the others leave. By the clock, tasks that take turns get
-        their part of the time that is left.
-
-    Returns
-    -------
-    list
-        What the tasks return, in their order.
     """
     if not tasks:
         return []
@@ -277,21 +261,11 @@ def side_by_side(
 
 
 class Work(NamedTuple):
-    """A piece of work among others that are done at once.
+    """A piece of work among others that are done at once."""
 
-    Attributes
-    ----------
-    run : callable
-        Does it within a budget, and touches nothing that others touch.
-    units : float
-        Units of work that it may spend at most.
-    take : callable
-        Takes what it returns, when all is done.
-    """
-
-    run: Callable[[Budget], Any]
-    units: float
-    take: Callable[[Any], None]
+    run: Callable[[Budget], Any]  # does it within a budget, and touches nothing that others touch
+    units: float  # units of work that it may spend at most
+    take: Callable[[Any], None]  # takes what it returns, when all is done
 
 
 def do_together(budget: Budget, works: Sequence[Work]) -> None:

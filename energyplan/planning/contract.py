@@ -158,23 +158,7 @@ class Planner:
 
 
 def check_path(problem: PlanningProblem, path: Path, planner: str) -> None:
-    """Check that a path answers a problem.
-
-    Parameters
-    ----------
-    problem : PlanningProblem
-        The problem.
-    path : Path
-        The path.
-    planner : str
-        Who made it.
-
-    Raises
-    ------
-    InvalidPathError
-        If it is no `Path`, begins or ends elsewhere, has another reference point, leaves
-        the map or touches an obstacle.
-    """
+    """Check that a path answers a problem."""
 
     def refuse(what: str) -> InvalidPathError:
         return InvalidPathError(f"the planner {planner!r} returned {what}; correct the planner")
@@ -220,33 +204,7 @@ def priced_plan(
     first_time: float | None = None,
     effort: float = 0,
 ) -> Plan:
-    """Return the plan of a path that was checked, everything in it computed from the path.
-
-    Parameters
-    ----------
-    compiled : CompiledProblem
-        The problem.
-    path : Path
-        The path.
-    bound : float
-        Lower bound, in the unit of the objective.
-    planner : str
-        Name of the planner.
-    planning_time, first_time : float
-        Time that planning took, and time until a first path was known [s].
-    effort : float
-        Units of work that were spent.
-
-    Returns
-    -------
-    Plan
-        The plan.
-
-    Raises
-    ------
-    LowerBoundError
-        If the bound lies above the cost of the path by more than rounding.
-    """
+    """Return the plan of a path that was checked, everything in it computed from the path."""
     problem = compiled.problem
     price = problem.terrain.price(path, problem.cost)
     soft = compiled.soft_cost(path)

@@ -35,24 +35,12 @@ NEAR = 0.5
 
 @dataclass(frozen=True)
 class DrivenPath:
-    """A path as it is driven.
+    """A path as it is driven."""
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The path, timed within the limits of motors and battery.
-    energy : float
-        What driving it takes [J]: at the battery where the cost counts there, else at the treads.
-    breakdown : mapping of str to float
-        The same by term of the power models [J].
-    speed : float
-        Tread speed that straight driving was priced at [m/s].
-    """
-
-    trajectory: Trajectory
-    energy: float
-    breakdown: Mapping[str, float]
-    speed: float
+    trajectory: Trajectory  # the path, timed within the limits of motors and battery
+    energy: float  # what driving it takes [J]
+    breakdown: Mapping[str, float]  # the same by term of the power models [J]
+    speed: float  # tread speed that straight driving was priced at [m/s]
 
     @property
     def duration(self) -> float:
@@ -76,49 +64,6 @@ def drive_path(
 
     Where the cost has a speed, the path is driven as quickly as the limits and that speed allow;
     where it has none, with the least energy.
-
-    Parameters
-    ----------
-    path : Path
-        The path.
-    cost : EnergyCost
-        The cost that the path was planned with.
-    surfaces : SurfaceMap, optional
-        Grounds with power models of their own.
-    heights : HeightMap, optional
-        Heights of the ground; level where not given.
-    vehicle : Vehicle, optional
-        Whose limits apply; that of the cost's model where not given.
-    tolerance : float, optional
-        How far corners may be rounded [m]; the vehicle's tracking tolerance where not given.
-    grid : OccupancyGrid, optional
-        Obstacles. The robot stops at corners about which the footprint, moved aside by the
-        tolerance, would touch one.
-    body : Vehicle, optional
-        Whose footprint that is; that of the vehicle whose limits apply where not given.
-    period : float
-        Largest time between two samples [s].
-
-    Returns
-    -------
-    DrivenPath
-        The trajectory and its energy.
-
-    Raises
-    ------
-    InfeasibleMotionError
-        If the motors cannot drive the path at any speed.
-    InvalidInputError
-        If nothing limits the speed.
-
-    Examples
-    --------
-    >>> from energyplan.path import Pose
-    >>> model = PowerModel.preset("quadriga:empty:concrete")
-    >>> path = Path(Pose(0, 0, 0), ds=[2.4], dtheta=[0.0])
-    >>> found = drive_path(path, EnergyCost(model))
-    >>> round(found.energy, 3), round(found.duration, 3)
-    (542.4, 3.2)
     """
     model, surfaces = counted(cost, surfaces)
     vehicle = cost.vehicle if vehicle is None else vehicle
@@ -215,13 +160,6 @@ def stops_count(problem: PlanningProblem) -> bool:
 
     It is where the speed is given, energy alone is asked for, and a model's power changes with the
     acceleration or is drawn at a standstill. Elsewhere paths are compared at steady speeds.
-
-    Examples
-    --------
-    >>> hall = OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"), speed=0.5)
-    >>> stops_count(PlanningProblem(hall, cost, (1, 2, 0), (4, 2, 0)))
-    False
     """
     weights = {name for name, weight in problem.weights.items() if weight > 0}
     if problem.cost.speed is None or weights != {"energy"} or problem.softened:

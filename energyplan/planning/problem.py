@@ -40,13 +40,7 @@ OBJECTIVES = ("energy", "length", "time")
 
 
 def objective_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
-    """Return an objective as weights of energy [1], length [J/m] and time [J/s].
-
-    Raises
-    ------
-    InvalidInputError
-        If it is malformed.
-    """
+    """Return an objective as weights of energy [1], length [J/m] and time [J/s]."""
     named = {objective: 1.0} if isinstance(objective, str) else objective
     weights = {name: float(numbers(named[name], f"the weight of {name}")) for name in named}
     if not weights or not set(weights) <= set(OBJECTIVES):

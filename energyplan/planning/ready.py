@@ -53,17 +53,7 @@ SEARCHED = (
 def kernels(
     cost: EnergyCost | None = None, *, surfaces: bool = False, tight: bool = False
 ) -> tuple[str, ...]:
-    """Return the modules whose kernels planning may call.
-
-    Parameters
-    ----------
-    cost : EnergyCost, optional
-        What motion costs; where it is not static, the kernels of exact steering are among them.
-    surfaces : bool
-        Whether there are surfaces.
-    tight : bool
-        Whether start or goal may lack room.
-    """
+    """Return the modules whose kernels planning may call."""
     import_module("energyplan.planning.lattice.planner")  # knows all that planning may call
     static = cost is None or isinstance(cost.steering_parameters, StaticSteering)
     left_out = CLOSED + (() if surfaces else SURFACES) + (() if tight else TIGHT)
@@ -77,13 +67,6 @@ def compiling(
     """Have the kernels compiled beside that plans, and driving them, may call.
 
     Within the block planning waits for all of them, so that no time limit pays for them.
-
-    Parameters
-    ----------
-    *problems : PlanningProblem
-        The problems.
-    beside : tuple of str
-        Modules or packages whose kernels are called besides.
     """
     import_module("energyplan.planning.driven")
     needed = {
@@ -95,13 +78,7 @@ def compiling(
 
 
 def compiling_search(problem: PlanningProblem) -> AbstractContextManager[None]:
-    """Have the kernels compiled beside that a search of all places, without planning, may call.
-
-    Parameters
-    ----------
-    problem : PlanningProblem
-        The problem.
-    """
+    """Have the kernels compiled beside that a search of all places, without planning, may call."""
     needed = kernels(problem.cost, surfaces=problem.surfaces is not None)
     return compiling_beside(*(module for module in needed if module.startswith(SEARCHED)))
 
@@ -110,14 +87,6 @@ def compiled(problem: PlanningProblem, *, tight: bool | None = None) -> None:
     """Compile the kernels of planning, or load them from disk, so that no time limit pays for it.
 
     It is called when the problem has been checked: who starts in an obstacle is told so at once.
-
-    Parameters
-    ----------
-    problem : PlanningProblem
-        The problem. What only surfaces need is left out where it has none.
-    tight : bool, optional
-        Whether planning is from or to poses that may lack room; where not given, it is found out
-        whether start and goal do.
     """
     surfaces = problem.surfaces is not None
     if tight is None:
@@ -136,13 +105,6 @@ def prepare(problem: PlanningProblem, *, guided: bool = True) -> None:
     footprint and how they join, and the outlines for the lower bound. All are kept with the map,
     and a second problem on it finds them there. What comes of a plan does not depend on whether
     they were.
-
-    Parameters
-    ----------
-    problem : PlanningProblem
-        The problem, whose poses have been checked.
-    guided : bool
-        Whether the planner looks at the free configurations.
     """
     query = CompiledProblem(problem)
     if guided:  # searches follow the middle of the treads, whatever counts

@@ -59,30 +59,6 @@ def remainder(path: Path, pose: ArrayLike, problem: PlanningProblem) -> Path | N
 
     The robot gets back to the path at the place, near or a little ahead of where it is, from which
     the whole way costs least. On the path itself nothing but the rest of it is left.
-
-    Parameters
-    ----------
-    path : Path
-        The path.
-    pose : array_like, shape (3,)
-        Where the robot is: x, y [m], yaw [rad] of the body frame.
-    problem : PlanningProblem
-        The map, the vehicle and the cost; its start and goal do not matter.
-
-    Returns
-    -------
-    Path or None
-        The rest, free of collisions; None if no such way is free.
-
-    Examples
-    --------
-    >>> from energyplan.cost import EnergyCost
-    >>> hall = OccupancyGrid(np.zeros((100, 100), bool), resolution=0.1)
-    >>> cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
-    >>> problem = PlanningProblem(hall, cost, start=(2, 5, 0), goal=(8, 5, 0))
-    >>> path = Path(problem.start, ds=[6.0], dtheta=[0.0])
-    >>> round(remainder(path, (4, 5, 0), problem).length, 6)
-    4.0
     """
     here = as_pose(pose, "the robot's pose")
     fine = _places(path, problem)

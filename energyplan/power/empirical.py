@@ -67,13 +67,7 @@ def place(x: float, y: float) -> str:
 
 
 def described(name: str) -> Described:
-    """Return a channel, or a signal derived from the tread speeds, in words.
-
-    Examples
-    --------
-    >>> str(described("omega")), str(described("slope"))
-    ('yaw rate [rad/s]', 'ground slope along the heading [rad]')
-    """
+    """Return a channel, or a signal derived from the tread speeds, in words."""
     if name.startswith(_PLACE):
         x, _, y = name.removeprefix(_PLACE).partition("_")
         return Described(f"distance from ({x} m, {y} m)", "m")
@@ -104,21 +98,7 @@ def _since_start(motion: Motion) -> FloatArray:
 
 
 def signal(motion: Motion, name: str) -> FloatArray:
-    """Return a channel or a signal derived from the motion; zero where it is not known.
-
-    Parameters
-    ----------
-    motion : Motion, shape (...)
-        The motion.
-    name : str
-        A channel, one of `DERIVED` (curvature is limited to 20 per metre, the time since a start to
-        2 s), or a name that `place` gives.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        The signal.
-    """
+    """Return a channel or a signal derived from the motion; zero where it is not known."""
     if name == "v":
         return motion.v
     if name == "omega":

@@ -18,32 +18,16 @@ from energyplan.vehicle import TreadICR, Vehicle
 
 @dataclass(frozen=True)
 class ModelPreset:
-    """A model of the paper's two terms as it was found once.
+    """A model of the paper's two terms as it was found once."""
 
-    Parameters
-    ----------
-    vehicle : str
-        The vehicle's preset.
-    traction, slip : float
-        Traction resistance of each side [N] and friction coefficient.
-    traction_error, slip_error : float
-        Their standard errors; 0 where they are not known.
-    spread : float
-        Standard deviation of a run's energy over that predicted: runs differ as a whole.
-    half_track : float, optional
-        Tread ICRs as they were found there [m]; the vehicle's where None.
-    source : str
-        Where the values come from.
-    """
-
-    vehicle: str
-    traction: float
-    slip: float
-    traction_error: float
-    slip_error: float
-    spread: float
-    half_track: float | None
-    source: str
+    vehicle: str  # the vehicle's preset
+    traction: float  # traction resistance of each side [N] and friction coefficient
+    slip: float  # traction resistance of each side [N] and friction coefficient
+    traction_error: float  # their standard errors
+    slip_error: float  # their standard errors
+    spread: float  # standard deviation of a run's energy over that predicted
+    half_track: float | None  # tread ICRs as they were found there [m]
+    source: str  # where the values come from
 
     def model(self, name: str) -> PowerModel:
         """Return the model."""

@@ -23,13 +23,7 @@ from energyplan.planning import PlanningProblem
 
 
 class ToPoseError(IntEnum):
-    """Error codes of nav2_msgs/action/ComputePathToPose.
-
-    Examples
-    --------
-    >>> ToPoseError.NO_VALID_PATH.value
-    208
-    """
+    """Error codes of nav2_msgs/action/ComputePathToPose."""
 
     NONE = 0
     UNKNOWN = 200
@@ -44,13 +38,7 @@ class ToPoseError(IntEnum):
 
 
 class ThroughPosesError(IntEnum):
-    """Error codes of nav2_msgs/action/ComputePathThroughPoses.
-
-    Examples
-    --------
-    >>> ThroughPosesError.NO_VIAPOINTS_GIVEN.value
-    309
-    """
+    """Error codes of nav2_msgs/action/ComputePathThroughPoses."""
 
     NONE = 0
     UNKNOWN = 300
@@ -79,42 +67,14 @@ _NAMES: tuple[tuple[type[EnergyPlanError], str], ...] = (
 
 
 def codes_of(request: Any) -> Codes:
-    """Return the error codes of the action that a goal belongs to.
-
-    Examples
-    --------
-    >>> from types import SimpleNamespace as Message
-    >>> codes_of(Message(goals=[])).__name__
-    'ThroughPosesError'
-    """
+    """Return the error codes of the action that a goal belongs to."""
     return ThroughPosesError if hasattr(request, "goals") else ToPoseError
 
 
 def error_code(
     error: EnergyPlanError, codes: Codes, problem: PlanningProblem | None = None
 ) -> ToPoseError | ThroughPosesError:
-    """Return the code of Nav2's planner server for an error of the library.
-
-    Parameters
-    ----------
-    error : EnergyPlanError
-        The error.
-    codes : type
-        `ToPoseError` or `ThroughPosesError`.
-    problem : PlanningProblem, optional
-        What was to be planned: it shows whether start or goal lies outside the map.
-
-    Returns
-    -------
-    ToPoseError or ThroughPosesError
-        The code; ``UNKNOWN`` for what Nav2 has no name for, such as a malformed message.
-
-    Examples
-    --------
-    >>> from energyplan.errors import TimeLimitError
-    >>> error_code(TimeLimitError("no path was found in time"), ToPoseError).name
-    'TIMEOUT'
-    """
+    """Return the code of Nav2's planner server for an error of the library."""
     if isinstance(error, OutsideMapError) and problem is not None:
         on_map = problem.terrain.obstacles.inside(problem.start[:2])
         return codes["GOAL_OUTSIDE_MAP" if bool(on_map) else "START_OUTSIDE_MAP"]

@@ -22,36 +22,6 @@ class DriveFeed:
     A sample is made at every message that brings the power. Channels that came more often since
     the sample before are averaged; the last value of one that came less often is kept for a
     second. Nothing is fed while a channel is missing.
-
-    Parameters
-    ----------
-    identifier : OnlineIdentifier
-        What learns.
-    topics : TopicMap
-        Which field of which topic is which channel: ``v_left`` and ``v_right`` [m/s], the power as
-        ``power``, as ``p_left`` and ``p_right`` [W], or as ``voltage`` [V] and ``current`` [A], and
-        whatever the terms of the model need besides.
-
-    Raises
-    ------
-    MessageError
-        If the topic map names no speeds or no power.
-
-    Examples
-    --------
-    >>> from types import SimpleNamespace as Message
-    >>> from energyplan.power import PowerModel
-    >>> topics = TopicMap.model_validate({"channels": {
-    ...     "v_left": {"topic": "joint_states", "field": "velocity[*left*]", "scale": 0.1},
-    ...     "v_right": {"topic": "joint_states", "field": "velocity[*right*]", "scale": 0.1},
-    ...     "power": {"topic": "battery", "field": "voltage", "times": "current"}}})
-    >>> feed = DriveFeed(OnlineIdentifier(PowerModel.preset("quadriga:full:concrete")), topics)
-    >>> wheels = Message(name=["left", "right"], velocity=[5.0, 5.0])
-    >>> for k in range(100):
-    ...     changed = feed.take("/joint_states", wheels, t=0.1 * k)
-    ...     changed = feed.take("/battery", Message(voltage=25.0, current=3.0), t=0.1 * k + 0.05)
-    >>> feed.samples
-    100
     """
 
     def __init__(self, identifier: OnlineIdentifier, topics: TopicMap) -> None:
@@ -79,22 +49,7 @@ class DriveFeed:
         return tuple(dict.fromkeys(source.topic for source in sources))
 
     def take(self, topic: str, message: Any, t: float) -> bool:
-        """Take a message.
-
-        Parameters
-        ----------
-        topic : str
-            Where it came from.
-        message : object
-            The message.
-        t : float
-            Its time [s], on one clock for all topics.
-
-        Returns
-        -------
-        bool
-            Whether a sample was fed that reveals a change of ground.
-        """
+        """Take a message."""
         fresh = set()
         for name, sources in self._topics.channels.items():
             for source in sources:

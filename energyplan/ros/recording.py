@@ -20,13 +20,7 @@ FRAME = "map"
 
 
 def need_rosbags() -> None:
-    """Check that recordings can be written.
-
-    Raises
-    ------
-    MissingDependencyError
-        If the package rosbags is missing.
-    """
+    """Check that recordings can be written."""
     try:
         import rosbags.rosbag2  # noqa: F401
     except ImportError as error:
@@ -42,34 +36,6 @@ def write_recording(
 
     Each path is a nav_msgs/Path on the topic of its name, the map a nav_msgs/OccupancyGrid on
     ``/map``. All have the time 0, so the same plan makes the same file.
-
-    Parameters
-    ----------
-    paths : mapping of str to Path
-        The paths by topic, such as ``"/plan"``.
-    file : str or Path
-        The file, ``.mcap``. It is replaced as a whole.
-    grid : OccupancyGrid, optional
-        The map.
-
-    Raises
-    ------
-    MissingDependencyError
-        If the package rosbags is missing.
-    InvalidInputError
-        If the file cannot be written.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from energyplan.path import Pose
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = File(folder) / "plan.mcap"
-    ...     write_recording({"/plan": Path(Pose(1, 2, 0), ds=[1.0], dtheta=[0.0])}, file)
-    ...     start = file.read_bytes()[1:5]
-    ...
-    >>> start
-    b'MCAP'
     """
     need_rosbags()
     from rosbags.rosbag2 import StoragePlugin, Writer

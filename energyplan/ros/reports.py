@@ -17,14 +17,7 @@ from energyplan.ros.nav2 import Answer
 
 
 def plan_values(answer: Answer) -> dict[str, str]:
-    """Return the values of a plan for diagnostics: energy, bound [J] and the time it took [s].
-
-    Examples
-    --------
-    >>> from energyplan.ros.nav2 import ToPoseError
-    >>> plan_values(Answer((), ToPoseError.TIMEOUT, "no path was found in time", 1.0))
-    {'error': 'no path was found in time'}
-    """
+    """Return the values of a plan for diagnostics: energy, bound [J] and the time it took [s]."""
     if not answer.plans:
         return {"error": answer.message}
     return {
@@ -36,14 +29,7 @@ def plan_values(answer: Answer) -> dict[str, str]:
 
 
 def model_values(model: PowerModel) -> dict[str, str]:
-    """Return the values of a model for diagnostics: each coefficient, with its standard error.
-
-    Examples
-    --------
-    >>> from energyplan.power import PowerModel
-    >>> list(model_values(PowerModel.preset("quadriga:empty:marble")))
-    ['slip_friction [1]', 'traction_resistance [N]']
-    """
+    """Return the values of a model for diagnostics: each coefficient, with its standard error."""
     values = {}
     for term, value in zip(model.terms, model.coefficients.tolist(), strict=True):
         error = model.std_error(term.name)
@@ -56,38 +42,7 @@ def diagnostics_message(
     name: str, message: str, values: Mapping[str, str], stamp: Any, factory: Factory,
     *, error: bool = False,
 ) -> Any:  # fmt: skip
-    """Return a diagnostic_msgs/DiagnosticArray with one status.
-
-    Parameters
-    ----------
-    name : str
-        Name, such as ``"energyplan: plan"``.
-    message : str
-        The sum of it in a few words.
-    values : mapping of str to str
-        Its values by name.
-    stamp : object
-        A builtin_interfaces/Time.
-    factory : callable
-        Gives a message's class by its name, see `path_to_message`.
-    error : bool
-        Whether something went wrong.
-
-    Returns
-    -------
-    object
-        The message.
-
-    Examples
-    --------
-    >>> from rosbags.typesys import Stores, get_typestore
-    >>> factory = get_typestore(Stores.ROS2_HUMBLE).types.__getitem__
-    >>> stamp = factory("builtin_interfaces/msg/Time")(sec=0, nanosec=0)
-    >>> values = {"energy [J]": "540"}
-    >>> message = diagnostics_message("energyplan: plan", "planned", values, stamp, factory)
-    >>> message.status[0].values[0].value
-    '540'
-    """
+    """Return a diagnostic_msgs/DiagnosticArray with one status."""
     status = factory("diagnostic_msgs/msg/DiagnosticStatus")
     pair = factory("diagnostic_msgs/msg/KeyValue")
     level: Any = getattr(status, "ERROR" if error else "OK")
@@ -103,26 +58,7 @@ def diagnostics_message(
 
 
 def mission_answer(text: str, folder: str | Path) -> str:
-    """Tell whether a mission can be done, text in and text out.
-
-    Parameters
-    ----------
-    text : str
-        The mission, YAML or JSON, as a mission's file holds it.
-    folder : str or Path
-        Where the files lie that it names; no name leads out of it.
-
-    Returns
-    -------
-    str
-        JSON: the keys of ``energyplan mission --json``; or ``error``, what is wrong with the
-        mission.
-
-    Examples
-    --------
-    >>> mission_answer("tasks: []", ".")[:9]
-    '{"error":'
-    """
+    """Tell whether a mission can be done, text in and text out."""
     try:
         return json.dumps(documents.mission(evaluate(mission_from(text, folder))))
     except EnergyPlanError as error:

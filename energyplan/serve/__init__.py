@@ -25,22 +25,7 @@ def create_app(
     waiting: int = 32,
     hosts: tuple[str, ...] = ("localhost", "127.0.0.1", "[::1]", "testserver"),
 ) -> FastAPI:
-    """Return the service as an ASGI application; see `energyplan.serve.api.create_app`.
-
-    Raises
-    ------
-    MissingDependencyError
-        If the extra ``serve`` is not installed.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     app = create_app(folder, workers=1)
-    ...
-    >>> app.title
-    'energyplan'
-    """
+    """Return the service as an ASGI application; see `energyplan.serve.api.create_app`."""
     try:
         from energyplan.serve.api import create_app
     except ModuleNotFoundError as error:

@@ -89,32 +89,7 @@ def create_app(
     waiting: int = 32,
     hosts: tuple[str, ...] = ("localhost", "127.0.0.1", "[::1]", "testserver"),
 ) -> FastAPI:
-    """Return the service as an ASGI application.
-
-    Parameters
-    ----------
-    folder : str or Path
-        The data folder: maps, models, missions and logs, named in requests.
-    token : str, optional
-        What every request must carry as ``Authorization: Bearer``; none is asked if left out.
-    workers : int, optional
-        Requests worked on at once; as many as cores if left out.
-    waiting : int
-        Requests that may wait; more are answered with status 429.
-    hosts : tuple of str
-        Names under which the service may be called; others are refused, so that no page of
-        another site can reach it by a name of its own.
-
-    Returns
-    -------
-    FastAPI
-        The application.
-
-    Raises
-    ------
-    InvalidInputError
-        If `folder` is no folder.
-    """
+    """Return the service as an ASGI application."""
     store, pool = Store(Path(folder)), Pool(workers, waiting)
 
     @asynccontextmanager

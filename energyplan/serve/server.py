@@ -10,13 +10,7 @@ from energyplan.errors import InvalidInputError, MissingDependencyError
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether an address is reached from this machine alone.
-
-    Examples
-    --------
-    >>> is_loopback("127.0.0.1"), is_loopback("0.0.0.0")
-    (True, False)
-    """
+    """Tell whether an address is reached from this machine alone."""
     if host == "localhost":
         return True
     try:
@@ -33,35 +27,7 @@ def run(
     workers: int | None = None,
     waiting: int = 32,
 ) -> None:
-    """Serve a data folder until interrupted.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Maps, models, missions and logs, named in requests.
-    host : str
-        Address to listen on; another than the loopback address needs a token.
-    port : int
-        Port; 0 takes a free one, which is printed.
-    token : str, optional
-        What requests must carry as ``Authorization: Bearer``.
-    workers, waiting : int
-        Requests worked on at once, and requests that may wait.
-
-    Raises
-    ------
-    InvalidInputError
-        If the folder is none, or the address can be reached by others and no token is given.
-    MissingDependencyError
-        If the extra ``serve`` is not installed.
-
-    Examples
-    --------
-    >>> run(".", host="0.0.0.0")
-    Traceback (most recent call last):
-        ...
-    energyplan.errors.InvalidInputError: 0.0.0.0 can be reached by others; give --token, or ...
-    """
+    """Serve a data folder until interrupted."""
     if not is_loopback(host) and not token:
         raise InvalidInputError(
             f"{host} can be reached by others; give --token, or listen on 127.0.0.1"

@@ -36,18 +36,7 @@ class UnknownFileError(InvalidInputError):
 
 
 class Store:
-    """Files of a folder by name; what was read is kept until the file changes.
-
-    Parameters
-    ----------
-    folder : Path
-        The data folder.
-
-    Raises
-    ------
-    InvalidInputError
-        If it is no folder.
-    """
+    """Files of a folder by name; what was read is kept until the file changes."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder.resolve()
@@ -71,13 +60,7 @@ class Store:
         return found
 
     def path(self, name: str) -> Path:
-        """Return the file of a name.
-
-        Raises
-        ------
-        UnknownFileError
-            If there is no such file, or it lies outside the folder.
-        """
+        """Return the file of a name."""
         file = self._inside(name)
         if not file.is_file():
             raise UnknownFileError(f"the data folder has no file {name!r}")
@@ -118,15 +101,7 @@ class Store:
         return read(_preset(name))
 
     def save(self, name: str, content: bytes) -> Path:
-        """Write a new file, whole or not at all.
-
-        Raises
-        ------
-        UnknownFileError
-            If the name leads outside the folder.
-        InvalidInputError
-            If there is a file of this name, which is never replaced.
-        """
+        """Write a new file, whole or not at all."""
         file = self._inside(name)
         if file.exists():
             raise InvalidInputError(f"the data folder has a file {name!r}; choose another name")

@@ -27,13 +27,7 @@ class Job:
         self._changed = threading.Condition()
 
     def say(self, event: str, **values: Any) -> None:
-        """Tell who waits how far the work is; ends the work where nobody waits.
-
-        Raises
-        ------
-        CancelledError
-            If the work is no longer wanted.
-        """
+        """Tell who waits how far the work is; ends the work where nobody waits."""
         if self.cancelled.is_set():
             raise CancelledError("the request was cancelled")
         with self._changed:
@@ -55,20 +49,7 @@ class Job:
 
 
 class Pool:
-    """Threads for work that releases the GIL, with a bounded queue.
-
-    Parameters
-    ----------
-    workers : int, optional
-        Pieces of work at once; as many as cores if left out.
-    waiting : int
-        Pieces that may wait.
-
-    Raises
-    ------
-    InvalidInputError
-        If a number is out of range.
-    """
+    """Threads for work that releases the GIL, with a bounded queue."""
 
     def __init__(self, workers: int | None = None, waiting: int = 32) -> None:
         self.workers = workers or os.cpu_count() or 1
@@ -83,23 +64,7 @@ class Pool:
         return self._held
 
     def submit(self, work: Callable[[Job], Any]) -> Job:
-        """Have a piece of work done.
-
-        Parameters
-        ----------
-        work : callable
-            Called with its `Job`.
-
-        Returns
-        -------
-        Job
-            The work under way.
-
-        Raises
-        ------
-        BusyError
-            If as much waits as may wait.
-        """
+        """Have a piece of work done."""
         with self._lock:
             if self._held >= self.workers + self.waiting:
                 raise BusyError(f"{self.waiting} requests wait already; try again in a while")

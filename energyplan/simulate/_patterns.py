@@ -49,17 +49,11 @@ class Setpoint:
 
 @dataclass(frozen=True)
 class Schedule:
-    """Tread speeds over time, linear between corners.
+    """Tread speeds over time, linear between corners."""
 
-    Parameters
-    ----------
-    t, v_left, v_right : ndarray, shape (n,)
-        Corners: strictly increasing time [s] and tread speeds [m/s].
-    """
-
-    t: FloatArray
-    v_left: FloatArray
-    v_right: FloatArray
+    t: FloatArray  # (n,): corners
+    v_left: FloatArray  # (n,): corners
+    v_right: FloatArray  # (n,): corners
 
     @property
     def duration(self) -> float:
@@ -74,25 +68,7 @@ def _ramp(before: Setpoint, setpoint: Setpoint, accel_limit: float) -> float:
 
 
 def schedule(setpoints: Sequence[Setpoint], accel_limit: float) -> Schedule:
-    """Join setpoints from rest to rest.
-
-    Parameters
-    ----------
-    setpoints : sequence of Setpoint
-        The setpoints; a stop is added where the last one does not end at rest.
-    accel_limit : float
-        Largest tread acceleration [m/s^2].
-
-    Returns
-    -------
-    Schedule
-        The speeds over time.
-
-    Raises
-    ------
-    InvalidInputError
-        If the setpoints take no time.
-    """
+    """Join setpoints from rest to rest."""
     here, corners = Setpoint(0.0, 0.0), [(0.0, 0.0, 0.0)]
     for setpoint in [*setpoints, Setpoint(0.0, 0.0)]:
         for step in (_ramp(here, setpoint, accel_limit), setpoint.hold):

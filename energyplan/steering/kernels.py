@@ -36,19 +36,11 @@ HALF_PI = 0.5 * math.pi
 
 
 class Between(NamedTuple):
-    """Two poses, seen from the middle of their headings.
+    """Two poses, seen from the middle of their headings."""
 
-    Attributes
-    ----------
-    x, y : float
-        Displacement of the point midway between the tread ICRs, in half slip tracks.
-    turn : float
-        Turn to the left [rad], in [0, 2 pi).
-    """
-
-    x: float
-    y: float
-    turn: float
+    x: float  # displacement of the point midway between the tread ICRs, in half slip tracks
+    y: float  # displacement of the point midway between the tread ICRs, in half slip tracks
+    turn: float  # turn to the left [rad], in [0, 2 pi)
 
 
 @inner
@@ -265,20 +257,7 @@ def chord_factor(dtheta: float) -> float:
 
 @inner
 def arc_end(pose: Pose, ds: float, dtheta: float) -> Pose:
-    """Return where the motion ends that turns by `dtheta` over the arc length `ds`.
-
-    Parameters
-    ----------
-    pose : Pose
-        Where it starts. The arc is that of the point whose position the pose is.
-    ds, dtheta : float
-        Signed arc length [m] and signed turn [rad].
-
-    Returns
-    -------
-    Pose
-        The end; the yaw is the sum of the turns, not wrapped.
-    """
+    """Return where the motion ends that turns by `dtheta` over the arc length `ds`."""
     middle = pose.yaw + 0.5 * dtheta
     chord = ds * chord_factor(dtheta)
     return Pose(pose.x + chord * cos(middle), pose.y + chord * sin(middle), pose.yaw + dtheta)

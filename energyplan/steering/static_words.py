@@ -42,27 +42,15 @@ B_ZERO_OUT = 12
 
 
 class Word(NamedTuple):
-    """A word that reaches the displacement.
+    """A word that reaches the displacement."""
 
-    Attributes
-    ----------
-    cost : float
-        Its cost.
-    code : int
-        Which word it is; -1 for none.
-    sx, sy : float
-        Signs by which the displacement was flipped before the word was fitted.
-    q1, q2, q3 : float
-        The word's numbers: headings and lengths.
-    """
-
-    cost: float
-    code: int
-    sx: float
-    sy: float
-    q1: float
-    q2: float
-    q3: float
+    cost: float  # its cost
+    code: int  # which word it is
+    sx: float  # signs by which the displacement was flipped before the word was fitted
+    sy: float  # signs by which the displacement was flipped before the word was fitted
+    q1: float  # the word's numbers
+    q2: float  # the word's numbers
+    q3: float  # the word's numbers
 
 
 @inner
@@ -101,24 +89,7 @@ def free(x: float, y: float, eta: float) -> bool:
 
 @inner
 def best_word(x: float, y: float, eta: float, c: float, bound: float) -> Word:
-    """Return the cheapest word for one sweep.
-
-    Parameters
-    ----------
-    x, y : float
-        Displacement in the frame of the middle heading.
-    eta : float
-        Half the sweep, in [0, pi].
-    c : float
-        Cost of turning through a radian over that of driving the unit of length; positive.
-    bound : float
-        Words at this cost or above are of no interest.
-
-    Returns
-    -------
-    Word
-        Its code is -1 where no word costs less than `bound`.
-    """
+    """Return the cheapest word for one sweep."""
     base = 2.0 * (1.0 + c) * eta
     best, code, bx, by, q1, q2, q3 = bound, -1, 1.0, 1.0, 0.0, 0.0, 0.0
     if base >= best:

@@ -80,13 +80,7 @@ class Comparison(html.Readable):
 
 
 class Spent(NamedTuple):
-    """Energy [J], whole and by term of the power model.
-
-    Examples
-    --------
-    >>> Spent(720.0, {"traction_resistance": 720.0}).energy
-    720.0
-    """
+    """Energy [J], whole and by term of the power model."""
 
     energy: float
     by_term: Mapping[str, float]
@@ -190,14 +184,7 @@ def compare(
 
 
 class Along(NamedTuple):
-    """Distance travelled [m] and energy since the start [J] at places (n, 3) along a path.
-
-    Examples
-    --------
-    >>> along = Along(np.array([0.0, 2.0]), np.array([0.0, 400.0]), np.zeros((2, 3)))
-    >>> float(np.interp(1.5, along.metres, along.joules))
-    300.0
-    """
+    """Distance travelled [m] and energy since the start [J] at places (n, 3) along a path."""
 
     metres: FloatArray
     joules: FloatArray
@@ -205,18 +192,7 @@ class Along(NamedTuple):
 
 
 def energy_along(path: Path, problem: PlanningProblem) -> Along:
-    """Return the energy along a path, on the problem's ground; it ends with the path's own.
-
-    Examples
-    --------
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> cost = ep.EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
-    >>> problem = PlanningProblem(hall, cost, start=(1, 2, 0), goal=(4, 2, 0))
-    >>> along = energy_along(Path(problem.start, ds=[3.0], dtheta=[0.0]), problem)
-    >>> round(float(along.metres[-1]), 6), round(float(along.joules[-1]), 6)
-    (3.0, 600.0)
-    """
+    """Return the energy along a path, on the problem's ground; it ends with the path's own."""
     terrain = problem.terrain
     if terrain.heights is None:
         path = path.subdivide(0.1, 0.1)

@@ -27,34 +27,16 @@ FARTHEST = 2.5
 
 
 class Primitive(NamedTuple):
-    """A motion from the middle of cell (0, 0).
+    """A motion from the middle of cell (0, 0)."""
 
-    Attributes
-    ----------
-    start, end : int
-        Numbers of the headings at its ends.
-    before, arc, after : float
-        Lengths of the straight piece, the arc and the second straight piece [m].
-    turn : float
-        Turn, positive to the left [rad].
-    column, row : int
-        The cell that it ends in.
-
-    Examples
-    --------
-    >>> arc = Primitive(0, 4, 0.1, np.pi / 4, 0.0, np.pi / 2, 6, 5)
-    >>> arc.radius, arc.motions.round(2).tolist()
-    (0.5, [[0.1, 0.0], [0.79, 1.57]])
-    """
-
-    start: int
-    end: int
-    before: float
-    arc: float
-    after: float
-    turn: float
-    column: int
-    row: int
+    start: int  # numbers of the headings at its ends
+    end: int  # numbers of the headings at its ends
+    before: float  # lengths of the straight piece, the arc and the second straight piece [m]
+    arc: float  # lengths of the straight piece, the arc and the second straight piece [m]
+    after: float  # lengths of the straight piece, the arc and the second straight piece [m]
+    turn: float  # turn, positive to the left [rad]
+    column: int  # the cell that it ends in
+    row: int  # the cell that it ends in
 
     @property
     def length(self) -> float:
@@ -75,61 +57,21 @@ class Primitive(NamedTuple):
 
 @dataclass(frozen=True)
 class ControlSet:
-    """The primitives of a state lattice.
+    """The primitives of a state lattice."""
 
-    Parameters
-    ----------
-    resolution : float
-        Size of a cell [m].
-    radius : float
-        Smallest radius of arcs [m].
-    headings : tuple of float
-        The headings, ascending from 0 [rad].
-    primitives : tuple of Primitive
-        The primitives, by their first heading.
-
-    Examples
-    --------
-    >>> from energyplan.power import PowerModel
-    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
-    >>> controls = control_set(cost, resolution=0.1, headings=8)
-    >>> controls.radius, len(controls.headings), controls.primitives[0].length
-    (0.47, 8, 0.1)
-    """
-
-    resolution: float
-    radius: float
-    headings: tuple[float, ...]
-    primitives: tuple[Primitive, ...]
+    resolution: float  # size of a cell [m]
+    radius: float  # smallest radius of arcs [m]
+    headings: tuple[float, ...]  # the headings, ascending from 0 [rad]
+    primitives: tuple[Primitive, ...]  # the primitives, by their first heading
 
 
 class Penalties(NamedTuple):
-    """Parameters of SmacPlannerLattice that say what a motion costs.
+    """Parameters of SmacPlannerLattice that say what a motion costs."""
 
-    Attributes
-    ----------
-    non_straight : float
-        Factor of primitives with an arc.
-    change : float
-        What is added to it where the turning direction changes.
-    reverse : float
-        Factor of primitives driven backwards.
-    rotation : float
-        Cost of turning on the spot by one heading [cells].
-    error : float
-        Root mean square by which the cost of a primitive misses its energy, over the energy.
-
-    Examples
-    --------
-    >>> dear = USUAL._replace(non_straight=2.0)
-    >>> dear.non_straight, dear.reverse
-    (2.0, 2.0)
-    """
-
-    non_straight: float
-    change: float
-    reverse: float
-    rotation: float
+    non_straight: float  # factor of primitives with an arc
+    change: float  # what is added to it where the turning direction changes
+    reverse: float  # factor of primitives driven backwards
+    rotation: float  # cost of turning on the spot by one heading [cells]
     error: float
 
 
@@ -145,19 +87,7 @@ MOST_CELLS = 1000
 
 
 def headings_of(count: int) -> tuple[FloatArray, tuple[tuple[int, int], ...]]:
-    """Return the headings of a lattice [rad], and for each the cell that it leads to.
-
-    Raises
-    ------
-    InvalidInputError
-        If the number is no multiple of 8, or above `MOST_HEADINGS`.
-
-    Examples
-    --------
-    >>> angles, cells = headings_of(16)
-    >>> angles[:3].round(3).tolist(), cells[:3]
-    ([0.0, 0.464, 0.785], ((1, 0), (2, 1), (1, 1)))
-    """
+    """Return the headings of a lattice [rad], and for each the cell that it leads to."""
     if count % 8 or not 8 <= count <= MOST_HEADINGS:
         raise InvalidInputError(
             f"a lattice of {count} headings; give a multiple of 8, up to {MOST_HEADINGS}"
@@ -178,38 +108,8 @@ def control_set(
 ) -> ControlSet:
     """Return a control set: of the primitives between two headings, the one of least energy.
 
-    Parameters
-    ----------
-    cost : EnergyCost
-        What motions cost.
-    resolution : float
-        Size of a cell [m]: that of the costmap.
-    headings : int
-        Number of headings, a multiple of 8.
-    radius : float, optional
-        Smallest radius of arcs [m]; half the slip track, the radius of a pivot, if left out.
-
-    Returns
-    -------
-    ControlSet
-        The primitives.
-
-    Raises
-    ------
-    InvalidInputError
-        If a number is out of range, or cells are so large that no arc fits between headings.
-
-    Examples
-    --------
-    >>> from energyplan.power import PowerModel
-    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
-    >>> controls = control_set(cost, resolution=0.1)
-    >>> min(p.radius for p in controls.primitives if p.arc > 0) >= controls.radius - 1e-9
-    True
-
-    References
-    ----------
-    Pivtoraiko and Kelly (2005), control sets of state lattices; here one primitive for each turn.
+    Source: Pivtoraiko and Kelly (2005), control sets of state lattices; here one primitive for
+    each turn.
     """
     least = cost.half_track if radius is None else radius
     if not (0 < resolution < np.inf and 0 < least < np.inf):
@@ -282,15 +182,7 @@ def _least_arc(
 
 
 def primitive_energy(cost: EnergyCost, primitive: Primitive, gear: int = 1) -> float:
-    """Return what a primitive takes [J], driven forwards (1) or backwards (-1).
-
-    Examples
-    --------
-    >>> cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
-    >>> cell = Primitive(0, 0, 0.1, 0.0, 0.0, 0.0, 1, 0)
-    >>> round(primitive_energy(cost, cell), 6)
-    20.0
-    """
+    """Return what a primitive takes [J], driven forwards (1) or backwards (-1)."""
     ds, turn = primitive.motions.T
     return float(np.sum(cost.segment_energy(gear * ds, turn)))
 
@@ -300,14 +192,6 @@ def penalties(controls: ControlSet, cost: EnergyCost) -> Penalties:
 
     A cell straight ahead is the unit. The factors fit the energies of the primitives by least
     squares, and none is below what SmacPlannerLattice takes: 1 for factors.
-
-    Examples
-    --------
-    >>> from energyplan.power import PowerModel
-    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
-    >>> found = penalties(control_set(cost, resolution=0.1), cost)
-    >>> round(found.reverse, 6), found.non_straight > USUAL.non_straight
-    (1.0, True)
     """
     unit = float(cost.segment_energy(1.0, 0.0)) * controls.resolution
     cells = np.array([p.length for p in controls.primitives]) / controls.resolution

@@ -27,27 +27,11 @@ STEP = 0.01
 
 @dataclass(frozen=True, eq=False)
 class UpperPrices:
-    """Prices that motions exceed with a small probability only.
+    """Prices that motions exceed with a small probability only."""
 
-    Attributes
-    ----------
-    extra : ndarray, shape (classes * slopes, rays)
-        What is added to the mean price of each ray.
-    noise : float
-        Variance that each joule of price brings along on top, independent of all else [J].
-    quantile : float
-        Standard deviations that are added.
-
-    Examples
-    --------
-    >>> prices = UpperPrices(np.zeros((1, 4)), noise=4.0, quantile=2.0)
-    >>> prices.whole(np.array([100.0])).tolist()  # two deviations, of 20 J each, more
-    [140.0]
-    """
-
-    extra: FloatArray
-    noise: float
-    quantile: float
+    extra: FloatArray  # (classes * slopes, rays): what is added to the mean price of each ray
+    noise: float  # [J]
+    quantile: float  # standard deviations that are added
 
     def whole(self, priced: FloatArray) -> FloatArray:
         """Return what whole paths take at most, given the sum of their prices [J]."""
@@ -57,37 +41,7 @@ class UpperPrices:
 
 
 def upper_prices(query: CompiledProblem, confidence: float, spread: float) -> UpperPrices:
-    """Return prices that bound the energy of paths with a probability.
-
-    Parameters
-    ----------
-    query : CompiledProblem
-        The problem, whose objective is energy.
-    confidence : float
-        The probability, from 0.5 to below 1.
-    spread : float
-        Relative standard deviation of each coefficient from day to day.
-
-    Returns
-    -------
-    UpperPrices
-        The prices.
-
-    Raises
-    ------
-    InvalidInputError
-        If the numbers are out of range, or the uncertainty of a model is not known.
-
-    Examples
-    --------
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> cost = EnergyCost(ep.PowerModel.preset("quadriga:empty:concrete"))
-    >>> problem = ep.PlanningProblem(hall, cost, start=(1, 2, 0), goal=(4, 2, 0))
-    >>> prices = upper_prices(CompiledProblem(problem), confidence=0.95, spread=0.1)
-    >>> round(prices.quantile, 3), bool(np.all(prices.extra > 0.0))
-    (1.645, True)
-    """
+    """Return prices that bound the energy of paths with a probability."""
     if not 0.5 <= confidence < 1.0:
         raise InvalidInputError(f"the confidence is {confidence}; give a part from 0.5 to below 1")
     if not 0.0 <= spread < 1.0:
@@ -129,47 +83,12 @@ def upper_prices(query: CompiledProblem, confidence: float, spread: float) -> Up
 
 
 def energy_of_charge(cost: EnergyCost, battery: Battery, soc: float = 1.0) -> float:
-    """Return what a charge delivers at the power of the most expensive motion [J].
-
-    Parameters
-    ----------
-    cost : EnergyCost
-        The cost of motion.
-    battery : Battery
-        The battery.
-    soc : float
-        Its state of charge.
-
-    Raises
-    ------
-    InvalidInputError
-        If nothing limits the speed.
-
-    Examples
-    --------
-    >>> from energyplan.power import PowerModel
-    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
-    >>> battery = Battery.preset("quadriga")
-    >>> energy_of_charge(cost, battery, 0.5) < energy_of_charge(cost, battery)
-    True
-    """
+    """Return what a charge delivers at the power of the most expensive motion [J]."""
     return float(battery.usable_energy(most_power(cost), soc))
 
 
 def most_power(cost: EnergyCost) -> float:
-    """Return the largest power that steady motion on level ground takes [W].
-
-    Raises
-    ------
-    InvalidInputError
-        If nothing limits the speed.
-
-    Examples
-    --------
-    >>> from energyplan.power import PowerModel
-    >>> round(most_power(EnergyCost(PowerModel.preset("quadriga:empty:concrete"))))
-    694
-    """
+    """Return the largest power that steady motion on level ground takes [W]."""
     angle = np.linspace(0.0, 2.0 * np.pi, 65)
     ds, dtheta = np.cos(angle), np.sin(angle) / cost.half_track
     return float(np.max(cost.segment_energy(ds, dtheta) / cost.segment_duration(ds, dtheta)))

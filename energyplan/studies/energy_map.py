@@ -35,24 +35,10 @@ STRIDE = 20_000
 
 
 class Contour(NamedTuple):
-    """The places that an energy leads to.
+    """The places that an energy leads to."""
 
-    Attributes
-    ----------
-    energy : float
-        The energy [J].
-    area : shapely.MultiPolygon
-        The places, in the world [m].
-
-    Examples
-    --------
-    >>> from shapely import MultiPolygon, box
-    >>> Contour(5000.0, MultiPolygon([box(0, 0, 4, 3)])).area.area  # [m^2]
-    12.0
-    """
-
-    energy: float
-    area: shapely.MultiPolygon
+    energy: float  # the energy [J]
+    area: shapely.MultiPolygon  # the places, in the world [m]
 
 
 @dataclass(frozen=True, eq=False)

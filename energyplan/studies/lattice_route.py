@@ -32,15 +32,7 @@ class _Motions(NamedTuple):
 
 
 class Lattice:
-    """The state lattice of a map.
-
-    Parameters
-    ----------
-    problem : PlanningProblem
-        Map, vehicle and clearance; its start and goal do not matter.
-    controls : ControlSet
-        The primitives. Their cells lie from the map's corner on and need not be those of the map.
-    """
+    """The state lattice of a map."""
 
     def __init__(self, problem: PlanningProblem, controls: ControlSet) -> None:
         self.problem, self.controls = problem, controls
@@ -150,27 +142,7 @@ class Lattice:
         return Pose(*self._poses(self._middle[row, column][None], yaw)[0].tolist())
 
     def routes(self, start: ArrayLike, goals: ArrayLike, penalties: Penalties) -> list[Path]:
-        """Return the routes of least cost from a pose to others, all taken to the lattice's own.
-
-        Parameters
-        ----------
-        start : array_like, shape (3,)
-            Where from: x, y [m], yaw [rad].
-        goals : array_like, shape (n, 3)
-            Where to.
-        penalties : Penalties
-            What motions cost.
-
-        Returns
-        -------
-        list of Path
-            The routes, as they are driven.
-
-        Raises
-        ------
-        NoPathError
-            If no route of primitives leads to a goal.
-        """
+        """Return the routes of least cost from a pose to others, all taken to the lattice's own."""
         graph = self._graph(penalties)
         first = self._state(as_pose(start, "the start"))
         _, all_before = csgraph.dijkstra(graph, indices=[first], return_predecessors=True)

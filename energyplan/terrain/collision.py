@@ -44,30 +44,16 @@ _STRAIGHT = 1e-6
 
 
 class Space(NamedTuple):
-    """An occupancy grid as the kernels see it.
+    """An occupancy grid as the kernels see it."""
 
-    Attributes
-    ----------
-    next_blocked : ndarray of int32, shape (rows, columns + 1)
-        Column of the first blocked cell at or after each column; ``columns`` where there is none.
-    clearance : ndarray of float32, shape (rows, columns)
-        Distance from each cell's centre to the nearest blocked cell or map edge [cells].
-    x, y, yaw : float
-        Pose of the corner of cell (0, 0) in the world [m], [rad].
-    cos, sin : float
-        Cosine and sine of `yaw`.
-    resolution : float
-        Size of a cell [m].
-    """
-
-    next_blocked: ShortIntTable
-    clearance: SingleTable
-    x: float
-    y: float
-    yaw: float
-    cos: float
-    sin: float
-    resolution: float
+    next_blocked: ShortIntTable  # column of the first blocked cell at or after each column
+    clearance: SingleTable  # (rows, columns) [cells]
+    x: float  # pose of the corner of cell (0, 0) in the world [m], [rad]
+    y: float  # pose of the corner of cell (0, 0) in the world [m], [rad]
+    yaw: float  # pose of the corner of cell (0, 0) in the world [m], [rad]
+    cos: float  # cosine and sine of `yaw`
+    sin: float  # cosine and sine of `yaw`
+    resolution: float  # size of a cell [m]
 
 
 class Body(NamedTuple):
@@ -255,25 +241,7 @@ def motion_free(
     dtheta: float,
     longitudinal: float,
 ) -> bool:
-    """Tell whether the body stays free along a motion of constant curvature.
-
-    Parameters
-    ----------
-    space, body
-        Grid and footprint.
-    x, y, yaw : float
-        Pose of the body frame where the motion starts [m], [rad].
-    ds, dtheta : float
-        Signed arc length of the reference point [m] and signed turn [rad].
-    longitudinal : float
-        x coordinate of the reference point in the body frame [m], as in `Path`.
-
-    Returns
-    -------
-    bool
-        True only if the body is free everywhere along the motion. False although it is free only
-        where a gap is narrower than `TOLERANCE` and the body turns.
-    """
+    """Tell whether the body stays free along a motion of constant curvature."""
     if abs(dtheta) <= _STRAIGHT:
         # swept as a straight line at the mean heading; no point strays further than this from it
         size = hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max))

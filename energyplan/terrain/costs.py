@@ -19,34 +19,11 @@ PIECE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class CostMap(ReadOnly):
-    """Costs of cells from 0 (none) to 1 (the highest).
+    """Costs of cells from 0 (none) to 1 (the highest)."""
 
-    Parameters
-    ----------
-    costs : array_like, shape (rows, columns)
-        Costs. Row 0 is the lowest, column 0 the leftmost. Where it says nothing, a cost is 0.
-    resolution : float
-        Size of a cell [m].
-    origin : array_like, shape (3,)
-        Pose of the outer corner of cell (0, 0) in the world: x, y [m], yaw [rad].
-
-    Raises
-    ------
-    MapError
-        If shapes or numbers are wrong.
-
-    Examples
-    --------
-    >>> layer = CostMap(np.tile([0.0, 0.5], (4, 2)), resolution=0.5)
-    >>> layer.at([(0.2, 0.2), (0.7, 0.2), (-1.0, 0.0)])
-    array([0. , 0.5, 0. ])
-    >>> float(layer.along(Path(Pose(0.0, 1.0, 0.0), ds=[2.0], dtheta=[0.0])))
-    0.5
-    """
-
-    costs: FloatArray
-    resolution: float
-    origin: Pose = ORIGIN
+    costs: FloatArray  # (rows, columns): costs
+    resolution: float  # size of a cell [m]
+    origin: Pose = ORIGIN  # (3,): pose of the outer corner of cell (0, 0) in the world
 
     def __post_init__(self) -> None:
         costs = np.array(self.costs, float)

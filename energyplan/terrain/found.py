@@ -23,37 +23,15 @@ _TILTS, _BEYOND = (TILT_X.name, TILT_Y.name), (SLIP_BEYOND.name, TRACTION_BEYOND
 
 
 class LaidGround(NamedTuple):
-    """A model without the terms of the ground, and the ground with what they said.
+    """A model without the terms of the ground, and the ground with what they said."""
 
-    Parameters
-    ----------
-    model : PowerModel
-        The model where no surface says otherwise.
-    surfaces : SurfaceMap or None
-        Grounds with models of their own.
-    heights : HeightMap or None
-        Heights of the ground.
-
-    Examples
-    --------
-    >>> level = LaidGround(PowerModel.preset("quadriga:empty:marble"), None, None)
-    >>> level.model.name
-    'quadriga:empty:marble'
-    """
-
-    model: PowerModel
-    surfaces: SurfaceMap | None
-    heights: HeightMap | None
+    model: PowerModel  # the model where no surface says otherwise
+    surfaces: SurfaceMap | None  # grounds with models of their own
+    heights: HeightMap | None  # heights of the ground
 
 
 def knows_ground(model: PowerModel) -> bool:
-    """Tell whether a model has terms of a place: a tilted plane, or another surface.
-
-    Examples
-    --------
-    >>> knows_ground(PowerModel.preset("quadriga:empty:marble"))
-    False
-    """
+    """Tell whether a model has terms of a place: a tilted plane, or another surface."""
     return any(term.name in (*_TILTS, *_BEYOND) for term in model.terms)
 
 
@@ -66,32 +44,6 @@ def laid_out(
     """Take the ground that a model knows of out of the model, as surfaces and heights.
 
     Surfaces and heights that are given say more than the model's terms, which they replace.
-
-    Parameters
-    ----------
-    model : PowerModel
-        The model, such as one that a diagnosis has corrected.
-    points : array_like, shape (n, 2)
-        Corners of the map, or places of a path, in the frame of the log that the model was found
-        from [m]. The ground reaches 2 m beyond them.
-    surfaces : SurfaceMap, optional
-        Surfaces that are known.
-    heights : HeightMap, optional
-        Heights that are known.
-
-    Returns
-    -------
-    LaidGround
-        The same model, surfaces and heights where the model knows of no ground.
-
-    Examples
-    --------
-    >>> from energyplan.power.effects import term
-    >>> level = PowerModel.preset("quadriga:empty:marble")
-    >>> tilted = level.with_term(term("tilt_x"), level.vehicle.mass * np.sin(0.05))
-    >>> ground = laid_out(tilted, [(0.0, 0.0), (6.0, 4.0)])
-    >>> ground.model.has("tilt_x"), round(float(ground.heights.slope([3.0, 2.0, 0.0])), 3)
-    (False, 0.05)
     """
     if not knows_ground(model):
         return LaidGround(model, surfaces, heights)
@@ -121,14 +73,7 @@ def laid_out(
 
 
 def on_laid_ground(model: PowerModel, ground: LaidGround) -> PowerModel:
-    """Return another model of the robot, such as one with a payload, for the same ground.
-
-    Examples
-    --------
-    >>> model = PowerModel.preset("quadriga:empty:marble")
-    >>> on_laid_ground(model, LaidGround(model, None, None)).terms == model.terms
-    True
-    """
+    """Return another model of the robot, such as one with a payload, for the same ground."""
     plain = _without(model, {*_TILTS, *_BEYOND})
     return plain if ground.heights is None else with_weight(plain)
 

@@ -41,33 +41,11 @@ def _area(geometry: BaseGeometry, name: str) -> BaseGeometry:
 
 @dataclass(frozen=True)
 class Surface:
-    """A ground: where it lies and what driving on it costs.
+    """A ground: where it lies and what driving on it costs."""
 
-    Parameters
-    ----------
-    area : shapely Polygon or MultiPolygon
-        Where it lies, in the world [m].
-    model : PowerModel
-        Power of driving there.
-    name : str
-        What to call it.
-
-    Raises
-    ------
-    MapError
-        If the area is not a valid polygon.
-
-    Examples
-    --------
-    >>> from shapely import box
-    >>> marble = Surface(box(1, -1, 9, 1), PowerModel.preset("quadriga:empty:marble"), "marble")
-    >>> marble.name, marble.area.area
-    ('marble', 16.0)
-    """
-
-    area: BaseGeometry
-    model: PowerModel
-    name: str = ""
+    area: BaseGeometry  # where it lies, in the world [m]
+    model: PowerModel  # power of driving there
+    name: str = ""  # what to call it
 
     def __post_init__(self) -> None:
         check_fields(self, MapError, f"surface {self.name!r}: ")
@@ -272,18 +250,7 @@ class SurfaceMap:
 
 
 def with_weights(surfaces: SurfaceMap) -> SurfaceMap:
-    """Return surfaces whose models hold their vehicle's weight; see `effects.with_weight`.
-
-    Examples
-    --------
-    >>> from shapely import box
-    >>> from energyplan.power import PowerModel
-    >>> from energyplan.terrain import Surface, SurfaceMap
-    >>> marble = Surface(box(0, 0, 1, 1), PowerModel.preset("quadriga:empty:marble"), "marble")
-    >>> [surface] = with_weights(SurfaceMap((marble,))).surfaces
-    >>> "grade" in [term.name for term in surface.model.terms]
-    True
-    """
+    """Return surfaces whose models hold their vehicle's weight; see `effects.with_weight`."""
     heavy = (replace(s, model=with_weight(s.model)) for s in surfaces.surfaces)
     return replace(surfaces, surfaces=tuple(heavy))
 

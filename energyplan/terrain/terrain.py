@@ -35,59 +35,19 @@ FLAT = SurfaceMap(())
 
 
 class Piece(NamedTuple):
-    """What is driven at one cost.
+    """What is driven at one cost."""
 
-    Attributes
-    ----------
-    cost : EnergyCost
-        The cost.
-    path : Path
-        Segments at their length on the slope; where surfaces divide the way, they do not join.
-    slope : ndarray, shape (n,)
-        Slope along the heading of each segment [rad].
-
-    Examples
-    --------
-    >>> from energyplan.cost import EnergyCost
-    >>> from energyplan.path import Path, Pose
-    >>> from energyplan.power import PowerModel
-    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
-    >>> [piece] = path_pieces(Path(Pose(0, 0, 0), ds=[3.0], dtheta=[0.0]), cost)
-    >>> piece.path.length, piece.slope.tolist()
-    (3.0, [0.0])
-    """
-
-    cost: EnergyCost
-    path: Path
-    slope: FloatArray
+    cost: EnergyCost  # the cost
+    path: Path  # segments at their length on the slope
+    slope: FloatArray  # (n,): slope along the heading of each segment [rad]
 
 
 class PathPrice(NamedTuple):
-    """What a path costs.
+    """What a path costs."""
 
-    Attributes
-    ----------
-    energy : float
-        Energy, priced by the models themselves [J]; negative where more comes back than it takes.
-    by_term : mapping of str to float
-        The same by term of the power models [J].
-    duration : float
-        Time at the speeds of the costs [s]; NaN where a vehicle has no speed limit.
-
-    Examples
-    --------
-    >>> from energyplan.cost import EnergyCost
-    >>> from energyplan.path import Path, Pose
-    >>> from energyplan.power import PowerModel
-    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
-    >>> price = path_price(Path(Pose(0, 0, 0), ds=[3.0], dtheta=[0.0]), cost)
-    >>> round(price.energy), sorted(price.by_term)
-    (678, ['slip_friction', 'traction_resistance'])
-    """
-
-    energy: float
-    by_term: Mapping[str, float]
-    duration: float
+    energy: float  # energy, priced by the models themselves [J]
+    by_term: Mapping[str, float]  # the same by term of the power models [J]
+    duration: float  # time at the speeds of the costs [s]
 
 
 def path_pieces(
@@ -101,40 +61,6 @@ def path_pieces(
     On slopes the path is cut into pieces, each on the mean slope along it. Lengths are those on the
     slope, longer than in plan view; turns are those in plan view. The energy of an arc depends on
     its size and curvature alone, so the parts of a segment need not join.
-
-    Parameters
-    ----------
-    path : Path
-        The path, in plan view.
-    cost : EnergyCost
-        Cost of motions outside the surfaces.
-    surfaces : SurfaceMap, optional
-        Grounds with power models of their own.
-    heights : HeightMap, optional
-        Heights of the ground where it slopes.
-
-    Returns
-    -------
-    tuple of Piece
-        What is driven at each cost.
-
-    Raises
-    ------
-    MapError
-        If the path leaves the heights.
-
-    Examples
-    --------
-    >>> from shapely import box
-    >>> from energyplan.path import Pose
-    >>> from energyplan.power import PowerModel
-    >>> from energyplan.terrain import Surface, SurfaceMap
-    >>> concrete = PowerModel.preset("quadriga:empty:concrete")
-    >>> marble = PowerModel.preset("quadriga:empty:marble")
-    >>> surfaces = SurfaceMap((Surface(box(1, -1, 9, 1), marble, "marble"),))
-    >>> way = Path(Pose(0, 0, 0), ds=[3.0], dtheta=[0.0])
-    >>> [round(p.path.length, 2) for p in path_pieces(way, EnergyCost(concrete), surfaces)]
-    [1.0, 2.0]
     """
     cut = path if heights is None else heights.cut(path)
     slope = np.zeros(len(cut)) if heights is None else heights.slopes(cut)
@@ -154,39 +80,7 @@ def path_price(
     surfaces: SurfaceMap | None = None,
     heights: HeightMap | None = None,
 ) -> PathPrice:
-    """Return what a path costs on surfaces and slopes.
-
-    Parameters
-    ----------
-    path : Path
-        The path, in plan view.
-    cost : EnergyCost
-        Cost of motions outside the surfaces. Where the ground slopes its model needs a term that
-        reads the slope, such as the grade, for the robot's weight to matter.
-    surfaces : SurfaceMap, optional
-        Grounds with power models of their own.
-    heights : HeightMap, optional
-        Heights of the ground where it slopes.
-
-    Returns
-    -------
-    PathPrice
-        Energy, its parts by term, and the time.
-
-    Raises
-    ------
-    MapError
-        If the path leaves the heights.
-
-    Examples
-    --------
-    >>> from energyplan.path import Pose
-    >>> from energyplan.power import PowerModel
-    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
-    >>> corner = Path(Pose(0, 0, 0), ds=[2.0, 0.0, 2.0], dtheta=[0.0, 1.57, 0.0])
-    >>> round(path_price(corner, cost).energy)
-    1331
-    """
+    """Return what a path costs on surfaces and slopes."""
     pieces = path_pieces(path, cost, surfaces, heights)
     timed = all(p.cost.speed is not None or p.cost.vehicle.motor.speed < np.inf for p in pieces)
     by_term: dict[str, float] = {}

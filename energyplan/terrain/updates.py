@@ -44,21 +44,9 @@ def _column_distance(blocked: Annotated[NDArray[np.bool_], 2, READONLY]) -> Floa
 def distance_to_blocked(blocked: Annotated[NDArray[np.bool_], 2, READONLY]) -> SingleTable:
     """Return the distance from each cell's centre to a blocked cell or the map's edge [cells].
 
-    Parameters
-    ----------
-    blocked : ndarray of bool, shape (rows, columns)
-        The blocked cells.
-
-    Returns
-    -------
-    ndarray of float32, shape (rows, columns)
-        Distances, exact to rounding; 0 in blocked cells.
-
-    References
-    ----------
-    Felzenszwalb and Huttenlocher (2012), Theory of Computing 8, 415 to 428: the lower envelope
-    of parabolas. Here they stand on the sides between columns, because the nearest point of a
-    blocked cell in another column lies on the side that faces us.
+    Source: Felzenszwalb and Huttenlocher (2012), Theory of Computing 8, 415 to 428: the lower
+    envelope of parabolas. Here they stand on the sides between columns, because the nearest
+    point of a blocked cell in another column lies on the side that faces us.
     """
     rows, columns = blocked.shape
     vertical = _column_distance(blocked)
@@ -164,13 +152,7 @@ def window_of(mask: NDArray[np.bool_], row: int = 0, column: int = 0) -> Window 
 def place_of_patch(
     patch: tuple[int, ...], shape: tuple[int, int], row: int, column: int
 ) -> tuple[slice, slice]:
-    """Return the rows and columns of a map that a patch stands for, given the shapes of both.
-
-    Raises
-    ------
-    MapError
-        If it does not lie on the map.
-    """
+    """Return the rows and columns of a map that a patch stands for, given the shapes of both."""
     (rows, columns), (height, width) = shape, patch
     if not (0 <= row <= rows - height and 0 <= column <= columns - width):
         raise MapError(
@@ -204,23 +186,7 @@ class Tables:
         make: Callable[[], Made],
         update: Callable[[Made, Window], Made] | None = None,
     ) -> Made:
-        """Return a table: the one that is kept, a former one brought up to date, or a new one.
-
-        Parameters
-        ----------
-        key : hashable
-            What tells the table from all others: who makes it, and from what.
-        make : callable
-            Makes it from nothing.
-        update : callable, optional
-            Makes it from the table of an earlier map, which differs from this one within a window
-            only. It must not change that table, and the result must be what `make` would return.
-
-        Returns
-        -------
-        object
-            The table.
-        """
+        """Return a table: the one that is kept, a former one brought up to date, or a new one."""
         if key not in self.made:
             old = self.former.pop(key, None)
             keep = old is not None and update is not None
@@ -269,22 +235,7 @@ def new_space(
 
 
 def updated_space(space: Space, blocked: NDArray[np.bool_], window: Window | None) -> Space:
-    """Return the space of a map whose blocked cells differ within a window.
-
-    Parameters
-    ----------
-    space : Space
-        The space before.
-    blocked : ndarray of bool, shape (rows, columns)
-        The blocked cells now.
-    window : Window or None
-        Where they differ; None if nowhere.
-
-    Returns
-    -------
-    Space
-        What would be made anew of the blocked cells. Tables of the former space are at hand for it.
-    """
+    """Return the space of a map whose blocked cells differ within a window."""
     following, clearance = space.next_blocked.copy(), space.clearance.copy()
     if window is not None:
         rows = slice(window.first_row, window.end_row)

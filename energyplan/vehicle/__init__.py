@@ -95,30 +95,6 @@ def wheel_loads(
     With more than three wheels the loads are statically indeterminate. The chassis is taken as
     rigid on equal springs, so that the load is an affine function of the contact's position:
     the solution of force and moment balance with the least sum of squares.
-
-    Parameters
-    ----------
-    contacts : array_like, shape (n, 2)
-        Contact points, x forward and y left [m].
-    mass : float
-        Mass of the vehicle [kg].
-    cog : array_like, shape (2,)
-        Centre of gravity in the same frame [m].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Loads [N].
-
-    Raises
-    ------
-    VehicleError
-        If the contacts do not carry the centre of gravity, so that a wheel would lift off.
-
-    Examples
-    --------
-    >>> wheel_loads([(1, 1), (-1, 1), (1, -1), (-1, -1)], mass=4.0).round(2)
-    array([9.81, 9.81, 9.81, 9.81])
     """
     points = numbers(contacts, "contacts", VehicleError, last=2, words="x, y [m]")
     centre = numbers(cog, "cog", VehicleError, last=2, words="x, y [m]")

@@ -83,23 +83,6 @@ def predict_icr(wheelbase: float, track: float) -> float:
     Moment balance of a steady spin with equal point loads and isotropic Coulomb friction:
     ``C = a_x + a_y^2 / a_x`` with half track ``a_x`` and half wheelbase ``a_y``.
 
-    Parameters
-    ----------
-    wheelbase, track : float
-        Distance between front and rear, and between left and right contacts [m].
-
-    Returns
-    -------
-    float
-        Lateral offset of each tread's ICR [m].
-
-    References
-    ----------
-    docs/theory, section 1.
-
-    Examples
-    --------
-    >>> round(predict_icr(0.475, 0.5), 4)
-    0.4756
+    Source: docs/theory, section 1.
     """
     return track / 2 + (wheelbase / 2) ** 2 / (track / 2)

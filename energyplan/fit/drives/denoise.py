@@ -34,38 +34,15 @@ _STEADY = 0.25  # of a step, by which a steady state changes at most
 
 @dataclass(frozen=True)
 class Turning:
-    """How a robot turns, by another sensor than its wheels.
+    """How a robot turns, by another sensor than its wheels."""
 
-    Parameters
-    ----------
-    difference : ndarray, shape (n,)
-        The difference of the tread speeds that it stands for, free of its offset [m/s].
-    noise : float
-        Standard deviation of the white noise of a sample [m/s].
-    offset_error : float
-        Standard error of the offset that was taken off [m/s].
-    """
-
-    difference: FloatArray
-    noise: float
-    offset_error: float
+    difference: FloatArray  # (n,) [m/s]
+    noise: float  # standard deviation of the white noise of a sample [m/s]
+    offset_error: float  # standard error of the offset that was taken off [m/s]
 
     @classmethod
     def of(cls, rate: FloatArray, motion: Motion) -> Turning | None:
-        """Compare a yaw rate with the wheels.
-
-        Parameters
-        ----------
-        rate : ndarray, shape (n,)
-            Yaw rate of a gyroscope, or slope of a heading [rad/s].
-        motion : Motion, shape (n,)
-            As measured.
-
-        Returns
-        -------
-        Turning or None
-            None where both do not go together, as of a sensor in another unit or at another time.
-        """
+        """Compare a yaw rate with the wheels."""
         seen = motion.icr.slip_track * rate
         wheels = motion.v_right - motion.v_left
         if np.std(seen) == 0.0 or np.std(wheels) == 0.0:
@@ -81,20 +58,7 @@ class Turning:
 
 
 def turning(motion: Motion, t: FloatArray) -> Turning | None:
-    """Return what tells best how a robot turns beside its wheels: a gyroscope, or a heading.
-
-    Parameters
-    ----------
-    motion : Motion, shape (n,)
-        As measured; of its channels ``yaw_rate`` [rad/s] and ``yaw`` [rad] are read.
-    t : ndarray, shape (n,)
-        Time [s].
-
-    Returns
-    -------
-    Turning or None
-        None where no sensor tells it.
-    """
+    """Return what tells best how a robot turns beside its wheels: a gyroscope, or a heading."""
     rates = []
     if len(t) < _SHORTEST:
         return None
@@ -115,18 +79,6 @@ def quiet(motion: Motion, t: FloatArray) -> Motion:
     stays within the noise: the friction of a slight turn is that of a sharp one, so that it matters
     which way the robot turned, however little. Where a gyroscope or a heading tells slight turns
     better than the wheels do, it decides. Without noise only creep at rest is taken out.
-
-    Parameters
-    ----------
-    motion : Motion, shape (n,)
-        As measured.
-    t : ndarray, shape (n,)
-        Time [s].
-
-    Returns
-    -------
-    Motion
-        The same channels with cleaned tread speeds.
     """
     left, right = np.array(motion.v_left), np.array(motion.v_right)
     other = turning(motion, t)
@@ -248,41 +200,16 @@ def _turn(
 
 @dataclass(frozen=True)
 class Steps:
-    """Steps of a sensor.
+    """Steps of a sensor."""
 
-    Parameters
-    ----------
-    size : float
-        Between neighbouring readings; zero of a sensor without steps.
-    error : float
-        Standard deviation, over steady states, of the mean of readings of one.
-    """
-
-    size: float = 0.0
-    error: float = 0.0
+    size: float = 0.0  # between neighbouring readings
+    error: float = 0.0  # standard deviation, over steady states, of the mean of readings of one
 
     @classmethod
     def of(cls, values: FloatArray, expected: FloatArray | None = None) -> Steps:
         """Return the steps of readings.
 
-        Parameters
-        ----------
-        values : ndarray, shape (n,)
-            The readings.
-        expected : ndarray, shape (n,), optional
-            What a model makes of them: noise is told where that is steady. Else every change of
-            readings that are far apart in time would be taken for noise, which averages out.
-
-        Returns
-        -------
-        Steps
-            The mean reading of a value errs periodically with it: noise damps each harmonic of the
-            rounding error, as of a dithered quantiser. Readings that are all alike show no step: of
-            what a model expects, as of a power, they may be one step each.
-
-        References
-        ----------
-        Widrow and Kollar (2008), Quantization Noise, chapters 4 and 19.
+        Source: Widrow and Kollar (2008), Quantization Noise, chapters 4 and 19.
         """
         levels = np.unique(values)
         gaps = np.diff(levels)

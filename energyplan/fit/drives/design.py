@@ -29,26 +29,12 @@ _IDLE = 0.01  # share of the usual size of a block's columns below which it says
 
 @dataclass(frozen=True)
 class Design:
-    """Window means of columns and power, block by block, at every scale.
+    """Window means of columns and power, block by block, at every scale."""
 
-    Parameters
-    ----------
-    rows : tuple of ndarray, shape (w, k + 1)
-        At each scale, window means of the k columns and, last, of the power; first of the total
-        power at all scales, then of the difference of the sides where it is used.
-    blocks : tuple of ndarray of int, shape (w,)
-        At each scale, the block of each window, counted over all drives.
-    drives : ndarray of int, shape (b,)
-        Drive that each block belongs to.
-    ended : ndarray, shape (k,), optional
-        Coefficients that a fit with losses ended at, where the least squares of columns linearised
-        about them lie elsewhere and explain less.
-    """
-
-    rows: tuple[FloatArray, ...]
-    blocks: tuple[np.ndarray[tuple[int], np.dtype[np.intp]], ...]
-    drives: np.ndarray[tuple[int], np.dtype[np.intp]]
-    ended: FloatArray | None = None
+    rows: tuple[FloatArray, ...]  # (w, k + 1)
+    blocks: tuple[np.ndarray[tuple[int], np.dtype[np.intp]], ...]  # (w,)
+    drives: np.ndarray[tuple[int], np.dtype[np.intp]]  # (b,): drive that each block belongs to
+    ended: FloatArray | None = None  # (k,)
 
     @classmethod
     def of(

@@ -36,54 +36,21 @@ _MANY = 200_000  # samples that selection works on
 
 @dataclass(frozen=True)
 class Drive:
-    """A log ready for regression.
+    """A log ready for regression."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the log.
-    t : ndarray, shape (n,)
-        Time since the start [s].
-    motion : Motion, shape (n,)
-        The motion, with the channels ``accel``, ``yaw_accel`` and ``distance``.
-    power : ndarray, shape (n,)
-        Measured total power [W].
-    battery : bool
-        Whether it was measured at the battery.
-    late : Late
-        By how much the logged power is behind the motion.
-    factor : float
-        Power of this drive over that of the model: what differs from drive to drive as a whole.
-    between : ndarray, shape (n,), optional
-        Measured power of the right side less that of the left one [W], where both are used.
-    breakaway : float
-        Yaw rate up to which contacts hold [rad/s]; zero for straight lines alone.
-    drift : float
-        Yaw rate by which steering drifts about a straight [rad/s]: nothing tells which way, so that
-        contacts are taken to hold there too.
-    fitted : bool
-        Whether a model is fitted to it: only then its power may tell what contacts hold.
-    steps : Steps
-        Of the speeds' sensors.
-    hold : Hold, optional
-        Readings of the power, where they stand in several rows each.
-    fields : dict
-        What follows from the motion alone: forces of terms, kept for `field_of`, and the like.
-    """
-
-    name: str
-    t: FloatArray
-    motion: Motion
-    power: FloatArray
-    battery: bool = False
-    late: Late = ON_TIME
-    factor: float = 1.0
-    between: FloatArray | None = None
-    breakaway: float = 0.0
-    drift: float = 0.0
-    fitted: bool = False
-    steps: Steps = NO_STEPS
-    hold: Hold | None = None
+    name: str  # name of the log
+    t: FloatArray  # (n,): time since the start [s]
+    motion: Motion  # (n,): the motion, with the channels ``accel``, ``yaw_accel`` and ``distance``
+    power: FloatArray  # (n,): measured total power [W]
+    battery: bool = False  # whether it was measured at the battery
+    late: Late = ON_TIME  # by how much the logged power is behind the motion
+    factor: float = 1.0  # power of this drive over that of the model
+    between: FloatArray | None = None  # (n,) [W]
+    breakaway: float = 0.0  # yaw rate up to which contacts hold [rad/s]
+    drift: float = 0.0  # yaw rate by which steering drifts about a straight [rad/s]
+    fitted: bool = False  # whether a model is fitted to it
+    steps: Steps = NO_STEPS  # of the speeds' sensors
+    hold: Hold | None = None  # readings of the power, where they stand in several rows each
     fields: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
@@ -308,13 +275,7 @@ def parted(total: FloatArray, between: FloatArray) -> tuple[FloatArray, FloatArr
 
 
 def check_long_enough(*lists: Sequence[DriveLog]) -> None:
-    """Refuse drives too short to be cut into blocks, each or all of a list together.
-
-    Raises
-    ------
-    DriveLogError
-        If a log is shorter than half a block, or all of a list together than two.
-    """
+    """Refuse drives too short to be cut into blocks, each or all of a list together."""
     cases = [(log.name, [log], 0.5 * BLOCK) for logs in lists for log in logs]
     cases += [(", ".join(log.name for log in logs[:3]), [*logs], 2 * BLOCK) for logs in lists]
     for name, logs, least in cases:

@@ -20,21 +20,10 @@ _EACH = 4.0  # readings for each coefficient that the kinds are compared by
 
 @dataclass(frozen=True)
 class Hold:
-    """Readings that stand in several rows each.
+    """Readings that stand in several rows each."""
 
-    Parameters
-    ----------
-    starts : ndarray of int, shape (n,)
-        Row in which each row's reading stands first.
-    rows : int
-        Rows from one reading to the next.
-    mean : bool
-        Whether a reading is the mean over the time since the one before, as of a meter that counts
-        energy; else it is the power at its instant.
-    """
-
-    starts: NDArray[np.intp]
-    rows: int
+    starts: NDArray[np.intp]  # (n,): row in which each row's reading stands first
+    rows: int  # rows from one reading to the next
     mean: bool = False
 
     @cached_property
@@ -68,20 +57,6 @@ def find_hold(channels: Mapping[str, FloatArray], motion: Motion, power: FloatAr
 
     Of a sample and of a mean the one is taken that the motion explains better, at whatever delay of
     up to a period it does so best.
-
-    Parameters
-    ----------
-    channels : mapping of str to ndarray, shape (n,)
-        Channels of a log.
-    motion : Motion, shape (n,)
-        Its motion, with the channel ``accel``.
-    power : ndarray, shape (n,)
-        Total power [W].
-
-    Returns
-    -------
-    Hold or None
-        None where powers are read with every row or so, or the sides' at instants of their own.
     """
     there = [name for name in POWERS if name in channels]
     sides = [name for name in there if name.startswith("p_")]

@@ -21,18 +21,10 @@ _SHARES = (0.6, 1.0)  # of a lag, by which it is as good as a delay
 
 
 class Late(NamedTuple):
-    """How the logged power is behind the motion.
+    """How the logged power is behind the motion."""
 
-    Parameters
-    ----------
-    delay : float
-        Time after which it is logged [s].
-    lag : float
-        Time constant of a first-order lag on top of that, as of a filtering sensor [s].
-    """
-
-    delay: float = 0.0
-    lag: float = 0.0
+    delay: float = 0.0  # time after which it is logged [s]
+    lag: float = 0.0  # [s]
 
     @property
     def mean(self) -> float:
@@ -56,20 +48,7 @@ ON_TIME = Late()
 
 
 class Clock:
-    """When the samples of a log were taken, and what they show late.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Time [s].
-
-    Attributes
-    ----------
-    runs : tuple of slice
-        Stretches without a gap.
-    period : float
-        Usual time between samples [s].
-    """
+    """When the samples of a log were taken, and what they show late."""
 
     def __init__(self, t: FloatArray) -> None:
         self.t = t
@@ -131,20 +110,6 @@ def least_late(loss: Callable[[Late], float], worth: float, shortest: float) -> 
     """Return the time offsets of least loss among those near them, the least one first.
 
     A lag smears as well as it delays, and is taken where that is worth it.
-
-    Parameters
-    ----------
-    loss : callable
-        Loss at an offset.
-    worth : float
-        By how much the loss must fall for a lag.
-    shortest : float
-        Delay below which no lag is looked for [s].
-
-    Returns
-    -------
-    list of Late
-        The offsets, one at least.
     """
     losses = np.array([loss(Late(delay)) for delay in DELAYS.tolist()])
     near = np.pad(losses, 1, constant_values=np.inf)

@@ -25,20 +25,10 @@ _STEP = 1e-4
 
 @dataclass(frozen=True)
 class Linear:
-    """Power of a drive and its derivatives, as `Drive.observed` shows them.
+    """Power of a drive and its derivatives, as `Drive.observed` shows them."""
 
-    Parameters
-    ----------
-    power : ndarray, shape (n, e)
-        Predicted power of each equation [W].
-    columns : ndarray, shape (n, e, k)
-        Its derivative by each coefficient [W per unit].
-    odds : float
-        Logarithm of what it took from the likelihood that what contacts hold was not known.
-    """
-
-    power: FloatArray
-    columns: FloatArray
+    power: FloatArray  # (n, e): predicted power of each equation [W]
+    columns: FloatArray  # (n, e, k): its derivative by each coefficient [W per unit]
     odds: float = 0.0
 
 
@@ -54,26 +44,7 @@ def linearise_drive(
     values: FloatArray,
     wanted: Sequence[int] | None = None,
 ) -> Linear:
-    """Linearise the power of a drive about coefficients.
-
-    Parameters
-    ----------
-    drive : Drive
-        The drive.
-    vehicle : Vehicle
-        The vehicle; its efficiencies count where power was measured at the battery.
-    terms : sequence of Term
-        The terms.
-    values : ndarray, shape (k,)
-        Their coefficients.
-    wanted : sequence of int, optional
-        Terms to differentiate by; all where not given.
-
-    Returns
-    -------
-    Linear
-        Power, and one column for each wanted term.
-    """
+    """Linearise the power of a drive about coefficients."""
     held = drive.held
     losses = losses_of(drive, vehicle, terms, values)
     total = held_forces(drive, vehicle, terms, values)
@@ -156,24 +127,7 @@ def power_of(model: PowerModel, drive: Drive) -> FloatArray:
 
 
 def held_loss(vehicle: Vehicle, terms: Sequence[Term], values: FloatArray, drive: Drive) -> float:
-    """Return the most that losses take at rest, where contacts hold all that friction allows [W].
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    terms : sequence of Term
-        Terms of the model.
-    values : ndarray, shape (k,)
-        Their coefficients.
-    drive : Drive
-        Tells the slip track, and whether efficiencies count.
-
-    Returns
-    -------
-    float
-        Zero where no loss acts at rest.
-    """
+    """Return what losses take at most at rest, where contacts hold all that friction allows [W]."""
     push = np.array(vehicle.slip_moment * slip_limit(terms, values) / drive.motion.icr.slip_track)
     losses = losses_of(drive, vehicle, terms, values)
     still = Motion(np.array(0.0), np.array(0.0), drive.motion.icr)

@@ -25,31 +25,6 @@ def split_drives(drives: Sequence[DriveLog]) -> tuple[list[DriveLog], list[Drive
     A drive is cut in two where both parts are long enough, or where there is no other one; else it
     goes as a whole to where the share of time comes nearer to that. ``energyplan diagnose`` does so
     where it is given no drives to judge by.
-
-    Parameters
-    ----------
-    drives : sequence of DriveLog
-        The drives.
-
-    Returns
-    -------
-    tuple of list of DriveLog
-        Drives to learn from, and drives to judge by.
-
-    Raises
-    ------
-    InvalidInputError
-        If there are no drives.
-    DriveLogError
-        If they are too short to learn from and to judge by.
-
-    Examples
-    --------
-    >>> import energyplan as ep
-    >>> truth = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> learned, judged = split_drives([ep.simulate.identification_drive(truth)])
-    >>> [round(judged[0].duration / (learned[0].duration + judged[0].duration), 2)]
-    [0.4]
     """
     if not drives:
         raise InvalidInputError("no logs; give at least one drive")

@@ -44,55 +44,22 @@ def lost_power(
 
 @dataclass(frozen=True)
 class Preload:
-    """The moment by which the sides push against each other while contacts hold.
+    """The moment by which the sides push against each other while contacts hold."""
 
-    Parameters
-    ----------
-    moment : ndarray, shape (n,)
-        The moment [N m]; zero where contacts slide.
-    forces : Sides
-        Tread forces of the moment [N].
-    told : ndarray, shape (n,)
-        By how much the difference of the sides rises with it, where that tells it [W/(N m)].
-    cost : ndarray, shape (n,)
-        By how much the total rises with it [W/(N m)].
-    ends : ndarray, shape (n,)
-        Square of how the difference rises with it, where it is at the limit of friction, with the
-        sign of that end; else zero.
-    sure : ndarray, shape (n,)
-        Mean square of `told` over the samples around each; one where nothing tells the moment.
-    width : int
-        Samples over which it is taken for one.
-    alone : ndarray of bool, shape (n,)
-        Samples that have a moment of their own: `_alone`.
-    """
-
-    moment: FloatArray
-    forces: Sides
-    told: FloatArray
-    cost: FloatArray
-    ends: FloatArray
-    sure: FloatArray
-    width: int
-    alone: NDArray[np.bool_]
+    moment: FloatArray  # (n,): the moment [N m]
+    forces: Sides  # tread forces of the moment [N]
+    told: FloatArray  # (n,) [W/(N m)]
+    cost: FloatArray  # (n,): by how much the total rises with it [W/(N m)]
+    ends: FloatArray  # (n,)
+    sure: FloatArray  # (n,): mean square of `told` over the samples around each
+    width: int  # samples over which it is taken for one
+    alone: NDArray[np.bool_]  # (n,): samples that have a moment of their own
 
     def followed(self, between: FloatArray, limits: FloatArray) -> FloatArray:
         """Return by how much the total falls as the moment follows coefficients.
 
         It follows them so that the difference of the sides stays as measured, or, where friction
         allows no more, as its limit does.
-
-        Parameters
-        ----------
-        between : ndarray, shape (n, k)
-            By how much the difference would rise with each coefficient.
-        limits : ndarray, shape (k,)
-            By how much the limit does [N m].
-
-        Returns
-        -------
-        ndarray, shape (n, k)
-            Fall of the total with each.
         """
         pulled = self.told[:, None] * between - self.ends[:, None] * limits
         moved = _smoothed(pulled, self.width, self.alone)
@@ -125,30 +92,7 @@ def preload(
     forces: Sides,
     limit: float,
 ) -> Preload:
-    """Find the moment between the sides from the measured difference of their powers.
-
-    Parameters
-    ----------
-    drive : Drive
-        The drive.
-    between : ndarray, shape (n,)
-        Measured power of its right side less that of the left one [W].
-    vehicle : Vehicle
-        The vehicle.
-    losses : sequence of tuple of Term and float
-        The losses that act, with their coefficients.
-    forces : Sides
-        Tread forces without the moment [N].
-    limit : float
-        Largest moment that contacts hold [N m].
-
-    Returns
-    -------
-    Preload
-        The moment, by bisection: the difference rises with it wherever losses take less than what
-        passes through them. Means over a moment of time, as sure as each sample is, where contacts
-        hold for as long; zero where the robot is too slow to tell.
-    """
+    """Find the moment between the sides from the measured difference of their powers."""
     at, motion = drive.holds, drive.holding
     own = Sides(forces.left[at], forces.right[at])
     sign = np.sign(motion.v_left + motion.v_right)
@@ -249,24 +193,12 @@ class Straights:
     A stretch holds nothing, or a moment that is as probable at any cost up to that of the limit of
     friction. It is taken to hold one where the measured power is then more probable, the width of
     that range counted (the Bayes factor, by Laplace's approximation).
-
-    Parameters
-    ----------
-    forces : Sides
-        Tread forces of the moments [N].
-    pattern : ndarray, shape (n,)
-        Cost of the largest moment as the log shows it, of stretches that hold less than that and
-        more than none [W]; else zero.
-    label : ndarray of int, shape (n,)
-        Stretch that each sample shows, as the log does.
-    odds : float
-        Logarithm of what it took from the likelihood that the moments were not known.
     """
 
-    forces: Sides
-    pattern: FloatArray
-    label: NDArray[np.intp]
-    odds: float
+    forces: Sides  # tread forces of the moments [N]
+    pattern: FloatArray  # (n,) [W]
+    label: NDArray[np.intp]  # (n,): stretch that each sample shows, as the log does
+    odds: float  # logarithm of what it took from the likelihood that the moments were not known
 
     def without(self, table: FloatArray) -> FloatArray:
         """Take from columns, shape (n, ...), what an unknown moment would take up of them."""
@@ -292,29 +224,7 @@ def straights(
     limit: float,
     power: FloatArray,
 ) -> Straights | None:
-    """Find the moments between the sides from what a drive's total power shows beyond a model.
-
-    Parameters
-    ----------
-    drive : Drive
-        The drive.
-    vehicle : Vehicle
-        The vehicle.
-    losses : sequence of tuple of Term and float
-        The losses that act, with their coefficients.
-    forces : Sides
-        Tread forces without the moments [N].
-    limit : float
-        Moment at which contacts slide [N m]; the largest one that they hold is more, and differs
-        from one way of turning to the other.
-    power : ndarray, shape (n,)
-        Power by the model without the moments, as the log shows it [W].
-
-    Returns
-    -------
-    Straights or None
-        None where no stretch holds any.
-    """
+    """Find the moments between the sides from what a drive's total power shows beyond a model."""
     at = np.flatnonzero(drive.holds)
     if not len(at) or not limit > 0.0:
         return None

@@ -40,22 +40,7 @@ def _covariance_of(sources: Sequence[tuple[NDArray[np.int64], FloatArray]]) -> F
 
 
 def moved_by(drives: Sequence[Drive], design: Design, errors: FloatArray) -> list[FloatArray]:
-    """Return what one watt more in a sample of each equation does to the coefficients.
-
-    Parameters
-    ----------
-    drives : sequence of Drive
-        The drives.
-    design : Design
-        Window means of their columns and power.
-    errors : ndarray, shape (scales,)
-        Reference mean square errors [W^2].
-
-    Returns
-    -------
-    list of ndarray, shape (n, equations, k)
-        For each drive.
-    """
+    """Return what one watt more in a sample of each equation does to the coefficients."""
     normal = weighted(design, errors).sum(axis=0)[:-1, :-1]
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
     unit = np.linalg.pinv(normal * np.outer(scale, scale), 1e-12, hermitian=True)
@@ -74,27 +59,7 @@ def moved_by(drives: Sequence[Drive], design: Design, errors: FloatArray) -> lis
 def reading_covariance(
     problem: Problem, terms: Sequence[Term], values: FloatArray, design: Design, errors: FloatArray
 ) -> FloatArray:
-    """Return the covariance of coefficients that the steps of sensors leave.
-
-    Parameters
-    ----------
-    problem : Problem
-        The drives.
-    terms : sequence of Term
-        Terms of the model.
-    values : ndarray, shape (k,)
-        Their coefficients.
-    design : Design
-        Window means of its columns, those of further parameters after them, and of power.
-    errors : ndarray, shape (scales,)
-        Reference mean square errors [W^2].
-
-    Returns
-    -------
-    ndarray, shape (columns, columns)
-        Of the powers, and of the speeds that the columns are made from: a reading of the speed
-        that is wrong by a share moves the power as a drive that is as much faster.
-    """
+    """Return the covariance of coefficients that the steps of sensors leave."""
     width = design.rows[0].shape[1] - 1
     found = np.zeros((width, width))
     moved = moved_by(problem.drives, design, errors)

@@ -17,24 +17,12 @@ BLOCK = 8.0
 
 @dataclass(frozen=True)
 class Windows:
-    """Consecutive windows of one length over a drive.
+    """Consecutive windows of one length over a drive."""
 
-    Parameters
-    ----------
-    starts : ndarray of int, shape (w,)
-        First sample of each window.
-    counts : ndarray, shape (w,)
-        Samples in each window.
-    blocks : ndarray of int, shape (w,)
-        Block that each window lies in, of those with samples.
-    length : float
-        Their length [s].
-    """
-
-    starts: np.ndarray[tuple[int], np.dtype[np.intp]]
-    counts: FloatArray
-    blocks: np.ndarray[tuple[int], np.dtype[np.intp]]
-    length: float
+    starts: np.ndarray[tuple[int], np.dtype[np.intp]]  # (w,): first sample of each window
+    counts: FloatArray  # (w,): samples in each window
+    blocks: np.ndarray[tuple[int], np.dtype[np.intp]]  # (w,)
+    length: float  # their length [s]
 
     @classmethod
     def of(cls, t: FloatArray, length: float) -> Windows:

@@ -92,11 +92,6 @@ class LegendsAbove(LayoutEngine):
 
     It lays a picture out by its former engine, with the legends left out, then places them and
     lays it out once more. So nothing is drawn to find out where a legend goes.
-
-    Parameters
-    ----------
-    inner : LayoutEngine or None
-        The picture's former engine.
     """
 
     def __init__(self, inner: LayoutEngine | None) -> None:

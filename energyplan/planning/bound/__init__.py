@@ -61,25 +61,7 @@ class Bound(NamedTuple):
 def lower_bound(
     query: CompiledProblem, cost: float, effort: float = EFFORT, spent: Spent | None = None
 ) -> Bound:
-    """Return a lower bound on the cost of every path from start to goal.
-
-    Parameters
-    ----------
-    query : CompiledProblem
-        The problem.
-    cost : float
-        Cost of a path that is known: the bound need not be better by more than a little.
-    effort : float
-        Steps, of some nanoseconds each, after which to take what is known by then.
-    spent : dict, optional
-        What earlier calls for the same problem were charged for, so that this one is not; empty at
-        the first.
-
-    Returns
-    -------
-    Bound
-        The bound.
-    """
+    """Return a lower bound on the cost of every path from start to goal."""
     setting = query.setting
     free = float(free_energy(setting, setting.start_x, setting.start_y, setting.start_yaw))
     radius = inscribed(setting) - MARGIN * query.grid.resolution
@@ -100,11 +82,6 @@ def prepare_bound(query: CompiledProblem) -> None:
     """Make what the bound needs of a map and keeps with it: surfaces by cell, and outlines.
 
     What a plan will cost says which outlines are needed; those for all likely costs are made.
-
-    Parameters
-    ----------
-    query : CompiledProblem
-        The problem.
     """
     setting, grid = query.setting, query.grid
     radius = inscribed(setting) - MARGIN * grid.resolution

@@ -37,31 +37,15 @@ FRESH, FREE, BARRED = 0, 1, 2
 
 
 class Lines(NamedTuple):
-    """Lines between corners in use, one a row.
+    """Lines between corners in use, one a row."""
 
-    Attributes
-    ----------
-    before : ndarray, shape (lines, HEADINGS)
-        Least cost by heading before each.
-    tail, head : ndarray of int, shape (lines,)
-        Where each begins and ends: a corner, `n` for the start, ``n + 1`` for the goal.
-    waiting : ndarray of bool, shape (lines,)
-        Whether each is to be looked at.
-    gates : ndarray of int, shape (2, lines)
-        What is known of the first and the second gate of each.
-    width : ndarray, shape (lines, 2)
-        How far out these are crossed at most [m].
-    closed : ndarray of bool, shape (2 lines, HEADINGS)
-        Headings that these do not let through, those of one line after the other.
-    """
-
-    before: FloatTable
-    tail: ShortInts
-    head: ShortInts
-    waiting: Flags
-    gates: ShortIntTable
-    width: FloatTable
-    closed: FlagTable
+    before: FloatTable  # (lines, HEADINGS): least cost by heading before each
+    tail: ShortInts  # (lines,): where each begins and ends
+    head: ShortInts  # (lines,): where each begins and ends
+    waiting: Flags  # (lines,): whether each is to be looked at
+    gates: ShortIntTable  # (2, lines): what is known of the first and the second gate of each
+    width: FloatTable  # (lines, 2): how far out these are crossed at most [m]
+    closed: FlagTable  # headings that these do not let through, those of one line after the other
 
 
 @inner
@@ -109,24 +93,12 @@ def _unused(count: int) -> ShortInts:
 
 
 class Least(NamedTuple):
-    """What the search over corners found.
+    """What the search over corners found."""
 
-    Attributes
-    ----------
-    value : float
-        The bound.
-    final : bool
-        Whether the search came to its end.
-    links : Links
-        What is known of the corners now.
-    steps : float
-        Steps taken.
-    """
-
-    value: float
-    final: bool
-    links: Links
-    steps: float
+    value: float  # the bound
+    final: bool  # whether the search came to its end
+    links: Links  # what is known of the corners now
+    steps: float  # steps taken
 
 
 @njit
@@ -146,35 +118,6 @@ def least_over_corners(
 
     A* over lines between corners, each with its costs by heading. A taut way turns at a corner
     only around the obstacle there. What is left to go is estimated by the shortest way.
-
-    Parameters
-    ----------
-    space : Space
-        Obstacles.
-    body : Body
-        The robot.
-    outline : Outline
-        Outline of the obstacles.
-    paid : ndarray of bool, shape (n,)
-        Corners whose lines were counted as steps already; more are.
-    ends : Ends
-        Start and goal.
-    ways : Ways
-        Shortest ways to the goal.
-    rates : Rates
-        Costs.
-    limit : float
-        Costs at or above are of no interest.
-    effort : float
-        Number of steps, of some nanoseconds each, at which to stop with what is known by then.
-    steer : bool
-        Whether to count what steering takes from the start to the first gate, and from the last one
-        to the goal.
-
-    Returns
-    -------
-    Least
-        The bound.
     """
     n = len(outline.point)
     start = n

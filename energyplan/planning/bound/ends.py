@@ -29,36 +29,20 @@ MOST = 96
 
 
 class Section(NamedTuple):
-    """Where a gate lies, seen from a pose.
+    """Where a gate lies, seen from a pose."""
 
-    Attributes
-    ----------
-    x, y : float
-        Displacement to the corner that the gate starts from [m].
-    gate_x, gate_y, width : float
-        Direction of the gate, and its length, which may be infinite [m].
-    """
-
-    x: float
-    y: float
-    gate_x: float
-    gate_y: float
-    width: float
+    x: float  # displacement to the corner that the gate starts from [m]
+    y: float  # displacement to the corner that the gate starts from [m]
+    gate_x: float  # direction of the gate, and its length, which may be infinite [m]
+    gate_y: float  # direction of the gate, and its length, which may be infinite [m]
+    width: float  # direction of the gate, and its length, which may be infinite [m]
 
 
 class Reached(NamedTuple):
-    """What a gate takes to reach.
+    """What a gate takes to reach."""
 
-    Attributes
-    ----------
-    cost : float
-        At least this much.
-    steps : float
-        Steps that finding it took.
-    """
-
-    cost: float
-    steps: float
+    cost: float  # at least this much
+    steps: float  # steps that finding it took
 
 
 @inner
@@ -70,20 +54,12 @@ def _headway(angle: float) -> float:
 
 
 class Beyond(NamedTuple):
-    """Tables by direction of the force and by steps beyond the lower and the upper end of a turn.
+    """Tables by direction of the force and by steps beyond both ends of a turn."""
 
-    Attributes
-    ----------
-    low, high : ndarray, shape (NORMALS, MOST + 1)
-        Greatest absolute cosine to the force among the headings from the end outward.
-    below, above : ndarray, shape (NORMALS, MOST + 1)
-        Integral of the absolute cosine over them.
-    """
-
-    low: FloatTable
-    high: FloatTable
-    below: FloatTable
-    above: FloatTable
+    low: FloatTable  # greatest absolute cosine to the force among the headings from the end outward
+    high: FloatTable  # (NORMALS, MOST + 1)
+    below: FloatTable  # (NORMALS, MOST + 1): integral of the absolute cosine over them
+    above: FloatTable  # (NORMALS, MOST + 1): integral of the absolute cosine over them
 
 
 @inner
@@ -99,19 +75,7 @@ def no_tables() -> Beyond:
 
 @inner
 def _outward(heading: float, step: float, many: int, greatest: Floats, headway: Floats) -> None:
-    """Fill in the tables of one force and one end.
-
-    Parameters
-    ----------
-    heading : float
-        Heading at the end, from the force [rad].
-    step : float
-        Step outward [rad].
-    many : int
-        Number of steps.
-    greatest, headway : ndarray
-        Filled: see `Beyond`.
-    """
+    """Fill in the tables of one force and one end."""
     c = cos(heading)
     s = sin(heading)
     turn_c = cos(step)
@@ -148,24 +112,6 @@ def to_gate(
     has ``|n . u| > M``. For the headings a motion passes, told by how far they reach beyond its
     first and last one, the best force of `NORMALS` counts; of all such ranges, the cheapest. To
     turn to and fro within a range more than once only adds to that.
-
-    Parameters
-    ----------
-    section : Section
-        Where the segment lies.
-    start, end : float
-        First and last heading [rad].
-    steering : StaticSteering
-        The cost.
-    limit : float
-        More than this is of no interest.
-    tables : Beyond
-        Room to work in.
-
-    Returns
-    -------
-    Reached
-        The cost, at most `limit`.
     """
     x = section.x
     y = section.y
@@ -251,23 +197,7 @@ def _slack(rates: Rates) -> float:
 def from_start(
     cost: Floats, section: Section, to_goal: Floats, limit: float, rates: Rates, tables: Beyond
 ) -> float:
-    """Raise the cost of being past the first line to what steering takes; return the steps.
-
-    Parameters
-    ----------
-    cost : ndarray, shape (HEADINGS,)
-        Least cost by heading, at least; raised.
-    section : Section
-        Where the gate lies from the start.
-    to_goal : ndarray, shape (HEADINGS,)
-        What turning to the goal's heading costs from each.
-    limit : float
-        What the cost and that come to at most where they are of interest.
-    rates : Rates
-        Costs.
-    tables : Beyond
-        Room to work in.
-    """
+    """Raise the cost of being past the first line to what steering takes; return the steps."""
     n = len(cost)
     exact = np.empty(n)
     steps = 0.0
@@ -290,17 +220,7 @@ def from_start(
 def to_end(
     cost: Floats, section: Section, to_goal: Floats, limit: float, rates: Rates, tables: Beyond
 ) -> Reached:
-    """Return what steering takes from the last gate to the goal, and to that gate, at least.
-
-    Parameters
-    ----------
-    cost : ndarray, shape (HEADINGS,)
-        Least cost by heading before the last line.
-    section : Section
-        Where the goal lies from the gate.
-    to_goal, limit, rates, tables
-        As in `from_start`.
-    """
+    """Return what steering takes from the last gate to the goal, and to that gate, at least."""
     n = len(cost)
     straight = rates.metre * hypot(section.x, section.y)
     slack = _slack(rates)

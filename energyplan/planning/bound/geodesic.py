@@ -24,35 +24,16 @@ class Ends(NamedTuple):
 
 
 class Ways(NamedTuple):
-    """Shortest ways to the goal.
+    """Shortest ways to the goal."""
 
-    Attributes
-    ----------
-    to_goal : ndarray, shape (n,)
-        At least how far the goal is from each corner: exact for those that were settled [m].
-    from_start, at_goal : ndarray, shape (n,)
-        Length of the line from the start to each corner, and from each to the goal; infinite
-        where it crosses an obstacle, or could not be part of a taut way [m].
-    least : float
-        At least how far the goal is from the start [m].
-    direct : bool
-        Whether the start sees the goal.
-    steps : float
-        Steps taken.
-    final : bool
-        Whether the search came to its end.
-    links : Links
-        What is known of the corners now.
-    """
-
-    to_goal: Floats
-    from_start: Floats
-    at_goal: Floats
-    least: float
-    direct: bool
-    steps: float
-    final: bool
-    links: Links
+    to_goal: Floats  # (n,): at least how far the goal is from each corner [m]
+    from_start: Floats  # (n,) [m]
+    at_goal: Floats  # (n,) [m]
+    least: float  # at least how far the goal is from the start [m]
+    direct: bool  # whether the start sees the goal
+    steps: float  # steps taken
+    final: bool  # whether the search came to its end
+    links: Links  # what is known of the corners now
 
 
 @inner
@@ -91,28 +72,6 @@ def ways_to_goal(
 
     A* from the goal, over lines that touch the outline at both ends: shortest ways are made of
     these.
-
-    Parameters
-    ----------
-    space : Space
-        Obstacles.
-    outline : Outline
-        Their outline, grown by the disc.
-    links : Links
-        What is known of the lines between corners; more is found out.
-    paid : ndarray of bool, shape (n,)
-        Corners whose lines were counted as steps already; more are.
-    ends : Ends
-        Start and goal.
-    limit : float
-        Ways of this length or longer are of no interest [m].
-    effort : float
-        Number of steps, of some nanoseconds each, at which to stop with what is known by then.
-
-    Returns
-    -------
-    Ways
-        The ways. Where the search stopped early, what is not known is replaced by less.
     """
     n = len(outline.point)
     ux = ends.start_x

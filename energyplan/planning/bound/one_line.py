@@ -28,18 +28,10 @@ ENDLESS = 10.0
 
 
 class Gate(NamedTuple):
-    """What is known of a gate.
+    """What is known of a gate."""
 
-    Attributes
-    ----------
-    width : float
-        How far from the corner it is crossed at most; infinite for a long one [m].
-    barred : bool
-        Whether there are headings with which the body cannot cross.
-    """
-
-    width: float
-    barred: bool
+    width: float  # how far from the corner it is crossed at most [m]
+    barred: bool  # whether there are headings with which the body cannot cross
 
 
 @inner
@@ -58,22 +50,6 @@ def gate(
 
     A gate is a ray from a corner, up to the next obstacle. Where a place on it lies in the open, or
     where it is long, it forbids no heading.
-
-    Parameters
-    ----------
-    space, body, outline : Space, Body, Outline
-        Obstacles, the body, and the outline for the disc inside it.
-    goal_yaw : float
-        Heading of node 0.
-    x, y, ux, uy : float
-        Corner and direction of the ray.
-    closed : ndarray of bool, shape (HEADINGS,)
-        Filled: whether no pose between the neighbours of a node can cross.
-
-    Returns
-    -------
-    Gate
-        What is known of it.
     """
     n = len(closed)
     spacing = 2.0 * pi / n
@@ -131,26 +107,14 @@ SWEEPS = (0.0, pi / 6, pi / 3, pi / 2, 2 * pi / 3, pi)
 
 
 class Rates(NamedTuple):
-    """Costs of the relaxed problem.
+    """Costs of the relaxed problem."""
 
-    Attributes
-    ----------
-    metre, radian : float
-        Cost per metre driven and per radian turned.
-    start, goal : float
-        Headings.
-    direct : float
-        Least cost from start to goal without obstacles.
-    steering : StaticSteering
-        What no motion costs less than, pivots included.
-    """
-
-    metre: float
-    radian: float
-    start: float
-    goal: float
-    direct: float
-    steering: StaticSteering
+    metre: float  # cost per metre driven and per radian turned
+    radian: float  # cost per metre driven and per radian turned
+    start: float  # headings
+    goal: float  # headings
+    direct: float  # least cost from start to goal without obstacles
+    steering: StaticSteering  # what no motion costs less than, pivots included
 
 
 @inner
@@ -191,18 +155,6 @@ def along_line(
     A way whose headings all stay away from the line by some angle, its lag, is longer than the
     line: by the cosine of the lag, and where it must end up on the line again, by how much it has
     to go to and fro, the more so the less its headings spread.
-
-    Parameters
-    ----------
-    cost : ndarray, shape (HEADINGS,)
-        Least cost by heading, such that neighbours differ by no more than the turn between them.
-        Node 0 is the heading at the goal.
-    direction, length : float
-        The line [rad], [m].
-    rates : Rates
-        Costs.
-    strict_left, strict_right : bool
-        Whether a way whose headings stay to the left, or right, of the line must end up on it.
     """
     n = len(cost)
     spacing = 2.0 * pi / n

@@ -36,18 +36,10 @@ BESIDE = 5
 
 
 class Detail(NamedTuple):
-    """How finely obstacles are drawn.
+    """How finely obstacles are drawn."""
 
-    Attributes
-    ----------
-    arc : int
-        Chords of a quarter circle.
-    slack : float
-        Largest distance by which an outline is simplified, in radii of the disc.
-    """
-
-    arc: int
-    slack: float
+    arc: int  # chords of a quarter circle
+    slack: float  # largest distance by which an outline is simplified, in radii of the disc
 
 
 DETAILS = (Detail(8, 0.01), Detail(4, 0.03), Detail(4, 0.1), Detail(2, 0.25))
@@ -55,33 +47,17 @@ DETAILS = (Detail(8, 0.01), Detail(4, 0.03), Detail(4, 0.1), Detail(2, 0.25))
 
 
 class Lines(NamedTuple):
-    """Lines with the obstacle on their right, one after the other [cells].
+    """Lines with the obstacle on their right, one after the other [cells]."""
 
-    Attributes
-    ----------
-    point : ndarray, shape (n, 2)
-        Their points: columns and rows.
-    first : ndarray of int, shape (lines + 1,)
-        Where each begins, and where the last one ends.
-    """
-
-    point: FloatArray
-    first: NDArray[np.int64]
+    point: FloatArray  # (n, 2): their points
+    first: NDArray[np.int64]  # (lines + 1,): where each begins, and where the last one ends
 
 
 class Drawn(NamedTuple):
-    """What is drawn of a map, or of one of its squares.
+    """What is drawn of a map, or of one of its squares."""
 
-    Attributes
-    ----------
-    lines : Lines
-        The outline.
-    across : ndarray, shape (k, 4)
-        Lines across gaps that the disc does not pass.
-    """
-
-    lines: Lines
-    across: FloatArray
+    lines: Lines  # the outline
+    across: FloatArray  # (k, 4): lines across gaps that the disc does not pass
 
 
 Squares = dict[tuple[int, int], Drawn]
@@ -89,15 +65,7 @@ Squares = dict[tuple[int, int], Drawn]
 
 
 class Sights:
-    """An outline, and what is known of the lines between its corners.
-
-    Parameters
-    ----------
-    outline : Outline
-        The outline.
-    squares : dict, optional
-        What it was made of, if it was drawn square by square.
-    """
+    """An outline, and what is known of the lines between its corners."""
 
     def __init__(self, outline: Outline, squares: Squares | None = None) -> None:
         self.outline = outline
@@ -200,13 +168,6 @@ class _Level:
 
     The clearance between the cells' centres is interpolated. That is off by half a cell's diagonal
     at most, since clearance changes by no more than the distance, and the level is lower by that.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        The map.
-    radius : float
-        The radius [m].
     """
 
     def __init__(self, grid: OccupancyGrid, radius: float) -> None:
@@ -218,15 +179,7 @@ class _Level:
         self.low = max(level - sqrt(0.5), 0.0) * grid.resolution
 
     def lines(self, square: Window, tolerance: float) -> Lines:
-        """Return what lies in a square, between its cells' centres and the next ones, simplified.
-
-        Parameters
-        ----------
-        square : Window
-            The square.
-        tolerance : float
-            How far it is simplified [m].
-        """
+        """Return the simplified lines in a square, between its cells' centres and the next."""
         none = Lines(np.empty((0, 2)), np.zeros(1, np.int64))
         rows, columns = self._grid.shape
         row = slice(square.first_row, min(square.end_row + 1, rows))

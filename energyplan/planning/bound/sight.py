@@ -24,33 +24,16 @@ TINY = 1e-9
 
 
 class Outline(NamedTuple):
-    """Outline of the obstacles, grown by less than the inscribed disc, and its convex corners.
+    """Outline of the obstacles, grown by less than the inscribed disc, and its convex corners."""
 
-    Attributes
-    ----------
-    point : ndarray, shape (n, 2)
-        The corners.
-    before, after : ndarray, shape (n, 2)
-        Neighbouring corners along the outline.
-    edges : ndarray, shape (m, 4)
-        All edges, and lines across gaps that the disc does not pass: both ends.
-    first : ndarray of int, shape (squares + 1,)
-        Where the edges of each square of `BUCKET` cells a side begin in `listed`, row by row.
-    listed : ndarray of int
-        Edges by square.
-    inside, outside : float
-        Nearer to an obstacle than `inside` a point lies within the outline for certain, further
-        than `outside` it lies outside for certain [m].
-    """
-
-    point: FloatTable
-    before: FloatTable
-    after: FloatTable
-    edges: FloatTable
-    first: ShortInts
-    listed: ShortInts
-    inside: float
-    outside: float
+    point: FloatTable  # (n, 2): the corners
+    before: FloatTable  # (n, 2): neighbouring corners along the outline
+    after: FloatTable  # (n, 2): neighbouring corners along the outline
+    edges: FloatTable  # (m, 4): all edges, and lines across gaps that the disc does not pass
+    first: ShortInts  # (squares + 1,)
+    listed: ShortInts  # edges by square
+    inside: float  # [m]
+    outside: float  # [m]
 
 
 class Squares(NamedTuple):
@@ -61,27 +44,13 @@ class Squares(NamedTuple):
 
 
 class Links(NamedTuple):
-    """Corners that see each other, so that a taut way may bend at both; found as they are needed.
+    """Corners that see each other, so that a taut way may bend at both; found when needed."""
 
-    Attributes
-    ----------
-    first : ndarray of int, shape (n,)
-        Where the corners that are seen from each begin in `seen`; -1 where that is not known yet.
-    number : ndarray of int, shape (n,)
-        How many there are.
-    steps : ndarray, shape (n,)
-        What it takes to find them, in steps.
-    seen : ndarray of int
-        Corners that are seen; more than are used.
-    used : ndarray of int, shape (1,)
-        How many are used.
-    """
-
-    first: ShortInts
-    number: ShortInts
-    steps: Floats
-    seen: ShortInts
-    used: Ints
+    first: ShortInts  # (n,): where the corners that are seen from each begin in `seen`
+    number: ShortInts  # (n,): how many there are
+    steps: Floats  # (n,): what it takes to find them, in steps
+    seen: ShortInts  # corners that are seen
+    used: Ints  # (1,): how many are used
 
 
 def no_links(corners: int) -> Links:
@@ -148,22 +117,6 @@ def gaps(space: Space, radius: float, inside: float, window: Window) -> FloatTab
     diameter: it would come nearer to one of them than its radius. Which lines are drawn is a matter
     of use only: at each cell on a ridge of the clearance one from the nearest blocked cell to the
     one nearest to it on the other side.
-
-    Parameters
-    ----------
-    space : Space
-        Obstacles.
-    radius : float
-        Radius of the disc [m].
-    inside : float
-        Clearance below which the outline is closed anyway [m].
-    window : Window
-        The cells at which they are sought.
-
-    Returns
-    -------
-    ndarray, shape (k, 4)
-        Both ends of each line [cells]: columns and rows.
     """
     rows, columns = space.clearance.shape
     res = space.resolution
@@ -264,25 +217,13 @@ def _crosses(
 
 
 class Sight(NamedTuple):
-    """What is met along a line.
+    """What is met along a line."""
 
-    Attributes
-    ----------
-    steps : int
-        Steps that looking took.
-    free : bool
-        Whether nothing is in the way.
-    edge : int
-        The edge that is crossed; -1 where a place inside the outline was met first.
-    at, ball : float
-        Where that place lies along the line, and the radius about it that is inside as well [m].
-    """
-
-    steps: int
-    free: bool
-    edge: int
-    at: float
-    ball: float
+    steps: int  # steps that looking took
+    free: bool  # whether nothing is in the way
+    edge: int  # the edge that is crossed
+    at: float  # [m]
+    ball: float  # [m]
 
 
 @inner

@@ -30,22 +30,7 @@ _cells = WeakKeyDictionary()
 
 
 def least_excess(query: CompiledProblem, radius: float, limit: float) -> float:
-    """Return a lower bound on what dear surfaces add to the cost of every path.
-
-    Parameters
-    ----------
-    query : CompiledProblem
-        The problem.
-    radius : float
-        Radius of the disc that keeps clear of obstacles [m].
-    limit : float
-        More than this is of no interest.
-
-    Returns
-    -------
-    float
-        The bound; zero where some way leads over the cheapest surface alone.
-    """
+    """Return a lower bound on what dear surfaces add to the cost of every path."""
     surfaces = query.problem.surfaces
     if surfaces is None:
         return 0.0
@@ -131,17 +116,6 @@ def least_steps(
     eight around it, and the next lies in one of these. So the marks make a walk over the cells,
     diagonals included, and the way pays at least the width of a cell times the least price in
     this neighbourhood, which is what `step` holds.
-
-    Parameters
-    ----------
-    step : ndarray, shape (rows, columns)
-        What leaving each cell costs.
-    passable : ndarray of bool, shape (rows, columns)
-        Whether a way may go through each cell.
-    row, column, goal_row, goal_column : int
-        Start and goal.
-    limit : float
-        What to return where the sum is greater, or no walk leads to the goal.
     """
     rows, columns = step.shape
     reached = np.empty((rows, columns))

@@ -43,47 +43,22 @@ FINENESS = 0.25
 
 
 class Escape(NamedTuple):
-    """What the search remembers, in arrays of fixed size.
+    """What the search remembers, in arrays of fixed size."""
 
-    Attributes
-    ----------
-    x, y, yaw : ndarray
-        Poses [m], [rad].
-    g : ndarray
-        Way from the end, with turns counted at half the slip track [m].
-    room : ndarray
-        What the body can turn on the spot, both ways together [rad].
-    parent : ndarray of int32
-        Node it was reached from, -1 at the end itself.
-    ds, dtheta : ndarray
-        Motion between the two, as it will be driven: from the parent where the way leads out, to
-        it where it leads in.
-    key : ndarray of int64
-        Place, heading and room as one number.
-    table : ndarray of int32
-        Hash table from key to node, -1 where empty; its size is a power of two.
-    heap_f, heap_node : ndarray
-        Binary heap of open nodes.
-    roomy : ndarray of int32
-        Nodes with room, in the order in which they were found.
-    counts : ndarray of int64, shape (4,)
-        Nodes, heap entries, nodes with room, tests of motions.
-    """
-
-    x: Floats
-    y: Floats
-    yaw: Floats
-    g: Floats
-    room: Floats
-    parent: ShortInts
-    ds: Floats
-    dtheta: Floats
-    key: Ints
-    table: ShortInts
-    heap_f: Floats
-    heap_node: ShortInts
-    roomy: ShortInts
-    counts: Ints
+    x: Floats  # poses [m], [rad]
+    y: Floats  # poses [m], [rad]
+    yaw: Floats  # poses [m], [rad]
+    g: Floats  # way from the end, with turns counted at half the slip track [m]
+    room: Floats  # what the body can turn on the spot, both ways together [rad]
+    parent: ShortInts  # node it was reached from, -1 at the end itself
+    ds: Floats  # motion between the two, as it will be driven
+    dtheta: Floats  # motion between the two, as it will be driven
+    key: Ints  # place, heading and room as one number
+    table: ShortInts  # hash table from key to node, -1 where empty
+    heap_f: Floats  # binary heap of open nodes
+    heap_node: ShortInts  # binary heap of open nodes
+    roomy: ShortInts  # nodes with room, in the order in which they were found
+    counts: Ints  # (4,): nodes, heap entries, nodes with room, tests of motions
 
 
 @inner
@@ -136,17 +111,7 @@ def _spin_room(space: Space, body: Body, pose: Pose, turn: float, counts: Ints) 
 
 @njit
 def spin_room(space: Space, body: Body, x: float, y: float, yaw: float, turn: float) -> float:
-    """Return what a body can turn on the spot at a pose, both ways together.
-
-    Parameters
-    ----------
-    space, body
-        Grid and footprint.
-    x, y, yaw : float
-        The pose [m], [rad].
-    turn : float
-        Largest turn that is looked at, either way [rad].
-    """
+    """Return what a body can turn on the spot at a pose, both ways together."""
     return _spin_room(space, body, Pose(x, y, yaw), turn, np.zeros(4, np.int64))
 
 
@@ -208,38 +173,7 @@ def grow_escape(
     tests: int,
     wanted: int,
 ) -> bool:
-    """Search until so many poses with room are known, or so many motions were tested.
-
-    Parameters
-    ----------
-    tree : Escape
-        What is known so far; changed in place.
-    space, body
-        Grid and footprint.
-    grown : Body
-        The footprint with the margin that poses with room must have.
-    half : float
-        Half the slip track, the radius of pivots [m].
-    reach : float
-        Distance of the body's furthest corner [m]; the longest motion is four times that.
-    turn : float
-        Largest turn that is looked at, either way [rad].
-    inwards : bool
-        Whether the way leads to the end, not away from it.
-    only : float
-        1 for ways that never go backwards, -1 for those that never go forwards, 0 for all.
-    needed : float
-        What the body must be able to turn where there is room [rad]; no more than `turn`.
-    tests : int
-        Number of motions tested, since the search began, at which to stop.
-    wanted : int
-        Number of poses with room at which to stop.
-
-    Returns
-    -------
-    bool
-        Whether anything is left to search.
-    """
+    """Search until so many poses with room are known, or so many motions were tested."""
     counts = tree.counts
     far = (4.0 if only == 0.0 else 1.0) * reach
     while counts[1] > 0 and counts[3] < tests and counts[2] < wanted:

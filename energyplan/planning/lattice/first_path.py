@@ -64,19 +64,7 @@ class Attempt(NamedTuple):
 
 
 class FirstPath:
-    """The best motions so far, and how the first ones are found.
-
-    Parameters
-    ----------
-    query : CompiledProblem
-        The problem.
-    budget : Budget
-        What may be spent.
-    gap : float
-        Planning ends when the best cost is at most this fraction above the lower bound.
-    seed : int
-        Seed of the random numbers of the refinement.
-    """
+    """The best motions so far, and how the first ones are found."""
 
     def __init__(self, query: CompiledProblem, budget: Budget, gap: float, seed: int) -> None:
         self.query = query
@@ -148,24 +136,7 @@ class FirstPath:
         self._search_first(plain, finest, tested)
 
     def _search_first(self, plain: Ends, finest: float, tested: bool) -> None:
-        """Search lattices for a first path, the coarsest first; finer ones join one by one.
-
-        Parameters
-        ----------
-        plain : Ends
-            The problem's own start and goal.
-        finest : float
-            Size of the cells of the finest lattice, in units of the coarsest one.
-        tested : bool
-            Whether the poses tested join start and goal.
-
-        Raises
-        ------
-        NoPathError
-            If all lattices are exhausted.
-        TimeLimitError
-            If the budget is over before.
-        """
+        """Search lattices for a first path, the coarsest first; finer ones join one by one."""
         turn = FIRST_TURN
         waiting = [(self.ends, 2.0**-k) for k in range(MOST_LATTICES) if 2.0**-k >= finest]
         if self.ends.eased:
@@ -239,13 +210,7 @@ class FirstPath:
         return self._through_slots
 
     def _closed(self, setting: KernelProblem) -> Closure:
-        """Look closer at what the poses tested leave open.
-
-        Raises
-        ------
-        NoPathError
-            If it is proven that there is no way.
-        """
+        """Look closer at what the poses tested leave open."""
         self.budget.beside(lambda: compile_kernels(closure_kernels.__name__))
         found = closure(setting, self.budget.part(CLOSURE_SHARE))
         if found.proven:

@@ -27,27 +27,13 @@ from energyplan.planning.scene.motions import KernelProblem
 
 
 class Sought(NamedTuple):
-    """A search: its lattice, its weight, and what leads it.
+    """A search: its lattice, its weight, and what leads it."""
 
-    Attributes
-    ----------
-    scale : float
-        Scale of the lattice; above 1 it is coarser.
-    weight : float
-        Factor on the estimated cost to go.
-    penalty : float
-        How much longer tight places count for the guide.
-    aligned : bool
-        Whether headings are counted from the map's axes.
-    shortest : bool
-        Whether the shortest way is sought instead.
-    """
-
-    scale: float
-    weight: float
-    penalty: float
-    aligned: bool = False
-    shortest: bool = False
+    scale: float  # scale of the lattice
+    weight: float  # factor on the estimated cost to go
+    penalty: float  # how much longer tight places count for the guide
+    aligned: bool = False  # whether headings are counted from the map's axes
+    shortest: bool = False  # whether the shortest way is sought instead
 
 
 ROUNDS = (
@@ -138,20 +124,7 @@ class Improvement(FirstPath):
         self.kept = 0.0
 
     def shortest(self, query: CompiledProblem, *beside: Work) -> Segments:
-        """Return the shortest of the paths found, made shorter in a part of what is left.
-
-        Parameters
-        ----------
-        query : CompiledProblem
-            The problem with the length as its objective.
-        *beside : Work
-            What else to do at once.
-
-        Returns
-        -------
-        Segments
-            Motions of that problem's centre.
-        """
+        """Return the shortest of the paths found, made shorter in a part of what is left."""
         setting, enough = query.setting, Bounding(query).value * (1.0 + self.gap)
         short = Portfolio(setting, self.portfolio.seed)
         known = (query.motions_of(self.query, one) for one in [*self.found, self.portfolio.best])
@@ -318,22 +291,6 @@ def shortest_way(
 
     Of two ways that are refined for their energy the shorter one may stay the dearer, though it is
     cheaper once it is short: so it is made short before it competes.
-
-    Parameters
-    ----------
-    setting : KernelProblem
-        The problem with the length as its objective.
-    ends : Ends
-        Where the search begins and ends.
-    to_go : DistanceToGo
-        Distance to go.
-    budget : Budget
-        What may be spent.
-
-    Returns
-    -------
-    Segments or None
-        The motions, free of collisions; None where none were found.
     """
     way = _shortly_found(ends.between(setting), to_go, budget.part(SHORTEST_SEARCHING))
     if way is None:

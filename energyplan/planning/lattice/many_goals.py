@@ -47,42 +47,6 @@ def energies(
     goal that it does not reach, in its work or through gaps that it is too coarse for, a path is
     sought as `energyplan.plan` seeks its first one, with a budget of its own. The costs are those
     of drivable paths, close to the least and never below it.
-
-    Parameters
-    ----------
-    problem : PlanningProblem
-        The problem; its goal does not matter.
-    goals : array_like, shape (n, 3)
-        Goals: x, y [m], yaw [rad].
-    time_limit : float
-        Time for the search, and for each goal that it does not reach [s].
-    effort : int, optional
-        Units of work for each of these, in place of the time limit; see `Budget`.
-    refined : bool
-        Whether to refine the paths.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Costs in the unit of the objective [J for energy]; infinite where no path was found: where
-        `energyplan.plan` finds none with the same budget.
-
-    Raises
-    ------
-    StartInCollisionError, GoalInCollisionError, OutsideMapError
-        If start or a goal cannot be; the message names the pose.
-    InvalidInputError
-        If the goals have another shape.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> cost = ep.EnergyCost(ep.PowerModel.preset("quadriga:empty:marble"))
-    >>> problem = ep.PlanningProblem(hall, cost, (1, 2, 0), (5, 2, 0))
-    >>> [round(float(joules)) for joules in energies(problem, [(3, 2, 0), (5, 2, 0)], effort=9000)]
-    [360, 720]
     """
     rows = np.asarray(goals, float)
     if rows.ndim != 2 or rows.shape[1] != 3:
@@ -138,19 +102,7 @@ def _cost(setting: KernelProblem, motions: Segments, refined: bool) -> float:
 def attach(
     tree: kernels.Tree, setting: KernelProblem, lattice: kernels.Lattice, reach: float
 ) -> tuple[float, int]:
-    """Join the goal to the tree's nearby nodes; return the least cost and the node, or inf and -1.
-
-    Parameters
-    ----------
-    tree : Tree
-        A tree grown with weight 0.
-    setting : KernelProblem
-        The problem with the goal in question.
-    lattice : Lattice
-        Resolution.
-    reach : float
-        Distance within which nodes are tried [m].
-    """
+    """Join the goal to nearby nodes; return the least cost and the node, or inf and -1."""
     best = inf
     node = -1
     for k in range(int(tree.counts[0])):

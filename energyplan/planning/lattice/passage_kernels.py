@@ -50,20 +50,10 @@ STEP_H = np.array([0, 0, 0, 0, 0, 0, 0, 0, 1, -1])
 
 
 class Threaded(NamedTuple):
-    """Poses through a passage.
+    """Poses through a passage."""
 
-    Attributes
-    ----------
-    poses : ndarray, shape (n, 3)
-        From one end to the other; none where they were not found.
-    tests : int
-        Poses that were tested.
-    closed : bool
-        Whether all poses were tested that one of the ends leads to, and the other is not one.
-    """
-
-    poses: FloatTable
-    tests: int
+    poses: FloatTable  # (n, 3): from one end to the other
+    tests: int  # poses that were tested
     closed: bool
 
 
@@ -77,23 +67,7 @@ def thread(
     headings: int,
     most: int,
 ) -> Threaded:
-    """Return free poses that lead from one pose to another, step by step on a grid.
-
-    Parameters
-    ----------
-    setting : KernelProblem
-        The problem.
-    roomy : Body
-        A larger body; where that fits to and fro takes fewer motions.
-    begin, end : Pose
-        The two poses, both of them free.
-    cell : float
-        Distance between poses [m].
-    headings : int
-        Headings of a whole turn.
-    most : int
-        Poses that are tested at most.
-    """
+    """Return free poses that lead from one pose to another, step by step on a grid."""
     turn = 2.0 * pi / headings
     size = 16
     while size < 4 * most:
@@ -234,40 +208,18 @@ def _chain(
 
 
 class Followed(NamedTuple):
-    """How far motions along poses lead.
+    """How far motions along poses lead."""
 
-    Attributes
-    ----------
-    last : int
-        The furthest pose that is reached.
-    motions : int
-        Number of motions to it.
-    tried : int
-        Pairs of poses that were tried.
-    """
-
-    last: int
-    motions: int
-    tried: int
+    last: int  # the furthest pose that is reached
+    motions: int  # number of motions to it
+    tried: int  # pairs of poses that were tried
 
 
 @njit
 def follow(
     setting: KernelProblem, poses: FloatTable, limit: int, ds: Floats, dtheta: Floats
 ) -> Followed:
-    """Write motions along poses, each as far along them as one is free.
-
-    Parameters
-    ----------
-    setting : KernelProblem
-        The problem.
-    poses : ndarray, shape (n, 3)
-        The poses.
-    limit : int
-        Largest number of pairs that are joined.
-    ds, dtheta : ndarray
-        Motions written, as far as there is room for them.
-    """
+    """Write motions along poses, each as far along them as one is free."""
     part_ds = np.empty(MAX_SEGMENTS)
     part_dtheta = np.empty(MAX_SEGMENTS)
     last = len(poses) - 1

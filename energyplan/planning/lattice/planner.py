@@ -53,52 +53,7 @@ def plan(
     finest: float = FINEST,
     bound: float | None = None,
 ) -> Candidate:
-    """Plan on a lattice, and refine with exact steering.
-
-    Parameters
-    ----------
-    problem : PlanningProblem
-        The problem.
-    budget : Budget
-        What planning may spend. What is done once comes on top of a time limit: the map's free
-        configurations, and up to half a second for the prices of a cost that depends on speed.
-    gap : float
-        Planning ends early when the plan costs at most this fraction more than the lower bound.
-    seed : int
-        Seed of the random numbers of the refinement.
-    initial : iterable of Path
-        Paths from start to goal, already known; the plan costs no more than any of them that is
-        free of collisions. Where stops count it takes no more than any of them when driven.
-    finest : float
-        Size of the cells of the finest lattice that is searched for a first path, in units of the
-        coarsest one, which is searched first. Each is half as coarse as the one before.
-    bound : float, optional
-        A lower bound that is known, in the unit of the objective: none is sought then.
-
-    Returns
-    -------
-    Candidate
-        The best path found, and a lower bound.
-
-    Raises
-    ------
-    NoPathError
-        If it is proven that there is no path, or if there is none on the finest lattice.
-    TimeLimitError
-        If the budget was over before a first plan.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> cost = ep.EnergyCost(ep.PowerModel.preset("quadriga:empty:marble"))
-    >>> problem = ep.PlanningProblem(hall, cost, (1, 2, 0), (5, 2, 0))
-    >>> from energyplan.planning import Budget
-    >>> found = plan(problem, Budget(effort=2000))
-    >>> print(f"{found.path.length:.2f} m, {cost.energy(found.path):.0f} J")
-    4.00 m, 720 J
-    """
+    """Plan on a lattice, and refine with exact steering."""
     if not (gap >= 0 and 0 < finest <= 1):
         raise InvalidInputError(
             f"gap is {gap} and finest is {finest}; give a gap of 0 or more, and a part of the "
@@ -187,22 +142,7 @@ def _searching(led: CompiledProblem, budget: Budget) -> Budget:
 
 
 def first_motions(problem: PlanningProblem, budget: Budget, finest: float = FINEST) -> Segments:
-    """Return motions from start to goal: the first that `plan` finds with the same budget.
-
-    Parameters
-    ----------
-    problem : PlanningProblem
-        The problem.
-    budget : Budget
-        What may be spent.
-    finest : float
-        As of `plan`.
-
-    Raises
-    ------
-    NoPathError, TimeLimitError
-        Where `plan` raises them.
-    """
+    """Return motions from start to goal: the first that `plan` finds with the same budget."""
     query = CompiledProblem(problem)
     led = _led_by(query)
     work = FirstPath(led, _searching(led, _without_stops(led, budget)), gap=0.0, seed=1)
@@ -245,18 +185,6 @@ def _with_fewer_motions(query: CompiledProblem, path: Path) -> Path:
 
     A spin and pivots of the same turning cost the same where only the turning counts. The spin is
     driven at once; each pivot begins and ends with a stop.
-
-    Parameters
-    ----------
-    query : CompiledProblem
-        The problem.
-    path : Path
-        A path that is free.
-
-    Returns
-    -------
-    Path
-        The path, with as few motions as that gives; free, and no dearer.
     """
     ahead, lateral = query.middle
     ds, dtheta = path.ds, path.dtheta
@@ -297,19 +225,6 @@ def _with_wide_arcs(query: CompiledProblem, path: Path) -> Path:
     The kernels join poses by straight lines and pivots, which are best where the power is piecewise
     linear. Where wide arcs cost less, exact steering for the model itself joins some poses of the
     finished path once more.
-
-    Parameters
-    ----------
-    query : CompiledProblem
-        The problem.
-    path : Path
-        A path that is free.
-
-    Returns
-    -------
-    Path
-        The path itself where straight lines and pivots are best, or where the ground is not even
-        and of one kind, or energy is not all that counts.
     """
     problem = query.problem
     cost = problem.cost

@@ -30,13 +30,7 @@ BOUND_STEPS = 12_000
 
 
 class Bounding:
-    """The best lower bound so far, less the potential, and how to raise it.
-
-    Parameters
-    ----------
-    query : CompiledProblem
-        The problem.
-    """
+    """The best lower bound so far, less the potential, and how to raise it."""
 
     def __init__(self, query: CompiledProblem) -> None:
         self._query = query
@@ -60,15 +54,7 @@ class Bounding:
         return self.work(cost, min(BOUND_FIRST << number, most)) if wanted else []
 
     def work(self, cost: float, units: float) -> list[Work]:
-        """Return the search for a better bound, where there can be one.
-
-        Parameters
-        ----------
-        cost : float
-            Cost of the best path, which makes the search easier.
-        units : float
-            Units of work that it may take.
-        """
+        """Return the search for a better bound, where there can be one."""
 
         def run(own: Budget) -> Bound:
             given = min(units, own.left)
@@ -111,15 +97,7 @@ HOPE = 1.03
 
 
 class Portfolio:
-    """The best motions known, and those that may still become better.
-
-    Parameters
-    ----------
-    setting : KernelProblem
-        The problem.
-    seed : int
-        Seed of the random numbers of the refinement.
-    """
+    """The best motions known, and those that may still become better."""
 
     def __init__(self, setting: KernelProblem, seed: int) -> None:
         self.setting = setting
@@ -154,13 +132,7 @@ class Portfolio:
         return bool(self._fresh) or self._grown
 
     def turns(self, enough: float) -> list[Work]:
-        """Return what refines, a little, every path entered since, and the best of those kept.
-
-        Parameters
-        ----------
-        enough : float
-            Cost at which to stop.
-        """
+        """Return what refines, a little, every path entered since, and the best of those kept."""
 
         def shorten(entrant: Refiner, own: Budget) -> None:
             entrant.shortcut(own)
@@ -185,28 +157,12 @@ class Portfolio:
             self._offer(entrant)
 
     def run(self, budget: Budget, enough: float) -> None:
-        """Refine every path entered a little, the better ones more, and keep the best few.
-
-        Parameters
-        ----------
-        budget : Budget
-            What may be spent.
-        enough : float
-            Cost at which to stop.
-        """
+        """Refine every path entered a little, the better ones more, and keep the best few."""
         while self.waiting and not budget.over:
             do_together(budget, self.turns(enough))
 
     def finish(self, budget: Budget, enough: float) -> None:
-        """Refine those kept until little is gained, side by side; see `run`.
-
-        Parameters
-        ----------
-        budget : Budget
-            What may be spent.
-        enough : float
-            Cost at which to stop.
-        """
+        """Refine those kept until little is gained, side by side; see `run`."""
         if budget.over or self.cost <= enough:
             return
         hopeful = [entrant for entrant in self._kept if entrant.cost <= HOPE * self.cost]
@@ -215,15 +171,7 @@ class Portfolio:
         self._kept = []
 
     def improve(self, budget: Budget, enough: float) -> None:
-        """Refine the best path until the budget is over or that gains nothing any more.
-
-        Parameters
-        ----------
-        budget : Budget
-            What may be spent.
-        enough : float
-            Cost at which to stop.
-        """
+        """Refine the best path until the budget is over or that gains nothing any more."""
         gains = True
         while gains and not budget.over and self.cost > enough:
             before = self.cost

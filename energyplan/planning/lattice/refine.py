@@ -57,23 +57,7 @@ def _rejoin(chain: Chain, setting: KernelProblem, k: int, ds: Floats, dtheta: Fl
 def unblock(
     chain: Chain, setting: KernelProblem, count: int, trials: int, reach: float, state: Words
 ) -> int:
-    """Move poses at random until all motions between them are free; return how many are not.
-
-    Parameters
-    ----------
-    chain : Chain
-        The path, whose blocked motions have an infinite cost; changed in place.
-    setting : KernelProblem
-        The problem.
-    count : int
-        Number of poses.
-    trials : int
-        Number of attempts.
-    reach : float
-        How far poses are moved at most in one attempt [m].
-    state : ndarray of uint64, shape (1,)
-        State of the random numbers.
-    """
+    """Move poses at random until all motions between them are free; return how many are not."""
     ds = np.empty(MAX_SEGMENTS)
     dtheta = np.empty(MAX_SEGMENTS)
     blocked = np.empty(count, np.int64)
@@ -172,19 +156,7 @@ REPAIRS, REPAIR = 100, 0.35
 
 
 class Refiner:
-    """A path that becomes cheaper.
-
-    Parameters
-    ----------
-    setting : KernelProblem
-        The problem.
-    segments : Segments
-        Motions from the start to the goal, free of collisions.
-    seed : int
-        Seed of the random numbers.
-    poses : int
-        Largest number of poses among which shortcuts are sought, unless there are many motions.
-    """
+    """A path that becomes cheaper."""
 
     def __init__(
         self, setting: KernelProblem, segments: Segments, seed: int = 1, poses: int = POSES
@@ -256,22 +228,7 @@ class Refiner:
         budget.spend(STEERED * left.steered + TESTED * left.tested)
 
     def move_to(self, setting: KernelProblem, reach: float, budget: Budget) -> NDArray[np.bool_]:
-        """Make the path free for another body; leave it as it is where that fails.
-
-        Parameters
-        ----------
-        setting : KernelProblem
-            The problem with the other body.
-        reach : float
-            How far poses are moved at most in one attempt [m].
-        budget : Budget
-            What may be spent.
-
-        Returns
-        -------
-        ndarray of bool
-            The motions that are blocked still.
-        """
+        """Make the path free for another body; leave it as it is where that fails."""
         chain = self.chain
         before = chain._replace(
             poses=chain.poses.copy(), cost=chain.cost.copy(), kept=chain.kept.copy()
@@ -305,19 +262,7 @@ class Refiner:
         enough: float = 0.0,
         most: int | None = None,
     ) -> None:
-        """Move poses until the budget is over, the cost is `enough`, or little is gained.
-
-        Parameters
-        ----------
-        budget : Budget
-            What may be spent.
-        patience : int
-            Attempts in which the cost must fall by a ten-thousandth.
-        enough : float
-            Cost at which to stop.
-        most : int, optional
-            Attempts at which to stop.
-        """
+        """Move poses until the budget is over, the cost is `enough`, or little is gained."""
         mark, since, spent = self.cost, 0, 0
         while not budget.over and self.cost > enough:
             self.count = int(
@@ -335,37 +280,7 @@ class Refiner:
 
 
 def refine(query: CompiledProblem, segments: Segments, budget: Budget, seed: int = 1) -> Segments:
-    """Return cheaper motions from the start to the goal.
-
-    Parameters
-    ----------
-    query : CompiledProblem
-        The problem.
-    segments : Segments
-        Motions from the start to the goal, free of collisions.
-    budget : Budget
-        What may be spent.
-    seed : int
-        Seed of the random numbers.
-
-    Returns
-    -------
-    Segments
-        Motions that cost no more.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> cost = ep.EnergyCost(ep.PowerModel.preset("quadriga:empty:marble"))
-    >>> problem = ep.PlanningProblem(hall, cost, (1, 2, 0), (5, 2, 0))
-    >>> from energyplan.planning import Budget
-    >>> to_and_fro = Segments(np.array([2.0, -1.0, 3.0]), np.zeros(3))
-    >>> straight = refine(CompiledProblem(problem), to_and_fro, Budget(effort=1000))
-    >>> [round(float(ds), 6) for ds in straight.ds]
-    [4.0]
-    """
+    """Return cheaper motions from the start to the goal."""
     refiner = Refiner(query.setting, segments, seed)
     refiner.shortcut(budget)
     refiner.polish(budget)

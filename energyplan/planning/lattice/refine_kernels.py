@@ -25,42 +25,20 @@ SMALLEST, LARGEST = 1e-4, 1.0
 
 
 class Chain(NamedTuple):
-    """Poses and what it costs to get from each to the next.
+    """Poses and what it costs to get from each to the next."""
 
-    Attributes
-    ----------
-    poses : ndarray, shape (capacity, 3)
-        Poses of the centre of the tread ICRs.
-    cost : ndarray, shape (capacity,)
-        Cost from each pose to the next.
-    kept : ndarray of bool, shape (capacity,)
-        Whether the motion to the next pose is a given one.
-    ds, dtheta : ndarray, shape (capacity,)
-        That motion.
-    step : ndarray, shape (capacity,)
-        Distance by which to try moving each pose [m].
-    """
-
-    poses: FloatTable
-    cost: Floats
-    kept: Flags
-    ds: Floats
-    dtheta: Floats
-    step: Floats
+    poses: FloatTable  # (capacity, 3): poses of the centre of the tread ICRs
+    cost: Floats  # (capacity,): cost from each pose to the next
+    kept: Flags  # (capacity,): whether the motion to the next pose is a given one
+    ds: Floats  # (capacity,): that motion
+    dtheta: Floats  # (capacity,): that motion
+    step: Floats  # (capacity,): distance by which to try moving each pose [m]
 
 
 class Shortened(NamedTuple):
-    """What is left of a chain.
+    """What is left of a chain."""
 
-    Attributes
-    ----------
-    poses : int
-        How many poses.
-    steered, tested : int
-        Pairs of poses that were steered between, and those of which the motions were tested.
-    """
-
-    poses: int
+    poses: int  # how many poses
     steered: int
     tested: int
 
@@ -276,21 +254,7 @@ def _along(
 
 @njit
 def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state: Words) -> int:
-    """Move, remove and insert poses at random where that is cheaper; return their number.
-
-    Parameters
-    ----------
-    chain : Chain
-        The path; changed in place, never for the worse.
-    setting : KernelProblem
-        The problem.
-    count : int
-        Number of poses.
-    trials : int
-        Number of attempts.
-    state : ndarray of uint64, shape (1,)
-        State of the random numbers.
-    """
+    """Move, remove and insert poses at random where that is cheaper; return their number."""
     ds = np.empty(MAX_SEGMENTS)
     dtheta = np.empty(MAX_SEGMENTS)
     most = min(len(chain.cost) - 1, count + 4)

@@ -45,27 +45,12 @@ def coarse_lattice(setting: KernelProblem) -> kernels.Lattice:
 
 @dataclass
 class Search:
-    """One search tree.
+    """One search tree."""
 
-    Parameters
-    ----------
-    setting : KernelProblem
-        The problem.
-    to_go : DistanceToGo
-        Distance to go.
-    lattice : Lattice
-        Resolution.
-    weight : float
-        Factor on the estimated cost to go.
-    aligned : bool
-        Whether to turn to the nearest heading of the lattice that is counted from the map's axes
-        first, where there is room to: gaps that the body barely passes mostly lie along these.
-    """
-
-    setting: KernelProblem
-    to_go: DistanceToGo
-    lattice: kernels.Lattice
-    weight: float
+    setting: KernelProblem  # the problem
+    to_go: DistanceToGo  # distance to go
+    lattice: kernels.Lattice  # resolution
+    weight: float  # factor on the estimated cost to go
     aligned: bool = False
 
     def __post_init__(self) -> None:
@@ -141,24 +126,7 @@ class Search:
         expansions: int | None = None,
         limit: float = np.inf,
     ) -> int:
-        """Search until something is found, nothing is left, or the budget is over.
-
-        Parameters
-        ----------
-        budget : Budget
-            What the search may spend.
-        stop_at_first : bool
-            Whether any motion to the goal will do.
-        expansions : int, optional
-            Largest number of expansions.
-        limit : float
-            Motions at this cost or above are of no interest; it may fall from call to call.
-
-        Returns
-        -------
-        int
-            `FOUND`, `EXHAUSTED`, or `RUNNING` where budget or expansions ran out.
-        """
+        """Search until something is found, nothing is left, or the budget is over."""
         most = np.inf if expansions is None else self.tree.counts[2] + expansions
         while True:
             before = int(self.tree.counts[2])

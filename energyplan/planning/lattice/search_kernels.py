@@ -35,68 +35,31 @@ TOLERANCE = 0.15
 
 
 class Lattice(NamedTuple):
-    """Resolution of the search.
+    """Resolution of the search."""
 
-    Attributes
-    ----------
-    cell : float
-        Size of the cells in which two positions count as one [m].
-    turn : float
-        Step of the headings [rad].
-    headings : int
-        Their number.
-    step : float
-        Length of a straight motion [m].
-    """
-
-    cell: float
-    turn: float
-    headings: int
-    step: float
+    cell: float  # size of the cells in which two positions count as one [m]
+    turn: float  # step of the headings [rad]
+    headings: int  # their number
+    step: float  # length of a straight motion [m]
 
 
 class Tree(NamedTuple):
-    """What the search remembers, all of it in arrays that can be replaced by larger ones.
+    """What the search remembers, all of it in arrays that can be replaced by larger ones."""
 
-    Attributes
-    ----------
-    x, y : ndarray
-        Position of each node [m].
-    heading : ndarray of int32
-        Index of its heading.
-    g, h : ndarray
-        Cost so far, and estimate of the cost to go.
-    parent : ndarray of int32
-        Node it was reached from, -1 at the root.
-    ds, dtheta : ndarray
-        Motion by which it was reached.
-    key : ndarray of int64
-        Cell and heading as one number.
-    table : ndarray of int32
-        Hash table from key to node, -1 where empty; its size is a power of two.
-    heap_f, heap_node : ndarray
-        Binary heap of open nodes.
-    counts : ndarray of int64, shape (5,)
-        Nodes, heap entries, expansions, best connecting node (-1), expansions since the last
-        attempt to connect.
-    best : ndarray, shape (1,)
-        Cost of the best motion to the goal so far.
-    """
-
-    x: Floats
-    y: Floats
-    heading: ShortInts
-    g: Floats
-    h: Floats
-    parent: ShortInts
-    ds: Floats
-    dtheta: Floats
-    key: Ints
-    table: ShortInts
-    heap_f: Floats
-    heap_node: ShortInts
-    counts: Ints
-    best: Floats
+    x: Floats  # position of each node [m]
+    y: Floats  # position of each node [m]
+    heading: ShortInts  # index of its heading
+    g: Floats  # cost so far, and estimate of the cost to go
+    h: Floats  # cost so far, and estimate of the cost to go
+    parent: ShortInts  # node it was reached from, -1 at the root
+    ds: Floats  # motion by which it was reached
+    dtheta: Floats  # motion by which it was reached
+    key: Ints  # cell and heading as one number
+    table: ShortInts  # hash table from key to node, -1 where empty
+    heap_f: Floats  # binary heap of open nodes
+    heap_node: ShortInts  # binary heap of open nodes
+    counts: Ints  # (5,)
+    best: Floats  # (1,): cost of the best motion to the goal so far
 
 
 @inner
@@ -162,33 +125,7 @@ def grow(
     stop_at_first: bool,
     limit: float,
 ) -> int:
-    """Expand nodes until a motion to the goal is found, or so many were expanded.
-
-    Parameters
-    ----------
-    tree : Tree
-        What is known so far; changed in place. An empty one gets the start.
-    setting : KernelProblem
-        Space, body, costs, start and goal.
-    to_go : DistanceToGo
-        Distance to go.
-    lattice : Lattice
-        Resolution.
-    weight : float
-        Factor on the estimate of the cost to go; 1 for the least cost on the lattice, 0 for the
-        costs to all places, whatever the goal.
-    expansions : int
-        Largest number of expansions in this call.
-    stop_at_first : bool
-        Whether any motion to the goal will do.
-    limit : float
-        What leads to motions of this cost or above, by the estimate, is of no interest.
-
-    Returns
-    -------
-    int
-        `RUNNING`, `FOUND`, `EXHAUSTED` or `FULL` (the arrays must be enlarged).
-    """
+    """Expand nodes until a motion to the goal is found, or so many were expanded."""
     space = setting.space
     counts = tree.counts
     half = setting.half_track

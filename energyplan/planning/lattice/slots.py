@@ -94,21 +94,7 @@ def slot_work(
     budget: Budget,
     enter: Callable[[Segments | None], None],
 ) -> list[Work]:
-    """Return the search for a way through slots shorter than those known, where it may pay.
-
-    Parameters
-    ----------
-    setting : KernelProblem
-        The problem.
-    fields : mapping
-        Distances to go that are known, by how much longer tight places count.
-    cost : float
-        Cost above which ways are of no interest.
-    budget : Budget
-        What searches may spend.
-    enter : callable
-        Takes the way that is found, or None.
-    """
+    """Return the search for a way through slots shorter than those known, where it may pay."""
     units = SHARE * budget.left
     guide = max((found.work for found in fields.values()), default=0) / TURNS
     if units < max(LEAST, GUIDES * guide):
@@ -127,25 +113,7 @@ def slot_work(
 def way_through_slots(
     setting: KernelProblem, known: DistanceToGo | None, cost: float, budget: Budget
 ) -> Segments | None:
-    """Return the shortest way through slots that fits, if one is found.
-
-    Parameters
-    ----------
-    setting : KernelProblem
-        The problem.
-    known : DistanceToGo or None
-        Distance to go through the poses tested, tight places counted as others; None where these
-        do not join start and goal.
-    cost : float
-        Cost above which ways are of no interest.
-    budget : Budget
-        What may be spent.
-
-    Returns
-    -------
-    Segments or None
-        Motions from the start to the goal, free of collisions.
-    """
+    """Return the shortest way through slots that fits, if one is found."""
     limit = np.inf if known is None else GAIN * distance_at_start(known, setting)
     by = slack(setting)
     slim = slimmer(setting, by)
@@ -181,21 +149,7 @@ def way_through_slots(
 def _opened(
     setting: KernelProblem, way: Segments, to_go: DistanceToGo, by: float, budget: Budget
 ) -> Segments | list[Pose]:
-    """Return the whole body's way, or the poses where it does not fit.
-
-    Parameters
-    ----------
-    setting : KernelProblem
-        The problem.
-    way : Segments
-        The way of a slimmer body.
-    to_go : DistanceToGo
-        Distance to go.
-    by : float
-        How much slimmer it is on every side [m].
-    budget : Budget
-        What may be spent.
-    """
+    """Return the whole body's way, or the poses where it does not fit."""
     start = Pose(setting.start_x, setting.start_y, setting.start_yaw)
     piece = setting.reach
     fine = Path(start, way.ds, way.dtheta).subdivide(max_ds=piece, max_dtheta=1.0)
@@ -259,21 +213,11 @@ def between(setting: KernelProblem, start: Pose, goal: Pose) -> KernelProblem:
 
 
 class Grown(NamedTuple):
-    """What became of a slim body's way.
+    """What became of a slim body's way."""
 
-    Attributes
-    ----------
-    motions : Segments or None
-        The way of the whole body; None where it does not fit.
-    closed : list of Pose
-        Where it does not fit.
-    lacking : float
-        What the body lacked there still, in units of what it lacked at first.
-    """
-
-    motions: Segments | None
-    closed: list[Pose]
-    lacking: float
+    motions: Segments | None  # the way of the whole body
+    closed: list[Pose]  # where it does not fit
+    lacking: float  # what the body lacked there still, in units of what it lacked at first
 
 
 def slack(setting: KernelProblem) -> float:
@@ -295,26 +239,7 @@ def slimmer(setting: KernelProblem, by: float) -> KernelProblem:
 
 
 def grow(setting: KernelProblem, way: Segments, by: float, budget: Budget, seed: int = 1) -> Grown:
-    """Make the way of a slimmer body one of the whole body.
-
-    Parameters
-    ----------
-    setting : KernelProblem
-        The problem.
-    way : Segments
-        Motions of the slimmer body from the start to the goal, free of collisions.
-    by : float
-        How much it is smaller on every side [m].
-    budget : Budget
-        What may be spent.
-    seed : int
-        Seed of the random numbers.
-
-    Returns
-    -------
-    Grown
-        The way, or where it does not fit.
-    """
+    """Make the way of a slimmer body one of the whole body."""
     refiner = Refiner(slimmer(setting, by), way, seed, POSES)
     refiner.shortcut(budget)
     lacking, step, failed = 1.0, STEP, 0

@@ -47,21 +47,11 @@ EXPANSIONS, POLISH = 20_000, 800
 
 
 class Stops(NamedTuple):
-    """What stops take of a path that is driven.
+    """What stops take of a path that is driven."""
 
-    Attributes
-    ----------
-    energy : float
-        Energy of the drive [J]; infinite where the path cannot be driven.
-    extra : float
-        What that is above driving steadily [J]; zero where it cannot be driven.
-    each : float
-        That for each stop [J].
-    """
-
-    energy: float
-    extra: float
-    each: float
+    energy: float  # energy of the drive [J]
+    extra: float  # what that is above driving steadily [J]
+    each: float  # that for each stop [J]
 
     @property
     def share(self) -> float:
@@ -97,31 +87,7 @@ def least_driven(
     budget: Budget,
     rivals: Sequence[Path] = (),
 ) -> Path:
-    """Return the path that takes least energy when it is driven; no rival takes less.
-
-    Parameters
-    ----------
-    query : CompiledProblem
-        The problem.
-    path : Path
-        The path of least energy at a steady speed.
-    stops : Stops
-        What stops take of it.
-    others : iterable of Segments
-        Motions from the start to the goal about which to look, besides those of the path; where
-        stops take too little of it for that to pay, none are looked at.
-    to_go : DistanceToGo
-        Distance to go.
-    budget : Budget
-        What may be spent.
-    rivals : sequence of Path
-        Paths that are known, such as the shortest. They are driven whatever is left of the budget.
-
-    Returns
-    -------
-    Path
-        The path, or one that takes less.
-    """
+    """Return the path that takes least energy when it is driven; no rival takes less."""
     best, least, extra = path, stops.energy, stops.extra
     known = {_key(path)}
 

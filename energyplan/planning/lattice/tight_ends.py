@@ -53,17 +53,9 @@ NOTHING = Segments(np.empty(0), np.empty(0))
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """Where searches begin and end, and the motions between there and the problem's own ends.
+    """Where searches begin and end, and the motions between there and the problem's own ends."""
 
-    Attributes
-    ----------
-    query : CompiledProblem
-        The problem.
-    out, back : Segments
-        Motions from the start to where searches begin, and from where they end to the goal.
-    """
-
-    query: CompiledProblem
+    query: CompiledProblem  # the problem
     out: Segments = NOTHING
     back: Segments = NOTHING
 
@@ -150,38 +142,16 @@ def surely_roomy(query: CompiledProblem, end: Pose) -> bool:
 
 
 class Way(NamedTuple):
-    """A way out of an end, or into it.
+    """A way out of an end, or into it."""
 
-    Attributes
-    ----------
-    motions : Segments
-        Its motions, as they are driven.
-    promise : float
-        What it costs, and the motion between where it has room and the other end.
-    """
-
-    motions: Segments
-    promise: float
+    motions: Segments  # its motions, as they are driven
+    promise: float  # what it costs, and the motion between where it has room and the other end
 
 
 def _way_out(
     query: CompiledProblem, goal: bool, only: float, turn: float, budget: Budget
 ) -> Way | None:
-    """Return the way that costs least on the whole with what is left then, if any is known.
-
-    Parameters
-    ----------
-    query : CompiledProblem
-        The problem.
-    goal : bool
-        Whether the end is the goal, so that the ways lead in.
-    only : float
-        1 for ways that never go backwards, -1 for those that never go forwards, 0 for all.
-    turn : float
-        What the body must be able to turn where it has room [rad].
-    budget : Budget
-        What may be spent.
-    """
+    """Return the way that costs least on the whole with what is left then, if any is known."""
     problem = query.problem
     ends = (problem.goal, problem.start) if goal else (problem.start, problem.goal)
     pose, far = (query.centre(end) for end in ends)
@@ -239,22 +209,7 @@ def _way_out(
 
 
 def ways_out(query: CompiledProblem, budget: Budget, turn: float = TURN) -> list[Ends]:
-    """Return ends with room, the most promising first.
-
-    Parameters
-    ----------
-    query : CompiledProblem
-        The problem.
-    budget : Budget
-        What may be spent.
-    turn : float
-        What the body must be able to turn where it has room, beside having the margin [rad].
-
-    Returns
-    -------
-    list of Ends
-        The problem's own alone where they have room, or where no way out is found.
-    """
+    """Return ends with room, the most promising first."""
     ends = query.problem.start, query.problem.goal
     kinds = [
         (goal, only) for goal in (False, True) if tight(query, ends[goal], turn) for only in ONLY

@@ -75,21 +75,11 @@ MOST = 100_000
 
 
 class Counted(NamedTuple):
-    """A way whose turns are counted.
+    """A way whose turns are counted."""
 
-    Attributes
-    ----------
-    chain : ndarray of int
-        Its nodes, from the start to the goal; empty where none was found.
-    cost : float
-        Price of its length and turns.
-    looked : int
-        States that were looked at.
-    """
-
-    chain: Ints
-    cost: float
-    looked: int
+    chain: Ints  # its nodes, from the start to the goal
+    cost: float  # price of its length and turns
+    looked: int  # states that were looked at
 
 
 def passed_by(places: Places, chain: Ints, within: float) -> NDArray[np.bool_]:
@@ -117,20 +107,6 @@ def ways_with_turns(setting: KernelProblem, known: DistanceToGo | None, budget: 
     """Return motions along the ways that are cheapest by their length and turns.
 
     Where the distance to go was not known, those along it follow.
-
-    Parameters
-    ----------
-    setting : KernelProblem
-        The problem.
-    known : DistanceToGo or None
-        Distance to go, tight places counted as others, where it is known.
-    budget : Budget
-        What may be spent.
-
-    Returns
-    -------
-    Turned
-        The ways, free of collisions.
     """
     to_go = distance_to_go(setting) if known is None else known
     budget.spend(to_go.work / TURNS if known is None else 0.0)
@@ -160,22 +136,6 @@ def cheapest_chain(
     """Return the nodes along the way that is cheapest by its length and its turns.
 
     A* over nodes and facings, led by the distance to go.
-
-    Parameters
-    ----------
-    to_go : DistanceToGo
-        Distance to go, tight places counted as others.
-    setting : KernelProblem
-        The problem.
-    passed : ndarray of bool, shape (places,) or (1,)
-        Places where steps count as dearer.
-    most : int
-        States that are looked at, at most.
-
-    Returns
-    -------
-    Counted
-        The way.
     """
     places = to_go.places
     space = setting.space

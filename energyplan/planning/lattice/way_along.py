@@ -69,38 +69,19 @@ TEST, FOLLOWED = 0.03, 1.0
 
 
 class Joined(NamedTuple):
-    """How far motions along poses lead.
+    """How far motions along poses lead."""
 
-    Attributes
-    ----------
-    last : int
-        The furthest pose that is reached.
-    motions : int
-        Number of motions to it.
-    tried : int
-        Pairs of poses that were tried.
-    """
-
-    last: int
-    motions: int
-    tried: int
+    last: int  # the furthest pose that is reached
+    motions: int  # number of motions to it
+    tried: int  # pairs of poses that were tried
 
 
 class Led(NamedTuple):
-    """How far motions along the way to go lead.
+    """How far motions along the way to go lead."""
 
-    Attributes
-    ----------
-    motions : Segments or None
-        The motions, free of collisions; None where poses are not joined, or nothing leads to the
-        goal.
-    x, y : float
-        The place that they lead to [m].
-    """
-
-    motions: Segments | None
-    x: float
-    y: float
+    motions: Segments | None  # the motions, free of collisions
+    x: float  # the place that they lead to [m]
+    y: float  # the place that they lead to [m]
 
 
 def way_along(
@@ -119,24 +100,7 @@ def led_along(
     budget: Budget,
     chain: NDArray[np.int64] | None = None,
 ) -> Led:
-    """Find motions along the way to go.
-
-    Parameters
-    ----------
-    setting : KernelProblem
-        The problem.
-    to_go : DistanceToGo
-        Distance to go.
-    budget : Budget
-        What may be spent.
-    chain : ndarray of int, optional
-        Nodes from the start to the goal to go along instead.
-
-    Returns
-    -------
-    Led
-        The motions, and where they lead.
-    """
+    """Find motions along the way to go."""
     chain = chain_along(to_go, setting) if chain is None else chain
     poses = poses_along(to_go.places, setting, chain)
     parts: list[Segments] = []
@@ -208,15 +172,7 @@ def _grown(body: Body, by: float) -> Body:
 
 @njit
 def chain_along(to_go: DistanceToGo, setting: KernelProblem) -> Ints:
-    """Return the nodes along the way to go, from the start to the goal; none where it is not known.
-
-    Parameters
-    ----------
-    to_go : DistanceToGo
-        Distance to go.
-    setting : KernelProblem
-        The problem.
-    """
+    """Return the nodes from the start to the goal; none where the way is not known."""
     start = node_at(to_go, setting.space, setting.start_x, setting.start_y, setting.start_yaw)
     return chain_from(to_go, start if start >= 0 and to_go.distance[start] < inf else -1)
 
@@ -239,17 +195,7 @@ def chain_from(to_go: DistanceToGo, node: int) -> Ints:
 
 @njit
 def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTable:
-    """Return poses along a way, from the start to the goal; none where it has no nodes.
-
-    Parameters
-    ----------
-    places : Places
-        The nodes.
-    setting : KernelProblem
-        The problem.
-    chain : ndarray of int
-        Nodes along the way.
-    """
+    """Return poses along a way, from the start to the goal; none where it has no nodes."""
     space = setting.space
     count = len(chain)
     if count == 0:
@@ -379,24 +325,7 @@ def _free_in(setting: KernelProblem, along: float, up: float, yaw: float, spacin
 def join_poses(
     setting: KernelProblem, poses: FloatTable, limit: int, ds: Floats, dtheta: Floats
 ) -> Joined:
-    """Write the cheapest motions from the first pose to the furthest one that is reached.
-
-    Parameters
-    ----------
-    setting : KernelProblem
-        The problem.
-    poses : ndarray, shape (n, 3)
-        The poses.
-    limit : int
-        Largest number of pairs that are joined.
-    ds, dtheta : ndarray
-        Motions written.
-
-    Returns
-    -------
-    Joined
-        How far they lead.
-    """
+    """Write the cheapest motions from the first pose to the furthest one that is reached."""
     count = len(poses)
     part_ds = np.empty(MAX_SEGMENTS)
     part_dtheta = np.empty(MAX_SEGMENTS)

@@ -116,62 +116,14 @@ def _geometric(
 def rrtstar(
     problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
 ) -> Candidate:
-    """Plan with OMPL's RRT* on the objective of the problem.
-
-    Parameters
-    ----------
-    problem : PlanningProblem
-        The problem.
-    budget : Budget
-        What planning may spend, all of which is used.
-    seed : int
-        Seed of OMPL's random numbers, which are those of the whole process.
-    **parameters : object
-        Parameters of OMPL's planner: ``goal_bias=0.1`` calls ``setGoalBias(0.1)``.
-
-    Returns
-    -------
-    Candidate
-        The best path found.
-
-    Raises
-    ------
-    NoPathError
-        If a disc inside the footprint cannot get from start to goal.
-    TimeLimitError
-        If the budget was over before a path was found; OMPL's planners cannot tell whether there
-        is one.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> found = rrtstar(problem, Budget(effort=500))
-    >>> round(found.path.length, 1) >= 3.0
-    True
-    """
+    """Plan with OMPL's RRT* on the objective of the problem."""
     return _geometric(geometric.RRTstar, "rrtstar", problem, budget, seed, parameters)
 
 
 def informed_rrtstar(
     problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
 ) -> Candidate:
-    """Plan with OMPL's informed RRT*; parameters as in `rrtstar`.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> found = informed_rrtstar(problem, Budget(effort=500))
-    >>> round(found.path.length, 1) >= 3.0
-    True
-    """
+    """Plan with OMPL's informed RRT*; parameters as in `rrtstar`."""
     make = geometric.InformedRRTstar
     return _geometric(make, "informed_rrtstar", problem, budget, seed, parameters)
 
@@ -179,19 +131,7 @@ def informed_rrtstar(
 def bitstar(
     problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
 ) -> Candidate:
-    """Plan with OMPL's BIT*; parameters as in `rrtstar`.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> found = bitstar(problem, Budget(effort=500))
-    >>> round(found.path.length, 1) >= 3.0
-    True
-    """
+    """Plan with OMPL's BIT*; parameters as in `rrtstar`."""
     return _geometric(geometric.BITstar, "bitstar", problem, budget, seed, parameters)
 
 
@@ -201,17 +141,6 @@ def fmt(
     """Plan with OMPL's FMT*; parameters as in `rrtstar`.
 
     FMT* is not anytime: it draws ``num_samples`` samples, then searches once.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> found = fmt(problem, Budget(effort=20000), num_samples=50)
-    >>> round(found.path.length, 1) >= 3.0
-    True
     """
     return _geometric(geometric.FMT, "fmt", problem, budget, seed, parameters)
 
@@ -222,50 +151,6 @@ class LatticePlanner(base.Planner):
     Its states are poses of the body frame, in any state space whose states have ``setXY`` and
     ``setYaw``. Take ``ReedsSheppStateSpace(C)`` with `C` half the slip track: the states of the
     path lie so close together that OMPL's interpolation between them drives what was planned.
-
-    Parameters
-    ----------
-    information : ompl.base.SpaceInformation
-        OMPL's space information.
-    grid : OccupancyGrid
-        Obstacles.
-    cost : EnergyCost
-        Cost of motions.
-    surfaces : SurfaceMap, optional
-        Grounds with power models of their own.
-    objective : str or mapping of str to float
-        What to make least, as in `PlanningProblem`.
-    vehicle : Vehicle, optional
-        Whose footprint to use.
-    gap : float
-        Planning ends early when this gap to the lower bound is reached.
-
-    Attributes
-    ----------
-    plan : Plan or None
-        The plan of the last `solve`.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> space = base.ReedsSheppStateSpace(0.5 * model.vehicle.icr.slip_track)
-    >>> bounds = base.RealVectorBounds(2)
-    >>> bounds.setLow(0.0)
-    >>> bounds.setHigh(6.0)
-    >>> space.setBounds(bounds)
-    >>> setup = geometric.SimpleSetup(space)
-    >>> information = setup.getSpaceInformation()
-    >>> setup.setStateValidityChecker(base.AllValidStateValidityChecker(information))
-    >>> start, goal = pose_state(space, 1.0, 2.0, 0.0), pose_state(space, 4.0, 2.0, 0.0)
-    >>> setup.setStartAndGoalStates(start, goal)
-    >>> planner = LatticePlanner(information, hall, ep.EnergyCost(model), gap=0.05)
-    >>> setup.setPlanner(planner)
-    >>> _ = setup.solve(5.0)
-    >>> round(planner.plan.energy)
-    540
     """
 
     def __init__(
@@ -289,19 +174,7 @@ class LatticePlanner(base.Planner):
 
     @override
     def solve(self, condition: Any) -> Any:
-        """Plan until OMPL's termination condition holds, or nothing is left to gain.
-
-        Parameters
-        ----------
-        condition : ompl.base.PlannerTerminationCondition or float
-            When to stop: OMPL's condition, or a time [s].
-
-        Returns
-        -------
-        ompl.base.PlannerStatus
-            ``EXACT_SOLUTION``, or ``TIMEOUT`` where there is none; the reason is raised where
-            start or goal cannot be.
-        """
+        """Plan until OMPL's termination condition holds, or nothing is left to gain."""
         until = condition
         limit = time.perf_counter() + (until if isinstance(until, (int, float)) else np.inf)
 

@@ -53,11 +53,6 @@ def driving_rates(query: CompiledProblem) -> FloatArray:
 
     It is the speed of the cost: the cheapest within the limits, which is the fastest one where
     speed costs nothing.
-
-    Raises
-    ------
-    UnsupportedPlannerError
-        If the vehicle has no limit, so that motions take no time.
     """
     cost = query.problem.cost
     if not (np.isfinite(cost.vehicle.motor.speed) or cost.speed):
@@ -131,31 +126,6 @@ def control_rrt(
     It is started again until the budget is over, each time for a path that costs less by `GAIN`
     than the one known. The last stretch to the goal, less than `REACH`, is the exact steering
     motion.
-
-    Parameters
-    ----------
-    problem : PlanningProblem
-        The problem.
-    budget : Budget
-        What planning may spend. All of it is used, unless no cheaper path can exist.
-    seed : int
-        Seed of OMPL's random numbers, which are those of the whole process.
-    **parameters : object
-        Parameters of OMPL's planner: ``goal_bias=0.1`` calls ``setGoalBias(0.1)``.
-
-    Returns
-    -------
-    Candidate
-        The best path found.
-
-    Raises
-    ------
-    NoPathError
-        If a disc inside the footprint cannot get from start to goal.
-    TimeLimitError
-        If the budget was over before a path was found.
-    UnsupportedPlannerError
-        If the vehicle has no speed limit.
     """
     query = CompiledProblem(problem)
     check_way(query)

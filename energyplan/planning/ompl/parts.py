@@ -46,32 +46,6 @@ class EnergyObjective(DirectedObjective):
 
     The cost is directed: driving back the way one came costs the same on level ground, but not on
     every model, so that OMPL must not take it for symmetric.
-
-    Parameters
-    ----------
-    information : ompl.base.SpaceInformation
-        OMPL's space information; its states are poses in the plane.
-    query : CompiledProblem
-        The problem.
-    budget : Budget
-        What each motion is spent from.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> from energyplan.planning.scene.compiled import CompiledProblem
-    >>> query = CompiledProblem(problem)
-    >>> space = pose_space(query)
-    >>> information = base.SpaceInformation(space)
-    >>> information.setStateValidityChecker(PoseChecker(information, query))
-    >>> objective = EnergyObjective(information, query)
-    >>> here, there = pose_state(space, 1.0, 2.0, 0.0), pose_state(space, 4.0, 2.0, 0.0)
-    >>> round(objective.motionCost(here, there).value())
-    540
     """
 
     def __init__(
@@ -125,32 +99,7 @@ def steering_free(
 
 
 class SteeringValidator(base.MotionValidator):
-    """Tells whether the exact motion between two states is free for the whole footprint.
-
-    Parameters
-    ----------
-    information : ompl.base.SpaceInformation
-        OMPL's space information; its states are poses in the plane.
-    query : CompiledProblem
-        The problem.
-    budget : Budget
-        What each motion is spent from.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> from energyplan.planning.scene.compiled import CompiledProblem
-    >>> query = CompiledProblem(problem)
-    >>> space = pose_space(query)
-    >>> information = base.SpaceInformation(space)
-    >>> validator = SteeringValidator(information, query)
-    >>> validator.checkMotion(pose_state(space, 1.0, 2.0, 0.0), pose_state(space, 4.0, 2.0, 0.0))
-    True
-    """
+    """Tells whether the exact motion between two states is free for the whole footprint."""
 
     def __init__(
         self, information: Any, query: CompiledProblem, budget: Budget = UNLIMITED
@@ -177,23 +126,7 @@ class SteeringValidator(base.MotionValidator):
 
 
 class PoseChecker(base.StateValidityChecker):
-    """Tells whether the footprint is free at a state.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> from energyplan.planning.scene.compiled import CompiledProblem
-    >>> query = CompiledProblem(problem)
-    >>> space = pose_space(query)
-    >>> information = base.SpaceInformation(space)
-    >>> checker = PoseChecker(information, query)
-    >>> [checker.isValid(pose_state(space, x, 2.0, 0.0)) for x in (2.0, 0.1)]
-    [True, False]
-    """
+    """Tells whether the footprint is free at a state."""
 
     def __init__(self, information: Any, query: CompiledProblem) -> None:
         super().__init__(information)
@@ -207,20 +140,7 @@ class PoseChecker(base.StateValidityChecker):
 
 
 def pose_space(query: CompiledProblem) -> Any:
-    """Return OMPL's space of the poses on the map.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> from energyplan.planning.scene.compiled import CompiledProblem
-    >>> query = CompiledProblem(problem)
-    >>> pose_space(query).getBounds().high[0]
-    6.0
-    """
+    """Return OMPL's space of the poses on the map."""
     space = base.SE2StateSpace()
     corners = query.grid.corners
     bounds = base.RealVectorBounds(2)
@@ -236,21 +156,7 @@ def pose_space(query: CompiledProblem) -> Any:
 
 
 def pose_state(space: Any, x: float, y: float, yaw: float) -> Any:
-    """Return a state of OMPL's at a pose; Python owns it.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> from energyplan.planning.scene.compiled import CompiledProblem
-    >>> query = CompiledProblem(problem)
-    >>> state = pose_state(pose_space(query), 1.0, 2.0, 0.5)
-    >>> state.getX(), state.getYaw()
-    (1.0, 0.5)
-    """
+    """Return a state of OMPL's at a pose; Python owns it."""
     state = space.allocState()
     place(state, x, y, yaw)
     return state
@@ -273,13 +179,7 @@ def end_states(space: Any, query: CompiledProblem) -> tuple[Any, Any]:
 
 
 def set_parameters(planner: Any, name: str, parameters: Mapping[str, object]) -> None:
-    """Call the setters of one of OMPL's planners.
-
-    Raises
-    ------
-    UnknownNameError
-        If it has no such setter.
-    """
+    """Call the setters of one of OMPL's planners."""
     for key, value in parameters.items():
         setter = "set" + "".join(word.capitalize() for word in key.split("_"))
         if not hasattr(planner, setter):

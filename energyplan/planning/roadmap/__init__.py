@@ -61,31 +61,6 @@ def price_edges(graph: Graph, cost: EnergyCost, surfaces: SurfaceMap | None = No
 
     A graph of places cannot carry the energy of the turns at its nodes: a planner that adds up
     these costs sees none of it, `Roadmap` does.
-
-    Parameters
-    ----------
-    graph : networkx graph
-        The graph; nodes carry positions.
-    cost : EnergyCost
-        Cost of motions, driving forwards.
-    surfaces : SurfaceMap, optional
-        Grounds with power models of their own.
-
-    Returns
-    -------
-    networkx graph
-        The copy, of the same kind. Of an undirected edge the more expensive direction counts.
-        Loops are left as they are.
-
-    Examples
-    --------
-    >>> import networkx as nx
-    >>> from energyplan.power import PowerModel
-    >>> graph = nx.Graph([("dock", "gate")])
-    >>> nx.set_node_attributes(graph, {"dock": (0, 0), "gate": (5, 0)}, "pos")
-    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
-    >>> round(price_edges(graph, cost)["dock"]["gate"]["cost"])
-    1130
     """
     priced = graph.copy()
     edges = edges_of(graph, reverse=False)
@@ -116,56 +91,6 @@ def plan(
 
     Every edge and every turn of the answer is tested with the whole footprint; those that are not
     free are left out, and the search is repeated without them.
-
-    Parameters
-    ----------
-    problem : PlanningProblem
-        The problem.
-    budget : Budget
-        What planning may spend.
-    graph : networkx graph, optional
-        Places with positions; start and goal are joined to the nearest ones that can be reached
-        in a straight line. Without it the visibility graph of the obstacles is used.
-    obstacles : shapely geometry or iterable of them, optional
-        Shapes of the obstacles for the visibility graph; traced from the map where not given.
-    clearance : float, optional
-        Distance that the visibility graph keeps from obstacles [m]; half the footprint's width
-        and half a cell where not given.
-    neighbours : int
-        How many places of `graph` start and goal may be joined to.
-    reverse : bool
-        Whether the robot may drive backwards.
-    radius : float
-        Largest radius of rounded corners [m] at nodes of `graph` without a ``radius``.
-    refine : bool, optional
-        Whether to use what is left of the time to make the route cheaper with exact steering,
-        which leaves the graph; done where not given, unless a `graph` is.
-
-    Returns
-    -------
-    Candidate
-        The best route on the graph, refined where wanted. Of the visibility graph as much is built
-        as can matter for the objective; if the budget is over before, the best route by then is
-        returned.
-
-    Raises
-    ------
-    NoPathError
-        If the graph holds no free route.
-    TimeLimitError
-        If the budget was over before one was found; the message says how far it got.
-
-    Examples
-    --------
-    `energyplan.plan` calls it by its name:
-
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> cost = ep.EnergyCost(ep.PowerModel.preset("quadriga:empty:concrete"))
-    >>> problem = ep.PlanningProblem(hall, cost, start=(1, 2, 0), goal=(5, 2, 0))
-    >>> round(ep.plan(problem, "roadmap", effort=5000).path.length, 2)
-    4.0
     """
     polish = graph is None if refine is None else refine
     query = CompiledProblem(problem)

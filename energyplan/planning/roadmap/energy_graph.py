@@ -38,37 +38,16 @@ _PRICED = 0.05
 
 
 class State(NamedTuple):
-    """An edge as it is driven.
+    """An edge as it is driven."""
 
-    Attributes
-    ----------
-    source, target : hashable
-        Its nodes.
-    key : hashable
-        Its key in a multigraph; None in others.
-    gear : int
-        1 forwards, -1 backwards.
-
-    Examples
-    --------
-    >>> State("dock", "gate", None, gear=-1).gear  # driven backwards
-    -1
-    """
-
-    source: Hashable
-    target: Hashable
-    key: Hashable
-    gear: int
+    source: Hashable  # its nodes
+    target: Hashable  # its nodes
+    key: Hashable  # its key in a multigraph
+    gear: int  # 1 forwards, -1 backwards
 
 
 def positions(graph: Graph) -> dict[Hashable, tuple[float, float]]:
-    """Return the position of each node [m].
-
-    Raises
-    ------
-    InvalidInputError
-        If a node has none.
-    """
+    """Return the position of each node [m]."""
     found = {}
     for node, data in graph.nodes(data=True):
         place = data.get("pos", (data.get("x"), data.get("y")))
@@ -86,18 +65,10 @@ def positions(graph: Graph) -> dict[Hashable, tuple[float, float]]:
 
 @dataclass(frozen=True)
 class Corner:
-    """How a route turns from one edge to the next.
+    """How a route turns from one edge to the next."""
 
-    Parameters
-    ----------
-    radius : ndarray, shape (n,)
-        Radius of the arc [m]; 0 for a spin on the spot.
-    price : ndarray, shape (n,)
-        Price of the arc, less that of the straight lines that it cuts off.
-    """
-
-    radius: FloatArray
-    price: FloatArray
+    radius: FloatArray  # (n,): radius of the arc [m]
+    price: FloatArray  # (n,): price of the arc, less that of the straight lines that it cuts off
 
 
 def round_corner(
@@ -114,24 +85,6 @@ def round_corner(
     an inner, generating motor comes back, that is the largest one, which cuts off most of the way;
     where it is lost, it is often the pivot about a tread's ICR. So nine radii and the pivot are
     tried, then nine between the neighbours of the best.
-
-    Parameters
-    ----------
-    price : callable
-        Price of arcs ``(ds, dtheta)`` of the reference point.
-    half_track : float
-        Radius of a pivot [m].
-    turn : ndarray, shape (n,)
-        Turns [rad], in (-pi, pi].
-    limit : ndarray, shape (n,)
-        Largest radius [m].
-    gear : ndarray, shape (n,)
-        1 forwards, -1 backwards.
-
-    Returns
-    -------
-    Corner
-        Radius and price of each.
     """
     size = np.abs(turn)[:, None]
     way = gear[:, None]
@@ -175,13 +128,7 @@ class Edges:
 
 
 def edges_of(graph: Graph, reverse: bool) -> Edges:
-    """Return every way to drive the edges of a graph; an undirected edge can be driven both ways.
-
-    Raises
-    ------
-    InvalidInputError
-        If an edge joins two nodes at one place.
-    """
+    """Return every way to drive a graph's edges; undirected edges can be driven both ways."""
     place = positions(graph)
     states: list[State] = []
     rows: list[tuple[float, float, float, float, float]] = []
@@ -249,49 +196,6 @@ def energy_graph(
     node between them plus that of the next edge, and ``radius`` [m] says how the turn is made.
     It may start forwards and go on backwards, in which case it turns on the spot. Prices are
     joules, or of the objective's unit.
-
-    Parameters
-    ----------
-    graph : networkx graph
-        Any graph, directed or not, multigraph or not; nodes carry ``pos=(x, y)``, or ``x`` and
-        ``y`` [m]. Edges are straight. A node's ``radius`` [m] is the largest with which a route
-        may round it; `radius` where it has none. A node at an obstacle's corner may carry ``rim``,
-        the two directions in which the obstacle's rim leaves it: a route turns there only around
-        the obstacle, and without changing gear.
-    cost : EnergyCost
-        Cost of motions.
-    surfaces : SurfaceMap, optional
-        Grounds with power models of their own. A turn counts on the ground under its node.
-    reverse : bool
-        Whether the robot may drive backwards.
-    radius : float
-        Largest radius of rounded corners [m]; 0 to turn on the spot.
-    objective : {"energy", "length", "time"} or mapping of str to float
-        What is to be least, as in `PlanningProblem`.
-    budget : Budget
-        What building the graph may spend.
-
-    Returns
-    -------
-    networkx.DiGraph
-        The graph of states.
-
-    Raises
-    ------
-    InvalidInputError
-        If a node has no position, or an edge joins two nodes at one place.
-    TimeLimitError
-        If the budget is over; the message says how far it got.
-
-    Examples
-    --------
-    >>> square = nx.Graph([("a", "b"), ("b", "c")])
-    >>> nx.set_node_attributes(square, {"a": (0, 0), "b": (4, 0), "c": (4, 3)}, "pos")
-    >>> cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
-    >>> states = energy_graph(square, cost, reverse=False)
-    >>> arc = states[State("a", "b", None, 1)][State("b", "c", None, 1)]
-    >>> round(arc["weight"], 2)  # a quarter turn of 200 J/rad, then 3 m of 200 J/m
-    914.16
     """
     prices = Prices(cost, surfaces, objective)
     edges = edges_of(graph, reverse)

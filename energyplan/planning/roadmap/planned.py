@@ -36,13 +36,7 @@ EFFORT = 4000
 
 
 class ClosedEdge(NamedTuple):
-    """An edge that no path was found for, and why.
-
-    Examples
-    --------
-    >>> ClosedEdge("dock", "gate", "no path leads there").target
-    'gate'
-    """
+    """An edge that no path was found for, and why."""
 
     source: Hashable
     target: Hashable
@@ -51,61 +45,16 @@ class ClosedEdge(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PlannedGraph:
-    """A graph whose edges were planned among obstacles.
+    """A graph whose edges were planned among obstacles."""
 
-    Attributes
-    ----------
-    graph : networkx graph
-        The graph less the edges that are closed. Its edges carry ``cost`` [J]: the dearer of its
-        directions where it has two, and the mean of the turns that may follow.
-    paths : mapping of State to Path
-        What is driven on each edge, by direction.
-    energies : mapping of State to float
-        What that takes [J].
-    turns : mapping of (State, State) to float
-        What the turn on the spot from one edge to the next takes [J], where it is free.
-    closed : tuple of ClosedEdge
-        The edges that no path was found for.
-
-    Examples
-    --------
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((100, 100), bool), resolution=0.1)
-    >>> cost = ep.EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
-    >>> problem = PlanningProblem(hall, cost, start=(2, 2, 0), goal=(5, 5, 0))
-    >>> graph = nx.DiGraph([("a", "b"), ("b", "c")])
-    >>> nx.set_node_attributes(graph, {"a": (2, 2), "b": (5, 2), "c": (5, 5)}, "pos")
-    >>> planned = plan_edges(graph, problem, effort=300)
-    >>> round(planned.route("a", "c").length, 3), [round(j) for j in planned.turns.values()]
-    (6.0, [314])
-    """
-
-    graph: Graph
-    paths: dict[State, Path]
-    energies: dict[State, float]
-    turns: dict[tuple[State, State], float]
-    closed: tuple[ClosedEdge, ...]
+    graph: Graph  # the graph less the edges that are closed [J]
+    paths: dict[State, Path]  # what is driven on each edge, by direction
+    energies: dict[State, float]  # what that takes [J]
+    turns: dict[tuple[State, State], float]  # [J]
+    closed: tuple[ClosedEdge, ...]  # the edges that no path was found for
 
     def route(self, source: Hashable, target: Hashable) -> Path:
-        """Return the path of least energy along planned edges, turns at the places included.
-
-        Parameters
-        ----------
-        source, target : hashable
-            The places; the path sets out along its first edge.
-
-        Returns
-        -------
-        Path
-            The path.
-
-        Raises
-        ------
-        InvalidInputError
-            If a place is not in the graph, or both are the same.
-        NoPathError
-            If no route joins them.
-        """
+        """Return the path of least energy along planned edges, turns at the places included."""
         for node in (source, target):
             if node not in self.graph:
                 raise InvalidInputError(f"node {node!r} is not in the graph")
@@ -137,39 +86,7 @@ class PlannedGraph:
 
 
 def plan_edges(graph: Graph, problem: PlanningProblem, *, effort: int = EFFORT) -> PlannedGraph:
-    """Plan every edge of a graph among obstacles.
-
-    Parameters
-    ----------
-    graph : networkx graph
-        The graph; nodes carry positions, as for `Roadmap`. Edges are driven forwards.
-    problem : PlanningProblem
-        Map, cost, surfaces, clearance and objective; its start and goal do not matter.
-    effort : int
-        Units of work for each edge.
-
-    Returns
-    -------
-    PlannedGraph
-        The graph with the energy of each edge, and the paths.
-
-    Raises
-    ------
-    InvalidInputError
-        If a node has no position, or an edge joins two nodes at one place.
-
-    Examples
-    --------
-    >>> import energyplan as ep
-    >>> cost = ep.EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
-    >>> hall = ep.OccupancyGrid(np.zeros((100, 100), bool), resolution=0.1)
-    >>> problem = PlanningProblem(hall, cost, start=(2, 2, 0), goal=(5, 2, 0))
-    >>> graph = nx.DiGraph([("a", "b"), ("b", "c")])
-    >>> nx.set_node_attributes(graph, {"a": (2, 2), "b": (5, 2), "c": (12, 2)}, "pos")
-    >>> planned = plan_edges(graph, problem, effort=300)
-    >>> round(planned.graph["a"]["b"]["cost"]), planned.closed[0].target  # which is off the map
-    (600, 'c')
-    """
+    """Plan every edge of a graph among obstacles."""
     edges = edges_of(graph, reverse=False)
     compile_kernels(problem, tight=True)
     paths: dict[State, Path] = {}

@@ -26,81 +26,25 @@ _TURN = 0.1
 
 @dataclass(frozen=True)
 class Route:
-    """A route on a graph of places.
+    """A route on a graph of places."""
 
-    Parameters
-    ----------
-    nodes : tuple of hashable
-        The places, from the source to the target.
-    states : tuple of State
-        Each edge as it is driven.
-    path : Path
-        The motions; spins and arcs at the nodes included.
-    energy : float
-        Its energy, priced by the model itself [J].
-    cost : float
-        The objective's value: `energy` itself where energy is the objective.
-
-    Examples
-    --------
-    >>> import networkx as nx
-    >>> from energyplan.cost import EnergyCost
-    >>> from energyplan.power import PowerModel
-    >>> graph = nx.Graph([("dock", "gate"), ("gate", "shed")])
-    >>> nx.set_node_attributes(graph, {"dock": (0, 0), "gate": (5, 0), "shed": (5, 4)}, "pos")
-    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
-    >>> found = Roadmap(graph, cost).route("dock", "shed")
-    >>> found.nodes, round(found.energy)
-    (('dock', 'gate', 'shed'), 2461)
-    """
-
-    nodes: tuple[Hashable, ...]
-    states: tuple[State, ...]
-    path: Path
-    energy: float
-    cost: float
+    nodes: tuple[Hashable, ...]  # the places, from the source to the target
+    states: tuple[State, ...]  # each edge as it is driven
+    path: Path  # the motions
+    energy: float  # its energy, priced by the model itself [J]
+    cost: float  # the objective's value
 
 
 @dataclass(frozen=True, eq=False)
 class Roadmap:
-    """A graph of places, priced for a robot.
+    """A graph of places, priced for a robot."""
 
-    Parameters
-    ----------
-    graph : networkx graph
-        Any graph, directed or not, multigraph or not; nodes carry ``pos=(x, y)``, or ``x`` and
-        ``y`` [m], where the robot's reference point passes; see `energy_graph`.
-    cost : EnergyCost
-        Cost of motions.
-    surfaces : SurfaceMap, optional
-        Grounds with power models of their own.
-    reverse : bool
-        Whether the robot may drive backwards.
-    radius : float
-        Largest radius of rounded corners [m], where a node has no ``radius`` of its own.
-    objective : {"energy", "length", "time"} or mapping of str to float
-        What to make least, as in `PlanningProblem`.
-    budget : Budget
-        What building and searching may spend before they raise `TimeLimitError`.
-
-    Examples
-    --------
-    >>> square = nx.cycle_graph(4)
-    >>> corners = {0: (0, 0), 1: (4, 0), 2: (4, 3), 3: (0, 3)}
-    >>> nx.set_node_attributes(square, corners, "pos")
-    >>> cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
-    >>> Roadmap(square, cost).route(0, 2, start_yaw=0.0).nodes
-    (0, 1, 2)
-    >>> Roadmap(square, cost).route(0, 2, start_yaw=np.pi / 2).nodes
-    (0, 3, 2)
-    """
-
-    graph: Graph
-    cost: EnergyCost
-    surfaces: SurfaceMap | None = None
-    reverse: bool = True
-    radius: float = 0.0
-    objective: str | Mapping[str, float] = "energy"
+    graph: Graph  # any graph, directed or not, multigraph or not [m]
+    cost: EnergyCost  # cost of motions
+    surfaces: SurfaceMap | None = None  # grounds with power models of their own
+    reverse: bool = True  # whether the robot may drive backwards
+    radius: float = 0.0  # [m]
+    objective: str | Mapping[str, float] = "energy"  # what to make least, as in `PlanningProblem`
     budget: Budget = UNLIMITED
 
     @cached_property
@@ -144,27 +88,7 @@ class Roadmap:
         start_yaw: float | None = None,
         goal_yaw: float | None = None,
     ) -> Route:
-        """Return the route between two nodes whose objective is least.
-
-        Parameters
-        ----------
-        source, target : hashable
-            The nodes.
-        start_yaw, goal_yaw : float, optional
-            Yaw at the start and at the end [rad]; any where not given.
-
-        Returns
-        -------
-        Route
-            The route.
-
-        Raises
-        ------
-        InvalidInputError
-            If a node is not in the graph.
-        NoPathError
-            If no route joins the nodes; the message says how far one gets.
-        """
+        """Return the route between two nodes whose objective is least."""
         for node in (source, target):
             if node not in self.graph:
                 raise InvalidInputError(f"node {node!r} is not in the graph")

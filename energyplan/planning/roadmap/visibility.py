@@ -23,20 +23,7 @@ _SLACK = 1e-6
 
 
 def traced(grid: OccupancyGrid, tolerance: float) -> BaseGeometry:
-    """Return the blocked cells of a map as polygons with few corners, in the world.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        The map.
-    tolerance : float
-        How much larger obstacles may become on the way [m].
-
-    Returns
-    -------
-    shapely geometry
-        Polygons.
-    """
+    """Return the blocked cells of a map as polygons with few corners, in the world."""
     # each row's runs of blocked cells are boxes
     padded = np.pad(grid.blocked, ((0, 0), (1, 1))).astype(np.int8)
     change = np.diff(padded, axis=1)
@@ -65,46 +52,8 @@ def visibility_graph(
     node of a corner carries ``radius=clearance``: which radius is best is for `energy_graph` to
     find. It also carries ``rim``, so that a route turns there only around the obstacle.
 
-    Parameters
-    ----------
-    obstacles : shapely geometry or iterable of them
-        Polygons in the world [m].
-    clearance : float
-        Distance that the route keeps from them [m]: half the width of a robot that turns about
-        the corner, or more.
-    points : iterable of tuple of float
-        Further places (x, y) [m], such as start and goal; they are the nodes 0, 1 and so on. No
-        corner is rounded there.
-    reach : float
-        Longest way from the first of the `points` straight to a line of sight, along it, and
-        straight on to the second [m]: what lies farther out, beyond this ellipse, is left out.
-        The time to build the graph grows with the square of the number of corners.
-    budget : Budget
-        What building the graph may spend.
-
-    Returns
-    -------
-    networkx.Graph
-        Nodes with ``pos`` and ``radius``, edges with ``length`` [m].
-
-    Raises
-    ------
-    InvalidInputError
-        If `clearance` is not positive, or `reach` is given without two points.
-    TimeLimitError
-        If the budget is over; the message says how far it got.
-
-    References
-    ----------
-    Lozano-Perez and Wesley (1979), An algorithm for planning collision-free paths among
+    Source: Lozano-Perez and Wesley (1979), An algorithm for planning collision-free paths among
     polyhedral obstacles.
-
-    Examples
-    --------
-    >>> from shapely import box
-    >>> graph = visibility_graph(box(2, -1, 3, 1), clearance=0.4, points=[(0, 0), (5, 0)])
-    >>> len(graph), graph.has_edge(0, 1)  # four corners and two points; the box hides the goal
-    (6, False)
     """
     if not clearance > 0:
         raise InvalidInputError(f"clearance is {clearance} m; give a positive number")

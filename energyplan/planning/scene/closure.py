@@ -53,38 +53,15 @@ Words = NDArray[np.uint64]
 
 
 class Closure(NamedTuple):
-    """What is known of ways from start to goal.
+    """What is known of ways from start to goal."""
 
-    Attributes
-    ----------
-    proven : bool
-        Whether there certainly is none.
-    resolution : float
-        Distance between poses over which none leads [m]; infinite where there may be one.
-    reached : ndarray of int64
-        Places that the start leads to; none where there may be a way.
-    """
-
-    proven: bool
-    resolution: float
-    reached: NDArray[np.int64]
+    proven: bool  # whether there certainly is none
+    resolution: float  # distance between poses over which none leads [m]
+    reached: NDArray[np.int64]  # places that the start leads to
 
 
 def closure(kernel: KernelProblem, budget: Budget) -> Closure:
-    """Find out whether ways from start to goal are closed.
-
-    Parameters
-    ----------
-    kernel : KernelProblem
-        The problem.
-    budget : Budget
-        What may be spent; where it is over before anything is known there may be a way.
-
-    Returns
-    -------
-    Closure
-        What is known.
-    """
+    """Find out whether ways from start to goal are closed."""
     return _Closer(kernel, budget).found()
 
 
@@ -222,13 +199,7 @@ def _cells(query: CompiledProblem) -> list[tuple[int, int]]:
 
 
 def check_way(query: CompiledProblem) -> None:
-    """Check that a disc inside the footprint may get from start to goal.
-
-    Raises
-    ------
-    NoPathError
-        If it certainly cannot; the message names the place nearest to the goal that it gets to.
-    """
+    """Check that a disc inside the footprint may get from start to goal."""
     parts, (start, goal) = _parts(query), _cells(query)
     if parts[start] == parts[goal] or 0 in (parts[start], parts[goal]):
         return
@@ -247,20 +218,7 @@ def check_way(query: CompiledProblem) -> None:
 
 
 def check_configurations(query: CompiledProblem, to_go: DistanceToGo) -> None:
-    """Check that the footprint may get from start to goal.
-
-    Parameters
-    ----------
-    query : CompiledProblem
-        The problem.
-    to_go : DistanceToGo
-        Its distance to go, as `distance_to_go` returns it.
-
-    Raises
-    ------
-    NoPathError
-        If it certainly cannot; the message names the place nearest to the goal that it gets to.
-    """
+    """Check that the footprint may get from start to goal."""
     setting = query.setting
     if reached(to_go, setting):
         return
@@ -275,23 +233,7 @@ def check_configurations(query: CompiledProblem, to_go: DistanceToGo) -> None:
 
 
 def check_closer(query: CompiledProblem, setting: KernelProblem, closed: Closure) -> None:
-    """Check that looking closer left a way from start to goal.
-
-    Parameters
-    ----------
-    query : CompiledProblem
-        The problem.
-    setting : KernelProblem
-        The problem between the poses where searches begin and end.
-    closed : Closure
-        What looking closer told.
-
-    Raises
-    ------
-    NoPathError
-        If there is none, or none over poses that lie close together; the message names the place
-        nearest to the goal that it gets to.
-    """
+    """Check that looking closer left a way from start to goal."""
     if len(closed.reached) == 0:
         return
     places = places_for(setting, enlarged=True)
@@ -318,17 +260,7 @@ def _none(
 
 
 def none_found(query: CompiledProblem, cell: float, near: tuple[float, float]) -> NoPathError:
-    """Return the error that says that none was found at a resolution, or that there is none.
-
-    Parameters
-    ----------
-    query : CompiledProblem
-        The problem.
-    cell : float
-        Size of the cells in which the search was exhausted [m].
-    near : tuple of float
-        The place nearest to the goal that was reached, x and y [m].
-    """
+    """Return the error that says that none was found at a resolution, or that there is none."""
     try:
         check_way(query)
     except NoPathError as proven:
@@ -343,19 +275,7 @@ def none_found(query: CompiledProblem, cell: float, near: tuple[float, float]) -
 def none_in_time(
     query: CompiledProblem, budget: Budget, done: str, near: list[tuple[float, float]]
 ) -> TimeLimitError:
-    """Return the error that says that none was found before a budget was over.
-
-    Parameters
-    ----------
-    query : CompiledProblem
-        The problem.
-    budget : Budget
-        What was spent.
-    done : str
-        What was done.
-    near : list of tuple of float
-        Places that were reached, x and y [m]; the one nearest to the goal is named.
-    """
+    """Return the error that says that none was found before a budget was over."""
     goal = query.problem.goal
     left, x, y = min((hypot(goal.x - x, goal.y - y), x, y) for x, y in near)
     return TimeLimitError(

@@ -28,42 +28,20 @@ the collision test counts as touched."""
 
 
 class Chain(NamedTuple):
-    """A way from place to place.
+    """A way from place to place."""
 
-    Attributes
-    ----------
-    place : ndarray of int64, shape (n,)
-        Its places, from the start to the goal; none if nothing joins them.
-    headings : ndarray of uint64, shape (n,)
-        Headings with which each may be reached.
-    work : int
-        Steps that the flood took.
-    """
-
-    place: Ints
-    headings: Words
-    work: int
+    place: Ints  # (n,): its places, from the start to the goal
+    headings: Words  # (n,): headings with which each may be reached
+    work: int  # steps that the flood took
 
 
 class Queue(NamedTuple):
-    """Places and headings in the order in which they came; there may be room for more.
+    """Places and headings in the order in which they came; there may be room for more."""
 
-    Attributes
-    ----------
-    place : ndarray of int64, shape (n,)
-        The places.
-    bits : ndarray of uint64, shape (n,)
-        Headings of each.
-    parent : ndarray of int64, shape (n,)
-        Where each was reached from: its number among what was reached, -1 for an end.
-    side : ndarray of int64, shape (n,)
-        The end whose flood it belongs to.
-    """
-
-    place: Ints
-    bits: Words
-    parent: Ints
-    side: Ints
+    place: Ints  # (n,): the places
+    bits: Words  # (n,): headings of each
+    parent: Ints  # (n,): where each was reached from
+    side: Ints  # (n,): the end whose flood it belongs to
 
 
 @inner
@@ -115,19 +93,7 @@ def _spread(bits: np.uint64, mask: np.uint64) -> np.uint64:
 def chain_between(
     passable: Words, tested: Words, across: int, start: int, begin: int, goal: int, end: int
 ) -> Chain:
-    """Return a way from place to place between two of them, through tested headings mostly.
-
-    Parameters
-    ----------
-    passable : ndarray of uint64, shape (places,)
-        Headings of each place with which the body may be there, a rim of places without any about.
-    tested : ndarray of uint64, shape (places,)
-        Those of them that count as known; the way has as few others as the flood sees.
-    across : int
-        Places of a row.
-    start, begin, goal, end : int
-        Place and heading of both ends.
-    """
+    """Return a way from place to place between two of them, through tested headings mostly."""
     count = len(passable)
     reached = np.zeros((2, count), np.uint64)
     waiting = np.zeros((2, count), np.uint64)
@@ -246,13 +212,7 @@ def _joined(found: Queue, events: int, work: int) -> Chain:
 
 @njit
 def places_reached(passable: Words, across: int, start: int, begin: int) -> Flags:
-    """Tell which places a place and heading leads to.
-
-    Parameters
-    ----------
-    passable, across, start, begin
-        As for `chain_between`.
-    """
+    """Tell which places a place and heading leads to."""
     reached = np.zeros(len(passable), np.uint64)
     out = np.zeros(len(passable), np.bool_)
     rows = STEP_ROWS
@@ -278,19 +238,11 @@ def places_reached(passable: Words, across: int, start: int, begin: int) -> Flag
 
 
 class Looked(NamedTuple):
-    """What looking closer found.
+    """What looking closer found."""
 
-    Attributes
-    ----------
-    may, free : ndarray of uint64, shape (n,)
-        Headings with which the body may be free, and those with which a pose tested is free.
-    tests : int
-        Poses that were tested.
-    """
-
-    may: Words
-    free: Words
-    tests: int
+    may: Words  # (n,)
+    free: Words  # (n,)
+    tests: int  # poses that were tested
 
 
 @njit
@@ -302,21 +254,6 @@ def look_closer(
     A box is a place's square with half a step of heading on either side. Where none of the poses at
     the centres of its parts is free, all of them were tested, but for those of parts in which the
     body is in the way everywhere.
-
-    Parameters
-    ----------
-    space, body : Space, Body
-        Obstacles, and the body.
-    places : Places
-        The places.
-    which : ndarray of int64, shape (n,)
-        The places looked at.
-    headings : ndarray of uint64, shape (n,)
-        Headings of each that are looked at.
-    halvings : int
-        How often a box is halved, along all three of its sides.
-    most : int
-        Poses to test; beyond these boxes count as free.
     """
     across = places.columns + 2 * RIM
     may = np.zeros(len(which), np.uint64)

@@ -51,21 +51,10 @@ class Segments(NamedTuple):
 
 @dataclass(frozen=True)
 class CompiledProblem:
-    """A problem, priced and translated for the kernels.
+    """A problem, priced and translated for the kernels."""
 
-    Parameters
-    ----------
-    problem : PlanningProblem
-        The problem.
-    lateral : float, optional
-        How far to the left of the path's reference point the centre lies that the kernels follow
-        [m]. Where not given it is midway between the tread ICRs, about which turning takes least
-        energy; where length is all that counts it is the reference point, about which turning has
-        no length.
-    """
-
-    problem: PlanningProblem
-    lateral: float | None = None
+    problem: PlanningProblem  # the problem
+    lateral: float | None = None  # [m]
 
     def __post_init__(self) -> None:
         self.problem.check_poses()
@@ -321,13 +310,7 @@ class CompiledProblem:
         return Segments(motions.ds + turned, motions.dtheta)
 
     def path(self, segments: Segments) -> Path:
-        """Return the path that starts at the problem's start.
-
-        Raises
-        ------
-        PlanningError
-            If it is not free, which would be an error of the library.
-        """
+        """Return the path that starts at the problem's start."""
         problem = self.problem
         for motions in (merged(segments), segments):
             moved = self.reference(motions.ds, motions.dtheta)

@@ -45,70 +45,30 @@ Words = NDArray[np.uint64]
 
 
 class Runs(NamedTuple):
-    """The cells that a rectangle touches, row by row, relative to the cell that holds its pose.
+    """The cells that a rectangle touches, row by row, relative to the cell that holds its pose."""
 
-    Attributes
-    ----------
-    row, first, last : ndarray of int64
-        Rows, and the first and last column in each.
-    low, high, left, right : int
-        Rows and columns that a pose may be in with the rectangle on the map: rows from `low` to
-        their number less `high`, and columns likewise.
-    """
-
-    row: NDArray[np.int64]
-    first: NDArray[np.int64]
-    last: NDArray[np.int64]
-    low: int
-    high: int
-    left: int
-    right: int
+    row: NDArray[np.int64]  # rows, and the first and last column in each
+    first: NDArray[np.int64]  # rows, and the first and last column in each
+    last: NDArray[np.int64]  # rows, and the first and last column in each
+    low: int  # rows and columns that a pose may be in with the rectangle on the map
+    high: int  # rows and columns that a pose may be in with the rectangle on the map
+    left: int  # rows and columns that a pose may be in with the rectangle on the map
+    right: int  # rows and columns that a pose may be in with the rectangle on the map
 
 
 @dataclass(frozen=True, eq=False)
 class FreeSpace:
-    """Headings in which a body fits, place by place.
+    """Headings in which a body fits, place by place."""
 
-    Attributes
-    ----------
-    masks : ndarray of uint64, shape (rows, columns)
-        Bit `h` tells of the heading ``h * 2 pi / 64`` in the frame of the grid whether the body is
-        free at one of the poses tested in the place's square, or, where `enlarged`, whether it may
-        be free at any pose there within half a step of that heading.
-    spacing : float
-        Side of a place's square [m].
-    enlarged : bool
-        See `masks`.
-    """
-
-    masks: Words
-    spacing: float
-    enlarged: bool
+    masks: Words  # (rows, columns)
+    spacing: float  # side of a place's square [m]
+    enlarged: bool  # see `masks`
 
 
 def runs_of(
     body: Body, resolution: float, heading: float, x: float, y: float, touch: float
 ) -> Runs:
-    """Return the cells that a body touches at a pose within cell (0, 0).
-
-    Parameters
-    ----------
-    body : Body
-        The rectangle [m].
-    resolution : float
-        Size of a cell [m].
-    heading : float
-        Heading in the frame of the grid [rad].
-    x, y : float
-        Place within the cell [cells].
-    touch : float
-        How much further than the rectangle touching reaches [cells]; below zero for less.
-
-    Returns
-    -------
-    Runs
-        The cells; none for a rectangle of negative size.
-    """
+    """Return the cells that a body touches at a pose within cell (0, 0)."""
     c, s = cos(heading), sin(heading)
     if abs(s) < ALIGNED:
         c, s = (1.0 if c > 0 else -1.0), 0.0
@@ -180,29 +140,7 @@ def free_space(
     threads: int | None = None,
     placed_as: Body | None = None,
 ) -> FreeSpace:
-    """Return the free configurations of a body on a map, computed anew.
-
-    Parameters
-    ----------
-    space : Space
-        The map.
-    body : Body
-        The body [m].
-    enlarged : bool
-        Whether a bit tells of all poses that are nearest to its own, not of the poses tested:
-        then every free pose lies in a place, and within half a step of a heading, whose bit is
-        set.
-    threads : int, optional
-        Threads that work side by side; as many as there are processors if left out. The result
-        does not depend on it.
-    placed_as : Body, optional
-        The body that tells how far apart places lie; this one if left out.
-
-    Returns
-    -------
-    FreeSpace
-        The free configurations.
-    """
+    """Return the free configurations of a body on a map, computed anew."""
     group, parts = _grouping(space, body if placed_as is None else placed_as)
     masks = _masks(space.clearance, space.resolution, body, group, parts, enlarged, threads)
     masks.setflags(write=False)
@@ -212,26 +150,7 @@ def free_space(
 def updated_free_space(
     former: FreeSpace, space: Space, body: Body, window: Window, placed_as: Body | None = None
 ) -> FreeSpace:
-    """Return the free configurations of a body on a map that differs within a window.
-
-    Parameters
-    ----------
-    former : FreeSpace
-        The free configurations of this body on the map before.
-    space : Space
-        The map now.
-    body : Body
-        The body [m].
-    window : Window
-        Where its blocked cells may differ.
-    placed_as : Body, optional
-        As for `free_space`.
-
-    Returns
-    -------
-    FreeSpace
-        What `free_space` returns for the map now.
-    """
+    """Return the free configurations of a body on a map that differs within a window."""
     group, parts = _grouping(space, body if placed_as is None else placed_as)
     reach = ceil(_reach(body) / space.resolution) + 2
     shape = space.clearance.shape

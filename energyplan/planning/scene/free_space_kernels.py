@@ -24,19 +24,7 @@ from energyplan.terrain.collision import Body
 
 @inner
 def shrunk(body: Body, square: float, heading: float, turn: float) -> Body:
-    """Return a rectangle that lies in a body at all poses near a pose, in that pose's frame.
-
-    Parameters
-    ----------
-    body : Body
-        The body.
-    square : float
-        Side of the square about the pose [m], along the axes of the grid.
-    heading : float
-        Heading in the frame of the grid [rad].
-    turn : float
-        Largest turn from it [rad].
-    """
+    """Return a rectangle that lies in a body at all poses near a pose, in that pose's frame."""
     # the square as seen along either axis of the body, at any of the headings
     off = 0.5 * square * (abs(cos(heading)) + abs(sin(heading)))
     off += 0.5 * square * hypot(1, 1) * 2.0 * sin(0.5 * turn)
@@ -185,31 +173,7 @@ def free_rows(
     shift_row: int,
     shift_column: int,
 ) -> None:
-    """Set the bits of the places in some rows of `masks`.
-
-    Parameters
-    ----------
-    masks : ndarray of uint64
-        The places; bits are added.
-    levels : ndarray of uint64
-        See `run_levels`.
-    clearance : ndarray
-        See `Space`.
-    pad : int
-        Empty words on either side of a row.
-    group : int
-        Cells of the map to a place, along either axis.
-    begin, end : int
-        Rows of the map; `begin` is a multiple of `group`.
-    run_start, run_row, run_level, run_first, run_last : ndarray
-        Runs of the headings one after another; a run is the union of two of ``2 ** level`` cells.
-    limits : ndarray, shape (headings, 4)
-        See `Runs`: low, high, left, right.
-    inner, outer : float
-        Radii of discs within the body and around it, about all poses of a cell [cells].
-    step, shift_row, shift_column : int
-        Every how many rows and columns of `masks`, and from which on, the poses lie.
-    """
+    """Set the bits of the places in some rows of `masks`."""
     rows, columns = clearance.shape
     words = levels.shape[2]
     headings = len(run_start) - 1

@@ -58,16 +58,7 @@ CLOSED = 1
 
 
 def places_for(kernel: KernelProblem, enlarged: bool = False) -> Places:
-    """Return the free configurations of a problem as nodes, made once for a map and a body.
-
-    Parameters
-    ----------
-    kernel : KernelProblem
-        The problem.
-    enlarged : bool
-        Whether the body counts as free wherever it may be, between the poses tested as well: then
-        what is not connected has no path. The places are the same.
-    """
+    """Return the free configurations of a problem as nodes, made once for a map and a body."""
     space, body = kernel.space, kernel.body
     fitting = body
     if enlarged:
@@ -111,22 +102,6 @@ def distance_to_go(
 
     With a `penalty` above 1 it counts as longer where the disc barely passes: the body turns
     less easily there, and the search had better look elsewhere first.
-
-    Parameters
-    ----------
-    kernel : KernelProblem
-        The problem.
-    penalty : float
-        Factor by which distances count in tight places.
-    most : float
-        Units of work that it may take, about: then only what lies nearest to the shortest way is
-        looked at. That way itself is, however long it is.
-
-    Returns
-    -------
-    DistanceToGo
-        The distances. Where the poses tested do not join start and goal, those between poses that
-        may be free; where these are infinite at the start, no path exists.
     """
     found = _guide(kernel, penalty, enlarged=False, most=most)
     if reached(found, kernel):
@@ -163,19 +138,7 @@ def distance_at_start(to_go: DistanceToGo, kernel: KernelProblem) -> float:
 def distance_through_slots(
     kernel: KernelProblem, known: float, closed: Sequence[Pose] = (), penalty: float = 1.0
 ) -> DistanceToGo:
-    """Return the distance to go where the body may be free, between the poses tested as well.
-
-    Parameters
-    ----------
-    kernel : KernelProblem
-        The problem.
-    known : float
-        Distance to go at the start beyond which ways are of no interest [m]; infinite if unknown.
-    closed : sequence of Pose
-        Poses about which it is free nowhere but at the poses tested.
-    penalty : float
-        Factor by which distances count in tight places.
-    """
+    """Return the distance to go where the body may be free, between the poses tested as well."""
     places = places_for(kernel, enlarged=True)
     if closed:
         places = _without(places, places_for(kernel), kernel, closed)

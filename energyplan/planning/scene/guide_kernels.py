@@ -46,61 +46,26 @@ ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
 class Places(NamedTuple):
-    """The free configurations as nodes.
+    """The free configurations as nodes."""
 
-    Attributes
-    ----------
-    masks : ndarray of uint64, shape ((rows + 4) * (columns + 4),)
-        Free headings of each place, row after row, with a rim of two.
-    first : ndarray of int32, shape (places + 1,)
-        The first node of each place.
-    arcs : ndarray of uint64, shape (nodes,)
-        Headings of each node.
-    home : ndarray of int32, shape (nodes,)
-        Its place.
-    room : ndarray of float32, shape (places,)
-        Clearance at the middle of each place [m].
-    columns : int
-        Columns without the rim.
-    spacing : float
-        Distance between places [m].
-    """
-
-    masks: Words
-    first: ShortInts
-    arcs: Words
-    home: ShortInts
-    room: Singles
-    columns: int
-    spacing: float
+    masks: Words  # ((rows + 4): free headings of each place, row after row, with a rim of two
+    first: ShortInts  # (places + 1,): the first node of each place
+    arcs: Words  # (nodes,): headings of each node
+    home: ShortInts  # (nodes,): its place
+    room: Singles  # (places,): clearance at the middle of each place [m]
+    columns: int  # columns without the rim
+    spacing: float  # distance between places [m]
 
 
 class DistanceToGo(NamedTuple):
-    """Distance to go to the goal, node by node.
+    """Distance to go to the goal, node by node."""
 
-    Attributes
-    ----------
-    places : Places
-        The nodes.
-    distance : ndarray of float32, shape (nodes,)
-        Distance to go [m]: a lower limit of it where it was not needed; infinite where nothing
-        leads to the goal.
-    direction : ndarray of float32, shape (nodes,)
-        Direction in which the way to the goal sets out, in the frame of the grid [rad].
-    after : ndarray of int32, shape (nodes,)
-        The node to which the way to the goal leads next; -1 at the goal, and where none was sought.
-    far : float
-        Distance to go beyond which the direction counts [m].
-    work : int
-        Turns of nodes that it took.
-    """
-
-    places: Places
-    distance: Singles
-    direction: Singles
-    after: ShortInts
-    far: float
-    work: int
+    places: Places  # the nodes
+    distance: Singles  # (nodes,): distance to go [m]
+    direction: Singles  # (nodes,) [rad]
+    after: ShortInts  # (nodes,): the node to which the way to the goal leads next
+    far: float  # distance to go beyond which the direction counts [m]
+    work: int  # turns of nodes that it took
 
 
 @inner
@@ -152,17 +117,7 @@ def to_and_fro() -> Floats:
 def connect_places(
     masks: Annotated[NDArray[np.uint64], 2, READONLY], space: Space, spacing: float
 ) -> Places:
-    """Return the nodes of free configurations.
-
-    Parameters
-    ----------
-    masks : ndarray of uint64, shape (rows, columns)
-        Free headings of each place.
-    space : Space
-        The map.
-    spacing : float
-        Distance between places [m].
-    """
+    """Return the nodes of free configurations."""
     rows, columns = masks.shape
     across = columns + 2 * RIM
     count = (rows + 2 * RIM) * across
@@ -302,36 +257,7 @@ def way_to_go(
     direction: Singles,
     parent: ShortInts,
 ) -> int:
-    """Write the distance of the nodes from the goal, over 16 neighbours; return the work.
-
-    Parameters
-    ----------
-    places : Places
-        The nodes.
-    goals : ndarray of int32
-        Nodes where the distance is zero.
-    region : ndarray of int32, shape (nodes,)
-        Region of each node.
-    near : ndarray of bool, shape (regions,)
-        Whether the nodes of each region count. The distances of the others stay as they are.
-    ahead : float
-        How far ahead directions look [m].
-    tight : float
-        Clearance below which a place counts as tight [m].
-    penalty : float
-        Factor by which distances count in tight places.
-    surface : ndarray of uint8, shape (places,) or (1,)
-        Class of the surface at each place.
-    dearness : ndarray, shape (classes, slopes)
-        Factor by which distances count on each class, along slopes from ``-steepest`` to
-        ``steepest`` on the way to the goal.
-    height : ndarray, shape (places,) or (1,)
-        Height of the places [m]; a single one on level ground.
-    steepest : float
-        See above.
-    distance, direction, parent : ndarray, shape (nodes,)
-        As in `DistanceToGo`, `parent` as its `after`; written where the nodes count.
-    """
+    """Write the distance of the nodes from the goal, over 16 neighbours; return the work."""
     across = places.columns + 2 * RIM
     steps_r = STEP_ROWS
     steps_c = STEP_COLUMNS

@@ -43,33 +43,17 @@ TURN = 0.1
 
 
 class Hills(NamedTuple):
-    """Heights of the ground, as the kernels see them.
+    """Heights of the ground, as the kernels see them."""
 
-    Attributes
-    ----------
-    heights : ndarray, shape (rows, columns)
-        Heights at the nodes [m]; a single one where the ground is level.
-    x, y, cos, sin : float
-        Position of node (0, 0), and cosine and sine of the raster's yaw.
-    resolution : float
-        Distance between nodes [m].
-    steepest : float
-        Steepest slope, as rise over run.
-    bins : int
-        Slopes in the price table, from ``-steepest`` to ``steepest``; 1 on level ground.
-    piece : float
-        Length of the pieces that motions are priced in [m].
-    """
-
-    heights: Annotated[NDArray[np.float64], 2, READONLY]
-    x: float
-    y: float
-    cos: float
-    sin: float
-    resolution: float
-    steepest: float
-    bins: int
-    piece: float
+    heights: Annotated[NDArray[np.float64], 2, READONLY]  # heights at the nodes [m]
+    x: float  # position of node (0, 0), and cosine and sine of the raster's yaw
+    y: float  # position of node (0, 0), and cosine and sine of the raster's yaw
+    cos: float  # position of node (0, 0), and cosine and sine of the raster's yaw
+    sin: float  # position of node (0, 0), and cosine and sine of the raster's yaw
+    resolution: float  # distance between nodes [m]
+    steepest: float  # steepest slope, as rise over run
+    bins: int  # slopes in the price table, from ``-steepest`` to ``steepest``
+    piece: float  # length of the pieces that motions are priced in [m]
 
 
 _FLAT = np.zeros((1, 1))
@@ -79,52 +63,25 @@ LEVEL = Hills(_FLAT, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0, 1, 1.0)
 
 
 class KernelProblem(NamedTuple):
-    """What a search needs to know about its problem.
+    """What a search needs to know about its problem."""
 
-    Attributes
-    ----------
-    space : Space
-        Obstacles.
-    body : Body
-        Footprint, seen from the centre of the tread ICRs [m].
-    prices : ndarray, shape (classes * slopes, DIRECTIONS + 1)
-        Price of a unit vector along each ray, for each class of surface and each slope.
-    surface : ndarray of uint8, shape (rows, columns) or (1, 1)
-        Class of the surface in each cell; a single one where all are alike and level.
-    hills : Hills
-        Heights of the ground.
-    steering : StaticSteering
-        The static cost that steering solves.
-    half_track : float
-        Half the slip track [m].
-    lateral : float
-        How far to the left of the path's reference point, under which the ground lies, the centre
-        of the tread ICRs lies [m].
-    reach : float
-        Distance of the body's furthest corner [m].
-    least_metre, least_radian : float
-        No motion costs less than ``least_metre |ds| + least_radian |dtheta|``.
-    start_x, start_y, start_yaw, goal_x, goal_y, goal_yaw : float
-        Start and goal.
-    """
-
-    space: Space
-    body: Body
-    prices: FloatTable
-    surface: ByteTable
-    hills: Hills
-    steering: StaticSteering
-    half_track: float
-    lateral: float
-    reach: float
-    least_metre: float
-    least_radian: float
-    start_x: float
-    start_y: float
-    start_yaw: float
-    goal_x: float
-    goal_y: float
-    goal_yaw: float
+    space: Space  # obstacles
+    body: Body  # footprint, seen from the centre of the tread ICRs [m]
+    prices: FloatTable  # (classes * slopes, DIRECTIONS + 1)
+    surface: ByteTable  # (rows, columns): class of the surface in each cell
+    hills: Hills  # heights of the ground
+    steering: StaticSteering  # the static cost that steering solves
+    half_track: float  # half the slip track [m]
+    lateral: float  # [m]
+    reach: float  # distance of the body's furthest corner [m]
+    least_metre: float  # no motion costs less than ``least_metre |ds| + least_radian |dtheta|``
+    least_radian: float  # no motion costs less than ``least_metre |ds| + least_radian |dtheta|``
+    start_x: float  # start and goal
+    start_y: float  # start and goal
+    start_yaw: float  # start and goal
+    goal_x: float  # start and goal
+    goal_y: float  # start and goal
+    goal_yaw: float  # start and goal
 
 
 @inner
@@ -348,11 +305,6 @@ def join(
 
     Tried are the exact minimum-energy motion, and turn-drive-turn both ways, which needs less
     room at times.
-
-    Returns
-    -------
-    tuple of float and int
-        Cost, infinite where none is free, and number of segments written.
     """
     dx = to_x - x
     dy = to_y - y

@@ -26,21 +26,11 @@ TIE_BREAK = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Prices:
-    """Prices of motions of `Path`'s reference point.
+    """Prices of motions of `Path`'s reference point."""
 
-    Parameters
-    ----------
-    cost : EnergyCost
-        Cost of motions.
-    surfaces : SurfaceMap, optional
-        Grounds with power models of their own.
-    objective : str or mapping of str to float
-        What to make least, as in `PlanningProblem`.
-    """
-
-    cost: EnergyCost
-    surfaces: SurfaceMap | None = None
-    objective: str | Mapping[str, float] = "energy"
+    cost: EnergyCost  # cost of motions
+    surfaces: SurfaceMap | None = None  # grounds with power models of their own
+    objective: str | Mapping[str, float] = "energy"  # what to make least, as in `PlanningProblem`
 
     @cached_property
     def costs(self) -> tuple[EnergyCost, ...]:
@@ -67,26 +57,7 @@ class Prices:
         *,
         exact: bool = False,
     ) -> FloatArray:
-        """Return the price of arcs within one region.
-
-        Parameters
-        ----------
-        ds : array_like, shape (...)
-            Signed arc length of the reference point in plan view [m].
-        dtheta : array_like, shape (...)
-            Signed turn [rad].
-        region : int
-            Number of the region.
-        steep : array_like, shape (...), optional
-            Slope along the heading, as rise over run; level where not given.
-        exact : bool
-            Whether to ask the model itself, speeds included, rather than its tables.
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Prices in the unit of the objective.
-        """
+        """Return the price of arcs within one region."""
         cost = self.costs[region]
         energy, length, time = self._weights
         slope: ArrayLike | None = 0.0 if exact else None
@@ -149,43 +120,18 @@ class _Remembered(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LeastPrices:
-    """Infima of the prices of motions of the centre that the kernels follow.
+    """Infima of the prices of motions of the centre that the kernels follow."""
 
-    Parameters
-    ----------
-    objective : Prices
-        What the objective makes of motions.
-    steepest : float
-        Steepest slope, as rise over run; zero on level ground.
-    worth : float
-        Price of height, which is taken off [J/m for energy].
-    lateral : float
-        How far to the left of the path's reference point the centre lies [m].
-    """
-
-    objective: Prices
-    steepest: float
-    worth: float
-    lateral: float
+    objective: Prices  # what the objective makes of motions
+    steepest: float  # steepest slope, as rise over run
+    worth: float  # price of height, which is taken off [J/m for energy]
+    lateral: float  # how far to the left of the path's reference point the centre lies [m]
     _kept: _Remembered
 
     def price(
         self, x: FloatArray, y: FloatArray, grounds: Iterable[int] | None = None
     ) -> FloatArray:
-        """Return the price on each ground, at its cheapest slope.
-
-        Parameters
-        ----------
-        x, y : ndarray, shape (n,)
-            Distance of the centre in plan view, and turn times half the slip track [m].
-        grounds : iterable of int, optional
-            Numbers of the grounds; all where not given.
-
-        Returns
-        -------
-        ndarray, shape (grounds, n)
-            Prices, less what the rise is worth.
-        """
+        """Return the price on each ground, at its cheapest slope."""
         turn = y / self.objective.cost.half_track
         ds = x + self.lateral * turn
         grounds = range(len(self.objective.costs)) if grounds is None else grounds
@@ -261,23 +207,7 @@ _known: WeakKeyDictionary[EnergyCost, dict[Hashable, _Remembered]] = WeakKeyDict
 def least_prices(
     objective: Prices, steepest: float = 0.0, worth: float = 0.0, lateral: float | None = None
 ) -> LeastPrices:
-    """Return the infima of prices; what they come to is remembered with the cost.
-
-    Parameters
-    ----------
-    objective : Prices
-        What the objective makes of motions.
-    steepest, worth : float
-        Steepest slope, as rise over run, and the price of height that is taken off.
-    lateral : float, optional
-        How far to the left of the path's reference point the centre lies [m]; midway between the
-        tread ICRs where not given.
-
-    Returns
-    -------
-    LeastPrices
-        The infima.
-    """
+    """Return the infima of prices; what they come to is remembered with the cost."""
     surfaces = objective.surfaces
     centre = objective.cost.icr.centre[1] if lateral is None else lateral
     weights = tuple(sorted(objective_weights(objective.objective).items()))

@@ -32,35 +32,17 @@ NEIGHBOURS = 8
 
 
 class Regions(NamedTuple):
-    """Regions and what joins them.
+    """Regions and what joins them."""
 
-    Attributes
-    ----------
-    of_node : ndarray of int32, shape (nodes,)
-        The region of each node of the places.
-    x, y : ndarray, shape (regions,)
-        Middle of each region in the frame of the grid [m].
-    room : ndarray, shape (regions,)
-        Clearance of its roomiest place [m].
-    home : ndarray of int32, shape (regions,)
-        That place.
-    head : ndarray of int32, shape (regions,)
-        First of its links, -1 where it has none.
-    to, after : ndarray of int32, shape (links,)
-        Region that a link leads to, and the next link of the same region, or -1.
-    aside : ndarray of float32, shape (links,)
-        Factor by which the way is longer to and fro, where no heading along it is free.
-    """
-
-    of_node: ShortInts
-    x: Floats
-    y: Floats
-    room: Floats
-    home: ShortInts
-    head: ShortInts
-    to: ShortInts
-    after: ShortInts
-    aside: Singles
+    of_node: ShortInts  # (nodes,): the region of each node of the places
+    x: Floats  # (regions,): middle of each region in the frame of the grid [m]
+    y: Floats  # (regions,): middle of each region in the frame of the grid [m]
+    room: Floats  # (regions,): clearance of its roomiest place [m]
+    home: ShortInts  # (regions,): that place
+    head: ShortInts  # (regions,): first of its links, -1 where it has none
+    to: ShortInts  # region that a link leads to, and the next link of the same region, or -1
+    after: ShortInts  # region that a link leads to, and the next link of the same region, or -1
+    aside: Singles  # (links,)
 
 
 @inner
@@ -100,13 +82,7 @@ def _block_of(place: int, across: int) -> int:
 
 @njit
 def join_regions(places: Places) -> Regions:
-    """Return the regions of free configurations.
-
-    Parameters
-    ----------
-    places : Places
-        The free configurations.
-    """
+    """Return the regions of free configurations."""
     across = places.columns + 2 * RIM
     steps_r = STEP_ROWS
     steps_c = STEP_COLUMNS
@@ -200,26 +176,7 @@ def ways_between(
     steepest: float,
     distance: Singles,
 ) -> int:
-    """Write the distance of every region from one of them, or to it; return the work.
-
-    Parameters
-    ----------
-    regions : Regions
-        The regions.
-    start : int
-        Where the distance is zero.
-    stop : int
-        Region at which the distance is needed.
-    margin, slack : float
-        How much further than that one a region may be whose distance is needed: factor, and [m].
-    leaving : bool
-        Whether ways lead from there, not to it.
-    tight, penalty, surface, dearness, height, steepest
-        As for `way_to_go`.
-    distance : ndarray of float32, shape (regions,)
-        The distances [m]: a lower limit where it was not needed; infinite where it is known
-        that no way leads.
-    """
+    """Write the distance of every region from one of them, or to it; return the work."""
     count = len(regions.x)
     varied = surface.size > 1
     slopes = dearness.shape[1]
@@ -284,17 +241,6 @@ def fill_beside(regions: Regions, near: Flags, back: Singles, distance: Singles)
 
     What distances among nodes are longer than those between regions, where both are known, is added
     at its most: so nothing leads a search there as long as there is a way elsewhere.
-
-    Parameters
-    ----------
-    regions : Regions
-        The regions.
-    near : ndarray of bool, shape (regions,)
-        Regions whose nodes counted.
-    back : ndarray of float32, shape (regions,)
-        Distance of the regions to the goal [m].
-    distance : ndarray of float32, shape (nodes,)
-        Distance of the nodes to the goal [m].
     """
     least = np.empty(len(near), np.float32)
     for region in range(len(near)):

@@ -37,27 +37,7 @@ _known: WeakKeyDictionary[OccupancyGrid, tuple[HeightMap, float, float]] = WeakK
 
 
 def steepest(grid: OccupancyGrid, heights: HeightMap, radius: float) -> float:
-    """Return the steepest slope that the robot can be on, as rise over run.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        The map.
-    heights : HeightMap
-        Heights of its ground.
-    radius : float
-        How far the path's reference point keeps away from obstacles and the map's edge [m].
-
-    Returns
-    -------
-    float
-        The slope, remembered for the last heights seen on a map.
-
-    Raises
-    ------
-    MapError
-        If the robot can be where no heights are known; the message says where.
-    """
+    """Return the steepest slope that the robot can be on, as rise over run."""
     known = _known.get(grid)
     if known is None or known[0] is not heights or known[1] != radius:
         known = heights, radius, _steepest(grid, heights, radius)
@@ -113,13 +93,7 @@ def _check_covered(
 
 
 def check_models(costs: tuple[EnergyCost, ...], surfaces: SurfaceMap | None) -> None:
-    """Check that every power model knows what a slope is.
-
-    Raises
-    ------
-    InvalidInputError
-        If one of them does not; the message says how to add the weight.
-    """
+    """Check that every power model knows what a slope is."""
     names = [
         "the ground",
         *(f"surface {s.name!r}" for s in (surfaces.surfaces if surfaces else ())),
@@ -134,18 +108,10 @@ def check_models(costs: tuple[EnergyCost, ...], surfaces: SurfaceMap | None) -> 
 
 
 class Priced(NamedTuple):
-    """Prices less what the rise is worth; the rows are classes of surface and slopes.
+    """Prices less what the rise is worth; the rows are classes of surface and slopes."""
 
-    Attributes
-    ----------
-    kept : ndarray, shape (classes * BINS, rays)
-        What the kernels interpolate.
-    worth : float
-        The price of height that was taken off.
-    """
-
-    kept: FloatArray
-    worth: float
+    kept: FloatArray  # (classes * BINS, rays): what the kernels interpolate
+    worth: float  # the price of height that was taken off
 
 
 _tables: WeakKeyDictionary[EnergyCost, dict[Hashable, tuple[SurfaceMap | None, Priced]]] = (
@@ -160,29 +126,7 @@ _REMEMBERED = 16
 def priced(
     objective: Prices, ds: FloatArray, dtheta: FloatArray, travel: FloatArray, steepest: float
 ) -> Priced:
-    """Return the prices of motions on slopes up to the steepest; they are remembered by cost.
-
-    Parameters
-    ----------
-    objective : Prices
-        What the objective makes of motions.
-    ds, dtheta : ndarray, shape (rays,)
-        Motions of the reference point [m], [rad].
-    travel : ndarray, shape (rays,)
-        Distance that the centre of the tread ICRs travels [m].
-    steepest : float
-        The steepest slope, as rise over run.
-
-    Returns
-    -------
-    Priced
-        Prices of which none is negative.
-
-    Raises
-    ------
-    ModelError
-        If going up and down returns energy, whatever the price of height.
-    """
+    """Return the prices of motions on slopes up to the steepest; they are remembered by cost."""
     weights = objective_weights(objective.objective)
     key = steepest, tuple(sorted(weights.items())), id(objective.surfaces)
     kept = _tables.setdefault(objective.cost, {})
@@ -214,21 +158,6 @@ def potential(prices: FloatArray, travel: FloatArray, rise: FloatArray) -> float
     linear programme in two variables. The lower envelope of the lines ``(prices - p rise)/travel``
     over ``p`` is concave; two lines that enclose its top are replaced by better ones until they
     meet on it.
-
-    Parameters
-    ----------
-    prices, travel, rise : ndarray, shape (...)
-        Price, length [m] and rise [m] of motions.
-
-    Returns
-    -------
-    float
-        Price of height [J/m for energy].
-
-    Raises
-    ------
-    ModelError
-        If going up and down returns energy, whatever the price of height.
     """
     moves = travel > FLAT
     level, fall = (prices[moves] / travel[moves], -rise[moves] / travel[moves])
