@@ -10,6 +10,7 @@ import sys
 from dataclasses import replace
 
 import matplotlib as mpl
+import numpy as np
 
 mpl.use("Agg")
 
@@ -24,7 +25,7 @@ from energyplan.limits.speed import profile
 from energyplan.output import plots
 from energyplan.physics import Robot, drive
 
-FRAMES, COLOURS = 90, {"least energy": plots.BLUE, "shortest": plots.RED}
+FRAMES, COLOURS = 100, {"least energy": plots.BLUE, "shortest": plots.RED}
 
 
 def main(file: str) -> None:
@@ -41,30 +42,43 @@ def main(file: str) -> None:
         name: drive(profile(plan.path, model, vehicle=slow), Robot.from_model(model), model).run
         for name, plan in (("least energy", made.energy_optimal), ("shortest", made.shortest))
     }
-    figure = Figure(figsize=(plots.WIDTH, 4.3), dpi=110)
-    ax = plots.occupancy(figure.add_axes((0.01, 0.12, 0.98, 0.8)), grid)
+    figure = Figure(figsize=(plots.WIDTH, 6.2), dpi=110)
+    ax = plots.occupancy(figure.add_axes((0.01, 0.36, 0.98, 0.58)), grid)
     ax.set(xlabel="", ylabel="", xticks=[], yticks=[])
-    ax.set_title("driven in a physics engine", loc="left", fontsize="medium")
+    ax.set_title("Two routes, driven in a physics engine", loc="left")
     ax.set_autoscale_on(False)
+    below = figure.add_axes((0.1, 0.09, 0.55, 0.22))
+    below.set(xlabel="progress along the route [%]", ylabel="energy [kJ]", xlim=(0, 100))
     (low_x, low_y), (high_x, high_y) = vehicle.footprint
-    boxes, lines, labels = {}, {}, {}
-    for k, (name, colour) in enumerate(COLOURS.items()):
-        (lines[name],) = ax.plot([], [], color=colour, lw=2)
+    drives = {}
+    for name, run in runs.items():
+        colour = COLOURS[name]
+        # progress counts the travel of the wheels, so that turns on the spot count too
+        turned = np.abs(np.diff(np.unwrap(run.yaw))) * (high_y - low_y) / 2
+        moved = np.hypot(np.diff(run.x), np.diff(run.y)) + turned
+        travel = np.concatenate([[0.0], np.cumsum(moved)])
         box = Rectangle((low_x, low_y), high_x - low_x, high_y - low_y, color=colour, alpha=0.8)
-        boxes[name] = ax.add_patch(box)
-        place = (0.02, -0.04 - 0.06 * k)
-        labels[name] = ax.text(*place, "", color=colour, transform=ax.transAxes, va="top")
-    longest = max(run.t[-1] for run in runs.values())
+        energy = np.cumsum(run.power) * run.period / 1000
+        drives[name] = (
+            100 * travel / travel[-1],
+            energy,
+            ax.add_patch(box),
+            ax.plot([], [], color=colour, lw=2)[0],
+            below.plot([], [], color=colour, lw=2)[0],
+            below.text(102, energy[-1], "", color=colour, va="center"),
+        )
+    below.set_ylim(0, 1.1 * max(energy[-1] for _, energy, *_ in drives.values()))
 
     def draw(frame: int) -> list[object]:
-        now = min(1.0, frame / (FRAMES - 12)) * longest
-        for name, run in runs.items():
-            k = min(int(now / run.period), len(run.t) - 1)
-            lines[name].set_data(run.x[: k + 1 : 10], run.y[: k + 1 : 10])
+        now = min(1.0, frame / (FRAMES - 24)) * 100
+        for name, (progress, energy, box, route, curve, label) in drives.items():
+            run = runs[name]
+            k = min(int(np.searchsorted(progress, now)), len(run.t) - 1)
+            route.set_data(run.x[: k + 1 : 10], run.y[: k + 1 : 10])
             turn = Affine2D().rotate(run.yaw[k]).translate(run.x[k], run.y[k])
-            boxes[name].set_transform(turn + ax.transData)
-            spent = float(run.power[: k + 1].sum() * run.period)
-            labels[name].set_text(f"{name}: {run.t[k]:.0f} s, {spent:.0f} J")
+            box.set_transform(turn + ax.transData)
+            curve.set_data(progress[: k + 1 : 10], energy[: k + 1 : 10])
+            label.set_text(f"{name} {energy[-1]:.2f} kJ" if now == 100 else name)
         return []
 
     FuncAnimation(figure, draw, frames=FRAMES).save(file, writer=PillowWriter(fps=12))
