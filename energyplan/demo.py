@@ -68,6 +68,7 @@ class _Demo:
     say: Callable[[str], None]
     page: Page
     files: list[Path] = field(default_factory=list)
+    results: list[tuple[str, str]] = field(default_factory=list)  # label and value
 
     def path(self, name: str) -> Path:
         file = self.out / name
@@ -112,6 +113,8 @@ def run(out: Path, say: Callable[[str], None]) -> list[Path]:
         say("6/7 budgeting a mission")
         _mission(demo, report.result())
     say("7/7 writing the page")
+    demo.page.results(demo.results)
+    _next_steps(demo.page)
     demo.page.made_from(call="energyplan demo")
     atomic_write(demo.path("index.html"), demo.page.html())
     return demo.files
@@ -124,7 +127,7 @@ def _identification(demo: _Demo) -> None:
         "For each of the four grounds and loads of Morales et al. (2010), the model is fitted to a "
         "spiral and judged on a figure-8 that it was not fitted to."
     )
-    rows = []
+    rows, errors = [], []
     for number, (preset, (K, mu)) in enumerate(TABLE_II.items(), start=6):
         truth = PowerModel.preset(preset)
         drives = {
@@ -139,16 +142,20 @@ def _identification(demo: _Demo) -> None:
         unseen = drives["figure8"]
         measured = float(np.trapezoid(unseen.power, unseen.t))
         power = found.model.power(unseen.motion(found.icr))
-        foretold = float(np.trapezoid(power, unseen.t))
+        predicted = float(np.trapezoid(power, unseen.t))
+        errors.append(100 * (predicted / measured - 1))
         rows.append(
             (
                 preset, K, _value(found.model, "traction_resistance"), mu,
-                _value(found.model, "slip_friction"), measured / 1e3, foretold / 1e3,
-                f"{100 * (foretold / measured - 1):+.2f} %",
+                _value(found.model, "slip_friction"), measured / 1e3, predicted / 1e3,
+                f"{errors[-1]:+.2f} %",
             )
         )  # fmt: skip
         if preset == SHOWN:
             picture = plots.prediction(unseen, {"predicted": power}, f"Figure-8, {preset}")
+    worst = max(map(abs, errors))
+    page.paragraph(f"The energy of a figure-8 is predicted with an error of at most {worst:.1f} %.")
+    demo.results.append(("Energy of a drive predicted within", f"{worst:.1f} %"))
     page.table(
         ("model", "true K [N]", "found K [N]", "true mu", "found mu", "figure-8 measured [kJ]",
          "predicted [kJ]", "error"),
@@ -189,6 +196,12 @@ def _diagnosis(demo: _Demo) -> None:
         f"draw {load:.0f} W; the paper's model knows of neither. The residual is traced to an "
         "effect, the effect is added, and the error is reported on a drive not fitted to."
     )
+    found = ", ".join(words(effect.name) for effect in told.effects) or "no effect"
+    page.paragraph(
+        f"Found: {found}. On the hold-out drive the error of the energy changes from "
+        f"{100 * told.before.energy_error:+.2f} % to {100 * told.after.energy_error:+.2f} %."
+    )
+    demo.results.append(("Hidden effects found", found))
     page.table(
         ("effect found", "symbol", "size"),
         [(words(e.name), e.symbol, quantity(e.value, e.std_error, e.unit)) for e in told.effects],
@@ -220,7 +233,11 @@ def _routes(demo: _Demo) -> Comparison:
     problem = PlanningProblem(
         grid, cost, Pose(2.0, 2.0, 0.0), Pose(20.0, 12.0, math.pi / 2), surfaces=ground
     )
-    made = compare(problem, effort=40_000)
+    made = compare(problem, effort=20_000)
+    page.paragraph(
+        f"The least-energy route saves {100 * made.saving:.0f} % of the energy of the shortest one."
+    )
+    demo.results.append(("Energy saved against the shortest route", f"{100 * made.saving:.0f} %"))
     write_path(made.energy_optimal.path, demo.path("routes/least-energy.csv"))
     write_path(made.shortest.path, demo.path("routes/shortest.csv"))
     plans = {"least energy": made.energy_optimal, "shortest": made.shortest}
@@ -239,7 +256,7 @@ def _routes(demo: _Demo) -> Comparison:
             {f"{label}: {p.energy:.0f} J": p.path for label, p in plans.items()},
             surfaces=ground.polygons,
         ),
-        f"The route of least energy saves {100 * made.saving:.1f} % of the shortest one's energy.",
+        "The least-energy route turns less; the shortest one turns between the racks.",
     )
     figure = plots.figure(size=(plots.WIDTH, 2.0))
     plots.breakdown(figure.axes[0], {label: p.breakdown for label, p in plans.items()})
@@ -264,7 +281,10 @@ def _limits(demo: _Demo, made: Comparison) -> None:
     figure = plots.figure()
     plots.feasible_region(figure.axes[0], region)
     demo.picture(
-        "limits.png", figure, "Curvatures and speeds that the motors can drive: full, concrete."
+        "limits.png",
+        figure,
+        "Curvatures and speeds that the motors can drive: full, concrete. Without a turn the "
+        "treads do not slip, which makes the peak in the middle.",
     )
 
 
@@ -290,8 +310,8 @@ def _driven(demo: _Demo) -> None:
     first, last = made.rounds[0], made.rounds[-1]
     page.paragraph(
         "A physics engine that knows nothing of the model drives the planned route. It hides that "
-        f"the ground is rougher above y = {border['offset']} m. The first drive takes "
-        f"{100 * (first.energy_taken / first.energy_told - 1):.0f} % more than predicted. A "
+        f"the ground is rougher above y = {border['offset']} m. The error of "
+        f"the first prediction is {100 * first.error:+.1f} %. A "
         "designed drive shows why; the route of the second round takes "
         f"{100 * (1 - last.energy_taken / first.energy_taken):.0f} % less than the first one."
     )
@@ -317,6 +337,26 @@ def _driven(demo: _Demo) -> None:
 def _mission(demo: _Demo, report: MissionReport) -> None:
     page = demo.page
     page.heading("6. Will the battery last?")
+    done = sum(task.verdict == "reachable" for task in report.tasks)
+    summary = f"{done} of {len(report.tasks)} tasks"
+    page.paragraph(f"The battery lasts for {summary}.")
+    demo.results.append(("The battery lasts for", summary))
     page.table(MISSION_HEADER, mission_rows(report))
     for name, figure, caption in mission_pictures(report):
         demo.picture(f"mission-{name}.png", figure, caption)
+
+
+def _next_steps(page: Page) -> None:
+    """Say what to do next with a log of one's own."""
+    page.heading("Your own robot")
+    page.paragraph(
+        "Drive a spiral and a straight line, and log both wheel speeds and the motors' power. "
+        "The first command below reads the log, checks it and writes a project file."
+    )
+    page.command(
+        "energyplan start drive.csv --track 0.5 --wheelbase 0.475 --mass 147 --out robot.yaml"
+    )
+    page.command(
+        "energyplan diagnose drive.csv --project robot.yaml --out model.yaml "
+        "--report diagnosis.html"
+    )

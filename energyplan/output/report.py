@@ -28,26 +28,37 @@ DPI = 240
 """Resolution of images that have one [pixels per inch]."""
 
 _CSS = """
-:root { color-scheme: light; }
-body { font: 16px/1.5 system-ui, sans-serif; color: #1b1b1b; max-width: 62rem; margin: 0 auto;
-       padding: 1rem; }
+:root { color-scheme: light dark; --text: #1b1b1b; --soft: #555; --line: #d8d8d8; --flag: #fdf2ea;
+        --code: #f2f2f2; --back: #fff; }
+@media (prefers-color-scheme: dark) {
+  :root { --text: #e6e6e6; --soft: #aaa; --line: #444; --flag: #3a2a1e; --code: #2a2a2a;
+          --back: #161616; }
+  figure img { background: #fff; border-radius: .3rem; }
+}
+body { font: 16px/1.5 system-ui, sans-serif; color: var(--text); background: var(--back);
+       max-width: 60rem; margin: 0 auto; padding: 1rem; }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.25rem; margin-top: 2.2rem; }
 p.lead { font-size: 1.1rem; }
-.flag { border-left: 4px solid #d55e00; background: #fdf2ea; padding: .5rem .8rem; }
+.flag { border-left: 4px solid #d55e00; background: var(--flag); padding: .5rem .8rem; }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .8rem 0; }
-th, td { padding: .3rem .7rem; border-bottom: 1px solid #d8d8d8; text-align: left;
+th, td { padding: .3rem .7rem; border-bottom: 1px solid var(--line); text-align: left;
          vertical-align: top; }
 th { border-bottom: 2px solid #888; }
 td.number { white-space: nowrap; }
-figure { margin: 1rem 0; } figure img { width: 100%; max-width: 38rem; height: auto; }
-figcaption { color: #555; font-size: .9rem; margin-top: .5rem; }
-footer { margin-top: 3rem; border-top: 1px solid #d8d8d8; padding-top: .6rem; color: #555;
-         font-size: .85rem; overflow-wrap: anywhere; }
+figure { margin: 1rem 0; } figure img { width: 100%; height: auto; }
+.results { display: grid; grid-template-columns: repeat(auto-fit, minmax(11rem, 1fr)); gap: 1rem; }
+.results div { border-top: 3px solid #0072b2; padding-top: .4rem; display: flex;
+       flex-direction: column; justify-content: space-between; }
+.results dt { color: var(--soft); }
+.results dd { margin: 0; font-size: 1.4rem; font-weight: 600; }
+figcaption { color: var(--soft); font-size: .9rem; margin-top: .5rem; }
+footer { margin-top: 3rem; border-top: 1px solid var(--line); padding-top: .6rem;
+         color: var(--soft); font-size: .85rem; overflow-wrap: anywhere; }
 footer dl { display: grid; grid-template-columns: max-content 1fr; gap: .3rem 1rem; margin: 0; }
 footer dt { font-weight: 600; } footer dd { margin: 0; }
 footer .sum { display: block; font-family: monospace; font-size: .75rem; }
-code { background: #f2f2f2; padding: .1rem .3rem; overflow-wrap: anywhere; }
+code { background: var(--code); padding: .1rem .3rem; overflow-wrap: anywhere; }
 @media (max-width: 40rem) {
   table { font-size: .9rem; } th, td { padding: .3rem .4rem; }
   table.wide, table.wide tbody, table.wide tr { display: block; }
@@ -57,9 +68,11 @@ code { background: #f2f2f2; padding: .1rem .3rem; overflow-wrap: anywhere; }
          border: 0; text-align: left !important; padding: .1rem .2rem; overflow-wrap: anywhere; }
   td.number { white-space: normal; } table.wide td.none:not(:first-child) { display: none; }
   table.wide td:first-child { font-weight: 600; }
-  table.wide td::before { content: attr(data-label); color: #555; padding-right: .5rem; }
+  table.wide td::before { content: attr(data-label); color: var(--soft); padding-right: .5rem; }
 }
 @media print {
+  :root { --text: #000; --soft: #444; --line: #bbb; --back: #fff; --code: #f2f2f2;
+          --flag: #fdf2ea; }
   body { font-size: 11pt; max-width: none; padding: 0; }
   h2 { break-after: avoid; } figure, table, tr, footer { break-inside: avoid; }
   figure img { max-width: 28rem; } .scroll { overflow: visible; } table { font-size: 9pt; }
@@ -126,6 +139,14 @@ class Page:
     def paragraph(self, text: str, kind: str = "") -> None:
         """Add a paragraph; `kind` is ``""``, ``"lead"`` or ``"flag"`` (a warning)."""
         self._parts.append(f'<p class="{html.escape(kind)}">{html.escape(text)}</p>')
+
+    def results(self, results: Iterable[tuple[str, str]]) -> None:
+        """Add the main results at the top of the page: a label and a value each."""
+        items = "".join(
+            f"<div><dt>{html.escape(label)}</dt><dd>{html.escape(value)}</dd></div>"
+            for label, value in results
+        )
+        self._parts.insert(0, f'<dl class="results">{items}</dl>')
 
     def bullets(self, lines: Iterable[str]) -> None:
         """Add a list."""
