@@ -30,9 +30,8 @@ from energyplan.errors import EnergyPlanError
 from energyplan.io.bundled import bundled
 from energyplan.limits.speed import profile
 from energyplan.physics import EFFECTS, Effect, Robot, Sensors, draw_effects, drive, switch_on
-from energyplan.physics.design import Explanation, design
+from energyplan.physics.design import Explanation, Option, design, joined, manoeuvres
 from energyplan.physics.loop import SPEED_SHARE, EngineDrives, Loop, Round, close_loop
-from energyplan.physics.manoeuvres import Option, joined, manoeuvres
 from energyplan.power.effects import catalogue
 from energyplan.vehicle import predict_icr
 

@@ -6,14 +6,12 @@ a drive log. `close_loop` plans, drives, diagnoses and plans again. The extra ``
 installs the engine.
 """
 
-from energyplan.physics.driving import Driven, drive, energy_told
+from energyplan.physics.driving import Driven, Tracking, drive, energy_told
 from energyplan.physics.effects import EFFECTS, Effect, draw_effects, switch_on
-from energyplan.physics.engine import Engine
+from energyplan.physics.engine import Engine, Run, State
 from energyplan.physics.loop import EngineDrives, Loop, Round, close_loop
-from energyplan.physics.record import Run, State
 from energyplan.physics.robot import Border, Ground, Robot
 from energyplan.physics.sensors import Sensors
-from energyplan.physics.tracking import Tracking
 
 __all__ = [
     "EFFECTS",

@@ -11,7 +11,7 @@ import numpy as np
 from energyplan.errors import InvalidInputError, UnknownNameError
 from energyplan.logs import DriveLog
 from energyplan.path import FloatArray
-from energyplan.physics.record import Run
+from energyplan.physics.engine import Run
 
 
 @dataclass(frozen=True)

@@ -206,7 +206,7 @@ def test_a_command_that_jumps_makes_no_motor_chatter() -> None:
 
 
 def test_a_drive_that_does_not_add_up_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("energyplan.physics._books.BALANCE", -1.0)
+    monkeypatch.setattr("energyplan.physics.engine.BALANCE", -1.0)
     with pytest.raises(PhysicsError, match=r"unaccounted for.*slowly"):
         Engine(ROBOT).drive(steady(0.5, 0.5, duration=1.0))
     with pytest.raises(InvalidInputError, match=r"at 0\.00 s; give two finite"):

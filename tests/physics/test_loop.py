@@ -20,9 +20,19 @@ from energyplan.output import documents, text
 from energyplan.output.pages import loop_page
 from energyplan.physics import Effect, EngineDrives, Loop, Robot, close_loop, switch_on
 from energyplan.physics.driving import energy_told
-from energyplan.physics.interval import NORMAL, Steered, asked_energy, overhead, ratio
-from energyplan.physics.learning import Learned, learn
-from energyplan.physics.loop import SPEED_SHARE, Round, believed, timed
+from energyplan.physics.loop import (
+    NORMAL,
+    SPEED_SHARE,
+    Learned,
+    Round,
+    Steered,
+    asked_energy,
+    believed,
+    learn,
+    overhead,
+    ratio,
+    timed,
+)
 from energyplan.power.effects import term
 from energyplan.vehicle import predict_icr
 
