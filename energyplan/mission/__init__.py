@@ -257,7 +257,7 @@ class _Evaluation:
     def _warnings(self) -> tuple[str, ...]:
         battery = self.mission.battery
         note = battery.temperature_note if isinstance(battery, Battery) else ""
-        return (note,) if note else ()
+        return (*self.mission.notes, *([note] if note else []))
 
     # -- verdicts ---------------------------------------------------------------------------------
 

@@ -17,7 +17,7 @@ from energyplan.errors import MissionError
 from energyplan.kinds import check_fields, checked, described
 from energyplan.mission.tasks import Charger, Remedy, Spreads, Task, checked_pose, require
 from energyplan.path import Pose
-from energyplan.planning.problem import nearest_free
+from energyplan.planning.problem import free_beside, nearest_free
 from energyplan.power import PowerModel
 from energyplan.power.effects import reads_slope
 from energyplan.records import ReadOnly
@@ -144,6 +144,7 @@ class Mission(ReadOnly, html.Readable):
     heights: HeightMap | None = None
     spreads: Spreads = field(default_factory=Spreads)
     waiting: float = 0.0
+    notes: tuple[str, ...] = field(default=(), init=False, compare=False)
 
     def __post_init__(self) -> None:
         check_fields(self, MissionError)
@@ -165,6 +166,7 @@ class Mission(ReadOnly, html.Readable):
         self._check_names()
         self._check_numbers()
         self._check_models()
+        self._move_start()
         self._check_poses()
 
     def _lay_ground(self) -> None:
@@ -255,6 +257,15 @@ class Mission(ReadOnly, html.Readable):
                 "energyplan.power.effects.with_weight(model)",
                 "heights",
             )
+
+    def _move_start(self) -> None:
+        """Move a start that just touches an obstacle to the nearest free pose."""
+        beside = free_beside(self.free_map, self.vehicle, self.start)
+        if beside is not None:
+            if self.home == self.start:
+                object.__setattr__(self, "home", beside.pose)
+            object.__setattr__(self, "start", beside.pose)
+            object.__setattr__(self, "notes", (beside.note,))
 
     def _check_poses(self) -> None:
         places: list[tuple[str, Pose, tuple[str | int, ...]]] = [("start", self.start, ("start",))]

@@ -167,7 +167,8 @@ def plan(made: Plan) -> Document:
         "potential", "effort", "cost", "soft_cost",
     )  # fmt: skip
     document = {key: plain(getattr(made, key)) for key in keys}
-    return {**document, "breakdown": plain(made.breakdown), "path": plain(made.path.poses())}
+    told = {"breakdown": plain(made.breakdown), "notes": list(made.notes)}
+    return {**document, **told, "path": plain(made.path.poses())}
 
 
 def no_path(error: NoPathError) -> Document:

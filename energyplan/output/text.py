@@ -252,6 +252,7 @@ def plan(made: Plan, objective: str) -> list[str]:
         f"(lower bound {number(made.lower_bound, 5)} {unit}{height})",
         f"length: {number(made.length)} m, turning: {number(math.degrees(made.turning))} deg",
         f"planned by {made.planner} in {made.planning_time:.2f} s, effort {made.effort}",
+        *(f"note: {note}" for note in made.notes),
     ]
 
 

@@ -178,6 +178,7 @@ def plan(
     (1808, True)
     """
     from energyplan.planning.bound import lower_bound
+    from energyplan.planning.ends import between_clear_ends, checked_ends
     from energyplan.planning.ready import compiled as compile_kernels
     from energyplan.planning.ready import prepare
 
@@ -185,22 +186,29 @@ def plan(
     name = planner if isinstance(planner, str) else planner.name
     Budget(time_limit, effort=effort)  # says at once what is wrong with them
     _check_capable(name, declared, problem, effort is not None)
-    problem.check_poses()
-    solve = declared.function
-    _check_call(name, solve, options)
-    compile_kernels(problem)
-    prepare(problem, guided=declared.bound)
+    problem, bare, notes = checked_ends(problem)
+    function = declared.function
+    _check_call(name, function, options)
+    compile_kernels(bare)
+    prepare(bare, guided=declared.bound)
+
+    def solve(asked: PlanningProblem, budget: Budget) -> Candidate:
+        if asked is not problem:
+            budget.beside(lambda: prepare(asked, guided=declared.bound))
+        found = function(asked, budget, **options)
+        if not isinstance(found, Candidate):
+            raise PlanningError(
+                f"the planner {name!r} returned a {type(found).__name__}; correct it to return an "
+                "energyplan.Candidate"
+            )
+        check_path(asked, found.path, name)
+        check_fields(found, PlanningError, f"the planner {name!r} returned a candidate whose ")
+        return found
+
     budget = Budget(time_limit, effort=effort)
     given = budget if declared.bound else budget.part(1.0 - _BOUND_SHARE)
-    found = solve(problem, given, **options)
-    if not isinstance(found, Candidate):
-        raise PlanningError(
-            f"the planner {name!r} returned a {type(found).__name__}; correct it to return an "
-            "energyplan.Candidate"
-        )
-    check_path(problem, found.path, name)
-    check_fields(found, PlanningError, f"the planner {name!r} returned a candidate whose ")
-    compiled = CompiledProblem(problem)
+    found = between_clear_ends(problem, given, solve)
+    compiled = CompiledProblem(bare)
     bound = found.lower_bound
     if bound is None:
         value, _ = lower_bound(compiled, compiled.value(found.path))
@@ -213,4 +221,6 @@ def plan(
         planning_time=budget.elapsed,
         first_time=found.first_time,
         effort=budget.spent,
+        asked=problem,
+        notes=notes,
     )

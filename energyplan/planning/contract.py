@@ -184,7 +184,7 @@ def check_path(problem: PlanningProblem, path: Path, planner: str) -> None:
                 f"{np.degrees(wanted.yaw):.1f} deg)"
             )
     grid = problem.terrain.obstacles
-    segment = grid.first_collision(path, problem.robot)
+    segment = problem.first_collision(path)
     if segment is not None:
         at = path.vertices[min(segment, len(path.vertices) - 1)]
         raise refuse(
@@ -203,8 +203,13 @@ def priced_plan(
     planning_time: float,
     first_time: float | None = None,
     effort: float = 0,
+    asked: PlanningProblem | None = None,
+    notes: tuple[str, ...] = (),
 ) -> Plan:
-    """Return the plan of a path that was checked, everything in it computed from the path."""
+    """Return the plan of a path that was checked, everything in it computed from the path.
+
+    `asked` is the problem where the compiled one lacks its clearance, for ends that have less.
+    """
     problem = compiled.problem
     price = problem.terrain.price(path, problem.cost)
     soft = compiled.soft_cost(path)
@@ -230,9 +235,10 @@ def priced_plan(
         planning_time=planning_time,
         first_time=planning_time if first_time is None else first_time,
         planner=planner,
-        drive=partial(drive_plan, problem, path),
+        drive=partial(drive_plan, asked or problem, path),
         breakdown=price.by_term,
         potential=potential,
         effort=round(effort),
         soft_cost=soft,
+        notes=notes,
     )

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -37,6 +37,16 @@ if TYPE_CHECKING:
 
 OBJECTIVES = ("energy", "length", "time")
 """What a plan can be asked to make least."""
+
+KEPT = (0.9, 0.5, 0.0)
+"""Shares of the clearance that there is at the ends which leaving them keeps, tried in turn."""
+
+MOVED = 0.05
+"""How far a start that touches an obstacle is moved at most [m]: what localisation is off by."""
+
+_RINGS = 0.005  # between the rings of poses that it is moved to [m]
+_HALVINGS = 12  # of the clearance, until what there is of it at an end is known well enough
+_TURN = 0.05  # between two poses of a path that are tested for the clearance [rad]
 
 
 def objective_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
@@ -84,8 +94,9 @@ class PlanningProblem:
         Where surfaces or heights are left out, the ground that the model knows of stands for them,
         such as the tilted plane that a diagnosis found (`energyplan.terrain.laid_out`).
     clearance : float
-        Distance that the footprint keeps from obstacles on every side, at start and goal too [m].
-        A path of least energy grazes them otherwise.
+        Distance that the footprint keeps from obstacles on every side [m]; a path of least energy
+        grazes them otherwise. A start or a goal that has less is left, or reached, with what there
+        is, and the whole clearance is kept from there on.
     costmap : CostMap, optional
         Soft costs beside the objective, such as those of an inflated costmap.
     costmap_weight : float
@@ -148,11 +159,57 @@ class PlanningProblem:
     @cached_property
     def robot(self) -> Vehicle:
         """The vehicle whose footprint is used, which has grown by the clearance."""
+        return self._with(self.clearance)
+
+    def _with(self, clearance: float) -> Vehicle:
         vehicle = self.cost.vehicle if self.vehicle is None else self.vehicle
-        if self.clearance == 0.0:
+        if clearance == 0.0:
             return vehicle
-        grow = self.clearance * np.array([[-1.0, -1.0], [1.0, 1.0]])
+        grow = clearance * np.array([[-1.0, -1.0], [1.0, 1.0]])
         return replace(vehicle, footprint=vehicle.footprint + grow)
+
+    @cached_property
+    def ends_clear(self) -> bool:
+        """Whether start and goal have the whole clearance."""
+        ends = [self.start, self.goal]
+        return bool(self.terrain.obstacles.footprint_free(ends, self.robot).all())
+
+    @cached_property
+    def clearance_at_ends(self) -> float:
+        """The clearance that both start and goal have, no more than is wanted [m]."""
+        if self.ends_clear:
+            return self.clearance
+        ends, low, high = [self.start, self.goal], 0.0, self.clearance
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            free = self.terrain.obstacles.footprint_free(ends, self._with(middle)).all()
+            low, high = (middle, high) if free else (low, middle)
+        return low
+
+    @cached_property
+    def without_clearance(self) -> PlanningProblem:
+        """The same problem with any clearance allowed: what bounds it bounds this one too."""
+        return replace(self, clearance=0.0) if self.clearance else self
+
+    def first_collision(self, path: Path, share: float = 0.0) -> int | None:
+        """Return the first segment of a path that is not free, or None.
+
+        From an end that lacks the clearance to the nearest pose that has it, this share of what
+        there is at the ends is enough.
+        """
+        grid = self.terrain.obstacles
+        segment = grid.first_collision(path, self.robot)
+        if segment is None or self.ends_clear:
+            return segment
+        fine = path.subdivide(grid.resolution, _TURN)
+        clear = np.flatnonzero(grid.footprint_free(fine.vertices, self.robot))
+        first, last = (int(clear[0]), int(clear[-1])) if len(clear) else (0, 0)
+        middle = Path(
+            Pose(*fine.vertices[first].tolist()), fine.ds[first:last], fine.dtheta[first:last],
+            fine.longitudinal,
+        )  # fmt: skip
+        whole = grid.first_collision(path, self._with(share * self.clearance_at_ends))
+        return whole if not len(clear) or grid.path_free(middle, self.robot) else segment
 
     @property
     def softened(self) -> bool:
@@ -208,13 +265,18 @@ def _nearest_free(grid: OccupancyGrid, vehicle: Vehicle, pose: Pose) -> str:
 
 
 def nearest_free(
-    grid: OccupancyGrid, vehicle: Vehicle, pose: Pose, reach: float = 5.0
+    grid: OccupancyGrid,
+    vehicle: Vehicle,
+    pose: Pose,
+    reach: float = 5.0,
+    step: float | None = None,
+    turns: Sequence[float] = (0.0, 0.25, -0.25, 0.5, -0.5, 1.0, -1.0, np.pi / 2),
 ) -> Pose | None:
     """Return the nearest free pose on rings about a pose, its own heading preferred, if any."""
-    step = max(grid.resolution, 0.05)
-    for radius in np.arange(0.0, reach, step):
+    step = max(grid.resolution, 0.05) if step is None else step
+    for radius in np.arange(0.0, reach + 0.5 * step, step):
         around = np.linspace(0, 2 * np.pi, max(int(2 * np.pi * radius / step), 1), endpoint=False)
-        for turn in (0.0, 0.25, -0.25, 0.5, -0.5, 1.0, -1.0, np.pi / 2):
+        for turn in turns:
             ring: FloatArray = np.column_stack(
                 [
                     pose.x + radius * np.cos(around),
@@ -226,6 +288,29 @@ def nearest_free(
             if len(free):
                 return Pose(*(float(v) for v in ring[free[0]]))
     return None
+
+
+class Beside(NamedTuple):
+    """A free pose beside one that touches an obstacle, and what there is to say of it."""
+
+    pose: Pose
+    note: str
+
+
+def free_beside(grid: OccupancyGrid, vehicle: Vehicle, start: Pose) -> Beside | None:
+    """Return the nearest free pose within `MOVED` of a start that touches an obstacle, if any."""
+    if not grid.inside(start[:2]) or bool(grid.footprint_free(start, vehicle)):
+        return None
+    near = nearest_free(grid, vehicle, start, reach=MOVED, step=_RINGS, turns=(0.0,))
+    if near is None:
+        return None
+    by = float(np.hypot(near.x - start.x, near.y - start.y))
+    return Beside(
+        near,
+        f"the footprint touches an obstacle at the start: the plan starts {by:.3f} m beside it, at "
+        f"the nearest free pose ({near.x:.3f}, {near.y:.3f}); up to {MOVED:g} m is taken for an "
+        "error of localisation",
+    )
 
 
 @dataclass(frozen=True)
@@ -266,6 +351,8 @@ class Plan(html.Readable):
         Units of work that were spent.
     soft_cost : float
         What the costmap adds to the cost, in the unit of the objective; no part of the energy.
+    notes : tuple of str
+        What was done about a start that touches an obstacle, or an end that lacks the clearance.
     drive : callable
         Drives the path; `driven` asks it.
 
@@ -296,6 +383,7 @@ class Plan(html.Readable):
     potential: float = 0.0
     effort: int = 0
     soft_cost: float = 0.0
+    notes: tuple[str, ...] = ()
     drive: Callable[[], DrivenPath] | None = field(default=None, repr=False, compare=False)
 
     def __getstate__(self) -> dict[str, object]:
@@ -343,7 +431,7 @@ class Plan(html.Readable):
             ("duration [s]", self.duration),
             ("planning time [s]", self.planning_time),
         ]  # fmt: skip
-        return [html.Summary(f"plan by {self.planner}", ("", ""), rows)]
+        return [html.Summary(f"plan by {self.planner}", ("", ""), rows, self.notes)]
 
     @property
     def poses(self) -> FloatArray:

@@ -11,6 +11,7 @@ cost in free space always is one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,9 +30,10 @@ from energyplan.errors import (
 from energyplan.kinds import checked
 from energyplan.path import Path, Pose, as_pose, wrap_angle
 from energyplan.planning.budget import Budget
-from energyplan.planning.contract import ARRIVED, check_path, priced_plan
+from energyplan.planning.contract import ARRIVED, Candidate, check_path, priced_plan
+from energyplan.planning.ends import between_clear_ends, checked_ends
 from energyplan.planning.lattice import planner as lattice
-from energyplan.planning.problem import Plan, PlanningProblem
+from energyplan.planning.problem import KEPT, Plan, PlanningProblem
 from energyplan.planning.ready import compiled as compile_kernels
 from energyplan.planning.scene.compiled import CompiledProblem, Segments, merged
 from energyplan.terrain import OccupancyGrid
@@ -62,15 +64,15 @@ def remainder(path: Path, pose: ArrayLike, problem: PlanningProblem) -> Path | N
     """
     here = as_pose(pose, "the robot's pose")
     fine = _places(path, problem)
-    query = CompiledProblem(replace(problem, start=here, goal=path.end))
-    best, least = None, np.inf
-    for k in _places_ahead(fine, here, problem):
-        rest = _joined(here, fine, k, problem)
-        if rest is not None and query.drivable([rest]):
-            value = query.value(rest)
-            if value < least:
-                best, least = rest, value
-    return best
+    asked = replace(problem, start=here, goal=path.end)
+    query = CompiledProblem(asked if asked.ends_clear else asked.without_clearance)
+    joined = [_joined(here, fine, k, problem) for k in _places_ahead(fine, here, problem)]
+    known = query.drivable([rest for rest in joined if rest is not None])
+    for share in KEPT:
+        free = [rest for rest in known if asked.first_collision(rest, share) is None]
+        if free:
+            return min(free, key=query.value)
+    return None
 
 
 def _places(path: Path, problem: PlanningProblem) -> Path:
@@ -132,14 +134,23 @@ def _bypassed(rest: Path, problem: PlanningProblem, budget: Budget) -> Path | No
         ends = [Pose(*(float(v) for v in vertices[k])) for k in (first, last)]
         part = replace(problem, start=ends[0], goal=ends[1])
         try:
-            part.check_poses()
-            around = lattice.plan(part, own, bound=CompiledProblem(part).least_in_free_space).path
+            around = _planned(part, own).path
         except (NoPathError, TimeLimitError, StartInCollisionError, GoalInCollisionError):
             continue
         start = Path(fine.start, fine.ds[:first], fine.dtheta[:first], fine.longitudinal)
         end = Path(ends[1], fine.ds[last:], fine.dtheta[last:], fine.longitudinal)
         return start + around + end
     return None
+
+
+def _planned(problem: PlanningProblem, budget: Budget, known: Sequence[Path] = ()) -> Candidate:
+    """Return a path without a lower bound among the obstacles."""
+
+    def solve(asked: PlanningProblem, own: Budget) -> Candidate:
+        bound = CompiledProblem(asked).least_in_free_space
+        return lattice.plan(asked, own, initial=known, bound=bound)
+
+    return between_clear_ends(problem, budget, solve)
 
 
 def _bound_left(former: Plan, problem: PlanningProblem, here: Pose) -> float:
@@ -156,7 +167,7 @@ def _bound_left(former: Plan, problem: PlanningProblem, here: Pose) -> float:
             came = driven + steering.path(at, here, problem.cost)
         except EnergyPlanError:
             continue
-        query = CompiledProblem(replace(problem, goal=here))
+        query = CompiledProblem(replace(problem, goal=here).without_clearance)
         if query.drivable([came]):
             least = min(least, query.value(came))
     return former.lower_bound - least
@@ -220,16 +231,17 @@ def replan(
     True
     """
     if isinstance(former, Path):
-        query = CompiledProblem(replace(problem, start=former.start))
+        query = CompiledProblem(replace(problem, start=former.start).without_clearance)
         former = priced_plan(query, former, query.least_in_free_space, "lattice", planning_time=0.0)
     _check_answers(former, problem)
     Budget(time_limit, effort=effort)  # says at once what is wrong with them
     here = as_pose(start, "start")
     now = replace(problem, start=here, map=problem.map if map is None else map)
-    now.check_poses()
-    compile_kernels(now, tight=True)
+    now, bare, notes = checked_ends(now)
+    here = now.start
+    compile_kernels(bare, tight=True)
     budget = Budget(time_limit, effort=effort)
-    query = CompiledProblem(now)
+    query = CompiledProblem(bare)
     bound = query.least_in_free_space
     rest = remainder(former.path, here, now)
     if _only_added(problem, now):
@@ -237,14 +249,14 @@ def replan(
         if rest is not None:
             return priced_plan(
                 query, rest, bound, former.planner, planning_time=budget.elapsed,
-                effort=budget.spent,
+                effort=budget.spent, asked=now, notes=notes,
             )  # fmt: skip
     known = [] if rest is None else [rest]
     if rest is None:
         # the way back to the path may be closed as well as the path
         open_map = replace(problem, map=problem.map, start=here)
         try:
-            open_map.check_poses()
+            open_map.without_clearance.check_poses()
         except (StartInCollisionError, OutsideMapError):
             rest = None
         else:
@@ -252,11 +264,13 @@ def replan(
         if rest is not None:
             bypassed = _bypassed(rest, now, budget.part(DETOUR_SHARE))
             known = [] if bypassed is None else [bypassed]
-    found = lattice.plan(now, budget, initial=known, bound=bound)
-    check_path(now, found.path, "lattice")
+    found = _planned(now, budget, known)
+    others = [path for path in known if now.first_collision(path) is None]
+    path = min([found.path, *others], key=query.value)
+    check_path(now, path, "lattice")
     return priced_plan(
-        query, found.path, bound, "lattice", planning_time=budget.elapsed,
-        first_time=found.first_time, effort=budget.spent,
+        query, path, bound, "lattice", planning_time=budget.elapsed,
+        first_time=found.first_time, effort=budget.spent, asked=now, notes=notes,
     )  # fmt: skip
 
 

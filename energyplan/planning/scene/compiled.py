@@ -55,6 +55,7 @@ class CompiledProblem:
 
     problem: PlanningProblem  # the problem
     lateral: float | None = None  # [m]
+    wanted: float = 0.0  # clearance that `grown` has, where it is more than the problem's [m]
 
     def __post_init__(self) -> None:
         self.problem.check_poses()
@@ -200,7 +201,8 @@ class CompiledProblem:
     @property
     def grown(self) -> Body:
         """That footprint with the margin of planning."""
-        body, grow = self.body, MARGIN * self.grid.resolution
+        more = max(self.wanted - self.problem.clearance, 0.0)
+        body, grow = self.body, MARGIN * self.grid.resolution + more
         return Body(body.x_min - grow, body.y_min - grow, body.x_max + grow, body.y_max + grow)
 
     def roomy(self, pose: Pose) -> bool:
