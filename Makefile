@@ -8,7 +8,7 @@ NIGHTLY_READY := $(VENV)/.nightly-ready
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 OUT ?= demo
 
-.PHONY: demo test compiled nightly shuffled lint docs fuzz mutate lowest pictures loop bench lock clean
+.PHONY: demo test compiled nightly shuffled lint docs fuzz mutate lowest pictures loop bench gates lock clean
 
 demo: $(READY)
 	$(BIN)/energyplan demo --out $(OUT)
@@ -82,6 +82,11 @@ pictures: demo
 	$(BIN)/python docs/draw.py
 	$(BIN)/python docs/figures.py
 	$(BIN)/python docs/animate.py
+
+# Figures that must not get worse; ONLY="willow*" for some of them.
+ONLY ?= *
+gates: $(READY)
+	@$(BIN)/python benchmarks/gates.py --only "$(ONLY)"
 
 # Every figure of the benchmark pages, measured on this machine. Takes a while.
 bench: $(READY)

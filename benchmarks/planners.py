@@ -10,8 +10,8 @@
     python benchmarks/planners.py --sizes 4096 [--plot sizes.png]
     python benchmarks/planners.py --write docs/planning.md  by effort, into the table of that page
 
-A file of pairs names its `map`, which lies beside it, and the `model`; of its `pairs` each has
-`start`, `goal` and the least energy known, `best_known_energy` [J]. Excess is over the best of
+A file of pairs names its `map`, a file beside it or a floor, and the `model`; of its `pairs` each
+has `start`, `goal` and the least energy known, `best_known_energy` [J]. Excess is over the best of
 that and of all plans of the run, so that a long run judges a short one. Floors are those on which
 no threshold was chosen, and the maps given turned by 17 degrees and mirrored. Without maps, those
 of the project are used. All times are wall time on this machine, kernels compiled beforehand.
@@ -70,7 +70,8 @@ class Run(NamedTuple):
 def known_pairs(path: Path, efforts: list[int]) -> None:
     """Print a table of the pairs in a file: first plan, excess over the best known, gap, work."""
     given = json.loads(path.read_text())
-    grid = read_map(path.parent / given["map"])
+    floor = floors.FLOORS.get(given["map"])
+    grid = floor() if floor else read_map(path.parent / given["map"])
     cost = EnergyCost(PowerModel.preset(given["model"]))
     todo = [PlanningProblem(grid, cost, pair["start"], pair["goal"]) for pair in given["pairs"]]
     known = [pair.get("best_known_energy", np.inf) for pair in given["pairs"]]
@@ -111,7 +112,8 @@ def by_spending(
         work = [one.work for one in made.values()]
         print(
             f"first {np.median(first):.0f} / {max(first):.0f} ms (median / worst); "
-            f"excess over the best {np.median(excess):.2f} / {max(excess):.2f} %; "
+            f"excess over the best {np.median(excess):.2f} (mean {np.mean(excess):.2f}) / "
+            f"{max(excess):.2f} %; "
             f"gap {np.median(gap):.2f} / {np.quantile(gap, 0.9):.2f} / {max(gap):.2f} % (median / "
             f"nine in ten / worst); CPU time {np.median(work):.2f} / {max(work):.2f} s",
             flush=True,
@@ -300,7 +302,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("maps", nargs="*", type=Path)
     parser.add_argument("--pairs", type=int, default=None, help="pairs of poses on each map")
-    parser.add_argument("--pairs-file", type=Path, metavar="PAIRS.json")
+    parser.add_argument("--pairs-file", type=Path, nargs="+", metavar="PAIRS.json")
     parser.add_argument(
         "--effort", type=int, nargs="*", default=[], help="work for the pairs of a file, not time"
     )
@@ -323,7 +325,8 @@ def main() -> None:
         write_table(given.write, grids, given.pairs or 20)
         return
     if given.pairs_file:
-        known_pairs(given.pairs_file, given.effort)
+        for file in given.pairs_file:
+            known_pairs(file, given.effort)
         return
     if given.floors:
         made = {name: make() for name, make in floors.FLOORS.items()}

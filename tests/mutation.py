@@ -13,6 +13,10 @@ into an error, decorators that only make a function faster, and whether `zip` wa
 which differ only by a fault of the program; texts compared by the alphabet, and `is` in place of
 `==`, as nobody would. No change is left out of the score because it seems to mean the same: whether
 a survivor changes only the work or the rounding is for its reader to judge.
+
+`--killed FILE` adds what was noticed to a list, and `--recheck FILE` makes those changes again
+wherever their lines still stand, also in another module, and names those that no test notices any
+more: so tests can be deleted. That needs no cosmic-ray.
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ import json
 import math
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -37,14 +42,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from difflib import unified_diff
 from fnmatch import fnmatch
+from itertools import accumulate
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
-from cosmic_ray.commands.init import _all_work_items
-from cosmic_ray.mutating import use_mutation
-from cosmic_ray.plugins import get_operator
-from cosmic_ray.work_item import MutationSpec
+
+if TYPE_CHECKING:
+    from cosmic_ray.work_item import MutationSpec
 
 ROOT = Path(__file__).resolve().parents[1]
 TESTS = {
@@ -72,6 +77,12 @@ COMPILING = 90.0
 
 WAITING = 20.0
 """Time by the clock after which tests are cut that wait, in units of their processor time."""
+
+RECHECKING = 600.0
+"""Processor time that the tests of a package may take in a recheck [s]."""
+
+OUTCOME = "outcome.txt"
+"""What the tests of a change print, in the copy."""
 
 NOTICED, CUT, SURVIVED = "noticed", "cut off", "not noticed"
 """What may become of a change."""
@@ -149,6 +160,90 @@ def _spans(nodes: Sequence[ast.AST | None]) -> list[Span]:
         and node.end_lineno is not None
         and node.end_col_offset is not None
     ]
+
+
+class Killed(NamedTuple):
+    """A change that a test noticed; lines are without their indentation."""
+
+    module: str
+    function: str  # the innermost one around it, "" outside of all
+    nth: int  # of the places in the function that read like this one, from 0
+    before: list[str]
+    after: list[str]
+    operator: str
+    test: str  # the file whose test noticed it first
+
+
+def _functions(source: str) -> list[str]:
+    """Return for each line the name of the innermost function around it."""
+    names = [""] * (len(source.split("\n")) + 1)
+    for node in ast.walk(ast.parse(source)):  # outer ones come first
+        if isinstance(node, ast.FunctionDef):
+            lines = range(node.lineno - 1, node.end_lineno or node.lineno)
+            names[lines.start : lines.stop] = [node.name] * len(lines)
+    return names
+
+
+def _places(source: str, before: Sequence[str]) -> list[tuple[int, str]]:
+    """Return where these lines stand in a source, and in which function."""
+    lines, names = [line.strip() for line in source.split("\n")], _functions(source)
+    return [
+        (start, names[start])
+        for start in range(len(lines) - len(before) + 1)
+        if lines[start : start + len(before)] == list(before)
+    ]
+
+
+def killed_by(module: str, before: str, after: str, operator: str, test: str) -> Killed | None:
+    """Describe a change by its lines; None if it adds lines or takes lines away alone."""
+    old, new = before.split("\n"), after.split("\n")
+    first = next(i for i, (a, b) in enumerate(zip(old, new, strict=False)) if a != b)
+    last = next(i for i, (a, b) in enumerate(zip(old[::-1], new[::-1], strict=False)) if a != b)
+    gone = [line.strip() for line in old[first : len(old) - last]]
+    come = [line.strip() for line in new[first : len(new) - last]]
+    function = _functions(before)[first]
+    alike = [start for start, name in _places(before, gone) if name == function]
+    return (
+        Killed(module, function, alike.index(first), gone, come, operator, test)
+        if gone and come
+        else None
+    )
+
+
+def find_again(change: Killed, sources: dict[str, str]) -> tuple[str, str] | None:
+    """Return the module in which the lines of a change still stand, and its source with it made.
+
+    They are looked for in the same function of the same module, in a function of that name in any
+    module, and anywhere if they stand in one place only.
+    """
+    found = [
+        (module, start, name)
+        for module, source in sources.items()
+        if all(line in source for line in change.before)
+        for start, name in _places(source, change.before)
+    ]
+    same = [one for one in found if one[0] == change.module and one[2] == change.function]
+    named = [one for one in found if one[2] == change.function]
+    if len(same) > change.nth:
+        chosen = same[change.nth]
+    elif len(named) == 1 or len(found) == 1:
+        chosen = (named or found)[0]
+    else:
+        return None
+    module, start, _ = chosen
+    lines = sources[module].split("\n")
+    stop = start + len(change.before)
+    indents = [len(line) - len(line.lstrip()) for line in lines[start:stop]]
+    indents += indents[-1:] * (len(change.after) - len(indents))
+    made = [" " * indent + line for indent, line in zip(indents, change.after, strict=False)]
+    return module, "\n".join(lines[:start] + made + lines[stop:])
+
+
+def _first_failed() -> str:
+    """Return the file of the test that failed, as the tests of the last change printed it."""
+    printed = Path(OUTCOME).read_text(encoding="utf-8", errors="replace")
+    found = re.search(r"^(?:FAILED|ERROR) ([^:\s]+)", printed, re.MULTILINE)
+    return found[1] if found else ""
 
 
 class Recorder:
@@ -240,14 +335,15 @@ def try_tests(command: Sequence[str], allowed: float) -> str:
 
     # bytecode of one change may be as old as the source of the next
     environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
-    tests = subprocess.Popen(
-        command,
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-        preexec_fn=limited,
-    )
+    with Path(OUTCOME).open("wb") as printed:
+        tests = subprocess.Popen(
+            command,
+            env=environment,
+            stdout=printed,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+            preexec_fn=limited,
+        )
     waits = threading.Timer(WAITING * allowed, os.killpg, [tests.pid, signal.SIGKILL])
     waits.start()
     _, status, used = os.wait4(tests.pid, 0)
@@ -274,8 +370,23 @@ def _rule(mutation: MutationSpec, silent: list[Span], texts: list[Span]) -> str 
     return None
 
 
-def try_module(copy: Path, module: Path, reaches: list[Reach], mutations: int, seed: int) -> Score:
-    """Change a module of a copy in some places; print those that no test notices."""
+def try_module(
+    copy: Path,
+    module: Path,
+    reaches: list[Reach],
+    mutations: int,
+    seed: int,
+    killed: Path | None = None,
+    at_most: float = math.inf,
+) -> Score:
+    """Change a module of a copy in some places; print those that no test notices.
+
+    The tests of a change take `at_most` so much processor time [s]: the quick ones are run.
+    """
+    from cosmic_ray.commands.init import _all_work_items
+    from cosmic_ray.mutating import use_mutation
+    from cosmic_ray.plugins import get_operator
+
     os.chdir(copy)
     before = module.read_text(encoding="utf-8")
     tree = ast.parse(before)
@@ -287,6 +398,8 @@ def try_module(copy: Path, module: Path, reaches: list[Reach], mutations: int, s
     score = Score(str(module), Counter(), Counter(rule for rule in rules if rule is not None))
     for place in random.Random(f"{seed} {module}").sample(wanted, min(mutations, len(wanted))):
         tests = _tests_of(place.start_pos, copy / module, tree, reaches)
+        total = list(accumulate(test.took for test in tests))
+        tests = tests[: max(sum(took <= at_most for took in total), 1)]
         Path("tests.txt").write_text("\n".join(test.test for test in tests), encoding="utf-8")
         # what noticed the last change is tried first
         command = [sys.executable, "-m", "pytest", "-x", "-q", "--failed-first", "@tests.txt"]
@@ -294,10 +407,54 @@ def try_module(copy: Path, module: Path, reaches: list[Reach], mutations: int, s
             after = module.read_text(encoding="utf-8")
             end = try_tests(command, besides + SLOWER * sum(test.took for test in tests))
         score.became[end] += 1
+        if end == NOTICED and killed is not None:
+            name, operator = str(module), place.operator_name
+            change = killed_by(name, before, after, operator, _first_failed())
+            if change is not None:
+                with killed.open("a", encoding="utf-8") as out:
+                    out.write(json.dumps(change._asdict()) + "\n")
         if end != NOTICED:
             lines = unified_diff(before.split("\n"), after.split("\n"), lineterm="")
             print(f"{end}: {module}\n" + "\n".join([*lines][2:]) + "\n", flush=True)
     return score
+
+
+def recheck(copy: Path, listed: Path, patterns: Sequence[str]) -> bool:
+    """Make listed changes again where their lines still stand; return whether all are noticed."""
+    os.chdir(copy)
+    became: Counter[str] = Counter()
+    for line in listed.read_text(encoding="utf-8").splitlines():
+        change = Killed(**json.loads(line))
+        if not any(fnmatch(change.module, f"energyplan/{pattern}*") for pattern in patterns):
+            continue
+        modules = [str(file) for file in sorted(Path("energyplan").rglob("*.py"))]
+        sources = {name: Path(name).read_text(encoding="utf-8") for name in modules}
+        found = find_again(change, sources)
+        if found is None:
+            became["gone"] += 1
+            continue
+        module, after = found
+        part = next((p for p in TESTS if f"{module}/".startswith(f"energyplan/{p}")), None)
+        tests = [[change.test], [*TESTS[part].split(), ALWAYS] if part else ["tests"]]
+        Path(module).write_text(after, encoding="utf-8")
+        ends = []
+        for files in tests:
+            files = [file for file in files if Path(file.split("::")[0]).exists()]
+            if files and NOTICED not in ends:
+                command = [sys.executable, "-m", "pytest", "-x", "-q", *files]
+                ends.append(try_tests(command, RECHECKING))
+        Path(module).write_text(sources[module], encoding="utf-8")
+        end = NOTICED if NOTICED in ends else CUT if CUT in ends else SURVIVED
+        became[end] += 1
+        if end != NOTICED:
+            lines = "\n".join([f"-{line}" for line in change.before])
+            lines += "\n" + "\n".join([f"+{line}" for line in change.after])
+            print(
+                f"{end}: {module}, {change.function}, once by {change.test}\n{lines}\n", flush=True
+            )
+    gone = became.pop("gone", 0)
+    print(f"{_told(became)}; lines of {gone} more stand nowhere any longer")
+    return became.total() == became[NOTICED]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -306,11 +463,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("modules", nargs="*", default=["*"], help="such as power or fit/icr.py")
     parser.add_argument("--mutations", type=int, default=25, help="changes a module")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--killed", type=Path, help="add the changes that are noticed to this list")
+    parser.add_argument("--recheck", type=Path, help="only make the changes of this list again")
+    parser.add_argument(
+        "--at-most", type=float, default=math.inf, help="processor time of a change's tests [s]"
+    )
     parser.add_argument("--record", type=Path, help=argparse.SUPPRESS)
     asked = parser.parse_args(arguments)
     if asked.record:
         sys.exit(_record(asked.record, asked.modules))
-    scores = []
+    killed, listed = (file and file.resolve() for file in (asked.killed, asked.recheck))
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "checkout"
         data = ROOT.parent / "shared"
@@ -319,6 +481,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         left_out = shutil.ignore_patterns(".git", ".venv", "build", "dist", "demo", "__pycache__")
         shutil.copytree(ROOT, copy, ignore=left_out)
         os.environ["PYTHONPATH"] = str(copy)
+        if listed:
+            sys.exit(not recheck(copy, listed, asked.modules))
+        scores = []
         for part, tests in TESTS.items():
             place = Path("energyplan") / part
             files = [file.relative_to(ROOT) for file in sorted((ROOT / place).rglob("*.py"))]
@@ -332,7 +497,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
             ]
             reaches = _reaches(copy, f"{tests} {ALWAYS}") if asked_for else []
             for module in asked_for:
-                scores.append(try_module(copy, module, reaches, asked.mutations, asked.seed))
+                scores.append(
+                    try_module(
+                        copy, module, reaches, asked.mutations, asked.seed, killed, asked.at_most
+                    )
+                )
                 print(scores[-1], flush=True)
     print(f"in all {_told(sum((score.became for score in scores), Counter()))}")
 
