@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
+from typing import Any
 
 import answers
 import pytest
@@ -16,12 +18,42 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-@pytest.mark.parametrize("name", answers.ANSWERS)
-def test_the_answer_is_as_it_was(name: str, folder: Path, request: pytest.FixtureRequest) -> None:
-    if name == "demo":  # which files it writes is its answer
-        request.getfixturevalue("hurried")
+# by day the demo is run by the test of the documentation
+NAMES = [pytest.param(n, marks=[pytest.mark.nightly] * (n == "demo")) for n in answers.ANSWERS]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_answer_is_as_it_was(name: str, folder: Path) -> None:
     was = json.loads(answers.file(name).read_text())
     assert answers.differences(name, was, answers.answer(name, folder)) == []
+
+
+PAGE = answers.HERE.parents[1] / "docs" / "reference" / "json.md"
+SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE.read_text(), re.M | re.S))
+DESCRIBED = {
+    name: section
+    for name, answer in answers.ANSWERS.items()
+    for section in SECTIONS
+    if answer.asked.startswith(f"{section} ")
+}
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_the_page_describes_the_keys_of_an_answer(name: str) -> None:
+    """A row is a key and its meaning; of a list of records the meaning names their keys."""
+    (document,) = json.loads(answers.file(name).read_text())
+    table = re.findall(r"^\| (`.+?) \| (.+) \|$", SECTIONS[DESCRIBED[name]], re.M)
+    said = {key: text for keys, text in table for key in re.findall(r"`(\w+)`", keys)}
+    assert said.keys() - answers.DROPPED == document.keys() - {"preset"}
+    for key, text in said.items():
+        records = [one for one in _list(document.get(key)) if isinstance(one, dict)]
+        _, is_list, listed = text.partition("list of ")
+        if is_list and records:
+            assert set(re.findall(r"`(\w+)`", listed)) == {k for one in records for k in one}
+
+
+def _list(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []
 
 
 def test_no_answer_is_kept_of_what_is_not_asked() -> None:
