@@ -20,10 +20,6 @@ def test_wrapped_angles(angle: float) -> None:
     assert np.exp(1j * wrapped) == pytest.approx(np.exp(1j * angle), abs=1e-9)
 
 
-def test_wrap_keeps_plus_pi() -> None:
-    assert wrap_angle([np.pi, -np.pi]).tolist() == [np.pi, np.pi]
-
-
 @pytest.mark.parametrize("longitudinal", [0.0, 0.3])
 def test_vertices_agree_with_integrated_kinematics(longitudinal: float) -> None:
     start = Pose(1.0, -2.0, 0.4)
@@ -75,31 +71,12 @@ def test_sideways_motion_is_refused_with_its_place() -> None:
         Path.from_poses([(0, 0, 0), (1, 0, 0), (1, 1, 0)])
 
 
-def test_headings_across_pi_take_the_short_way() -> None:
-    path = Path.from_poses([(0, 0, 3.1), (0, 0, -3.1)])
-    assert path.turning == pytest.approx(2 * np.pi - 6.2)
-
-
 def test_paths_join_only_where_they_meet() -> None:
     first = Path(Pose(0, 0, 0), [1.0], [0.5])
     both = first + Path(first.end, [2.0], [0.0])
     assert both.length == pytest.approx(3.0)
     with pytest.raises(PathError, match="starts"):
         first + Path(Pose(5, 0, 0), [2.0], [0.0])
-
-
-@pytest.mark.parametrize(
-    ("ds", "dtheta"), [([1.0], [1.0, 2.0]), ([np.nan], [0.0]), ([1.0], [np.inf])]
-)
-def test_bad_paths_are_refused(ds: list[float], dtheta: list[float]) -> None:
-    with pytest.raises(PathError):
-        Path(Pose(0, 0, 0), ds, dtheta)
-
-
-def test_trajectory_names_the_sample_where_time_stands_still() -> None:
-    zero = np.zeros(4)
-    with pytest.raises(PathError, match="sample 2"):
-        Trajectory([0.0, 1.0, 1.0, 2.0], zero, zero, zero, zero, zero)
 
 
 def test_scaling_a_trajectory_keeps_the_geometry() -> None:

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from energyplan.battery import Battery, BatteryRun
 from energyplan.battery._kernel import discharge
-from energyplan.battery._tables import CHEMISTRIES
 from energyplan.errors import BatteryError, UnknownNameError
 
 
@@ -151,15 +150,6 @@ def test_usable_energy_falls_with_power_cold_and_age():
     assert pack.usable_energy(200.0, 0.0) == 0.0
 
 
-def test_quadriga_is_a_36_volt_pack_of_six_blocks():
-    pack = Battery.preset("quadriga")
-    block = CHEMISTRIES["lead_acid"]
-    assert pack.ocv(0.5) == pytest.approx(3 * 12.24)
-    assert pack.ocv(1.0) == pytest.approx(3 * block.ocv[-1])
-    assert pack.capacity == 2 * 18 * 3600.0
-    assert pack.resistance == pytest.approx(0.015 * 3 / 2)
-
-
 @pytest.mark.parametrize(
     ("chemistry", "below_zero", "least"),
     [("lead_acid", 0.62, 0.40), ("lithium_ion", 0.75, 0.60),
@@ -183,14 +173,6 @@ def test_cold_takes_capacity_down_to_20_below(chemistry, below_zero, least):
 def test_a_battery_without_data_on_temperature_says_so():
     assert not plain().temperature_note
     assert "known at 25 degC only" in replace(plain(), temperature=5.0).temperature_note
-
-
-def test_cold_derates_by_the_table():
-    pack = Battery.preset("quadriga")
-    cold = replace(pack, temperature=0.0)
-    assert cold.available_capacity / pack.available_capacity == pytest.approx(0.84)
-    coldest = replace(pack, temperature=-20.0)  # there are no data beyond
-    assert replace(pack, temperature=-40.0).available_capacity == coldest.available_capacity
 
 
 def _thevenin(pack: Battery, t: np.ndarray, power: np.ndarray, soc: float) -> BatteryRun:
@@ -253,16 +235,6 @@ def test_kernel_equals_its_plain_twin(seed, soc, name, gap):
     ]
     assert results[0] == pytest.approx(results[1])
     np.testing.assert_allclose(outs[0], outs[1], rtol=1e-9, atol=1e-9)
-
-
-def test_halving_the_sample_period_changes_nothing():
-    pack = Battery.preset("quadriga")
-    t = np.arange(0.0, 1200.0, 10.0)
-    power = drive_profile(len(t), seed=5)
-    coarse = pack.simulate(t, power, soc=0.8)
-    fine = pack.simulate(np.arange(0.0, 1200.0, 0.5), np.repeat(power, 20), soc=0.8)
-    np.testing.assert_allclose(fine.soc[::20], coarse.soc, atol=2e-6)
-    np.testing.assert_allclose(fine.lost[::20], coarse.lost, rtol=5e-3, atol=0.5)
 
 
 def test_a_run_continues_where_the_last_one_ended():

@@ -13,7 +13,7 @@ from random_models import SIZES, random_model
 from energyplan.cost import EnergyCost
 from energyplan.cost.bounds import SLACK, Infimum
 from energyplan.planning.scene.prices import Prices, least_prices
-from energyplan.power import HOTEL, PowerModel, Term
+from energyplan.power import PowerModel
 from energyplan.power.effects import catalogue, term, with_weight
 from energyplan.terrain import Surface, SurfaceMap
 
@@ -95,16 +95,6 @@ def test_the_rates_of_wide_arcs_that_cost_little():
         assert scaled.radian == pytest.approx(unit * least.radian, rel=1e-6)
 
 
-def test_prices_that_are_linear_in_the_octants_lose_nothing():
-    cost = EnergyCost.from_coefficients(200.0, 70.0, icr=0.5)
-    for a, b in ((200.0, 70.0), (1.0 / 3.0, 1e-3), (7e6, 0.1)):
-        infimum = Infimum(lambda x, y, a=a, b=b: a * np.abs(x) + b * np.abs(y))
-        assert infimum.slack == 0.0  # though lines come out with rounding
-    found = least_prices(Prices(cost)).minorant(0.5)
-    assert found.metre == pytest.approx(200.0, rel=1e-12)
-    assert found.radian == pytest.approx(70.0, rel=1e-9)
-
-
 def test_a_dip_beside_the_scan_is_found():
     def price(x, y):
         size = np.hypot(x, y)
@@ -141,20 +131,3 @@ def test_no_motion_on_surfaces_and_slopes_costs_less(seed):
         paid = objective.motion(ds, dtheta, region, steep, exact=True) - worth * steep * ds
         bound = (least.metre + beyond) * travel + least.radian * turn
         assert np.all(bound <= paid + 1e-9 * np.abs(paid))
-
-
-def test_rates_are_remembered_with_the_cost_and_the_surfaces():
-    calls = []
-
-    def counted(motion, vehicle):
-        calls.append(motion.shape)
-        return 50.0 * np.ones(motion.shape)
-
-    cost = EnergyCost(MODEL.with_term(Term("pump", "P", "W", "power", counted), 1.0))
-    first = least_prices(Prices(cost)).minorant(0.0)
-    count = len(calls)
-    assert least_prices(Prices(cost)).minorant(0.0) is first
-    assert len(calls) == count
-    dear = SurfaceMap((Surface(shapely.box(0, 0, 1, 1), MODEL.with_term(HOTEL, 300.0)),))
-    assert least_prices(Prices(cost, dear)).minorant(0.0) == first
-    assert len(calls) > count

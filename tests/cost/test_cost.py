@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -127,12 +126,6 @@ def test_a_second_is_worth_something(worth: float) -> None:
     assert float(cost.segment_duration(1.0, 0.0)) == pytest.approx(1 / speed, rel=1e-4)
 
 
-def test_a_value_of_time_that_is_none_is_refused() -> None:
-    for worth in (-1.0, np.inf, np.nan):
-        with pytest.raises(InvalidInputError, match="time_value"):
-            EnergyCost(MODEL, time_value=worth)
-
-
 @pytest.mark.parametrize("battery", [False, True])
 def test_breakdown_adds_up(battery: bool) -> None:
     icr = TreadICR(0.5, 0.42, 0.05)
@@ -196,22 +189,6 @@ def test_slope_with_losses_never_undercuts_its_potential() -> None:
     energy = cost.segment_energy(ds, dtheta, slope)
     assert np.any(energy < 0)  # steep descents return energy
     assert np.all(energy - 0.5 * WEIGHT * ds * np.sin(slope) >= 0)
-
-
-def test_zero_elements_cost_nothing() -> None:
-    cost = EnergyCost(MODEL)
-    assert float(cost.segment_energy(0.0, 0.0)) == 0.0
-    assert float(cost.segment_energy(0.0, 0.0, 0.1)) == 0.0
-    assert cost.energy(Path(Pose(0, 0, 0), [0.0], [0.0])) == 0.0
-
-
-def test_costs_travel_between_processes() -> None:
-    cost = EnergyCost(MODEL.with_term(HOTEL, 50.0), battery=True)
-    twin = pickle.loads(pickle.dumps(cost))
-    ds, dtheta = random_elements(20)
-    np.testing.assert_array_equal(twin.segment_energy(ds, dtheta), cost.segment_energy(ds, dtheta))
-    for there, here in zip(twin.steering_parameters, cost.steering_parameters, strict=True):
-        np.testing.assert_array_equal(there, here)
 
 
 def test_bad_input_is_told() -> None:

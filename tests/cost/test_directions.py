@@ -13,7 +13,6 @@ from energyplan.cost.direction_table import (
     SPECIAL,
     DirectionTable,
     octant_directions,
-    scan_ratios,
     tabulate,
 )
 
@@ -56,16 +55,6 @@ def test_between_nodes_an_element_costs_what_a_straight_line_says() -> None:
     assert len(np.unique(table.directions.round(9), axis=0)) == 8 + 8 * 6
 
 
-def test_octants_and_special_directions_cover_the_square_once() -> None:
-    ratio = np.linspace(0.0, 1.0, 11)
-    x, y = octant_directions(ratio)
-    assert np.all(np.maximum(abs(x), abs(y)) == 1.0)
-    angles = np.sort(np.arctan2(y, x)[:, 1:-1].ravel())
-    assert len(angles) == 8 * 9
-    assert np.diff(angles).min() > 0.01
-    assert np.array_equal(np.unique(np.arctan2(SPECIAL[:, 1], SPECIAL[:, 0])).size, 8)
-
-
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
 def test_a_table_makes_the_error_that_it_tells_and_no_finer_intervals_than_needed(
     tolerance: float,
@@ -79,32 +68,6 @@ def test_a_table_makes_the_error_that_it_tells_and_no_finer_intervals_than_neede
     assert table.special == pytest.approx(smooth(*SPECIAL.T))
     assert np.all(np.diff(table.ratio) > 0)
     assert (table.ratio[0], table.ratio[-1]) == (0.0, 1.0)
-
-
-def test_of_few_intervals_each_one_counts() -> None:
-    least = len(scan_ratios(16)) - 1
-    errors = []
-    for most in (least, least + 8, least + 24):
-        table = tabulate(smooth, 1e-12, most)
-        assert len(table.ratio) == most + 1
-        errors.append(table.error)
-    assert errors[0] > 1.5 * errors[1] > 1.5 * errors[2] > 0
-
-
-def test_a_piecewise_linear_energy_takes_one_interval() -> None:
-    linear = static()
-    table = tabulate(linear)
-    assert np.array_equal(table.ratio, [0.0, 1.0])
-    assert table.table == pytest.approx(linear.table)
-    assert table.special == pytest.approx(linear.special)
-
-
-def test_ratios_to_look_at_gather_at_both_ends() -> None:
-    ratio = scan_ratios(8)
-    assert np.all(np.diff(ratio) > 0)
-    assert ratio == pytest.approx(1.0 - ratio[::-1], abs=1e-12)
-    assert ratio[[0, 1, -1]] == pytest.approx([0.0, 1e-7, 1.0])
-    assert np.diff(ratio).max() == pytest.approx(1 / 8)
 
 
 def outside(points, chosen):

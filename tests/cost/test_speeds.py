@@ -15,9 +15,7 @@ from energyplan.cost.speeds import (
     asked_speed,
     cheapest_rate,
     last_within,
-    slowest_rate,
 )
-from energyplan.cost.steering import _turn_table
 from energyplan.errors import InvalidInputError
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.power import PowerModel, Sides
@@ -59,19 +57,6 @@ def test_two_coefficients_make_a_cost(per_radian: float, icr: float | TreadICR) 
 
 
 @pytest.mark.parametrize(
-    ("coefficients", "words"),
-    [((0.0, 1.0), "per_metre is 0"), ((-1.0, 1.0), "per_metre is -1"),
-     ((np.inf, 1.0), "per_metre is inf"),
-     ((1.0, -1e-9), "per_radian is -1e-09"), ((1.0, np.nan), "per_radian is nan")],
-)  # fmt: skip
-def test_coefficients_that_no_cost_has_are_refused(
-    coefficients: tuple[float, float], words: str
-) -> None:
-    with pytest.raises(InvalidInputError, match=words):
-        EnergyCost.from_coefficients(*coefficients, 0.5)
-
-
-@pytest.mark.parametrize(
     ("law", "most"),
     [
         (lambda x, end: np.where(x <= end, 0.0, np.inf), 200),  # only on which side it is
@@ -96,14 +81,6 @@ def test_the_last_value_within_limits_is_found_to_the_last_bits(
     assert sum(tried) <= most
     alone = [last_within(lambda x, end=end: law(x, end), np.zeros(1), np.ones(1)) for end in ends]
     assert found.tolist() == np.concatenate(alone).tolist()
-
-
-def test_what_lies_beyond_a_gap_of_what_is_allowed_is_out_of_reach() -> None:
-    parted = last_within(
-        lambda x: np.where((x <= 0.3) | (x > 0.6), 0.5, 1.5), np.zeros(1), np.ones(1)
-    )
-    assert_allclose(parted, 0.3, rtol=1e-12)
-    assert last_within(lambda x: 2.0 + x, np.zeros(1), np.zeros(1)) == 0.0
 
 
 def test_the_cheapest_rate_is_the_least_of_a_range_or_its_end() -> None:
@@ -138,40 +115,6 @@ def test_a_straight_line_is_driven_fast_whatever_else_depends_on_speed(turn: flo
     cost = EnergyCost(model.with_term(term("stribeck_friction"), 0.3))
     straight = Path(Pose(0, 0, 0), [0.0073], [turn])
     assert cost.duration(straight) == pytest.approx(0.0073 / VEHICLE.motor.speed)
-
-
-def test_the_slowest_rate_is_a_twentieth_of_what_limits_it() -> None:
-    x, y, limit = np.array([1.0, 0.5]), np.array([0.0, -0.3]), np.array([0.4, 0.01])
-    top = VEHICLE.motor.speed
-    expected = np.minimum(limit, [0.05 * top, 0.05 * top / 0.8])
-    assert_allclose(slowest_rate(x, y, limit, VEHICLE), expected)
-    free = replace(VEHICLE, motor=MotorLimits())
-    assert_allclose(slowest_rate(x, y, limit, free), 0.05 * limit)
-
-
-def test_a_table_of_corners_has_their_rates_and_slopes() -> None:
-    half, corners = 0.5, np.array([[0.2, 0.1], [0.0, 0.5], [0.1, 0.4]])
-    m, g, slope = _turn_table(corners, half, 100.0)
-    assert_allclose(m, [0.0, 0.25, 2.0])
-    assert_allclose(g, [1.0, 1.25, 5.0])
-    assert_allclose(slope, [0.25 / 0.25, 3.75 / 1.75, np.inf])
-
-
-@pytest.mark.parametrize("joules", [1.0, 1e-9])
-@pytest.mark.parametrize("before", [0, 1])
-def test_a_flat_edge_gets_a_corner_in_its_middle_that_is_hardly_cheaper(
-    before: int, joules: float
-) -> None:
-    """Rates are a half over the corners' second column: a flat edge is where these are equal."""
-    corners = np.array([[-0.3, 0.3], [0.0, 0.5], [0.25, 0.5], [0.6, 0.3]])[1 - before :]
-    m, g, slope = _turn_table(corners / joules, 0.5, 100.0 * joules)
-    assert_allclose(m, [-1.0, 0.0, 0.25, 0.5, 2.0][1 - before :])
-    rates = np.array([5.0 / 3.0, 1.0, 1.0, 1.0, 5.0 / 3.0])[1 - before :]
-    assert_allclose(g / joules, rates, rtol=1e-7)
-    flat = before + 1
-    assert 0 < 1.0 - g[flat] / joules < 2e-8
-    assert slope[flat - 1] < 0 < slope[flat]
-    assert_allclose(slope[flat + 1] / joules, (5.0 / 3.0 - 1.0) / 1.5)
 
 
 @pytest.mark.parametrize("side", ["left", "right"])

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 from random_models import random_model
 
 from energyplan.cost import EnergyCost
@@ -60,17 +59,6 @@ def test_a_program_without_the_library_reads_the_file(tmp_path: Path) -> None:
         where = math.atan2(half * dtheta, ds)
         read = math.hypot(ds, half * dtheta) * float(np.interp(where, angles, energies))
         assert read == pytest.approx(float(exact.segment_energy(ds, dtheta)), rel=1.1e-3)
-
-
-@pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4, 1e-5])
-def test_a_table_is_as_fine_as_its_tolerance_asks_and_no_finer(tolerance: float) -> None:
-    """Between directions a static cost is a cosine, whose chord lies below by ``gap^2 / 8``."""
-    table = tabulate(EnergyCost(MODEL), [0.5], tolerance=tolerance)
-    gap = 2 * np.pi / 64
-    while gap**2 / 8 > tolerance:
-        gap /= 2
-    assert_allclose(np.diff(table.angle), gap)
-    assert table.error <= gap**2 / 8 * 1.01
 
 
 @pytest.mark.parametrize("speeds", [[], [0.0], [-1.0], [np.nan]])

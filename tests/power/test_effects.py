@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from energyplan import EnergyCost
-from energyplan.errors import MissingChannelError, ModelError, UnknownNameError
+from energyplan.errors import ModelError, UnknownNameError
 from energyplan.motion import Motion
 from energyplan.power import TRACTION, PowerModel, Term, effects, tread_forces
 from energyplan.power.effect_terms import (
@@ -53,7 +53,7 @@ from energyplan.power.effects import (
     term,
 )
 from energyplan.power.empirical import CARRIERS, place, signal
-from energyplan.vehicle import GRAVITY, TreadICR, Vehicle
+from energyplan.vehicle import GRAVITY, Vehicle
 
 VEHICLE = Vehicle.preset("quadriga:full")
 T = np.array([0.0, 30.0, 90.0])
@@ -118,22 +118,6 @@ def test_every_term_equals_its_equation() -> None:
     assert _power(TILT_Y, headed) == pytest.approx(GRAVITY * np.sin(yaw) * v)
 
 
-def test_at_rest_no_force_of_motion_is_there() -> None:
-    """The regressors themselves, where speeds times forces would hide them."""
-    rest = _motion(np.zeros(2), np.zeros(2), t=np.array([0.0, 5.0]))
-    for made in (
-        MOBILISATION,
-        STRIBECK,
-        TOWED_DRAG,
-        REVERSE_DRAG,
-        WHEEL_FIGHT,
-        WARM_UP,
-        SLIP_SPEED,
-    ):
-        force = made.function(rest, VEHICLE, **made.params)
-        assert not np.any(force.left) and not np.any(force.right), made.name
-
-
 def test_sides_fight_on_a_straight_whichever_way_and_not_in_a_turn() -> None:
     motion = _motion([0.5, -0.5, 0.5, -0.5, 0.0], [0.0, 0.0, 0.2, -0.2, 0.3])
     force = WHEEL_FIGHT.function(motion, VEHICLE)
@@ -187,15 +171,6 @@ def test_losses_act_on_the_forces_of_all_terms() -> None:
     assert float(unsigned) == pytest.approx(float(np.abs(sides.left) + np.abs(sides.right)))
     gain = paper.with_term(SIDE_GAIN, 0.1).power(motion)
     assert float(gain) == pytest.approx(float(1.1 * sides.left + 0.9 * sides.right))
-
-
-def test_what_a_planner_does_not_know_is_warm_changed_and_level() -> None:
-    motion = _motion(0.5, 0.2)
-    assert float(_power(WARM_UP, motion)) == 0.0
-    assert float(_power(TILT_X, motion)) == 0.0
-    assert float(_power(SLIP_CHANGE, motion)) == pytest.approx(0.2 * VEHICLE.slip_moment)
-    with pytest.raises(MissingChannelError, match="'x'"):
-        _power(SLIP_BEYOND, motion)
 
 
 def test_the_size_of_a_change_of_payload_is_the_mass_that_explains_it() -> None:
@@ -256,15 +231,6 @@ def test_signals_of_a_drive_are_what_they_are_named() -> None:
     assert np.all(signal(motion, "temperature") == 0.0)
 
 
-def test_time_since_a_tread_started_or_turned_round() -> None:
-    left = np.array([0.0, 0.4, 0.4, 0.4, 0.4, 0.4, 0.4, 0.0])
-    right = np.array([0.4, 0.4, 0.4, 0.4, -0.4, -0.4, -0.4, 0.0])
-    motion = Motion(left, right, VEHICLE.icr, channels={"t": np.arange(8) * 0.9})
-    # the left tread starts at 0.9 s, the right one turns round at 3.6 s; 2 s are long past
-    expected = [2.0, 0.0, 0.9, 1.8, 0.0, 0.9, 1.8, 2.0]
-    assert signal(motion, "since_start") == pytest.approx(expected)
-
-
 @pytest.mark.parametrize("carrier", sorted(CARRIERS))
 def test_an_empirical_shape_scales_with_its_carrier(carrier: str) -> None:
     """Its power on top of the paper's terms, by hand."""
@@ -314,21 +280,6 @@ def test_one_function_makes_an_effect_and_a_plugin_brings_it(
     monkeypatch.setattr(effects, "entry_points", lambda group: [Point(3)])
     with pytest.raises(ModelError, match="no Effect"):
         catalogue()
-
-
-def test_an_effect_without_a_size_or_a_range_is_refused() -> None:
-    with pytest.raises(ModelError, match="give its size"):
-        Effect("two", (TILT_X, TILT_Y), "a", "kg", "two terms")
-    with pytest.raises(ModelError, match="empty range"):
-        Effect.of(GRADE, plausible=(2.0, 1.0))
-
-
-def test_regressors_scale_with_the_icr_as_virtual_work_says() -> None:
-    for icr in (TreadICR(0.5, 0.4, 0.1), TreadICR.symmetric(0.6)):
-        vehicle = VEHICLE.with_icr(icr)
-        motion = Motion.from_twist(0.4, 0.3, icr, accel=0.2, yaw_accel=0.1)
-        model = PowerModel(vehicle, (LINEAR_INERTIA, ANGULAR_INERTIA), np.array([100.0, 10.0]))
-        assert float(model.power(motion)) == pytest.approx(100 * 0.2 * 0.4 + 10 * 0.1 * 0.3)
 
 
 EVERY = {one.name: one for effect in catalogue().values() for one in effect.terms}

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +14,6 @@ from energyplan.power import (
     HOTEL,
     REGENERATION_LOSS,
     SLIP,
-    TABLE_II,
     TRACTION,
     PowerModel,
     Sides,
@@ -45,39 +43,12 @@ def test_sides_add_up_to_the_paper_for_any_motion(
     assert float(forces.left * v_left + forces.right * v_right) == pytest.approx(total, abs=1e-9)
 
 
-@pytest.mark.parametrize("preset", TABLE_II)
-def test_no_motor_generates_in_straight_motion_or_in_a_spin(preset: str) -> None:
-    model = PowerModel.preset(preset)
-    v = np.linspace(-1.2, 1.2, 101)
-    for motion in (Motion(v, v, model.vehicle.icr), Motion(-v, v, model.vehicle.icr)):
-        sides = model.sides(motion)
-        assert np.all(sides.left >= 0)
-        assert np.all(sides.right >= 0)
-
-
 def test_the_inner_motor_generates_in_a_forward_arc_on_marble_with_a_full_tank() -> None:
     model = PowerModel.preset("quadriga:full:marble")
     sides = model.sides(Motion(0.8, 0.4, model.vehicle.icr))  # to the right, as in Fig. 5
     assert float(sides.right) < 0 < float(sides.left)
     slip_force = 0.431 * model.vehicle.slip_moment / 0.94
     assert float(sides.right) == pytest.approx((110.0 - slip_force) * 0.4)
-
-
-def test_generation_starts_where_the_slip_force_exceeds_the_traction_resistance() -> None:
-    vehicle = Vehicle.preset("quadriga:full")
-    force = 0.431 * vehicle.slip_moment / vehicle.icr.slip_track
-    motion = Motion(0.4, 0.8, vehicle.icr)
-    for K, generates in ((force - 1, True), (force + 1, False)):
-        inner = PowerModel.paper(vehicle, K=K, mu=0.431).sides(motion).left
-        assert (float(inner) < 0) is generates
-
-
-def test_any_shape_broadcasts() -> None:
-    model = PowerModel.preset("quadriga:empty:marble")
-    motion = Motion(np.zeros((3, 1)), np.ones((1, 4)), model.vehicle.icr)
-    assert model.power(motion).shape == (3, 4)
-    one = model.power(Motion(0.0, 1.0, model.vehicle.icr))
-    assert np.all(model.power(motion) == float(one))
 
 
 @given(speed, speed, st.floats(-500, 500), st.floats(-500, 500))
@@ -127,11 +98,6 @@ def test_an_efficiency_found_in_data_is_not_counted_twice() -> None:
     assert model.battery_side().coefficient("regeneration_efficiency") == 0.9
 
 
-def test_the_lossless_battery_side_is_the_model_itself() -> None:
-    model = PowerModel.preset("quadriga:full:marble")
-    assert model.battery_side() is model
-
-
 def test_coefficients_never_lose_their_covariance_silently() -> None:
     cov = np.array([[1e-4, 0.0], [0.0, 4.0]])
     model = PowerModel.paper(Vehicle.preset("quadriga"), 100.0, 0.5, covariance=cov)
@@ -165,13 +131,6 @@ def test_unknown_names() -> None:
         PowerModel.preset("quadriga:full:ice")
     with pytest.raises(UnknownNameError, match="slip_friction"):
         PowerModel.preset("quadriga:full:marble").coefficient("slip")
-
-
-def test_models_travel_between_processes() -> None:
-    model = PowerModel.preset("quadriga:full:marble")
-    motion = Motion(0.8, 0.4, model.vehicle.icr)
-    again = pickle.loads(pickle.dumps(model))
-    assert float(again.power(motion)) == float(model.power(motion))
 
 
 def test_losses_are_fractions_of_what_a_side_draws_or_returns() -> None:

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from energyplan.errors import InvalidInputError, MissingChannelError, UnknownNameError
 from energyplan.motion import Motion
 from energyplan.path import Path, Pose, Trajectory
-from energyplan.power import HOTEL, SLIP, PowerModel
+from energyplan.power import SLIP, PowerModel
 from energyplan.power.effects import GRADE, LINEAR_INERTIA
 from energyplan.simulate import PATTERNS, Setpoint, drive, identification_drive, validation_drive
 from energyplan.vehicle import GRAVITY, TreadICR, Vehicle
@@ -83,15 +83,6 @@ def test_a_trajectory_is_driven_from_its_first_pose_to_its_last(model):
     assert [moved.channels[name][0] for name in ("x", "y", "yaw")] == [2.0, 2.0, 1.0]
 
 
-def test_figure_eight_closes_and_spiral_ends_where_it_turned_from(model):
-    loop = drive(model, "figure8", rate=100.0)
-    assert loop.channels["yaw"].max() == pytest.approx(2 * np.pi, abs=1e-3)
-    assert loop.channels["yaw"][-1] == pytest.approx(0.0, abs=1e-9)
-    spiral = drive(model, "spiral")
-    assert spiral.channels["yaw"][-1] == pytest.approx(0.0, abs=1e-9)
-    assert np.abs(spiral.channels["yaw"]).max() > 2 * np.pi
-
-
 def test_same_seed_same_log_and_each_channel_has_its_own_stream(model):
     options = {"power_noise": 5.0, "speed_noise": 0.005, "seed": 4}
     first, again = (validation_drive(model, **options) for _ in range(2))
@@ -112,13 +103,6 @@ def test_power_noise_has_the_deviation_and_the_correlation_asked_for(model, tau)
         lag = np.corrcoef(noise[:-1], noise[1:])[0, 1]
         assert lag == pytest.approx(np.exp(-0.05 / tau) if tau else 0.0, abs=0.02)
     assert np.corrcoef(log.sides.left, log.sides.right)[0, 1] == pytest.approx(0.0, abs=0.05)
-
-
-def test_common_power_is_split_evenly(model):
-    log = validation_drive(model.with_term(HOTEL, 40.0))
-    bare = validation_drive(model)
-    assert_allclose(log.sides.left - bare.sides.left, 20.0, atol=1e-9)
-    assert_allclose(log.power - bare.power, 40.0, atol=1e-9)
 
 
 def test_ways_to_measure_power_agree(model):
@@ -144,14 +128,6 @@ def test_climbing_takes_the_potential_energy(model):
     assert_allclose(log.channels["slope"], incline)
     steady = log.channels["accel_x"][len(log) // 2]
     assert steady == pytest.approx(GRAVITY * np.sin(incline))
-
-
-def test_slope_follows_the_heading_and_a_terrain(model):
-    log = drive(model, "spin", slope=0.1, uphill=0.5)
-    expected = np.arcsin(np.sin(0.1) * np.cos(log.channels["yaw"] - 0.5))
-    assert_allclose(log.channels["slope"], expected)
-    hill = drive(model, "straight", slope=lambda x, y, yaw: 0.02 * x)
-    assert_allclose(hill.channels["slope"], 0.02 * hill.channels["x"])
 
 
 def test_change_of_surface_and_of_icr_at_a_time(model):
