@@ -40,8 +40,6 @@ FENCED = re.compile(r"^ *```(\w*)[^\n]*\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
 LENGTHY = {"closing_the_loop", "fleets", "gallery"}
 """Pages whose commands take as long as those of all others."""
 
-pytestmark = pytest.mark.usefixtures("hurried")
-
 Command = Callable[[list[str]], str]
 
 
@@ -162,7 +160,9 @@ def namespace() -> dict[str, Any]:
 
 
 @pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+def command(
+    hurried: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Command:
     """Run a command line, less the program; return what it prints."""
     monkeypatch.setattr("energyplan.serve.server.run", lambda *arguments: None)  # it would not end
 
@@ -206,6 +206,7 @@ def run_commands(page: Path, work: Path, command: Command) -> None:
                 command(asked)
 
 
+@pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize("page", pages(python_blocks))
 def test_python_blocks_run(page: Path, material: Path, tmp_path: Path) -> None:
     work = shutil.copytree(material, tmp_path / "work")
