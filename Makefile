@@ -78,7 +78,7 @@ pictures: demo
 	mkdir -p docs/pictures
 	cp $(OUT)/*.png docs/pictures/
 	$(BIN)/python examples/plan_depot.py --goal 20,12,90 --out $(OUT)/plan_depot
-	cp $(OUT)/plan_depot/routes.png $(OUT)/plan_depot/pareto.png docs/pictures/
+	cp $(OUT)/plan_depot/routes.png docs/pictures/
 	$(BIN)/python docs/draw.py
 	$(BIN)/python docs/figures.py
 	$(BIN)/python docs/animate.py

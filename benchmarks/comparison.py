@@ -29,6 +29,7 @@ import card
 import networkx as nx
 import numpy as np
 import steering as words
+from lattice_route import Lattice
 
 import energyplan as ep
 from energyplan.errors import EnergyPlanError, PlanningError
@@ -36,7 +37,6 @@ from energyplan.io.husky import read_husky
 from energyplan.path import Path, Pose, wrap_angle
 from energyplan.planning import PlanningProblem, plan
 from energyplan.studies.control_set import USUAL, Penalties, control_set, penalties
-from energyplan.studies.lattice_route import Lattice
 
 COST = ep.EnergyCost(ep.PowerModel.preset("quadriga:empty:concrete"))
 CELL = 0.1

@@ -18,6 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from lattice_route import Lattice
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import PlanningError
@@ -25,7 +26,6 @@ from energyplan.io.maps import read_map
 from energyplan.planning import PlanningProblem, plan
 from energyplan.power import PowerModel
 from energyplan.studies.control_set import USUAL, control_set, penalties
-from energyplan.studies.lattice_route import Lattice
 
 EFFORT = 30_000
 """Units of work of the plan that counts as the best one."""

@@ -1,4 +1,4 @@
-"""Planners measured: time to the first plan, gap to the lower bound, rivals, many goals, map size.
+"""Planners measured: time to the first plan, gap to the lower bound, rivals, map size.
 
     python benchmarks/planners.py                       every table, small: less than two minutes
     python benchmarks/planners.py MAP.yaml --pairs 100  first plan, gap, shortest route
@@ -6,7 +6,6 @@
     python benchmarks/planners.py --pairs-file PAIRS.json --effort 5000 50000   by effort
     python benchmarks/planners.py [MAP.yaml] --floors 6 --effort 5000 50000   floors of floors.py
     python benchmarks/planners.py MAP.yaml --rivals 10  0.1 s of ours against 10 s of OMPL's
-    python benchmarks/planners.py MAP.yaml --many       one search for many goals
     python benchmarks/planners.py --sizes 4096 [--plot sizes.png]
     python benchmarks/planners.py --write docs/planning.md  by effort, into the table of that page
 
@@ -38,7 +37,6 @@ from energyplan.io.maps import read_map
 from energyplan.output import plots
 from energyplan.output.report import png
 from energyplan.planning import Plan, PlanningProblem, plan
-from energyplan.planning.lattice.many_goals import energies
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 
@@ -127,7 +125,6 @@ def warm_up() -> None:
     grid = OccupancyGrid(occupied, 0.1)
     problem = PlanningProblem(grid, COST, (1, 5, 0), (9, 5, 1))
     plan(problem, time_limit=0.5, gap=0.0)
-    energies(problem, [(9, 5, 1)])
 
 
 def measure(name: str, grid: OccupancyGrid, count: int, limit: float) -> None:
@@ -218,24 +215,6 @@ def write_table(page: Path, grids: dict[str, OccupancyGrid], count: int) -> None
     page.write_text(before + "\n".join([MARKS[0], *head, *rows, MARKS[1]]) + after)
 
 
-def many(name: str, grid: OccupancyGrid, count: int) -> None:
-    """Print one row: a search for many goals against the farthest goal's single plan."""
-    todo = problems(grid, count)
-    goals = np.array([problem.goal for problem in todo])
-    begun = time.perf_counter()
-    found = energies(todo[0], goals)
-    spent = time.perf_counter() - begun
-    reached = np.where(np.isfinite(found), found, -1)
-    begun = time.perf_counter()
-    plan(replace(todo[0], goal=goals[int(np.argmax(reached))]), time_limit=1.0)
-    single = time.perf_counter() - begun
-    print(
-        f"{name:22s} {np.isfinite(found).sum():4d} goals in {spent:.2f} s; the farthest alone "
-        f"{single:.2f} s; ratio {spent / single:.1f}",
-        flush=True,
-    )
-
-
 def yard(size: int, seed: int = 0) -> OccupancyGrid:
     """Return a square map of `size` cells of 5 cm, one box in every 4 m by 4 m."""
     rng = np.random.default_rng(seed)
@@ -310,14 +289,13 @@ def main() -> None:
     parser.add_argument("--time", type=float, default=1.0, help="time for each plan [s]")
     parser.add_argument("--rivals", type=int, default=0, metavar="PAIRS")
     parser.add_argument("--rival-time", type=float, default=10.0)
-    parser.add_argument("--many", action="store_true")
     parser.add_argument("--sizes", type=int, default=0, metavar="CELLS")
     parser.add_argument("--plot")
     parser.add_argument("--write", type=Path, metavar="PAGE.md")
     given = parser.parse_args()
     own = sorted((Path(__file__).parents[1] / "maps").glob("*.yaml"))
     grids = {path.stem: read_map(path) for path in (given.maps or own)}
-    chosen = given.rivals or given.many or given.sizes or given.pairs
+    chosen = given.rivals or given.sizes or given.pairs
     if given.pairs and not given.maps:
         grids["yard"] = yard(2000)
     warm_up()
@@ -335,7 +313,7 @@ def main() -> None:
             todo = problems(grid, given.floors)
             by_spending(name, todo, [np.inf] * len(todo), given.effort)
         return
-    if (given.pairs and not (given.rivals or given.many)) or not chosen:
+    if (given.pairs and not given.rivals) or not chosen:
         count = given.pairs or 6
         print(f"{count} random pairs, {given.time:g} s each")
         print(
@@ -347,9 +325,6 @@ def main() -> None:
     if given.rivals or not chosen:
         for name, grid in list(grids.items())[: None if chosen else 1]:
             rivals(name, grid, given.rivals or 3, given.rival_time if chosen else 2.0)
-    if given.many or not chosen:
-        for name, grid in grids.items():
-            many(name, grid, given.pairs or 100)
     if given.sizes or not chosen:
         sizes(given.sizes or 1024, given.plot)
 

@@ -47,11 +47,8 @@ from .power import Sides as Sides
 from .power import Term as Term
 from .studies import Comparison as Comparison
 from .studies import EnergyMap as EnergyMap
-from .studies import ParetoFront as ParetoFront
-from .studies import ParetoPoint as ParetoPoint
 from .studies import compare as compare
 from .studies import energy_map as energy_map
-from .studies import pareto as pareto
 from .terrain import HeightMap as HeightMap
 from .terrain import OccupancyGrid as OccupancyGrid
 from .terrain import SurfaceMap as SurfaceMap

@@ -1,4 +1,4 @@
-"""Plan a route of least energy, compare it with the shortest one, and trade energy against time.
+"""Plan a route of least energy and compare it with the shortest one.
 
     python examples/plan_depot.py [MAP.yaml] [--start X,Y,DEG] [--goal X,Y,DEG] [--out FOLDER]
 
@@ -8,23 +8,18 @@ Without a map the warehouse that comes with the library is used, with its marble
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from energyplan.cost import EnergyCost
-from energyplan.errors import PlanningError
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.maps import read_map
 from energyplan.output import plots
 from energyplan.output.report import png
-from energyplan.planning import Plan, PlanningProblem, plan
-from energyplan.power import HOTEL, PowerModel
-from energyplan.power.effects import VISCOUS_LOSS
+from energyplan.planning import Plan, PlanningProblem
+from energyplan.power import PowerModel
 from energyplan.studies.comparison import compare
-from energyplan.studies.pareto import ParetoFront, pareto
-from energyplan.terrain import Surface, SurfaceMap
 
 WAREHOUSE = Path(__file__).parents[1] / "maps" / "warehouse.yaml"
 
@@ -43,32 +38,6 @@ def tell(name: str, found: Plan) -> None:
         f"at most {100 * found.gap:.1f} % above the least; first plan after "
         f"{1e3 * found.first_time:.0f} ms"
     )
-
-
-def stiff(model: PowerModel) -> PowerModel:
-    """Return a model that knows of speed: 80 N per m/s on each side, and 40 W of computers."""
-    return model.with_term(VISCOUS_LOSS, 80.0).with_term(HOTEL, 40.0)
-
-
-def trade(problem: PlanningProblem) -> ParetoFront:
-    """Trade energy against time for a robot whose resistance rises with speed."""
-    surfaces = problem.surfaces
-    if surfaces is not None:
-        # surfaces of one model share what is tabulated of it
-        models = {surface.model.name: stiff(surface.model) for surface in surfaces.surfaces}
-        surfaces = SurfaceMap(
-            tuple(Surface(s.area, models[s.model.name], s.name) for s in surfaces.surfaces),
-            surfaces.keep_out,
-        )
-    cost = EnergyCost(stiff(problem.cost.model))
-    problem = replace(problem, cost=cost, surfaces=surfaces)
-    # what one planner overlooks another may find: its route is tried at every speed
-    known = []
-    try:
-        known.append(plan(problem, "roadmap", effort=150_000).path)
-    except PlanningError as error:
-        print(f"no route from the visibility graph: {error}")
-    return pareto(problem, effort=150_000, initial=known)
 
 
 def main() -> None:
@@ -97,27 +66,14 @@ def main() -> None:
     for name, joules in told.by_term.items():
         print(f"  {name:22s} {joules:8.0f} J")
 
-    front = trade(problem)
-    for point in front.points:
-        tell(f"{point.time_value:.0f} J/s", point.plan)
-
     drawn = surfaces.polygons if surfaces else ()
     both = {
         f"{name}: {found.energy:.0f} J": found.path
         for name, found in (("least energy", told.energy_optimal), ("shortest", told.shortest))
     }
-    figure = plots.figure(2, 1, size=(plots.WIDTH, 7.6))
-    above, below = figure.axes
-    plots.pareto(above, front)
-    plots.occupancy(below, grid)
-    frugal, hasty = front.points[0], front.points[-1]
-    for point, color, dash in ((frugal, plots.BLUE, "-"), (hasty, plots.RED, "--")):
-        label = f"{point.time_value:.0f} J/s: {point.plan.length:.1f} m"
-        plots.route(below, point.plan.path, label, color, dash)
-    plots.legend(below, above=True)
-    for name, picture in (("routes", plots.routes(grid, both, surfaces=drawn)), ("pareto", figure)):
-        (given.out / f"{name}.png").write_bytes(png(picture))
-        print(f"wrote {given.out / name}.png")
+    picture = given.out / "routes.png"
+    picture.write_bytes(png(plots.routes(grid, both, surfaces=drawn)))
+    print(f"wrote {picture}")
 
 
 if __name__ == "__main__":

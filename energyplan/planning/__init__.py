@@ -54,9 +54,6 @@ PLANNERS = {
         )
         for name in ("rrtstar", "informed_rrtstar", "bitstar", "fmt")
     },
-    "control_rrt": Planner(
-        f"{_OMPL}.control:control_rrt", surfaces=True, objectives=OBJECTIVES, effort=True
-    ),
 }  # fmt: skip
 """The library's own planners; they are imported when they are used."""
 

@@ -100,10 +100,10 @@ def test_the_public_names_are_these() -> None:
         "Battery", "Budget", "Candidate", "Charger", "Comparison", "Diagnosis", "DriveLog",
         "EnergyCost", "EnergyMap", "FeasibilityReport", "HeightMap", "Identification", "Mission",
         "MissionReport", "Motion", "MotorLimits", "OccupancyGrid", "OnlineIdentifier",
-        "ParetoFront", "ParetoPoint", "Path", "Plan", "Planner", "PlanningProblem", "Pose",
+        "Path", "Plan", "Planner", "PlanningProblem", "Pose",
         "PowerModel", "Residual", "Sides", "SurfaceMap", "Task", "Term", "Terrain", "Trajectory",
         "TreadICR", "Vehicle", "battery", "check", "compare", "diagnose", "energy_map", "errors",
-        "evaluate", "feasibility", "fleet", "identify", "pareto", "plan", "plots", "read_fleet",
+        "evaluate", "feasibility", "fleet", "identify", "plan", "plots", "read_fleet",
         "read_heights", "read_map", "read_mission", "read_model", "read_surfaces", "read_vehicle",
         "replan", "simulate", "speed", "steering", "watch", "write_model",
     ]  # fmt: skip

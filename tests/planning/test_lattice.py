@@ -10,7 +10,6 @@ from energyplan.cost import EnergyCost
 from energyplan.path import Path, Pose, point_ahead
 from energyplan.planning import Budget, PlanningProblem, plan
 from energyplan.planning.budget import UNLIMITED
-from energyplan.planning.lattice.many_goals import energies
 from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.lattice.search import Search, lattice_for
 from energyplan.planning.lattice.tight_ends import ways_out
@@ -187,46 +186,6 @@ def test_narrow_corridor_is_driven_although_a_spin_does_not_fit():
     assert found.gap < 0.03
 
 
-def test_where_the_work_for_many_goals_ends_paths_found_by_then_count():
-    hall = OccupancyGrid(np.zeros((80, 100), bool), 0.1)
-    problem = PlanningProblem(hall, COST, (2, 2, 0), (2, 2, 0))
-    goals = [(3.0, 2.0, 0.0), (2.0, 5.0, 1.5)]
-    soon, late = (energies(problem, goals, effort=effort) for effort in (600, 60_000))
-    assert np.isfinite(soon).all()
-    assert (soon >= late - 1e-6).all()
-
-
-@pytest.mark.parametrize("open_", [True, False])
-def test_a_goal_that_one_plan_reaches_many_goals_reach(open_):
-    """What the search with this work does not come to is sought as a plan seeks it."""
-    hall = np.zeros((80, 120), bool)
-    hall[:, 60:62] = True
-    hall[60:72, 60:62] = not open_
-    problem = PlanningProblem(OccupancyGrid(hall, 0.1), COST, (2, 2, 0.3), (10, 2, 0))
-    behind, near = energies(problem, [(10, 2, 0), (4, 2, 0)], effort=9000)
-    assert np.isfinite(near)
-    if not open_:
-        assert behind == np.inf
-        return
-    made = plan(problem, effort=9000)
-    assert made.lower_bound * (1 - 1e-9) <= behind <= 1.1 * made.energy
-
-
-def test_one_to_many_energies_match_single_plans():
-    grid = cluttered(1)
-    start, *goals = free_poses(grid, 7, 5, COST.vehicle)
-    problem = PlanningProblem(grid, COST, start, start)
-    many = energies(problem, goals, effort=1_000_000)
-    assert many.shape == (len(goals),)
-    ratios = []
-    for goal, energy in zip(goals, many, strict=True):
-        single = plan(PlanningProblem(grid, COST, start, goal), effort=8_000)
-        assert single.lower_bound * (1 - 1e-9) <= energy
-        ratios.append(energy / single.energy)
-    assert np.median(ratios) < 1.02
-    assert max(ratios) < 1.35
-
-
 @pytest.mark.shared
 def test_depot_reference_query(shared_data):
     from energyplan.io.maps import read_map
@@ -308,5 +267,3 @@ def test_the_shortest_route_turns_where_turning_has_no_length(treads):
     about = replace(problem, map=OccupancyGrid(hall, 0.1))
     found = plan(about, effort=4000)
     assert found.gap < 0.04
-    [told] = energies(about, [goal], effort=4000)
-    assert found.lower_bound <= told == pytest.approx(found.cost, rel=0.05)

@@ -18,7 +18,6 @@ from energyplan.mission import Mission, Task, evaluate
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import budget as budgets
 from energyplan.planning.budget import Budget, side_by_side
-from energyplan.planning.lattice.many_goals import energies
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid, Terrain, grid
 from energyplan.terrain.updates import tables_of
@@ -147,9 +146,6 @@ def test_what_threads_ask_for_at_once_is_the_same_as_alone():
             found = plan(PlanningProblem(grid, COST, pose, goals[0]), effort=300)
             return found.path, found.energy, found.lower_bound
 
-        def reached() -> object:
-            return energies(PlanningProblem(grid, COST, pose, goals[0]), goals, effort=50).tobytes()
-
         def mission() -> object:
             tasks = [Task("a", goals[0])]
             asked = Mission(
@@ -158,7 +154,7 @@ def test_what_threads_ask_for_at_once_is_the_same_as_alone():
             )  # fmt: skip
             return evaluate(asked).timeline.soc.tobytes()
 
-        return [route, reached, mission, route]
+        return [route, mission, route]
 
     alone = [one() for one in work(rooms(0.9))]
     for _ in range(5):

@@ -10,20 +10,16 @@ import pytest
 import yaml
 
 from energyplan.cost import EnergyCost
-from energyplan.errors import InvalidInputError, MapError, NoPathError
+from energyplan.errors import InvalidInputError, MapError
 from energyplan.io.nav2_lattice import read_lattice, write_lattice, write_penalties
 from energyplan.path import Path, Pose
-from energyplan.planning import PlanningProblem, plan
 from energyplan.power import PowerModel
 from energyplan.studies.control_set import (
-    USUAL,
     control_set,
     headings_of,
     penalties,
     primitive_energy,
 )
-from energyplan.studies.lattice_route import Lattice
-from energyplan.terrain import OccupancyGrid
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 
@@ -170,43 +166,6 @@ def test_what_is_no_lattice_is_told(content, tmp_path):
     (tmp_path / "l.json").write_bytes(content)
     with pytest.raises(MapError, match=r"l\.json"):
         read_lattice(tmp_path / "l.json")
-
-
-@pytest.fixture(scope="module")
-def room():
-    occupied = np.zeros((60, 80), bool)
-    occupied[:38, 38:42] = True
-    grid = OccupancyGrid(occupied, 0.1, Pose(1.0, -2.0, 0.3))
-    middle = grid.to_world([(15.0, 15.0), (65.0, 15.0)])
-    ends = [(*point, yaw) for point, yaw in zip(middle.tolist(), (0.3, -1.2), strict=True)]
-    return PlanningProblem(grid, COST, *ends)
-
-
-def test_routes_are_free_and_no_cheaper_than_the_least(room, controls):
-    lattice = Lattice(room, controls)
-    start, goal = lattice.nearest(room.start), lattice.nearest(room.goal)
-    told = penalties(controls, COST)
-    (path,) = lattice.routes(start, [goal], told)
-    (usual,) = lattice.routes(start, [goal], USUAL)
-    asked = PlanningProblem(room.map, COST, start, goal)
-    best = plan(asked, effort=10_000)
-    for found in (path, usual):
-        assert room.map.path_free(found, COST.vehicle)
-        assert found.start == pytest.approx(start)
-        assert found.end[:2] == pytest.approx(goal[:2], abs=1e-9)
-        assert COST.energy(found) >= best.lower_bound
-    # the lattice's own kind of path, not that of the least energy
-    assert COST.energy(path) <= 1.4 * best.energy
-
-
-def test_no_route_is_said(room, controls):
-    occupied = room.map.occupied.copy()
-    occupied[:, 38:42] = True
-    walled = PlanningProblem(
-        OccupancyGrid(occupied, 0.1, room.map.origin), COST, room.start, room.goal
-    )
-    with pytest.raises(NoPathError, match="no route of primitives"):
-        Lattice(walled, controls).routes(room.start, [room.goal], USUAL)
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from energyplan.limits.feasibility import FeasibleRegion
     from energyplan.physics import Loop
-    from energyplan.studies.pareto import ParetoFront
 
 from energyplan.output.plots.style import (
     BLACK,
@@ -308,48 +307,6 @@ def breakdown(ax: Axes, parts: Mapping[str, Mapping[str, float]]) -> Axes:
         )  # fmt: skip
         below = below + values
     style_label(ax, "energy [kJ]", "", "Energy by term")
-    legend(ax, above=True)
-    return ax
-
-
-def pareto(ax: Axes, front: ParetoFront) -> Axes:
-    """Draw energy against time: the drives known, and below them what no drive can reach.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where to draw.
-    front : ParetoFront
-        Result of `energyplan.pareto`.
-
-    Returns
-    -------
-    Axes
-        `ax`.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> front = ep.pareto(problem, time_values=(0.0, 9.0), effort=1000)
-    >>> pareto(figure().axes[0], front).get_ylabel()
-    'energy [kJ]'
-    """
-    times, energies = front.duration, front.energy / 1e3
-    span = np.linspace(0.95 * times.min(), 1.05 * times.max(), 200)
-    least = front.least_energy(span) / 1e3
-    ax.fill_between(span, 0, least, color="0.85", lw=0, label="impossible")
-    ax.plot(times, energies, "o-", color=BLUE, lw=1.2, ms=5, label="drives")
-    for point, x, y in zip(front.points, times, energies, strict=True):
-        ax.annotate(
-            f"{point.time_value:.0f} J/s", (x, y), xytext=(4, 5), textcoords="offset points",
-            fontsize="small",
-        )  # fmt: skip
-    ax.set(xlim=(span[0], span[-1]), ylim=(0.97 * least.min(), 1.03 * energies.max()))
-    style_label(ax, "time [s]", "energy [kJ]", "Energy against time, by what a second is worth")
     legend(ax, above=True)
     return ax
 

@@ -29,7 +29,6 @@ from energyplan.path import FloatArray, Path
 from energyplan.planning.budget import Budget, Work, do_together
 from energyplan.planning.contract import Candidate
 from energyplan.planning.driven import stops_count
-from energyplan.planning.lattice.first_path import FirstPath
 from energyplan.planning.lattice.improvement import Improvement
 from energyplan.planning.lattice.portfolio import SAME, Bounding
 from energyplan.planning.lattice.stops import SHARE, least_driven, stops_of
@@ -139,20 +138,6 @@ def _without_stops(led: CompiledProblem, budget: Budget) -> Budget:
 def _searching(led: CompiledProblem, budget: Budget) -> Budget:
     """Return a budget without what is kept for planning anew between tight ends."""
     return budget if led.ends_roomy else budget.part(0.5)
-
-
-def first_motions(problem: PlanningProblem, budget: Budget, finest: float = FINEST) -> Segments:
-    """Return motions from start to goal: the first that `plan` finds with the same budget."""
-    query = CompiledProblem(problem)
-    led = _led_by(query)
-    work = FirstPath(led, _searching(led, _without_stops(led, budget)), gap=0.0, seed=1)
-    work.first_plan(finest)
-    motions = query.motions_of(led, work.portfolio.best)
-    try:
-        _ = query.path(motions)
-    except PlanningError:  # between tight ends
-        return query.of_centre(plan(problem, budget, finest=finest).path)
-    return motions
 
 
 def _led_by(query: CompiledProblem) -> CompiledProblem:

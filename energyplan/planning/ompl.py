@@ -1,19 +1,32 @@
-"""What OMPL is told of a problem: its objective, which poses and motions are free, its states."""
+"""OMPL's geometric planners on the true energy.
+
+States are poses of the point midway between the tread ICRs. A motion between two states is the
+exact minimum-energy one: the objective prices it, the motion validator tests it with the whole
+footprint, and the path that comes back is made of it. OMPL's own interpolation between states is
+used for new samples only, never for motions, so that no path slides sideways.
+
+Some of OMPL 2.0.1's planners are left out, since they do not bear a Python objective: PRM and PRM*
+wait for Python's lock for ever, and AORRTC ignores the objective.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from itertools import pairwise
 from math import inf
 from typing import Any
 
 import numpy as np
-from ompl import base
+from ompl import base, geometric, util
 from typing_extensions import override
 
 from energyplan.compilation import njit
 from energyplan.errors import TimeLimitError, UnknownNameError
 from energyplan.planning.budget import UNLIMITED, Budget
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.contract import Candidate
+from energyplan.planning.problem import PlanningProblem
+from energyplan.planning.scene.closure import check_way
+from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.motions import KernelProblem, drive, steering_cost
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy, steer_path
 from energyplan.terrain.collision import pose_free
@@ -27,21 +40,7 @@ ASKED = 0.1
 _NO_PARAMETER = ("setName", "setProblemDefinition", "setup")
 
 
-class DirectedObjective(base.OptimizationObjective):
-    """An objective in which motions alone cost, and the way back need not cost the same."""
-
-    @override
-    def isSymmetric(self) -> bool:
-        """Tell OMPL that the cost is directed."""
-        return False
-
-    @override
-    def stateCost(self, state: Any) -> Any:
-        """Return the cost of being in a state: none."""
-        return base.Cost(0.0)
-
-
-class EnergyObjective(DirectedObjective):
+class EnergyObjective(base.OptimizationObjective):
     """Cost of the exact minimum-energy motion between two states.
 
     The cost is directed: driving back the way one came costs the same on level ground, but not on
@@ -55,6 +54,16 @@ class EnergyObjective(DirectedObjective):
         self._setting = query.setting
         self._budget = budget
         self.setCostThreshold(base.Cost(0.0))
+
+    @override
+    def isSymmetric(self) -> bool:
+        """Tell OMPL that the cost is directed."""
+        return False
+
+    @override
+    def stateCost(self, state: Any) -> Any:
+        """Return the cost of being in a state: none."""
+        return base.Cost(0.0)
 
     @override
     def motionCost(self, first: Any, second: Any) -> Any:
@@ -158,15 +167,10 @@ def pose_space(query: CompiledProblem) -> Any:
 def pose_state(space: Any, x: float, y: float, yaw: float) -> Any:
     """Return a state of OMPL's at a pose; Python owns it."""
     state = space.allocState()
-    place(state, x, y, yaw)
-    return state
-
-
-def place(state: Any, x: float, y: float, yaw: float) -> None:
-    """Put a state of OMPL's to a pose."""
     state.setX(x)
     state.setY(y)
     state.setYaw(float(np.remainder(yaw + np.pi, 2 * np.pi) - np.pi))
+    return state
 
 
 def end_states(space: Any, query: CompiledProblem) -> tuple[Any, Any]:
@@ -213,3 +217,87 @@ def none_in(name: str, budget: Budget, query: CompiledProblem, last: Any) -> Tim
         f"{name} found no path in {budget.name}{near}; give more {budget.remedy}, or use the "
         "planner 'lattice'"
     )
+
+
+def _joined(query: CompiledProblem, states: list[tuple[float, float, float]]) -> Segments:
+    """Return the exact motions from one state to the next."""
+    ds, dtheta = np.empty(MAX_SEGMENTS), np.empty(MAX_SEGMENTS)
+    parts = [Segments(np.empty(0), np.empty(0))]
+    for (x, y, yaw), (to_x, to_y, to_yaw) in pairwise(states):
+        count = steer_path(to_x - x, to_y - y, yaw, to_yaw, query.setting.steering, ds, dtheta)
+        parts.append(Segments(ds[:count].copy(), dtheta[:count].copy()))
+    return Segments(
+        np.concatenate([part.ds for part in parts]), np.concatenate([part.dtheta for part in parts])
+    )
+
+
+def _geometric(
+    make: Callable[[Any], Any],
+    name: str,
+    problem: PlanningProblem,
+    budget: Budget,
+    seed: int,
+    parameters: Mapping[str, object],
+) -> Candidate:
+    """Let one of OMPL's geometric planners solve a problem."""
+    query = CompiledProblem(problem)
+    check_way(query)
+    util.setLogLevel(util.LOG_NONE)
+    util.RNG.setSeed(seed)
+    space = pose_space(query)
+    information = base.SpaceInformation(space)
+    checker = PoseChecker(information, query)
+    validator = SteeringValidator(information, query, budget)
+    information.setStateValidityChecker(checker)
+    information.setMotionValidator(validator)
+    information.setup()
+    definition = base.ProblemDefinition(information)
+    definition.setStartAndGoalStates(*end_states(space, query))
+    objective = EnergyObjective(information, query, budget)
+    definition.setOptimizationObjective(objective)
+    planner = make(information)
+    set_parameters(planner, name, parameters)
+    planner.setProblemDefinition(definition)
+    planner.setup()
+    planner.solve(condition(budget))
+    if not definition.hasExactSolution():
+        known = definition.hasApproximateSolution()
+        last = definition.getSolutionPath().getStates()[-1] if known else None
+        raise none_in(name, budget, query, last)
+    states = [
+        (state.getX(), state.getY(), state.getYaw())
+        for state in definition.getSolutionPath().getStates()
+    ]
+    return Candidate(query.path(_joined(query, states)))
+
+
+def rrtstar(
+    problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
+) -> Candidate:
+    """Plan with OMPL's RRT* on the objective of the problem."""
+    return _geometric(geometric.RRTstar, "rrtstar", problem, budget, seed, parameters)
+
+
+def informed_rrtstar(
+    problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
+) -> Candidate:
+    """Plan with OMPL's informed RRT*; parameters as in `rrtstar`."""
+    make = geometric.InformedRRTstar
+    return _geometric(make, "informed_rrtstar", problem, budget, seed, parameters)
+
+
+def bitstar(
+    problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
+) -> Candidate:
+    """Plan with OMPL's BIT*; parameters as in `rrtstar`."""
+    return _geometric(geometric.BITstar, "bitstar", problem, budget, seed, parameters)
+
+
+def fmt(
+    problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
+) -> Candidate:
+    """Plan with OMPL's FMT*; parameters as in `rrtstar`.
+
+    FMT* is not anytime: it draws ``num_samples`` samples, then searches once.
+    """
+    return _geometric(geometric.FMT, "fmt", problem, budget, seed, parameters)
