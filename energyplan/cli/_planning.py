@@ -130,7 +130,10 @@ def problem_of(
     ground = ground_of(model, surfaces, heights, battery, speed, tolerance)
     grid = read_map(map_file)
     if keepout:
-        grid = grid.with_mask(read_map(keepout))
+        mask = read_map(keepout)
+        note, grid = grid.note_of_mask(mask), grid.with_mask(mask)
+        if note is not None:
+            warn(note)
     return PlanningProblem(
         grid, ground.cost, start, goal, surfaces=ground.surfaces, objective=objective,
         heights=ground.heights, clearance=clearance,

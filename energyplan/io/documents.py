@@ -52,6 +52,8 @@ def read_json(file: Path, limit: int, error: type[InvalidInputError], remedy: st
 
 def beside(file: Path, key: str, name: str) -> Path:
     """Return the file that another file names, if it lies in that one's folder or below."""
+    if PurePosixPath(name).is_absolute() and Path(name).parent == file.resolve().parent:
+        name = Path(name).name  # as ROS 1's map_saver writes it
     absolute = PurePosixPath(name).is_absolute() or PureWindowsPath(name).drive != ""
     if absolute or ".." in PurePosixPath(name.replace("\\", "/")).parts or "\0" in name:
         raise MapError(
@@ -97,8 +99,11 @@ MAX_NODES = 50_000
 _MAX_DEPTH = 40
 _TEXT = re.compile(r"[-+]?0[0-9_]+|[-+]?[0-9_]+(:[0-9_.]+)+|[0-9]{4}-[0-9][0-9]?-[0-9].*")
 """What YAML 1.1 takes for a number of base 8 or 60, or for a date; it stays what is written."""
+MAP = "a map of map_server"
 _TELLING = {
-    "a map of map_server": {"image", "resolution"},
+    MAP: {"image", "resolution"},
+    "a building of Open-RMF": {"levels"},
+    "a parameters file of Nav2": {"planner_server"},
     "a mission": {"tasks", "battery"},
     "a fleet": {"robots"},
     "a power model": {"terms"},
@@ -194,6 +199,11 @@ class Document:
                 continue
             found.append(part)
         return tuple(found)
+
+    @property
+    def kind(self) -> str | None:
+        """What the file seems to be, by its keys."""
+        return next((kind for kind, keys in _TELLING.items() if keys <= {*self.data}), None)
 
     def _another_kind(self, schema: type[BaseModel]) -> str:
         """Say what else the file seems to be, if anything."""

@@ -5,17 +5,18 @@ from __future__ import annotations
 import io
 import math
 import warnings
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from energyplan.errors import MapError
-from energyplan.io.documents import Checked, beside, load, read_bytes
+from energyplan.io.documents import MAP, Checked, beside, load, read_bytes
 from energyplan.io.files import atomic_write
 from energyplan.io.geojson import read_obstacles
 from energyplan.kinds import checked
@@ -26,8 +27,24 @@ from energyplan.terrain.grid import MAX_CELLS, OccupancyGrid
 MAX_FILE = 2**28
 """Largest map image that is read [bytes]."""
 
+ALIKE = 0.75
+"""How alike two keys are, from 0 to 1, of which one is taken for the other, misspelt."""
+
+ROUNDING = 1e-9
+"""By how much the occupancy of a pixel may miss a threshold that it equals."""
+
+LETHAL = 100
+"""Value of an occupied cell of nav_msgs/OccupancyGrid."""
+
+LUMA = (0.212656, 0.715158, 0.072186)
+"""Weights of red, green and blue in the brightness of a pixel (ITU-R BT.709)."""
+
 MOVINGAI_FREE = b".GS"
 """Characters of passable cells in a MovingAI map: ground, ground too, swamp."""
+
+
+def _lower(value: Any) -> Any:
+    return value.lower() if isinstance(value, str) else value
 
 
 class _MapHeader(Checked, BaseModel):
@@ -38,16 +55,38 @@ class _MapHeader(Checked, BaseModel):
     image: str = Field(min_length=1)
     resolution: float = Field(gt=0)
     origin: tuple[float, float, float]
-    mode: Literal["trinary", "scale", "raw"] = "trinary"
-    negate: bool = False
-    occupied_thresh: float = Field(default=0.65, ge=0, le=1)
-    free_thresh: float = Field(default=0.25, ge=0, le=1)
+    negate: int | bool = False
+    occupied_thresh: float = Field(ge=0, le=1)
+    free_thresh: float = Field(ge=0, le=1)
+    mode: Annotated[Literal["trinary", "scale", "raw"], BeforeValidator(_lower)] = "trinary"
 
     @model_validator(mode="after")
     def _ordered(self) -> _MapHeader:
         if self.free_thresh > self.occupied_thresh:
             raise ValueError("free_thresh is above occupied_thresh; swap or correct them")
         return self
+
+
+def _header(file: Path, *, costs: bool = False) -> _MapHeader:
+    """Read the YAML of a map; other files, and keys that are misspelt, are refused by name.
+
+    Raw costs need no thresholds.
+    """
+    document = load(file, MapError)
+    kind = document.kind
+    if kind not in (None, MAP) and "image" not in document.data:
+        raise MapError(
+            f"{file.name} seems to be {kind}, not a map of map_server; give the YAML file "
+            "with the map's image, resolution and origin"
+        )
+    keys = list(_MapHeader.model_fields)
+    for key in document.data:
+        near = get_close_matches(str(key).lower(), keys, 1, ALIKE)
+        if near and near[0] not in document.data:
+            raise document.fail((key,), f"there is no such key; write it {near[0]}")
+    if costs and _lower(document.data.get("mode")) == "raw":
+        document.data.update(occupied_thresh=1.0, free_thresh=0.0)
+    return document.check(_MapHeader)
 
 
 @checked(MapError)
@@ -65,8 +104,8 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
     Returns
     -------
     OccupancyGrid
-        The map. Cells that the modes ``scale`` and ``raw`` put between free and occupied count
-        as unknown.
+        The map, by the rules of Nav2's map_server. Cells that the modes ``scale`` and ``raw`` put
+        between free and occupied, values of 1 to 99, count as unknown.
 
     Raises
     ------
@@ -76,8 +115,7 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
 
     References
     ----------
-    ROS wiki, map_server, "Map format" and "Value interpretation"; Sturtevant (2012), Benchmarks
-    for grid-based pathfinding.
+    Nav2, nav2_map_server/src/map_io.cpp; Sturtevant (2012), Benchmarks for grid-based pathfinding.
 
     Examples
     --------
@@ -97,16 +135,17 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
             f"{file}: unknown kind of map {file.suffix!r}; give a map_server .yaml, a MovingAI "
             ".map or a .geojson"
         )
-    header = load(file, MapError).check(_MapHeader)
-    values, alpha = _pixels(_image(file, header.image))
-    occupied, free = _interpret(values, alpha, header)
+    header = _header(file)
+    values = _values(file, header)
+    # between free and occupied nothing is certain
+    free = values <= LETHAL * header.free_thresh if header.mode == "raw" else values == 0
     try:
         return OccupancyGrid(
             # images start with the top row, maps with the bottom one
-            occupied=occupied[::-1],
+            occupied=values[::-1] == LETHAL,
             resolution=header.resolution,
             origin=Pose(*header.origin),
-            unknown=~(occupied | free)[::-1],
+            unknown=((values < 0) | ~(free | (values == LETHAL)))[::-1],
             unknown_is_free=unknown_is_free,
         )
     except MapError as error:
@@ -117,25 +156,36 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
 def read_costmap(path: str | Path) -> CostMap:
     """Read the soft costs of a map_server YAML with an image of costs."""
     file = Path(path)
-    header = load(file, MapError).check(_MapHeader)
-    shade, alpha = _pixels(_image(file, header.image))
+    header = _header(file, costs=True)
     if header.mode == "raw":
-        value = np.round(shade * 255)
-        known = value < 255
-        most = 100.0 if not np.any(value[known] > 100) else 254.0
-        costs = np.where(known, value / most, 0.0)
-    elif header.mode == "trinary":
-        costs = _interpret(shade, alpha, header)[0].astype(float)
+        grey = _pixels(_image(file, header.image)).grey
+        most = LETHAL if not np.any((grey > LETHAL) & (grey < 255)) else 254
+        costs = np.where(grey < 255, grey / most, 0.0)
     else:
-        darkness = shade if header.negate else 1 - shade
-        span = max(header.occupied_thresh - header.free_thresh, 1e-9)
-        costs = np.clip((darkness - header.free_thresh) / span, 0.0, 1.0)
-        if alpha is not None:
-            costs = np.where(alpha == 255, costs, 0.0)
+        costs = np.maximum(_values(file, header), 0) / LETHAL
     try:
         return CostMap(costs[::-1], header.resolution, Pose(*header.origin))
     except MapError as error:
         raise MapError(f"{file}: {error}") from None
+
+
+def _values(file: Path, header: _MapHeader) -> NDArray[np.int16]:
+    """Return the cells that Nav2's map_server makes of an image: 0 to 100, and -1 for unknown."""
+    image = _pixels(_image(file, header.image))
+    if header.mode == "raw":
+        # the pixel is the value; neither negate nor a threshold has a say
+        return np.where(image.grey <= LETHAL, image.grey, -1).astype(np.int16)
+    # of coloured pixels some releases take the mean and some the luma: the more occupied one counts
+    shades = np.stack([image.grey, image.luma]) / 255
+    occupancy = (shades if header.negate else 1.0 - shades).max(axis=0)
+    low, high = header.free_thresh, header.occupied_thresh
+    between = np.full(occupancy.shape, -1.0)
+    if header.mode == "scale" and high > low:
+        between = np.round(LETHAL * (occupancy - low) / (high - low))
+    values = np.select(
+        [occupancy >= high - ROUNDING, occupancy <= low + ROUNDING], [LETHAL, 0.0], between
+    )
+    return np.where(image.opaque, values, -1).astype(np.int16)
 
 
 def _image(file: Path, name: str) -> Path:
@@ -146,11 +196,16 @@ def _image(file: Path, name: str) -> Path:
     return image
 
 
-def _pixels(file: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
-    """Return an image's grey values in [0, 1] and its alpha channel, if it has one.
+class _Pixels(NamedTuple):
+    """An image, top row first, in steps of 8 bits."""
 
-    With an alpha channel the colours alone are averaged; what alpha means is up to the mode.
-    """
+    grey: NDArray[np.float64]  # mean of the colours, 0 to 255
+    luma: NDArray[np.float64]  # their brightness to the eye, 0 to 255
+    opaque: NDArray[np.bool_]
+
+
+def _pixels(file: Path) -> _Pixels:
+    """Return the pixels of an image of any depth, with colours, a palette or alpha."""
     content = read_bytes(file, MAX_FILE)
     try:
         # the size stands in the header: nothing is decompressed before it is known to be sane
@@ -164,16 +219,21 @@ def _pixels(file: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
                     f"{file}: {width} x {height} pixels; at most {MAX_CELLS} are taken: crop or "
                     "coarsen the map"
                 )
-            alpha = None
-            if image.mode in {"LA", "RGBA", "PA"} or "transparency" in image.info:
-                rgba = np.asarray(image.convert("RGBA"))
-                return rgba[..., :3].mean(axis=2) / 255, rgba[..., 3]
+            clear = image.info.get("transparency")
             if image.mode.startswith("I") or image.mode == "F":
-                # sixteen bits a pixel
-                return np.asarray(image, np.float64) / 65535, alpha
-            if image.mode == "P" or image.mode not in {"1", "L"}:
-                return np.asarray(image.convert("RGB")).mean(axis=2) / 255, alpha
-            return np.asarray(image.convert("L"), np.float64) / 255, alpha
+                deep = np.asarray(image, np.float64)  # sixteen bits
+                grey = np.round(deep / 257)
+                return _Pixels(
+                    grey, grey, np.full(grey.shape, True) if clear is None else deep != clear
+                )
+            if image.mode in {"1", "L"} and clear is None:
+                grey = np.asarray(image.convert("L"), np.float64)
+                return _Pixels(grey, grey, np.full(grey.shape, True))
+            rgba = np.asarray(image.convert("RGBA"), np.float64)
+            colours = rgba[..., :3]
+            return _Pixels(
+                np.round(colours.mean(axis=2)), np.round(colours @ LUMA), rgba[..., 3] == 255
+            )
     except UnidentifiedImageError:
         raise MapError(f"{file}: not a PGM, PNG or BMP image") from None
     except (OSError, SyntaxError, ValueError, EOFError, OverflowError) as error:
@@ -182,27 +242,6 @@ def _pixels(file: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
         raise MapError(f"{file}: a broken image: {error}") from None
     except Image.DecompressionBombError as error:
         raise MapError(f"{file}: {error}") from None
-
-
-def _interpret(
-    shade: NDArray[np.float64], alpha: NDArray[np.uint8] | None, header: _MapHeader
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which pixels are occupied and which are free; the others are unknown."""
-    if header.mode == "raw":
-        # the pixel is the occupancy in percent, 101 to 255 unknown; negate has no say
-        percent = np.round(shade * 255)
-        known = percent <= 100
-        occupied = known & (percent > 100 * header.occupied_thresh)
-        return occupied, known & (percent < 100 * header.free_thresh)
-    if header.mode == "trinary" and alpha is not None:
-        # as map_server does: alpha counts as one more channel of brightness
-        shade = (3 * shade + alpha / 255) / 4
-    darkness = shade if header.negate else 1 - shade
-    occupied, free = darkness > header.occupied_thresh, darkness < header.free_thresh
-    if header.mode == "scale" and alpha is not None:
-        opaque = alpha == 255
-        return occupied & opaque, free & opaque
-    return occupied, free
 
 
 def _read_movingai(file: Path) -> OccupancyGrid:

@@ -162,7 +162,11 @@ def create_app(
             if asked.effort is not None:
                 options["effort"] = asked.effort
             try:
-                return document(run(query, **options))
+                found = document(run(query, **options))
+                if asked.keepout:
+                    note = store.map(asked.map).note_of_mask(store.map(asked.keepout))
+                    found["notes"] = [*found.get("notes", ()), *([note] if note else [])]
+                return found
             except NoPathError as error:  # an answer, as on the command line
                 return documents.no_path(error)
 

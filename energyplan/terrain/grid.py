@@ -261,6 +261,21 @@ class OccupancyGrid(ReadOnly, html.Readable):
             touched[row] = inside & (far[line, column] <= near + off)
         return replace(self, occupied=self.occupied | touched)
 
+    def note_of_mask(self, mask: OccupancyGrid) -> str | None:
+        """Say why a keep-out mask closes no cell of this map, if it closes none."""
+        if bool(np.any(self.with_mask(mask).blocked & ~self.blocked)):
+            return None
+        if not mask.occupied.any():
+            why = "none of its own is occupied; check its image, mode, negate and thresholds"
+        elif replace(self, occupied=np.zeros_like(self.occupied)).with_mask(mask).occupied.any():
+            why = "what it closes is blocked already"
+        else:
+            why = (
+                f"it covers {mask.describe_extent()}, the map {self.describe_extent()}; check its "
+                "origin and resolution"
+            )
+        return f"the keep-out mask closes no cell of the map: {why}"
+
     def touched_by(self, areas: BaseGeometry | Iterable[BaseGeometry]) -> BoolArray:
         """Return the cells that some area in the world [m] touches, shape (rows, columns)."""
         geometries = list(areas) if isinstance(areas, Iterable) else [areas]

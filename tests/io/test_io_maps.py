@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import io
+import itertools
 import json
 import struct
 import zlib
+from fractions import Fraction
+from math import floor
 
 import numpy as np
 import pytest
@@ -46,14 +50,109 @@ def states(grid):
     return ["".join(row) for row in letters[::-1]]
 
 
-@pytest.mark.parametrize("image", ["m.png", "m.pgm"])
-def test_trinary(tmp_path, image):
-    file = write(tmp_path, np.array([[0, 254, 205], [255, 100, 60]], np.uint8), image)
-    grid = read_map(file)
-    # darkness 0, 1/255, 0.196 | 0, 0.608, 0.765
-    assert states(grid) == ["o..", ".uo"]
-    assert grid.origin == Pose(1.0, -2.0, 0.5)
-    assert grid.resolution == 0.1
+LEVELS = np.arange(256, dtype=np.uint8).reshape(16, 16)
+
+
+def saved(pixels, mode=None, **options):
+    """Return the bytes of an image file, PNG unless named otherwise."""
+    stream = io.BytesIO()
+    Image.fromarray(np.asarray(pixels), mode).save(stream, **{"format": "PNG", **options})
+    return stream.getvalue()
+
+
+def paletted(**options):
+    image = Image.fromarray(LEVELS[::-1].copy(), "P")
+    image.putpalette([255 - k // 3 for k in range(768)])  # colours stand in reverse
+    stream = io.BytesIO()
+    image.save(stream, "PNG", **options)
+    return stream.getvalue()
+
+
+def plain_pgm(top):
+    rows = "\n".join(" ".join(str(int(v) * top // 255) for v in row) for row in LEVELS)
+    return f"P2\n# drawn by hand\n16 16\n{top}\n{rows}\n".encode()
+
+
+SOLID = np.full((16, 16), 255, np.uint8)
+VEIL = np.where(np.indices((16, 16)).sum(axis=0) % 3 == 0, 254, 255).astype(np.uint8)
+BITS = np.where(LEVELS > 127, 255, 0).astype(np.uint8)
+GREY = [LEVELS] * 3
+FORMATS = {
+    "8 bit": (saved(LEVELS), GREY, SOLID),
+    "16 bit": (saved(LEVELS.astype(np.uint16) * 257), GREY, SOLID),
+    "RGB": (saved(np.stack(GREY, 2)), GREY, SOLID),
+    "opaque RGBA": (saved(np.stack([*GREY, SOLID], 2)), GREY, SOLID),
+    "RGBA": (saved(np.stack([*GREY, VEIL], 2)), GREY, VEIL),
+    "grey and alpha": (saved(np.stack([LEVELS, VEIL], 2)), GREY, VEIL),
+    "palette": (paletted(), [255 - LEVELS[::-1]] * 3, SOLID),
+    "palette with a clear colour": (
+        paletted(transparency=7), [255 - LEVELS[::-1]] * 3, np.where(LEVELS[::-1] == 7, 0, 255),
+    ),
+    "grey with a clear shade": (
+        saved(LEVELS, transparency=7), GREY, np.where(LEVELS == 7, 0, 255),
+    ),
+    "bit": (saved(BITS > 0), [BITS] * 3, SOLID),
+    "BMP": (saved(LEVELS, format="BMP"), GREY, SOLID),
+    "PGM P5": (saved(LEVELS, format="PPM"), GREY, SOLID),
+    "PGM P2": (plain_pgm(255), GREY, SOLID),
+    "PGM P2 of 16 bits": (plain_pgm(65535), GREY, SOLID),
+    "colours": (
+        saved(np.stack([LEVELS, LEVELS.T, LEVELS[::-1]], 2)), [LEVELS, LEVELS.T, LEVELS[::-1]],
+        SOLID,
+    ),
+}  # fmt: skip
+
+
+def map_servers_value(colour, alpha, mode, negate, occupied, free):
+    """Return what map_server makes of a pixel: 0 to 100, -1 unknown.
+
+    nav2_map_server/src/map_io.cpp, in exact numbers. Of a coloured pixel, grey is the mean in
+    releases up to Jazzy and the luma since: the more occupied of the two is the safe one.
+    """
+    mean = round(Fraction(sum(colour), 3))
+    luma = round(sum(f * c for f, c in zip((0.212656, 0.715158, 0.072186), colour, strict=True)))
+    if mode == "raw":
+        return mean if mean <= 100 else -1
+    if alpha < 255:
+        return -1
+    shade = max(mean, luma) if negate else min(mean, luma)
+    darkness = Fraction(shade if negate else 255 - shade, 255)
+    high, low = Fraction(str(occupied)), Fraction(str(free))
+    if darkness >= high:
+        return 100
+    if darkness <= low:
+        return 0
+    return (
+        -1 if mode == "trinary" else floor((darkness - low) / (high - low) * 100 + Fraction(1, 2))
+    )
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_every_mode_and_pixel_format_by_map_servers_rules(tmp_path, kind):
+    content, colours, alpha = FORMATS[kind]
+    (tmp_path / "m.png").write_bytes(content)
+    file = tmp_path / "m.yaml"
+    clear = OccupancyGrid(np.zeros((16, 16), bool), 0.1, Pose(*HEADER["origin"]))
+    pixels = list(zip(*(np.asarray(c).ravel().tolist() for c in (*colours, alpha)), strict=True))
+    for mode, negate, (occupied, free) in itertools.product(
+        ("trinary", "Scale", "RAW"),
+        (0, 1, "true"),
+        ((0.65, 0.25), (0.65, 0.196), (1.0, 0.0), (0.9, 0.1), (0.4, 0.4)),
+    ):
+        told = {"mode": mode, "negate": negate, "occupied_thresh": occupied, "free_thresh": free}
+        file.write_text("\n".join(f"{k}: {v}" for k, v in {**HEADER, **told}.items()))
+        values = np.array([
+            map_servers_value(colour, a, mode.lower(), bool(negate), occupied, free)
+            for *colour, a in pixels
+        ]).reshape(16, 16)  # fmt: skip
+        most_free = 100 * free if mode == "RAW" else 0
+        expected = np.where(
+            values == 100, "o", np.where((values < 0) | (values > most_free), "u", ".")
+        )
+        grid = read_map(file)
+        assert states(grid) == ["".join(row) for row in expected], told
+        # as a keep-out mask: only 100 is lethal to Nav2's filter
+        np.testing.assert_array_equal(clear.with_mask(grid).blocked[::-1], values == 100)
 
 
 def test_the_bottom_row_of_the_image_is_row_zero(tmp_path):
@@ -67,42 +166,45 @@ def test_the_bottom_row_of_the_image_is_row_zero(tmp_path):
     assert np.allclose(corner, 0.1 * np.array([np.cos(0.5), np.sin(0.5)]))
 
 
-def test_negate(tmp_path):
-    file = write(tmp_path, np.array([[0, 255, 150]], np.uint8), negate=1)
-    assert states(read_map(file)) == [".ou"]
+@pytest.mark.parametrize(
+    ("mask", "why"),
+    [
+        (
+            OccupancyGrid(np.eye(40, dtype=bool), 0.1, Pose(50.0, 0.0, 0.0)),
+            "covers x from 50 to 54",
+        ),
+        (OccupancyGrid(np.zeros((40, 40), bool), 0.1), "none of its own is occupied"),
+        (OccupancyGrid(np.arange(1600).reshape(40, 40) == 0, 0.1), "blocked already"),
+        (OccupancyGrid(np.eye(40, dtype=bool), 0.1), None),
+        (OccupancyGrid(np.eye(40, dtype=bool), 0.07, Pose(0.2, 0.1, 0.3)), None),
+    ],
+)
+def test_a_mask_that_closes_no_cell_is_told(mask, why):
+    cells = np.zeros((40, 40), bool)
+    cells[0, 0] = True
+    note = OccupancyGrid(cells, 0.1).note_of_mask(mask)
+    assert note is None if why is None else "closes no cell" in note and why in note
 
 
-def test_scale_counts_what_lies_between_as_unknown(tmp_path):
-    pixels = np.zeros((1, 4, 4), np.uint8)
-    pixels[0, :, 3] = [255, 255, 255, 10]
-    pixels[0, :, :3] = np.array([0, 255, 128, 255])[:, None]
-    assert states(read_map(write(tmp_path, pixels, mode="RGBA"))) is not None
-    file = tmp_path / "m.yaml"
-    file.write_text(file.read_text() + "\nmode: scale\n")
-    assert states(read_map(file)) == ["o.uu"]
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        ("levels:\n  L1: {elevation: 0}\nname: site\n", "a building of Open-RMF"),
+        ("tasks: []\nbattery: quadriga\n", "a mission"),
+    ],
+)
+def test_yaml_files_of_others_are_refused_by_what_they_are(tmp_path, text, kind):
+    file = tmp_path / "site.building.yaml"
+    file.write_text(text)
+    with pytest.raises(MapError, match=f"seems to be {kind}, not a map of map_server"):
+        read_map(file)
 
 
-def test_raw_reads_percent(tmp_path):
-    file = write(tmp_path, np.array([[0, 24, 50, 66, 100, 101, 255]], np.uint8))
-    file.write_text(file.read_text() + "\nmode: raw\n")
-    assert states(read_map(file)) == ["..uoouu"]
-
-
-def test_trinary_averages_alpha_in(tmp_path):
-    """White but transparent: (3 * 255 + 0) / 4 is 0.25 dark, at the threshold and not below."""
-    pixels = np.full((1, 2, 4), 255, np.uint8)
-    pixels[0, 1, 3] = 0
-    file = write(tmp_path, pixels, mode="RGBA")
-    assert states(read_map(file)) == [".u"]
-
-
-def test_sixteen_bit_and_ascii_images(tmp_path):
-    file = write(tmp_path, np.array([[0, 65535]], np.uint16))
-    assert states(read_map(file)) == ["o."]
-    (tmp_path / "m.png").unlink()
-    (tmp_path / "m.pgm").write_text("P2\n# drawn by hand\n2 1\n255\n0 255\n")
-    file.write_text(file.read_text().replace("m.png", "m.pgm"))
-    assert states(read_map(file)) == ["o."]
+def test_an_image_beside_the_map_may_be_named_by_its_whole_path(tmp_path):
+    """As ROS 1's map_saver does."""
+    file = write(tmp_path, np.zeros((2, 2), np.uint8))
+    file.write_text(file.read_text().replace("image: m.png", f"image: {tmp_path / 'm.png'}"))
+    assert read_map(file).occupied.all()
 
 
 def test_unknown_is_free_on_request(tmp_path):
@@ -212,6 +314,13 @@ def test_images_outside_the_folder_are_refused(tmp_path, name):
         ({"mode": "quaternary"}, "mode"),
         ({"free_thresh": 0.9}, "free_thresh"),
         ({"occupied_thresh": 7}, "occupied_thresh"),
+        ({"occupied_thresh": None}, "occupied_thresh: this key is missing"),
+        ({"free_thresh": None}, "free_thresh: this key is missing"),
+        (
+            {"occupied_thresh": None, "occupied_threshold": 0.65},
+            "line 6, occupied_threshold: .* it occ",
+        ),
+        ({"Mode": "raw"}, "Mode: there is no such key; write it mode"),
         ({"image": "missing.png"}, r"there is no 'missing\.png' beside the map"),
         ({"image": "m.yaml"}, "not a PGM"),
         ({"image": "[1"}, r"line \d+ is no valid YAML"),
@@ -222,7 +331,8 @@ def test_images_outside_the_folder_are_refused(tmp_path, name):
 def test_malformed_headers_name_the_place(tmp_path, change, place):
     write(tmp_path, np.zeros((2, 2), np.uint8))
     file = tmp_path / "m.yaml"
-    file.write_text("\n".join(f"{k}: {v}" for k, v in {**HEADER, **change}.items()))
+    lines = {**HEADER, **change}
+    file.write_text("\n".join(f"{k}: {v}" for k, v in lines.items() if v is not None))
     with pytest.raises(MapError, match=place):
         read_map(file)
 

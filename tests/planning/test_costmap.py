@@ -142,11 +142,12 @@ def written(tmp_path, pixels, mode, **more):
 def test_images_of_costs_are_read(tmp_path):
     scale = written(tmp_path, [[0, 255], [128, 230]], "scale", occupied_thresh=0.9, free_thresh=0.1)
     dark = 1 - np.array([[128, 230], [0, 255]]) / 255
-    assert scale.costs == pytest.approx(np.clip((dark - 0.1) / 0.8, 0, 1))
+    assert scale.costs == pytest.approx(np.round(np.clip((dark - 0.1) / 0.8, 0, 1), 2))
     assert scale.origin == Pose(1.0, 2.0, 0.0)
     costs = written(tmp_path, [[0, 254], [127, 255]], "raw")
     assert costs.costs == pytest.approx(np.array([[0.5, 0.0], [0.0, 1.0]]))
     percent = written(tmp_path, [[0, 100], [50, 255]], "raw")
     assert percent.costs == pytest.approx(np.array([[0.5, 0.0], [0.0, 1.0]]))
-    trinary = written(tmp_path, [[0, 254], [205, 255]], "trinary")
+    common = {"occupied_thresh": 0.65, "free_thresh": 0.196}
+    trinary = written(tmp_path, [[0, 254], [205, 255]], "trinary", **common)
     assert trinary.costs == pytest.approx(np.array([[0.0, 0.0], [1.0, 0.0]]))
