@@ -1,4 +1,4 @@
-"""Battery, free orders and batches: ``python benchmarks/mission.py``.
+"""Battery and free orders: ``python benchmarks/mission.py``.
 
 Every row is measured in this run; ratios stand beside what they compare.
 """
@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import replace
 
 import numpy as np
 
-from energyplan import batch
 from energyplan.battery import Battery
 from energyplan.battery._kernel import discharge
 from energyplan.mission import Mission, Task, evaluate
@@ -82,28 +80,7 @@ def orders() -> None:
         )
 
 
-def batches() -> None:
-    """Evaluate variants of one mission, one after the other and over processes."""
-    mission = replace(warehouse(3), order="given", planning_time=0.2)
-    variants = [{"soc": float(soc)} for soc in np.linspace(0.4, 1.0, 200)]
-    evaluate(mission)
-    times = {}
-    for workers in (1, 2):
-        outcomes = batch.evaluate_variants(mission, variants, workers=workers)
-        # Starting the workers and planning the routes once in each is left out.
-        for _ in range(10):
-            next(outcomes)
-        begun = time.perf_counter()
-        count = sum(1 for _ in outcomes)
-        times[workers] = (time.perf_counter() - begun) / count
-        print(
-            f"batch: {workers} worker(s)  {1 / times[workers]:6.2f} missions/s, "
-            f"{1 / times[workers] / workers:6.2f} per worker"
-        )
-    print(f"batch: two workers over one  {times[1] / times[2]:.2f} x")
-
-
 if __name__ == "__main__":
-    chosen = sys.argv[1:] or ["battery", "orders", "batches"]
+    chosen = sys.argv[1:] or ["battery", "orders"]
     for name in chosen:
-        {"battery": battery, "orders": orders, "batches": batches}[name]()
+        {"battery": battery, "orders": orders}[name]()

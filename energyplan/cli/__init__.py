@@ -42,7 +42,7 @@ _COMMANDS = (
 
 _FIRST = (
     "start", "identify", "diagnose", "icr", "plan", "compare", "replan", "range", "check",
-    "mission", "fleet", "watch", "drive", "close-the-loop", "design", "rmf", "plan-edges",
+    "mission", "fleet", "watch", "drive", "close-the-loop", "design", "plan-edges",
     "nav2-lattice", "cost-table", "serve", "warmup", "demo",
 )  # fmt: skip
 """Commands in the order of the help: what a newcomer needs first stands first."""

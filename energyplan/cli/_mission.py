@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -23,9 +23,6 @@ from energyplan.cli.app import app
 from energyplan.cli.inputs import parse_pose
 from energyplan.cli.options import IMAGES, Json, ModelName, Report, Strict, writes, writes_folder
 from energyplan.errors import InvalidInputError
-
-if TYPE_CHECKING:
-    from energyplan.mission import Mission
 
 EachEffort = Annotated[
     int | None,
@@ -197,10 +194,6 @@ def mission(
             "next option.",
         ),
     ] = None,
-    requests: Annotated[
-        Path | None,
-        typer.Option(help="Tasks from Open-RMF requests (JSON) instead of the file's own."),
-    ] = None,
     soc: Annotated[
         str | None, typer.Option(help="State of charge at the start. Default: 100 %.")
     ] = None,
@@ -242,9 +235,7 @@ def mission(
         clash = [f"--{name}" for name, value in told_by.items() if value]
         if clash:
             raise InvalidInputError(f"{', '.join(clash)} and a mission's file: give one of them")
-        asked = read_mission(file) if requests is None else _requested(file, requests)
-    elif requests is not None:
-        raise InvalidInputError("--requests needs a mission's file, which names the places")
+        asked = read_mission(file)
     else:
         missing = [f"--{name}" for name, value in told_by.items() if not value]
         if missing:
@@ -276,15 +267,6 @@ def mission(
         write_report(mission_page(told), report)
     answer(documents.mission(told), text.mission(told), json=json)
     verdict(told.feasible, strict)
-
-
-def _requested(file: Path, requests: Path) -> Mission:
-    """Return a mission with the tasks of Open-RMF's requests."""
-    from energyplan.io.fleet import read_mission_for
-    from energyplan.openrmf.tasks import read_requests, tasks_of
-
-    asked = read_requests(requests)
-    return read_mission_for(file, lambda places: tasks_of(asked, places, requests.name))
 
 
 @app.command(epilog="Example: energyplan fleet examples/fleet_warehouse.yaml --fail alpha@100")

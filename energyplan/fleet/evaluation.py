@@ -16,7 +16,7 @@ from energyplan.fleet.types import Fleet, FleetReport, LeftOut, RobotReport
 from energyplan.kinds import checked
 from energyplan.mission import Stop
 from energyplan.mission.condition import Condition
-from energyplan.mission.legs import Legs
+from energyplan.mission.legs import Legs, Routes
 from energyplan.mission.report import StopKind
 from energyplan.mission.simulation import Walk
 
@@ -39,7 +39,8 @@ def evaluate_fleet(fleet: Fleet, progress: Callable[[str], None] | None = None) 
 
     Source: docs/fleets.
     """
-    walks = tuple(Walk(Legs(robot.mission, progress)) for robot in fleet.robots)
+    routes = Routes()
+    walks = tuple(Walk(Legs(robot.mission, progress, routes)) for robot in fleet.robots)
     sources = Sources(fleet, walks)
     tasks = fleet.tasks
     prizes = np.array([task.prize for task in tasks])

@@ -1,11 +1,7 @@
-"""Fleets as YAML files: a mission's file with robots, needs of tasks and places of chargers.
-
-And a mission's file with the tasks that a fleet manager dispatches instead of its own.
-"""
+"""Fleets as YAML files: a mission's file with robots, needs of tasks and places of chargers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,7 +13,6 @@ from energyplan.fleet import Fleet, Robot
 from energyplan.io.documents import Checked, Document, Loc, load
 from energyplan.io.mission import MissionReader
 from energyplan.kinds import checked
-from energyplan.mission import Mission
 
 _OWN = (
     "model", "vehicle", "battery", "start", "home", "soc", "reserve", "payload", "payload_models",
@@ -135,23 +130,3 @@ def _lines(document: Document, robot: int, able: list[int], own: set[str]) -> di
         elif place[:1] != ("robots",) and place[:1] not in {(key,) for key in own}:
             lines.setdefault(place, line)
     return lines
-
-
-def read_mission_for(
-    path: str | Path, tasks: Callable[[Mapping[str, Any]], list[dict[str, Any]]]
-) -> Mission:
-    """Read a mission from YAML and put other tasks in the place of its own, in the order given."""
-    document = load(path, MissionError)
-    named: dict[str, Any] = {}
-    for key in ("chargers", "tasks"):
-        entries = document.data.get(key)
-        for entry in entries if isinstance(entries, list) else []:
-            if isinstance(entry, dict) and "pose" in entry:
-                named[str(entry.get("name"))] = entry["pose"]
-    places = document.data.get("places")
-    named |= places if isinstance(places, dict) else {}
-    data = {**document.data, "tasks": tasks(named), "order": "given"}
-    lines = {place: line for place, line in document.lines.items() if place[:1] != ("tasks",)}
-    return MissionReader(
-        Document(document.source, data, lines, MissionError), Path(path).parent
-    ).mission()

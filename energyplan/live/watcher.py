@@ -16,7 +16,7 @@ from energyplan.kinds import checked
 from energyplan.live.events import Changed, Done, Ended, Event, Learned, Reassessed, Trouble
 from energyplan.live.samples import Header, Line, Restart, Sample, read_samples
 from energyplan.logs.columns import Column
-from energyplan.mission import Mission, evaluate
+from energyplan.mission import Mission, Routes, evaluate
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Pose, wrap_angle
 from energyplan.power import PowerModel
@@ -138,7 +138,7 @@ class _Watch:
         if self._known - names:
             unknown = ", ".join(sorted(self._known - names))
             raise InvalidInputError(f"done: the mission has no task {unknown}")
-        self._battery_side = False
+        self._battery_side, self._routes = False, Routes()
         self._period = 0.0
         self._grounds: dict[int, _Ground] = {}
         self._clock, self._last = 0.0, -inf  # time driven; time of the last sample
@@ -408,7 +408,7 @@ class _Watch:
             return
         try:
             rest = self._corrected(mission).resume(pose, soc, done, time=mission.time + self._clock)
-            yield Reassessed(self._last, pose, soc, done, evaluate(rest))
+            yield Reassessed(self._last, pose, soc, done, evaluate(rest, routes=self._routes))
         except EnergyPlanError as problem:
             yield Trouble(f"at {self._last:g} s", f"the mission cannot be looked at: {problem}")
 

@@ -19,7 +19,8 @@ from energyplan.kinds import checked
 from energyplan.mission.choice import Course, best_course, best_stops
 from energyplan.mission.condition import Attempt, Condition
 from energyplan.mission.energy import Estimate
-from energyplan.mission.legs import Legs
+from energyplan.mission.legs import Legs, Routes
+from energyplan.mission.many import Evaluated, evaluate_many
 from energyplan.mission.report import (
     ChargerReport,
     Doubt,
@@ -39,8 +40,9 @@ from energyplan.mission.tasks import Charger, Remedy, Spreads, Task
 from energyplan.mission.types import Mission
 
 __all__ = [
-    "Charger", "ChargerReport", "Doubt", "LegReport", "Mission", "MissionReport", "Remedy",
-    "Spreads", "Stop", "Task", "TaskReport", "Timeline", "evaluate",
+    "Charger", "ChargerReport", "Doubt", "Evaluated", "LegReport", "Mission", "MissionReport",
+    "Remedy", "Routes", "Spreads", "Stop", "Task", "TaskReport", "Timeline", "evaluate",
+    "evaluate_many",
 ]  # fmt: skip
 
 _CANDIDATES = 5
@@ -57,7 +59,9 @@ _MOST = 10.0
 
 
 @checked(MissionError)
-def evaluate(mission: Mission, progress: Callable[[str], None] | None = None) -> MissionReport:
+def evaluate(
+    mission: Mission, progress: Callable[[str], None] | None = None, *, routes: Routes | None = None
+) -> MissionReport:
     """Find which tasks of a mission can be done, and the energy that they take.
 
     Parameters
@@ -66,6 +70,8 @@ def evaluate(mission: Mission, progress: Callable[[str], None] | None = None) ->
         The mission. For one that is under way, `Mission.resume` gives the rest.
     progress : callable, optional
         Called with one line of text whenever a route is planned or an order is found.
+    routes : Routes, optional
+        Routes planned before; those that are planned now are added.
 
     Returns
     -------
@@ -93,7 +99,7 @@ def evaluate(mission: Mission, progress: Callable[[str], None] | None = None) ->
     >>> evaluate(mission).feasible
     True
     """
-    return _Evaluation(mission, progress).report()
+    return _Evaluation(mission, progress, Legs(mission, progress, routes)).report()
 
 
 class _Try(NamedTuple):
@@ -110,11 +116,11 @@ class _Evaluation:
     def __init__(
         self,
         mission: Mission,
-        progress: Callable[[str], None] | None = None,
-        legs: Legs | None = None,
+        progress: Callable[[str], None] | None,
+        legs: Legs,
     ) -> None:
         self.mission = mission
-        self.legs = Legs(mission, progress) if legs is None else legs
+        self.legs = legs
         self.walk = Walk(self.legs)
         self.progress = progress
         self.attempts: dict[int, _Try] = {}
@@ -445,7 +451,8 @@ class _Evaluation:
             return True
         changed = self.mission.with_remedy(remedy)
         anew = remedy.kind in ("drop", "speed", "cheapest_speed")
-        again = _Evaluation(changed, legs=None if anew else self.legs.under(changed))
+        legs = Legs(changed, None, self.legs.routes) if anew else self.legs.under(changed)
+        again = _Evaluation(changed, None, legs)
         again.go()
         name = self.mission.tasks[k].name
         return any(changed.tasks[d].name == name for d in again.done)

@@ -8,7 +8,6 @@ from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import shapely
@@ -69,13 +68,44 @@ class Route:
     timed: dict[Hashable, Trajectory] = field(default_factory=dict)
 
 
-PLANNED: WeakKeyDictionary[OccupancyGrid, dict[bytes, dict[tuple[Pose, Pose, bool], Route]]] = (
-    WeakKeyDictionary()
-)
-"""Routes by map, and by everything else that decides them: variants of a mission share them."""
-
 _REMEMBERED = 32
-"""How many sets of routes are kept for a map."""
+"""Most sets of routes, one for each map and cost, that are kept at a time."""
+
+
+class Routes:
+    """Routes planned so far; evaluations that are handed the same one share them.
+
+    A route is told apart by the map, the costs and the planner that decide it, so that missions
+    of any kind can share one.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> import energyplan as ep
+    >>> from energyplan.io.bundled import bundled
+    >>> from energyplan.mission import Routes
+    >>> mission = ep.read_mission(bundled("mission_warehouse.yaml"))
+    >>> mission, routes = replace(mission, planning_effort=250), Routes()
+    >>> first = ep.evaluate(mission, routes=routes)
+    >>> planned = len(routes)
+    >>> again = ep.evaluate(replace(mission, soc=0.7), routes=routes)
+    >>> len(routes) == planned > 0
+    True
+    """
+
+    def __init__(self) -> None:
+        self._sets: dict[bytes, dict[tuple[Pose, Pose, bool], Route]] = {}
+
+    def __len__(self) -> int:
+        return sum(map(len, self._sets.values()))
+
+    def of(self, digest: bytes) -> dict[tuple[Pose, Pose, bool], Route]:
+        """Return the routes that one map, cost and planner decide."""
+        found = self._sets.pop(digest, {})
+        self._sets[digest] = found
+        for oldest in list(self._sets)[:-_REMEMBERED]:
+            self._sets.pop(oldest, None)  # another thread may have been quicker
+        return found
 
 
 def compiling(*missions: Mission) -> AbstractContextManager[None]:
@@ -91,8 +121,14 @@ class Legs:
     Node 0 is the start; tasks, chargers and home follow.
     """
 
-    def __init__(self, mission: Mission, progress: Callable[[str], None] | None = None) -> None:
+    def __init__(
+        self,
+        mission: Mission,
+        progress: Callable[[str], None] | None = None,
+        routes: Routes | None = None,
+    ) -> None:
         self.mission = mission
+        self.routes = Routes() if routes is None else routes
         self.grounds = Grounds(mission)
         self._progress = progress
         home = mission.start if mission.home is None else mission.home
@@ -255,24 +291,25 @@ class Legs:
 
     def _known_routes(self) -> dict[tuple[Pose, Pose, bool], Route]:
         """Return the routes that were planned before with the same map, costs and planner."""
-        mission = self.mission
+        return self.routes.of(self.digest)
+
+    @property
+    def digest(self) -> bytes:
+        """Digest of all that decides a route but its ends."""
+        mission, grid = self.mission, self.mission.map
         cost, surfaces = self.cost(mission.payload)
         grounds = () if surfaces is None else surfaces.surfaces
         areas = () if surfaces is None else surfaces.keep_out
         asked = (
+            hashlib.sha256(np.packbits(grid.occupied).tobytes()).digest(),
+            grid.shape, grid.resolution, tuple(grid.origin),
             _told(cost.model),
             *((shapely.to_wkb(ground.area), _told(ground.model)) for ground in grounds),
             *(shapely.to_wkb(area) for area in areas),
             _shaped(mission.heights),
             self._speed, mission.planner, self._planning_time, mission.planning_effort,
         )  # fmt: skip
-        known = PLANNED.setdefault(mission.map, {})
-        key = hashlib.sha256(repr(asked).encode()).digest()
-        routes = known.pop(key, {})
-        known[key] = routes
-        for oldest in list(known)[:-_REMEMBERED]:
-            known.pop(oldest, None)  # another thread may have been quicker
-        return routes
+        return hashlib.sha256(repr(asked).encode()).digest()
 
     def _plan_between(self, start: int, goal: int) -> tuple[int, int]:
         """Return the nodes from and to which a route is planned.

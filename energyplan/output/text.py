@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from energyplan.html import number, words
 from energyplan.output.documents import terms
@@ -356,32 +356,6 @@ def fleet(told: FleetReport) -> list[str]:
         ]
     for task in told.left_out:
         lines.append(f"{task.name}: nobody does it ({', '.join(task.reasons)})")
-    return lines
-
-
-def rmf(config: Any, error: Any) -> list[str]:
-    """Return what ``energyplan rmf`` prints: a `FleetConfig`, and a `PowerError` or None."""
-    lines = [
-        f"battery: {number(config.voltage)} V, {number(config.capacity)} Ah, charged with "
-        f"{number(config.charging_current)} A",
-        f"mass {number(config.mass)} kg, moment of inertia {number(config.moment_of_inertia)} kg "
-        f"m^2, friction coefficient {number(config.friction_coefficient)}",
-        f"ambient {number(config.ambient_power)} W, tool {number(config.tool_power)} W",
-        *(f"note: {note}" for note in config.notes),
-    ]
-    if error is None:
-        return lines
-    lines += [
-        f"on {error.routes} routes, {100 * error.turning:.0f} % of whose energy is for turning, "
-        f"the sum of Open-RMF's estimates is off by {100 * error.bias:+.0f} %; single routes: rms "
-        f"{100 * error.rms:.0f} %, worst {100 * error.worst:+.0f} %",
-    ]
-    if math.isfinite(error.fitted_friction):
-        lines.append(
-            f"with the friction {number(error.fitted_friction)} fitted to half of them, on the "
-            f"other half: {100 * error.fitted_bias:+.0f} %, rms {100 * error.fitted_rms:.0f} %, "
-            f"worst {100 * error.fitted_worst:+.0f} %"
-        )
     return lines
 
 

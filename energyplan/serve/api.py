@@ -38,7 +38,7 @@ from energyplan.io.mission import mission_from, read_mission
 from energyplan.io.topics import topic_map_of
 from energyplan.limits.feasibility import check
 from energyplan.logs import DriveLog
-from energyplan.mission import Mission, evaluate
+from energyplan.mission import Mission, Routes, evaluate
 from energyplan.output import documents
 from energyplan.path import Pose, Trajectory
 from energyplan.planning import PlanningProblem, plan
@@ -265,6 +265,8 @@ def create_app(
 
         return await answer(request, work)
 
+    routes = Routes()
+
     @app.post("/api/mission")
     async def mission(asked: MissionRequest, request: Request) -> Response:
         """Tell which tasks of a mission can be done, with what energy, and why not."""
@@ -272,7 +274,7 @@ def create_app(
             raise InvalidInputError("give either mission, the name of a file, or document")
 
         def work(job: Job) -> dict[str, Any]:
-            told = evaluate(_read_mission(store, asked))
+            told = evaluate(_read_mission(store, asked), routes=routes)
             line = told.timeline
             along = {name: documents.plain(getattr(line, name)) for name in _TIMELINE}
             return {**documents.mission(told), "timeline": along}

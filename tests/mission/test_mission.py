@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from energyplan.battery import Battery
 from energyplan.errors import MissionError
 from energyplan.mission import Charger, Mission, MissionReport, Spreads, Task, evaluate
-from energyplan.mission.foresight import GuessedLegs, routes_wanted
-from energyplan.mission.legs import Legs
+from energyplan.mission.legs import Legs, Routes
+from energyplan.mission.many import GuessedLegs, routes_wanted
 from energyplan.motion import Motion
 from energyplan.path import Pose
 from energyplan.power import HOTEL, PowerModel, Residual
@@ -469,14 +469,16 @@ def test_a_corrected_model_takes_the_place_of_the_old_one():
 
 def test_variants_of_a_mission_share_its_routes():
     lines: list[str] = []
-    base = mission(TASKS, map=hall.__wrapped__())  # on which nobody planned yet
-    first = evaluate(base, progress=lines.append)
+    base, routes = mission(TASKS), Routes()
+    first = evaluate(base, progress=lines.append, routes=routes)
     planned = len(lines)
-    again = evaluate(replace(base, soc=0.8), progress=lines.append)
+    again = evaluate(replace(base, soc=0.8), progress=lines.append, routes=routes)
     assert planned > 0
     assert len(lines) == planned
     assert again.energy == first.energy
-    evaluate(replace(base, model=known("quadriga:empty:concrete")), progress=lines.append)
+    evaluate(
+        replace(base, model=known("quadriga:empty:concrete")), progress=lines.append, routes=routes
+    )
     assert len(lines) == 2 * planned
 
 
@@ -538,7 +540,9 @@ def test_without_obstacles_the_routes_foreseen_are_those_planned(order: str) -> 
     )  # fmt: skip
     told: list[str] = []
     nodes = ("start", *places)
-    foreseen = [f"planning from {nodes[s]} to {nodes[g]}" for s, g, _ in routes_wanted(asked)]
+    foreseen = [
+        f"planning from {nodes[s]} to {nodes[g]}" for s, g, _ in routes_wanted(asked, Routes())
+    ]
     evaluate(asked, told.append)
     assert sorted(foreseen) == sorted(line for line in told if line.startswith("planning"))
 
@@ -548,16 +552,16 @@ def test_a_mission_is_the_same_after_one_the_other_way() -> None:
     cells[20:24, :40] = cells[38:42, 22:] = cells[28:31, 28:31] = True
     ends = Pose(1.5, 1.5, 0.0), Pose(10.5, 10.5, 1.0)
 
-    def told(hall: OccupancyGrid, start: Pose, goal: Pose) -> list[float]:
+    def told(routes: Routes, start: Pose, goal: Pose) -> list[float]:
         mission = Mission(
             PowerModel.preset("quadriga:empty:marble"), hall, Battery.preset("quadriga"),
             start, (Task("there", goal),), confidence=0.5, planning_effort=150,
         )  # fmt: skip
-        return evaluate(mission).timeline.soc.tolist()
+        return evaluate(mission, routes=routes).timeline.soc.tolist()
 
-    alone = [told(OccupancyGrid(cells, 0.2), *pair) for pair in (ends, ends[::-1])]
-    hall = OccupancyGrid(cells, 0.2)
-    one_after_the_other = [told(hall, *pair) for pair in (ends, ends[::-1])]
+    hall, shared = OccupancyGrid(cells, 0.2), Routes()
+    alone = [told(Routes(), *pair) for pair in (ends, ends[::-1])]
+    one_after_the_other = [told(shared, *pair) for pair in (ends, ends[::-1])]
     assert one_after_the_other == alone
 
 
@@ -569,10 +573,11 @@ def test_the_way_back_of_a_known_route_is_not_guessed() -> None:
         Battery.preset("quadriga"), Pose(1.5, 1.5, 0.0), (Task("there", Pose(1.5, 10.5, 0.0)),),
         confidence=0.5, planning_effort=150,
     )  # fmt: skip
-    [(first, last, hurried)] = routes_wanted(asked)
-    assert not GuessedLegs(asked).leg(last, first, 0.0).path.length > 12.0
-    Legs(asked).leg(first, last, 0.0)
-    legs = GuessedLegs(asked)
+    routes = Routes()
+    [(first, last, hurried)] = routes_wanted(asked, routes)
+    assert not GuessedLegs(asked, None, routes).leg(last, first, 0.0).path.length > 12.0
+    Legs(asked, None, routes).leg(first, last, 0.0)
+    legs = GuessedLegs(asked, None, routes)
     assert legs.leg(last, first, 0.0).path.length > 12.0
     assert (hurried, legs.wanted) == (False, [])
     assert legs.planned(last, first)

@@ -1,0 +1,95 @@
+"""Many missions over an executor: each comes back once, whatever happens to it or its worker."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import energyplan as ep
+from energyplan.mission import Mission, Routes, evaluate, evaluate_many
+
+
+def rooms(**changes: Any) -> Mission:
+    """A mission round two walls, whose routes are no straight lines."""
+    cells = np.zeros((60, 100), bool)
+    cells[:40, 35:38] = cells[20:, 65:68] = True
+    places = {"a": (2.0, 4.0), "b": (5.0, 1.0), "c": (8.5, 5.0), "d": (8.5, 1.5)}
+    mission = Mission(
+        ep.PowerModel.preset("quadriga:empty:marble"), ep.OccupancyGrid(cells, 0.1),
+        ep.Battery.preset("quadriga"), ep.Pose(1.0, 1.0, 0.0),
+        tuple(ep.Task(name, ep.Pose(x, y, 0.0)) for name, (x, y) in places.items()),
+        confidence=0.5, planning_effort=200,
+    )  # fmt: skip
+    return replace(mission, **changes)
+
+
+def unwell() -> Mission:
+    """A mission whose evaluation fails: nothing is known of its models' uncertainty."""
+    return rooms(confidence=0.95)
+
+
+def test_every_mission_comes_back_once_and_a_failed_one_with_its_error() -> None:
+    missions = [rooms(soc=0.9), unwell(), rooms(soc=0.5)]
+    with ThreadPoolExecutor(2) as pool:
+        found = {one.index: one for one in evaluate_many(missions, pool)}
+        assert pool.submit(sum, (1, 2)).result() == 3  # it stays open
+    assert sorted(found) == [0, 1, 2]
+    assert found[1].report is None
+    assert isinstance(found[1].error, ep.errors.MissionError)
+    for k in (0, 2):
+        report = found[k].report
+        assert report is not None
+        assert report.energy == evaluate(missions[k]).energy
+
+
+def test_routes_are_planned_first_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    from energyplan.mission import legs
+
+    routes, variants = Routes(), [rooms(soc=soc) for soc in (0.9, 0.7, 0.5)]
+    planned: list[tuple[Any, Any]] = []
+    real = legs.plan
+    monkeypatch.setattr(
+        legs, "plan", lambda p, *a, **b: (planned.append((p.start, p.goal)), real(p, *a, **b))[1]
+    )
+    with ThreadPoolExecutor(2) as pool:
+        assert all(one.error is None for one in evaluate_many(variants, pool, routes))
+    assert len({frozenset(pair) for pair in planned}) == len(planned) > 0
+    again = len(planned)
+    evaluate(rooms(soc=0.8), routes=routes)
+    assert len(planned) == again
+    evaluate(rooms(soc=0.8))
+    assert len(planned) > again
+
+
+@pytest.fixture
+def cluster() -> Iterator[Any]:
+    """Two worker processes on this machine; one that dies is replaced."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as made:
+        yield made
+
+
+@pytest.mark.slow
+def test_a_dask_cluster_loses_a_worker_and_no_result(cluster: Any) -> None:
+    missions = [rooms(soc=0.9 - 0.02 * k) for k in range(16)]
+    found = []
+    with cluster.get_client() as client:
+        client.wait_for_workers(2)
+        for one in evaluate_many(missions, client):
+            found.append(one)
+            if len(found) == 3:
+                os.kill(next(iter(cluster.workers.values())).process.pid, signal.SIGKILL)
+    assert sorted(one.index for one in found) == list(range(16))
+    assert [one.error for one in found] == [None] * 16
+    for one in found[::5]:
+        assert one.report is not None
+        assert one.report.energy == pytest.approx(evaluate(missions[one.index]).energy, rel=1e-9)
