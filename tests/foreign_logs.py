@@ -608,6 +608,63 @@ def a_wheel_in_the_mirror(at: At, folder: Path) -> Path:
     return csv({"time": at.t, **wheels, "power": at.power}, folder / "turned.csv")
 
 
+def counted(at: At, flow: np.ndarray, unit: float) -> np.ndarray:
+    """Return what a counter counts of a power or current since some start."""
+    mean = 0.5 * (flow[1:] + flow[:-1]) * np.diff(at.t)
+    return 17.0 + np.append(0.0, np.cumsum(mean)) / unit
+
+
+def energy_counter(at: At, folder: Path) -> Path:
+    return csv({
+        "time": at.t, "left_speed": at.left, "right_speed": at.right, "gyro_z": at.yaw_rate,
+        "watt_hours": counted(at, at.power, 3600.0),
+    }, folder / "vesc.csv")  # fmt: skip
+
+
+def energy_counter_beside_the_current(at: At, folder: Path) -> Path:
+    return csv({
+        "time": at.t, "left_speed": at.left, "right_speed": at.right, "gyro_z": at.yaw_rate,
+        "watt_hours": counted(at, at.power, 3600.0), "input_voltage": at.volts,
+        "current_in": at.amps,
+    }, folder / "both.csv")  # fmt: skip
+
+
+def charge_counter(at: At, folder: Path) -> Path:
+    return csv({
+        "time": at.t, "left_speed": at.left, "right_speed": at.right, "gyro_z": at.yaw_rate,
+        "BAT.Volt": at.volts, "BAT.CurrTot": counted(at, at.amps, 3.6),
+    }, folder / "ardupilot.csv")  # fmt: skip
+
+
+def names_one_too_many(at: At, folder: Path) -> Path:
+    head = "t,v_left,v_right,yaw_rate,imu_ok,power,voltage\n"
+    frame = at.house()[["t", "v_left", "v_right", "yaw_rate", "power"]].assign(voltage=at.volts)
+    return csv(frame, folder / "firmware.csv", head=head, header=False)
+
+
+def cells_missing_in_some_rows(at: At, folder: Path) -> Path:
+    lines = at.house().to_csv(index=False).splitlines()
+    lines[200::20] = [line.partition(",")[2] for line in lines[200::20]]
+    file = folder / "missing.csv"
+    file.write_text("\n".join(lines))
+    return file
+
+
+def no_names(at: At, folder: Path) -> Path:
+    """As of ``ros2 topic echo --csv``, which repeats values and writes words and nan."""
+    frame = pd.DataFrame({"sec": 1731300000, "nsec": np.round(1e9 * (at.t % 1)).astype(int),
+                          "frame": "base_link", "v": at.volts, "t": "nan", "i": at.amps,
+                          "c": "nan"})  # fmt: skip
+    return csv(frame, folder / "echo.csv", header=False)
+
+
+def hundredths(at: At, folder: Path) -> Path:
+    return csv({
+        "time": at.t, "left_speed": at.left, "right_speed": at.right, "gyro_z": at.yaw_rate,
+        "batVoltage": np.round(100 * at.volts), "dcCurr": np.round(100 * at.amps),
+    }, folder / "hoverboard.csv")  # fmt: skip
+
+
 Writer = Callable[[At, Path], Path]
 READ: tuple[Writer, ...] = (
     four_wheels_in_rpm, four_motors, german, german_in_short, utf16, byte_order_mark,
@@ -620,11 +677,16 @@ READ: tuple[Writer, ...] = (
     encoders_and_a_satellite_receiver, encoders_from_row_to_row, encoders_that_tell_a_rate,
     status_topic, flight_controller, flattened_messages, italian, portuguese, dutch, days,
     motors_in_the_mirror, rows_in_bursts, a_counter_that_overflows, rates_beside_a_blank_gyroscope,
+    energy_counter, energy_counter_beside_the_current, speed_and_yaw_rate,
 )  # fmt: skip
 """Logs from which the right coefficients must come."""
 REFUSED: dict[Writer, str] = {
     sides_in_letters: r"power_b and power_a could each .* 'p_left=power_b,p_right=power_a'",
-    speed_and_yaw_rate: "v_left and v_right are the speeds of the left and right wheels",
+    charge_counter: r"only ever grows .* 'current=BAT.CurrTot\[mAh\]'",
+    names_one_too_many: "line 1 names 7 columns, but the rows have 6 cells",
+    cells_missing_in_some_rows: "line 201: the row has fewer cells than the 5 names, and so have",
+    no_names: "line 1 holds numbers, and no line names the columns",
+    hundredths: r"2\d\.\d V by voltage=batVoltage\[\*0.01\]",
     ticks_a_second: r'--counts-per-revolution .* "v_left=enc_left_tps\[ticks/s\*0.0001\]',
     encoders_alone: r'--counts-per-revolution .* "v_left=enc_l\[ticks\*0.0001\]',
     numbered_axes: r'which side .* "v_left=axis0.encoder.vel_estimate\[UNIT\]',

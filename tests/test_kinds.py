@@ -21,7 +21,7 @@ from energyplan.diagnosis.result import Evidence, FoundEffect
 from energyplan.errors import EnergyPlanError, InvalidInputError
 from energyplan.fleet.types import Fleet, Robot
 from energyplan.io.project import Project
-from energyplan.logs.columns import Column
+from energyplan.logs.mapping import Column
 from energyplan.physics.effects import Effect
 from energyplan.terrain.costs import CostMap
 

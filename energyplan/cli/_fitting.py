@@ -74,14 +74,18 @@ def start(
         str | None,
         typer.Option(help="Columns that you know, such as v_left=velL; the others are guessed."),
     ] = None,
+    accept: Annotated[
+        bool, typer.Option("--accept", help="Write the project although a check is WRONG.")
+    ] = False,
     json: Json = False,
     strict: Strict = False,
 ) -> None:
     """Write a project from a drive log.
 
-    Shows what the log contains, and checks it against the robot. Guesses columns, topics and
-    units. What it cannot know it takes from the options, or asks for on a terminal. Other commands
-    read the project with --project.
+    Shows what the log contains, and checks it against the robot: a log that contradicts itself or
+    the robot makes no project, unless you accept that. Guesses columns, topics and units. What it
+    cannot know it takes from the options, or asks for on a terminal. Other commands read the
+    project with --project.
     """
     from energyplan.io.config import read_vehicle
     from energyplan.io.project import write_project
@@ -104,9 +108,16 @@ def start(
     )  # fmt: skip
     with progress("looking into the log"):
         made = run(log, given)
-    write_project(made.project, out)
-    answer(documents.start(made), [*text.start(made), f"written: {out}"], json=json)
-    verdict(made.sound, strict)
+    written = made.sound or accept
+    if written:
+        write_project(made.project, out)
+    done = (
+        f"written: {out}"
+        if written
+        else (f"not written: {out}; mend what is WRONG, or write it all the same with --accept")
+    )
+    answer(documents.start(made), [*text.start(made), done], json=json)
+    verdict(made.sound, strict or not written)
 
 
 _QUESTIONS = {
@@ -263,7 +274,7 @@ def diagnose(
     from energyplan.diagnosis import diagnose as run
     from energyplan.fit import split_drives
     from energyplan.io.config import read_vehicle, write_model
-    from energyplan.logs.checks import set_aside_by_drive
+    from energyplan.logs.clean import set_aside_by_drive
     from energyplan.output import documents, text
     from energyplan.output.pages import diagnosis_page
 

@@ -46,8 +46,7 @@ def read_logs(
 
 def contradictions(logs: list[DriveLog], vehicle: Vehicle) -> list[str]:
     """Return how logs contradict the vehicle, and what mistake would explain it."""
-    from energyplan.logs.consistency import Measures, check_consistency
-    from energyplan.logs.evidence import gather
+    from energyplan.logs.consistency import Measures, check_consistency, gather
 
     return [
         f"{log.name}: {check}"

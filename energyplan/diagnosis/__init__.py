@@ -46,10 +46,8 @@ from energyplan.fit.problem import PAPER, Problem
 from energyplan.fit.usual import ends_in_words, leaves_open, open_in_words
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
-from energyplan.logs.checks import set_aside_by_drive
-from energyplan.logs.copies import without_copies
-from energyplan.logs.one_side import refuse_one_side
-from energyplan.logs.plausible import yaw_rate_offset
+from energyplan.logs.checks import refuse_one_side, without_copies, yaw_rate_offset
+from energyplan.logs.clean import set_aside_by_drive
 from energyplan.power import PowerModel, Residual
 from energyplan.power.effects import Effect, catalogue
 from energyplan.vehicle import Vehicle

@@ -11,8 +11,8 @@ import numpy as np
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit.covariance import autocorrelation
 from energyplan.logs import DriveLog
-from energyplan.logs.evidence import correlation, distance_ratio, lasts, yaw_rates
-from energyplan.logs.plausible import find_doubts
+from energyplan.logs.checks import find_checks
+from energyplan.logs.consistency import correlation, distance_ratio, lasts, yaw_rates
 from energyplan.path import FloatArray
 
 _SLOWEST = 0.05  # tread speed from which a side turns [m/s]
@@ -87,8 +87,8 @@ def doubts_off_the_ground(log: DriveLog) -> tuple[str, ...]:
     """
     power, runs = log.power, log.runs
     kept = {name: v for name, v in log.channels.items() if name not in _TRAVEL}
-    stale = {*find_doubts(log.channels, power, runs, log.name)} - {
-        *find_doubts(kept, power, runs, log.name)
+    stale = {*map(str, find_checks(log.channels, power, runs))} - {
+        *map(str, find_checks(kept, power, runs))
     }
     return tuple(warning for warning in log.warnings if warning not in stale)
 

@@ -27,9 +27,8 @@ from energyplan.fit.solvers import Bounds
 from energyplan.fit.usual import ends_in_words, open_in_words
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
-from energyplan.logs.checks import set_aside_by_drive
-from energyplan.logs.copies import without_copies
-from energyplan.logs.one_side import find_lost_sign, refuse_one_side
+from energyplan.logs.checks import find_lost_sign, refuse_one_side, without_copies
+from energyplan.logs.clean import set_aside_by_drive
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Term

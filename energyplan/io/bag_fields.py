@@ -49,6 +49,18 @@ class BagFields:
             found = {k: v for k, v in found.items() if k not in ("p_left", "p_right")}
         return found
 
+    def twist(self, track: float) -> dict[str, list[Field]]:
+        """Return tread speeds made from speed and turn rate of the body, of a track [m]."""
+        for one in self.fields.values():
+            ahead, turn = "twist.twist.linear.x", "twist.twist.angular.z"
+            if one.type == "nav_msgs/msg/Odometry" and one.field == ahead:
+                return {
+                    channel: [one._replace(field=f"{ahead}{sign}{0.5 * track:.6g}*{turn}",
+                                           label=f"{one.topic}.twist")]
+                    for channel, sign in (("v_left", "-"), ("v_right", "+"))
+                }  # fmt: skip
+        return {}
+
     def _typed(self) -> dict[str, list[Field]]:
         """Channels of the message types that ROS gives a meaning."""
         found: dict[str, list[Field]] = {}

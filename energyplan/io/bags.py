@@ -20,7 +20,7 @@ from energyplan.io.files import is_file
 from energyplan.io.topics import TOPIC_MAPS, TopicMap, TopicSource
 from energyplan.logs import DriveLog
 from energyplan.logs.align import AS_LOGGED, Series, align
-from energyplan.logs.checks import SetAside
+from energyplan.logs.clean import SetAside
 
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 """Kinds of file that are read as bags, beside folders with a ``metadata.yaml``."""

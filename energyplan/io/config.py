@@ -92,6 +92,7 @@ class _Column(_Strict):
     unit: str | None = None
     times: str | None = None
     plus: list[str] = []
+    weights: list[Number] = []
 
 
 class ProjectFile(_Strict):

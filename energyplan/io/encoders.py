@@ -10,14 +10,12 @@ import numpy as np
 
 from energyplan.errors import DriveLogError
 from energyplan.io.robot import Given
-from energyplan.logs.cells import Table
-from energyplan.logs.checks import find_runs
-from energyplan.logs.columns import Column, column_from
-from energyplan.logs.counts import RATE, SINCE, TOTAL
-from energyplan.logs.evidence import correlation, distance_ratio, yaw_rates
+from energyplan.logs.align import find_runs
+from energyplan.logs.clean import join_rows
+from energyplan.logs.consistency import correlation, distance_ratio, yaw_rates
 from energyplan.logs.guess import Guess, guess_ahead, guess_position
-from energyplan.logs.joining import join_rows
-from energyplan.logs.units import unit_in
+from energyplan.logs.mapping import RATE, SINCE, TOTAL, Column, column_from, unit_in
+from energyplan.logs.tables import Table
 from energyplan.path import FloatArray
 
 _SOME = 20_000  # readings that suffice

@@ -18,10 +18,8 @@ from numpy.typing import NDArray
 from energyplan.errors import DriveLogError
 from energyplan.io.files import is_file
 from energyplan.logs import DriveLog, SetAside
-from energyplan.logs.cells import Table
-from energyplan.logs.checks import find_runs
-from energyplan.logs.plausible import Offset, find_offset
-from energyplan.logs.tables import column_names, read_table
+from energyplan.logs.align import Offset, find_offset, find_runs
+from energyplan.logs.tables import Table, column_names, read_table
 from energyplan.path import FloatArray
 
 WHEEL_COLUMNS = ("time", "curL", "curR", "velL", "velR")

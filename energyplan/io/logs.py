@@ -14,12 +14,10 @@ from energyplan.io.husky import NOT_TOLD, WHEEL_COLUMNS, is_husky, read_husky
 from energyplan.io.project import read_columns
 from energyplan.io.topics import TOPIC_MAPS, TopicMap
 from energyplan.logs import DriveLog
-from energyplan.logs.cells import Table
-from energyplan.logs.columns import Column
+from energyplan.logs.checks import LONGEST_STEP
 from energyplan.logs.guess import Guess, guess
-from energyplan.logs.plausible import LONGEST_STEP
-from energyplan.logs.tables import read_table
-from energyplan.logs.units import UNITS
+from energyplan.logs.mapping import UNITS, Column
+from energyplan.logs.tables import Table, read_table
 
 _RESTARTS = 0.01  # share of steps back in time, below which each begins another recording
 

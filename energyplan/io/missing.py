@@ -9,9 +9,9 @@ from typing import NoReturn
 import numpy as np
 
 from energyplan.errors import DriveLogError
-from energyplan.logs.cells import Table
-from energyplan.logs.evidence import correlation
+from energyplan.logs.consistency import correlation
 from energyplan.logs.guess import ENCODER, Guess, guess, halves, numbered_speeds, words
+from energyplan.logs.tables import Table
 from energyplan.path import FloatArray
 
 _ALIKE = 0.9  # correlation from which two columns tell the same

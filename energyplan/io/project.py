@@ -15,7 +15,7 @@ from energyplan.io.config import ProjectFile, plain_vehicle, read_vehicle
 from energyplan.io.documents import load
 from energyplan.io.files import atomic_write
 from energyplan.io.topics import TopicMap
-from energyplan.logs.columns import Column, column_from
+from energyplan.logs.mapping import Column, column_from
 from energyplan.records import ReadOnly
 from energyplan.vehicle import Vehicle
 

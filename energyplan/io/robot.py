@@ -11,8 +11,7 @@ import numpy as np
 
 from energyplan.errors import InvalidInputError
 from energyplan.logs import DriveLog
-from energyplan.logs.consistency import Measures
-from energyplan.logs.evidence import Evidence
+from energyplan.logs.consistency import Evidence, Measures
 from energyplan.vehicle import MotorLimits, TreadICR, Vehicle
 
 _SLIP = 0.93  # slip track over that of equal point loads, as of Huskies and a Warthog
@@ -45,12 +44,11 @@ class Given:
 def known_measures(known: Given) -> Measures:
     """Return the measures that are given, by themselves or by a vehicle alike."""
     like = Measures() if known.like is None else Measures.of(known.like)
-    return Measures(
-        *(
-            getattr(known, key) if isfinite(getattr(known, key)) else getattr(like, key)
-            for key in ("track", "wheelbase", "mass")
-        )
+    track, wheelbase, mass = (
+        getattr(known, key) if isfinite(getattr(known, key)) else getattr(like, key)
+        for key in ("track", "wheelbase", "mass")
     )
+    return Measures(track, wheelbase, mass, known.wheel_radius)
 
 
 class Robot(NamedTuple):

@@ -23,26 +23,33 @@ from energyplan.io.robot import Given, build_vehicle, known_measures
 from energyplan.io.signs import read_signed
 from energyplan.io.topics import TOPIC_MAPS, TopicMap, topic_map_of
 from energyplan.logs import DriveLog
-from energyplan.logs.cells import Table
-from energyplan.logs.checks import find_runs
-from energyplan.logs.clock import spread_bursts
-from energyplan.logs.columns import Column, column_from, parse_columns
-from energyplan.logs.consistency import Check, Measures, check_consistency, strain
-from energyplan.logs.contradictions import find_contradictions, mirrored_side
-from energyplan.logs.evidence import gather
-from energyplan.logs.guess import guess, guess_encoders
-from energyplan.logs.joining import RECORDING, join_rows
-from energyplan.logs.reach import possible
-from energyplan.logs.tables import read_table
-from energyplan.logs.units import is_count, is_wheel_rate, scale_of
+from energyplan.logs.align import find_runs
+from energyplan.logs.checks import FAR, find_checks, grows, mirrored_side
+from energyplan.logs.clean import RECORDING, join_rows, possible, spread_bursts
+from energyplan.logs.consistency import Check, Measures, check_consistency, gather, strain
+from energyplan.logs.guess import Guess, guess, guess_ahead, guess_encoders, guess_turns, words
+from energyplan.logs.mapping import (
+    Column,
+    column_from,
+    counting,
+    is_count,
+    is_wheel_rate,
+    parse_columns,
+    scale_of,
+    time_unit,
+    unit_in,
+)
+from energyplan.logs.tables import Table, read_table
 from energyplan.path import FloatArray
+from energyplan.vehicle import GRAVITY
 
 _SOME = 20_000  # readings that suffice to tell a unit
 _FASTEST_TURN = 3.0  # yaw rate that hardly a robot reaches that skids [rad/s]
 _FULL_TURN = 6.5  # [rad]; headings beyond are unwrapped, or degrees
 _TURNS = 3 * _FULL_TURN  # beyond, they are rather degrees
-_HIGHEST_VOLTAGE = 1000.0  # of a battery, beyond which readings are millivolts [V]
-_DATE = 1e4  # days after which spreadsheets' dates begin, at least: such a clock may count days
+_VOLTS = {"mV": (4.5, 450.0), "*0.01": (4.5, 100.0), "*0.1": (4.5, 100.0)}  # usual ranges [V]
+_HIGHEST_VOLTAGE = 1000.0  # of a battery [V]
+_USUAL_FORCE = (0.02, 2.0)  # power over weight times speed that does not surprise
 _NEEDED = {"t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current"}
 _SMALLEST_RADIUS, _LARGEST_RADIUS = 2e-4, 0.8  # of a wheel, or of one over its gear ratio [m]
 _RATES = {"rad/s": 1.0, "rpm": pi / 30, "deg/s": pi / 180}
@@ -94,7 +101,7 @@ def _start_table(file: Path, known: Given) -> Start:
     columns = parse_columns(known.columns, names)
     # A factor of a power, such as a wheel's rate, may serve for itself too.
     taken = {name for one in columns.values() for name in (one.source, *one.plus)}
-    guesses = guess([name for name in table.columns if name not in taken])
+    guesses = _guesses(table, taken, columns)
     _powers(columns, guesses)
     found = {channel: one for channel, one in guesses.items() if channel not in columns}
     if "t" not in columns and "t" not in found:
@@ -106,6 +113,9 @@ def _start_table(file: Path, known: Given) -> Start:
         used = {name for one in columns.values() for name in one.names}
         used |= {name for one in found.values() for name in (one.name, *one.fellows)}
         encoders = guess_encoders(name for name in table.columns if name not in used)
+    notes: list[str] = []
+    if not {"v_left", "v_right"} & {*columns, *found, *encoders}:
+        notes = _from_twist(table, columns, found, known)
     speeds = {*columns, *found, *encoders}
     needed = [name for name in ("t", "v_left", "v_right") if name not in speeds]
     powers = {*columns, *found}
@@ -135,9 +145,96 @@ def _start_table(file: Path, known: Given) -> Start:
     log = read_signed(file, columns)
     used = {name for one in log.columns.values() for name in one.names}
     idle = [name for name in table.columns if name not in used]
-    notes = (f"columns that serve for nothing: {', '.join(idle[:20])}",) if idle else ()
+    notes += [f"columns that serve for nothing: {', '.join(idle[:20])}"] if idle else []
     told = _finish(file, log.log, known, log.columns, None, assumed)
     return replace(told, notes=(*notes, *log.notes, *told.notes))
+
+
+_ELECTRIC = ("power", "p_left", "p_right", "current", "current_left", "current_right")
+
+
+def _guesses(
+    table: Table, taken: Collection[str], columns: Mapping[str, Column]
+) -> dict[str, Guess]:
+    """Guess which column is which channel; a counter of energy or charge is no power of its own.
+
+    Its rate is one, where its name tells the unit and nothing else does.
+    """
+    names = [name for name in table.columns if name not in taken]
+    counters = {name for name in names if grows(table.columns[name][:_SOME])}
+    kept: dict[str, Guess] = {}
+    grown = ""
+    while True:
+        found = guess(names)
+        other = next(
+            (c for c in _ELECTRIC if c in found
+             and (found[c].name in counters or counting(c, found[c].unit))), None
+        )  # fmt: skip
+        if other is None:
+            break
+        one = found[other]
+        if counting(other, one.unit):
+            kept.setdefault(other, one)
+        else:
+            grown = one.name
+        names = [name for name in names if name not in (one.name, *one.fellows)]
+    powers = {*found, *columns}
+    if not (
+        {"power"} <= powers
+        or {"voltage", "current"} <= powers
+        or {"p_left", "p_right"} <= powers
+        or {"current_left", "current_right"} <= powers
+    ):
+        found |= {c: one for c, one in kept.items() if c not in columns}
+        if grown and not kept:
+            raise DriveLogError(
+                f"{table.source}: {grown!r} only ever grows or falls: it counts energy or charge, "
+                "and is no power and no current; map its rate of change by its unit, as in "
+                f"--columns 'current={grown}[mAh]' or --columns 'power={grown}[Wh]'"
+            )
+    return found
+
+
+def _from_twist(
+    table: Table, columns: dict[str, Column], found: dict[str, Guess], known: Given
+) -> list[str]:
+    """Make tread speeds from the speed and the turn rate of the body, where a log has no others."""
+    used = {name for one in columns.values() for name in one.names}
+    ahead = next(iter(guess_ahead(name for name in table.columns if name not in used)), None)
+    turns = guess_turns(name for name in table.columns if name not in used)
+    if ahead is None or not turns:
+        return []
+    turn = max(turns, key=lambda name: len(set(words(name)) & set(words(ahead))))
+    note = _of_body(known, f"{ahead} and {turn}")
+    track = known_measures(known).track
+    speed, rate = unit_in("v_left", ahead), unit_in("yaw_rate", turn)
+    speed_scale = scale_of("v_left", speed.unit).factor if speed else 1.0
+    rate_scale = scale_of("yaw_rate", rate.unit).factor if rate else 1.0
+    half = 0.5 * track * rate_scale
+    for channel, sign in (("v_left", -1.0), ("v_right", 1.0)):
+        columns[channel] = column_from(
+            channel, ahead, None, None, (turn,), (speed_scale, sign * half)
+        )
+    # A heading of the same odometry tells nothing of slip, but would be believed to.
+    for channel in ("yaw_rate", "yaw"):
+        found.pop(channel, None)
+    return [note]
+
+
+def _of_body(known: Given, what: str) -> str:
+    """Say what is unseen where tread speeds are made from speed and turn rate of the body."""
+    track = known_measures(known).track
+    if not isfinite(track):
+        raise DriveLogError(
+            f"the log has speed and turn rate of the body, {what}, and no speeds of the wheels: "
+            "give the distance between left and right wheels [m] to make them, as in --track "
+            "0.555; or log the wheels' speeds, as of /joint_states"
+        )
+    return (
+        f"tread speeds are made from speed and turn rate of the body, {what}, and the track of "
+        f"{track:g} m: how the wheels slip in turns is unseen; log the wheels' speeds, as of "
+        "/joint_states, to learn it"
+    )
 
 
 def _column(
@@ -202,7 +299,7 @@ def _with_units(
         if named:
             choices.append(_Choice(("v_left", "v_right"), (f"{named}*",)))
         elif {"v_left", "v_right"} <= free:
-            wheels = ("rad/s*", "rpm*") if isfinite(radius) else ()
+            wheels = ("rad/s*", "rpm*", "rev/s*") if isfinite(radius) else ()
             units = ("m/s", *wheels, "km/h", "mm/s", "cm/s")
             choices.append(_Choice(("v_left", "v_right"), units))
     if "yaw_rate" in free and _size(table, columns["yaw_rate"]) > _FASTEST_TURN:
@@ -212,7 +309,7 @@ def _with_units(
         likely = ("deg", "rad") if heading > _TURNS else ("rad", "deg")
         choices.append(_Choice(("yaw",), likely))
     if "voltage" in free and _size(table, columns["voltage"]) > _HIGHEST_VOLTAGE:
-        choices.append(_Choice(("voltage",), ("mV",)))
+        choices.append(_Choice(("voltage",), (_unit_of_voltage(table, columns["voltage"]),)))
     # A thousand is more than robots' resistances differ by: their weight tells which it is.
     electric = (("current",), ("power",), ("p_left", "p_right"))
     choices += [
@@ -223,7 +320,7 @@ def _with_units(
     if {"x", "y"} <= free:
         choices.append(_Choice(("x", "y"), ("m", "mm", "cm")))
     clock = columns["t"]
-    if "t" not in told and clock.scale.factor == 1.0:
+    if "t" not in told and clock.scale.factor == 1.0 and not table.joined:
         columns = {**columns, "t": _timed(table, clock)}
     t = _some(table, columns["t"])
     raw = {channel: _some(table, column, t) for channel, column in columns.items()}
@@ -235,7 +332,7 @@ def _with_units(
     measures = known_measures(known)
     first = {channel: choice.units[0] for choice in choices for channel in choice.channels}
     rolling = {channel for channel, unit in first.items() if unit.endswith("*")}
-    best: tuple[float, dict[str, str]] | None = None
+    best: tuple[float, dict[str, str], float] | None = None
     for each in product(*(choice.units for choice in choices)):
         chosen = {
             channel: unit
@@ -257,8 +354,10 @@ def _with_units(
         cost += 0.5 * bool(np.isnan(evidence.slip_track))
         cost += 0.5 * ({"yaw", "yaw_rate"} <= set(trial) and bool(np.isnan(evidence.rotation)))
         if best is None or cost < best[0] - 1e-9:
-            best = cost, chosen
+            best = cost, chosen, evidence.force / (measures.mass * GRAVITY)
     chosen = best[1] if best else first
+    if best:
+        _sure_of_current(table, columns, chosen, best[2])
     if any(unit.endswith("*") for unit in chosen.values()) and not isfinite(radius):
         radius = _radius_from(raw, chosen)
         if not isfinite(radius):
@@ -276,6 +375,47 @@ def _with_units(
         plain = plain or written == "m/s"
         made[channel] = _column(channel, one.source, "" if plain else written, one.plus, one.times)
     return made
+
+
+def _unit_of_voltage(table: Table, column: Column) -> str:
+    """Return the unit of a voltage that is none in volts, where it can be one alone."""
+    size = _size(table, column)
+    could = [u for u, (low, high) in _VOLTS.items()
+             if low <= size * scale_of("voltage", u).factor <= high]  # fmt: skip
+    if could == ["mV"]:
+        return "mV"
+    made = [
+        f"{size * scale_of('voltage', u).factor:.3g} V by voltage={column.source}[{u}]"
+        for u in could
+    ]
+    raise DriveLogError(
+        f"{table.source}: {column.source} is up to {size:.6g}, which is no voltage of a robot in V"
+        + (f"; it would be {' or '.join(made)}" if made else "")
+        + "; give its unit with --columns, and that of a current, which may be the same"
+    )
+
+
+def _sure_of_current(
+    table: Table, columns: Mapping[str, Column], chosen: Mapping[str, str], force: float
+) -> None:
+    """Refuse a unit of current or power that its size does not tell from tenths or hundredths."""
+    for channel in ("current", "power"):
+        unit = chosen.get(channel, "")
+        if not unit.startswith("m") or not isfinite(force):
+            continue
+        readings = _some(table, columns[channel])
+        if np.any(np.mod(readings[np.isfinite(readings)], 1.0)):
+            continue
+        raw = force / 1e-3
+        fits = {u: raw * f for u, f in (("*0.1", 0.1), ("*0.01", 0.01), (unit, 1e-3))
+                if _USUAL_FORCE[0] <= raw * f <= _USUAL_FORCE[1]}  # fmt: skip
+        if set(fits) - {unit}:
+            name = columns[channel].source
+            told = " or ".join(f"{channel}={name}[{u}]" for u in fits)
+            raise DriveLogError(
+                f"{table.source}: {name} comes in whole numbers, whose unit their size does not "
+                f"tell for sure; give it with --columns, as in {told}"
+            )
 
 
 def _whole_rows(raw: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
@@ -305,17 +445,8 @@ def _some(table: Table, column: Column, t: FloatArray | None = None) -> FloatArr
 
 
 def _timed(table: Table, clock: Column) -> Column:
-    """Find the unit of time in which a drive log's step is usual."""
-    steps = np.diff(table.column(clock.source)[:_SOME])
-    steps = steps[np.isfinite(steps) & (steps > 0)]
-    if not len(steps):
-        return clock
-    step = float(np.median(steps))
-    sizes = {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-    if np.nanmedian(table.column(clock.source)[:_SOME]) > _DATE:
-        sizes |= {"d": 86400.0}
-    unit = next((name for name, size in sizes.items() if 5e-4 <= step * size <= 2.5), "")
-    return column_from("t", clock.source, unit or None)
+    """Return a clock in the unit in which a drive log's step is usual."""
+    return column_from("t", clock.source, time_unit(table.column(clock.source)[:_SOME]) or None)
 
 
 def _factor(channel: str, unit: str, known: Given) -> float:
@@ -364,6 +495,11 @@ def _no_radius(channels: Collection[str]) -> str:
 def _start_bag(file: Path, known: Given) -> Start:
     fields = bag_fields(file)
     sources = fields.channels()
+    notes: tuple[str, ...] = ()
+    made = {} if {"v_left", "v_right"} & set(sources) else fields.twist(known_measures(known).track)
+    if made:
+        sources = {c: one for c, one in sources.items() if c not in ("yaw", "yaw_rate")} | made
+        notes = (_of_body(known, f"those of {made['v_left'][0].topic}"),)
     lacks = [name for name in ("v_left", "v_right") if name not in sources]
     ways = ({"p_left", "p_right"}, {"power"}, {"voltage", "current"})
     if not any(way <= set(sources) for way in ways):
@@ -389,7 +525,8 @@ def _start_bag(file: Path, known: Given) -> Start:
         assumed["wheel_radius"] = f"{radius:.4g} m, from the pose"
         log = read_bag(file, mapped(radius))
     topics = mapped(radius if isfinite(radius) else 1.0)
-    return _finish(file, log, known, {}, topics, assumed)
+    told = _finish(file, log, known, {}, topics, assumed)
+    return replace(told, notes=(*notes, *told.notes))
 
 
 # -- the answer ---------------------------------------------------------------------------------
@@ -406,18 +543,13 @@ def _finish(
     """Build the vehicle, and hold the log against it."""
     evidence = gather(log.channels, log.power, log.runs)
     robot = build_vehicle(file, log, evidence, known)
-    given = known_measures(known)
-    checks = [
-        *check_consistency(evidence, given),
-        *(
-            Check(text.split(":")[0], nan, "no contradiction", ok=False, remedy=text)
-            for text in find_contradictions(log.channels, log.power, log.runs)
-        ),
-    ]
+    found = [one for one in find_checks(log.channels, log.power, log.runs) if one.refuses]
+    wrong = [one for one in found if not one.what.startswith(FAR)]  # measures tell more of that
+    checks = [*check_consistency(evidence, known_measures(known), columns), *wrong]
     project = Project(
         name=robot.vehicle.name, vehicle=robot.vehicle, columns=columns, topics=topics,
         log=file.name, defaults={**assumed, **robot.assumed},
     )  # fmt: skip
-    contradictions = {check.remedy for check in checks}
-    notes = (*map(str, log.set_aside), *(w for w in log.warnings if w not in contradictions))
+    told = {str(check) for check in found}
+    notes = (*map(str, log.set_aside), *(w for w in log.warnings if w not in told))
     return Start(project, tuple(checks), notes)

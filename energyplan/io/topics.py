@@ -17,6 +17,9 @@ from energyplan.io.documents import Checked, Document, Loc, load
 _FIELD = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)\s*(?:\[([^\[\]]+)\])?\Z")
 
 
+_FIELDS = "write a field such as angular_velocity.z, a.b[0], yaw(a.b) or a.b-0.25*c.d"
+
+
 class _Place(NamedTuple):
     """Where in a message a value stands."""
 
@@ -25,19 +28,43 @@ class _Place(NamedTuple):
     heading: bool
 
 
+_TERM = re.compile(
+    r"\s*([-+]?)\s*(?:(\d+\.?\d*(?:[eE][-+]?\d+)?)\s*\*)?\s*([^-+*\[]+(?:\[[^\]]*\])?\)?)"
+)
+
+
 @lru_cache(maxsize=256)
-def _parse(field: str) -> _Place:
+def _parse(formula: str) -> tuple[tuple[float, _Place], ...]:
+    """Read a field, or a sum of fields with factors such as ``a.b-0.25*c.d``."""
+    terms: list[tuple[float, _Place]] = []
+    at = 0
+    while at < len(formula.rstrip()):
+        match = _TERM.match(formula, at)
+        if match is None or (terms and not match[1]):
+            raise ValueError(_FIELDS)
+        weight = float(match[2] or 1.0)
+        terms.append((-weight if match[1] == "-" else weight, _place(match[3])))
+        at = match.end()
+    if not terms:
+        raise ValueError(_FIELDS)
+    return tuple(terms)
+
+
+def _place(field: str) -> _Place:
     text = field.strip()
     heading = text.startswith("yaw(") and text.endswith(")")
     match = _FIELD.match(text[4:-1].strip() if heading else text)
     if match is None:
-        raise ValueError("write a field such as angular_velocity.z, a.b[0] or yaw(a.b)")
+        raise ValueError(_FIELDS)
     return _Place(tuple(match[1].split(".")), match[2], heading)
 
 
 def _read(message: Any, field: str) -> float:
     """Return a number from a message; NaN where there is none."""
-    place = _parse(field)
+    return sum(weight * _number(message, place) for weight, place in _parse(field))
+
+
+def _number(message: Any, place: _Place) -> float:
     value = message
     for part in place.parts:
         value = getattr(value, part, None)

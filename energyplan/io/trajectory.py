@@ -12,9 +12,8 @@ import numpy as np
 from energyplan.errors import InvalidInputError, MissingDependencyError, PathError
 from energyplan.io.files import atomic_write
 from energyplan.logs import DriveLog
-from energyplan.logs.cells import Table
 from energyplan.logs.guess import guess
-from energyplan.logs.tables import read_table
+from energyplan.logs.tables import Table, read_table
 from energyplan.path import FloatArray, Path, Trajectory, wrap_angle
 
 _LIMITS = {"x": 1e8, "y": 1e8, "yaw": 1e5, "t": 1e11, "v": 100.0, "omega": 100.0}

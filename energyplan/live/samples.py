@@ -17,9 +17,8 @@ from typing import BinaryIO
 from energyplan.errors import DriveLogError
 from energyplan.kinds import instance
 from energyplan.live.events import Trouble
-from energyplan.logs.checks import needed_channels
-from energyplan.logs.columns import Column, own_columns, parse_columns
-from energyplan.logs.reach import LIMITS
+from energyplan.logs.clean import LIMITS, needed_channels
+from energyplan.logs.mapping import Column, own_columns, parse_columns
 
 _BLOCK = 1 << 16
 MAX_LINE = 1 << 16
@@ -197,6 +196,12 @@ def _table(
                     f"columns are {', '.join(names)}"
                 )
     chosen = {**chosen, **own_columns(names, chosen)}
+    for channel, column in chosen.items():
+        if column.counts:
+            raise DriveLogError(
+                f"{label}: {channel} comes from {column.source}, which counts on: a drive as it "
+                "happens is read from rates alone; give a column of speed, power or current"
+            )
     basic = needed_channels(chosen, label)
     missing = [channel for channel in needed if channel not in chosen]
     if missing:

@@ -15,7 +15,7 @@ from energyplan.fit.online import OnlineIdentifier
 from energyplan.kinds import checked
 from energyplan.live.events import Changed, Done, Ended, Event, Learned, Reassessed, Trouble
 from energyplan.live.samples import Header, Line, Restart, Sample, read_samples
-from energyplan.logs.columns import Column
+from energyplan.logs.mapping import Column
 from energyplan.mission import Mission, Routes, evaluate
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Pose, wrap_angle

@@ -17,11 +17,18 @@ from numpy.typing import ArrayLike
 from energyplan import html
 from energyplan.errors import DriveLogError, MissingChannelError
 from energyplan.kinds import checked
-from energyplan.logs._smooth import derivative
-from energyplan.logs.align import block_bounds, interval_means, shift, time_weights
-from energyplan.logs.checks import Place, SetAside, clean, find_runs, needed_channels, unchanged
-from energyplan.logs.columns import Column, choose_columns, parse_columns
-from energyplan.logs.plausible import find_doubts
+from energyplan.logs.align import (
+    block_bounds,
+    derivative,
+    find_runs,
+    interval_means,
+    shift,
+    time_weights,
+)
+from energyplan.logs.checks import find_checks
+from energyplan.logs.clean import Place, SetAside, clean, needed_channels, unchanged
+from energyplan.logs.consistency import Check
+from energyplan.logs.mapping import Column, choose_columns, parse_columns
 from energyplan.logs.tables import read_table, table_of
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
@@ -36,6 +43,14 @@ __all__ = ["DriveLog", "SetAside", "parse_columns"]
 
 _MOST_INTERVALS = 50_000_000
 _EPOCH = 1e6  # times beyond are those of a calendar, not of a drive [s]
+
+
+class UnfitLogError(DriveLogError):
+    """A log that a check refuses."""
+
+    def __init__(self, text: str, check: Check) -> None:
+        super().__init__(text)
+        self.check = check
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -213,8 +228,11 @@ class DriveLog(ReadOnly, html.Readable):
         """
         done = clean(columns, name, place or "sample {}".format)
         raw = cls(done.channels, name)
-        doubts = find_doubts(raw.channels, raw.power, raw.runs, name)
-        told = (*done.warnings, *doubts)
+        checks = find_checks(raw.channels, raw.power, raw.runs)
+        for check in checks:
+            if check.refuses == "reading":
+                raise UnfitLogError(f"{name}: {check}", check)
+        told = (*done.warnings, *map(str, checks))
         return replace(raw, set_aside=tuple(done.set_aside), warnings=told)
 
     # -- channels -------------------------------------------------------------------------------

@@ -1,11 +1,14 @@
-"""Channels of different rates on one clock, with the error of doing so; means, shifts, blocks."""
+"""Channels of different rates on one clock: interpolation, means, shifts, derivatives, blocks."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from energyplan.path import FloatArray
@@ -42,6 +45,13 @@ def gap_limit(t: FloatArray) -> float:
     steps = np.diff(t)
     # The lower median: of two steps, one may be the gap.
     return max(4.0 * float(np.quantile(steps, 0.5, method="lower")), 0.2)
+
+
+def find_runs(t: FloatArray) -> list[slice]:
+    """Stretches of samples without a gap."""
+    cuts = np.flatnonzero(np.diff(t) > gap_limit(t)) + 1
+    bounds = [0, *(int(cut) for cut in cuts), len(t)]
+    return [slice(a, b) for a, b in pairwise(bounds)]
 
 
 def time_weights(t: FloatArray, runs: Iterable[slice]) -> FloatArray:
@@ -175,3 +185,159 @@ def block_bounds(t: FloatArray, runs: Sequence[slice], duration: float) -> list[
                 bounds.append(int(cut))
         bounds.append(run.stop)
     return [*bounds[: max(1, len(bounds) - 1)], len(t)]
+
+
+_BLOCK = 1 << 13  # samples worked on at once, to stay in the cache
+
+
+def derivative(
+    t: FloatArray, values: FloatArray, runs: Sequence[slice], window: float
+) -> FloatArray:
+    """Rate of change by a local quadratic fit.
+
+    Each sample's rate is that of the parabola that fits the samples of a window around it best; on
+    even sampling this is the Savitzky-Golay filter of order two. At the ends of a run the window
+    is shifted inwards. Windows never cross the gap between two runs.
+
+    Source: Savitzky and Golay (1964), doi 10.1021/ac60214a047.
+    """
+    rate = np.zeros(len(t))
+    for run in runs:
+        time, value = t[run], values[run]
+        count = len(time)
+        if count < 3:
+            if count == 2:
+                rate[run] = (value[1] - value[0]) / (time[1] - time[0])
+            continue
+        half = max(1, round(window / 2 / float(np.median(np.diff(time)))))
+        width = min(2 * half + 1, count - (count + 1) % 2)
+        rate[run] = _local_rate(time, value, width)
+    return rate
+
+
+def _local_rate(time: FloatArray, value: FloatArray, width: int) -> FloatArray:
+    """Rate at each sample from the `width` samples (an odd number) around it."""
+    times, values = sliding_window_view(time, width), sliding_window_view(value, width)
+    count, half = len(time), width // 2
+    rate = np.empty(count)
+    for start in range(0, count, _BLOCK):
+        index = np.arange(start, min(start + _BLOCK, count))
+        first = np.clip(index - half, 0, count - width)
+        span = time[first + width - 1] - time[first]
+        u = (times[first] - time[index, None]) / span[:, None]
+        y = values[first] - value[index, None]
+        # Normal equations of c0 + c1 u + c2 u^2; c1 by Cramer's rule.
+        u2 = u * u
+        s1, b0 = u.sum(axis=1), y.sum(axis=1)
+        s2, s3, s4, b1, b2 = (
+            np.einsum("ij,ij->i", p, q) for p, q in ((u, u), (u2, u), (u2, u2), (u, y), (u2, y))
+        )
+        m00, m01, m02 = width * s2 - s1 * s1, width * s3 - s1 * s2, width * s4 - s2 * s2
+        r1, r2 = width * b1 - s1 * b0, width * b2 - s2 * b0
+        det = m00 * m02 - m01 * m01
+        # Times that all but coincide tell a slope, but no curvature.
+        curved = det > 1e-12 * m00 * m02
+        parabola = (r1 * m02 - r2 * m01) / np.where(curved, det, 1.0)
+        rate[index] = np.where(curved, parabola, r1 / m00) / span
+    return rate
+
+
+LARGEST_OFFSET = 2.0
+"""Longest time offset between channels that is looked for [s]."""
+_TELLS = 1e-4  # share of the variance that a shift explains beyond the log as it is, at least
+_SHORTEST = 0.1  # shares of a time step that a delay is, at least
+
+
+@dataclass(frozen=True)
+class Offset:
+    """Time offset of a channel against the tread speeds."""
+
+    channel: str  # the channel
+    seconds: float  # by how much it lags behind [s]
+    explained: float  # share of its variance that the tread speeds explain once it is shifted
+    before: float  # the same as logged
+    sign: int  # sign of the relation at that offset
+    duration: float  # length of the stretches compared [s]
+    step: float = 0.0  # time between samples [s]
+
+    @property
+    def certain(self) -> bool:
+        """Whether the shift explains clearly more, over a long enough time."""
+        return (
+            self.duration >= 30.0
+            and self.explained > 0.3
+            and self.explained - self.before >= _TELLS
+            and abs(self.seconds) >= max(0.005, _SHORTEST * self.step)
+            and 1 - self.before > 1.15 * (1 - self.explained)
+        )
+
+
+def find_offset(
+    channel: str,
+    t: FloatArray,
+    values: FloatArray,
+    regressors: Sequence[FloatArray],
+    runs: Sequence[slice],
+    *,
+    largest: float = LARGEST_OFFSET,
+    centred: bool = True,
+) -> Offset | None:
+    """Find the time offset at which regressors explain a channel best.
+
+    For each lag the explained variance of the least-squares fit follows from cross-correlations
+    and running sums, so that all lags together cost a few Fourier transforms; a parabola through
+    the best lag and its neighbours refines it.
+    """
+    long = [run for run in runs if t[run][-1] - t[run][0] >= 4 * largest]
+    if not long:
+        return None
+    # Where most samples crowd together the grid must not grow without bound.
+    spread = sum(float(t[run][-1] - t[run][0]) for run in long) / (4 * len(t))
+    step = max(float(np.median(np.diff(t))), spread)
+    lags = round(largest / step)
+    if lags < 1:
+        return None
+    columns = [*regressors, np.ones(len(t))] if centred else list(regressors)
+    size = len(columns)
+    cross, gram = np.zeros((2 * lags + 1, size)), np.zeros((2 * lags + 1, size, size))
+    square = total = count = 0.0
+    for run in long:
+        grid = t[run][0] + step * np.arange(int((t[run][-1] - t[run][0]) / step) + 1)
+        # The channel's samples that every lag can reach; the regressors move past them.
+        y = np.interp(grid, t[run], values[run])[lags:-lags]
+        X = np.stack([np.interp(grid, t[run], column[run]) for column in columns])
+        square, total, count = square + float(y @ y), total + float(y.sum()), count + len(y)
+        length = 1 << (X.shape[1] - 1).bit_length()
+        spectrum = np.conj(np.fft.rfft(y, length))
+        for j in range(size):
+            # Correlation at every lag at once; it wraps round only beyond the lags wanted.
+            product = np.fft.rfft(X[j], length) * spectrum
+            cross[:, j] += np.fft.irfft(product, length)[2 * lags :: -1]
+            for k in range(size):
+                sums = np.concatenate([[0.0], np.cumsum(X[j] * X[k])])
+                gram[:, j, k] += (sums[len(y) :] - sums[: 2 * lags + 1])[::-1]
+    if square - centred * total**2 / max(count, 1.0) <= 1e-12 * square:
+        return None
+    scale = np.sqrt(np.einsum("ijj->ij", gram))
+    if np.any(scale <= 0):
+        return None
+    # Regressors may be collinear, as those of a robot that never turns or has one side dead.
+    unit = gram / (scale[:, :, None] * scale[:, None, :])
+    inverse = np.linalg.pinv(unit, rcond=1e-9, hermitian=True)
+    weights = (inverse @ (cross / scale)[..., None])[..., 0] / scale
+    mean = total**2 / count if centred else 0.0
+    explained = (np.einsum("ij,ij->i", cross, weights) - mean) / (square - mean)
+    best = int(np.argmax(explained))
+    shift = 0.0
+    if 0 < best < 2 * lags:
+        a, b, c = explained[best - 1 : best + 2]
+        shift = 0.5 * float(a - c) / float(a - 2 * b + c) if a - 2 * b + c < 0 else 0.0
+    return Offset(
+        channel,
+        (best - lags + shift) * step,
+        float(explained[best]),
+        float(explained[lags]),
+        int(np.sign(weights[best, 0])),
+        count * step,
+        step,
+    )

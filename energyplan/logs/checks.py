@@ -1,394 +1,1072 @@
-"""What is wrong with a drive log's samples: cleaning, with a count of what was set aside."""
+"""Does a drive log make sense, whatever the robot: signs, sides, sensors, units and clocks.
+
+Each check looks at a drive and returns what is wrong, with its remedy; `find_checks` runs them all.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass
-from itertools import pairwise
-from typing import Protocol
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations, pairwise
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from energyplan.errors import DriveLogError
-from energyplan.kinds import described, numbers
-from energyplan.logs.align import gap_limit
-from energyplan.logs.clock import spread_bursts, unwrap_clock
-from energyplan.logs.glitches import find_glitches
-from energyplan.logs.joining import RECORDING, join_rows
-from energyplan.logs.reach import ANY, LIMITS, likely_unit
+from energyplan.errors import InvalidInputError, NotIdentifiableError
+from energyplan.logs.align import Offset, derivative, find_offset, gap_limit
+from energyplan.logs.consistency import Check, correlation, distance_ratio, lasts, yaw_rates
+from energyplan.logs.mapping import UNITS
 from energyplan.path import FloatArray
 
-Place = Callable[[int], str]
+if TYPE_CHECKING:  # which imports this module
+    from energyplan.logs import DriveLog
 
-_STRAY = 0.01  # share of readings out of range that is taken for glitches, not for a wrong unit
-_BRIDGE = 1.0  # longest hole in a further channel that is bridged by interpolation [s]
-_PAUSE = 10.0  # time between recordings whose clocks begin anew [s]
-_LATE = 0.01  # share of the rows that may come late
-_LATEST = 5.0  # how late they may come [s]
-_FAR = 0.01  # share of the steps in which a heading may change by more than a third of a turn
-_SPARSE = 0.1  # share of rows that may be set aside for want of a further channel
+Channels = Mapping[str, FloatArray]
+POWERS = ("p_left", "p_right", "power", "current")
+"""Channels of what is drawn."""
+LONGEST_STEP = 20.0
+"""Longest usual time from sample to sample [s]: beyond, it is in another unit."""
+_ENOUGH = 20  # samples below which nothing is concluded
+_TURNING = 0.05  # difference of the tread speeds from which the robot surely turns [m/s]
+_MOVING = 0.03  # tread speed from which it surely moves [m/s]
+_USUAL_STEP = 0.05  # of logs of drives [s]
 
 
 @dataclass(frozen=True)
-class SetAside:
-    """Samples that a log left out or mended, and why."""
+class _Drive:
+    """A drive as the checks look at it."""
 
-    reason: str  # what was wrong with them, and what was done
-    count: int  # how many samples
-    where: str  # where the first ones were
+    channels: Channels
+    power: FloatArray
+    runs: Sequence[slice]
 
-    def __str__(self) -> str:
-        return f"{self.count} samples: {self.reason} ({self.where})"
+    @cached_property
+    def t(self) -> FloatArray:
+        return self.channels["t"]
+
+    @cached_property
+    def left(self) -> FloatArray:
+        return self.channels["v_left"]
+
+    @cached_property
+    def right(self) -> FloatArray:
+        return self.channels["v_right"]
+
+    @cached_property
+    def difference(self) -> FloatArray:
+        return self.right - self.left
+
+    @cached_property
+    def effort(self) -> FloatArray:
+        return np.abs(self.left) + np.abs(self.right)
+
+    @cached_property
+    def step(self) -> float:
+        return float(np.median(np.diff(self.t)))
+
+    @cached_property
+    def moving(self) -> NDArray[np.bool_]:
+        """Where it moves, by what is usual in the drive."""
+        return self.effort > 0.15 * float(np.quantile(self.effort, 0.95))
+
+    @cached_property
+    def rates(self) -> dict[str, FloatArray]:
+        return yaw_rates(self.channels, self.runs)
+
+    @cached_property
+    def sides(self) -> bool:
+        return {"p_left", "p_right"} <= set(self.channels)
+
+    def each_side(self) -> Iterator[tuple[str, str]]:
+        yield from (("left", "right"), ("right", "left"))
 
 
-def unchanged(
-    held: Mapping[str, NDArray[np.intp]], used: Collection[str], place: Place
-) -> list[SetAside]:
-    """Count the cells of columns in use that are blank because the reading before still holds."""
-    return [
-        SetAside(
-            f"{name} is blank, as what did not change is in this log; it holds",
-            len(rows), ", ".join(place(int(row)) for row in rows[:3]),
-        )
-        for name, rows in held.items() if name in used
+_Found = Iterable[Check]
+
+
+def find_checks(channels: Channels, power: FloatArray, runs: Sequence[slice]) -> list[Check]:
+    """Return what is wrong with a drive."""
+    drive = _Drive(channels, power, runs)
+    dead = list(_dead(drive))
+    # Of a dead side, the other one seems to turn or to draw the wrong way.
+    first = (_time, _counters) if dead else (_time, _counters, _turning, _powers)
+    found = [check for rule in first for check in rule(drive)]
+    return found + [
+        check if check.refuses else replace(check, refuses="trust")
+        for rule in _RULES for check in rule(drive)
     ]  # fmt: skip
 
 
-class _Cleaned(Protocol):
-    """What has a name and says what was set aside, such as a drive log."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def set_aside(self) -> tuple[SetAside, ...]: ...
-
-
-def set_aside_by_drive(logs: Iterable[_Cleaned]) -> dict[str, dict[str, int]]:
-    """Count samples that were left out or mended, by drive and reason."""
-    counts: dict[str, dict[str, int]] = {}
+def refuse_one_side(logs: Sequence[DriveLog]) -> None:
+    """Refuse logs that lack a side: what is identified from the other one is half of what is."""
     for log in logs:
-        for item in log.set_aside:
-            reasons = counts.setdefault(log.name, {})
-            reasons[item.reason] = reasons.get(item.reason, 0) + item.count
-    return counts
+        drive = _Drive(log.channels, log.power, log.runs)
+        for check in (one for rule in (_dead, _false_speeds, _unlike) for one in rule(drive)):
+            raise NotIdentifiableError(f"{log.name}: {check}")
 
 
-@dataclass(frozen=True)
-class Cleaned:
-    """Channels fit for a log, and what was done to get them."""
-
-    channels: dict[str, FloatArray]
-    rows: NDArray[np.intp]
-    set_aside: list[SetAside]
-    warnings: list[str]
+# -- time ---------------------------------------------------------------------------------------
 
 
-def find_runs(t: FloatArray) -> list[slice]:
-    """Stretches of samples without a gap."""
-    cuts = np.flatnonzero(np.diff(t) > gap_limit(t)) + 1
-    bounds = [0, *(int(cut) for cut in cuts), len(t)]
-    return [slice(a, b) for a, b in pairwise(bounds)]
-
-
-def needed_channels(names: Collection[str], label: str) -> tuple[str, ...]:
-    """Channels without which a sample is of no use: time, tread speeds and power."""
-    if not isinstance(names, Iterable):
-        raise DriveLogError(f"{label} is {described(names)}; give channels by name")
-    there = ", ".join(sorted(names)[:20]) or "nothing"
-    if {"x", "y", "yaw"} <= set(names) <= {"t", "x", "y", "yaw", "v", "omega"}:
-        raise DriveLogError(
-            f"{label} looks like a path or a trajectory, with {there}: energyplan check reads it; "
-            "a drive log has t, v_left, v_right and a power"
-        )
-    for channel in ("t", "v_left", "v_right"):
-        if channel not in names:
-            raise DriveLogError(
-                f"{label}: the channel {channel!r} is missing; the log has {there}; map a column to"
-                f" it, such as {channel}=NAME, or let energyplan start find the columns"
-            )
-    for way in (("p_left", "p_right"), ("power",), ("voltage", "current")):
-        if all(channel in names for channel in way):
-            return ("t", "v_left", "v_right", *way)
-    raise DriveLogError(
-        f"{label}: power is missing; give p_left and p_right, or power, or voltage and current; "
-        f"the log has {there}"
+def _time(drive: _Drive) -> _Found:
+    """Time in another unit; gaps."""
+    t, runs, step = drive.t, drive.runs, drive.step
+    if not 1e-4 <= step <= LONGEST_STEP:
+        sizes = {name: size for name, size in UNITS["t"].items() if name != "s"}
+        unit = min(sizes, key=lambda name: abs(np.log(step * sizes[name] / _USUAL_STEP)))
+        yield Check(
+            f"the time step of t is {step:g} s; between 0.1 ms and {LONGEST_STEP:g} s is possible",
+            remedy=f"name its unit, as in t=NAME[{unit}]", refuses="reading",
+        )  # fmt: skip
+    if len(runs) < 2:
+        return
+    starts = [t[run][-1] for run in runs[:-1]]
+    lost = sum(float(t[b][0] - t[a][-1]) for a, b in pairwise(runs))
+    named = ", ".join(f"{start:.2f} s" for start in starts[:3])
+    gaps = "1 gap" if len(starts) == 1 else f"{len(starts)} gaps"
+    yield Check(
+        f"t has {gaps} longer than {gap_limit(t):.2g} s, {lost:.1f} s in all, after "
+        f"t = {named}{', ...' if len(starts) > 3 else ''}; nothing is interpolated across them"
     )
 
 
-def clean(columns: Mapping[str, ArrayLike], label: str, place: Place) -> Cleaned:
-    """Set aside what cannot be used, and refuse what cannot be mended."""
-    needed = needed_channels(columns, label)
-    channels = {k: np.array(numbers(columns[k], f"{label}: {k}", DriveLogError)) for k in columns}
-    shapes = {values.shape for values in channels.values()}
-    if len(shapes) != 1 or len(next(iter(shapes))) != 1:
-        raise DriveLogError(f"{label}: channels have shapes {shapes}; give rows of equal length")
-    cleaner = _Cleaner(channels, label, place)
-    for name in channels:
-        if cleaner.many_strays(name):
-            cleaner.blank_glitches(name)  # several in a short log are no other unit
-        cleaner.blank_strays(name)
-        cleaner.blank_glitches(name)
-    cleaner.join(needed)
-    for name in needed:
-        cleaner.drop(
-            ~np.isfinite(cleaner.channels[name]), f"{name} has no usable reading; left out"
+_GROWS = 0.9  # share of all change that is growth, of a counter
+_STEADY = 0.5  # the same of a drive that speeds up and slows down
+_CHANGES = 8  # of a counter, from which chance does not explain that all go one way
+
+
+def grows(values: FloatArray) -> int:
+    """Tell whether readings go one way all along, as a counter does: 1 up, -1 down, 0 neither."""
+    steps = np.diff(values[np.isfinite(values)])
+    total = float(np.abs(steps).sum())
+    # A counter that is set back goes far in one step.
+    if np.count_nonzero(steps) >= 2 * _CHANGES:
+        steps = steps[np.abs(steps) < max(0.5 * total, 1e-300)]
+        total = float(np.abs(steps).sum())
+    net = float(steps.sum())
+    counted = np.count_nonzero(steps) >= _CHANGES and abs(net) > _GROWS * total
+    return int(np.sign(net)) if counted else 0
+
+
+def _counters(drive: _Drive) -> _Found:
+    """Energy or charge for power or current: it only grows, though the robot slows down, too."""
+    steps = np.diff(drive.effort)
+    total = float(np.abs(steps).sum())
+    if abs(float(steps.sum())) > _STEADY * total or total < 0.5 * float(drive.effort.max()):
+        return  # nothing that the robot does would make a power fall
+    for name in (name for name in POWERS if name in drive.channels):
+        way = grows(drive.channels[name])
+        if way:
+            what, unit, other = (
+                ("charge", "mAh", "Ah") if name == "current" else ("energy", "Wh", "J")
+            )
+            sign = "-" if way < 0 else ""
+            yield Check(
+                f"{name} only ever {'grows' if way > 0 else 'falls'}, also where the robot slows "
+                f"down: it counts {what}",
+                remedy=f"map its rate of change, as in {name}=NAME[{sign}{unit}] or "
+                f"{name}=NAME[{sign}{other}]", refuses="reading",
+            )  # fmt: skip
+
+
+# -- turning ------------------------------------------------------------------------------------
+
+
+def _some(runs: Sequence[slice], most: int = 200_000) -> list[slice]:
+    """Stretches that suffice to find a time offset: the first hours of a long log."""
+    some: list[slice] = []
+    for run in runs:
+        if most > 0:
+            some.append(slice(run.start, min(run.stop, run.start + most)))
+        most -= run.stop - run.start
+    return some
+
+
+def yaw_rate_offset(log: DriveLog) -> Offset | None:
+    """Return the time offset of a log's yaw rate against its tread speeds, if the drive tells."""
+    difference = log.channel("v_right") - log.channel("v_left")
+    rate = log.channel("yaw_rate")
+    return find_offset("yaw_rate", log.t, rate, [difference], _some(log.runs), centred=False)
+
+
+def _late(offset: Offset) -> Check:
+    way = "lags behind" if offset.seconds > 0 else "leads"
+    return Check(
+        f"{offset.channel} {way} the tread speeds by {abs(offset.seconds):.3f} s (explained "
+        f"variance {offset.before:.3f} as logged, {offset.explained:.3f} once shifted)",
+        remedy=f"diagnose allows for it, and DriveLog.shifted({offset.channel}="
+        f"{-offset.seconds:.3f}) puts it right",
+    )
+
+
+def _turning(drive: _Drive) -> _Found:
+    """Measured turning against the tread speeds."""
+    t, difference, runs = drive.t, drive.difference, drive.runs
+    if np.count_nonzero(np.abs(difference) > _TURNING) < _ENOUGH:
+        return
+    for name, rate in drive.rates.items():
+        if name == "yaw" and abs(correlation(rate, difference)) < 0.5:
+            wrapped = np.unwrap(drive.channels[name], period=360.0)
+            degrees = derivative(t, wrapped, runs, 0.5)
+            rate = degrees if abs(correlation(degrees, difference)) > 0.5 else rate
+        if not np.any(rate):
+            yield Check(f"{name} never changes, though the tread speeds say that the robot turns")
+            continue
+        product, alike = float(rate @ difference), correlation(rate, difference)
+        offset = find_offset(name, t, rate, [difference], _some(runs), centred=False)
+        shifted = offset if offset is not None and offset.certain else None
+        sign = shifted.sign if shifted is not None and abs(alike) < 0.5 else np.sign(alike)
+        if sign < 0 and (shifted is not None or alike < -0.3):
+            yield _against(drive, name, alike)
+        elif shifted is not None:
+            yield _late(shifted)
+        track = float(difference @ difference) / product if product > 0 else np.inf
+        if alike > 0.5 and track < 0.05:
+            yield Check(
+                f"{name} changes as if the slip track were {track * 1e3:.1f} mm; it seems to be in "
+                "degrees",
+                remedy=f"map {name}=NAME[{'deg' if name == 'yaw' else 'deg/s'}]", refuses="reading",
+            )  # fmt: skip
+        if shifted is None and abs(alike) < 0.3:
+            yield Check(
+                f"{name} hardly follows v_right - v_left (correlation {alike:.2f})",
+                remedy="the tread ICRs cannot be trusted",
+            )
+
+
+def _against(drive: _Drive, name: str, alike: float) -> Check:
+    """Say what is wrong where a yaw rate falls while the right tread is the faster."""
+    said = f"{name} falls while v_right exceeds v_left (correlation {alike:.2f}): "
+    mirrored = mirrored_side(drive.channels, drive.runs)
+    if mirrored:
+        one = _in_the_mirror(mirrored)
+        return Check(said + one.what, remedy=one.remedy, turned=one.turned, refuses="reading")
+    flip = f"map {name}=NAME[-{'rad' if name == 'yaw' else 'rad/s'}]"
+    others = [correlation(r, drive.difference) for key, r in drive.rates.items() if key != name]
+    backwards = _way(drive).direct.angle_if_alike
+    if any(value > 0.3 for value in others):
+        kind = "the gyroscope's axis is flipped" if name == "yaw_rate" else "yaw counts clockwise"
+        what, remedy = f"{kind}, for the other channel turns with the treads", flip
+        return Check(said + what, remedy=remedy, turned=(name,), refuses="reading")
+    if np.isfinite(backwards) and abs(backwards) > 2.4:
+        what, remedy = (
+            "the treads run backwards",
+            "map both with a minus, as in v_left=NAME[-m/s],v_right=NAME[-m/s]",
         )
-    cleaner.order()
-    for name in [name for name in channels if name not in needed]:
-        cleaner.bridge(name)
-    cleaner.follow_heading()
-    if len(cleaner.rows) < 2:
-        told = "".join(f"; {item}" for item in cleaner.aside)
-        raise DriveLogError(
-            f"{label}: {len(cleaner.rows)} usable samples are left, two are needed{told}"
+    elif abs(backwards) < 0.6:  # the heading goes with the pose
+        what, remedy = (
+            "left and right are swapped, or all of the pose is in a frame whose z axis points down "
+            "(NED)",
+            "swap them in the column mapping; or map y=NAME[-m],yaw=NAME[-rad] and, if there is "
+            "one, yaw_rate=NAME[-rad/s]",
         )
-    return Cleaned(cleaner.channels, cleaner.rows, cleaner.aside, cleaner.warnings)
+    else:
+        what, remedy = (
+            f"left and right are swapped, or {name} counts clockwise",
+            f"swap them in the column mapping, or {flip}",
+        )
+    return Check(said + what, remedy=remedy, refuses="reading")
 
 
-class _Cleaner:
-    """Channels on their way to a log; each step keeps count of what it takes away."""
+class _Factors(NamedTuple):
+    """By what the sides' speeds must be multiplied to make the yaw rate [1/m]."""
 
-    def __init__(self, channels: dict[str, FloatArray], label: str, place: Place) -> None:
-        self.channels, self.label, self.place = channels, label, place
-        self.rows = np.arange(len(channels["t"]))
-        self.aside: list[SetAside] = []
-        self.warnings: list[str] = []
+    left: float
+    right: float
 
-    def note(self, lost: NDArray[np.bool_], reason: str) -> None:
-        """Count samples."""
-        if np.any(lost):
-            where = self.where(lost)
-            self.aside.append(SetAside(reason, int(np.count_nonzero(lost)), where))
+    @property
+    def mirrored(self) -> str:
+        """The side that counts the other way; empty where none does."""
+        if self.left * self.right > 0 and 0.4 < abs(self.right / self.left) < 2.5:
+            return "v_right" if self.right < 0 else "v_left"
+        return ""
 
-    def where(self, chosen: NDArray[np.bool_]) -> str:
-        """Name the first few of the chosen samples."""
-        some = self.rows[np.flatnonzero(chosen)[:4]]
-        names = ", ".join(self.place(int(row)) for row in some[:3])
-        return f"{names}, ..." if len(some) > 3 else names
 
-    def drop(self, lost: NDArray[np.bool_], reason: str) -> None:
-        """Take samples away."""
-        if np.any(lost):
-            self.note(lost, reason)
-            self.channels = {name: values[~lost] for name, values in self.channels.items()}
-            self.rows = self.rows[~lost]
-
-    def strays(self, name: str) -> NDArray[np.bool_]:
-        """Tell which readings are impossible."""
-        low, high, _ = LIMITS.get(name, ANY)
-        return np.asarray((self.channels[name] < low) | (self.channels[name] > high))
-
-    def many_strays(self, name: str) -> bool:
-        """Tell whether more readings are impossible than glitches are."""
-        stray = self.strays(name)
-        return bool(np.count_nonzero(stray) > max(1.0, _STRAY * len(stray)))
-
-    def blank_strays(self, name: str) -> None:
-        """Blank the few readings that are impossible; many of them mean a wrong unit."""
-        low, high, unit = LIMITS.get(name, ANY)
-        values, stray = self.channels[name], self.strays(name)
-        if self.many_strays(name):
-            count = int(np.count_nonzero(stray))
-            value = float(values[stray][0])
-            raise DriveLogError(
-                f"{self.label}, {self.where(stray)}: {name} is {value:g} {unit}, which no robot "
-                f"reaches; {count} of {len(values)} readings are outside {low:g} to {high:g} "
-                f"{unit}; name its unit, as in {name}=NAME[{likely_unit(name, unit, values)}]"
-            )
-        self.note(stray, f"{name} is outside {low:g} to {high:g} {unit}; blanked")
-        values[stray] = np.nan
-
-    def blank_glitches(self, name: str) -> None:
-        """Blank readings that stand out."""
-        lost = find_glitches(name, self.channels[name])
-        self.note(lost, f"{name} stands out for one reading or two; blanked")
-        self.channels[name][lost] = np.nan
-
-    def join(self, needed: Collection[str]) -> None:
-        """Bring channels that stand in rows of their own to those of the left tread speed."""
-        joined = join_rows(self.channels, needed)
-        if joined is None:
-            return
-        self.channels, self.rows = joined.channels, self.rows[joined.rows]
-        told = ", ".join(f"{name} {how}" for name, how in joined.how.items())
-        self.warnings.append(f"each row holds some of the channels; at the times of v_left: {told}")
-
-    def order(self) -> None:
-        """Put rows in the order of time, and average those of one time."""
-        if len(self.rows) < 2:
-            return
-        again = np.ones(len(self.rows) - 1, bool)
-        for values in self.channels.values():
-            again &= (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
-        self.drop(np.append(False, again), "the row repeats the one before; left out")
-        if len(self.rows) >= RECORDING and np.mean(np.diff(self.channels["t"]) < 0) > 0.9:
-            self.pick(np.arange(len(self.rows))[::-1])
-            self.warnings.append("the rows stand newest first; they are read backwards")
-        if np.any(np.diff(self.channels["t"]) < 0):
-            again = self.seen_before()
-            if np.all(np.diff(self.channels["t"][~again]) > 0):
-                self.drop(again, "the row repeats an earlier one; left out")
-        if np.any(np.diff(self.channels["t"]) < 0):
-            self.unwrap()
-        if np.any(np.diff(self.channels["t"]) < 0):
-            self.restart()
-        if np.any(np.diff(self.channels["t"]) < 0):
-            self.sort()
-        if np.any(np.diff(self.channels["t"]) == 0):
-            self.average()
-        if np.all(np.diff(self.channels["t"]) > 0):
-            self.spread()
-        t = self.channels["t"]
-        back = np.append(False, np.diff(t) <= 0)
-        if np.any(back):
-            k = int(np.flatnonzero(back)[0])
-            raise DriveLogError(
-                f"{self.label}, {self.where(back)}: t does not increase: {t[k]:.6f} s follows "
-                f"{t[k - 1]:.6f} s ({np.count_nonzero(back)} such steps in all); if several "
-                "recordings follow each other, or the clock was set back, give each part a file of "
-                "its own; else sort the rows by time, and drop those with a time of another row"
-            )
-
-    def seen_before(self) -> NDArray[np.bool_]:
-        """Tell which rows repeat an earlier one with its time, as where a part stands twice."""
-        table = np.nan_to_num(np.column_stack(list(self.channels.values())), nan=np.inf)
-        _, first = np.unique(table, axis=0, return_index=True)
-        again = np.ones(len(table), bool)
-        again[first] = False
-        return again
-
-    def pick(self, rows: NDArray[np.intp]) -> None:
-        """Keep some rows, in their order."""
-        self.channels = {name: values[rows] for name, values in self.channels.items()}
-        self.rows = self.rows[rows]
-
-    def unwrap(self) -> None:
-        """Let a clock go on that overflowed."""
-        t = self.channels["t"]
-        times = unwrap_clock(t)
-        if times is not None:
-            where = self.where(np.append(False, np.diff(t) < 0))
-            self.channels["t"] = times
-            self.warnings.append(f"t overflows at {where}, as a counter does, and goes on")
-
-    def restart(self) -> None:
-        """Put recordings one after the other that were appended to each other."""
-        t = self.channels["t"]
-        cuts = np.flatnonzero(np.diff(t) < 0) + 1
-        bounds = [slice(a, b) for a, b in pairwise([0, *cuts.tolist(), len(t)])]
-        parts = [t[one] for one in bounds]
-        if min(map(len, parts)) < RECORDING:
-            return
-        place = ", ".join(self.place(int(self.rows[cut])) for cut in cuts[:3])
-        first = sorted(range(len(parts)), key=lambda k: float(parts[k][0]))
-        if all(parts[a][-1] < parts[b][0] for a, b in pairwise(first)):
-            self.pick(np.concatenate([np.arange(bounds[k].start, bounds[k].stop) for k in first]))
-            self.warnings.append(f"t goes back at {place}: recordings were put in their order")
-            return
-        begins = np.array([part[0] for part in parts])
-        shortest = min(float(np.ptp(part)) for part in parts)
-        if np.ptp(begins) > max(5.0, 0.1 * shortest):
-            return  # no clock that begins anew
-        step = float(np.median(np.diff(t)))
-        pause = max(_PAUSE, 10 * step)
-        counted = t.copy()
-        for before, one in pairwise(bounds):
-            counted[one] += counted[before][-1] + pause - t[one][0]
-        self.channels["t"] = counted
-        told = f"{len(parts)} recordings in one file, which are taken as one drive with gaps of"
-        more = f"{pause:g} s; separate files tell diagnose more"
-        self.warnings.append(f"t begins anew at {place}: {told} {more}")
-
-    def sort(self) -> None:
-        """Sort rows of which a few came late."""
-        t = self.channels["t"]
-        late = np.append(False, np.diff(t) < 0)
-        if np.mean(late) > _LATE or np.max(np.maximum.accumulate(t) - t) > _LATEST:
-            return
-        self.note(late, "the row is older than the one before; sorted by time")
-        self.pick(np.argsort(t, kind="stable"))
-
-    def average(self) -> None:
-        """Average rows of one time, unless they come so evenly that their times are known."""
-        t = self.channels["t"]
-        if np.any(np.diff(t) < 0):
-            return
-        first = np.flatnonzero(np.append(True, np.diff(t) > 0))
-        sizes = np.diff(np.append(first, len(t)))
-        if len(first) >= RECORDING and np.median(sizes) > 1:
-            # Of stamps in whole seconds: rows of a steady rate lie on a line.
-            rows, step = np.arange(len(t)), float(np.median(np.diff(t[first])))
-            line = np.polynomial.Polynomial.fit(rows, t, 1)(rows)
-            if np.max(np.abs(line - t)) < step:
-                self.note(np.repeat(sizes, sizes) > 1, "the row's time is that of another; spread")
-                self.channels["t"] = line
-                return
-        if len(first) < RECORDING or np.max(sizes) > max(8, 8 * float(np.median(sizes))):
-            return  # the clock stood still
-        self.note(np.repeat(sizes, sizes) > 1, "the row's time is that of another; averaged")
-        for name, values in self.channels.items():
-            angle = name == "yaw"
-            known = np.isfinite(values)
-            filled = np.where(known, values, 0.0)
-            filled = np.where(known, np.exp(1j * filled), 0.0) if angle else filled
-            total = np.add.reduceat(filled, first)
-            count = np.add.reduceat(known.astype(float), first)
-            with np.errstate(invalid="ignore"):
-                mean = np.angle(total) if angle else total / count
-            self.channels[name] = np.where(count > 0, mean, np.nan)
-        self.channels["t"], self.rows = t[first], self.rows[first]
-
-    def spread(self) -> None:
-        """Give rows that were buffered, and came several at once, the times of their readings."""
-        t, speeds = self.channels["t"], [self.channels[name] for name in ("v_left", "v_right")]
-        times = spread_bursts(t, np.stack(speeds))
-        if times is not None:
-            self.note(times != t, "the row came with others in one burst; spread over the time")
-            self.channels["t"] = times
-
-    def bridge(self, name: str) -> None:
-        """Fill short holes of a further channel; leave it out where most of it is missing."""
-        values, t = self.channels[name], self.channels["t"]
-        hole = ~np.isfinite(values)
-        if not np.any(hole):
-            return
-        known = np.flatnonzero(~hole)
-        if len(known):
-            after = np.minimum(np.searchsorted(known, np.arange(len(t))), len(known) - 1)
-            before = np.maximum(after - 1, 0)
-            width = t[known[after]] - t[known[before]]
-            inside = (t >= t[known[0]]) & (t <= t[known[-1]]) & (width <= _BRIDGE)
-            mended = hole & inside
-            known_values = values[known]
-            if name == "yaw":
-                known_values = np.unwrap(known_values)
-            filled = values.copy()
-            filled[mended] = np.interp(t[mended], t[known], known_values)
-            if name == "yaw":
-                filled[known] = known_values
-            self.note(mended, f"{name} has no usable reading; interpolated")
-            self.channels[name], hole = filled, hole & ~mended
-        share = np.count_nonzero(hole) / max(1, len(hole))
-        if share > _SPARSE:
-            self.warnings.append(
-                f"{name} is left out: {share:.0%} of its readings are missing ({self.where(hole)})"
-            )
-            del self.channels[name]
+def _factors(drive: _Drive) -> list[_Factors]:
+    """Return the factors of each yaw rate that the speeds' difference does not make as well."""
+    speeds = np.stack([drive.left, drive.right])
+    gram = speeds @ speeds.T
+    scale = np.sqrt(np.diag(gram))
+    if np.any(scale <= 0):
+        return []
+    # Speeds that hardly differ but for their sign tell no factor of each, only that of the sum.
+    apart = np.linalg.cond(gram / np.outer(scale, scale)) <= 400
+    total = speeds.sum(axis=0)
+    found = []
+    for rate in filter(lasts, drive.rates.values()):
+        if apart:
+            factors = np.linalg.solve(gram, speeds @ rate)
+        elif speeds[0] @ speeds[1] < 0.0 < total @ total:
+            factors = np.full(2, total @ rate / (total @ total))
         else:
-            self.drop(hole, f"{name} has no usable reading for more than {_BRIDGE:g} s; left out")
+            continue
+        alike = correlation(factors @ speeds, rate)
+        as_they_are = correlation(drive.difference, rate)
+        if alike >= 0.93 and 1.0 - as_they_are**2 >= 2.0 * (1.0 - alike**2):
+            found.append(_Factors(*map(float, factors)))
+    return found
 
-    def follow_heading(self) -> None:
-        """Leave out a heading, from 0 to one turn, that is read too seldom to tell the turns."""
-        yaw, t = self.channels.get("yaw"), self.channels["t"]
-        if yaw is None or len(t) < 3 or np.ptp(yaw) > 2 * np.pi:
-            return
-        change = np.abs(np.angle(np.exp(1j * np.diff(yaw))))[np.diff(t) <= gap_limit(t)]
-        far = np.count_nonzero(change > 2 * np.pi / 3)
-        if far > max(1.0, _FAR * len(change)):
-            self.warnings.append(
-                f"yaw is left out: in {far / len(change):.0%} of the steps from reading to reading "
-                "it changes by more than a third of a turn, which does not tell how far the robot"
-                " turned, or which way; log it more often"
+
+def mirrored_side(channels: Channels, runs: Sequence[slice]) -> str:
+    """Name the side whose speed counts the other way, as of a motor mounted in the mirror."""
+    found = _factors(_Drive(channels, channels["t"], runs))
+    return next((one.mirrored for one in found), "")
+
+
+def _in_the_mirror(side: str) -> Check:
+    return Check(
+        "the robot turns with the sum of the tread speeds, not with their difference: "
+        f"{side} counts the other way",
+        remedy=f"map {side} with a minus before its unit, as in {side}=NAME[-m/s]", turned=(side,),
+    )  # fmt: skip
+
+
+def _counting(drive: _Drive) -> _Found:
+    """Whether the sides' speeds count alike: the yaw rate must be that of their difference.
+
+    The yaw rate is fitted by both speeds: with opposite factors of one size if all is well, with
+    factors of one sign where a side counts the other way, and with factors of two sizes where the
+    sides have two units.
+    """
+    scale = np.sqrt([np.sum(speed**2) for speed in (drive.left, drive.right)])
+    for one in _factors(drive):
+        shares = np.abs(one) * scale
+        size = abs(one.right / one.left) if one.left else np.inf
+        if shares.min() < 0.08 * shares.max():
+            turning = ("v_left", "v_right")[int(np.argmax(shares))]
+            yield Check(
+                f"the yaw rate follows {turning} alone, as if it were an angular speed and the "
+                "other the robot's forward speed: tread speeds are those of the left and of the "
+                "right wheels",
+                remedy="of speed V and yaw rate W make them, as in v_left=V-0.25*W,v_right="
+                "V+0.25*W with half the track",
             )
-            del self.channels["yaw"]
+        elif one.mirrored:
+            yield _in_the_mirror(one.mirrored)
+        elif one.left * one.right < 0 and not 0.6 < size < 1.6:
+            yield Check(
+                f"the yaw rate shows that v_left counts {size:.3g} times as much as v_right: one "
+                "side is in another unit or has another wheel radius",
+                remedy=f"give both the same, or map v_left=NAME[*{1 / size:.4g}]",
+            )
+        else:
+            continue
+        return
+
+
+_OPPOSED = 0.7  # share of the driving in which no drive turns on the spot
+
+
+def _opposed(drive: _Drive) -> _Found:
+    """Without a heading, sides that go against each other as no drive does: one is mirrored.
+
+    They do so nearly all the time, or it costs less power than to go the same way.
+    """
+    if drive.rates or np.count_nonzero(drive.moving) < _ENOUGH:  # rates tell more
+        return
+    effort, driving = drive.effort, float(drive.effort[drive.moving].sum())
+    spun = float(effort[drive.moving & (drive.left * drive.right < 0.0)].sum()) / driving
+    if {"x", "y"} <= set(drive.channels):  # a robot that turns on the spot stays there
+        edges = np.arange(drive.t[0], drive.t[-1], max(3.0, 5 * drive.step))
+        steps = 0.25 * np.diff(drive.t) * (effort[1:] + effort[:-1])
+        gone = np.hypot(*(np.diff(np.interp(edges, drive.t, drive.channels[n])) for n in "xy"))
+        if float(gone.sum()) < 0.5 * float(steps.sum()):
+            return
+    if spun < _OPPOSED and not _turning_saves(drive):
+        return
+    back = "v_left" if float(np.sum(drive.left)) < float(np.sum(drive.right)) else "v_right"
+    yield Check(
+        f"v_left and v_right go against each other in {spun:.0%} of the driving"
+        + (", and draw less power then" if spun < _OPPOSED else "")
+        + ": a robot that turns on the spot all the time, or a motor mounted in the mirror",
+        remedy=f"map the side that counts backwards with a minus, as in {back}=NAME[-m/s]; or log "
+        "the yaw rate, which tells",
+    )
+
+
+def _turning_saves(drive: _Drive) -> bool:
+    """Whether the power falls the more the sides' speeds differ, beyond chance."""
+    X = np.stack([drive.effort, np.abs(drive.difference), np.ones(len(drive.t))], axis=1)
+    if np.linalg.matrix_rank(X / np.maximum(np.abs(X).max(axis=0), 1e-300), 1e-3) < 3:
+        return False
+    found = np.linalg.lstsq(X, drive.power, rcond=None)[0]
+    rest = drive.power - X @ found
+    # Neighbouring samples repeat each other for about a second.
+    repeats = max(1.0, 1.0 / drive.step)
+    error = float(np.sqrt(np.mean(rest**2) * repeats * np.linalg.inv(X.T @ X)[1, 1]))
+    return bool(found[1] < -0.2 * abs(found[0]) and found[1] < -5.0 * error)
+
+
+def _frozen(drive: _Drive) -> _Found:
+    """Find a yaw that is the same from some time on, or up to it, while the treads turn."""
+    t, difference = drive.t, drive.difference
+    turns = np.abs(difference) > 0.4 * float(np.quantile(np.abs(difference), 0.95))
+    time = np.gradient(t) * turns
+    for name, rate in drive.rates.items():
+        values = drive.channels[name]
+        starts = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1])
+        lasts_at = np.append(starts[1:], len(t)) - 1
+        turned = np.add.reduceat(time, starts)
+        for k in {0, len(starts) - 1}:
+            frozen = np.zeros(len(t), bool)
+            frozen[starts[k] : lasts_at[k] + 1] = True
+            alive = np.abs(rate[turns & ~frozen])
+            # A steady turn may repeat a reading; one that is far below all others does not.
+            still = len(alive) and np.median(np.abs(rate[frozen])) < 0.1 * np.median(alive)
+            if turned[k] > _LONG and still:
+                yield Check(
+                    f"{name} stays at {values[starts[k]]:.4g} from t = {t[starts[k]]:.2f} to "
+                    f"{t[lasts_at[k]]:.2f} s while the treads turn: its sensor is dead there, or "
+                    "the wheels are off the ground",
+                    remedy="leave that stretch out",
+                )
+
+
+class _Course(NamedTuple):
+    """From where the treads would take the robot to where the pose goes."""
+
+    angle: float  # angle between both [rad]
+    alike: float  # how well one follows the other, at most 1
+
+    @property
+    def angle_if_alike(self) -> float:
+        return self.angle if self.alike >= 0.7 else np.nan
+
+
+class _Courses(NamedTuple):
+    """The pose against the treads' way, and against that way's mirror image in the x axis."""
+
+    direct: _Course
+    mirrored: _Course
+
+
+def _way(drive: _Drive) -> _Courses:
+    """Compare the pose with the treads' way, and with that way's mirror image in the x axis."""
+    nothing = _Courses(_Course(np.nan, 0.0), _Course(np.nan, 0.0))
+    if not {"x", "y", "yaw"} <= set(drive.channels):
+        return nothing
+    t, speed = drive.t, 0.5 * (drive.left + drive.right)
+    heading = np.unwrap(drive.channels["yaw"])
+    place = drive.channels["x"] + 1j * drive.channels["y"]
+    product, image, predicted, measured = 0.0 + 0.0j, 0.0 + 0.0j, 0.0, 0.0
+    for run in drive.runs:
+        edges = np.arange(t[run][0], t[run][-1], max(1.0, 5 * drive.step))
+        if len(edges) < 2:
+            continue
+        # The heading amid two readings: in a step, a robot that turns goes along neither.
+        amid, rolled = (0.5 * (part[run][1:] + part[run][:-1]) for part in (heading, speed))
+        way = np.append(0.0, np.cumsum(rolled * np.exp(1j * amid) * np.diff(t[run])))
+        goes, went = (np.diff(np.interp(edges, t[run], one)) for one in (way, place[run]))
+        product += complex(np.vdot(goes, went))
+        image += complex(np.vdot(goes.conj(), went))
+        predicted += float(np.vdot(goes, goes).real)
+        measured += float(np.vdot(went, went).real)
+    norm = np.sqrt(predicted * measured)
+    if norm <= 0:
+        return nothing
+    return _Courses(*(_Course(float(np.angle(z)), abs(z) / norm) for z in (product, image)))
+
+
+def _pose(drive: _Drive) -> _Found:
+    """Whether the pose goes where treads and heading take the robot."""
+    direct, mirrored = _way(drive)
+    if mirrored.alike > 0.9 and direct.alike < 0.9 * mirrored.alike:
+        if abs(abs(mirrored.angle) - 0.5 * np.pi) < 0.6:
+            what, remedy = "x and y are swapped", "swap them"
+        else:
+            what = "y counts to the right, or x backwards"
+            remedy = f"map {'y' if abs(mirrored.angle) < 0.6 else 'x'}=NAME[-m]"
+        yield Check(f"the pose is a mirror image of the motion: {what}", remedy=remedy)
+        return
+    angle = direct.angle_if_alike
+    if not np.isfinite(angle) or abs(angle) < 0.6:
+        return
+    if abs(angle) > 2.4:
+        yield Check(
+            "the pose goes backwards where the treads go forwards",
+            remedy="map both tread speeds with a minus and swap their sides, or yaw is half a turn "
+            "off",
+        )
+    else:
+        yield Check(
+            f"the pose goes {np.degrees(angle):.0f} degrees beside the heading: yaw is not "
+            "measured from the x axis of the pose, or x and y are swapped",
+            remedy="map them so that a robot of yaw 0 drives along +x",
+        )
+
+
+def _distance(drive: _Drive) -> _Found:
+    """Tread speeds against the distance travelled."""
+    ratio = distance_ratio(drive.channels, drive.runs)
+    if np.isfinite(ratio) and not 0.7 < ratio < 1.5:
+        yield Check(
+            f"{FAR} go {ratio:.3g} times as far as x and y",
+            remedy="check the units and the wheel radius, as in v_left=NAME[*0.165], or the wheels "
+            "slip",
+        )
+
+
+FAR = "on straight stretches the treads"
+"""How the check of distances begins, which `check_consistency` knows more of."""
+
+# -- sides --------------------------------------------------------------------------------------
+
+_LONG = 5.0  # time of driving straight in which no power stays the same [s]
+_TURNS = 0.3  # yaw rate over a second that no robot has which is driven straight [rad/s]
+_SHARE = 0.05  # share of the samples in which it must
+_FEW, _TOLD = 5, 5.0  # samples, and seconds, that tell a sign at least
+_DRAGGED = 1.3  # times the resistance of straight lines, which no side on the inside draws
+_UNLIKE = 60.0  # ratio of both sides' powers that no ground explains
+
+
+def _ahead(left: FloatArray, right: FloatArray) -> NDArray[np.bool_]:
+    """Tell where both sides go the same way, about as fast."""
+    return np.asarray(np.abs(left - right) < 0.1 * np.abs(left + right))
+
+
+def _dead(drive: _Drive) -> _Found:
+    """Find a side that shows nothing while the robot drives."""
+    for side, other in drive.each_side():
+        speed, theirs = drive.channels[f"v_{side}"], drive.channels[f"v_{other}"]
+        about = any(abs(correlation(rate, theirs)) > 0.9 for rate in drive.rates.values())
+        moves = np.count_nonzero(theirs) >= _ENOUGH and np.ptp(theirs) > 0.0
+        if np.ptp(speed) == 0.0 and moves and not about:  # else it turns about the side that stands
+            yield Check(
+                f"v_{side} is {speed[0]:g} throughout while v_{other} changes: its encoder is "
+                "dead, or the column another",
+                remedy=f"map v_{side} to the speed of the {side} wheels", refuses="fitting",
+            )  # fmt: skip
+        if not drive.sides:
+            continue
+        power, drawn = drive.channels[f"p_{side}"], drive.channels[f"p_{other}"]
+        # Straight on and on the spot neither side returns power.
+        ahead = _ahead(np.abs(speed), np.abs(theirs)) & (drawn > 0)
+        if np.ptp(power) == 0.0 < np.ptp(drawn) and np.count_nonzero(ahead) >= _ENOUGH:
+            yield Check(
+                f"p_{side} is {power[0]:g} throughout while p_{other} is not, also where both go "
+                "as fast: its sensor is dead, or the column another",
+                remedy=f"map p_{side} to the power of the {side} motors, or log the battery's",
+                refuses="fitting",
+            )
+
+
+def _dying(drive: _Drive) -> _Found:
+    """Find a side's power that is the same from or up to some time, while both go ahead."""
+    t, time = drive.t, np.gradient(drive.t) * _ahead(drive.left, drive.right)
+    for side, other in drive.each_side() if drive.sides else ():
+        power, drawn = drive.channels[f"p_{side}"], drive.channels[f"p_{other}"]
+        if np.ptp(power) == 0.0:
+            continue
+        starts = np.concatenate([[0], np.flatnonzero(np.diff(power)) + 1])
+        ends = np.append(starts[1:], len(power)) - 1
+        changes = np.cumsum(np.diff(drawn, prepend=drawn[0]) != 0.0)
+        driven = np.add.reduceat(time * (drawn > 0), starts)
+        # What died stays dead; between others, such a stretch may be one of little power.
+        at_an_end = (starts == 0) | (ends == len(power) - 1)
+        varied = changes[ends] - changes[starts] >= _ENOUGH
+        long = np.flatnonzero(at_an_end & varied & (driven > _LONG))
+        if len(long):
+            first, last = t[starts[long[0]]], t[ends[long[0]]]
+            yield Check(
+                f"p_{side} stays at {power[starts[long[0]]]:g} from t = {first:.2f} to {last:.2f} "
+                f"s while p_{other} changes, on straight lines too: its sensor is dead there",
+                remedy="leave that stretch out",
+            )
+
+
+def _false_speeds(drive: _Drive) -> _Found:
+    """Speeds that are not those of two sides: one column twice, or without signs."""
+    left, right, difference = drive.left, drive.right, drive.difference
+    second = max(int(1.0 / drive.step), 1)
+    if np.array_equal(left, right):
+        for name, rate in drive.rates.items():
+            mean = rate[: len(rate) // second * second].reshape(-1, second).mean(axis=1)
+            if len(mean) and np.mean(np.abs(mean) > _TURNS) > _SHARE:
+                yield Check(
+                    f"v_left and v_right are the same while {name} shows that the robot turns: "
+                    "one column was used for both sides",
+                    remedy="map each to its own", refuses="fitting",
+                )  # fmt: skip
+                return
+        return
+    # On the spot both treads seem to go the same way where they lost their signs.
+    top = float(np.quantile(left + right, 0.99))
+    if min(left.min(), right.min()) < -0.02 * top:
+        return
+    equal = (np.abs(difference) < 0.15 * (left + right)) & (left + right > 0.2 * top)
+    for name, rate in drive.rates.items():
+        turning = np.abs(rate) > _TURNS
+        spinning = equal & turning & (np.abs(rate) > 0.5 * np.quantile(np.abs(rate), 0.99))
+        if np.count_nonzero(spinning) <= max(_ENOUGH, 0.5 * _SHARE * len(left)):
+            continue
+        if not _turns_by(difference, rate, spinning, turning & ~spinning):
+            yield Check(
+                f"{name} shows that the robot spins where both treads seem to go forwards: the "
+                "tread speeds lost their sign",
+                remedy="log them with it, for unsigned speeds show neither turns nor reversing",
+                refuses="fitting",
+            )
+            return
+
+
+def _turns_by(
+    difference: FloatArray, rate: FloatArray, some: NDArray[np.bool_], others: NDArray[np.bool_]
+) -> bool:
+    """Whether the speeds' difference makes the turns of some samples, as it does those of others.
+
+    So it does in wide arcs of a robot that never turns on the spot: both sides are about as fast.
+    """
+    if abs(correlation(difference[some], rate[some])) < 0.7:
+        return False
+    if np.count_nonzero(others) < _ENOUGH:
+        return True
+    tracks = [
+        float(difference[part] @ rate[part]) / float(rate[part] @ rate[part])
+        for part in (some, others)
+    ]
+    return abs(tracks[0]) > 0.5 * abs(tracks[1])
+
+
+def _unlike(drive: _Drive) -> _Found:
+    """Both sides' powers that are not two powers, or not in one unit."""
+    if not drive.sides:
+        return
+    p_left, p_right = drive.channels["p_left"], drive.channels["p_right"]
+    apart = np.abs(np.abs(drive.left) - np.abs(drive.right))
+    drawn = (p_left != 0) | (p_right != 0)
+    drawing = (apart > 0.2 * float(np.quantile(apart, 0.99))) & (apart > 0) & drawn
+    # On turns alone the inner side may take next to nothing, and where both sides are as fast,
+    # straight on or on the spot, one may be pushed along by the other.
+    alike = _ahead(np.abs(drive.left), np.abs(drive.right)) & drawn
+    if np.count_nonzero(drawing) < _ENOUGH:
+        return
+    if np.array_equal(p_left[drawing], p_right[drawing]):
+        yield Check(
+            "p_left and p_right are the same, though the sides go at different speeds: one column "
+            "was used for both",
+            remedy="map each to its own, or map a total as power=NAME", refuses="fitting",
+        )  # fmt: skip
+        return
+    if np.count_nonzero(alike) < _ENOUGH:
+        return
+    sizes = {
+        name: [float(np.median(np.abs(power[some]))) for some in (drawing, alike)]
+        for name, power in (("p_left", p_left), ("p_right", p_right))
+    }
+    for less, more in (("p_left", "p_right"), ("p_right", "p_left")):
+        pairs = list(zip(sizes[less], sizes[more], strict=True))
+        if all(0 < _UNLIKE * small < large for small, large in pairs):
+            yield Check(
+                f"{more} is {pairs[0][1] / pairs[0][0]:.3g} times as large as {less}: one side is "
+                f"in another unit, or the sensor of {less} is dead",
+                remedy=f"map both in one unit, as in {less}=NAME[kW]", refuses="fitting",
+            )  # fmt: skip
+
+
+UNSIGNED = "never negative"
+"""What is said of powers that lost their sign."""
+
+
+def find_lost_sign(channels: Channels) -> str:
+    """Tell whether the sides' powers, or that of one side, lost their sign."""
+    return "".join(str(one) for one in _lost_sign(_Drive(channels, channels["t"], ())))
+
+
+def _lost_sign(drive: _Drive) -> _Found:
+    """Powers of the sides, or of one side, that lost their sign.
+
+    In arcs a force of slip F and a resistance K give the outer side (F + K) v, the inner one
+    (K - F) v, which it returns where F is the larger. Without its sign, that looks as if F and K
+    were exchanged. On straight lines the resistance alone remains: there it is seen which of the
+    two it is. An inner side that is held back more than a straight line costs is pushed by the
+    other.
+    """
+    if not drive.sides:
+        return
+    difference = drive.difference
+    turns = np.abs(difference) > 0.2 * float(np.quantile(np.abs(difference), 0.95))
+    straight = np.abs(difference) < 0.01 * np.abs(drive.left + drive.right)
+    # Samples of a slow log lie apart, and few of them tell as much.
+    enough = int(np.clip(_TOLD / drive.step, _FEW, _ENOUGH))
+    lost: list[str] = []
+    returned = False
+    for side, speed, outwards in (("p_left", drive.left, -1.0), ("p_right", drive.right, 1.0)):
+        power = drive.channels[side]
+        along = outwards * np.sign(difference) * speed
+        inner = turns & (along < 0.0)
+        if min(np.count_nonzero(inner), np.count_nonzero(straight)) < enough:
+            continue  # a robot that turns one way alone
+        if np.mean(power[inner] < 0.0) > 0.02:
+            returned = True
+            continue
+        some, size = turns | straight, np.abs(speed)
+        X = np.stack([along * turns, size * turns, size * ~turns, np.ones(len(size))], axis=1)
+        slip, resistance, seen, _ = np.linalg.lstsq(X[some], power[some], rcond=None)[0]
+        exchanged = 0.0 < 1.5 * slip < resistance and seen < np.sqrt(slip * resistance)
+        pushed = 0.0 < _DRAGGED * seen < resistance - slip
+        if not (exchanged or pushed):
+            return
+        lost.append(side)
+    if len(lost) == 1 and returned:
+        yield Check(
+            f"{lost[0]} is {UNSIGNED}, where the other side's is in arcs, and seems to be held "
+            "back far more on the inside of them than on straight lines: its sensor shows what it "
+            "returns as power drawn",
+            remedy="log it with its sign",
+        )
+    elif lost:
+        yield Check(
+            f"p_left and p_right are {UNSIGNED}, and in arcs the inner side seems to be held back "
+            "far more than on straight lines: the sensors show what it returns as power drawn",
+            remedy="log signed currents, or let diagnose find unsigned_power",
+        )
+
+
+# -- power --------------------------------------------------------------------------------------
+
+
+def _powers(drive: _Drive) -> _Found:
+    """Power against the tread speeds: its sign, its side, its time."""
+    t, channels, effort = drive.t, drive.channels, drive.effort
+    moving = effort > 2 * _MOVING
+    driven = int(np.count_nonzero(moving))
+    if driven < _ENOUGH:
+        few = f"{driven} readings of driving are too few", "nor mistakes with it; log longer"
+        if 2 * driven < len(t):
+            yield Check("the robot hardly moves; its power parameters cannot be found")
+        else:
+            yield Check(
+                f"{few[0]}: power parameters cannot be found from this log alone, {few[1]}, or "
+                "more often"
+            )
+        return
+    if not np.any(drive.power):
+        yield Check("power is zero all along")
+        return
+    yield from _steps(drive, moving)
+    held = held_periods(channels)
+    together: dict[str, list[str]] = {}
+    for name, period in held.items():
+        together.setdefault(f"{period:.2g}", []).append(name)
+    for period_text, names in together.items():
+        yield Check(
+            f"{' and '.join(names)} {'are' if len(names) > 1 else 'is'} read every {period_text} s "
+            f"only, and repeated from row to row between: {0.5 * float(period_text):.2g} s late in "
+            "the mean, which diagnose allows for",
+            remedy="log the power as often as the speeds",
+        )
+    flipped = [name for name in ("p_left", "p_right") if drive.sides and _flipped(drive, name)]
+    if len(flipped) != 1:
+        wrong = _wrong_sign(drive.power[moving]) and not _descends(drive)
+        source = ["current"] if "current" in channels and "power" not in channels else ["power"]
+        flipped = (["p_left", "p_right"] if drive.sides else source) if wrong else []
+    if flipped:
+        unit = "A" if flipped == ["current"] else "W"
+        yield Check(
+            f"{' and '.join(flipped)} has the wrong sign: power drawn counts positive, and so does "
+            "the current of a discharge",
+            remedy=f"map it with a minus in its unit, as in {flipped[0]}=NAME[-{unit}]",
+            turned=tuple(flipped), refuses="reading",
+        )  # fmt: skip
+    elif drive.sides:
+        speeds = np.abs(drive.left), np.abs(drive.right)
+        arcs = (np.abs(speeds[1] - speeds[0]) > 0.15 * effort) & moving
+        lean = (speeds[1] ** 2 - speeds[0] ** 2)[arcs]
+        excess = (channels["p_right"] - channels["p_left"])[arcs]
+        if len(lean) >= _ENOUGH and correlation(lean, excess) < -0.5:
+            yield Check(
+                "p_left and p_right seem to be swapped: in arcs the outer, faster tread must draw "
+                "the more",
+                refuses="trust",
+            )
+    some = _some(drive.runs)
+    offset = find_offset("power", t, drive.power, power_regressors(channels, some), some)
+    # Readings that are held are late by up to the time between them, which is told already.
+    longest = max(held.values(), default=0.0)
+    certain = offset is not None and offset.certain and offset.explained > 0.75
+    if offset is not None and certain and not 0.0 < offset.seconds < longest:
+        yield _late(offset)
+
+
+def power_regressors(channels: Channels, runs: Sequence[slice]) -> list[FloatArray]:
+    """Shapes that the power of any skid-steer robot is made of: rolling, sliding, speeding up."""
+    t, left, right = channels["t"], channels["v_left"], channels["v_right"]
+    mean, difference = left + right, right - left
+    return [
+        np.abs(left) + np.abs(right),
+        np.abs(difference),
+        mean * derivative(t, mean, runs, 0.5),
+        difference * derivative(t, difference, runs, 0.5),
+    ]
+
+
+def _step(values: FloatArray, usual: float) -> float:
+    """Return the step in which readings come; 0 where it is below a tenth of what is usual."""
+    found = np.unique(np.round(values, 9))
+    if not 4 <= len(found) <= len(values) / 4:
+        return 0.0
+    step = float(min(np.abs(found[found != 0.0]).min(), np.diff(found).min()))
+    coarse = step >= 0.1 * usual and np.all(np.abs(found / step - np.round(found / step)) <= 0.02)
+    return step if coarse else 0.0
+
+
+def _steps(drive: _Drive, moving: NDArray[np.bool_]) -> _Found:
+    """Find readings with so few digits that a steady one is not known, however long it lasts."""
+    speeds = np.concatenate([drive.left, drive.right])
+    read = {"the tread speeds": (speeds[np.abs(speeds) > _MOVING], "m/s")}
+    for name in (name for name in POWERS if name in drive.channels):
+        if name != "current" or not {"p_left", "p_right", "power"} & set(drive.channels):
+            read[name] = drive.channels[name][moving], "A" if name == "current" else "W"
+    for name, (values, unit) in read.items():
+        usual = float(np.median(np.abs(values)))
+        values = np.abs(values) if unit == "m/s" else values
+        if usual > 0.0 and (step := _step(values, usual)):
+            yield Check(
+                f"{name} {'come' if unit == 'm/s' else 'comes'} in steps of {step:.3g} {unit}, "
+                f"where {usual:.2g} {unit} is usual: power parameters may be wrong by "
+                f"{50 * step / usual:.0f} %, and more than their standard errors",
+                remedy="log more digits",
+            )
+
+
+def held_periods(channels: Channels) -> dict[str, float]:
+    """Return the powers that are held, and the time after which they are read again [s].
+
+    Held readings change with a clock. Those that are steady, or have few digits, do not.
+    """
+    drive = _Drive(channels, channels["t"], ())
+    changing = np.append(False, np.diff(drive.effort) != 0.0)
+    found = {}
+    for name in (name for name in POWERS if name in channels):
+        starts = np.flatnonzero(np.append(True, np.diff(channels[name]) != 0.0))
+        drives = np.logical_and.reduceat(drive.moving, starts)
+        counts, driving = np.diff(starts), drives[:-1] & drives[1:]
+        if np.count_nonzero(driving) < 8:
+            continue
+        usual = float(np.median(counts[driving]))
+        rows = np.flatnonzero(np.repeat(driving, counts))
+        if usual < 3 or np.mean(changing[rows]) < 0.1:
+            continue
+        # A reading that is the one before by chance makes two of one; and one may be a row late.
+        times = counts[driving] / usual
+        regular = np.abs(times - np.clip(np.round(times), 1, 3)) * usual <= 1.0
+        if np.mean(regular) > 0.9:
+            found[name] = float(np.median(np.diff(drive.t[starts])[driving]))
+    return found
+
+
+def _flipped(drive: _Drive, side: str) -> bool:
+    """Whether a side's power is negative where the side can only draw.
+
+    On the outside of an arc and on the spot it works against slip and resistance at once. The inner
+    side of an arc generates, and on a straight line one side may push the other along; but where
+    there are straight lines only, two sides that work equally against each other go nowhere.
+    """
+    right = side == "p_right"
+    speed = drive.right if right else drive.left
+    turn = drive.difference if right else -drive.difference
+    outer = (turn * speed > 0) & (np.abs(turn) > np.maximum(_TURNING, 0.15 * drive.effort))
+    outer &= np.abs(speed) > _MOVING
+    enough = max(_ENOUGH, 3.0 / drive.step)  # stops, which give back, are short
+    drawn = drive.channels[side][outer]
+    negative = _wrong_sign(drawn)
+    if len(drawn) >= enough or (len(drawn) and not negative):
+        return negative
+    straight = (np.abs(turn) < 0.1 * drive.effort) & (drive.effort > 2 * _MOVING)
+    # An arc of a large radius, to one side, looks the same, and ends elsewhere.
+    bent = abs(float(turn[straight].sum())) > 0.01 * float(drive.effort[straight].sum())
+    if np.count_nonzero(straight) < enough or bent:
+        return False
+    power = drive.channels[side][straight]
+    opposite = drive.channels["p_left" if right else "p_right"][straight]
+    return _wrong_sign(power) and bool(0.5 < -opposite.mean() / power.mean() < 2.0)
+
+
+def _wrong_sign(power: FloatArray) -> bool:
+    """Whether power is negative on the whole, beyond chance."""
+    return bool(len(power) and power.mean() < -0.3 * np.abs(power).mean() and np.median(power) < 0)
+
+
+def _descends(drive: _Drive) -> bool:
+    """Whether the drive goes downhill on the whole, as far as the log tells."""
+    if "slope" not in drive.channels:
+        return False
+    forward = drive.left + drive.right
+    return float(np.sin(drive.channels["slope"]) @ forward) < -0.02 * float(np.abs(forward).sum())
+
+
+def _repeats(drive: _Drive) -> _Found:
+    """Find a power that changes with every sample, but stays the same for a while in driving.
+
+    A sensor that hangs, one that drops out and one at the end of its range all repeat a reading to
+    the last bit. One that reads in steps does so all the time, or wherever the robot goes steadily.
+    """
+    t, moving = drive.t, drive.moving
+    least = max(5, round(0.3 / drive.step))
+    turned = np.append(False, np.diff(drive.effort) != 0.0)
+    speeds = np.stack([drive.left, drive.right])
+    change = np.abs(np.diff(speeds, prepend=speeds[:, :1])).sum(axis=0)
+    calm = float(np.quantile(change[moving], 0.33)) if np.any(moving) else 0.0
+    steady = moving & (change <= calm)
+    seldom = held_periods(drive.channels)
+    for name in (name for name in POWERS if name in drive.channels and name not in seldom):
+        values = drive.channels[name]
+        starts = np.flatnonzero(np.append(True, np.diff(values) != 0.0))
+        counts = np.diff(np.append(starts, len(values)))
+        drives = np.logical_and.reduceat(moving, starts)
+        if name.startswith("p_"):  # of a side that returns nothing, zero is a reading
+            drives &= (values[starts] != 0.0) | (drive.power[starts] == 0.0)
+        hangs = drives & (counts >= least)
+        lost, usual = int(counts[hangs].sum()), counts[drives & ~hangs]
+        if np.count_nonzero(hangs) < 3 or lost < 0.01 * np.count_nonzero(moving):
+            continue
+        if not len(usual) or np.mean(usual > 1) > 0.05:
+            continue
+        if np.mean(turned[np.repeat(hangs, counts)]) < 0.5:
+            continue  # without noise, all that is driven steadily repeats
+        held = values[starts[hangs]]
+        if np.ptp(held) > 0.0 and np.mean(np.append(False, np.diff(values) == 0.0)[steady]) > 0.5:
+            continue
+        what = "hangs"
+        if np.all(held == held[0]) and held[0] == 0.0:
+            what = "drops out to 0"
+        elif np.all(held == held[0]) and held[0] in (values.max(), values.min()):
+            what = f"ends at {held[0]:.4g}, which is the end of its range"
+        share = lost / np.count_nonzero(moving)
+        yield Check(
+            f"{name} {what} in {share:.0%} of the driving, first {t[starts[hangs][0]] - t[0]:.6g} "
+            "s into the log: it repeats a reading where others change with every sample",
+            remedy="mend the sensor, or leave such stretches out",
+        )
+
+
+def _motor_current(drive: _Drive) -> _Found:
+    """Find a current that is that of the motors, which follows torque and not power."""
+    top = float(np.quantile(drive.effort, 0.95))
+    rest, moving = drive.effort < 0.02 * top, drive.effort > 0.15 * top
+    if np.count_nonzero(rest) < _ENOUGH or np.count_nonzero(moving) < 5 * _ENOUGH:
+        return
+    speed = drive.effort[moving]
+    low, high = np.quantile(speed, [0.15, 0.85])
+    if high < 1.6 * low:
+        return  # one speed tells nothing of how the power depends on it
+    turn = np.abs(drive.difference)[moving] / speed
+    # Power per speed is a force, and depends on how tight the robot turns; a motor's current too.
+    # What grows with speed and what does not is held apart for each.
+    y = drive.power[moving]
+    X = np.stack([speed, speed * turn, np.ones(len(speed)), turn])
+    scale = np.sqrt((X * X).sum(axis=1))
+    if np.any(scale == 0):
+        X, scale = X[[0, 2]], scale[[0, 2]]
+    unit = X / scale[:, None]
+    gram = unit @ unit.T
+    if np.linalg.cond(gram) > 1e4:
+        return
+    found = np.linalg.solve(gram, unit @ y) / scale
+    half, mean = len(found) // 2, X.mean(axis=1)
+    flat = float(found[half:] @ mean[half:]) - float(drive.power[rest].mean())
+    grown = float(found[:half] @ mean[:half])
+    spread = float(np.std(y - found @ X)) / max(abs(float(y.mean())), 1e-300)
+    if flat > 0.7 * float(y.mean()) > 0 and flat > 3 * abs(grown) and spread < 0.8:
+        yield Check(
+            "the power jumps up when the robot begins to move and then hardly depends on its "
+            "speed, as a motor's current does: voltage times motor current is no power",
+            remedy="log the battery's current, or map the power by the motor's constant, as in "
+            "p_left=CURRENT*SPEED[*V_S_PER_M]",
+        )
+
+
+_RULES: tuple[Callable[[_Drive], _Found], ...] = (
+    _false_speeds, _dead, _dying, _frozen, _counting, _opposed, _unlike, _lost_sign, _repeats,
+    _pose, _motor_current, _distance,
+)  # fmt: skip
+
+# -- drives that are the same -------------------------------------------------------------------
+
+_COMPARED = 16  # samples of which all must be found before all others are compared
+_ENOUGH = 20  # samples at the same times that are alike by no chance
+
+
+def without_copies(
+    train: Sequence[DriveLog], holdout: Sequence[DriveLog]
+) -> tuple[list[DriveLog], list[str]]:
+    """Take each drive once: what is read twice makes nothing surer, and judges nothing."""
+    if any(log is other for log in train for other in holdout):
+        raise InvalidInputError("a drive stands in train and in holdout; give it to one of them")
+    kept: list[DriveLog] = []
+    left_out: dict[int, str] = {}
+    # The longest first: of a drive and a part of it, the drive stays.
+    for k in sorted(range(len(train)), key=lambda k: -len(train[k])):
+        known = _named(train[k], kept)
+        if known is None:
+            kept.append(train[k])
+        else:
+            left_out[k] = (
+                f"{train[k].name} holds the same readings as {known}; they were learned from once"
+            )
+    learned = [log for k, log in enumerate(train) if k not in left_out]
+    told = [left_out[k] for k in sorted(left_out)]
+    told += [
+        f"{one.name} and {other.name} hold the same {shared} samples, which count twice: "
+        "standard errors are too small; give each sample once"
+        for one, other in combinations(learned, 2) if (shared := _shared(one, other))
+    ]  # fmt: skip
+    for log in holdout:
+        known = _named(log, learned)
+        if known is not None:
+            told.append(
+                f"{log.name} holds the same readings as {known}, which was learned from: errors on "
+                "it say nothing of other drives; hold out another one"
+            )
+            continue
+        told += [
+            f"{log.name} holds {shared} samples of {other.name}, which were learned from: "
+            "errors on them say nothing of other drives; hold out others"
+            for other in learned if (shared := _shared(log, other))
+        ]  # fmt: skip
+    return learned, told
+
+
+def _named(log: DriveLog, others: Iterable[DriveLog]) -> str | None:
+    """Return the name of a drive that holds all of another one's readings, or is part of it."""
+    return next((other.name for other in others if _alike(log, other)), None)
+
+
+def _alike(one: DriveLog, other: DriveLog) -> bool:
+    """Tell whether the shorter of two drives is part of the longer one.
+
+    Of robots that stand all readings may be the same.
+    """
+    few, many = sorted((one, other), key=len)
+    short, long = _readings(few), _readings(many)
+    if not np.any(short[0]):
+        return False
+    firsts = np.arange(len(many) - len(few) + 1)
+    for place in np.linspace(0, len(few) - 1, _COMPARED).astype(int):
+        for part, whole in zip(short, long, strict=True):
+            firsts = firsts[whole[firsts + place] == part[place]]
+    return any(
+        all(
+            np.array_equal(part, whole[first : first + len(few)])
+            for part, whole in zip(short, long, strict=True)
+        )
+        for first in firsts
+    )
+
+
+def _shared(one: DriveLog, other: DriveLog) -> int:
+    """Count the samples of a moving robot that stand in two drives at the same times."""
+    _, mine, theirs = np.intersect1d(one.t, other.t, assume_unique=True, return_indices=True)
+    some, others = (
+        np.stack(_readings(log))[:, rows] for log, rows in ((one, mine), (other, theirs))
+    )
+    alike = np.all(some == others, axis=0) & np.any(some[:2] != 0.0, axis=0)
+    count = int(np.count_nonzero(alike))
+    return count if count >= _ENOUGH else 0
+
+
+def _readings(log: DriveLog) -> list[FloatArray]:
+    """Return what every drive has: the speeds of both sides, and the power."""
+    return [log.channel("v_left"), log.channel("v_right"), log.power]

@@ -8,44 +8,281 @@ it, and nothing else, brings every ratio back.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import isfinite, log, pi
-from typing import Any
+from math import inf, isfinite, log, nan
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.logs.evidence import Evidence
+from energyplan.logs.align import derivative
+from energyplan.logs.mapping import RATES, UNITS, Column, known_unit
+from energyplan.path import FloatArray
 from energyplan.vehicle import GRAVITY, Vehicle, predict_icr
 
-_WHEEL_RADII = (0.04, 0.45)  # of skid-steer robots [m]
+_WINDOW = 3.0  # length of the stretches over which distances are compared [s]
+_ENOUGH = 20  # samples or windows below which nothing is concluded
+_JITTER = 6.0  # least displacement of a pose, over the noise of its readings, that tells a length
+_CHANCE = 4.0  # standard errors beyond which a mean power is none by chance
+_ALIKE = 0.9  # correlation from which the turning tells a slip track
+_FEW_NUMBERS = 25  # whole numbers beyond which they may be of a finer unit
+_DRAWN = frozenset({"current", "power", "p_left", "p_right"})
+_INERTIA_ERROR = 0.13  # share to which a mass must be told, three of which are the range's margin
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a log shows of a robot; NaN where it does not."""
+
+    slip_track: float = np.nan  # [m]
+    from_pose: bool = False
+    distance: float = np.nan  # way of the treads over that of the pose, on straight stretches
+    rotation: float = np.nan  # gyroscope's yaw rate over that of the heading, whatever their signs
+    top_speed: float = np.nan  # speed that is reached one hundredth of the time [m/s]
+    force: float = np.nan  # mean power over mean speed while driving [N]
+    electric: float = np.nan  # power over voltage times current
+    inertia: float = np.nan  # mass that the power of speeding up tells [kg]
+    step: float = np.nan  # time between samples [s]
+    voltage: float = np.nan  # the usual one [V]
+    channels: frozenset[str] = frozenset()  # what the log holds
+    whole: frozenset[str] = frozenset()  # electric channels that come in many whole numbers
+
+
+def gather(
+    channels: Mapping[str, FloatArray], power: FloatArray, runs: Sequence[slice]
+) -> Evidence:
+    """Find what a log shows of the robot."""
+    t, left, right = channels["t"], channels["v_left"], channels["v_right"]
+    rates = yaw_rates(channels, runs)
+    rate = rates.get("yaw_rate", rates.get("yaw"))
+    mean = 0.5 * (left + right)
+    effort = 0.5 * (np.abs(left) + np.abs(right))
+    top = float(np.quantile(effort, 0.99))
+    moving = effort > max(0.1 * top, 1e-6)
+    force = np.nan
+    if np.count_nonzero(moving) >= _ENOUGH:
+        drawn = power[moving]
+        chance = _CHANCE * float(drawn.std()) / np.sqrt(len(drawn))  # a dead sensor's noise
+        if abs(drawn.mean()) > chance:
+            force = float(np.abs(drawn.mean()) / effort[moving].mean())
+    return Evidence(
+        slip_track=np.nan if rate is None else _slip_track(rate, right - left),
+        from_pose="yaw_rate" not in rates,
+        distance=distance_ratio(channels, runs),
+        rotation=_rotation(t, channels, rates),
+        top_speed=top if np.count_nonzero(moving) >= _ENOUGH else np.nan,
+        force=force if force else np.nan,
+        electric=_electric(channels),
+        inertia=_inertia(t, mean, effort, right - left, power, runs),
+        step=float(np.quantile(np.diff(t), 0.1)) if len(t) >= 5 * _ENOUGH else np.nan,
+        voltage=float(np.median(channels["voltage"])) if "voltage" in channels else np.nan,
+        channels=frozenset(channels),
+        whole=frozenset(name for name in (*_DRAWN, "voltage") if _whole(channels.get(name))),
+    )
+
+
+def _whole(values: FloatArray | None) -> bool:
+    """Tell whether readings are whole numbers, more than a few of them."""
+    if values is None or np.any(np.mod(values, 1.0) != 0.0):
+        return False
+    return len(np.unique(values)) > _FEW_NUMBERS or float(np.median(np.abs(values))) > 60.0
+
+
+def yaw_rates(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> dict[str, FloatArray]:
+    """Return the yaw rates that a log tells [rad/s], by the channel that they come from."""
+    found = {}
+    if "yaw_rate" in channels:
+        found["yaw_rate"] = channels["yaw_rate"]
+    if "yaw" in channels:
+        found["yaw"] = derivative(channels["t"], np.unwrap(channels["yaw"]), runs, 0.5)
+    return found
+
+
+def correlation(one: FloatArray, other: FloatArray) -> float:
+    """Correlation through the origin; 0 where one is zero throughout."""
+    norm = float(np.sqrt((one @ one) * (other @ other)))
+    return float(one @ other) / norm if norm > 0 else 0.0
+
+
+def lasts(values: FloatArray) -> bool:
+    """Tell whether readings are large for long enough to conclude from, not for one jerk."""
+    size = np.abs(values)
+    return bool(np.count_nonzero(size > 0.2 * np.max(size, initial=0.0)) >= _ENOUGH)
+
+
+def _slip_track(rate: FloatArray, difference: FloatArray) -> float:
+    """Difference of the tread speeds over the yaw rate; NaN where they do not follow each other."""
+    if not lasts(difference):
+        return np.nan
+    if abs(correlation(rate, difference)) < _ALIKE:
+        return np.nan
+    return abs(float(difference @ difference) / float(difference @ rate))
+
+
+def _rotation(
+    t: FloatArray, channels: Mapping[str, FloatArray], rates: Mapping[str, FloatArray]
+) -> float:
+    """Gyroscope over heading; of a heading that jitters, over what it changes in some seconds."""
+    if len(rates) < 2 or not lasts(rates["yaw_rate"]):
+        return np.nan
+    gyro, heading = rates["yaw_rate"], rates["yaw"]
+    angles = _integral(t, gyro), np.unwrap(channels["yaw"])
+    for window in (0.0, _WINDOW, 3 * _WINDOW):
+        if window > 0.0:
+            edges = np.arange(t[0], t[-1], window)
+            gyro, heading = (np.diff(np.interp(edges, t, angle)) for angle in angles)
+        if len(gyro) >= _ENOUGH and abs(correlation(gyro, heading)) >= 0.7:
+            # The jitter of the heading is in the denominator only where it is the regressor.
+            return abs(float(gyro @ gyro) / float(gyro @ heading))
+    return np.nan
+
+
+def distance_ratio(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> float:
+    """Way of the treads over that of the pose, on straight stretches.
+
+    Displacements over whole stretches are compared, not the lengths of paths: a pose that jitters
+    goes no further.
+    """
+    if not {"x", "y"} <= set(channels):
+        return np.nan
+    t = channels["t"]
+    step = float(np.median(np.diff(t)))
+    # Some stretches of some samples, whatever their time: its unit may be the mistake.
+    window = max(min(_WINDOW, step * len(t) / 40), 10 * step)
+    rolled: list[FloatArray] = []
+    gone: list[FloatArray] = []
+    for run in runs:
+        edges = np.arange(t[run][0], t[run][-1], window)
+        if len(edges) < 2:
+            continue
+        x, y = (np.interp(edges, t[run], channels[name][run]) for name in ("x", "y"))
+        left, right = (
+            np.diff(np.interp(edges, t[run], _integral(t[run], channels[name][run])))
+            for name in ("v_left", "v_right")
+        )
+        way = 0.5 * np.abs(left + right)
+        straight = np.abs(right - left) < 0.1 * way
+        rolled.append(way[straight])
+        gone.append(np.hypot(np.diff(x), np.diff(y))[straight])
+    if not rolled:
+        return np.nan
+    wheel, pose = np.concatenate(rolled), np.concatenate(gone)
+    if not len(wheel):
+        return np.nan
+    far = wheel > 0.3 * wheel.max()
+    wheel, pose = wheel[far], pose[far]
+    if len(wheel) < 3 or not np.any(pose):
+        return np.nan
+    jitter = np.concatenate(
+        [np.diff(channels[name][run], 2) for name in ("x", "y") for run in runs]
+    )
+    if np.mean(pose**2) < _JITTER**2 * float(np.mean(jitter**2)) / 6.0:
+        return np.nan
+    ratio = float(wheel @ wheel) / float(wheel @ pose)
+    # Stretches that contradict each other (slipping, a lost pose) tell nothing.
+    scatter = float(np.std(pose * ratio - wheel) / wheel.mean())
+    return ratio if scatter < 0.5 else np.nan
+
+
+def _integral(t: FloatArray, values: FloatArray) -> FloatArray:
+    return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (values[1:] + values[:-1]))])
+
+
+def _electric(channels: Mapping[str, FloatArray]) -> float:
+    """Power over voltage times current, where a log has both."""
+    if not {"voltage", "current"} <= set(channels):
+        return np.nan
+    if "power" in channels:
+        power = channels["power"]
+    elif {"p_left", "p_right"} <= set(channels):
+        power = channels["p_left"] + channels["p_right"]
+    else:
+        return np.nan
+    product = channels["voltage"] * channels["current"]
+    if abs(correlation(power, product)) < 0.8:
+        return np.nan
+    return abs(float(power @ product) / float(product @ product))
+
+
+def _inertia(
+    t: FloatArray,
+    mean: FloatArray,
+    effort: FloatArray,
+    difference: FloatArray,
+    power: FloatArray,
+    runs: Sequence[slice],
+) -> float:
+    """Mass that the power of speeding up tells; NaN where it hardly tells it."""
+    accel = derivative(t, mean, runs, 0.4)
+    gain = mean * accel
+    best, found = inf, np.nan
+    for lag in np.arange(-0.2, 0.81, 0.1):
+        shifted = np.interp(t - lag, t, np.clip(gain, 0, None))
+        back = np.interp(t - lag, t, np.clip(gain, None, 0))
+        X = np.stack([shifted, back, effort, np.abs(difference), np.ones(len(t))])
+        scale = np.sqrt((X * X).sum(axis=1))
+        if np.any(scale[:1] == 0) or not np.all(np.isfinite(scale)):
+            return np.nan
+        scale[scale == 0] = 1.0
+        unit = X / scale[:, None]
+        gram = unit @ unit.T + 1e-9 * np.eye(len(X))
+        solution = np.linalg.solve(gram, unit @ power)
+        residual = power - solution @ unit
+        loss = float(residual @ residual)
+        if loss < best:
+            best = loss
+            variance = loss / len(t) * _repeats(residual) * float(np.linalg.inv(gram)[0, 0])
+            error = np.sqrt(variance) / scale[0]
+            mass = float(solution[0] / scale[0])
+            found = mass if mass > 0 and error < _INERTIA_ERROR * mass else np.nan
+    return found
+
+
+def _repeats(residual: FloatArray) -> float:
+    """How many neighbouring samples repeat each other: the sum of the autocorrelation."""
+    size = float(residual @ residual)
+    total = 1.0
+    for lag in range(1, len(residual) // 4):
+        alike = float(residual[lag:] @ residual[:-lag]) / size if size > 0 else 0.0
+        if alike < 0.05:
+            break
+        total += 2 * alike
+    return total
+
+
+_WHEEL_RADII = (0.02, 0.45)  # of skid-steer robots [m]
 _GEAR_RATIOS = (4.0, 250.0)  # between a motor and its wheel
-_NAMED = 4  # mistakes that are named, where several explain the same
+_NAMED = 3  # mistakes that are named, where several explain the same
+
+_Columns = Mapping[str, Column]
 
 
 @dataclass(frozen=True)
 class Check:
-    """A quantity that is in a log twice, or that must lie in a range."""
+    """What was compared or found in a log, whether it is right, and what to do if not."""
 
-    what: str  # what was compared
-    value: float  # what came out
-    expected: str  # what was expected
-    ok: bool  # whether it came out so
+    what: str  # what was compared, or what is wrong
+    value: float = nan  # what came out
+    expected: str = ""  # what was expected
+    ok: bool = False  # whether it came out so
     remedy: str = ""  # what to do if not
+    turned: tuple[str, ...] = ()  # channels that count the other way
+    refuses: str = ""  # what it rules out: "reading" the log, "fitting" anything to it, or "trust"
 
     def __str__(self) -> str:
-        return f"{self.what}: {self.value:.3g}, expected {self.expected}" + (
-            f"; {self.remedy}" if self.remedy else ""
-        )
+        compared = f": {self.value:.3g}, expected {self.expected}" if isfinite(self.value) else ""
+        return f"{self.what}{compared}" + (f"; {self.remedy}" if self.remedy else "")
 
 
 @dataclass(frozen=True)
 class Measures:
-    """A robot's measures: track and wheelbase [m], mass [kg]; NaN where they are not known."""
+    """A robot's measures; NaN where they are not known."""
 
-    track: float = np.nan
-    wheelbase: float = np.nan
-    mass: float = np.nan
+    track: float = nan  # [m]
+    wheelbase: float = nan  # [m]
+    mass: float = nan  # [kg]
+    wheel_radius: float = nan  # [m]
 
     @classmethod
     def of(cls, vehicle: Vehicle) -> Measures:
@@ -69,13 +306,11 @@ class _Range:
         return f"{self.low:g} to {self.high:g} ({self.why})"
 
     def holds(self, value: float) -> bool:
-        return not isfinite(value) or self.low <= value <= self.high
+        return self.low <= value <= self.high
 
     def strain(self, value: float) -> float:
         """How far from usual a value is, in widths of the range."""
-        if not isfinite(value):
-            return 0.0
-        return (log(value / self.usual) / log(self.high / self.low)) ** 2
+        return (log(value / self.usual) / log(self.high / self.low)) ** 2 if value > 0 else inf
 
 
 # The slip track of real drives lies at 0.76 to 1.08 of that of equal point loads (Husky on floor,
@@ -91,254 +326,248 @@ _DENSITY = _Range("mass over wheelbase times track [kg/m^2]", 40.0, 3000.0, 300.
 _ASPECT = _Range("wheelbase over track", 0.33, 2.5, 0.95, "skid-steer robots")
 _INERTIA = _Range("mass by acceleration over that given", 0.62, 12.0, 1.1, "more with heavy drives")
 _STEP = _Range("time step [s]", 1e-4, 3.0, 0.05, "logs of drives")
+_VOLTAGE = _Range("voltage [V]", 3.0, 1000.0, 30.0, "batteries of robots")
+# Whole numbers may be tenths or hundredths, so that they must be more usual to be believed.
+_WHOLE_FORCE = replace(_FORCE, high=1.2, why="resistance of wheels, read in whole numbers")
+_WHOLE_VOLTAGE = replace(_VOLTAGE, high=100.0, why="batteries of robots, read in whole numbers")
 
 
-def _ratios(evidence: Evidence, known: Measures) -> list[tuple[_Range, float]]:
-    """Return the ratios that evidence and measures make."""
-    track, wheelbase = known.track, known.wheelbase
-    geometric = 2 * predict_icr(wheelbase, track) if track and wheelbase else np.nan
-    return [
-        (_STEP, evidence.step),
-        (_TOP_SPEED, evidence.top_speed),
-        (_DISTANCE, evidence.distance),
-        (_ROTATION, evidence.rotation),
-        (_TURNING, evidence.slip_track / geometric),
+def _ratios(seen: Mapping[str, float], evidence: Evidence) -> list[tuple[_Range, float]]:
+    """Return the known ratios that evidence and measures make."""
+    track, wheelbase, mass = (seen[key] for key in ("track", "wheelbase", "mass"))
+    geometric = 2 * predict_icr(wheelbase, track) if track and wheelbase else nan
+    found = [
+        (_STEP, seen["step"]),
+        (_TOP_SPEED, seen["top_speed"]),
+        (_DISTANCE, seen["distance"]),
+        (_ROTATION, seen["rotation"]),
+        (_TURNING, seen["slip_track"] / geometric),
         (_ASPECT, wheelbase / track),
-        (_DENSITY, known.mass / (wheelbase * track)),
-        (_FORCE, evidence.force / (known.mass * GRAVITY)),
-        (_ELECTRIC, evidence.electric),
-        (_INERTIA, evidence.inertia / known.mass),
+        (_DENSITY, mass / (wheelbase * track)),
+        (_WHOLE_FORCE if evidence.whole & _DRAWN else _FORCE, seen["force"] / (mass * GRAVITY)),
+        (_ELECTRIC, seen["electric"]),
+        (_WHOLE_VOLTAGE if "voltage" in evidence.whole else _VOLTAGE, seen["voltage"]),
+        (_INERTIA, seen["inertia"] / mass),
+    ]
+    return [(span, value) for span, value in found if isfinite(value)]
+
+
+_ACTS: dict[tuple[str, ...], dict[str, int]] = {
+    ("v_left", "v_right"): {
+        "slip_track": 1, "distance": 1, "top_speed": 1, "force": -1, "inertia": -2},
+    ("t",): {"step": 1, "distance": 1, "rotation": 1, "inertia": 1},
+    ("yaw_rate",): {"rotation": 1},
+    ("yaw",): {"rotation": -1},
+    ("x", "y"): {"distance": -1},
+    ("p_left", "p_right"): {"force": 1, "electric": 1, "inertia": 1},
+    ("power",): {"force": 1, "electric": 1, "inertia": 1},
+    ("current",): {"force": 1, "inertia": 1},
+    ("voltage",): {"force": 1, "inertia": 1, "voltage": 1},
+    ("voltage", "current"): {"force": 1, "inertia": 1, "voltage": 1},
+    ("track",): {"track": 1},
+    ("wheelbase",): {"wheelbase": 1},
+    ("track", "wheelbase"): {"track": 1, "wheelbase": 1},
+    ("mass",): {"mass": 1},
+}  # fmt: skip
+"""With which power of a factor on these readings what is seen changes."""
+
+
+class _Mistake(NamedTuple):
+    """Readings that may be in another unit than they are taken for, and the factor to SI."""
+
+    channels: tuple[str, ...]
+    name: str
+    unit: str  # what to write in brackets; of measures what to give
+    factor: float
+    rarity: float = 0.0
+    instead: str = ""  # what to do, where that is not to map the channels in the unit
+
+    def undo(
+        self, seen: Mapping[str, float], evidence: Evidence, factor: float
+    ) -> dict[str, float]:
+        """Return what would be seen without the mistake."""
+        acts = dict(_ACTS[self.channels])
+        if self.channels[0] in ("t", "yaw", "yaw_rate"):  # of what the slip track is told by
+            power = {"t": 1, "yaw": -1, "yaw_rate": -1}[self.channels[0]]
+            acts["slip_track"] = power * (evidence.from_pose != (self.channels[0] == "yaw_rate"))
+        if self.channels[-1] in ("voltage", "current") and isfinite(evidence.electric):
+            acts = {"electric": -1, "voltage": acts.get("voltage", 0)}
+        size = factor**2 if self.channels == ("voltage", "current") else factor
+        return {
+            key: value * (factor if key == "voltage" else size) ** acts.get(key, 0)
+            for key, value in seen.items()
+        }
+
+
+def _units(channels: str, names: str, what: str, rare: str = "") -> list[_Mistake]:
+    """Return the mistakes of readings that are in one of some units."""
+    each = tuple(channels.split(","))
+    return [
+        _Mistake(
+            each, f"{what} in {unit}", unit, UNITS[each[0]][unit], 0.1 * (unit in rare.split())
+        )
+        for unit in names.split()
     ]
 
 
-@dataclass(frozen=True)
-class _State:
-    evidence: Evidence
-    known: Measures
-
-    def seeing(self, **values: Any) -> _State:
-        """Return the state with other evidence."""
-        return replace(self, evidence=replace(self.evidence, **values))
-
-
-@dataclass(frozen=True)
-class _Mistake:
-    """Something that may have gone wrong, what undoes it, and how to say so."""
-
-    name: str
-    remedy: str
-    undo: Callable[[_State], _State]
-    rarity: float = 0.0
-
-
-def _speeds(factor: float) -> Callable[[_State], _State]:
-    """Undo tread speeds that are too large by the inverse of a factor."""
-
-    def undo(state: _State) -> _State:
-        seen = state.evidence
-        return state.seeing(
-            slip_track=seen.slip_track * factor,
-            distance=seen.distance * factor,
-            top_speed=seen.top_speed * factor,
-            force=seen.force / factor,
-            inertia=seen.inertia / factor**2,
+_MISTAKES = [
+    *_units("v_left,v_right", "km/h mm/s cm/s mph ft/s in/s", "the tread speeds are",
+            "mph ft/s in/s"),
+    *_units("t", "ms us ns min", "t is"),
+    *_units("yaw_rate", "deg/s rpm", "yaw_rate is", "rpm"),
+    *_units("yaw", "deg", "yaw is"),
+    *_units("x,y", "cm mm ft in", "x and y are", "ft in"),
+    *_units("p_left,p_right", "kW mW hp", "the power is", "hp"),
+    *_units("power", "kW mW hp", "the power is", "hp"),
+    *_units("current", "mA", "the current is"),
+    *_units("voltage", "mV", "the voltage is", "mV"),
+    *(
+        _Mistake(channels, f"{what} in {name}", f"*{size:g}", size, 0.1)
+        for name, size in (("tenths", 0.1), ("hundredths", 0.01), ("thousandths", 1e-3))
+        for channels, what in (
+            (("voltage",), "the voltage counts"), (("current",), "the current counts"),
+            (("voltage", "current"), "voltage and current count"),
         )
-
-    return undo
-
-
-def _gyro(factor: float) -> Callable[[_State], _State]:
-    def undo(state: _State) -> _State:
-        seen = state.evidence
-        turned = seen.slip_track if seen.from_pose else seen.slip_track / factor
-        return state.seeing(slip_track=turned, rotation=seen.rotation * factor)
-
-    return undo
-
-
-def _heading(factor: float) -> Callable[[_State], _State]:
-    def undo(state: _State) -> _State:
-        seen = state.evidence
-        turned = seen.slip_track / factor if seen.from_pose else seen.slip_track
-        return state.seeing(slip_track=turned, rotation=seen.rotation / factor)
-
-    return undo
+        if name != "thousandths" or len(channels) == 2
+    ),
+    *(
+        _Mistake(("track", "wheelbase"), f"track and wheelbase are in {name}", "metres", size, rare)
+        for name, size, rare in (("cm", 1e-2, 0.0), ("mm", 1e-3, 0.0), ("inches", 0.0254, 0.1))
+    ),
+    *(
+        _Mistake((what,), f"the {what} is in {name}", "metres", size)
+        for what in ("track", "wheelbase") for name, size in (("cm", 1e-2), ("mm", 1e-3))
+    ),
+    *(
+        _Mistake(("mass",), f"the mass is {name}", "kilograms", size, rare)
+        for name, size, rare in (("in g", 1e-3, 0.0), ("in lb", 0.45359237, 0.0),
+                                 ("a weight in N", 1 / 9.81, 0.1), ("in t", 1e3, 0.0))
+    ),
+]  # fmt: skip
+"""What may have gone wrong, in the order of how often it does."""
 
 
-def _pose(factor: float) -> Callable[[_State], _State]:
-    return lambda state: state.seeing(distance=state.evidence.distance / factor)
-
-
-def _time(factor: float) -> Callable[[_State], _State]:
-    def undo(state: _State) -> _State:
-        seen = state.evidence
-        return state.seeing(
-            step=seen.step * factor,
-            distance=seen.distance * factor,
-            rotation=seen.rotation * factor,
-            slip_track=seen.slip_track * factor if seen.from_pose else seen.slip_track,
-            inertia=seen.inertia * factor,
-        )
-
-    return undo
-
-
-def _power(factor: float) -> Callable[[_State], _State]:
-    def undo(state: _State) -> _State:
-        seen = state.evidence
-        return state.seeing(
-            force=seen.force * factor,
-            electric=seen.electric * factor,
-            inertia=seen.inertia * factor,
-        )
-
-    return undo
-
-
-def _electricity(factor: float) -> Callable[[_State], _State]:
-    """Undo a voltage or a current that is too large by the inverse of a factor."""
-
-    def undo(state: _State) -> _State:
-        electric = state.evidence.electric
-        if isfinite(electric):  # the power was measured beside them
-            return state.seeing(electric=electric / factor)
-        return _power(factor)(state)
-
-    return undo
-
-
-def _measures(
-    track: float = 1.0, wheelbase: float = 1.0, mass: float = 1.0, swap: bool = False
-) -> Callable[[_State], _State]:
-    def undo(state: _State) -> _State:
-        known = state.known
-        sizes = (known.wheelbase, known.track) if swap else (known.track, known.wheelbase)
-        return replace(
-            state, known=Measures(sizes[0] * track, sizes[1] * wheelbase, known.mass * mass)
-        )
-
-    return undo
-
-
-def _mistakes(state: _State) -> list[_Mistake]:
-    """Return what may have gone wrong, in the order of how often it does."""
-    evidence = state.evidence
-    both = "v_left=NAME[{0}],v_right=NAME[{0}]".format
-    found = [
-        _Mistake("the tread speeds are in km/h", f"map {both('km/h')}", _speeds(1 / 3.6)),
-        _Mistake("the tread speeds are in mm/s", f"map {both('mm/s')}", _speeds(1e-3)),
-        _Mistake("the tread speeds are in cm/s", f"map {both('cm/s')}", _speeds(1e-2)),
-        _Mistake("the tread speeds are in mph", f"map {both('mph')}", _speeds(0.44704), 0.1),
-        _Mistake("the tread speeds are in ft/s", f"map {both('ft/s')}", _speeds(0.3048), 0.1),
-        _Mistake(
-            "a wheel's diameter is in the place of its radius", "give half the wheel radius",
-            _speeds(0.5),
-        ),
-        _Mistake("t is in ms", "map t=NAME[ms]", _time(1e-3)),
-        _Mistake("t is in us", "map t=NAME[us]", _time(1e-6)),
-        _Mistake("t is in ns", "map t=NAME[ns]", _time(1e-9)),
-        _Mistake("t is in minutes", "map t=NAME[min]", _time(60.0)),
-        _Mistake("yaw_rate is in degrees", "map yaw_rate=NAME[deg/s]", _gyro(pi / 180)),
-        _Mistake("yaw_rate is in rpm", "map yaw_rate=NAME[rpm]", _gyro(pi / 30), 0.1),
-        _Mistake("yaw is in degrees", "map yaw=NAME[deg]", _heading(pi / 180)),
-        _Mistake("x and y are in cm", "map x=NAME[cm],y=NAME[cm]", _pose(1e-2)),
-        _Mistake("x and y are in mm", "map x=NAME[mm],y=NAME[mm]", _pose(1e-3)),
-        _Mistake("x and y are in ft", "map x=NAME[ft],y=NAME[ft]", _pose(0.3048), 0.1),
-        _Mistake("the power is in kW", "map it with its unit, power=NAME[kW]", _power(1e3)),
-        _Mistake("the power is in mW", "map it with its unit, power=NAME[mW]", _power(1e-3)),
-        _Mistake("the power is in hp", "map it with its unit, power=NAME[hp]", _power(745.7), 0.1),
-        _Mistake("the current is in mA", "map current=NAME[mA]", _electricity(1e-3)),
-        _Mistake("the voltage is in mV", "map voltage=NAME[mV]", _electricity(1e-3), 0.1),
-        _Mistake("track and wheelbase are in cm", "give metres", _measures(1e-2, 1e-2)),
-        _Mistake("track and wheelbase are in mm", "give metres", _measures(1e-3, 1e-3)),
-        _Mistake(
-            "track and wheelbase are in inches", "give metres", _measures(0.0254, 0.0254), 0.1
-        ),
-        _Mistake("the track is in cm", "give metres", _measures(track=1e-2)),
-        _Mistake("the track is in mm", "give metres", _measures(track=1e-3)),
-        _Mistake("the wheelbase is in cm", "give metres", _measures(wheelbase=1e-2)),
-        _Mistake("the wheelbase is in mm", "give metres", _measures(wheelbase=1e-3)),
-        _Mistake("track and wheelbase are swapped", "swap them", _measures(swap=True), 0.1),
-        _Mistake("the mass is in g", "give kilograms", _measures(mass=1e-3)),
-        _Mistake("the mass is in lb", "give kilograms", _measures(mass=0.45359237)),
-        _Mistake("the mass is a weight in N", "give kilograms", _measures(mass=1 / 9.81), 0.1),
-        _Mistake("the mass is in t", "give kilograms", _measures(mass=1e3)),
-    ]  # fmt: skip
-    # The factor that the pose asks for, or else the turning: what a wheel radius would have to be.
-    geometric = 2 * predict_icr(state.known.wheelbase, state.known.track)
-    wanted = (
-        1 / evidence.distance
-        if isfinite(evidence.distance)
-        else (_TURNING.usual * geometric / evidence.slip_track)
+def _of_speeds(seen: Mapping[str, float], known: Measures, columns: _Columns) -> list[_Mistake]:
+    """Return the mistakes that speeds of another size than pose, or turning, ask for may be."""
+    geometric = 2 * predict_icr(known.wheelbase, known.track)
+    distance = seen["distance"]
+    wanted = 1 / distance if isfinite(distance) else _TURNING.usual * geometric / seen["slip_track"]
+    if not (isfinite(wanted) and wanted > 0):
+        return []
+    sides = ("v_left", "v_right")
+    found = []
+    mapped = columns.get("v_left")
+    rolls = (
+        mapped is None or known_unit("v_left", mapped.unit.lstrip("-").partition("*")[0]) in RATES
     )
-    if isfinite(wanted) and wanted > 0:
-        for unit, rate in (("rad/s", 1.0), ("rpm", pi / 30), ("deg/s", pi / 180)):
-            radius = wanted / rate
-            if _WHEEL_RADII[0] <= radius <= _WHEEL_RADII[1]:
-                found.append(
-                    _Mistake(
-                        f"the tread speeds are the wheels' rates in {unit}",
-                        f"map {both(f'{unit}*{radius:.3g}')}: the wheel radius is about "
-                        f"{radius:.3g} m",
-                        _speeds(wanted),
-                        0.0 if unit != "deg/s" else 0.3,
-                    )
-                )
-        if 1 / _GEAR_RATIOS[1] <= wanted <= 1 / _GEAR_RATIOS[0]:
+    scale = 1.0 if mapped is None else abs(mapped.scale.factor)
+    for unit, rate in RATES.items():
+        radius = wanted * scale / rate
+        as_given = isfinite(known.wheel_radius) and abs(log(radius / known.wheel_radius)) < 0.1
+        if _WHEEL_RADII[0] <= radius <= _WHEEL_RADII[1] and unit != "mrad/s":
+            size = known.wheel_radius if as_given else radius
+            rare = -0.2 if as_given else {"deg/s": 0.3, "rev/s": 0.15}.get(unit, 0.0)
+            about = "" if as_given else f": the wheel radius is about {radius:.3g} m"
             found.append(
-                _Mistake(
-                    "the tread speeds are those of the motors, before their gear",
-                    f"divide them by its ratio, about {1 / wanted:.3g}, as in "
-                    f"{both(f'*{wanted:.3g}')}",
-                    _speeds(wanted),
-                    0.1,
-                )
+                _Mistake(sides, f"the tread speeds are the wheels' rates in {unit}{about}",
+                         f"{unit}*{size:.3g}", wanted, rare)
+            )  # fmt: skip
+    if 1 / _GEAR_RATIOS[1] <= wanted <= 1 / _GEAR_RATIOS[0]:
+        name = (
+            f"the tread speeds are those of the motors, before their gear of about {1 / wanted:.3g}"
+        )
+        found.append(_Mistake(sides, name, f"*{wanted * scale:.3g}", wanted, 0.1))
+    if 0.3 <= wanted <= 3.3:
+        name = f"the tread speeds are {1 / wanted:.3g} times what they should be"
+        give = ""
+        if rolls:
+            name, give = (
+                "the wheel radius is not this robot's",
+                f"{name}: give {wanted:.3g} times the wheel radius",
             )
-        if 0.3 <= wanted <= 3.3:
-            found.append(
-                _Mistake(
-                    "the wheel radius is not this robot's",
-                    f"the tread speeds are {1 / wanted:.3g} times what they should be: give "
-                    f"{wanted:.3g} times the wheel radius",
-                    _speeds(wanted),
-                    0.2,
-                )
-            )
+        found.append(_Mistake(sides, name, f"*{wanted * scale:.4g}", wanted, 0.2, give))
+    if rolls:
+        name, give = (
+            "a wheel's diameter is in the place of its radius",
+            "give half the wheel radius",
+        )
+        found.append(_Mistake(sides, name, "", 0.5, instead=give))
     return found
 
 
-def check_consistency(evidence: Evidence, known: Measures) -> list[Check]:
-    """Compare the quantities of a log with each other and with the robot's measures."""
-    state = _State(evidence, known)
-    ratios = [(span, value) for span, value in _ratios(evidence, known) if isfinite(value)]
+def check_consistency(
+    evidence: Evidence, known: Measures, columns: _Columns = MappingProxyType({})
+) -> list[Check]:
+    """Compare the quantities of a log with each other and with the robot's measures.
+
+    The first ratio that is wrong bears the remedy: what explains them all.
+    """
+    seen = _seen(evidence, known)
+    ratios = _ratios(seen, evidence)
     wrong = [span for span, value in ratios if not span.holds(value)]
-    remedy = _explain(state) if wrong else ""
+    remedy = _explain(seen, evidence, known, columns) if wrong else ""
     if wrong and not remedy:
         remedy = (
             "no single mistake explains it: check that the vehicle is this robot, the units, the "
             "wheel radius and the measures"
         )
     return [
-        Check(span.what, value, span.expected, span not in wrong, remedy if span in wrong else "")
+        Check(
+            span.what, value, span.expected, span not in wrong, remedy if span in wrong[:1] else ""
+        )
         for span, value in ratios
     ]
 
 
+def _seen(evidence: Evidence, known: Measures) -> dict[str, float]:
+    """Return what is seen of log and robot, by name."""
+    quantities = ("slip_track", "distance", "rotation", "top_speed", "force", "electric", "inertia",
+                  "step", "voltage")  # fmt: skip
+    return {key: getattr(evidence, key) for key in quantities} | {
+        "track": known.track, "wheelbase": known.wheelbase, "mass": known.mass
+    }  # fmt: skip
+
+
 def strain(evidence: Evidence, known: Measures) -> float:
     """How far evidence and measures are from what is usual: the sum of squares over the ratios."""
-    ratios = [(span, value) for span, value in _ratios(evidence, known) if isfinite(value)]
-    return sum(span.strain(value) for span, value in ratios)
+    return sum(span.strain(value) for span, value in _ratios(_seen(evidence, known), evidence))
 
 
-def _explain(state: _State) -> str:
+def _explain(
+    seen: Mapping[str, float], evidence: Evidence, known: Measures, columns: _Columns
+) -> str:
     """Name the mistakes that explain all the ratios, the likeliest first."""
-    fitting = []
-    for mistake in _mistakes(state):
-        undone = mistake.undo(state)
-        ratios = [pair for pair in _ratios(undone.evidence, undone.known) if isfinite(pair[1])]
+    fitting: list[tuple[float, str]] = []
+    there = evidence.channels | {"track", "wheelbase", "mass"}
+    for one in [*_MISTAKES, *_of_speeds(seen, known, columns)]:
+        if not there.issuperset(one.channels):
+            continue
+        mapped = columns.get(one.channels[0])
+        scale = 1.0 if mapped is None else abs(mapped.scale.factor)
+        absolute = one in _MISTAKES
+        factor = one.factor / scale if absolute else one.factor
+        if abs(factor - 1.0) < 1e-9:
+            continue  # so it is read already
+        ratios = _ratios(one.undo(seen, evidence, factor), evidence)
         if all(span.holds(value) for span, value in ratios):
-            strain = sum(span.strain(value) for span, value in ratios) + mistake.rarity
-            fitting.append((strain, mistake))
-    fitting.sort(key=lambda pair: pair[0])
-    named = [f"perhaps {mistake.name}: {mistake.remedy}" for _, mistake in fitting[:_NAMED]]
-    return "; or ".join(named)
+            cost = sum(span.strain(value) for span, value in ratios) + one.rarity
+            fitting.append((cost, f"perhaps {one.name}: {_remedy(one, columns)}"))
+    swapped = {**seen, "track": seen["wheelbase"], "wheelbase": seen["track"]}
+    ratios = _ratios(swapped, evidence)
+    if all(span.holds(value) for span, value in ratios):
+        cost = sum(span.strain(value) for span, value in ratios) + 0.1
+        fitting.append((cost, "perhaps track and wheelbase are swapped: swap them"))
+    return "; or ".join(text for _, text in sorted(fitting)[:_NAMED])
+
+
+def _remedy(one: _Mistake, columns: _Columns) -> str:
+    """Say how to map the readings."""
+    if one.instead or one.channels[0] in ("track", "wheelbase", "mass"):
+        return one.instead or f"give {one.unit}"
+    entries = []
+    for channel in one.channels:
+        mapped = columns.get(channel)
+        sign = "-" if mapped is not None and mapped.scale.factor < 0 else ""
+        name = "NAME" if mapped is None else mapped.written
+        entries.append(f"{channel}={name}[{sign}{one.unit}]")
+    return f"map {','.join(entries)}"

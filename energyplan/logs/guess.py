@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable
 from typing import NamedTuple
 from unicodedata import combining, normalize
 
-from energyplan.logs.units import split_unit, split_words, unit_in
+from energyplan.logs.mapping import split_unit, split_words, unit_in
 
 _WORDS = {
     "left": {"left", "l", "lh", "port", "fl", "rl", "bl", "ml", "lf", "lr", "lb", "lm",
@@ -246,6 +246,11 @@ def guess_ahead(names: Iterable[str]) -> list[str]:
         if fast and not other and not wheel:
             found.append(name)
     return found
+
+
+def guess_turns(names: Iterable[str]) -> list[str]:
+    """Return names that seem to be of the robot's own turn rate."""
+    return [name for name in names if _score("yaw_rate", name) > 0.0]
 
 
 def guess_position(names: Iterable[str]) -> tuple[str, str] | None:

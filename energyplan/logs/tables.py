@@ -1,28 +1,285 @@
-"""Tables of numbers from CSV, gzipped CSV and Parquet, with the place of every complaint."""
+"""Tables of numbers from CSV, JSON lines and Parquet, with the place of every complaint."""
 
 from __future__ import annotations
 
 import codecs
 import gzip
 import io
+import json
+import re
 import warnings
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from energyplan.errors import InvalidInputError, MissingDependencyError
-from energyplan.logs.cells import Columns, Table
-from energyplan.logs.dialect import MAX_COLUMNS, MAX_HEADER, MISSING, Dialect, find_dialect
-from energyplan.logs.json_lines import read_json_lines
-from energyplan.logs.long_format import LongFormat, find_long
+from energyplan.logs.clean import hold_unchanged
+from energyplan.logs.dialect import (
+    MAX_COLUMNS,
+    MAX_HEADER,
+    MISSING,
+    UNNAMED,
+    Dialect,
+    Instants,
+    find_dialect,
+    instants_of,
+    over_midnight,
+    whole_stamps,
+)
+from energyplan.logs.guess import guess
+from energyplan.logs.mapping import is_unit, scale_of, split_unit, time_unit
+from energyplan.path import FloatArray
 
 if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is read
     import pandas as pd
     import pyarrow as pa
     from _typeshed import WriteableBuffer
+
+_THOUSANDS = re.compile(r"'[-+]?\d{1,3}([,' ]\d{3})+(\.\d*)?'$")
+_NO_COMMAS = "write the column without marks between thousands, as in 12345.6"
+_CORRECT = "correct the cell or map another column"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of numbers, and where they came from."""
+
+    source: str  # name of the file, for messages
+    columns: Mapping[str, FloatArray]  # (n,): the columns that hold numbers
+    text: Mapping[str, str]
+    first: int  # number of the first row of data
+    unit: str  # what that number counts
+    error: type[InvalidInputError]  # error to raise for bad content
+    held: Mapping[str, NDArray[np.intp]] = field(default_factory=dict)
+    joined: bool = False  # whether rows are of several files
+
+    def place(self, row: int) -> str:
+        """Name the place of a row, such as ``"line 12"``."""
+        return f"{self.unit} {self.first + row}"
+
+    def unchanged_held(self) -> Table:
+        """Return the table of a drive, its blanks filled where a logger wrote only what changed."""
+        if self.joined:
+            return self
+        held = hold_unchanged(self.columns)
+        return replace(self, columns=held.columns, held=held.rows)
+
+    def column(self, name: str) -> FloatArray:
+        """Return a column."""
+        if name in self.columns:
+            return self.columns[name]
+        if name in self.text:
+            raise self.error(
+                f"{self.source}, {self.text[name]}, which is no number; "
+                + (_NO_COMMAS if _THOUSANDS.search(self.text[name]) else _CORRECT)
+            )
+        there = ", ".join([*self.columns, *self.text][:20])
+        raise self.error(f"{self.source}: there is no column {name!r}; the columns are {there}")
+
+
+class Columns:
+    """Columns as they are read, piece by piece, sorted into numbers and text."""
+
+    def __init__(self, names: list[str], first: int, unit: str, decimal: str = ".") -> None:
+        self.rows, self._first, self._unit, self._decimal = 0, first, unit, decimal
+        self._numbers: dict[str, list[FloatArray]] = {name: [] for name in names}
+        self._text: dict[str, str] = {}
+        self._instants: dict[str, Instants] = {}
+
+    def add(self, frame: pd.DataFrame) -> None:
+        """Take in the next rows."""
+        import pandas as pd
+
+        for label, series in zip(self._numbers, (frame[name] for name in frame), strict=True):
+            if label in self._text:
+                continue
+            if pd.api.types.is_datetime64_any_dtype(series):
+                stamps = series.to_numpy("datetime64[ns]")
+                seconds = (stamps - np.datetime64(0, "ns")) / np.timedelta64(1, "s")
+                self._numbers[label].append(np.asarray(seconds, float))
+                continue
+            if not pd.api.types.is_numeric_dtype(
+                series
+            ):  # text among numbers, or integers beyond 64 bits
+                series = self._mended(label, series.astype("string").str.strip())
+            values = pd.to_numeric(series, errors="coerce").to_numpy(float, na_value=np.nan)
+            bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
+            if len(bad):
+                written = self._instants.get(label) or instants_of(series)
+                if written is not None:
+                    self._instants[label] = written
+                    values = written.seconds(series)
+                    bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
+            if len(bad):
+                k = int(bad[0])
+                place = f"{self._unit} {self._first + self.rows + k}"
+                self._text[label] = f"{place}: {label!r} is {str(series.iloc[k])[:40]!r}"
+                self._numbers[label].clear()
+            else:
+                self._numbers[label].append(values)
+        self.rows += len(frame)
+
+    def _mended(self, label: str, series: pd.Series[Any]) -> pd.Series[Any]:
+        """Blank names and units that stand among readings; decimal commas become points.
+
+        Where recordings were appended to each other, each brought its own line of names.
+        """
+        bare, unit = split_unit(label)
+        series = series.mask(series.isin({label, bare, unit, f"[{unit}]"} - {"", "[]"}))
+        return series.str.replace(",", ".", regex=False) if self._decimal == "," else series
+
+    def table(self, file: Path, error: type[InvalidInputError]) -> Table:
+        """Return what was read."""
+        numbers = {
+            name: np.concatenate(parts) if parts else np.zeros(0)
+            for name, parts in self._numbers.items()
+            if name not in self._text
+        }
+        for name, written in self._instants.items():
+            if written.of_day and name in numbers:
+                numbers[name] = over_midnight(numbers[name])
+        # Where lines end with a separator, a column without a name holds nothing.
+        numbers = {
+            name: values
+            for name, values in numbers.items()
+            if not name.startswith(UNNAMED) or np.isfinite(values).any()
+        }
+        return Table(file.name, whole_stamps(numbers), self._text, self._first, self._unit, error)
+
+
+_DEEPEST = 8  # levels of objects in each other that are read
+_MOST_PARTS = 4096  # names in a file
+
+
+def read_json_lines(
+    lines: Iterable[bytes], file: object, most: int, error: type[InvalidInputError]
+) -> pd.DataFrame:
+    """Read rows that are a JSON object each."""
+    import pandas as pd
+
+    rows: list[dict[str, Any]] = []
+    names: dict[str, None] = {}
+    for number, line in enumerate(lines, 1):
+        row: dict[str, Any] = {}
+        if line.strip():
+            try:
+                made = json.loads(line)
+            except (ValueError, RecursionError) as problem:
+                raise error(f"{file}, line {number} is no JSON object: {problem}") from None
+            if not isinstance(made, dict):
+                raise error(f"{file}, line {number} is no JSON object, which a row of a log is")
+            row = dict(_parts("", made, 0))
+        rows.append(row)
+        names |= dict.fromkeys(row)
+        if len(names) > _MOST_PARTS or len(rows) * max(len(names), 1) > most:
+            raise error(f"{file} has {len(rows)} rows and {len(names)} names or more; split it")
+    if not names:
+        raise error(f'{file} is empty; each line must be a JSON object such as {{"t": 0.1}}')
+    return pd.DataFrame({name: pd.Series([row.get(name) for row in rows]) for name in names})
+
+
+def _parts(name: str, value: object, depth: int) -> Iterator[tuple[str, object]]:
+    """Yield what an object holds by its name, the parts of its parts with a dot between."""
+    if isinstance(value, dict) and depth < _DEEPEST:
+        for key, part in value.items():
+            yield from _parts(f"{name}.{key}" if name else str(key), part, depth + 1)
+    elif isinstance(value, list) and depth < _DEEPEST and len(value) <= 64:
+        for k, part in enumerate(value):
+            yield from _parts(f"{name}[{k}]", part, depth + 1)
+    elif value is None or isinstance(value, str | int | float):
+        yield name, value
+
+
+_TIME = re.compile(r".*(time|stamp|date|zeit|epoch|clock).*|t|ts|sec|secs|seconds", re.IGNORECASE)
+_UNIT = re.compile(r"units?|einheit", re.IGNORECASE)
+_MOST_NAMES = 500
+_OFTEN = 4  # readings of each name, on average
+
+
+@dataclass(frozen=True)
+class LongFormat:
+    """Which columns of a table hold the times, the names and the readings."""
+
+    time: str  # names of these columns
+    name: str  # names of these columns
+    value: str  # names of these columns
+    unit: str | None = None  # name of a column of units
+
+    def wide(self, frame: pd.DataFrame) -> pd.DataFrame:
+        """Return a row for each time, with a column for each name.
+
+        Of several readings of a name at one time the last stands; a name whose readings are not all
+        numbers is a column of text.
+        """
+        import pandas as pd
+
+        kept = frame[frame[self.name].notna() & frame[self.time].notna()]
+        names = kept[self.name].astype("string").str.strip()
+        if self.unit is not None:
+            units = kept[self.unit].astype("string").str.strip().fillna("")
+            known = units.map({unit: is_unit(unit) for unit in units.unique()}).astype(bool)
+            names = names.where(~known, names + " [" + units + "]")
+        times = kept[self.time]
+        # Rows stand in the order of time in which they were written.
+        rows = np.cumsum(np.append(0, np.asarray(times.to_numpy()[1:] != times.to_numpy()[:-1])))
+        made: dict[str, Any] = {self.time: times[np.diff(rows, prepend=-1) > 0].to_numpy()}
+        count = int(rows[-1]) + 1 if len(rows) else 0
+        for name in names.unique():
+            mine = np.asarray(names == name)
+            readings = kept[self.value][mine]
+            numbers = pd.to_numeric(readings, errors="coerce")
+            text = bool(np.any(numbers.isna() & readings.notna()))
+            values = np.full(count, None if text else np.nan, object if text else float)
+            values[rows[mine]] = readings if text else numbers.to_numpy(float)
+            made[str(name) if name != self.time else f"{name} (name)"] = values
+        return pd.DataFrame(made)
+
+
+def find_long(frame: pd.DataFrame) -> LongFormat | None:
+    """Tell whether each row of a table is one reading, with its time and its name.
+
+    Beside a column of times and one of names there is just one of readings; others hold one text
+    throughout, or units.
+    """
+    left = [name for name in map(str, frame) if frame[name].nunique() > 1]
+    if not 3 <= len(left) <= 4:
+        return None
+    times = [name for name in left if _TIME.fullmatch(name.strip())]
+    others = [name for name in left if name not in times[:1]]
+    words = [name for name in others if _is_text(frame[name])]
+    names = _only(words, lambda name: not _UNIT.fullmatch(name.strip()))
+    unit = _only(words, lambda name: bool(_UNIT.fullmatch(name.strip())))
+    value = _only(others, lambda name: name not in (names, unit))
+    if not times or names is None or value is None:
+        return None
+    distinct = frame[names].nunique()
+    if distinct > min(_MOST_NAMES, len(frame) / _OFTEN):
+        return None
+    return LongFormat(times[0], names, value, unit)
+
+
+def _only(names: list[str], fits: Callable[[str], bool]) -> str | None:
+    """Return the one name that fits."""
+    found = [name for name in names if fits(name)]
+    return found[0] if len(found) == 1 else None
+
+
+def _is_text(series: pd.Series[Any]) -> bool:
+    """Tell whether most cells are words: neither numbers nor instants."""
+    import pandas as pd
+
+    if pd.api.types.is_numeric_dtype(series) or pd.api.types.is_datetime64_any_dtype(series):
+        return False
+    there = series.dropna().astype("string").str.strip()
+    numbers = pd.to_numeric(there, errors="coerce")
+    return float(numbers.isna().mean()) > 0.5 and instants_of(there) is None
+
 
 MAX_LINE = 1 << 20
 """Longest line that is read [bytes]."""
@@ -31,6 +288,7 @@ MAX_BYTES = 1 << 31
 MAX_CELLS = 100_000_000
 """Most cells that are read."""
 _AHEAD = MAX_HEADER + (1 << 16)  # bytes that are looked at to learn how a table is written
+_STRAY_ROWS = 0.01  # share of rows that may be cut short
 _CHUNK = 200_000  # rows parsed at once
 _SUFFIXES = {
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".gz"), ".csv"),
@@ -43,7 +301,10 @@ _INTERRUPTED = "Calling read(nbytes) on source failed"
 
 
 def read_table(path: str | Path, error: type[InvalidInputError]) -> Table:
-    """Read a table of numbers with one row of column names."""
+    """Read a table of numbers with one row of column names, or several, as ``a.csv+b.csv``."""
+    parts = parts_of(path)
+    if len(parts) > 1:
+        return _join([read_table(part, error) for part in parts], error)
     file = Path(path)
     with _reading(file, error):
         if _suffix(file, error) == ".parquet":
@@ -59,6 +320,52 @@ def read_table(path: str | Path, error: type[InvalidInputError]) -> Table:
                 columns.add(frame)
                 return columns.table(file, error)
             return _read_csv(stream, file, error)
+
+
+def parts_of(path: str | Path) -> list[str]:
+    """Return the files that are to be joined, of a path such as ``left.csv+right.csv``."""
+    parts = str(path).split("+")
+    joined = len(parts) > 1 and not Path(path).exists() and all(Path(one).suffix for one in parts)
+    return parts if joined else [str(path)]
+
+
+def _join(tables: list[Table], error: type[InvalidInputError]) -> Table:
+    """Put the rows of several tables in one, in the order of one clock; cells of others are blank.
+
+    Columns bear the name of their file before their own.
+    """
+    name = "+".join(table.source for table in tables)
+    stems = [Path(table.source).name.partition(".")[0] for table in tables]
+    if len(set(stems)) < len(stems):
+        raise error(f"{name}: files that are joined must differ in name; rename one")
+    clocks, names = [], []
+    for table in tables:
+        found = guess(table.columns).get("t")
+        if found is None:
+            raise error(f"{table.source}: no column seems to be the time; name one 'time [s]'")
+        times = table.columns[found.name]
+        names.append(found.name)
+        clocks.append(scale_of("t", found.unit or time_unit(times)).factor * times)
+    spans = [(float(np.nanmin(t)), float(np.nanmax(t))) for t in clocks]
+    shared = min(end for _, end in spans) - max(start for start, _ in spans)
+    if not shared > 0.5 * min(end - start for start, end in spans):
+        told = ", ".join(
+            f"{one.source} {a:.6g} to {b:.6g} s" for one, (a, b) in zip(tables, spans, strict=True)
+        )
+        raise error(f"{name}: the clocks do not overlap ({told}); log all with one clock")
+    order = np.argsort(np.concatenate(clocks), kind="stable")
+    ends = np.cumsum([len(t) for t in clocks])
+    columns = {"t": np.concatenate(clocks)[order]}
+    text: dict[str, str] = {}
+    for stem, clock, table, end in zip(stems, names, tables, ends, strict=True):
+        for label, values in table.unchanged_held().columns.items():
+            if label == clock:
+                continue
+            whole = np.full(len(order), np.nan)
+            whole[end - len(values) : end] = values
+            columns[f"{stem}.{label}"] = whole[order]
+        text |= {f"{stem}.{label}": f"{table.source}: {why}" for label, why in table.text.items()}
+    return Table(name, columns, text, 1, "joined row", error, joined=True)
 
 
 def table_of(frame: Any, error: type[InvalidInputError]) -> Table:
@@ -105,7 +412,10 @@ def _reading(file: Path, error: type[InvalidInputError]) -> Iterator[None]:
 def _suffix(file: Path, error: type[InvalidInputError]) -> str:
     suffix = _SUFFIXES.get(file.suffix.lower())
     if file.is_dir():
-        raise error(f"{str(file)!r} is a folder; give a .csv, .csv.gz or .parquet file in it")
+        raise error(
+            f"{str(file)!r} is a folder; give a .csv, .csv.gz or .parquet file in it, or several "
+            "as one drive, as in odom.csv+battery.csv"
+        )
     if suffix is None and file.suffix.lower() in _SHEETS:
         raise error(f"{file} is a workbook; save the sheet that holds the log as CSV and give that")
     if suffix is None:
@@ -189,6 +499,37 @@ class _Rewound(io.RawIOBase):
         return self._ahead.readinto(buffer) or self._stream.readinto(buffer)
 
 
+class _Rows(io.RawIOBase):
+    """Lines on their way to the parser, which does not tell how many cells each had."""
+
+    def __init__(self, stream: io.BufferedReader[Any], separator: str) -> None:
+        super().__init__()
+        self._stream, self._separator = stream, separator.encode()
+        self._counts: list[NDArray[np.int32]] = []
+        self._open = 0  # separators in the line that has not ended
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: WriteableBuffer, /) -> int:
+        size = self._stream.readinto1(buffer)
+        data = np.frombuffer(memoryview(buffer), np.uint8)[:size]
+        marks = np.cumsum(data == ord(self._separator), dtype=np.int32)
+        ends = marks[data == ord("\n")]
+        counts = np.diff(ends, prepend=np.int32(0))
+        if len(ends):
+            counts[0] += self._open
+            self._counts.append(counts)
+            self._open = 0
+        self._open += int(marks[-1] - (ends[-1] if len(ends) else 0)) if size else 0
+        return size
+
+    def short(self, cells: int) -> NDArray[np.intp]:
+        """Return which rows have fewer cells, though some."""
+        counts = np.concatenate([*self._counts, np.array([self._open], np.int32)])
+        return np.flatnonzero((counts > 0) & (counts < cells - 1))
+
+
 class _Opened(NamedTuple):
     """How a text file writes its table, and its readings."""
 
@@ -215,12 +556,13 @@ def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInp
     exact: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
     long: LongFormat | None = None
     parts: list[pd.DataFrame] = []
+    rows = _Rows(readings, dialect.separator) if len(dialect.separator) == 1 else None
     try:
         with warnings.catch_warnings():
             # Rows wider than the header would lose their surplus with no more than a warning.
             warnings.simplefilter("error", pd.errors.ParserWarning)
             for frame in pd.read_csv(
-                readings,
+                readings if rows is None else io.BufferedReader(rows),
                 header=None,
                 names=range(len(names)),
                 sep=dialect.separator,
@@ -259,7 +601,18 @@ def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInp
         raise error(f"{file} is no table: {_with_line(str(problem), dialect.line)}") from None
     if long is not None:
         return _widened(pd.concat(parts), long, dialect.decimal, file, error)
-    return columns.table(file, error)
+    table = columns.table(file, error)
+    short = np.zeros(0, int) if rows is None else rows.short(dialect.named)
+    short = short[short < columns.rows]
+    if len(short) > max(1.0, _STRAY_ROWS * columns.rows):
+        raise error(
+            f"{file}, line {dialect.line + int(short[0])}: the row has fewer cells than the "
+            f"{dialect.named} names, and so have {len(short)} of {columns.rows} rows: which cell "
+            "is missing cannot be known; write every cell, empty ones too"
+        )
+    for values in table.columns.values():
+        values[short] = np.nan  # which of the cells are missing is not known
+    return table
 
 
 def _widened(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from energyplan.io.config import plain_vehicle
-from energyplan.logs.units import UNITS
+from energyplan.logs.mapping import UNITS
 
 if TYPE_CHECKING:
     from energyplan.diagnosis import Diagnosis

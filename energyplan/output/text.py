@@ -248,7 +248,7 @@ def plan(made: Plan, objective: str) -> list[str]:
     return [
         f"energy: {number(made.energy, 5)} J ({parts})",
         *([soft] if made.soft_cost else []),
-        f"{what} at most {100 * made.gap:.1f} % above the least possible "
+        f"{what} at most {round(100 * made.gap, 1) + 0.0:.1f} % above the least possible "
         f"(lower bound {number(made.lower_bound, 5)} {unit}{height})",
         f"length: {number(made.length)} m, turning: {number(math.degrees(made.turning))} deg",
         f"planned by {made.planner} in {made.planning_time:.2f} s, effort {made.effort}",

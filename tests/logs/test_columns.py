@@ -10,8 +10,7 @@ import pytest
 import energyplan as ep
 from energyplan import simulate
 from energyplan.errors import DriveLogError
-from energyplan.logs.columns import parse_columns
-from energyplan.logs.units import UNITS, known_unit
+from energyplan.logs.mapping import UNITS, known_unit, parse_columns
 
 MODEL = ep.PowerModel.preset("quadriga:empty:marble")
 RADIUS = 0.2

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog
-from energyplan.logs.copies import without_copies
+from energyplan.logs.checks import without_copies
 from energyplan.path import FloatArray
 
 

@@ -8,8 +8,7 @@ import pytest
 
 import energyplan as ep
 from energyplan.errors import DriveLogError
-from energyplan.logs.columns import parse_columns
-from energyplan.logs.counts import SINCE, TOTAL, count_rate
+from energyplan.logs.mapping import SINCE, TOTAL, count_rate, parse_columns
 
 RATE = 20.0
 

@@ -18,10 +18,8 @@ from scipy.signal import savgol_filter
 
 from energyplan.errors import DriveLogError, EnergyPlanError, MissingChannelError
 from energyplan.logs import DriveLog, tables
-from energyplan.logs._smooth import derivative
-from energyplan.logs.columns import parse_columns
-from energyplan.logs.plausible import find_offset
-from energyplan.logs.units import UNITS
+from energyplan.logs.align import derivative, find_offset
+from energyplan.logs.mapping import UNITS, parse_columns
 from energyplan.power import PowerModel
 from energyplan.power.effects import ANGULAR_INERTIA, LINEAR_INERTIA
 from energyplan.simulate import Setpoint, drive, identification_drive

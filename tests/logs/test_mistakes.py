@@ -13,8 +13,7 @@ import energyplan as ep
 from energyplan import simulate
 from energyplan.errors import DriveLogError, NotIdentifiableError
 from energyplan.io.logs import read_log
-from energyplan.logs.consistency import Measures, check_consistency
-from energyplan.logs.evidence import gather
+from energyplan.logs.consistency import Measures, check_consistency, gather
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import LINEAR_INERTIA
 from energyplan.vehicle import Vehicle

@@ -12,7 +12,7 @@ import energyplan as ep
 from energyplan import simulate
 from energyplan.io.robot import Given
 from energyplan.io.start import start
-from energyplan.logs.one_side import compare_powers, find_lost_sign
+from energyplan.logs.checks import find_lost_sign
 
 
 def _channels(unit: float) -> dict[str, np.ndarray]:
@@ -28,11 +28,12 @@ def _channels(unit: float) -> dict[str, np.ndarray]:
 
 
 def test_an_inner_side_that_takes_next_to_nothing_is_in_no_other_unit() -> None:
-    assert compare_powers(_channels(1.0)) == ""
+    assert ep.DriveLog.from_columns(_channels(1.0)).warnings == ()
 
 
 def test_a_side_in_kilowatts_is_told() -> None:
-    assert "map both in one unit, as in p_left=NAME[kW]" in compare_powers(_channels(1e-3))
+    told = " ".join(ep.DriveLog.from_columns(_channels(1e-3)).warnings)
+    assert "map both in one unit, as in p_left=NAME[kW]" in told
 
 
 def test_powers_without_sign_are_told_where_the_robot_turns_one_way_alone() -> None:
@@ -43,10 +44,10 @@ def test_powers_without_sign_are_told_where_the_robot_turns_one_way_alone() -> N
     left = log.channel("v_right") >= log.channel("v_left")
     channels = {name: values[left] for name, values in log.channels.items()}
     found = ep.identify(ep.DriveLog.from_columns(channels), model.vehicle)
-    assert not any("Log signed currents" in text for text in found.warnings)
+    assert not any("log signed currents" in text for text in found.warnings)
     lost = {name: np.abs(channels[name]) for name in ("p_left", "p_right")}
     found = ep.identify(ep.DriveLog.from_columns({**channels, **lost}), model.vehicle)
-    assert any("Log signed currents" in text for text in found.warnings)
+    assert any("log signed currents" in text for text in found.warnings)
 
 
 @pytest.mark.parametrize("side", ["p_left", "p_right"])

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal import savgol_filter
 
-from energyplan.logs.checks import find_runs
+from energyplan.logs.align import find_runs
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.logs.held import POWERS, held_periods
+from energyplan.logs.checks import POWERS, held_periods
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 

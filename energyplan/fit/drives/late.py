@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
-from energyplan.logs.checks import find_runs
+from energyplan.logs.align import find_runs
 from energyplan.path import FloatArray
 
 DELAYS = np.round(np.arange(-1.0, 1.01, 0.1), 1)

@@ -1,0 +1,632 @@
+"""A drive log's samples made fit for use: what cannot be used is set aside and counted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import ArrayLike, NDArray
+
+from energyplan.errors import DriveLogError
+from energyplan.kinds import described, numbers
+from energyplan.logs.align import Series, align, gap_limit
+from energyplan.path import FloatArray
+
+LIMITS = {
+    "t": (-1e11, 1e11, "s"),
+    "v_left": (-20.0, 20.0, "m/s"),
+    "v_right": (-20.0, 20.0, "m/s"),
+    "p_left": (-5e4, 5e4, "W"),
+    "p_right": (-5e4, 5e4, "W"),
+    "power": (-1e5, 1e5, "W"),
+    "voltage": (0.0, 1500.0, "V"),
+    "current": (-2000.0, 2000.0, "A"),
+    "x": (-1e8, 1e8, "m"),
+    "y": (-1e8, 1e8, "m"),
+    "yaw": (-1e6, 1e6, "rad"),
+    "yaw_rate": (-20.0, 20.0, "rad/s"),
+    "slope": (-1.2, 1.2, "rad"),
+    "accel_x": (-200.0, 200.0, "m/s^2"),
+    "temperature": (-100.0, 300.0, "degC"),
+    "payload": (0.0, 1e5, "kg"),
+}
+"""Range in which a reading is possible at all, by channel."""
+ANY = (-1e30, 1e30, "in its unit")
+"""The same of other channels."""
+_MOST = 0.99  # share of readings that are possible where a channel is in its unit
+_OTHER_UNIT = {
+    "s": "ns",
+    "rad": "deg",
+    "rad/s": "deg/s",
+    "m/s": "km/h",
+    "V": "mV",
+    "A": "mA",
+    "W": "mW",
+}
+_SPEED_UNITS = {
+    "km/h": 1 / 3.6,
+    "cm/s": 1e-2,
+    "mm/s": 1e-3,
+    "rad/s*WHEEL_RADIUS": 0.15,
+    "rpm*WHEEL_RADIUS": 0.015,
+    "deg/s*WHEEL_RADIUS": 0.0025,
+}
+_USUAL_SPEED = 0.7  # of robots that skid, as they are driven [m/s]
+
+
+def possible(channels: Mapping[str, FloatArray]) -> bool:
+    """Tell whether nearly all readings are such as a robot's channels can hold."""
+    for name, values in channels.items():
+        low, high, _ = LIMITS.get(name, ANY)
+        if np.mean((values >= low) & (values <= high)) < _MOST:
+            return False
+    return True
+
+
+def likely_unit(name: str, unit: str, values: FloatArray) -> str:
+    """Guess the unit of readings that are impossible in the library's."""
+    if name not in ("v_left", "v_right"):
+        return _OTHER_UNIT.get(unit, "*0.001")
+    size = float(np.nanquantile(np.abs(values), 0.9))
+    likely = {key: factor * size for key, factor in _SPEED_UNITS.items()}
+    near = sorted(likely, key=lambda key: abs(np.log(max(likely[key], 1e-300) / _USUAL_SPEED)))
+    text = "] or [".join(near[:3])
+    return f"{text}], or, if these are the motors' rates, divide by the gear ratio, as in [*0.033"
+
+
+_STANDS_OUT = {
+    **dict.fromkeys(("v_left", "v_right"), (3.0, 0.0)),
+    **dict.fromkeys(("p_left", "p_right", "power", "current"), (8.0, 0.0)),
+    "yaw_rate": (8.0, 3.0),  # [rad/s]
+}
+"""By how much a glitch stands out, and how large it is, by channel.
+
+In units of what the channel holds for three readings. Of some 120 real drives and drives of a
+physics engine, also at one reading in two seconds, speeds stood out by 1.6 at most, powers by 3.2.
+"""
+_FEW = 0.05  # share of readings that glitches may have
+_ENOUGH = 20  # readings below which nothing is concluded
+
+
+def find_glitches(channel: str, values: FloatArray) -> NDArray[np.bool_]:
+    """Tell which readings stand out from those around as nothing that lasts does.
+
+    A glitch lasts one reading or two, so a median over five does not show it.
+    """
+    lost = np.zeros(len(values), bool)
+    known = np.flatnonzero(np.isfinite(values))
+    if channel not in _STANDS_OUT or len(known) < _ENOUGH:
+        return lost
+    factor, least = _STANDS_OUT[channel]
+    readings = values[known]
+    lasting = np.median(sliding_window_view(np.pad(readings, 2, mode="reflect"), 5), axis=-1)
+    usual = float(np.quantile(np.abs(lasting), 0.99))
+    apart = (np.abs(readings - lasting) > factor * usual) & (np.abs(readings) > least)
+    if usual > 0.0 and np.mean(apart) <= _FEW:
+        lost[known[apart]] = True
+    return lost
+
+
+_FEWEST = 20  # bursts below which nothing is concluded
+_ROWS = 3  # of a burst, at least
+_APART = 10.0  # times the usual step, from which on a step is one between bursts
+_REGULAR = 0.9  # share of bursts that come with the clock
+_CHANGING = 0.6  # share of the steps within bursts in which readings change
+_ALIKE = 3.0  # times a change within a burst that one between bursts is at most
+_ROUNDS = tuple(2.0**bits * unit for bits in (16, 31, 32) for unit in (1.0, 1e-3, 1e-6))
+"""Times after which counters of seconds, their thousandths or millionths overflow [s]."""
+_NEAR = 10.0  # usual steps within which a counter that overflowed goes on
+
+
+def unwrap_clock(t: FloatArray) -> FloatArray | None:
+    """Return the times of a counter that overflowed and went on from zero."""
+    steps = np.diff(t)
+    back = steps < 0.0
+    usual = float(np.median(steps))
+    for whole in _ROUNDS:
+        over = steps[back] + whole
+        if np.any(back) and np.all((over > 0.0) & (over <= _NEAR * usual)):
+            return np.asarray(t + whole * np.append(0.0, np.cumsum(back)))
+    return None
+
+
+def spread_bursts(t: FloatArray, readings: FloatArray) -> FloatArray | None:
+    """Return the times of rows that were buffered, and written several at once.
+
+    Such rows are readings of a steady rate: they change from row to row as they do from burst to
+    burst. Bursts of a quick sensor that sleeps in between change far more from one to the next, and
+    rows for each message repeat what others brought.
+    """
+    steps = np.diff(t)
+    if len(t) < _ROWS * _FEWEST:
+        return None
+    between = steps > _APART * float(np.median(steps))
+    starts = np.append(0, np.flatnonzero(between) + 1)
+    sizes = np.diff(np.append(starts, len(t)))
+    if len(starts) < _FEWEST or np.median(sizes) < _ROWS:
+        return None
+    ends = t[starts + sizes - 1]
+    usual = float(np.median(np.diff(ends)))
+    waits = np.append(usual, np.diff(ends))
+    if np.mean(np.abs(waits - usual) < 0.5 * usual) < _REGULAR:
+        return None
+    changes = np.abs(np.diff(readings, axis=1))
+    if np.mean(np.any(changes[:, ~between] > 0.0, axis=0)) < _CHANGING:
+        return None
+    sizes_of = [np.sqrt(np.mean(changes[:, some] ** 2)) for some in (between, ~between)]
+    if sizes_of[0] > _ALIKE * sizes_of[1]:
+        return None
+    behind = np.repeat(starts + sizes - 1, sizes) - np.arange(len(t))
+    return np.asarray(
+        np.repeat(ends, sizes) - behind * np.repeat(np.minimum(waits, 1.5 * usual) / sizes, sizes)
+    )
+
+
+RECORDING = 20
+"""Rows from which a stretch counts as a recording of its own."""
+
+_TOGETHER = 0.8
+"""Share of a channel's rows that hold the others too, from which rows are whole."""
+
+_EXPECTED = 5.0
+"""Repeated readings that must be expected, were readings written whatever they are."""
+
+_FEW_REPEATS = 0.2
+"""Part of the repeats to expect up to which a logger writes only what changed."""
+
+
+class Held(NamedTuple):
+    """Columns with the readings that held, and the rows of each in which a blank was filled."""
+
+    columns: dict[str, FloatArray]
+    rows: dict[str, NDArray[np.intp]]
+
+
+def hold_unchanged(columns: Mapping[str, FloatArray]) -> Held:
+    """Fill the blanks of a table whose logger writes a reading only where it differs.
+
+    Such a column never repeats the reading before, though it has few values: of `n` readings, drawn
+    in any order, ``n`` times the sum of the squared shares of its values would. Where readings are
+    left out for another reason, or come more seldom than rows, they do repeat.
+    """
+    blanks = {name: np.isnan(values) for name, values in columns.items()}
+    found, changing = [], False
+    for name, blank in blanks.items():
+        readings = columns[name][~blank]
+        if len(readings) < 2 or not np.any(blank):
+            continue
+        counts = np.unique(readings, return_counts=True)[1]
+        expected = float(np.sum(counts * (counts - 1.0))) / len(readings)
+        if np.count_nonzero(np.diff(readings) == 0.0) > _FEW_REPEATS * expected:
+            continue
+        changing |= expected >= _EXPECTED
+        between = np.diff(np.flatnonzero(~blank))
+        usual = int(np.median(between))
+        if usual == 1 or np.mean(between == usual) < _REGULAR:
+            found.append(name)
+    if not changing:
+        return Held(dict(columns), {})
+    whole = [values for name, values in columns.items() if not np.any(blanks[name])]
+    ends = _instants(whole, len(next(iter(columns.values()))))
+    made, rows = dict(columns), {}
+    for name in found:
+        blank, values = blanks[name], columns[name]
+        last = np.maximum.accumulate(np.where(blank, -1, np.arange(len(blank))))[ends]
+        made[name] = np.where(last >= 0, values[last], np.nan)
+        rows[name] = np.flatnonzero(blank & (last >= 0))
+    return Held(made, rows)
+
+
+def _instants(whole: Sequence[FloatArray], count: int) -> NDArray[np.intp]:
+    """Return the last row of each row's instant: rows alike in the columns without a blank."""
+    if not whole:
+        return np.arange(count)
+    ends = np.append(np.any([np.diff(values) != 0.0 for values in whole], axis=0), True)
+    at = np.flatnonzero(ends)
+    return np.asarray(np.repeat(at, np.diff(at, prepend=-1)))
+
+
+class Joined(NamedTuple):
+    """Channels of several sources on the rows of one of them."""
+
+    channels: dict[str, FloatArray]  # (n,): the channels
+    rows: NDArray[np.intp]  # (n,): the rows that were kept
+    how: dict[str, str]  # how channels came that had rows of their own
+
+
+def join_rows(channels: Mapping[str, FloatArray], needed: Collection[str]) -> Joined | None:
+    """Join rows that hold a part of the channels each, as of messages from several sources."""
+    known = {name: np.isfinite(values) for name, values in channels.items()}
+    clock = np.flatnonzero(known["t"] & known["v_left"])
+    fewest = min(np.count_nonzero(known[name]) for name in needed)
+    whole = np.count_nonzero(np.all([known[name] for name in needed], axis=0))
+    t = channels["t"][clock]
+    apart = whole < _TOGETHER * fewest
+    if fewest < RECORDING or not apart or len(t) < 2 or np.any(np.diff(t) <= 0):
+        return None
+    found, how = {"t": t}, {}
+    for name, values in channels.items():
+        there = np.flatnonzero(known["t"] & known[name])
+        if name == "t" or np.count_nonzero(known[name][clock]) > _TOGETHER * len(clock):
+            found.setdefault(name, values[clock])
+            continue
+        own, readings = channels["t"][there], values[there]
+        later = np.append(True, np.diff(own) > 0)
+        if not np.all(np.diff(own) >= 0) or np.count_nonzero(later) < 2:
+            return None
+        readings = np.unwrap(readings) if name == "yaw" else readings
+        aligned = align(Series(own[later], readings[later]), t)
+        found[name], how[name] = aligned.values, aligned.how
+    return Joined(found, clock, how)
+
+
+Place = Callable[[int], str]
+
+_STRAY = 0.01  # share of readings out of range that is taken for glitches, not for a wrong unit
+_BRIDGE = 1.0  # longest hole in a further channel that is bridged by interpolation [s]
+_PAUSE = 10.0  # time between recordings whose clocks begin anew [s]
+_LATE = 0.01  # share of the rows that may come late
+_LATEST = 5.0  # how late they may come [s]
+_FAR = 0.01  # share of the steps in which a heading may change by more than a third of a turn
+_SPARSE = 0.1  # share of rows that may be set aside for want of a further channel
+
+
+@dataclass(frozen=True)
+class SetAside:
+    """Samples that a log left out or mended, and why."""
+
+    reason: str  # what was wrong with them, and what was done
+    count: int  # how many samples
+    where: str  # where the first ones were
+
+    def __str__(self) -> str:
+        return f"{self.count} samples: {self.reason} ({self.where})"
+
+
+def unchanged(
+    held: Mapping[str, NDArray[np.intp]], used: Collection[str], place: Place
+) -> list[SetAside]:
+    """Count the cells of columns in use that are blank because the reading before still holds."""
+    return [
+        SetAside(
+            f"{name} is blank, as what did not change is in this log; it holds",
+            len(rows), ", ".join(place(int(row)) for row in rows[:3]),
+        )
+        for name, rows in held.items() if name in used
+    ]  # fmt: skip
+
+
+class _Cleaned(Protocol):
+    """What has a name and says what was set aside, such as a drive log."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def set_aside(self) -> tuple[SetAside, ...]: ...
+
+
+def set_aside_by_drive(logs: Iterable[_Cleaned]) -> dict[str, dict[str, int]]:
+    """Count samples that were left out or mended, by drive and reason."""
+    counts: dict[str, dict[str, int]] = {}
+    for log in logs:
+        for item in log.set_aside:
+            reasons = counts.setdefault(log.name, {})
+            reasons[item.reason] = reasons.get(item.reason, 0) + item.count
+    return counts
+
+
+@dataclass(frozen=True)
+class Cleaned:
+    """Channels fit for a log, and what was done to get them."""
+
+    channels: dict[str, FloatArray]
+    rows: NDArray[np.intp]
+    set_aside: list[SetAside]
+    warnings: list[str]
+
+
+def needed_channels(names: Collection[str], label: str) -> tuple[str, ...]:
+    """Channels without which a sample is of no use: time, tread speeds and power."""
+    if not isinstance(names, Iterable):
+        raise DriveLogError(f"{label} is {described(names)}; give channels by name")
+    there = ", ".join(sorted(names)[:20]) or "nothing"
+    if {"x", "y", "yaw"} <= set(names) <= {"t", "x", "y", "yaw", "v", "omega"}:
+        raise DriveLogError(
+            f"{label} looks like a path or a trajectory, with {there}: energyplan check reads it; "
+            "a drive log has t, v_left, v_right and a power"
+        )
+    for channel in ("t", "v_left", "v_right"):
+        if channel not in names:
+            raise DriveLogError(
+                f"{label}: the channel {channel!r} is missing; the log has {there}; map a column to"
+                f" it, such as {channel}=NAME, or let energyplan start find the columns"
+            )
+    for way in (("p_left", "p_right"), ("power",), ("voltage", "current")):
+        if all(channel in names for channel in way):
+            return ("t", "v_left", "v_right", *way)
+    raise DriveLogError(
+        f"{label}: power is missing; give p_left and p_right, or power, or voltage and current; "
+        f"the log has {there}"
+    )
+
+
+def clean(columns: Mapping[str, ArrayLike], label: str, place: Place) -> Cleaned:
+    """Set aside what cannot be used, and refuse what cannot be mended."""
+    needed = needed_channels(columns, label)
+    channels = {k: np.array(numbers(columns[k], f"{label}: {k}", DriveLogError)) for k in columns}
+    shapes = {values.shape for values in channels.values()}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 1:
+        raise DriveLogError(f"{label}: channels have shapes {shapes}; give rows of equal length")
+    cleaner = _Cleaner(channels, label, place)
+    for name in channels:
+        if cleaner.many_strays(name):
+            cleaner.blank_glitches(name)  # several in a short log are no other unit
+        cleaner.blank_strays(name)
+        cleaner.blank_glitches(name)
+    cleaner.join(needed)
+    for name in needed:
+        cleaner.drop(
+            ~np.isfinite(cleaner.channels[name]), f"{name} has no usable reading; left out"
+        )
+    cleaner.order()
+    for name in [name for name in channels if name not in needed]:
+        cleaner.bridge(name)
+    cleaner.follow_heading()
+    if len(cleaner.rows) < 2:
+        told = "".join(f"; {item}" for item in cleaner.aside)
+        raise DriveLogError(
+            f"{label}: {len(cleaner.rows)} usable samples are left, two are needed{told}"
+        )
+    return Cleaned(cleaner.channels, cleaner.rows, cleaner.aside, cleaner.warnings)
+
+
+class _Cleaner:
+    """Channels on their way to a log; each step keeps count of what it takes away."""
+
+    def __init__(self, channels: dict[str, FloatArray], label: str, place: Place) -> None:
+        self.channels, self.label, self.place = channels, label, place
+        self.rows = np.arange(len(channels["t"]))
+        self.aside: list[SetAside] = []
+        self.warnings: list[str] = []
+
+    def note(self, lost: NDArray[np.bool_], reason: str) -> None:
+        """Count samples."""
+        if np.any(lost):
+            where = self.where(lost)
+            self.aside.append(SetAside(reason, int(np.count_nonzero(lost)), where))
+
+    def where(self, chosen: NDArray[np.bool_]) -> str:
+        """Name the first few of the chosen samples."""
+        some = self.rows[np.flatnonzero(chosen)[:4]]
+        names = ", ".join(self.place(int(row)) for row in some[:3])
+        return f"{names}, ..." if len(some) > 3 else names
+
+    def drop(self, lost: NDArray[np.bool_], reason: str) -> None:
+        """Take samples away."""
+        if np.any(lost):
+            self.note(lost, reason)
+            self.channels = {name: values[~lost] for name, values in self.channels.items()}
+            self.rows = self.rows[~lost]
+
+    def strays(self, name: str) -> NDArray[np.bool_]:
+        """Tell which readings are impossible."""
+        low, high, _ = LIMITS.get(name, ANY)
+        return np.asarray((self.channels[name] < low) | (self.channels[name] > high))
+
+    def many_strays(self, name: str) -> bool:
+        """Tell whether more readings are impossible than glitches are."""
+        stray = self.strays(name)
+        return bool(np.count_nonzero(stray) > max(1.0, _STRAY * len(stray)))
+
+    def blank_strays(self, name: str) -> None:
+        """Blank the few readings that are impossible; many of them mean a wrong unit."""
+        low, high, unit = LIMITS.get(name, ANY)
+        values, stray = self.channels[name], self.strays(name)
+        if self.many_strays(name):
+            count = int(np.count_nonzero(stray))
+            value = float(values[stray][0])
+            raise DriveLogError(
+                f"{self.label}, {self.where(stray)}: {name} is {value:g} {unit}, which no robot "
+                f"reaches; {count} of {len(values)} readings are outside {low:g} to {high:g} "
+                f"{unit}; name its unit, as in {name}=NAME[{likely_unit(name, unit, values)}]"
+            )
+        self.note(stray, f"{name} is outside {low:g} to {high:g} {unit}; blanked")
+        values[stray] = np.nan
+
+    def blank_glitches(self, name: str) -> None:
+        """Blank readings that stand out."""
+        lost = find_glitches(name, self.channels[name])
+        self.note(lost, f"{name} stands out for one reading or two; blanked")
+        self.channels[name][lost] = np.nan
+
+    def join(self, needed: Collection[str]) -> None:
+        """Bring channels that stand in rows of their own to those of the left tread speed."""
+        joined = join_rows(self.channels, needed)
+        if joined is None:
+            return
+        self.channels, self.rows = joined.channels, self.rows[joined.rows]
+        told = ", ".join(f"{name} {how}" for name, how in joined.how.items())
+        self.warnings.append(f"each row holds some of the channels; at the times of v_left: {told}")
+
+    def order(self) -> None:
+        """Put rows in the order of time, and average those of one time."""
+        if len(self.rows) < 2:
+            return
+        again = np.ones(len(self.rows) - 1, bool)
+        for values in self.channels.values():
+            again &= (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
+        self.drop(np.append(False, again), "the row repeats the one before; left out")
+        if len(self.rows) >= RECORDING and np.mean(np.diff(self.channels["t"]) < 0) > 0.9:
+            self.pick(np.arange(len(self.rows))[::-1])
+            self.warnings.append("the rows stand newest first; they are read backwards")
+        if np.any(np.diff(self.channels["t"]) < 0):
+            again = self.seen_before()
+            if np.all(np.diff(self.channels["t"][~again]) > 0):
+                self.drop(again, "the row repeats an earlier one; left out")
+        if np.any(np.diff(self.channels["t"]) < 0):
+            self.unwrap()
+        if np.any(np.diff(self.channels["t"]) < 0):
+            self.restart()
+        if np.any(np.diff(self.channels["t"]) < 0):
+            self.sort()
+        if np.any(np.diff(self.channels["t"]) == 0):
+            self.average()
+        if np.all(np.diff(self.channels["t"]) > 0):
+            self.spread()
+        t = self.channels["t"]
+        back = np.append(False, np.diff(t) <= 0)
+        if np.any(back):
+            k = int(np.flatnonzero(back)[0])
+            raise DriveLogError(
+                f"{self.label}, {self.where(back)}: t does not increase: {t[k]:.6f} s follows "
+                f"{t[k - 1]:.6f} s ({np.count_nonzero(back)} such steps in all); if several "
+                "recordings follow each other, or the clock was set back, give each part a file of "
+                "its own; else sort the rows by time, and drop those with a time of another row"
+            )
+
+    def seen_before(self) -> NDArray[np.bool_]:
+        """Tell which rows repeat an earlier one with its time, as where a part stands twice."""
+        table = np.nan_to_num(np.column_stack(list(self.channels.values())), nan=np.inf)
+        _, first = np.unique(table, axis=0, return_index=True)
+        again = np.ones(len(table), bool)
+        again[first] = False
+        return again
+
+    def pick(self, rows: NDArray[np.intp]) -> None:
+        """Keep some rows, in their order."""
+        self.channels = {name: values[rows] for name, values in self.channels.items()}
+        self.rows = self.rows[rows]
+
+    def unwrap(self) -> None:
+        """Let a clock go on that overflowed."""
+        t = self.channels["t"]
+        times = unwrap_clock(t)
+        if times is not None:
+            where = self.where(np.append(False, np.diff(t) < 0))
+            self.channels["t"] = times
+            self.warnings.append(f"t overflows at {where}, as a counter does, and goes on")
+
+    def restart(self) -> None:
+        """Put recordings one after the other that were appended to each other."""
+        t = self.channels["t"]
+        cuts = np.flatnonzero(np.diff(t) < 0) + 1
+        bounds = [slice(a, b) for a, b in pairwise([0, *cuts.tolist(), len(t)])]
+        parts = [t[one] for one in bounds]
+        if min(map(len, parts)) < RECORDING:
+            return
+        place = ", ".join(self.place(int(self.rows[cut])) for cut in cuts[:3])
+        first = sorted(range(len(parts)), key=lambda k: float(parts[k][0]))
+        if all(parts[a][-1] < parts[b][0] for a, b in pairwise(first)):
+            self.pick(np.concatenate([np.arange(bounds[k].start, bounds[k].stop) for k in first]))
+            self.warnings.append(f"t goes back at {place}: recordings were put in their order")
+            return
+        begins = np.array([part[0] for part in parts])
+        shortest = min(float(np.ptp(part)) for part in parts)
+        if np.ptp(begins) > max(5.0, 0.1 * shortest):
+            return  # no clock that begins anew
+        step = float(np.median(np.diff(t)))
+        pause = max(_PAUSE, 10 * step)
+        counted = t.copy()
+        for before, one in pairwise(bounds):
+            counted[one] += counted[before][-1] + pause - t[one][0]
+        self.channels["t"] = counted
+        told = f"{len(parts)} recordings in one file, which are taken as one drive with gaps of"
+        more = f"{pause:g} s; separate files tell diagnose more"
+        self.warnings.append(f"t begins anew at {place}: {told} {more}")
+
+    def sort(self) -> None:
+        """Sort rows of which a few came late."""
+        t = self.channels["t"]
+        late = np.append(False, np.diff(t) < 0)
+        if np.mean(late) > _LATE or np.max(np.maximum.accumulate(t) - t) > _LATEST:
+            return
+        self.note(late, "the row is older than the one before; sorted by time")
+        self.pick(np.argsort(t, kind="stable"))
+
+    def average(self) -> None:
+        """Average rows of one time, unless they come so evenly that their times are known."""
+        t = self.channels["t"]
+        if np.any(np.diff(t) < 0):
+            return
+        first = np.flatnonzero(np.append(True, np.diff(t) > 0))
+        sizes = np.diff(np.append(first, len(t)))
+        if len(first) >= RECORDING and np.median(sizes) > 1:
+            # Of stamps in whole seconds: rows of a steady rate lie on a line.
+            rows, step = np.arange(len(t)), float(np.median(np.diff(t[first])))
+            line = np.polynomial.Polynomial.fit(rows, t, 1)(rows)
+            if np.max(np.abs(line - t)) < step:
+                self.note(np.repeat(sizes, sizes) > 1, "the row's time is that of another; spread")
+                self.channels["t"] = line
+                return
+        if len(first) < RECORDING or np.max(sizes) > max(8, 8 * float(np.median(sizes))):
+            return  # the clock stood still
+        self.note(np.repeat(sizes, sizes) > 1, "the row's time is that of another; averaged")
+        for name, values in self.channels.items():
+            angle = name == "yaw"
+            known = np.isfinite(values)
+            filled = np.where(known, values, 0.0)
+            filled = np.where(known, np.exp(1j * filled), 0.0) if angle else filled
+            total = np.add.reduceat(filled, first)
+            count = np.add.reduceat(known.astype(float), first)
+            with np.errstate(invalid="ignore"):
+                mean = np.angle(total) if angle else total / count
+            self.channels[name] = np.where(count > 0, mean, np.nan)
+        self.channels["t"], self.rows = t[first], self.rows[first]
+
+    def spread(self) -> None:
+        """Give rows that were buffered, and came several at once, the times of their readings."""
+        t, speeds = self.channels["t"], [self.channels[name] for name in ("v_left", "v_right")]
+        times = spread_bursts(t, np.stack(speeds))
+        if times is not None:
+            self.note(times != t, "the row came with others in one burst; spread over the time")
+            self.channels["t"] = times
+
+    def bridge(self, name: str) -> None:
+        """Fill short holes of a further channel; leave it out where most of it is missing."""
+        values, t = self.channels[name], self.channels["t"]
+        hole = ~np.isfinite(values)
+        if not np.any(hole):
+            return
+        known = np.flatnonzero(~hole)
+        if len(known):
+            after = np.minimum(np.searchsorted(known, np.arange(len(t))), len(known) - 1)
+            before = np.maximum(after - 1, 0)
+            width = t[known[after]] - t[known[before]]
+            inside = (t >= t[known[0]]) & (t <= t[known[-1]]) & (width <= _BRIDGE)
+            mended = hole & inside
+            known_values = values[known]
+            if name == "yaw":
+                known_values = np.unwrap(known_values)
+            filled = values.copy()
+            filled[mended] = np.interp(t[mended], t[known], known_values)
+            if name == "yaw":
+                filled[known] = known_values
+            self.note(mended, f"{name} has no usable reading; interpolated")
+            self.channels[name], hole = filled, hole & ~mended
+        share = np.count_nonzero(hole) / max(1, len(hole))
+        if share > _SPARSE:
+            self.warnings.append(
+                f"{name} is left out: {share:.0%} of its readings are missing ({self.where(hole)})"
+            )
+            del self.channels[name]
+        else:
+            self.drop(hole, f"{name} has no usable reading for more than {_BRIDGE:g} s; left out")
+
+    def follow_heading(self) -> None:
+        """Leave out a heading, from 0 to one turn, that is read too seldom to tell the turns."""
+        yaw, t = self.channels.get("yaw"), self.channels["t"]
+        if yaw is None or len(t) < 3 or np.ptp(yaw) > 2 * np.pi:
+            return
+        change = np.abs(np.angle(np.exp(1j * np.diff(yaw))))[np.diff(t) <= gap_limit(t)]
+        far = np.count_nonzero(change > 2 * np.pi / 3)
+        if far > max(1.0, _FAR * len(change)):
+            self.warnings.append(
+                f"yaw is left out: in {far / len(change):.0%} of the steps from reading to reading "
+                "it changes by more than a third of a turn, which does not tell how far the robot"
+                " turned, or which way; log it more often"
+            )
+            del self.channels["yaw"]

@@ -1,0 +1,603 @@
+"""Which column of a file is which channel: units as people write them, formulas, counters."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from itertools import pairwise
+from math import isfinite, pi
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from energyplan.errors import DriveLogError
+from energyplan.kinds import described
+from energyplan.logs.align import derivative, gap_limit
+from energyplan.path import FloatArray
+
+if TYPE_CHECKING:  # which imports this module
+    from energyplan.logs.tables import Table
+
+
+class Scale(NamedTuple):
+    """SI value = factor times reading, plus offset."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
+_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048, "in": 0.0254}
+_SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6, "mph": 0.44704, "ft/s": 0.3048,
+          "in/s": 0.0254}  # fmt: skip
+_ANGLE = {"rad": 1.0, "deg": pi / 180, "mrad": 1e-3, "rev": 2 * pi}
+RATES = {"rad/s": 1.0, "deg/s": pi / 180, "rpm": pi / 30, "rev/s": 2 * pi, "mrad/s": 1e-3}
+_COUNTS = {"ticks": 1.0, "ticks/sample": 1.0, "ticks/s": 1.0}
+_ENERGY = {"J": 1.0, "kJ": 1e3, "mWh": 3.6, "Wh": 3.6e3, "kWh": 3.6e6}
+_CHARGE = {"mAh": 3.6, "Ah": 3.6e3}
+_POWER = {"W": 1.0, "kW": 1e3, "mW": 1e-3, "hp": 745.69987, "PS": 735.49875, **_ENERGY}
+
+UNITS: dict[str, dict[str, float]] = {
+    "t": _TIME,
+    "x": _LENGTH,
+    "y": _LENGTH,
+    "v_left": _SPEED,
+    "v_right": _SPEED,
+    "p_left": _POWER,
+    "p_right": _POWER,
+    "power": _POWER,
+    "voltage": {"V": 1.0, "mV": 1e-3},
+    "current": {"A": 1.0, "mA": 1e-3, **_CHARGE},
+    "yaw": _ANGLE,
+    "slope": _ANGLE,
+    "yaw_rate": RATES,
+    "accel_x": {"m/s^2": 1.0, "g": 9.80665},
+    "temperature": {"degC": 1.0, "K": 1.0, "degF": 5 / 9},
+    "payload": {"kg": 1.0, "lb": 0.45359237},
+}
+"""Units by channel; the first is the one of the library."""
+_OFFSETS = {"K": -273.15, "degF": -160 / 9}
+_ALIASES = {
+    "sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "millisecond": "ms",
+    "milliseconds": "ms", "usec": "us", "\u00b5s": "us", "\u03bcs": "us", "microseconds": "us",
+    "nsec": "ns", "nanoseconds": "ns", "minutes": "min", "hours": "h", "day": "d", "days": "d",
+    "meter": "m", "meters": "m", "metre": "m", "metres": "m",
+    "mps": "m/s", "m s-1": "m/s", "m s^-1": "m/s", "meters/s": "m/s", "kmh": "km/h",
+    "kph": "km/h", "kmph": "km/h", "ips": "in/s", "inch/s": "in/s", "inches/s": "in/s",
+    "fps": "ft/s", "feet/s": "ft/s", "inch": "in", "inches": "in", "feet": "ft", "foot": "ft",
+    "radian": "rad", "radians": "rad", "degree": "deg", "degrees": "deg", "\u00b0": "deg",
+    "grad": "deg", "grad/s": "deg/s", "tr/min": "rpm", "umdr/min": "rpm", "rad/sek": "rad/s",
+    "rads": "rad/s", "radps": "rad/s", "rad s-1": "rad/s", "rad s^-1": "rad/s",
+    "radians/s": "rad/s", "rad/sec": "rad/s", "\u00b0/s": "deg/s", "dps": "deg/s",
+    "degrees/s": "deg/s", "deg/sec": "deg/s", "1/min": "rpm", "r/min": "rpm", "u/min": "rpm",
+    "min-1": "rpm", "min^-1": "rpm", "rps": "rev/s",
+    "watt": "W", "watts": "W", "kilowatt": "kW", "horsepower": "hp",
+    "watthours": "Wh", "watt/hours": "Wh", "watt/hour": "Wh", "w/h": "Wh", "amphours": "Ah",
+    "amp/hours": "Ah", "amp/hour": "Ah", "ampere/hours": "Ah", "milliamp/hours": "mAh",
+    "kilowatt/hours": "kWh", "joule": "J", "joules": "J",
+    "milliwatt": "mW", "volt": "V", "volts": "V",
+    "amp": "A", "amps": "A", "ampere": "A", "amperes": "A", "milliampere": "mA",
+    "m/s2": "m/s^2", "m/s\u00b2": "m/s^2", "m/s/s": "m/s^2", "mps2": "m/s^2",
+    "\u00b0c": "degC", "celsius": "degC", "\u00b0f": "degF", "fahrenheit": "degF",
+    "tick": "ticks", "counts": "ticks", "count": "ticks", "cts": "ticks", "pulses": "ticks",
+    "tps": "ticks/s", "counts/s": "ticks/s", "cps": "ticks/s", "pulses/s": "ticks/s",
+    "tick/s": "ticks/s", "ticks/sec": "ticks/s", "counts/sample": "ticks/sample",
+    "kelvin": "K", "kilogram": "kg", "lbs": "lb", "pounds": "lb",
+}  # fmt: skip
+"""Other ways to write a unit, in small letters."""
+_WHEEL_CHANNELS = ("v_left", "v_right")
+_OF_WHEELS = {**RATES, **_COUNTS}
+
+
+def known_unit(channel: str, unit: str) -> str | None:
+    """Return a channel's unit by its usual spelling; None where the channel has no such unit."""
+    known = {**UNITS.get(channel, {}), **(_OF_WHEELS if channel in _WHEEL_CHANNELS else {})}
+    bare = unit.strip()
+    if bare in known:
+        return bare
+    folded = {name.lower(): name for name in known if name not in ("mW", "mWh")}  # M: a million
+    spelt = _ALIASES.get(bare.lower(), folded.get(bare.lower()))
+    return spelt if spelt in known else None
+
+
+def is_wheel_rate(unit: str) -> bool:
+    """Tell whether a unit of tread speeds is one of wheel rates, which take a wheel radius."""
+    return unit in RATES
+
+
+def is_count(unit: str) -> bool:
+    """Tell whether a unit of tread speeds is one of encoders, which takes the metres per count."""
+    return unit in _COUNTS
+
+
+def scale_of(channel: str, unit: str) -> Scale:
+    """Return the conversion from a unit."""
+    if not unit:
+        return Scale()
+    sign = -1.0 if unit.startswith("-") else 1.0
+    bare = unit.lstrip("-").strip()
+    name, star, number = bare.rpartition("*")
+    factor = 1.0
+    if star:
+        bare = name.strip()
+        try:
+            factor = float(number)
+        except ValueError:
+            factor = float("nan")
+        if not isfinite(factor) or factor == 0:
+            raise DriveLogError(f"{channel}: [{unit}] is no factor; write one such as [*0.165]")
+    if not bare:
+        return Scale(sign * factor)
+    known = UNITS.get(channel)
+    if known is None:
+        raise DriveLogError(
+            f"{channel}: the unit of a channel of your own is yours; leave [{unit}] out, or give a "
+            "factor such as [*0.001]"
+        )
+    spelt = known_unit(channel, bare)
+    if spelt is None:
+        rates = (
+            ", wheel rates such as rpm with the wheel radius, as in [rpm*0.165], encoder counts "
+            "with the metres per count, as in [ticks*0.0001]"
+        )
+        raise DriveLogError(
+            f"{channel} cannot be in [{unit}]; it can be in {', '.join(known)}"
+            f"{rates if channel in _WHEEL_CHANNELS else ''}, with a minus "
+            "before it where the sign is opposite, or give a factor such as [*0.001]"
+        )
+    if spelt not in known:
+        if not star and is_count(spelt):
+            raise DriveLogError(
+                f"{channel} in [{unit}] is an encoder's count; give the metres per count with it, "
+                f"as in {channel}=NAME[{spelt}*0.0001] for 0.1 mm"
+            )
+        if not star:
+            raise DriveLogError(
+                f"{channel} in [{unit}] is a wheel's rate; give the wheel radius with it, as in "
+                f"{channel}=NAME[{spelt}*0.165] for 0.165 m"
+            )
+        return Scale(sign * factor * _OF_WHEELS[spelt])
+    return Scale(sign * factor * known[spelt], _OFFSETS.get(spelt, 0.0))
+
+
+_BRACKETED = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Split a column's name from the unit in brackets at its end; empty where there is none."""
+    match = _BRACKETED.fullmatch(name.strip())
+    return (match[1], match[2]) if match else (name.strip(), "")
+
+
+_ANYWHERE = {
+    "ms", "us", "ns", "kmh", "kph", "mps", "mph", "rpm", "dps", "radps", "rads", "deg", "degrees",
+    "kw", "mv", "ma", "mm", "cm", "hp", "ips", "wh", "kwh", "mwh", "ah", "mah",
+}  # fmt: skip
+"""Words that are units wherever in a name they stand; others are only at its end."""
+
+
+_CAPITALS = {"kW", "mW", "mV", "mA", "mWh", "kWh", "mAh", "degC", "degF"}
+"""Units that hold a capital after a small letter."""
+
+
+def split_words(name: str) -> list[str]:
+    """Split a name at signs, and where small letters turn to capitals."""
+    found: list[str] = []
+    for part in re.split(r"[^A-Za-z0-9\u00b0\u00b5^]+", name):
+        if part in _CAPITALS:
+            found.append(part)
+            continue
+        spaced = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", part)
+        found += re.sub(r"([A-Z]+)([A-Z][a-z])", r"\1 \2", spaced).split()
+    return found
+
+
+class NamedUnit(NamedTuple):
+    """A name without its unit, and the unit in its usual spelling."""
+
+    bare: str
+    unit: str
+
+
+def unit_in(channel: str, name: str) -> NamedUnit | None:
+    """Return the unit that a column's name tells, if the channel can be in it.
+
+    It stands in brackets at the end, as in ``speed [km/h]``, or is a word of the name, as in
+    ``current_mA``, ``yaw_rate_deg_s`` or ``rpm_left``.
+    """
+    bare, told = split_unit(name)
+    if told:
+        spelt = known_unit(channel, told)
+        return None if spelt is None else NamedUnit(bare, spelt)
+    words = split_words(name)
+    for count in (3, 2, 1):
+        tail = [word for word in words[-count:] if word.lower() != "per"]
+        if len(words) < count + (count == 1) or (count > 1 and len(tail) != 2):
+            continue
+        spelt = known_unit(channel, "/".join(tail))
+        if spelt is not None:
+            return NamedUnit("_".join(words[:-count]), spelt)
+    for k, word in enumerate(words):
+        spelt = known_unit(channel, word) if word.lower() in _ANYWHERE else None
+        if spelt is not None:
+            return NamedUnit("_".join(words[:k] + words[k + 1 :]), spelt)
+    return None
+
+
+_DATE = 1e4  # days after which spreadsheets' dates begin, at least: such a clock may count days
+
+
+def time_unit(times: FloatArray) -> str:
+    """Return the unit of time in which a drive log's step is usual; empty where it is seconds."""
+    steps = np.diff(times)
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    if not len(steps):
+        return ""
+    step = float(np.median(steps))
+    sizes = {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+    if np.nanmedian(times) > _DATE:
+        sizes |= {"d": 86400.0}
+    return next((name for name, size in sizes.items() if 5e-4 <= step * size <= 2.5), "")
+
+
+def is_unit(text: str) -> bool:
+    """Tell whether a text is a unit of any channel."""
+    bare = text.strip().strip("[]()").strip()
+    return any(known_unit(channel, bare) is not None for channel in UNITS)
+
+
+# -- counters----------------------------------------------------------------------
+
+TOTAL, SINCE, RATE = "ticks", "ticks/sample", "ticks/s"
+"""How an encoder counts: on and on, since the row before, or in a second."""
+CONSUMED = "consumed"
+"""How a counter of energy or charge counts: on and on, in steps that may be seldom."""
+
+_SIZES = (8, 16, 32)  # bits of counters that run over
+_JUMP = 10.0  # times the fastest counting, from which on a counter was set back
+
+
+def counting(channel: str, unit: str) -> str:
+    """Return how a unit counts: `TOTAL`, `SINCE`, `CONSUMED`; empty where a factor suffices."""
+    bare = known_unit(channel, unit.lstrip("-").partition("*")[0]) or ""
+    return CONSUMED if bare in {**_ENERGY, **_CHARGE} else bare if bare in (TOTAL, SINCE) else ""
+
+
+def count_rate(t: FloatArray, counts: FloatArray, unit: str) -> FloatArray:
+    """Return how fast an encoder, or a counter of energy or charge, counts.
+
+    A counter that runs over at 8, 16 or 32 bits counts on; one that is set back begins anew.
+    """
+    rate = np.full(len(t), np.nan)
+    rows = np.flatnonzero(np.isfinite(t) & np.isfinite(counts))
+    if not len(rows):
+        return rate
+    if len(rows) > 1 and np.mean(np.diff(t[rows]) < 0) > 0.5:  # newest first
+        rows = rows[::-1]
+    known = counts[rows]
+    total = np.cumsum(known) if unit == SINCE else _unrolled(known)
+    time = t[rows]
+    if unit == CONSUMED:  # between two steps of a coarse counter the rate is their mean
+        steps = np.flatnonzero(np.diff(total, prepend=np.nan) != 0.0)
+        total = np.interp(time, time[steps], total[steps]) if np.all(np.diff(time) >= 0) else total
+    # Rows of one time are one reading, the last of them.
+    last = np.append(time[1:] != time[:-1], True)
+    rate[rows] = _slopes(time[last], total[last])[np.cumsum(np.append(0, last[:-1]))]
+    return rate
+
+
+def _unrolled(counts: FloatArray) -> FloatArray:
+    """Count on where a counter ran over."""
+    steps = np.abs(np.diff(counts))
+    low, high = float(np.min(counts)), float(np.max(counts))
+    for bits in _SIZES:
+        whole = 2.0**bits
+        inside = (low >= 0 and high < whole) or (low >= -whole / 2 and high < whole / 2)
+        if inside:
+            over = steps > 0.75 * whole
+            return np.unwrap(counts, period=whole) if over.any() else counts
+    return counts
+
+
+def _slopes(t: FloatArray, total: FloatArray) -> FloatArray:
+    """Differentiate between the places where time or the counter breaks off."""
+    if len(t) < 2:
+        return np.zeros(len(t))
+    step, count = np.diff(t), np.abs(np.diff(total))
+    forward = step > 0
+    if not forward.any():
+        return np.zeros(len(t))
+    speed = np.divide(count, step, out=np.zeros(len(step)), where=forward)
+    counted = speed[speed > 0]
+    fastest = float(np.quantile(counted, 0.9)) if len(counted) else 0.0
+    broken: NDArray[np.bool_] = ~forward | (step > gap_limit(t)) | (speed > _JUMP * fastest)
+    edges = [0, *(np.flatnonzero(broken) + 1).tolist(), len(t)]
+    return derivative(t, total, [slice(a, b) for a, b in pairwise(edges)], 0.0)
+
+
+# -- columns ----------------------------------------------------------------------
+
+
+class Column(NamedTuple):
+    """A column of a file that serves as a channel."""
+
+    source: str  # name of the column
+    scale: Scale = Scale()  # conversion to the library's unit
+    unit: str = ""  # the unit that the conversion came from, as it was written
+    times: str | None = None  # A further column to multiply by, as a voltage by a current
+    plus: tuple[str, ...] = ()  # columns to add, before that
+    weights: tuple[float, ...] = ()  # factors of the source and of those; none: all are one
+    channel: str = ""  # the channel that it serves as
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all the columns."""
+        return (self.source, *self.plus, *(() if self.times is None else (self.times,)))
+
+    @property
+    def written(self) -> str:
+        """What is computed of the columns, before the conversion."""
+        text = ""
+        for weight, name in self._terms():
+            factor = "" if abs(weight) == 1.0 else f"{abs(weight):.10g}*"
+            text += f" {'-' if weight < 0 else '+'} {factor}{name}"
+        added = text.removeprefix(" + ").strip()
+        if self.times is None:
+            return added
+        return f"({added}) * {self.times}" if self.plus else f"{added} * {self.times}"
+
+    def _terms(self) -> list[tuple[float, str]]:
+        names = (self.source, *self.plus)
+        return list(zip(self.weights or (1.0,) * len(names), names, strict=True))
+
+    def value(self, reading: Callable[[str], Any], rate: Callable[[str], Any] | None = None) -> Any:
+        """Return the channel in the library's unit from the readings, or rates, of columns."""
+        added = rate or reading
+        parts = [added(n) if w == 1.0 else w * added(n) for w, n in self._terms()]
+        value = sum(parts[1:], start=parts[0])
+        if self.times is not None:
+            value = value * reading(self.times)
+        return value * self.scale.factor + self.scale.offset
+
+    @property
+    def counts(self) -> str:
+        """How the column counts; empty where its readings are the channel's, but for a factor."""
+        return counting(self.channel, self.unit)
+
+    def over(self, t: FloatArray | None, reading: Callable[[str], FloatArray]) -> FloatArray:
+        """Return the channel over time [s], as `value`; of a counter, its rate."""
+        kind = self.counts
+        if not kind or t is None:
+            return np.asarray(self.value(reading))
+        return np.asarray(self.value(reading, lambda name: count_rate(t, reading(name), kind)))
+
+    def described(self) -> dict[str, Any]:
+        """Return the column as a project's file holds it."""
+        return {
+            "column": self.source, "plus": list(self.plus), "weights": list(self.weights),
+            "unit": self.unit, "times": self.times,
+        }  # fmt: skip
+
+    def with_unit(self, unit: str) -> Column:
+        """Return the column in another unit."""
+        return column_from(self.channel, self.source, unit, self.times, self.plus, self.weights)
+
+    def negative(self) -> Column:
+        """Return the column with the opposite sign."""
+        unit = self.unit or next(iter(UNITS[self.channel]))
+        return self.with_unit(unit[1:] if unit.startswith("-") else f"-{unit}")
+
+
+def column_from(
+    channel: str,
+    column: str,
+    unit: str | None = None,
+    times: str | None = None,
+    plus: Sequence[str] = (),
+    weights: Sequence[float] = (),
+) -> Column:
+    """Return the column of a name that serves as a channel."""
+    scale = scale_of(channel, unit) if unit else Scale()
+    if weights and len(weights) != 1 + len(plus):
+        raise DriveLogError(
+            f"{channel}: {len(weights)} weights of {1 + len(plus)} columns; give one for each"
+        )
+    return Column(column, scale, unit or "", times, tuple(plus), tuple(weights), channel)
+
+
+def _unreadable(entry: str) -> DriveLogError:
+    return DriveLogError(
+        f"column mapping {entry.strip()!r} cannot be read; write CHANNEL=COLUMN or "
+        "CHANNEL=COLUMN[UNIT], such as yaw=heading[deg], with quotes around a name that holds "
+        "commas"
+    )
+
+
+class _Entry(NamedTuple):
+    """An entry of a column mapping as written: what is a name in it the table decides."""
+
+    channel: str
+    text: str
+    quoted: bool
+    unit: str
+
+
+def _split(text: str) -> list[str]:
+    """Split at commas outside quotes and brackets."""
+    parts, depth, quote = [""], 0, ""
+    for letter in text:
+        if quote:
+            quote = "" if letter == quote else quote
+        elif letter in "\"'":
+            quote = letter
+        else:
+            depth += (letter in "[(") - (letter in "])" and depth > 0)
+        if letter == "," and not quote and not depth:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return [part for part in parts if part.strip()]
+
+
+_QUOTED = re.compile(r"""(?:"([^"]+)"|'([^']+)')\s*(?:\[\s*([^\[\]]*?)\s*\])?""")
+
+
+def _entries(columns: str | Mapping[str, str] | None) -> list[_Entry]:
+    if columns is None:
+        return []
+    if isinstance(columns, str):
+        pairs = [entry.partition("=") for entry in _split(columns)]
+    else:
+        pairs = [(channel, "=", str(source)) for channel, source in columns.items()]
+    found: list[_Entry] = []
+    for name, equals, text in pairs:
+        channel, source = name.strip(), text.strip()
+        if not equals or not channel or not source or re.search(r"[\[\]\"']", channel):
+            raise _unreadable(f"{name}{equals}{text}")
+        if channel in {entry.channel for entry in found}:
+            raise DriveLogError(f"column mapping names the channel {channel!r} twice; drop one")
+        quoted = _QUOTED.fullmatch(source)
+        if quoted is not None:
+            inner = quoted[1] or quoted[2]
+            found.append(_Entry(channel, inner, True, quoted[3] or ""))
+        else:
+            found.append(_Entry(channel, source, False, ""))
+    return found
+
+
+_UNIT_AFTER = re.compile(r"(.*\S)\s*\[\s*([^\[\]]*?)\s*\]")
+
+
+def _resolve(entry: _Entry, names: Collection[str]) -> Column:
+    """Find what a mapping's entry means: a name as a whole, or a name with a unit after it."""
+    if entry.unit:
+        return column_from(entry.channel, entry.text, entry.unit)
+    if entry.quoted or entry.text in names:
+        # What a name says of its unit, such as "speed [km/h]" or "speed_kmh", is believed.
+        told = unit_in(entry.channel, entry.text)
+        return column_from(entry.channel, entry.text, told.unit if told else None)
+    match = _UNIT_AFTER.fullmatch(entry.text)
+    source, unit = (match[1], match[2]) if match else (entry.text, "")
+    if source.count("[") != source.count("]"):
+        raise _unreadable(f"{entry.channel}={entry.text}")
+    formula = None if source in names else _formula(source, names)
+    if formula is None:
+        return column_from(entry.channel, source, unit)
+    terms, times = formula
+    parts = [name for _, name in terms]
+    weights = [weight for weight, _ in terms]
+    written = unit or _unit_of(entry.channel, parts, times)
+    plain = all(weight == 1.0 for weight in weights)
+    return column_from(entry.channel, parts[0], written, times, parts[1:], () if plain else weights)
+
+
+_NUMBER = r"\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+"
+
+
+def _formula(
+    text: str, names: Collection[str]
+) -> tuple[list[tuple[float, str]], str | None] | None:
+    """Read a sum of columns with factors, and perhaps a column to multiply it by."""
+    known = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True) if name)
+    if not known:
+        return None
+    term = rf"(?:({_NUMBER})\s*\*\s*)?({known})(?:\s*\*\s*({_NUMBER})(?![\w.]))?"
+    whole = rf"(\()?\s*([-+]?\s*{term}(?:\s*[-+]\s*{term})*)\s*(?(1)\))(?:\s*\*\s*({known}))?"
+    match = re.fullmatch(whole, text.strip())
+    if match is None:
+        return None
+    found = []
+    for sign, before, name, after in re.findall(rf"([-+]?)\s*{term}", match[2]):
+        weight = float(before or 1.0) * float(after or 1.0)
+        found.append((-weight if sign == "-" else weight, name))
+    return found, match[match.re.groups]
+
+
+def _unit_of(channel: str, names: Sequence[str], times: str | None) -> str:
+    """Return the unit that the columns of a formula tell by their names, if they all tell one."""
+    kinds = (channel,) if times is None else ("current", "voltage", "yaw_rate")
+    told = [
+        next((one for kind in kinds if (one := unit_in(kind, name)) is not None), None)
+        for name in (*names, *(() if times is None else (times,)))
+    ]
+    if times is None:
+        units = {one.unit if one else "" for one in told}
+        if len(units) == 1:
+            return units.pop()
+        raise DriveLogError(
+            f"{channel}: {' and '.join(names)} do not tell one unit; give the unit after the "
+            f"formula, or factors in it, as in {channel}={names[0]}-0.25*{names[-1]}[m/s]"
+        )
+    factor = 1.0
+    for unit in (*{part.unit if part else "" for part in told[:-1]}, told[-1] and told[-1].unit):
+        factor *= next((UNITS[kind][unit] for kind in kinds if unit in UNITS[kind]), 1.0)
+    return "" if factor == 1.0 else f"*{factor:.10g}"
+
+
+def parse_columns(
+    columns: str | Mapping[str, str | Column] | None, names: Collection[str] = ()
+) -> dict[str, Column]:
+    """Read which column serves as which channel."""
+    if columns is None or isinstance(columns, str):
+        return {entry.channel: _resolve(entry, names) for entry in _entries(columns)}
+    for key, item in columns.items():
+        if not isinstance(item, str | Column):
+            raise DriveLogError(f"the column of {key!r} is {described(item)}; give its name")
+    made = {key: item for key, item in columns.items() if isinstance(item, Column)}
+    rest = {key: item for key, item in columns.items() if isinstance(item, str)}
+    return {**made, **{entry.channel: _resolve(entry, names) for entry in _entries(rest)}}
+
+
+class Chosen(NamedTuple):
+    """Channels taken from a table, the columns that served, and those of text nobody asked for."""
+
+    channels: dict[str, FloatArray]
+    used: set[str]
+    unread: list[str]
+
+
+def choose_columns(
+    table: Table, columns: str | Mapping[str, str | Column] | None, others: bool = True
+) -> Chosen:
+    """Take a log's channels from a table."""
+    wanted = parse_columns(columns, (*table.columns, *table.text))
+    if others:
+        own = own_columns((*table.columns, *table.text), wanted)
+        wanted |= {k: c for k, c in own.items() if k in UNITS or c.source in table.columns}
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is out of range anyway
+        t = wanted["t"].value(table.column) if "t" in wanted else None
+        channels = {channel: column.over(t, table.column) for channel, column in wanted.items()}
+    used = {name for column in wanted.values() for name in column.names}
+    unread = [name for name in table.text if others and name not in used]
+    return Chosen(channels, used, unread)
+
+
+def own_columns(names: Iterable[str], wanted: Mapping[str, Column]) -> dict[str, Column]:
+    """Return the channels that columns are by their own names."""
+    taken = {name for column in wanted.values() for name in column.names}
+    left = [name for name in names if name and name not in taken]
+    found = {name: Column(name) for name in left if name in UNITS and name not in wanted}
+    for name in left:
+        named = _named_channel(name)
+        if named is not None and named.channel not in {**wanted, **found}:
+            found[named.channel] = column_from(named.channel, name, named.unit)
+        elif name not in {**wanted, **found}:
+            found[name] = Column(name)
+    return found
+
+
+class _NamedChannel(NamedTuple):
+    """A channel, and the unit that a column's name tells beside it."""
+
+    channel: str
+    unit: str
+
+
+def _named_channel(name: str) -> _NamedChannel | None:
+    """Return the channel that a column's name is, with a unit of that channel after it."""
+    for channel in UNITS:
+        told = unit_in(channel, name) if name.startswith(channel) and name != channel else None
+        if told is not None and told.bare == channel:
+            return _NamedChannel(channel, told.unit)
+    return None

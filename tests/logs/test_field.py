@@ -1,0 +1,152 @@
+"""Logs as people have them: read right, or refused with what to write; never wrong in silence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from foreign_logs import ROVER, At, drive
+from pydantic import ValidationError
+
+import energyplan as ep
+from energyplan.errors import DriveLogError
+from energyplan.io.bag_fields import BagFields, Field
+from energyplan.io.logs import read_log
+from energyplan.io.robot import Given
+from energyplan.io.start import start
+from energyplan.io.topics import TopicSource
+
+AT = At(drive(ROVER), ROVER)
+MEASURES = Given(**ROVER.measures)
+CASES = {
+    "charge_counter_as_current": ("", "current=BAT.CurrTot[mAh]"),
+    "delay_of_nothing": ("", ""),
+    "header_longer_than_rows": ("", "names 7 columns, but the rows have 6 cells"),
+    "hundredths_volts_and_amps": ("", "25.2 V by voltage=batVoltage[*0.01]"),
+    "inches_per_second": ("", ""),
+    "mirrored_motor_no_heading": (
+        "v_left=left_vel[rev/s*0.1],v_right=right_vel[rev/s*0.1]", "motor mounted in the mirror"),
+    "odom_twist_and_battery": ("", ""),
+    "topic_echo_csv_no_header": ("", "no line names the columns"),
+    "turns_per_second_wrong_remedy": (
+        "v_left=left_vel_estimate,v_right=right_vel_estimate", "left_vel_estimate[rev/s*0.1]"),
+    "watt_hours_beside_volt_amp": ("", ""),
+    "watt_hours_only": ("", ""),
+}  # fmt: skip
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", CASES)
+def test_cases_of_the_field(shared_data: Path, name: str) -> None:
+    """The truth is K = 30 N a side."""
+    columns, told = CASES[name]
+    file = shared_data / "field" / name / "log.csv"
+    known = Given(track=0.5, wheelbase=0.4, mass=50.0, wheel_radius=0.1, columns=columns or None)
+    try:
+        made = start(file, known)
+    except DriveLogError as error:
+        assert told and told in str(error)
+        return
+    said = " ".join(str(check) for check in made.checks if not check.ok)
+    assert made.sound == (not told) and told in said
+    if made.sound:
+        assert not any("tread speeds by" in note for note in made.notes)
+        found = ep.identify(read_log(file, dict(made.project.columns)), made.project.vehicle)
+        assert found.model.coefficient("traction_resistance") == pytest.approx(30.0, rel=0.01)
+
+
+def test_a_side_in_the_mirror_is_doubted_without_a_heading() -> None:
+    columns = {"t": AT.t, "v_left": AT.left, "v_right": -AT.right, "power": AT.power}
+    (warning,) = ep.DriveLog.from_columns(columns).warnings
+    assert "motor mounted in the mirror" in warning and "NAME[-m/s]" in warning
+    assert not ep.DriveLog.from_columns({**columns, "v_right": AT.right}).warnings
+
+
+@pytest.mark.parametrize(("unit", "size"), [("Wh", 3600.0), ("J", 1.0), ("-kJ", -1000.0)])
+def test_counters_are_refused_as_power_and_read_by_their_unit(unit: str, size: float) -> None:
+    mean = 0.5 * (AT.power[1:] + AT.power[:-1]) * np.diff(AT.t)
+    made = pd.DataFrame({"t": AT.t, "v_left": AT.left, "v_right": AT.right})
+    made["counter"] = 9.0 + np.append(0.0, np.cumsum(mean)) / size
+    with pytest.raises(DriveLogError, match=r"power only ever .* as in power=NAME\[-?Wh"):
+        ep.DriveLog.read(made, "power=counter")
+    log = ep.DriveLog.read(made, f"power=counter[{unit}]")
+    assert log.energy == pytest.approx(float(mean.sum()), rel=1e-3)
+
+
+def test_a_coarse_counter_keeps_the_energy() -> None:
+    mean = 0.5 * (AT.power[1:] + AT.power[:-1]) * np.diff(AT.t)
+    made = pd.DataFrame({"t": AT.t, "v_left": AT.left, "v_right": AT.right})
+    made["Wh"] = np.floor(np.append(0.0, np.cumsum(mean)) / 36.0) / 100.0
+    log = ep.DriveLog.read(made, "power=Wh")
+    assert log.energy == pytest.approx(float(mean.sum()), abs=2 * 36.0)
+
+
+@pytest.mark.parametrize(
+    "formula",
+    ["v-0.225*w", "v - w*0.225", "-0.225*w+v", "(v-0.225*w)[m/s]", "2*v-v-0.225*w"],
+)
+def test_columns_are_made_of_others(formula: str) -> None:
+    speed, turn = 0.5 * (AT.left + AT.right), (AT.right - AT.left) / 0.45
+    made = pd.DataFrame({"t": AT.t, "v": speed, "w": turn, "power": AT.power})
+    log = ep.DriveLog.read(made, f"v_left={formula},v_right=v+0.225*w")
+    np.testing.assert_allclose(log.channel("v_left"), AT.left, atol=1e-9)
+    np.testing.assert_allclose(log.channel("v_right"), AT.right, atol=1e-9)
+
+
+def test_units_of_a_formula_must_agree() -> None:
+    made = pd.DataFrame({"t": AT.t, "v_kmh": AT.left, "w": AT.right, "power": AT.power})
+    with pytest.raises(DriveLogError, match="do not tell one unit"):
+        ep.DriveLog.read(made, "v_left=v_kmh-0.2*w,v_right=v_kmh+0.2*w")
+
+
+def test_two_logs_make_one_drive(tmp_path: Path) -> None:
+    """As of a controller a side, and a battery, with one clock."""
+    late = AT.t + 0.04
+    sides = {"left": AT.left, "right": np.interp(late, AT.t, AT.right)}
+    for side, t in (("left", AT.t), ("right", late)):
+        frame = pd.DataFrame({"time": t, "speed": sides[side], "gyro_z": AT.yaw_rate})
+        frame.drop(columns="gyro_z" if side == "right" else []).to_csv(
+            tmp_path / f"{side}.csv", index=False
+        )
+    battery = {"time_ms": 1e3 * AT.t[::3], "volts": AT.volts[::3], "amps": AT.amps[::3]}
+    pd.DataFrame(battery).to_csv(tmp_path / "battery.csv", index=False)
+    path = "+".join(str(tmp_path / f"{name}.csv") for name in ("left", "right", "battery"))
+    made = start(path, MEASURES)
+    assert made.sound
+    log = read_log(path, dict(made.project.columns))
+    assert len(log) > 0.98 * len(AT.t)
+    found = ep.identify(log, ROVER.vehicle).model.coefficients
+    np.testing.assert_allclose(found, [ROVER.mu, ROVER.K], rtol=0.05)
+    pd.DataFrame({**battery, "time_ms": 1e12 + battery["time_ms"]}).to_csv(
+        tmp_path / "battery.csv", index=False
+    )
+    with pytest.raises(DriveLogError, match="the clocks do not overlap"):
+        start(path, MEASURES)
+
+
+def test_speed_and_turn_rate_of_the_body_tell_that_slip_is_unseen(tmp_path: Path) -> None:
+    made = {"stamp": AT.t, "twist.linear.x": 0.5 * (AT.left + AT.right),
+            "twist.angular.z": (AT.right - AT.left) / ROVER.track, "power": AT.power}  # fmt: skip
+    pd.DataFrame(made).to_csv(tmp_path / "odom.csv", index=False)
+    assert any("slip in turns is unseen" in n for n in start(tmp_path / "odom.csv", MEASURES).notes)
+    with pytest.raises(DriveLogError, match="as in --track"):
+        start(tmp_path / "odom.csv", Given(mass=30.0))
+
+
+def test_a_topic_map_makes_tread_speeds_of_a_twist() -> None:
+    """As of the odometry that every Nav2 robot has."""
+    topic, kind = "/odom", "nav_msgs/msg/Odometry"
+    labels = [Field(topic, kind, f"twist.twist.{part}", part) for part in ("linear.x", "angular.z")]
+    fields = BagFields({one.label: one for one in labels})
+    sources = fields.twist(0.5)
+    assert not fields.wheel_rates(sources)
+    mapped = fields.topic_map(sources, 1.0, "odometry").channels
+    twist = SimpleNamespace(linear=SimpleNamespace(x=0.7), angular=SimpleNamespace(z=0.4))
+    message = SimpleNamespace(twist=SimpleNamespace(twist=twist))
+    assert mapped["v_left"][0].value(message) == pytest.approx(0.6)
+    assert mapped["v_right"][0].value(message) == pytest.approx(0.8)
+    with pytest.raises(ValidationError, match="write a field"):
+        TopicSource(topic="odom", field="a.b c.d")
