@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from shapely import box
 
 from energyplan import simulate
-from energyplan.compilation import compiling_beside
+from energyplan.compilation import compile_kernels
 from energyplan.cost import EnergyCost
 from energyplan.diagnosis import diagnose
 from energyplan.errors import MissingDependencyError
@@ -91,15 +91,10 @@ def run(out: Path, say: Callable[[str], None]) -> list[Path]:
         "be compared with the truth.",
         "lead",
     )
-    with (
-        compiling_beside(
-            *kernels(surfaces=True), "energyplan.fit", "energyplan.limits", "energyplan.battery"
-        ),
-        ThreadPoolExecutor(1) as beside,
-    ):
-        say(
-            "1/7 identifying Quadriga on four grounds (the first time, kernels are compiled beside)"
-        )
+    say("compiling kernels (the first time takes a minute)")
+    compile_kernels(*kernels(surfaces=True), "energyplan.fit", "energyplan.battery")
+    with ThreadPoolExecutor(1) as beside:
+        say("1/7 identifying Quadriga on four grounds")
         _identification(demo)
         say("2/7 diagnosing a residual")
         _diagnosis(demo)

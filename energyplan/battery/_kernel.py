@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import njit
-from energyplan.compilation.arrays import Column, FloatTable
+from energyplan.compilation import Column, FloatTable, njit
 
 _MAX_STEP = 1e-3
 """Largest change of the state of charge in one sub-step."""

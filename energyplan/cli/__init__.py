@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import _thread
-import codecs
 import errno
 import functools
 import io
-import signal
 import sys
 import threading
-import time
-import traceback
 import warnings
 from pathlib import Path
 from typing import Annotated, Any, TextIO
@@ -97,9 +93,8 @@ def serve(
 @app.command(epilog="Example: energyplan warmup --json")
 def warmup(
     processes: Annotated[
-        int | None,
-        typer.Option(min=1, help="Processes that share the work; by default all processors'."),
-    ] = None,
+        int, typer.Option(min=1, max=2, help="Processes that share the work.")
+    ] = 2,
     json: Json = False,
 ) -> None:
     """Compile all kernels ahead.
@@ -117,7 +112,7 @@ def warmup(
         made = compile_kernels(*modules, processes=processes)
     document = {
         "folder": str(cache_folder()),
-        "compiled": [kernel._asdict() for kernel in made.compiled],
+        "compiled": list(made.compiled),
         "found": made.found,
         "kept": made.kept,
         "processes": made.processes,
@@ -152,7 +147,7 @@ def main() -> None:
         sys.unraisablehook = _interrupt_again
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="energyplan.escaped")
+            stream.reconfigure(errors="backslashreplace")
     try:
         code = commands()(prog_name="energyplan", standalone_mode=False) or 0
         if sys.stdout is not None:
@@ -172,42 +167,12 @@ def main() -> None:
     sys.exit(code)
 
 
-def _escaped(error: UnicodeError) -> tuple[str | bytes, int]:
-    """Print what an encoding lacks: bytes of a file's name as they are, all else as an escape."""
-    if not isinstance(error, UnicodeEncodeError):
-        raise error
-    lacking = error.object[error.start]
-    name = 0xDC80 <= ord(lacking) <= 0xDCFF  # how Python holds such bytes
-    shown = bytes([ord(lacking) - 0xDC00]) if name else lacking.encode("ascii", "backslashreplace")
-    return shown, error.start + 1
-
-
-codecs.register_error("energyplan.escaped", _escaped)
-
-
 def _interrupt_again(lost: sys.UnraisableHookArgs) -> None:
-    """Let Ctrl-C end the command where it came within a call from machine code.
-
-    Python drops what is raised there, such as while a kernel is loaded, and would go on.
-    """
+    """Let Ctrl-C end the command where Python drops it, such as while a kernel is loaded."""
     if issubclass(lost.exc_type, KeyboardInterrupt):
-        threading.Thread(target=_press_ctrl_c, daemon=True).start()
+        threading.Timer(0.05, _thread.interrupt_main).start()
     else:
         sys.__unraisablehook__(lost)
-
-
-def _press_ctrl_c() -> None:
-    """Interrupt the main thread, even while it waits, once it has left `_interrupt_again`."""
-    main = threading.main_thread().ident or 0
-    while any(
-        frame.f_code is _interrupt_again.__code__
-        for frame, _ in traceback.walk_stack(sys._current_frames().get(main))
-    ):
-        time.sleep(0.01)
-    if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(main, signal.SIGINT)
-    else:
-        _thread.interrupt_main()
 
 
 def _show_warning(

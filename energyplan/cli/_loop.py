@@ -197,7 +197,6 @@ def close_the_loop(
     from energyplan.physics import EngineDrives, Robot, close_loop, switch_on
     from energyplan.physics.loop import Source
     from energyplan.planning import PlanningProblem
-    from energyplan.planning.ready import compiling
 
     law, ground = _believed(model, surfaces, heights)
     problem = PlanningProblem(
@@ -224,7 +223,7 @@ def close_the_loop(
         )
         effects = chosen_effects(robot, effect, hidden, truth, middle)
         source = EngineDrives(switch_on(robot, effects), ground)
-    with progress("closing the loop") as update, compiling(problem):
+    with progress("closing the loop") as update:
         made = close_loop(
             problem, source, rounds=rounds, tolerance=tolerance, speed=speed, survey=survey,
             time_limit=time_limit, effort=effort, progress=update,

@@ -120,7 +120,6 @@ def reach(
     from energyplan.output import documents, plots, text
     from energyplan.output.report import image
     from energyplan.planning import PlanningProblem
-    from energyplan.planning.ready import compiling_search
     from energyplan.studies.doubt import energy_of_charge
     from energyplan.studies.energy_map import energy_map
 
@@ -138,7 +137,7 @@ def reach(
     if pack:
         energy = energy_of_charge(cost, Battery.preset(pack), 1.0 if soc is None else soc)
     usable = None if energy is None else (1.0 - reserve) * energy
-    with progress("searching"), compiling_search(problem):
+    with progress("searching"):
         found = energy_map(
             problem, energy=math.inf if usable is None else usable,
             back=home if back or charger else None,
@@ -219,7 +218,6 @@ def mission(
     """
     from energyplan.io.mission import mission_from, read_mission
     from energyplan.mission import evaluate
-    from energyplan.mission.legs import compiling
     from energyplan.output import documents, text
     from energyplan.output.pages import mission_page
 
@@ -255,7 +253,7 @@ def mission(
         asked = replace(asked, planning_effort=effort)
     if asked.surfaces is not None:
         warn_of_surfaces(asked.model.vehicle, asked.surfaces)
-    with progress("evaluating the mission"), compiling(asked):
+    with progress("evaluating the mission"):
         told = evaluate(asked)
     if trajectories:
         from energyplan.io.trajectory import write_trajectory
@@ -289,7 +287,6 @@ def fleet(
     """
     from energyplan.fleet import Fleet, evaluate_fleet
     from energyplan.io.fleet import read_fleet
-    from energyplan.mission.legs import compiling
     from energyplan.output import documents, text
 
     name, instant = _failure(fail)
@@ -300,8 +297,7 @@ def fleet(
             for robot in asked.robots
         ]
         asked = Fleet(tuple(robots), asked.places, asked.name)
-    missions = [robot.mission for robot in asked.robots]
-    with progress("evaluating the fleet"), compiling(*missions):
+    with progress("evaluating the fleet"):
         told = evaluate_fleet(asked)
         after = evaluate_fleet(told.after_failure(name, instant)) if name else None
     document, lines = documents.fleet(told), text.fleet(told)

@@ -360,12 +360,11 @@ def write_plans(out: Path, problem: PlanningProblem, **plans: Plan) -> None:
 
 @contextmanager
 def planning(problem: PlanningProblem, json: bool, strict: bool) -> Iterator[None]:
-    """Show progress, compile what planning may call, and answer where there is no path."""
+    """Show progress, and answer where there is no path."""
     from energyplan.output import documents, text
-    from energyplan.planning.ready import compiling
 
     try:
-        with progress("planning"), compiling(problem):
+        with progress("planning"):
             yield
     except NoPathError as error:
         answer(documents.no_path(error), text.no_path(error), json=json)

@@ -75,26 +75,21 @@ def progress(text: str) -> Iterator[Any]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from energyplan.compilation import Compiling, on_compile
+    from energyplan.compilation import telling
 
     # A bar without a total moves to and fro, until the work tells how far it is.
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(text, total=None)
 
-        def compiling(what: Compiling) -> None:
-            note = what.name.removeprefix("energyplan.")
-            if what.total:
-                note = f"{what.done + 1} of {what.total} kernels" if what.name else ""
+        def compiling(name: str) -> None:
+            note = name.removeprefix("energyplan.")
             bar.update(task, description=f"preparing, once: {note}" if note else text)
 
-        ended = on_compile(compiling)
-        try:
+        with telling(compiling):
             yield lambda fraction, note="": bar.update(
                 task, total=1.0, completed=fraction, description=note or text
             )
-        finally:
-            ended()
 
 
 _command: ContextVar[tuple[str, tuple[str | Path, ...]]] = ContextVar("command", default=("", ()))

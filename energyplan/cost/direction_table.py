@@ -16,8 +16,7 @@ from heapq import heappop, heappush
 
 import numpy as np
 
-from energyplan.compilation import njit
-from energyplan.compilation.arrays import Floats, FloatTable
+from energyplan.compilation import Floats, FloatTable, njit
 from energyplan.path import FloatArray
 
 SNAP = 1e-9  # directions this close to a special one are taken as that one

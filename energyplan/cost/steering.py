@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation.arrays import FloatTable
+from energyplan.compilation import FloatTable
 from energyplan.cost.direction_table import Corners, DirectionTable
 from energyplan.path import FloatArray
 from energyplan.vehicle import TreadICR

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from energyplan.compilation import njit
-from energyplan.compilation.arrays import AnyTable, Column, FloatBlock, Floats, FloatTable
+from energyplan.compilation import AnyTable, Column, FloatBlock, Floats, FloatTable, njit
 
 # Matrices of the state: information and covariance of the coefficients.
 INFORMATION, COVARIANCE = range(2)

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import njit
-from energyplan.compilation.arrays import AnyTable, Column, Floats, FloatTable, Ints
+from energyplan.compilation import AnyTable, Column, Floats, FloatTable, Ints, njit
 from energyplan.limits.acceleration_table import Ladder
 from energyplan.limits.curve import subdivided
 from energyplan.path import FloatArray, Path, Pose, Trajectory

@@ -15,8 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import njit
-from energyplan.compilation.arrays import AnyTable, Column
+from energyplan.compilation import AnyTable, Column, njit
 from energyplan.errors import InfeasibleMotionError
 from energyplan.limits.acceleration_table import UNLIMITED
 from energyplan.limits.motor import Limits, relative

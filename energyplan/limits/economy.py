@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import njit
-from energyplan.compilation.arrays import AnyBlock, AnyInts, AnyTable, Column
+from energyplan.compilation import AnyBlock, AnyInts, AnyTable, Column, njit
 from energyplan.limits.acceleration_table import Ladder, Runs
 from energyplan.path import FloatArray
 

@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import njit
-from energyplan.compilation.arrays import AnyInts, Column, Floats, Ints
+from energyplan.compilation import AnyInts, Column, Floats, Ints, njit
 
 SHARE = 1e-9
 """Fraction of a piece's middle speed below which a speed counts as none: what rounding leaves."""

@@ -12,14 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import (
+from energyplan.compilation import (
     Flags,
     FloatBlock,
     Floats,
     FloatTable,
     Ints,
     WideBlock,
+    njit,
 )
 
 _GRAM = 1e-3
@@ -61,13 +61,13 @@ class Rest(NamedTuple):
     charge: float  # energy that one visit adds at most [J]
 
 
-@inner
+@njit
 def loosely(limit: float) -> float:
     """Return a limit with room for rounding."""
     return limit + _EPSILON * max(abs(limit), 1.0) if np.isfinite(limit) else limit
 
 
-@inner
+@njit
 def energy_left(rest: Rest, bucket: int, charge: float) -> float:
     """Return what the rest takes at least with a charge on board [J]; infinite if it cannot be."""
     visits = rest.energy.shape[1] - 1

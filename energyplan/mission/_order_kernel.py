@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import Floats, FloatTable, Ints, IntTable
+from energyplan.compilation import Floats, FloatTable, Ints, IntTable, njit
 from energyplan.mission._order_bounds import Rest, Table, energy_left, loosely
 
 _GRAM = 1e-3
@@ -69,7 +68,7 @@ class Store(NamedTuple):
     lost: Floats  # (2,)
 
 
-@inner
+@njit
 def _spend(label: Label, energy: float, seconds: float, full: float) -> Label:
     """Drive or work; charges longer before it where the charge would not do. May end below 0.
 
@@ -89,7 +88,7 @@ def _spend(label: Label, energy: float, seconds: float, full: float) -> Label:
     return Label(label.energy + energy, left, time, label.rate, slack)
 
 
-@inner
+@njit
 def _begin(label: Label, earliest: float, latest: float) -> Label:
     """Wait for a window, charging meanwhile what may be charged; the time tells a miss."""
     left, time, slack = label.left, label.time, label.slack
@@ -99,19 +98,19 @@ def _begin(label: Label, earliest: float, latest: float) -> Label:
     return Label(label.energy, left, time, label.rate, max(min(slack, latest - time), 0.0))
 
 
-@inner
+@njit
 def _charged(label: Label) -> Label:
     """Charge as long as may be."""
     left = label.left + label.rate * label.slack
     return Label(label.energy, left, label.time + label.slack, 0.0, 0.0)
 
 
-@inner
+@njit
 def _left_at(label: Label, time: float) -> float:
     return label.left + label.rate * min(max(time - label.time, 0.0), label.slack)
 
 
-@inner
+@njit
 def _as_good(one: Label, other: Label, timed: bool) -> bool:
     """Tell whether a label is as good as another in every respect."""
     if one.energy > other.energy + _EPSILON:
@@ -124,13 +123,13 @@ def _as_good(one: Label, other: Label, timed: bool) -> bool:
     return _left_at(one, end) >= other.left + other.rate * other.slack - _EPSILON
 
 
-@inner
+@njit
 def _label(store: Store, k: int) -> Label:
     value = store.value
     return Label(value[k, 0], value[k, 1], value[k, 2], value[k, 3], value[k, 4])
 
 
-@inner
+@njit
 def _with_room(store: Store, count: int, most: int) -> Store:
     """Return a store with room for one more label, unless there are too many."""
     if count < len(store.value) or count >= most:
@@ -144,7 +143,7 @@ def _with_room(store: Store, count: int, most: int) -> Store:
     )
 
 
-@inner
+@njit
 def _take_out(store: Store, bucket: int, k: int, before: int) -> None:
     """Take a label out of its bucket; what followed from it stays."""
     if before < 0:
@@ -154,7 +153,7 @@ def _take_out(store: Store, bucket: int, k: int, before: int) -> None:
     store.link[k, 3] = _GONE
 
 
-@inner
+@njit
 def _more(known: Known, bucket: int, label: Label) -> bool:
     """Tell whether a label may lead to more worth than is known."""
     if not len(known.more.latest) or label.time > loosely(known.more.latest[bucket]):
@@ -162,7 +161,7 @@ def _more(known: Known, bucket: int, label: Label) -> bool:
     return energy_left(known.more, bucket, label.left + label.rate * label.slack) < np.inf
 
 
-@inner
+@njit
 def _least(known: Known, bucket: int, label: Label) -> float:
     """Return the least energy of an order of the worth known that a label leads to [J]."""
     if label.time > loosely(known.same.latest[bucket]):
@@ -171,7 +170,7 @@ def _least(known: Known, bucket: int, label: Label) -> float:
     return label.energy + energy_left(known.same, bucket, may)
 
 
-@inner
+@njit
 def _lose(store: Store, least: float, more: bool) -> None:
     """Note what a label that is left out for want of room may have led to."""
     store.lost[0] = min(store.lost[0], least)
@@ -179,12 +178,12 @@ def _lose(store: Store, least: float, more: bool) -> None:
         store.lost[1] = 1.0
 
 
-@inner
+@njit
 def _rank(label: Label, least: float) -> float:
     return least if np.isfinite(least) else _FAR + label.energy
 
 
-@inner
+@njit
 def _keep(
     store: Store, bucket: int, new: Label, count: int, timed: bool, width: int, known: Known
 ) -> bool:
@@ -227,7 +226,7 @@ def _keep(
     return True
 
 
-@inner
+@njit
 def _docked(table: Table, here: Label, charger: int, kind: int) -> Label:
     """Begin to charge; after another charger: here only (0), there first (1), or not here (2)."""
     power, full = table.charge_power[charger], table.capacity[charger]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Hashable
-from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -20,7 +19,7 @@ from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitErr
 from energyplan.mission.energy import Estimate, Grounds
 from energyplan.mission.types import Mission
 from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
-from energyplan.planning import PlanningProblem, plan, ready
+from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.driven import drive_path
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.power import PowerModel
@@ -106,13 +105,6 @@ class Routes:
         for oldest in list(self._sets)[:-_REMEMBERED]:
             self._sets.pop(oldest, None)  # another thread may have been quicker
         return found
-
-
-def compiling(*missions: Mission) -> AbstractContextManager[None]:
-    """Have the kernels compiled beside that evaluating some missions may call."""
-    free = any(mission.order == "free" for mission in missions)
-    beside = ("energyplan.battery", "energyplan.mission") if free else ("energyplan.battery",)
-    return ready.compiling(*(Legs(mission).problem(0, 0) for mission in missions), beside=beside)
 
 
 class Legs:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
 from importlib import import_module
 
-from energyplan.compilation import compile_kernels, compiling_beside
-from energyplan.compilation.kernel import KERNELS
+from energyplan.compilation import KERNELS, compile_kernels
 from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
 from energyplan.planning.bound import prepare_bound
@@ -20,17 +18,15 @@ PLANNING = (
     "energyplan.terrain.",
     "energyplan.cost.",
     "energyplan.steering.kernels.",
+    "energyplan.limits.",
 )
-"""What the names of the kernels begin with that a planner may call."""
+"""What the names of the kernels begin with that planning and driving a plan may call."""
 
 EXACT = ("energyplan.steering.polygon",)
 """Where the kernels are for costs that are not static."""
 
 SURFACES = ("energyplan.planning.bound.surface_excess", "energyplan.terrain.surfaces")
 """Where the kernels are that only surfaces need."""
-
-DRIVEN = "energyplan.limits"
-"""Where the kernels are that time a plan within the motors' limits."""
 
 TIGHT = ("energyplan.planning.lattice.escape_kernels",)
 """Where the kernels are that only ends without room need."""
@@ -39,48 +35,16 @@ CLOSED = ("energyplan.planning.scene.closure_kernels",)
 """Where the kernels are that only ends need that nothing seems to join."""
 
 
-SEARCHED = (
-    "energyplan.planning.lattice.search_kernels",
-    "energyplan.planning.scene.guide_kernels",
-    "energyplan.planning.scene.motions",
-    "energyplan.terrain.",
-    "energyplan.cost.",
-    "energyplan.steering.",
-)
-"""What the names of the kernels begin with that a search of all places calls."""
-
-
 def kernels(
     cost: EnergyCost | None = None, *, surfaces: bool = False, tight: bool = False
 ) -> tuple[str, ...]:
     """Return the modules whose kernels planning may call."""
     import_module("energyplan.planning.lattice.planner")  # knows all that planning may call
+    import_module("energyplan.planning.driven")
     static = cost is None or isinstance(cost.steering_parameters, StaticSteering)
     left_out = CLOSED + (() if surfaces else SURFACES) + (() if tight else TIGHT)
     found = {name.rpartition(".")[0] for name in KERNELS if name.startswith(PLANNING)}
     return (*sorted(found.difference(left_out)), *(() if static else EXACT))
-
-
-def compiling(
-    *problems: PlanningProblem, beside: tuple[str, ...] = ()
-) -> AbstractContextManager[None]:
-    """Have the kernels compiled beside that plans, and driving them, may call.
-
-    Within the block planning waits for all of them, so that no time limit pays for them.
-    """
-    import_module("energyplan.planning.driven")
-    needed = {
-        module
-        for problem in problems
-        for module in kernels(problem.cost, surfaces=problem.surfaces is not None)
-    }
-    return compiling_beside(*sorted(needed), DRIVEN, *beside, all_ahead=True)
-
-
-def compiling_search(problem: PlanningProblem) -> AbstractContextManager[None]:
-    """Have the kernels compiled beside that a search of all places, without planning, may call."""
-    needed = kernels(problem.cost, surfaces=problem.surfaces is not None)
-    return compiling_beside(*(module for module in needed if module.startswith(SEARCHED)))
 
 
 def compiled(problem: PlanningProblem, *, tight: bool | None = None) -> None:

@@ -21,8 +21,7 @@ from __future__ import annotations
 
 import math
 
-from energyplan.compilation import inner
-from energyplan.compilation.arrays import Floats, FloatTable
+from energyplan.compilation import Floats, FloatTable, njit
 
 TWO_PI = 2.0 * math.pi
 HALF_PI = 0.5 * math.pi
@@ -35,7 +34,7 @@ COARSE = 1e-3  # of the fraction of a ray; Newton's method refines it
 INSIDE, AT_LO, AT_HI = 0, -1, 1
 
 
-@inner
+@njit
 def least(q: float, m: Floats, g: Floats) -> float:
     """``G(q)``: least of ``g - m q`` over the corners."""
     best = math.inf
@@ -44,7 +43,7 @@ def least(q: float, m: Floats, g: Floats) -> float:
     return best
 
 
-@inner
+@njit
 def _integral(
     rho: float,
     psi: float,
@@ -79,7 +78,7 @@ def _integral(
     return cost, fx, fy
 
 
-@inner
+@njit
 def dual_value(
     px: float,
     py: float,
@@ -104,7 +103,7 @@ def dual_value(
     return cost + px * rx + py * ry, rx, ry
 
 
-@inner
+@njit
 def _reach(ex: float, ey: float, lo: float, hi: float) -> tuple[float, int]:
     """Largest ``e.u`` over the headings visited, and where it is."""
     if (math.atan2(ey, ex) - lo) % TWO_PI <= hi - lo:
@@ -114,7 +113,7 @@ def _reach(ex: float, ey: float, lo: float, hi: float) -> tuple[float, int]:
     return (at_hi, AT_HI) if at_hi > at_lo else (at_lo, AT_LO)
 
 
-@inner
+@njit
 def _boundary(
     t: float, stretch: float, lo: float, hi: float, af: float, ab: float
 ) -> tuple[float, float, int, int]:
@@ -132,7 +131,7 @@ def _boundary(
     return scale * ex, scale * ey, 1, where
 
 
-@inner
+@njit
 def between(a: float, b: float, f_a: float, f_b: float) -> float:
     """Next point of a bracketed root search: regula falsi, or the middle where it cannot tell.
 
@@ -145,7 +144,7 @@ def between(a: float, b: float, f_a: float, f_b: float) -> float:
     return x if min(a, b) < x < max(a, b) else middle
 
 
-@inner
+@njit
 def _ray(
     px: float,
     py: float,
@@ -173,7 +172,7 @@ def _ray(
     return 0.5 * (low + high)
 
 
-@inner
+@njit
 def _curvature(
     rho: float, psi: float, a: float, b: float, m: Floats, q: Floats
 ) -> tuple[float, float, float]:
@@ -195,7 +194,7 @@ def _curvature(
     return xx, xy, yy
 
 
-@inner
+@njit
 def _interior(
     px: float,
     py: float,
@@ -238,13 +237,13 @@ def _interior(
     return value, px, py, math.hypot(rx, ry)
 
 
-@inner
+@njit
 def _inside(px: float, py: float, lo: float, hi: float, af: float, ab: float) -> bool:
     """Tell whether p satisfies the constraints."""
     return _reach(px, py, lo, hi)[0] <= af and _reach(-px, -py, lo, hi)[0] <= ab
 
 
-@inner
+@njit
 def corner_dual(
     dx: float,
     dy: float,
@@ -270,7 +269,7 @@ def corner_dual(
     return value, px, py, (rx * s1 - ry * c1) / det, (ry * c0 - rx * s0) / det
 
 
-@inner
+@njit
 def maximise(
     dx: float,
     dy: float,

@@ -22,8 +22,7 @@ import math
 from math import cos, sin
 from typing import NamedTuple
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import Floats, FloatTable
+from energyplan.compilation import Floats, FloatTable, njit
 from energyplan.cost.steering import StaticSteering
 from energyplan.path import Pose
 from energyplan.steering import static_words as words
@@ -43,7 +42,7 @@ class Between(NamedTuple):
     turn: float  # turn to the left [rad], in [0, 2 pi)
 
 
-@inner
+@njit
 def between_poses(
     dx: float,
     dy: float,
@@ -105,7 +104,7 @@ class Switches(NamedTuple):
     z2: float
 
 
-@inner
+@njit
 def _free_switches(x: float, y: float, eta: float) -> Switches:
     """Return the pivots that reach ``(x, y)`` within the sweep.
 
@@ -127,7 +126,7 @@ def _free_switches(x: float, y: float, eta: float) -> Switches:
     return choice
 
 
-@inner
+@njit
 def _sweep(
     start: float,
     stop: float,
@@ -156,7 +155,7 @@ def _sweep(
     return n
 
 
-@inner
+@njit
 def _straight(length: float, ds: Floats, dtheta: Floats, n: int) -> int:
     """Append a straight line unless its length is zero."""
     if length == 0.0:
@@ -165,7 +164,7 @@ def _straight(length: float, ds: Floats, dtheta: Floats, n: int) -> int:
     return n + 1
 
 
-@inner
+@njit
 def _word_path(
     word: Word,
     x: float,
@@ -248,14 +247,14 @@ def steer_path(
     return n
 
 
-@inner
+@njit
 def chord_factor(dtheta: float) -> float:
     """Length of the chord of an arc, in units of the arc's length."""
     half = 0.5 * dtheta
     return sin(half) / half if half != 0.0 else 1.0
 
 
-@inner
+@njit
 def arc_end(pose: Pose, ds: float, dtheta: float) -> Pose:
     """Return where the motion ends that turns by `dtheta` over the arc length `ds`."""
     middle = pose.yaw + 0.5 * dtheta

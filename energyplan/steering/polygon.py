@@ -13,8 +13,7 @@ from __future__ import annotations
 
 import math
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import Floats, FloatTable
+from energyplan.compilation import Floats, FloatTable, njit
 from energyplan.cost.steering import PolygonSteering
 from energyplan.path import Pose
 from energyplan.steering.dual import (
@@ -30,7 +29,7 @@ from energyplan.steering.dual import (
 from energyplan.steering.kernels import arc_end, between_poses
 
 
-@inner
+@njit
 def _pays(
     px: float,
     py: float,
@@ -56,7 +55,7 @@ def _pays(
     return min(max(math.log(gain / cost), -60.0), 60.0)
 
 
-@inner
+@njit
 def _extend(
     dx: float,
     dy: float,
@@ -88,7 +87,7 @@ def _extend(
     return (lo, end) if upper else (end, hi)
 
 
-@inner
+@njit
 def _both(
     dx: float,
     dy: float,
@@ -125,7 +124,7 @@ def _both(
     return lo, hi, False
 
 
-@inner
+@njit
 def _gains(
     dx: float,
     dy: float,
@@ -147,7 +146,7 @@ def _gains(
     )
 
 
-@inner
+@njit
 def best_extent(
     dx: float,
     dy: float,
@@ -253,7 +252,7 @@ def polygon_energies(
         )
 
 
-@inner
+@njit
 def _corner_at(q: float, table: FloatTable) -> int:
     """Index of the cheapest corner where ``p.u = q``."""
     best, index = math.inf, 0
@@ -264,7 +263,7 @@ def _corner_at(q: float, table: FloatTable) -> int:
     return index
 
 
-@inner
+@njit
 def _next_edge(heading: float, stop: float, px: float, py: float, table: FloatTable) -> float:
     """Return where, from a heading towards `stop`, another corner becomes the cheapest."""
     rho, psi = math.hypot(px, py), math.atan2(py, px)
@@ -283,7 +282,7 @@ def _next_edge(heading: float, stop: float, px: float, py: float, table: FloatTa
     return heading + side * nearest if nearest < abs(stop - heading) else stop
 
 
-@inner
+@njit
 def _sweep(
     start: float,
     stop: float,
@@ -307,7 +306,7 @@ def _sweep(
     return n
 
 
-@inner
+@njit
 def _travel(eta: float, ds: Floats, dtheta: Floats, n: int) -> Pose:
     """Where the first n segments lead from the heading -eta."""
     here = Pose(0.0, 0.0, -eta)
@@ -316,7 +315,7 @@ def _travel(eta: float, ds: Floats, dtheta: Floats, n: int) -> Pose:
     return here
 
 
-@inner
+@njit
 def _schedule_path(
     x: float,
     y: float,

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from energyplan.compilation import inner
+from energyplan.compilation import njit
 
 TINY = 1e-12  # slack of conditions on headings; what it gives away is a rounding error
 HALF_PI = 0.5 * math.pi
@@ -53,7 +53,7 @@ class Word(NamedTuple):
     q3: float  # the word's numbers
 
 
-@inner
+@njit
 def _cubic(c: float, k: float, N: float) -> float:
     """Root ``w >= 1`` of the excursion equation ``c^2 w^3 + k c w^2 + B w - k (1 + c) = 0``.
 
@@ -72,7 +72,7 @@ def _cubic(c: float, k: float, N: float) -> float:
     return max(w, 1.0)
 
 
-@inner
+@njit
 def free(x: float, y: float, eta: float) -> bool:
     """Tell whether pivots within the sweep reach ``(x, y)`` without any straight driving."""
     ax, ay = abs(x), abs(y)
@@ -87,7 +87,7 @@ def free(x: float, y: float, eta: float) -> bool:
     return (ax + k) ** 2 + ay * ay <= 16.0
 
 
-@inner
+@njit
 def best_word(x: float, y: float, eta: float, c: float, bound: float) -> Word:
     """Return the cheapest word for one sweep."""
     base = 2.0 * (1.0 + c) * eta

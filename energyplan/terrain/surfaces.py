@@ -12,8 +12,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.base import BaseGeometry
 
-from energyplan.compilation import njit
-from energyplan.compilation.arrays import Column, FloatTable, IntTable
+from energyplan.compilation import Column, FloatTable, IntTable, njit
 from energyplan.cost import EnergyCost
 from energyplan.errors import MapError
 from energyplan.kinds import check_fields, described

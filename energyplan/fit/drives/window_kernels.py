@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from energyplan.compilation import njit
-from energyplan.compilation.arrays import AnyInts, AnyTable, FloatBlock
+from energyplan.compilation import AnyInts, AnyTable, FloatBlock, njit
 
 
 @njit

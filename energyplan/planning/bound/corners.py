@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import (
+from energyplan.compilation import (
     Flags,
     FlagTable,
     FloatTable,
     ShortInts,
     ShortIntTable,
+    njit,
 )
 from energyplan.planning.bound.ends import Section, from_start, no_tables, to_end
 from energyplan.planning.bound.geodesic import Ends, Ways
@@ -48,7 +48,7 @@ class Lines(NamedTuple):
     closed: FlagTable  # headings that these do not let through, those of one line after the other
 
 
-@inner
+@njit
 def _no_lines(rows: int) -> Lines:
     before = np.empty((rows, HEADINGS))
     gates = np.empty((2, rows), np.int32)
@@ -66,7 +66,7 @@ def _no_lines(rows: int) -> Lines:
     )  # fmt: skip
 
 
-@inner
+@njit
 def _more_lines(lines: Lines) -> Lines:
     rows = len(lines.tail)
     more = _no_lines(2 * rows)
@@ -84,7 +84,7 @@ def _more_lines(lines: Lines) -> Lines:
     return more
 
 
-@inner
+@njit
 def _unused(count: int) -> ShortInts:
     out = np.empty(count, np.int32)
     for k in range(count):

@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import Floats, FloatTable
+from energyplan.compilation import Floats, FloatTable, njit
 from energyplan.cost.steering import StaticSteering
 from energyplan.planning.bound.one_line import HEADINGS, Rates, spread
 from energyplan.planning.scene.field import angle_between
@@ -45,7 +44,7 @@ class Reached(NamedTuple):
     steps: float  # steps that finding it took
 
 
-@inner
+@njit
 def _headway(angle: float) -> float:
     """Return the integral of the absolute cosine from zero to an angle."""
     half_turns = floor(angle / pi + 0.5)
@@ -62,7 +61,7 @@ class Beyond(NamedTuple):
     above: FloatTable  # (NORMALS, MOST + 1): integral of the absolute cosine over them
 
 
-@inner
+@njit
 def no_tables() -> Beyond:
     """Return tables to be filled."""
     return Beyond(
@@ -73,7 +72,7 @@ def no_tables() -> Beyond:
     )
 
 
-@inner
+@njit
 def _outward(heading: float, step: float, many: int, greatest: Floats, headway: Floats) -> None:
     """Fill in the tables of one force and one end."""
     c = cos(heading)
@@ -187,13 +186,13 @@ def to_gate(
     return Reached(max(best, 0.0), steps)
 
 
-@inner
+@njit
 def _slack(rates: Rates) -> float:
     """Return what a heading between two nodes can take less than the nearer one."""
     return (rates.radian + rates.steering.per_radian) * pi / HEADINGS
 
 
-@inner
+@njit
 def from_start(
     cost: Floats, section: Section, to_goal: Floats, limit: float, rates: Rates, tables: Beyond
 ) -> float:
@@ -216,7 +215,7 @@ def from_start(
     return steps
 
 
-@inner
+@njit
 def to_end(
     cost: Floats, section: Section, to_goal: Floats, limit: float, rates: Rates, tables: Beyond
 ) -> Reached:

@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import Flags, Floats
+from energyplan.compilation import Flags, Floats, njit
 from energyplan.planning.bound.sight import Links, Outline, linked, side, sight
 from energyplan.planning.scene.field import pop, push, with_room
 from energyplan.terrain.collision import Space
@@ -36,7 +35,7 @@ class Ways(NamedTuple):
     links: Links  # what is known of the corners now
 
 
-@inner
+@njit
 def _seen_from(
     space: Space, outline: Outline, x: float, y: float, other_x: float, other_y: float,
     limit: float, out: Floats,

@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import inner
-from energyplan.compilation.arrays import Flags, Floats
+from energyplan.compilation import Flags, Floats, njit
 from energyplan.cost.steering import StaticSteering
 from energyplan.planning.bound.sight import Outline
 from energyplan.terrain.collision import Body, Space, in_cells, pose_free
@@ -34,7 +33,7 @@ class Gate(NamedTuple):
     barred: bool  # whether there are headings with which the body cannot cross
 
 
-@inner
+@njit
 def gate(
     space: Space,
     body: Body,
@@ -117,7 +116,7 @@ class Rates(NamedTuple):
     steering: StaticSteering  # what no motion costs less than, pivots included
 
 
-@inner
+@njit
 def spread(cost: Floats, turn: float) -> None:
     """Lower each node's cost to that of turning there from another node, at `turn` a node."""
     n = len(cost)
@@ -133,7 +132,7 @@ def spread(cost: Floats, turn: float) -> None:
         cost[j] = best
 
 
-@inner
+@njit
 def _least(cost: Floats) -> float:
     best = inf
     for j in range(len(cost)):
@@ -141,7 +140,7 @@ def _least(cost: Floats) -> float:
     return best
 
 
-@inner
+@njit
 def along_line(
     cost: Floats,
     direction: float,
@@ -191,7 +190,7 @@ def along_line(
     return out
 
 
-@inner
+@njit
 def pass_gate(cost: Floats, closed: Flags, turn: float) -> None:
     """Raise the cost of the headings that a gate does not let through."""
     for j in range(len(cost)):

@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import Floats, FloatTable, Ints, ShortInts
+from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, njit
 from energyplan.planning.scene.field import longer_ints, pop, push, with_room
 from energyplan.terrain.collision import Space, in_cells
 from energyplan.terrain.updates import Window
@@ -64,7 +63,7 @@ def no_links(corners: int) -> Links:
     )
 
 
-@inner
+@njit
 def _square(place: float, cells: int) -> int:
     """Row or column of the square at a place [cells], the nearest one outside the map."""
     return min(max(floor(place / BUCKET), 0), (cells - 1) // BUCKET)
@@ -184,7 +183,7 @@ def gaps(space: Space, radius: float, inside: float, window: Window) -> FloatTab
     return out[:count].copy()
 
 
-@inner
+@njit
 def side(outline: Outline, k: int, ux: float, uy: float) -> int:
     """Side of a line through a corner on which the obstacle lies: 1 left, -1 right, 0 both."""
     x = outline.point[k, 0]
@@ -198,7 +197,7 @@ def side(outline: Outline, k: int, ux: float, uy: float) -> int:
     return 0
 
 
-@inner
+@njit
 def _crosses(
     outline: Outline, k: int, ax: float, ay: float, bx: float, by: float, ux: float, uy: float
 ) -> bool:
@@ -226,7 +225,7 @@ class Sight(NamedTuple):
     ball: float  # [m]
 
 
-@inner
+@njit
 def sight(space: Space, outline: Outline, ax: float, ay: float, bx: float, by: float) -> Sight:
     """Look along a line, until it crosses an edge of the outline; touching is no crossing.
 
@@ -271,7 +270,7 @@ def sight(space: Space, outline: Outline, ax: float, ay: float, bx: float, by: f
     return Sight(steps, True, -1, 0.0, 0.0)
 
 
-@inner
+@njit
 def _hide(depth: Floats, begin: float, end: float, beyond: float) -> None:
     """Note that nothing is seen beyond a distance in the directions from `begin` to `end` [rad]."""
     n = len(depth)
@@ -281,7 +280,7 @@ def _hide(depth: Floats, begin: float, end: float, beyond: float) -> None:
         depth[k % n] = min(depth[k % n], beyond)
 
 
-@inner
+@njit
 def _hidden_by(outline: Outline, met: Sight, x: float, y: float, dx: float, dy: float,
                depth: Floats) -> None:  # fmt: skip
     """Note what cannot be seen from a point, after something was met in one direction."""
@@ -303,7 +302,7 @@ def _hidden_by(outline: Outline, met: Sight, x: float, y: float, dx: float, dy: 
             _hide(depth, min(one, one + turn), max(one, one + turn), far)
 
 
-@inner
+@njit
 def linked(space: Space, outline: Outline, links: Links, k: int) -> Links:
     """Return the links with those of a corner known.
 

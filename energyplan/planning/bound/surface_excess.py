@@ -13,8 +13,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import njit
-from energyplan.compilation.arrays import FlagTable, FloatTable
+from energyplan.compilation import FlagTable, FloatTable, njit
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.field import pop, push, with_room
 from energyplan.terrain import OccupancyGrid, SurfaceMap

@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import Floats, Ints, ShortInts
+from energyplan.compilation import Floats, Ints, ShortInts, njit
 from energyplan.path import Pose
 from energyplan.planning.scene.field import pop, push, slot_of
 from energyplan.steering.kernels import arc_end
@@ -61,7 +60,7 @@ class Escape(NamedTuple):
     counts: Ints  # (4,): nodes, heap entries, nodes with room, tests of motions
 
 
-@inner
+@njit
 def _free(
     space: Space, body: Body, pose: Pose, ds: float, dtheta: float, inwards: bool, counts: Ints
 ) -> bool:
@@ -71,7 +70,7 @@ def _free(
     return bool(motion_free(space, body, begin.x, begin.y, begin.yaw, ds, dtheta, 0.0))
 
 
-@inner
+@njit
 def _free_part(
     space: Space,
     body: Body,
@@ -100,7 +99,7 @@ def _free_part(
     return SPARE * part
 
 
-@inner
+@njit
 def _spin_room(space: Space, body: Body, pose: Pose, turn: float, counts: Ints) -> float:
     """Return what the body can turn on the spot, both ways together, up to `turn` either way."""
     if not pose_free(space, body, pose.x, pose.y, pose.yaw):
@@ -115,7 +114,7 @@ def spin_room(space: Space, body: Body, x: float, y: float, yaw: float, turn: fl
     return _spin_room(space, body, Pose(x, y, yaw), turn, np.zeros(4, np.int64))
 
 
-@inner
+@njit
 def _key(pose: Pose, room: float, reach: float, turn: float) -> int:
     """Return one number for poses that count as one; the cells are as fine as the room is small."""
     octave = floor(log2(max(min(room, turn), 1e-6 * turn) / turn))
@@ -126,7 +125,7 @@ def _key(pose: Pose, room: float, reach: float, turn: float) -> int:
     return (((row << 20) | column) << 23 | heading << 5 | (-octave & 31)) & 0x7FFFFFFFFFFFFFFF
 
 
-@inner
+@njit
 def _promise(g: float, room: float, reach: float, turn: float) -> float:
     """Rank of an open node, the least first: a short way, and more room."""
     return g / (WORTH * reach) - log2(max(min(room, turn), 1e-6 * turn) / turn)

@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import Floats, FloatTable, Ints, ShortInts
+from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, njit
 from energyplan.path import Pose
 from energyplan.planning.scene.field import angle_between, pop, push, slot_of
 from energyplan.planning.scene.motions import KernelProblem, join
@@ -167,7 +166,7 @@ def thread(
                 sizes[who] = push(heap_f[who], heap_node[who], sizes[who], g[other] + left, other)
 
 
-@inner
+@njit
 def _chain(
     parent: ShortInts,
     key: Ints,

@@ -13,8 +13,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import Flags, Floats, Words
+from energyplan.compilation import Flags, Floats, Words, njit
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.planning.budget import Budget
 from energyplan.planning.lattice import refine_kernels as kernels
@@ -42,7 +41,7 @@ def reopen(chain: Chain, setting: KernelProblem, count: int) -> int:
     return blocked
 
 
-@inner
+@njit
 def _rejoin(chain: Chain, setting: KernelProblem, k: int, ds: Floats, dtheta: Floats) -> bool:
     """Join pose `k` to the next one, and tell whether that is free."""
     a = pose_of(chain, k)

@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import Flags, Floats, FloatTable, Words
+from energyplan.compilation import Flags, Floats, FloatTable, Words, njit
 from energyplan.path import Pose
 from energyplan.planning.scene.motions import KernelProblem, join, motion_cost
 from energyplan.steering.kernels import MAX_SEGMENTS, arc_end, steer_energy
@@ -114,7 +113,7 @@ def shortcut(
     return Shortened(n, steered, tested)
 
 
-@inner
+@njit
 def _goes_on(chain: Chain, k: int) -> bool:
     """Whether the motion from pose `k` goes on as the one before it."""
     if k == 0 or not (chain.kept[k] and chain.kept[k - 1]):
@@ -124,7 +123,7 @@ def _goes_on(chain: Chain, k: int) -> bool:
     return bool(along > 0.0 and abs(across) <= 1e-9 * along)
 
 
-@inner
+@njit
 def random_number(state: Words) -> float:
     """Return a random number in [0, 1) (xorshift)."""
     word = state[0]
@@ -135,20 +134,20 @@ def random_number(state: Words) -> float:
     return float(word >> np.uint64(11)) / 9007199254740992.0
 
 
-@inner
+@njit
 def pose_of(chain: Chain, k: int) -> Pose:
     """Return a pose of the chain."""
     return Pose(chain.poses[k, 0], chain.poses[k, 1], chain.poses[k, 2])
 
 
-@inner
+@njit
 def _set_pose(chain: Chain, k: int, pose: Pose) -> None:
     chain.poses[k, 0] = pose.x
     chain.poses[k, 1] = pose.y
     chain.poses[k, 2] = pose.yaw
 
 
-@inner
+@njit
 def _copy(chain: Chain, k: int, other: int) -> None:
     """Set a place of the chain to what stands at another one."""
     _set_pose(chain, k, pose_of(chain, other))
@@ -159,7 +158,7 @@ def _copy(chain: Chain, k: int, other: int) -> None:
     chain.step[k] = chain.step[other]
 
 
-@inner
+@njit
 def _try_move(
     chain: Chain, setting: KernelProblem, k: int, pose: Pose, ds: Floats, dtheta: Floats
 ) -> bool:
@@ -193,7 +192,7 @@ def _try_move(
     return True
 
 
-@inner
+@njit
 def insert_pose(
     chain: Chain,
     setting: KernelProblem,
@@ -232,7 +231,7 @@ def insert_pose(
     return count + 1
 
 
-@inner
+@njit
 def _along(
     setting: KernelProblem, start: Pose, fraction: float, ds: Floats, dtheta: Floats, n: int
 ) -> Pose:

@@ -10,8 +10,7 @@ from __future__ import annotations
 from math import atan2, floor, hypot, inf, pi
 from typing import NamedTuple
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import Floats, Ints, ShortInts
+from energyplan.compilation import Floats, Ints, ShortInts, njit
 from energyplan.path import Pose
 from energyplan.planning.scene.field import angle_between, pop, push, slot_of
 from energyplan.planning.scene.guide_kernels import DistanceToGo, node_at
@@ -62,7 +61,7 @@ class Tree(NamedTuple):
     best: Floats  # (1,): cost of the best motion to the goal so far
 
 
-@inner
+@njit
 def _estimate(setting: KernelProblem, to_go: DistanceToGo, x: float, y: float, yaw: float) -> float:
     """Cost to go: the greater of the guide's way among obstacles and the motion without them."""
     space = setting.space
@@ -107,7 +106,7 @@ def rehash(tree: Tree, count: int) -> None:
         tree.table[slot_of(tree.table, tree.key, tree.key[node])] = node
 
 
-@inner
+@njit
 def _key(space_x: float, space_y: float, lattice: Lattice, x: float, y: float, heading: int) -> int:
     column = floor((x - space_x) / lattice.cell) + (1 << 20)
     row = floor((y - space_y) / lattice.cell) + (1 << 20)

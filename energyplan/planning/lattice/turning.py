@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import Flags, Ints
+from energyplan.compilation import Flags, Ints, njit
 from energyplan.planning.budget import Budget
 from energyplan.planning.lattice.way_along import chain_from, way_along
 from energyplan.planning.scene.compiled import Segments
@@ -339,14 +338,14 @@ def cheapest_chain(
     return Counted(chain[: at + len(rest)].copy(), least, looked)
 
 
-@inner
+@njit
 def _level(places: Places, setting: KernelProblem, place: int) -> int:
     """Return how coarse the search is at a place: steps are of one place, two, or four."""
     spare = float(places.room[place]) - setting.reach
     return 2 if spare >= 9.0 * places.spacing else 1 if spare >= 0.0 else 0
 
 
-@inner
+@njit
 def _key(places: Places, setting: KernelProblem, node: int, facing: int) -> int:
     """Return the cell of a state, larger where there is room, and its facing, as one number."""
     across = places.columns + 2 * RIM
@@ -358,7 +357,7 @@ def _key(places: Places, setting: KernelProblem, node: int, facing: int) -> int:
     return (arc * 4 + level) * FACINGS + facing
 
 
-@inner
+@njit
 def _rest(
     to_go: DistanceToGo, node: int, yaw: float, goal_yaw: float, per_metre: float, per_turn: float
 ) -> float:

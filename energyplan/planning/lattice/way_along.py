@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import Floats, FloatTable, Ints
+from energyplan.compilation import Floats, FloatTable, Ints, njit
 from energyplan.path import FloatArray, Pose
 from energyplan.planning.budget import Budget
 from energyplan.planning.lattice.passage_kernels import follow, thread
@@ -177,7 +176,7 @@ def chain_along(to_go: DistanceToGo, setting: KernelProblem) -> Ints:
     return chain_from(to_go, start if start >= 0 and to_go.distance[start] < inf else -1)
 
 
-@inner
+@njit
 def chain_from(to_go: DistanceToGo, node: int) -> Ints:
     """Return a node and those after it, up to the goal; none for -1."""
     first = node
@@ -283,7 +282,7 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
     return poses[: kept + 1][::-1].copy()
 
 
-@inner
+@njit
 def either_way(places: Places, node: int) -> np.uint64:
     """Return the free headings of a node and those opposite: the way is as long facing either."""
     arc = places.arcs[node]
@@ -291,7 +290,7 @@ def either_way(places: Places, node: int) -> np.uint64:
     return np.uint64(places.masks[places.home[node]] & (arc | arc << half | arc >> half))
 
 
-@inner
+@njit
 def _free_in(setting: KernelProblem, along: float, up: float, yaw: float, spacing: float) -> Pose:
     """Return the free pose of a place that is nearest to its middle; its middle where none is.
 

@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import Flags, Ints, Words
+from energyplan.compilation import Flags, Ints, Words, njit
 from energyplan.planning.scene.field import STEP_COLUMNS, STEP_ROWS, longer_ints
 from energyplan.planning.scene.free_space_kernels import shrunk
 from energyplan.planning.scene.guide_kernels import HEADINGS, RIM, Places
@@ -44,7 +43,7 @@ class Queue(NamedTuple):
     side: Ints  # (n,): the end whose flood it belongs to
 
 
-@inner
+@njit
 def _queue(room: int) -> Queue:
     """Return a queue with room for some entries."""
     return Queue(
@@ -53,7 +52,7 @@ def _queue(room: int) -> Queue:
     )  # fmt: skip
 
 
-@inner
+@njit
 def _added(queue: Queue, count: int, place: int, bits: np.uint64, parent: int, side: int) -> Queue:
     """Return a queue with an entry behind the first `count`: a longer one where it is full."""
     if count == len(queue.place):
@@ -71,14 +70,14 @@ def _added(queue: Queue, count: int, place: int, bits: np.uint64, parent: int, s
     return queue
 
 
-@inner
+@njit
 def _beside(bits: np.uint64) -> np.uint64:
     """Return the headings next to some."""
     ahead = (bits << np.uint64(1)) | (bits >> np.uint64(63))
     return ahead | (bits >> np.uint64(1)) | (bits << np.uint64(63))
 
 
-@inner
+@njit
 def _spread(bits: np.uint64, mask: np.uint64) -> np.uint64:
     """Return all headings of a mask that are joined with some of them."""
     bits &= mask
@@ -173,7 +172,7 @@ def chain_between(
                 laters += 1
 
 
-@inner
+@njit
 def _joined(found: Queue, events: int, work: int) -> Chain:
     """Return the way by the last thing reached, and by what the other end reached there."""
     place, bits, parent, side = found.place, found.bits, found.parent, found.side

@@ -7,15 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import inner
-from energyplan.compilation.arrays import Floats, Ints, ShortInts
+from energyplan.compilation import Floats, Ints, ShortInts, njit
 
 STEP_ROWS = np.array([0, 1, 0, -1, 1, 1, -1, -1, 1, 2, 2, 1, -1, -2, -2, -1])
 STEP_COLUMNS = np.array([1, 0, -1, 0, 1, -1, 1, -1, 2, 1, -1, -2, -2, -1, 1, 2])
 """The 16 neighbours; the longest steps, a knight's moves, come last."""
 
 
-@inner
+@njit
 def longer_ints(values: ShortInts) -> ShortInts:
     """Return an array twice as long that begins with the same values."""
     out = np.empty(2 * len(values), np.int32)
@@ -24,7 +23,7 @@ def longer_ints(values: ShortInts) -> ShortInts:
     return out
 
 
-@inner
+@njit
 def longer_floats(values: Floats) -> Floats:
     """Return an array twice as long that begins with the same values."""
     out = np.empty(2 * len(values))
@@ -40,7 +39,7 @@ class Heap(NamedTuple):
     node: ShortInts
 
 
-@inner
+@njit
 def with_room(heap_f: Floats, heap_node: ShortInts, size: int) -> Heap:
     """Return the arrays of a binary heap, twice as long where it fills them."""
     if size < len(heap_f):
@@ -48,7 +47,7 @@ def with_room(heap_f: Floats, heap_node: ShortInts, size: int) -> Heap:
     return Heap(longer_floats(heap_f), longer_ints(heap_node))
 
 
-@inner
+@njit
 def push(heap_f: Floats, heap_node: ShortInts, size: int, f: float, node: int) -> int:
     """Add an entry to a binary heap and return its new size."""
     k = size
@@ -64,7 +63,7 @@ def push(heap_f: Floats, heap_node: ShortInts, size: int, f: float, node: int) -
     return size + 1
 
 
-@inner
+@njit
 def pop(heap_f: Floats, heap_node: ShortInts, size: int) -> int:
     """Remove the least entry of a binary heap (read it first) and return the new size."""
     size -= 1
@@ -87,7 +86,7 @@ def pop(heap_f: Floats, heap_node: ShortInts, size: int) -> int:
     return size
 
 
-@inner
+@njit
 def slot_of(table: ShortInts, keys: Ints, key: int) -> int:
     """Return the slot of a key in a hash table: its own, or the empty one where it belongs.
 
@@ -101,7 +100,7 @@ def slot_of(table: ShortInts, keys: Ints, key: int) -> int:
     return int(slot)
 
 
-@inner
+@njit
 def angle_between(a: float, b: float) -> float:
     """Angle between two headings, 0 to pi."""
     turn = abs(a - b) % (2.0 * pi)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation.arrays import SingleTable
+from energyplan.compilation import SingleTable
 from energyplan.planning.budget import workers
 from energyplan.planning.scene import free_space_kernels as kernels
 from energyplan.terrain.collision import Body, Space

@@ -8,8 +8,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import (
+from energyplan.compilation import (
     READONLY,
     Ints,
     IntTable,
@@ -18,11 +17,12 @@ from energyplan.compilation.arrays import (
     WordBlock,
     Words,
     WordTable,
+    njit,
 )
 from energyplan.terrain.collision import Body
 
 
-@inner
+@njit
 def shrunk(body: Body, square: float, heading: float, turn: float) -> Body:
     """Return a rectangle that lies in a body at all poses near a pose, in that pose's frame."""
     # the square as seen along either axis of the body, at any of the headings
@@ -71,7 +71,7 @@ def run_levels(bits: WordTable, levels: int) -> WordBlock:
     return out
 
 
-@inner
+@njit
 def _merge_shifted(into: Words, row: Words, shift: int, start: int, end: int) -> None:
     """Set the bits of a row that lie `shift` columns further on; empty words lie beyond it."""
     skip = shift >> 6
@@ -92,7 +92,7 @@ def _merge_shifted(into: Words, row: Words, shift: int, start: int, end: int) ->
         into[last - 1] |= row[words - 1] >> bit
 
 
-@inner
+@njit
 def _transpose(a: Words) -> None:
     """Transpose a square of 64 by 64 bits: bit `c` of word `h` becomes bit `h` of word `c`."""
     j = 32
@@ -110,7 +110,7 @@ def _transpose(a: Words) -> None:
             mask = mask ^ (mask << np.uint64(j))
 
 
-@inner
+@njit
 def _keep_columns(row: Words, low: int, high: int, pad: int, columns: int) -> None:
     """Clear the bits of all columns but those from `low` to before `high`."""
     for w in range(len(row)):
@@ -125,7 +125,7 @@ def _keep_columns(row: Words, low: int, high: int, pad: int, columns: int) -> No
             row[w] &= ~(~np.uint64(0) << np.uint64(end - base))
 
 
-@inner
+@njit
 def _undecided(
     clearance: SingleTable, row: int, inner: float, outer: float, pad: int, words: int
 ) -> States:

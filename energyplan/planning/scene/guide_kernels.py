@@ -14,8 +14,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import (
+from energyplan.compilation import (
     READONLY,
     Bytes,
     Flags,
@@ -25,6 +24,7 @@ from energyplan.compilation.arrays import (
     Singles,
     Words,
     WordTable,
+    njit,
 )
 from energyplan.planning.scene.field import STEP_COLUMNS, STEP_ROWS, longer_ints
 from energyplan.planning.scene.motions import Hills, height_at
@@ -68,13 +68,13 @@ class DistanceToGo(NamedTuple):
     work: int  # turns of nodes that it took
 
 
-@inner
+@njit
 def _starts(mask: np.uint64) -> np.uint64:
     """Return the headings of a mask whose lower neighbour is not in it."""
     return mask & ~((mask << np.uint64(1)) | (mask >> np.uint64(63)))
 
 
-@inner
+@njit
 def _ones(word: np.uint64) -> np.int64:
     """Return how many bits are set."""
     word -= (word >> np.uint64(1)) & np.uint64(0x5555555555555555)
@@ -85,7 +85,7 @@ def _ones(word: np.uint64) -> np.int64:
     return np.int64((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
 
 
-@inner
+@njit
 def headings_aside() -> WordTable:
     """Headings no further than so many steps from a neighbour's direction or its opposite.
 
@@ -104,7 +104,7 @@ def headings_aside() -> WordTable:
     return out
 
 
-@inner
+@njit
 def to_and_fro() -> Floats:
     """How much longer a way is to and fro along headings so many steps aside of it."""
     out = np.empty(HEADINGS // 4 + 1)
@@ -170,7 +170,7 @@ def connect_places(
     return Places(flat, first, arcs, home, room, columns, spacing)
 
 
-@inner
+@njit
 def place_of(places: Places, space: Space, x: float, y: float) -> int:
     """Return the place that a point of the world lies in, the nearest one outside the map."""
     here = in_cells(space, x, y)
@@ -183,7 +183,7 @@ def place_of(places: Places, space: Space, x: float, y: float) -> int:
     return (row + RIM) * across + column + RIM
 
 
-@inner
+@njit
 def heading_of(space: Space, yaw: float) -> int:
     """Return the heading of a place that is nearest to a yaw, from 0 to `HEADINGS` - 1."""
     return floor((yaw - space.yaw) * (HEADINGS / (2.0 * pi)) + 0.5) % HEADINGS

@@ -19,8 +19,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import READONLY, ByteTable, Floats, FloatTable
+from energyplan.compilation import READONLY, ByteTable, Floats, FloatTable, njit
 from energyplan.cost.steering import StaticSteering
 from energyplan.path import Pose
 from energyplan.steering.kernels import (
@@ -84,7 +83,7 @@ class KernelProblem(NamedTuple):
     goal_yaw: float  # start and goal
 
 
-@inner
+@njit
 def price(prices: FloatTable, kind: int, half_track: float, ds: float, dtheta: float) -> float:
     """Price of a motion on one class of surface."""
     turned = half_track * dtheta
@@ -102,7 +101,7 @@ def price(prices: FloatTable, kind: int, half_track: float, ds: float, dtheta: f
     )
 
 
-@inner
+@njit
 def surface_at(setting: KernelProblem, x: float, y: float, yaw: float) -> int:
     """Class of the surface that the robot is on, that of the nearest cell outside the map."""
     rows, columns = setting.surface.shape
@@ -112,7 +111,7 @@ def surface_at(setting: KernelProblem, x: float, y: float, yaw: float) -> int:
     return int(setting.surface[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)])
 
 
-@inner
+@njit
 def height_at(hills: Hills, x: float, y: float) -> float:
     """Height of a point, bilinear between the nodes; that of the raster's edge beyond it."""
     dx = x - hills.x
@@ -131,7 +130,7 @@ def height_at(hills: Hills, x: float, y: float) -> float:
     return float(low * (1.0 - v) + high * v)
 
 
-@inner
+@njit
 def sloping_cost(
     setting: KernelProblem, x: float, y: float, yaw: float, ds: float, dtheta: float
 ) -> float:
@@ -264,7 +263,7 @@ def drive(
     return total
 
 
-@inner
+@njit
 def spin_drive_spin(
     dx: float,
     dy: float,
@@ -328,7 +327,7 @@ def join(
     return cost, count
 
 
-@inner
+@njit
 def connection(setting: KernelProblem, x: float, y: float, yaw: float, limit: float) -> float:
     """Cost of the cheapest free motion known from a pose to the goal; infinite if there is none."""
     ds = np.empty(MAX_SEGMENTS)

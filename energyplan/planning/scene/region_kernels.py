@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import inner, njit
-from energyplan.compilation.arrays import Bytes, Flags, Floats, FloatTable, ShortInts, Singles
+from energyplan.compilation import Bytes, Flags, Floats, FloatTable, ShortInts, Singles, njit
 from energyplan.planning.scene.field import (
     STEP_COLUMNS,
     STEP_ROWS,
@@ -45,7 +44,7 @@ class Regions(NamedTuple):
     aside: Singles  # (links,)
 
 
-@inner
+@njit
 def _flood(
     places: Places, of_node: ShortInts, node: int, region: int, block: int, stack: ShortInts
 ) -> ShortInts:
@@ -74,7 +73,7 @@ def _flood(
     return stack
 
 
-@inner
+@njit
 def _block_of(place: int, across: int) -> int:
     """Return the number of a place's block."""
     return (place // across) // BLOCK * across + (place % across) // BLOCK

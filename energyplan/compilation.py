@@ -1,0 +1,399 @@
+"""Numba's kernels: compiled for the types of their annotations, and kept on disk.
+
+A kernel's annotations are its one signature, so what must be compiled is known before anything
+runs, and `compile_kernels` does so before a clock starts. Machine code lies in a folder that a
+digest of all its sources names: Numba's own cache looks at the file of the function alone, and
+would hand out old machine code after an edit of a kernel that this one calls.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from functools import cache, cached_property
+from importlib import import_module
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, ParamSpec, TypeVar, cast, get_args, get_origin
+from typing import get_type_hints as hints_of
+
+import numpy as np
+from numba import types
+from numba.core import caching, config, event, sigutils
+from numba.core.registry import CPUDispatcher
+from numba.np import numpy_support
+from numpy.typing import NDArray
+
+try:
+    import fcntl
+except ImportError:  # on Windows two processes may both compile a kernel
+    fcntl = None  # type: ignore[assignment]
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+READONLY, STRIDED = "read-only", "strided"
+"""Marks of annotations: the array cannot be written; it need not be contiguous."""
+
+Floats = Annotated[NDArray[np.float64], 1]
+FloatTable = Annotated[NDArray[np.float64], 2]
+FloatBlock = Annotated[NDArray[np.float64], 3]
+WideBlock = Annotated[NDArray[np.float64], 4]
+Singles = Annotated[NDArray[np.float32], 1]
+SingleTable = Annotated[NDArray[np.float32], 2]
+Ints = Annotated[NDArray[np.int64], 1]
+IntTable = Annotated[NDArray[np.int64], 2]
+ShortInts = Annotated[NDArray[np.int32], 1]
+ShortIntTable = Annotated[NDArray[np.int32], 2]
+Bytes = Annotated[NDArray[np.uint8], 1]
+ByteTable = Annotated[NDArray[np.uint8], 2]
+States = Annotated[NDArray[np.int8], 1]
+Words = Annotated[NDArray[np.uint64], 1]
+WordTable = Annotated[NDArray[np.uint64], 2]
+WordBlock = Annotated[NDArray[np.uint64], 3]
+Flags = Annotated[NDArray[np.bool_], 1]
+FlagTable = Annotated[NDArray[np.bool_], 2]
+"""A table has two dimensions, a block three, a wide block four."""
+
+Column = Annotated[NDArray[np.float64], 1, STRIDED, READONLY]
+AnyTable = Annotated[NDArray[np.float64], 2, STRIDED, READONLY]
+AnyBlock = Annotated[NDArray[np.float64], 3, STRIDED, READONLY]
+AnyInts = Annotated[NDArray[np.int64], 1, STRIDED, READONLY]
+"""What is read alone may have any layout, as the columns of a table do."""
+
+FOLDER_VARIABLE = "ENERGYPLAN_CACHE_DIR"
+"""Environment variable that names another folder for compiled kernels."""
+
+KERNELS: dict[str, Kernel] = {}
+"""All kernels of the modules imported so far, by module and name."""
+
+UNUSED = 30 * 24 * 3600.0
+"""Machine code that was not used for so long [s] is deleted when other is kept."""
+
+FEW = 4
+"""Kernels up to which another process does not pay."""
+
+_SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
+_ROOT = Path(__file__).parent
+_IMPORT = re.compile(r"^[ \t]*from energyplan([.\w]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
+
+
+class KernelCacheWarning(UserWarning):
+    """Compiled kernels cannot be kept, so that every process compiles anew."""
+
+
+def cache_folder() -> Path:
+    """Return where compiled kernels are kept, whether it exists or not."""
+    if chosen := os.environ.get(FOLDER_VARIABLE):
+        return Path(chosen)
+    if shared := os.environ.get("XDG_CACHE_HOME"):
+        return Path(shared) / "energyplan"
+    try:
+        return Path.home() / ".cache" / "energyplan"
+    except RuntimeError:  # no home folder; temporary files are other users' too, where these exist
+        user = f"-{os.getuid()}" if hasattr(os, "getuid") else ""
+        return Path(tempfile.gettempdir()) / f"energyplan{user}"
+
+
+@cache
+def source_digest(file: Path) -> str:
+    """Return a digest of a module, all modules of the package that it imports, and the compiler."""
+    found: dict[Path, bytes] = {}
+    pending = [file]
+    while pending:
+        if (source := pending.pop()) not in found:
+            found[source] = source.read_bytes()
+            pending += _imported(found[source].decode())
+    options = [getattr(config, name, None) for name in ("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT")]
+    versions = [sys.version, *map(version, ("numba", "llvmlite", "numpy")), options]
+    digest = hashlib.sha256(str(versions).encode())
+    for source in sorted(found):
+        digest.update(f"{source.name}:{len(found[source])}:".encode() + found[source])
+    return digest.hexdigest()[:24]
+
+
+@cache
+def _imported(text: str) -> tuple[Path, ...]:
+    """Return the files of this package that a source names in its import statements."""
+    files = list[Path]()
+    for match in _IMPORT.finditer(text):
+        base = _ROOT.joinpath(*match[1].split("."))
+        names = re.findall(r"(\w+)(?: as \w+)?", match[2])
+        for place in (base, *(base / name for name in names)):
+            candidates = place.with_suffix(".py"), place / "__init__.py"
+            files += [c for c in candidates if c.is_file() and c != _ROOT / "__init__.py"]
+    return tuple(files)
+
+
+class _Locator(caching.UserWideCacheLocator):
+    """Where the machine code of a module's functions lies; Numba's index there has processors."""
+
+    def __init__(self, function: Callable[..., object], file: str) -> None:
+        super().__init__(function, file)
+        self._cache_path = str(cache_folder() / source_digest(Path(file)))
+
+    @classmethod
+    def from_function(cls, function: Callable[..., object], file: str) -> _Locator | None:
+        """Return the place, which may be one to read alone; None without a file of the source."""
+        return cls(function, file) if Path(file).is_file() else None
+
+
+class _Results(caching.CompileResultCacheImpl):
+    _locator_classes = [_Locator]  # noqa: RUF012
+
+
+class _Cache(caching.FunctionCache):
+    _impl_class = _Results
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return machine code from disk; whatever is wrong with its file, it is compiled anew."""
+        with suppress(Exception):
+            _mark_used(self.file.parent)
+            return super().load_overload(sig, target_context)
+        with suppress(OSError):
+            self.flush()
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep machine code where it can be."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            _say_not_kept(str(error.strerror))
+
+    @property
+    def file(self) -> Path:
+        """Index of what is kept."""
+        return Path(self._cache_file._index_path)
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Wait where another process compiles this kernel, and let others wait."""
+        with ExitStack() as stack:
+            with suppress(OSError):
+                self.file.parent.mkdir(parents=True, exist_ok=True)
+                lock = stack.enter_context(self.file.with_suffix(".lock").open("w"))
+                if fcntl is not None:
+                    fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+
+
+@cache
+def _mark_used(folder: Path) -> None:
+    with suppress(OSError):
+        os.utime(folder)
+
+
+@cache
+def _say_not_kept(why: str) -> None:
+    warnings.warn(
+        f"compiled kernels cannot be kept in {cache_folder()} ({why}), so each process compiles "
+        f"them anew; name a folder that can be written with {FOLDER_VARIABLE}",
+        KernelCacheWarning,
+        stacklevel=2,
+    )
+
+
+def _can_be_kept() -> bool:
+    """Tell whether machine code can be kept; where it cannot, a warning says why."""
+    try:
+        cache_folder().mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=cache_folder()).close()
+        for entry in cache_folder().iterdir():
+            if time.time() - entry.stat().st_mtime > UNUSED:
+                shutil.rmtree(entry, ignore_errors=True)
+    except OSError as error:
+        _say_not_kept(str(error.strerror))
+        return False
+    return True
+
+
+class Kernel(CPUDispatcher):
+    """A function that is compiled for the types of its annotations, whatever it is called with."""
+
+    def __init__(self, function: Callable[..., object]) -> None:
+        options = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True}
+        super().__init__(function, targetoptions=options)
+        self.name = f"{function.__module__}.{function.__qualname__}"
+
+    @cached_property
+    def declared(self) -> tuple[Any, ...]:
+        """Types of the arguments, as they are annotated."""
+        hints = hints_of(self.py_func, include_extras=True)
+        names = self.py_func.__code__.co_varnames[: self.py_func.__code__.co_argcount]
+        return tuple(_numba_type(hints[name]) for name in names)
+
+    @cached_property
+    def disk(self) -> _Cache | None:
+        """Its machine code on disk; None where its source is in no file."""
+        with suppress(RuntimeError, OSError):
+            self._cache = _Cache(self.py_func)
+            return self._cache
+        return None
+
+    @property
+    def kept(self) -> bool:
+        """Whether its machine code is loaded, or there is a file of it."""
+        return bool(self.overloads) or (self.disk is not None and self.disk.file.is_file())
+
+    def compile(self, sig: Any = None) -> Any:
+        """Compile it for the declared types, or load it; for others where these do not convert."""
+        given, _ = sigutils.normalize_signature(sig or self.declared)
+        if given != self.declared and not self._converts(given):
+            return super().compile(given)
+        with nullcontext() if self.kept or self.disk is None else self.disk.alone():
+            entry = super().compile(self.declared)
+        if not any(isinstance(kind, types.Literal | types.Omitted) for kind in given):
+            insert: Any = self._insert  # type: ignore[attr-defined]
+            insert([kind._code for kind in given], entry, False)  # next time found at once
+        return entry
+
+    def _converts(self, given: tuple[Any, ...]) -> bool:
+        """Tell whether these types become the declared ones without loss."""
+        convert = self.targetdescr.typing_context.can_convert
+        return len(given) == len(self.declared) and all(
+            convert(a, b) is not None
+            and not (isinstance(a, types.Float) and isinstance(b, types.Integer))
+            for a, b in zip(given, self.declared, strict=True)
+        )
+
+
+def njit(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a function to machine code that holds no GIL, for the types of its annotations."""
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return function
+    made = Kernel(function)
+    KERNELS[made.name] = made
+    return cast("Callable[P, R]", made)
+
+
+def _numba_type(annotation: Any) -> Any:
+    """Return the Numba type that an annotation stands for."""
+    if annotation in _SCALARS:
+        return _SCALARS[annotation]
+    if get_origin(annotation) is Annotated:
+        array, *about = get_args(annotation)
+        number = get_args(array)[-1]  # of an alias from NumPy 2.5 on, before that of a dtype
+        dtype = np.dtype(*(get_args(number) or [number]))
+        layout = "A" if STRIDED in about else "C"
+        array_of: Any = types.Array
+        item = numpy_support.from_dtype(dtype)
+        return array_of(item, about[0], layout, readonly=READONLY in about)
+    if isinstance(annotation, type) and issubclass(annotation, np.generic):
+        return numpy_support.from_dtype(np.dtype(annotation))
+    if isinstance(annotation, type) and issubclass(annotation, tuple):
+        fields = hints_of(annotation, include_extras=True)
+        parts = [_numba_type(fields[name]) for name in annotation._fields]  # type: ignore[attr-defined]
+        return types.BaseTuple.from_types(parts, annotation)
+    if get_origin(annotation) is tuple:
+        return types.BaseTuple.from_types([_numba_type(part) for part in get_args(annotation)])
+    raise TypeError(f"{annotation} is no type of a kernel's argument")
+
+
+def kernel_modules() -> list[str]:
+    """Return the names of all modules of this package that define kernels."""
+    names = []
+    for file in sorted(_ROOT.rglob("*.py")):
+        if re.search(r"^@njit$", file.read_text(encoding="utf-8"), re.MULTILINE):
+            inside = file.relative_to(_ROOT.parent).with_suffix("")
+            names.append(".".join(inside.parts).removesuffix(".__init__"))
+    return names
+
+
+class Preparation(NamedTuple):
+    """What was compiled ahead."""
+
+    compiled: tuple[str, ...]  # names of the kernels that were compiled
+    found: int  # number of kernels that were on disk, or loaded, already
+    kept: bool  # whether machine code can be kept on disk
+    processes: int  # number of processes that took part
+    seconds: float  # time it took [s]
+
+
+def compile_kernels(*modules: str, processes: int = 2) -> Preparation:
+    """Compile all kernels of some modules, or packages, or load them from disk.
+
+    Two processes begin at either end of the list and meet where all has been kept.
+    """
+    begun = time.perf_counter()
+    inside = tuple(f"{module}." for module in modules)
+    wanted = [kernel for name, kernel in KERNELS.items() if name.startswith(inside)]
+    missing = [kernel for kernel in wanted if not kernel.kept]
+    kept = not missing or _can_be_kept()
+    processes = min(processes, 2, _processors()) if kept and len(missing) > FEW else 1
+    names = [kernel.name for kernel in missing]
+    with _helping(names[::-1]) if processes > 1 else nullcontext():
+        for kernel in missing:
+            if not kernel.kept:
+                kernel.compile()
+    for kernel in wanted:
+        kernel.compile()
+    seconds = time.perf_counter() - begun
+    return Preparation(tuple(names), len(wanted) - len(names), kept, processes, seconds)
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def _helping(names: list[str]) -> Iterator[None]:
+    """Have another process compile kernels during a block, and wait for it at the end."""
+    code = "import sys; from energyplan.compilation import work; work(sys.argv[1:])"
+    path = os.pathsep.join(map(os.path.abspath, sys.path))
+    process: subprocess.Popen[bytes] | None = None
+    with suppress(OSError):  # where it cannot start, this one does it all
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-c", code, *names],
+            env={**os.environ, "PYTHONPATH": path},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+    try:
+        yield
+        if process:
+            process.wait()
+    finally:
+        if process:
+            process.kill()
+            process.wait()
+
+
+def work(names: list[str]) -> None:
+    """Compile the kernels of these names that nobody has compiled yet."""
+    for name in names:
+        import_module(name.rpartition(".")[0])
+        if not KERNELS[name].kept:
+            KERNELS[name].compile()
+
+
+@contextmanager
+def telling(say: Callable[[str], None]) -> Iterator[None]:
+    """Have every kernel named that this process begins to compile."""
+    listener = _Listener(say)
+    event.register("numba:compile", listener)
+    try:
+        yield
+    finally:
+        event.unregister("numba:compile", listener)
+
+
+class _Listener(event.Listener):
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
+
+    def on_start(self, event: Any) -> None:
+        """Name the kernel."""
+        self._say(getattr(event.data["dispatcher"], "name", ""))
+
+    def on_end(self, event: Any) -> None:
+        """Say nothing."""
