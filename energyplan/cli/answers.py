@@ -24,9 +24,20 @@ NO, INTERRUPTED = 3, 130
 """Exit codes of a negative answer with ``--strict``, and of Ctrl-C."""
 
 
+_ESCAPED = {
+    code: f"\\u{code:04x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\n\t"
+}
+"""Control characters as JSON writes them: a name from a file gives a terminal no command."""
+
+
+def printable(text: str) -> str:
+    """Return text without control characters other than line breaks and tabs."""
+    return text.translate(_ESCAPED)
+
+
 def say(text: str) -> None:
     """Print a line of the answer."""
-    sys.stdout.write(text + "\n")
+    sys.stdout.write(printable(text) + "\n")
 
 
 def give_up_stdout() -> None:
@@ -36,7 +47,7 @@ def give_up_stdout() -> None:
 
 def warn(text: str) -> None:
     """Print a line that is no part of the answer."""
-    sys.stderr.write(text + "\n")
+    sys.stderr.write(printable(text) + "\n")
 
 
 def answer(document: dict[str, Any], lines: list[str], *, json: bool) -> None:
@@ -88,7 +99,7 @@ def progress(text: str) -> Iterator[Any]:
 
         with telling(compiling):
             yield lambda fraction, note="": bar.update(
-                task, total=1.0, completed=fraction, description=note or text
+                task, total=1.0, completed=fraction, description=printable(note or text)
             )
 
 

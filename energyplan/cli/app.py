@@ -121,12 +121,26 @@ def presets_named(inputs: list[str | Path]) -> dict[str, str]:
     return {name: preset.source for name, preset in MODEL_PRESETS.items() if name in named}
 
 
+_FIRST_STEPS = """\
+energyplan: energy-aware path planning for wheeled skid-steer robots
+
+See it work              energyplan demo
+Read your own log        energyplan start LOG --track 0.5 --wheelbase 0.475 --mass 147 \\
+                           --out robot.yaml
+Learn a power model      energyplan diagnose LOG --project robot.yaml --out model.yaml
+Plan a route             energyplan plan --map MAP.yaml --model model.yaml \\
+                           --start 2,2,0 --goal 20,12,90deg
+Will the battery last?   energyplan mission MISSION.yaml
+
+All commands: energyplan --help. One command: energyplan plan --help."""
+
+
 class _Group(TyperGroup):
-    """A group of commands that shows its help where no command is named."""
+    """A group of commands; without one it says what to do first, or lists those of a subgroup."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         if not args and not ctx.resilient_parsing:
-            say(ctx.get_help())
+            say(ctx.get_help() if ctx.parent else _FIRST_STEPS)
             raise typer.Exit(0)
         return super().parse_args(ctx, args)
 
@@ -222,7 +236,9 @@ app = App(
 def _options(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+        typer.Option(
+            "--version", "-V", callback=_version, is_eager=True, help="Print the version."
+        ),
     ] = False,
 ) -> None:
     """Energy-aware path planning for wheeled skid-steer robots."""

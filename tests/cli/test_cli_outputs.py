@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from commands import run
 
 import energyplan as ep
 from energyplan import cli, simulate
+from energyplan.cli.answers import answer
 from energyplan.io.bundled import bundled
 from energyplan.io.config import write_vehicle
 from energyplan.io.files import files_behind, refuse_overwriting
@@ -420,17 +422,37 @@ def test_a_number_that_cannot_be_meant_is_refused_in_one_line(
     assert "give" in (error := refused(folder, capsys, *arguments)) or "no task" in error
 
 
-def test_without_a_command_the_help_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_command_it_says_what_to_do_first(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, error = run(capsys)
     assert (code, error) == (0, "")
-    assert "Commands:" in out
+    assert len(out.splitlines()) <= 20
+    named = set(re.findall(r"energyplan (\w+)", out))
+    assert {"demo", "start", "diagnose", "plan", "mission"} == named
     code, out, error = run(capsys, "log")
     assert (code, error) == (0, "")
     assert "info" in out
 
 
 def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(capsys, "--version") == (0, f"energyplan {ep.__version__}\n", "")
+    for option in ("--version", "-V"):
+        assert run(capsys, option) == (0, f"energyplan {ep.__version__}\n", "")
+
+
+def test_escape_codes_of_a_file_never_reach_the_terminal(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = "\x1b[31mga\x07te\x9b"
+    (folder / name).write_text("t,v_left,v_right,power\n0,0,0,1\n")
+    code, out, error = run(capsys, "identify", name, "--vehicle", "robot.yaml")
+    assert (code, out) == (2, "")
+    assert r"\u001b[31mga\u0007te\u009b" in error
+    assert error.rstrip("\n").isprintable()
+    answer({"name": name}, [], json=True)
+    printed = capsys.readouterr().out
+    assert json.loads(printed) == {"name": name}
+    assert printed.replace("\n", "").isprintable()
+    answer({}, [f"{name}: reachable"], json=False)
+    assert capsys.readouterr().out.rstrip("\n").isprintable()
 
 
 def test_every_output_is_checked_before_the_work() -> None:
