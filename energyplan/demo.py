@@ -33,10 +33,8 @@ from energyplan.logs import DriveLog
 from energyplan.mission import MissionReport, evaluate
 from energyplan.output import plots
 from energyplan.output.pages import (
-    MISSION_HEADER,
     diagnosis_pictures,
     mission_pictures,
-    mission_rows,
 )
 from energyplan.output.report import Page, png
 from energyplan.path import Pose
@@ -336,7 +334,9 @@ def _mission(demo: _Demo, report: MissionReport) -> None:
     summary = f"{done} of {len(report.tasks)} tasks"
     page.paragraph(f"The battery lasts for {summary}.")
     demo.results.append(("The battery lasts for", summary))
-    page.table(MISSION_HEADER, mission_rows(report))
+    for table in report.tables:
+        page.heading(table.title)
+        page.table(table.header, list(table.rows))
     for name, figure, caption in mission_pictures(report):
         demo.picture(f"mission-{name}.png", figure, caption)
 

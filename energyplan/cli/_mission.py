@@ -206,7 +206,7 @@ def mission(
         Path | None,
         typer.Option(
             callback=writes_folder,
-            help="Write each drive between two stops to this folder, as t,x,y,yaw,v,omega.",
+            help="Write each drive to this folder (t,x,y,yaw,v,omega), and into --json.",
         ),
     ] = None,
     json: Json = False,
@@ -263,7 +263,7 @@ def mission(
             write_trajectory(leg, trajectories / f"leg_{k:02d}.csv")
     if report:
         write_report(mission_page(told), report)
-    answer(documents.mission(told), text.mission(told), json=json)
+    answer(documents.mission(told, bool(trajectories)), text.mission(told), json=json)
     verdict(told.feasible, strict)
 
 

@@ -17,6 +17,8 @@ from energyplan.mission.types import Mission
 from energyplan.path import FloatArray, Path, Pose, Trajectory
 
 Verdict = Literal["reachable", "unreachable"]
+_INSTANT = 0.5  # a shorter wait is no line of the timetable [s]
+
 StopKind = Literal["start", "task", "charge", "end"]
 Reason = Literal["none", "no_path", "motor", "battery", "blocked_by_earlier", "late", "time_limit"]
 
@@ -67,6 +69,18 @@ class LegReport:
     trajectory: Trajectory  # the drive, from time 0
     soc: FloatArray  # (n,): state of charge at each of its samples, expected and at the bound
     soc_lower: FloatArray  # (n,): state of charge at each of its samples, expected and at the bound
+
+
+@dataclass(frozen=True)
+class Activity:
+    """A line of a mission's timetable."""
+
+    start: float  # when it begins and ends [s]
+    end: float  # when it begins and ends [s]
+    kind: Literal["drive", "wait", "work", "charge"]  # what the robot does
+    place: str  # where; of a drive, from where to where
+    soc_start: float  # state of charge as expected, before and after
+    soc_end: float  # state of charge as expected, before and after
 
 
 @dataclass(frozen=True)
@@ -208,18 +222,79 @@ class MissionReport(html.Readable):
         needed = any(task.required for task in self.mission.tasks)
         return f"all required tasks can be done; {left}" if needed else left
 
-    def _summaries(self) -> list[html.Summary]:
-        rows = [
-            (task.name, task.verdict, task.reason.replace("_", " "), task.energy / 3600,
-             100 * task.soc_after, task.remedy)
+    @property
+    def sentence(self) -> str:
+        """The headline, how long what can be done takes, and how much of that is charging."""
+        charging = sum(one.duration for one in self.chargers)
+        told = f"{self.duration / 60:.0f} min"
+        told += f", {charging / 60:.0f} min of which charging" if charging else ""
+        subject = "" if self.feasible else " what can be done takes"
+        return f"{self.headline};{subject} {told}" if self.duration else self.headline
+
+    @property
+    def timetable(self) -> tuple[Activity, ...]:
+        """What the robot does from when to when, in the order of time."""
+        begins = {task.name: task.start for task in self.tasks}
+        spans: list[tuple[float, float, Literal["drive", "wait", "work", "charge"], str]] = [
+            (leg.departure, leg.departure + leg.trajectory.duration, "drive",
+             f"{leg.start} to {leg.goal}")
+            for leg in self.legs
+        ]  # fmt: skip
+        for stop in self.route[1:-1]:
+            begin = stop.arrival if stop.kind == "charge" else begins[stop.name]
+            if begin > stop.arrival + _INSTANT:
+                spans.append((stop.arrival, begin, "wait", stop.name))
+            kind: Literal["work", "charge"] = "charge" if stop.kind == "charge" else "work"
+            spans.append((begin, stop.departure, kind, stop.name))
+        spans.sort(key=lambda span: span[:2])
+        charge = [np.interp(span[:2], self.timeline.t, self.timeline.soc) for span in spans]
+        return tuple(
+            Activity(*span, *map(float, soc)) for span, soc in zip(spans, charge, strict=True)
+        )
+
+    @property
+    def tables(self) -> tuple[html.Summary, ...]:
+        """The report as titled rows: tasks, timetable, and what is uncertain."""
+        tasks = [
+            (task.name, task.verdict, task.reason.replace("_", " ").replace("none", "-"),
+             *(html.number(joules / 3600) if np.isfinite(joules) else "-"
+               for joules in (task.energy, task.energy_upper)),
+             f"{100 * task.soc_after:.0f} %" if np.isfinite(task.soc_after) else "-",
+             task.remedy or "-")
             for task in map(self.task, self.table["name"])
         ]  # fmt: skip
-        title = (
-            f"{self.mission.name}: {self.headline}; "
-            f"{html.number(self.energy / 3600)} Wh, ends with {100 * self.soc_end:.0f} % of charge"
-        )
-        header = ("task", "verdict", "reason", "energy [Wh]", "charge after [%]", "remedy")
-        return [html.Summary(title, header, rows)]
+        times = [
+            (_clock(one.start), one.kind, one.place, f"{(one.end - one.start) / 60:.1f}",
+             f"{100 * one.soc_start:.0f} %", f"{100 * one.soc_end:.0f} %")
+            for one in self.timetable
+        ]  # fmt: skip
+        unknown = [
+            (
+                html.words(one.source),
+                *(html.number(part / 3600, 2) for part in (one.energy, one.saving)),
+            )
+            for one in self.uncertainty
+        ]
+        wh = f"{html.number(self.energy / 3600)} Wh"
+        most = f"{html.number(self.energy_upper / 3600)} Wh"
+        sure = f"{100 * self.mission.confidence:.0f} %"
+        left = f"{100 * self.soc_end:.0f} % of charge at the end"
+        found = (
+            html.Summary(f"Tasks: {wh}, at {sure} confidence at most {most}; {left}", (
+                "task", "verdict", "reason", "energy [Wh]", "at most [Wh]", "charge after", "remedy"
+            ), tasks),
+            html.Summary("Timetable", (
+                "time", "what", "where", "minutes", "charge from", "to"
+            ), times),
+            html.Summary("Uncertainty of the energy", (
+                "source", "1 sigma [Wh]", "margin freed if known [Wh]"
+            ), unknown),
+        )  # fmt: skip
+        return tuple(one for one in found if one.rows)
+
+    def _summaries(self) -> list[html.Summary]:
+        title = f"{self.mission.name}: {self.sentence}"
+        return [html.Summary(title, (), (), self.warnings), *self.tables]
 
     def task(self, name: str) -> TaskReport:
         """Return the report of the named task.
@@ -246,6 +321,12 @@ class MissionReport(html.Readable):
             "shortfall", "remedy",
         )  # fmt: skip
         return pd.DataFrame([[getattr(t, c) for c in columns] for t in rows], columns=list(columns))
+
+
+def _clock(seconds: float) -> str:
+    """Return a time as hours, minutes and seconds."""
+    whole = round(seconds)
+    return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
 
 
 def leg_reports(walk: Walk, end: Condition) -> tuple[LegReport, ...]:

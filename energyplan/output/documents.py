@@ -215,15 +215,15 @@ def feasibility(report: FeasibilityReport) -> Document:
     }
 
 
-def mission(report: MissionReport) -> Document:
-    """Return what ``energyplan mission --json`` prints."""
+def mission(report: MissionReport, trajectories: bool = False) -> Document:
+    """Return what ``energyplan mission --json`` prints; with the legs' trajectories if asked."""
     keys = (
         "name", "verdict", "reason", "reachable_alone", "energy", "energy_upper", "soc_after",
 "shortfall", "remedy", "remedies", "arrival", "departure", "soc_lower", "start", "start_upper",
     )  # fmt: skip
     whole = (
         "headline", "order", "route", "energy", "energy_upper", "soc_end", "soc_end_lower", "end",
-        "duration", "feasible", "chargers",
+        "duration", "feasible", "chargers", "timetable",
         "proven", "gap", "warnings",
     )  # fmt: skip
     return {
@@ -236,7 +236,7 @@ def mission(report: MissionReport) -> Document:
             {key: plain(getattr(doubt, key)) for key in ("source", "energy", "saving")}
             for doubt in report.uncertainty
         ],
-        "legs": [_leg(leg) for leg in report.legs],
+        "legs": [_leg(leg, trajectories) for leg in report.legs],
     }
 
 
@@ -269,16 +269,18 @@ def event(told: Event) -> Document:
     return named
 
 
-def _leg(leg: LegReport) -> Document:
-    """Return a leg with its trajectory, as columns over its time."""
+def _leg(leg: LegReport, trajectory: bool) -> Document:
+    """Return a leg, with its trajectory as columns over its time if asked."""
     drive = leg.trajectory
     columns = {
         "t": drive.t, "x": drive.x, "y": drive.y, "yaw": drive.yaw, "v": drive.v,
         "omega": drive.omega, "soc": leg.soc, "soc_lower": leg.soc_lower,
     }  # fmt: skip
     told = {key: plain(getattr(leg, key)) for key in ("start", "goal", "departure", "energy")}
-    trajectory = {key: np.round(values, 6).tolist() for key, values in columns.items()}
-    return {**told, "duration": plain(drive.duration), "trajectory": trajectory}
+    told["duration"] = plain(drive.duration)
+    if trajectory:
+        told["trajectory"] = {k: np.round(values, 6).tolist() for k, values in columns.items()}
+    return told
 
 
 def driven(made: Driven, secret: bool = False) -> Document:

@@ -272,57 +272,17 @@ def mission_page(told: MissionReport) -> Page:
     page = Page(f"Mission {told.mission.name}")
     _models(page, told.mission.model, told.mission.surfaces)
     flagged = [task for task in told.tasks if task.verdict == "unreachable"]
-    page.paragraph(
-        f"{told.headline[0].upper()}{told.headline[1:]}. It takes "
-        f"{told.duration / 60:.0f} minutes and {number(told.energy / 3600)} Wh, at "
-        f"{100 * told.mission.confidence:.0f} % confidence no more than "
-        f"{number(told.energy_upper / 3600)} Wh, and ends at {told.end} with "
-        f"{100 * told.soc_end:.0f} % of the battery's charge.",
-        "lead",
-    )
+    page.paragraph(f"{told.sentence[0].upper()}{told.sentence[1:]}. It ends at {told.end}.", "lead")
     for task in flagged:
         remedy = f"; remedy: {task.remedy}" if task.remedy else ""
         page.paragraph(f"{task.name} is out of reach: {task.detail}{remedy}", "flag")
     for warning in told.warnings:
         page.paragraph(f"Warning: {warning}.", "flag")
-    page.table(MISSION_HEADER, mission_rows(told))
     _illustrate(page, mission_pictures(told))
-    if told.uncertainty:
-        page.heading("What is uncertain")
-        page.table(
-            ("source", "standard deviation [Wh]", "freed if known [Wh]"),
-            list(
-                _rounded(
-                    [(one.source, one.energy / 3600, one.saving / 3600) for one in told.uncertainty]
-                )
-            ),
-        )
-        page.paragraph(
-            "Energy is held back so that the mission succeeds with the confidence asked for; "
-            "what a source frees need not be held back once that source is measured."
-        )
+    for table in told.tables:
+        page.heading(table.title)
+        page.table(table.header, list(table.rows))
     return page
-
-
-MISSION_HEADER = (
-    "task", "verdict", "reason", "remedy", "energy [Wh]", "at most [Wh]", "charge after",
-    "as the only task",
-)  # fmt: skip
-"""Header of `mission_rows`."""
-
-
-def mission_rows(told: MissionReport) -> Iterator[Sequence[object]]:
-    """Yield a row for each task, flagged ones first."""
-    for task in map(told.task, told.table["name"]):
-        yield (
-            task.name, task.verdict,
-            "-" if task.reason == "none" else words(task.reason), task.remedy or "-", *(
-                number(joules / 3600) if np.isfinite(joules) else "-"
-                for joules in (task.energy, task.energy_upper)
-            ),
-            f"{100 * task.soc_after:.0f} %" if np.isfinite(task.soc_after) else "-",
-            "reachable" if task.reachable_alone else "unreachable",
-        )  # fmt: skip
 
 
 def mission_pictures(told: MissionReport) -> Iterator[Picture]:

@@ -302,31 +302,8 @@ def feasibility(report: FeasibilityReport) -> list[str]:
 
 def mission(told: MissionReport) -> list[str]:
     """Return what ``energyplan mission`` prints."""
-    lines = [told.headline]
-    for task in map(told.task, told.table["name"]):
-        line = f"{task.name}: {task.verdict}"
-        if task.verdict == "unreachable":
-            line += f" ({task.reason.replace('_', ' ')}); {task.remedy}"
-        else:
-            line += f", state of charge after it {100 * task.soc_after:.0f} %"
-        lines.append(line)
-    lines.append(
-        f"energy: {number(told.energy / 3600)} Wh, at most {number(told.energy_upper / 3600)} Wh; "
-        f"state of charge at the end {100 * told.soc_end:.0f} %"
-    )
-    if told.uncertainty:
-        parts = (
-            f"{words(doubt.source)} {number(doubt.energy / 3600, 2)} Wh"
-            for doubt in told.uncertainty
-        )
-        lines.append(f"one standard deviation of the energy by source: {', '.join(parts)}")
-        dearest = told.uncertainty[0]
-        lines.append(
-            f"the largest uncertainty: {words(dearest.source)}; knowing it exactly would free "
-            f"{number(dearest.saving / 3600, 2)} Wh of the margin"
-        )
-    lines += [f"warning: {warning}" for warning in told.warnings]
-    return lines
+    tables = [line for one in told.tables for line in one.text().splitlines()]
+    return [told.sentence, *(f"warning: {warning}" for warning in told.warnings), *tables]
 
 
 def fleet(told: FleetReport) -> list[str]:

@@ -124,7 +124,7 @@ def test_mission_shows_every_task(problem: ep.PlanningProblem) -> None:
         coefficient_spread=0.05,
     )  # fmt: skip
     cells = shown(ep.evaluate(mission)).cells
-    assert cells[6:8] == ["too long", "unreachable"]
+    assert cells[7:9] == ["too long", "unreachable"]
     assert cells[cells.index("near") + 1] == "reachable"
 
 
