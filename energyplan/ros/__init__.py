@@ -17,7 +17,15 @@ from energyplan.ros.messages import (
     pose_from_transform,
     updated_grid,
 )
-from energyplan.ros.nav2 import Answer, answer, fill_result, request_to_problems
+from energyplan.ros.nav2 import (
+    Answer,
+    aborted,
+    answer,
+    blocked_poses,
+    fill_result,
+    request_to_problems,
+    warm_up,
+)
 from energyplan.ros.online import DriveFeed
 from energyplan.ros.recording import write_recording
 from energyplan.ros.reports import (
@@ -32,7 +40,9 @@ __all__ = [
     "DriveFeed",
     "ThroughPosesError",
     "ToPoseError",
+    "aborted",
     "answer",
+    "blocked_poses",
     "costs_from_message",
     "diagnostics_message",
     "error_code",
@@ -47,5 +57,6 @@ __all__ = [
     "pose_from_transform",
     "request_to_problems",
     "updated_grid",
+    "warm_up",
     "write_recording",
 ]

@@ -25,6 +25,8 @@ from energyplan.errors import (
 )
 from energyplan.path import Pose
 from energyplan.planning import Plan, PlanningProblem, cancellable, plan, planners
+from energyplan.planning.ends import checked_ends
+from energyplan.planning.ready import compiled as compile_kernels
 from energyplan.planning.replanning import replan
 from energyplan.ros.codes import ThroughPosesError, ToPoseError, codes_of, error_code
 from energyplan.ros.messages import (
@@ -35,6 +37,7 @@ from energyplan.ros.messages import (
     pose_from_transform,
 )
 from energyplan.terrain import OccupancyGrid
+from energyplan.vehicle import Vehicle
 
 _SHARED = ("cost", "surfaces", "vehicle", "heights", "costmap")
 _EQUAL = ("goal", "objective", "clearance", "costmap_weight")
@@ -217,6 +220,11 @@ class Answer:
         return float(sum(plan.energy for plan in self.plans))
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done about ends that lack the clearance, or a start that touches an obstacle."""
+        return tuple(note for plan in self.plans for note in plan.notes)
+
+    @property
     def lower_bound(self) -> float:
         """What no paths through the same poses can cost less than, in the objective's unit."""
         return float(sum(plan.lower_bound for plan in self.plans))
@@ -297,7 +305,7 @@ def answer(
         name = planner_of(str(field(request, "planner_id")), planner)
         problems = request_to_problems(request, grid, cost, **options)
         for problem in problems:
-            problem.check_poses()
+            checked_ends(problem)
         share = None if effort is None else max(effort // len(problems), 1)
         with cancellable(unwanted):
             for leg, problem in enumerate(problems):
@@ -312,6 +320,50 @@ def answer(
         spent = time.perf_counter() - began
         return Answer((), error_code(error, codes, problem), str(error), spent)
     return Answer(tuple(plans), codes["NONE"], "", time.perf_counter() - began, problems)
+
+
+def aborted(request: Any, message: str) -> Answer:
+    """Return the answer to a request that was given up."""
+    return Answer((), codes_of(request)["UNKNOWN"], message, 0.0)
+
+
+def warm_up(
+    cost: EnergyCost, planner: str = "lattice", unwanted: Callable[[], bool] = lambda: False
+) -> None:
+    """Compile what planning and replanning need, so that no request waits for it."""
+    size = float(np.ptp(cost.vehicle.footprint, axis=0).max())
+    hall = OccupancyGrid(np.zeros((40, 80), bool), resolution=0.15 * size)
+    problem = PlanningProblem(
+        hall, cost, Pose(2 * size, 3 * size, 0.0), Pose(9 * size, 3 * size, 1.0),
+        clearance=0.1 * size,
+    )  # fmt: skip
+    with cancellable(unwanted):
+        compile_kernels(problem, tight=True)
+        former = plan(problem, planner, time_limit=0.2)
+        replan(problem, former, start=former.path.poses(size, 1.0)[1], time_limit=0.2)
+
+
+def blocked_poses(
+    path: Any,
+    grid: OccupancyGrid,
+    vehicle: Vehicle,
+    frame: str = "map",
+    lookup: Callable[[str], Any] | None = None,
+    base: str = "base_link",
+) -> list[int]:
+    """Return the indices of a nav_msgs/Path's poses where the footprint is not free.
+
+    With a `lookup` as in `request_to_problems`, those from where the robot is on alone.
+    """
+    poses = np.array([pose_from_message(pose, frame) for pose in field(path, "poses")])
+    if len(poses) == 0:
+        return []
+    first = 0
+    if lookup is not None:
+        here = pose_from_transform(lookup(base))
+        first = int(np.argmin(np.hypot(*(poses[:, :2] - here[:2]).T)))
+    free = grid.footprint_free(poses[first:], vehicle)
+    return [first + int(k) for k in np.flatnonzero(~free)]
 
 
 def _known(

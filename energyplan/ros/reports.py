@@ -25,6 +25,7 @@ def plan_values(answer: Answer) -> dict[str, str]:
         "lower bound [J]": f"{answer.lower_bound:.6g}",
         "length [m]": f"{sum(plan.length for plan in answer.plans):.6g}",
         "planning time [s]": f"{answer.planning_time:.3g}",
+        **{f"note {k}": note for k, note in enumerate(answer.notes, start=1)},
     }
 
 

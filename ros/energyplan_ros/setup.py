@@ -12,6 +12,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml", "README.md"]),
         (f"share/{NAME}/config", ["config/planner.yaml", "config/identifier.yaml"]),
+        (f"share/{NAME}/launch", ["launch/planner.launch.py"]),
     ],
     install_requires=["setuptools"],
     zip_safe=True,

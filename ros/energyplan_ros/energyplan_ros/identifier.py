@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from functools import partial
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from rosidl_runtime_py.utilities import get_message
@@ -17,6 +16,7 @@ from energyplan import ros
 from energyplan.errors import EnergyPlanError
 from energyplan.fit.online import OnlineIdentifier
 from energyplan.io.topics import TopicMap
+from energyplan_ros.running import run
 
 PARAMETERS = {
     "model": "quadriga:empty:concrete",  # where learning starts
@@ -43,15 +43,22 @@ class IdentifierNode(Node):
         self.create_timer(self.settings["period"], self.tell)
 
     def listen(self) -> None:
-        """Subscribe to what has come up."""
+        """Subscribe to what has come up; what cannot be read is told once, and left out."""
         for topic, kinds in self.get_topic_names_and_types():
             wanted = any(topic.endswith(f"/{name.strip('/')}") for name in self.feed.topics)
             if wanted and topic not in self.heard:
                 self.heard.add(topic)
-                self.create_subscription(
-                    get_message(kinds[0]), topic, partial(self.on_message, topic),
-                    qos_profile_sensor_data,
-                )  # fmt: skip
+                try:
+                    self.create_subscription(
+                        get_message(kinds[0]), topic, partial(self.on_message, topic),
+                        qos_profile_sensor_data,
+                    )  # fmt: skip
+                except Exception as error:  # noqa: BLE001  whatever an import or a type support raises
+                    package = kinds[0].partition("/")[0]
+                    self.get_logger().error(
+                        f"{topic}: messages of the type {kinds[0]} cannot be read ({error}); "
+                        f"install the package {package}. The other topics are read on"
+                    )
 
     def on_message(self, topic: str, message: Any) -> None:
         """Feed a message."""
@@ -78,12 +85,4 @@ class IdentifierNode(Node):
 
 def main() -> None:
     """Run the node until it is stopped."""
-    rclpy.init()
-    node = IdentifierNode()
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+    sys.exit(run(IdentifierNode))

@@ -1,22 +1,26 @@
-"""The planning node: hands messages to energyplan.ros, and its answers back."""
+"""The planning node: hands messages to energyplan.ros, and its answers back.
+
+A lifecycle node with the actions and services that Nav2 asks of planner_server.
+"""
 
 from __future__ import annotations
 
+import sys
+import threading
+import time
 from dataclasses import replace
 from functools import partial
-from threading import Lock
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from energyplan_interfaces.srv import EvaluateMission
 from geometry_msgs.msg import PolygonStamped
+from map_msgs.msg import OccupancyGridUpdate
 from nav2_msgs.action import ComputePathThroughPoses, ComputePathToPose
+from nav2_msgs.srv import ClearEntireCostmap, IsPathValid
 from nav_msgs.msg import OccupancyGrid, Path
-from rclpy.action import ActionServer, CancelResponse
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
-from rclpy.node import Node
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.time import Time
 from rosidl_runtime_py.utilities import get_message
@@ -25,10 +29,12 @@ from tf2_ros import Buffer, TransformException, TransformListener
 import energyplan as ep
 from energyplan import ros
 from energyplan.errors import CancelledError, EnergyPlanError, FrameError
+from energyplan_ros.bond import Bond
+from energyplan_ros.running import run
 
 PARAMETERS = {
     "model": "quadriga:empty:concrete",
-    "map_topic": "map",
+    "map_topic": "map",  # its updates come on the same name with _updates
     "keepout_topic": "",  # a mask of Nav2's keep-out filter; none if empty
     "footprint_topic": "",  # a PolygonStamped in the base frame; the model's vehicle if empty
     "mission_folder": "",  # where missions find their files; no mission service if empty
@@ -40,38 +46,54 @@ PARAMETERS = {
     "clearance": 0.0,
     "to_pose_action": "compute_path_to_pose",
     "through_poses_action": "compute_path_through_poses",
+    "is_path_valid_service": "is_path_valid",
+    # Nav2's behaviour trees call it to clear the global costmap, which this node does not have
+    "clear_service": "global_costmap/clear_entirely_global_costmap",  # none if empty
+    "autostart": False,  # whether it configures and activates itself, without lifecycle_manager
 }
 
+DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
-class PlannerNode(Node):
-    """Serves both planning actions on the latest map, and publishes the path as ``plan``."""
+
+class PlannerNode(LifecycleNode):
+    """Serves both planning actions on the latest map while it is active."""
 
     def __init__(self) -> None:
-        super().__init__("energyplan_planner")
+        super().__init__("planner_server")
         self.declare_parameters("", list(PARAMETERS.items()))
         self.settings = {name: self.get_parameter(name).value for name in PARAMETERS}
-        self.cost = ep.EnergyCost(ep.read_model(self.settings["model"]))
-        self.planning = Lock()  # one plan at a time
-        self.map: tuple[str, ep.OccupancyGrid | None] = ("map", None)
+        self.active = self.ending = False
+        self.cost: ep.EnergyCost | None = None
+        self.outline: PolygonStamped | None = None
+        self.planning = threading.Lock()  # one plan at a time
+        self.goals: set[int] = set()  # under way or waiting
+        self.warming: threading.Thread | None = None
+        self.frame = "map"
+        self.grid: ep.OccupancyGrid | None = None
         self.mask: ep.OccupancyGrid | None = None
+        self.open: ep.OccupancyGrid | None = None  # the map with the mask
         self.answered: ros.Answer | None = None  # Nav2 asks for the same goal again and again
         self.buffer = Buffer()
         self.listener = TransformListener(self.buffer, self)
+        self.bond = Bond(self)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        for kind, name, callback in (
-            (OccupancyGrid, "map_topic", self.on_map),
-            (OccupancyGrid, "keepout_topic", self.on_mask),
-            (PolygonStamped, "footprint_topic", self.on_footprint),
+        map_topic = self.settings["map_topic"]
+        for kind, name, callback, qos in (
+            (OccupancyGrid, map_topic, self.on_map, latched),
+            (OccupancyGridUpdate, f"{map_topic}_updates", self.on_update, 10),
+            (OccupancyGrid, self.settings["keepout_topic"], self.on_mask, latched),
+            (PolygonStamped, self.settings["footprint_topic"], self.on_footprint, latched),
         ):
-            if self.settings[name]:
-                self.create_subscription(kind, self.settings[name], callback, latched)
+            if name:
+                self.create_subscription(kind, name, callback, qos)
         self.paths = self.create_publisher(Path, "plan", 1)
         self.diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 1)
-        # goals are cancelled, and missions asked for, while a plan is made
+        # goals are cancelled, and services asked, while a plan is made
         beside = ReentrantCallbackGroup()
         self.servers = [
             ActionServer(
                 self, kind, self.settings[name], partial(self.on_goal, kind),
+                goal_callback=self.on_request,
                 cancel_callback=lambda handle: CancelResponse.ACCEPT, callback_group=beside,
             )
             for kind, name in (
@@ -79,10 +101,82 @@ class PlannerNode(Node):
                 (ComputePathThroughPoses, "through_poses_action"),
             )
         ]  # fmt: skip
+        services = [
+            (IsPathValid, self.settings["is_path_valid_service"], self.on_is_path_valid),
+            (ClearEntireCostmap, self.settings["clear_service"], self.on_clear),
+        ]
         if self.settings["mission_folder"]:
-            self.create_service(
-                EvaluateMission, "~/evaluate_mission", self.on_mission, callback_group=beside
-            )
+            from energyplan_interfaces.srv import EvaluateMission
+
+            services.append((EvaluateMission, "~/evaluate_mission", self.on_mission))
+        for kind, name, callback in services:
+            if name:
+                self.create_service(kind, name, callback, callback_group=beside)
+        if self.settings["autostart"] and self.trigger_configure() == DONE:
+            self.trigger_activate()
+
+    # -- lifecycle ------------------------------------------------------------------------------
+
+    def on_configure(self, state: Any) -> TransitionCallbackReturn:
+        """Read the model, and begin to compile what planning needs."""
+        try:
+            self.cost = ep.EnergyCost(ep.read_model(self.settings["model"]))
+        except EnergyPlanError as error:
+            self.get_logger().error(f"model: {error}")
+            return FAILED
+        self.take_footprint()
+        self.warming = threading.Thread(target=self.warm_up, daemon=True)
+        self.warming.start()
+        return DONE
+
+    def warm_up(self) -> None:
+        """Compile what planning needs, so that no goal waits for it."""
+        log, began = self.get_logger(), time.monotonic()
+        log.info("compiling the planner; without `energyplan warmup` the first time takes minutes")
+        try:
+            ros.warm_up(self.cost, self.settings["planner"], lambda: self.ending)
+        except EnergyPlanError as error:
+            if not self.ending:
+                log.warning(f"compiling: {error}")
+            return
+        log.info(f"compiled, {time.monotonic() - began:.1f} s")
+
+    def on_activate(self, state: Any) -> TransitionCallbackReturn:
+        """Take goals, once everything is compiled."""
+        if self.warming is not None:
+            self.warming.join()
+        self.active = True
+        self.bond.start()
+        return DONE
+
+    def on_deactivate(self, state: Any) -> TransitionCallbackReturn:
+        """Take no more goals; those under way are aborted."""
+        self.active = False
+        self.bond.stop()
+        return DONE
+
+    def on_cleanup(self, state: Any) -> TransitionCallbackReturn:
+        """Forget the model and the last answer."""
+        self.cost = self.answered = None
+        return DONE
+
+    def on_shutdown(self, state: Any) -> TransitionCallbackReturn:
+        """End as deactivated."""
+        return self.on_deactivate(state)
+
+    def stop(self) -> Any:
+        """Abort what is under way; return what tells whether anything still is."""
+        self.active, self.ending = False, True
+        self.bond.stop()
+        return lambda: bool(self.goals) or (self.warming is not None and self.warming.is_alive())
+
+    def destroy_node(self) -> None:
+        """Destroy the action servers first."""
+        for server in self.servers:
+            server.destroy()
+        super().destroy_node()
+
+    # -- what is known --------------------------------------------------------------------------
 
     def grid_of(self, message: OccupancyGrid, name: str) -> ep.OccupancyGrid | None:
         """Return the grid of a message; of a malformed one none."""
@@ -98,29 +192,57 @@ class PlannerNode(Node):
 
     def on_map(self, message: OccupancyGrid) -> None:
         """Keep the map; a malformed one leaves none."""
-        self.map = message.header.frame_id, self.grid_of(message, "map")
+        self.frame, self.grid = message.header.frame_id, self.grid_of(message, "map")
+        self.mask_map()
+
+    def on_update(self, message: OccupancyGridUpdate) -> None:
+        """Change a part of the map, as costmaps do that do not send themselves whole."""
+        if self.grid is None:
+            return
+        least = self.settings["occupied_from"] or None
+        try:
+            self.grid = ros.updated_grid(self.grid, message, occupied_from=least)
+        except EnergyPlanError as error:
+            self.get_logger().error(f"update of the map: {error}")
+            return
+        self.mask_map()
 
     def on_mask(self, message: OccupancyGrid) -> None:
-        """Keep the mask of the keep-out filter."""
-        self.mask = self.grid_of(message, "keep-out mask")
+        """Keep the mask of the keep-out filter, whose lethal value is 100."""
+        try:
+            self.mask = ros.grid_from_message(message, occupied_from=100)
+        except EnergyPlanError as error:
+            self.get_logger().error(f"keep-out mask: {error}")
+            return
+        self.mask_map()
+        note = None if self.grid is None else self.grid.note_of_mask(self.mask)
+        if note:
+            self.get_logger().warning(note)
+
+    def mask_map(self) -> None:
+        """Make the map that is planned on."""
+        both = self.grid is not None and self.mask is not None
+        self.open = self.grid.with_mask(self.mask) if both else self.grid
 
     def on_footprint(self, message: PolygonStamped) -> None:
-        """Take over the footprint."""
+        """Keep the footprint."""
+        self.outline = message
+        self.take_footprint()
+
+    def take_footprint(self) -> None:
+        """Plan with the footprint that has come, if any has."""
+        if self.cost is None or self.outline is None:
+            return
         model = self.cost.model
         try:
             vehicle = ros.footprint_from_message(
-                message, model.vehicle, self.settings["base_frame"]
+                self.outline, model.vehicle, self.settings["base_frame"]
             )
         except EnergyPlanError as error:
             self.get_logger().error(f"footprint: {error}")
             return
         if not (vehicle.footprint == model.vehicle.footprint).all():
             self.cost = ep.EnergyCost(replace(model, vehicle=vehicle))
-
-    def on_mission(self, request: Any, response: Any) -> Any:
-        """Tell whether a mission can be done."""
-        response.answer = ros.mission_answer(request.mission, self.settings["mission_folder"])
-        return response
 
     def lookup(self, target: str, frame: str) -> Any:
         """Return the transform that brings what is in a frame into the map's."""
@@ -129,31 +251,83 @@ class PlannerNode(Node):
         except TransformException as error:
             raise FrameError(f"no transform from {frame!r} to {target!r}: {error}") from None
 
-    def on_goal(self, kind: Any, handle: Any) -> Any:
-        """Answer a goal."""
-        settings = self.settings
-        with self.planning:
-            frame, grid = self.map
-            if grid is not None and self.mask is not None:
-                grid = grid.with_mask(self.mask)
+    # -- services -------------------------------------------------------------------------------
+
+    def on_mission(self, request: Any, response: Any) -> Any:
+        """Tell whether a mission can be done."""
+        response.answer = ros.mission_answer(request.mission, self.settings["mission_folder"])
+        return response
+
+    def on_clear(self, request: Any, response: Any) -> Any:
+        """Plan the next goal anew; there is no costmap here to clear."""
+        self.answered = None
+        if hasattr(response, "success"):
+            response.success = True
+        return response
+
+    def on_is_path_valid(self, request: Any, response: Any) -> Any:
+        """Tell whether a path is free from where the robot is."""
+        response.is_valid, blocked = False, []
+        frame, grid, cost = self.frame, self.open, self.cost
+        if grid is not None and cost is not None:
             try:
-                found = ros.answer(
-                    handle.request,
-                    grid,
-                    self.cost,
-                    frame=frame,
-                    base=settings["base_frame"],
-                    lookup=partial(self.lookup, frame),
-                    planner=settings["planner"],
-                    time_limit=settings["time_limit"],
-                    clearance=settings["clearance"],
-                    unwanted=lambda: handle.is_cancel_requested,
-                    former=self.answered,
-                )
-            except CancelledError:
-                handle.canceled()
-                return kind.Result()
+                blocked = ros.blocked_poses(
+                    request.path, grid, cost.vehicle, frame,
+                    partial(self.lookup, frame), self.settings["base_frame"],
+                )  # fmt: skip
+                response.is_valid = len(request.path.poses) > 0 and not blocked
+            except EnergyPlanError as error:
+                self.get_logger().warning(f"is_path_valid: {error}")
+        if hasattr(response, "invalid_pose_indices"):
+            response.invalid_pose_indices = blocked
+        return response
+
+    # -- goals ----------------------------------------------------------------------------------
+
+    def on_request(self, request: Any) -> GoalResponse:
+        """Take goals while active."""
+        if not self.active:
+            self.get_logger().warning("a goal was rejected: the node is not active")
+        return GoalResponse.ACCEPT if self.active else GoalResponse.REJECT
+
+    def on_goal(self, kind: Any, handle: Any) -> Any:
+        """Answer a goal; goals that come meanwhile wait for their turn."""
+        self.goals.add(id(handle))
+        try:
+            return self.answer(kind, handle)
+        finally:
+            self.goals.discard(id(handle))
+
+    def answer(self, kind: Any, handle: Any) -> Any:
+        """Plan, publish and end a goal."""
+
+        def unwanted() -> bool:
+            return bool(handle.is_cancel_requested) or not self.active
+
+        settings = self.settings
+        while not self.planning.acquire(timeout=0.05):
+            if unwanted():
+                return self.ended(kind, handle)
+        try:
+            frame = self.frame
+            found = ros.answer(
+                handle.request,
+                self.open,
+                self.cost,
+                frame=frame,
+                base=settings["base_frame"],
+                lookup=partial(self.lookup, frame),
+                planner=settings["planner"],
+                time_limit=settings["time_limit"],
+                clearance=settings["clearance"],
+                unwanted=unwanted,
+                former=self.answered,
+            )
             self.answered = found if found.plans else None
+        except CancelledError:
+            return self.ended(kind, handle)
+        finally:
+            self.planning.release()
         stamp = self.get_clock().now().to_msg()
         result = ros.fill_result(kind.Result(), found, frame, stamp, get_message)
         self.diagnostics.publish(
@@ -162,6 +336,8 @@ class PlannerNode(Node):
                 get_message, error=not found.plans,
             )
         )  # fmt: skip
+        for note in found.notes:
+            self.get_logger().info(note, throttle_duration_sec=10.0)
         if found.plans:
             self.paths.publish(result.path)
             handle.succeed()
@@ -170,17 +346,17 @@ class PlannerNode(Node):
             handle.abort()
         return result
 
+    def ended(self, kind: Any, handle: Any) -> Any:
+        """End a goal that was cancelled, or that the node's own end aborts."""
+        if handle.is_cancel_requested:
+            handle.canceled()
+            return kind.Result()
+        handle.abort()
+        told = ros.aborted(handle.request, "the planner was deactivated while it planned")
+        stamp = self.get_clock().now().to_msg()
+        return ros.fill_result(kind.Result(), told, self.frame, stamp, get_message)
+
 
 def main() -> None:
     """Run the node until it is stopped."""
-    rclpy.init()
-    node = PlannerNode()
-    executor = MultiThreadedExecutor()
-    executor.add_node(node)
-    try:
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+    sys.exit(run(PlannerNode))
