@@ -352,7 +352,7 @@ def engine_driven(
             battery_right=run.battery_right + more.right,
         )  # fmt: skip
         sensors = Sensors(power_noise=noise, measured="sides" if rng.random() < 0.5 else "total",
-                          without={"accel_x"}, seed=2 * seed + k)  # fmt: skip
+                          without=("accel_x",), seed=2 * seed + k)  # fmt: skip
         logs.append(sensors.log(taken, f"{kind.__name__} {seed}, drive {k + 1}"))
     return logs
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as jsonlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -37,12 +37,6 @@ Truth = Annotated[
         callback=writes(".json"), help="Write the effects that the robot has to this JSON file."
     ),
 ]
-Measured = Annotated[
-    Literal["sides", "total", "battery"],
-    typer.Option(help="Whose power the log holds: each side's, both sides' sum, or the battery's."),
-]
-Noise = Annotated[float, typer.Option(help="Standard deviation of each side's power [W].")]
-Seed = Annotated[int, typer.Option(help="Seed of the sensors' noise.")]
 
 
 def chosen_effects(
@@ -92,23 +86,15 @@ def drive(
         Path | None,
         typer.Option("--out", callback=writes(*TABLES), help="Write the drive log to this file."),
     ] = None,
-    rate: Annotated[float, typer.Option(help="Samples per second of the log [Hz].")] = 20.0,
-    noise: Noise = 2.0,
-    speed_noise: Annotated[
-        float, typer.Option(help="Standard deviation of the tread speeds [m/s].")
-    ] = 0.002,
-    speed_step: Annotated[
-        float, typer.Option(help="Step to which tread speeds are rounded [m/s].")
-    ] = 0.0,
-    current_step: Annotated[
-        float, typer.Option(help="Step of the current sensors [A]; smaller currents read as 0.")
-    ] = 0.0,
-    delay: Annotated[float, typer.Option(help="Delay of the logged power [s].")] = 0.0,
-    unsigned: Annotated[
-        bool, typer.Option("--unsigned", help="The sensors lose the sign of the power.")
-    ] = False,
-    measured: Measured = "sides",
-    seed: Seed = 0,
+    sensors: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME=VALUE,...",
+            help="How the drive is recorded: rate [Hz], power_noise [W], speed_noise, speed_step "
+            "[m/s], current_step [A], delay [s], unsigned=true, measured=sides, total or battery.",
+        ),
+    ] = "",
+    seed: Annotated[int, typer.Option(help="Seed of the sensors' noise.")] = 0,
     json: Json = False,
     strict: Strict = False,
 ) -> None:
@@ -123,17 +109,14 @@ def drive(
 
     asked = read_trajectory(trajectory)
     law, ground = _believed(model, surfaces, heights)
-    sensors = Sensors(
-        rate=rate, power_noise=noise, speed_noise=speed_noise, speed_step=speed_step,
-        current_step=current_step, delay=delay, unsigned=unsigned, measured=measured, seed=seed,
-    )  # fmt: skip
+    recording = Sensors.parse(sensors, seed)
     robot = Robot.from_model(law)
     middle = asked.poses[len(asked) // 2]
     effects = chosen_effects(robot, effect, hidden, truth, (float(middle[0]), float(middle[1])))
     with progress("driving"):
         made = run(asked, switch_on(robot, effects), law, ground=ground)
     if out:
-        write_log(sensors.log(made.run, out.name), out)
+        write_log(recording.log(made.run, out.name), out)
     secret = hidden is not None
     answer(documents.driven(made, secret=secret), text.driven(made, secret=secret), json=json)
     verdict(made.arrived, strict)

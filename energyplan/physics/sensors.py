@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from energyplan.errors import InvalidInputError, UnknownNameError
 from energyplan.logs import DriveLog
@@ -29,7 +29,7 @@ class Sensors:
     unsigned: bool = False  # whether the sensors of the sides lose the sign of the power
     measured: Literal["sides", "total", "battery"] = "sides"
     voltage: float = 24.0  # battery voltage [V]
-    without: Collection[str] = ()  # channels that the log does not have
+    without: tuple[str, ...] = ()  # channels that the log does not have
     seed: int = 0  # seed of the noise
 
     def __post_init__(self) -> None:
@@ -46,6 +46,26 @@ class Sensors:
                         f"{item.name} is {value}; give a {'positive ' * positive}number"
                         f"{'' if positive else ' >= 0'}"
                     )
+
+    @classmethod
+    def parse(cls, text: str, seed: int = 0) -> Sensors:
+        """Return the sensors that ``NAME=VALUE,NAME=VALUE`` stands for."""
+        known = [item.name for item in fields(cls) if item.name not in ("without", "seed")]
+        given: dict[str, str] = {}
+        for part in filter(None, text.split(",")):
+            name, _, value = (word.strip() for word in part.partition("="))
+            if name not in known:
+                raise UnknownNameError("property of sensors", name, known)
+            given[name] = value
+        try:
+            return TypeAdapter(cls).validate_python({**given, "seed": seed})
+        except ValidationError as problem:
+            wrong = problem.errors(include_url=False)[0]
+            place = ".".join(map(str, wrong["loc"]))
+            raise InvalidInputError(
+                f"sensors {text!r}: {place + ': ' * bool(place)}{wrong['msg']}; write NAME=VALUE, "
+                "like rate=50,measured=battery"
+            ) from None
 
     def log(self, run: Run, name: str = "engine drive") -> DriveLog:
         """Return a drive as these sensors record it."""

@@ -172,6 +172,17 @@ def test_bad_sensors_are_named(driven: Driven) -> None:
         Sensors(without=("z",)).log(driven.run)
     with pytest.raises(InvalidInputError, match="too short"):
         Sensors(rate=0.01).log(driven.run)
+    wrong = {"rate=fast": "rate: .*number", "rate=0": "rate is 0", "measured=": "'battery'",
+             "colour=red": "power_noise"}  # fmt: skip
+    for text, message in wrong.items():
+        with pytest.raises((InvalidInputError, UnknownNameError), match=message):
+            Sensors.parse(text)
+
+
+def test_sensors_parse() -> None:
+    expected = Sensors(rate=50.0, unsigned=True, measured="battery", seed=3)
+    assert Sensors.parse("rate=50, unsigned=true,measured=battery", seed=3) == expected
+    assert Sensors.parse("") == Sensors()
 
 
 def test_identified_from_the_engine_it_is_the_truth() -> None:
