@@ -48,6 +48,7 @@ from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import refuse_one_side, without_copies, yaw_rate_offset
 from energyplan.logs.clean import set_aside_by_drive
+from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual
 from energyplan.power.effects import Effect, catalogue
 from energyplan.vehicle import Vehicle
@@ -216,6 +217,7 @@ class _Case:
             self.problem = self._problem(train, vehicle)
         breakaway = self.problem.drives[0].breakaway
         self.held = [replace(Drive.of(log, vehicle), breakaway=breakaway) for log in holdout]
+        self.starts = [float(log.t[0]) for log in holdout]
 
     def _problem(self, train: Sequence[DriveLog], vehicle: Vehicle) -> Problem:
         usual = [
@@ -238,6 +240,13 @@ class _Case:
                 log = log.shifted(yaw_rate=by, accel_x=by)
             moved.append(log)
         return moved
+
+    def _on_given_samples(self, made: Sequence[Prediction]) -> tuple[FloatArray, ...]:
+        """Return powers at the hold-out drives' own samples: moving a channel set some aside."""
+        return tuple(
+            np.interp(log.t, start + one.drive.t, one.power)
+            for log, start, one in zip(self.logs[1], self.starts, made, strict=True)
+        )
 
     def _identified(self, train: Sequence[DriveLog], vehicle: Vehicle) -> tuple[PowerModel, bool]:
         """Return the paper's model, and whether drives tell more of it than is known of others."""
@@ -361,8 +370,8 @@ class _Case:
             dependences_before=told_before,
             dependences_after=outcome.dependences,
             withdrawn=(*mimics, *(part.effect.name for part in (*maps, *vague))),
-            predictions_before=tuple(one.power for one in before),
-            predictions_after=tuple(one.power for one in after),
+            predictions_before=self._on_given_samples(before),
+            predictions_after=self._on_given_samples(after),
             explanations=others,
             none_of_these=present.stranger,
             further_effects=further,

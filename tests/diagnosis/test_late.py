@@ -131,3 +131,16 @@ def test_a_delay_that_nearly_nothing_tells_is_one_of_those_looked_for() -> None:
     (late,) = told.effects
     assert late.std_error == pytest.approx(2.0 / np.sqrt(12.0))
     assert late.std_error == late.details["delay_std_error"]
+
+
+@pytest.mark.usefixtures("few_effects")
+def test_of_a_moved_gyroscope_each_sample_of_the_drive_is_predicted() -> None:
+    truth = PowerModel.preset("quadriga:full:concrete")
+    late = {"delays": {"yaw_rate": 0.2, "accel_x": 0.2}, "power_noise": 5.0}
+    train = simulate.identification_drive(truth, seed=1, **late)
+    unseen = simulate.validation_drive(truth, seed=2, **late)
+    told = diagnose(train, unseen, truth.vehicle)
+    assert any("were moved" in note for note in told.advice)
+    for (predicted,) in (told.predictions_before, told.predictions_after):
+        expected = truth.power(unseen.motion(truth.vehicle.icr))
+        assert_allclose(predicted, expected, atol=0.05 * np.abs(expected).max())
